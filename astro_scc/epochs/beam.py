@@ -1,0 +1,114 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The elliptical Gaussian beam (PSF) of an epoch."""
+
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+
+__all__ = ["Beam"]
+
+FWHM_TO_SIGMA = 1 / np.sqrt(8 * np.log(2))
+
+
+@dataclass(frozen=True)
+class Beam:
+    """
+    An elliptical Gaussian restoring beam.
+
+    Parameters
+    ----------
+    major, minor : `~astropy.units.Quantity`
+        Full widths at half maximum, scalar angles, ``major >= minor > 0``.
+    pa : `~astropy.units.Quantity`, optional
+        Position angle of the major axis, north through east.  It is kept
+        in the range [-90 deg, 90 deg).
+
+    Raises
+    ------
+    ValueError
+        If an axis is not finite or positive, or ``minor > major``.
+    `~astropy.units.UnitConversionError`
+        If an argument is not an angle.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.epochs import Beam
+    >>> beam = Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg)
+    >>> beam.area.to(u.mas**2).round(3)
+    <Quantity 0.567 mas2>
+    """
+
+    major: u.Quantity
+    minor: u.Quantity
+    pa: u.Quantity = 0 * u.deg
+
+    def __post_init__(self):
+        major = u.Quantity(self.major).to(u.mas)
+        minor = u.Quantity(self.minor).to(u.mas)
+        pa = u.Quantity(self.pa).to(u.deg)
+        if not (np.isfinite(major) and np.isfinite(minor) and np.isfinite(pa)):
+            raise ValueError(f"a beam needs finite axes and position angle, got {self}")
+        if minor <= 0:
+            raise ValueError(f"the beam's axes must be positive, got {major} x {minor}")
+        if minor > major * (1 + 1e-9):
+            raise ValueError(
+                f"the beam's minor axis {minor} is larger than its major axis {major}"
+            )
+        pa = (pa + 90 * u.deg) % (180 * u.deg) - 90 * u.deg
+        object.__setattr__(self, "major", major)
+        object.__setattr__(self, "minor", minor)
+        object.__setattr__(self, "pa", pa)
+
+    def __str__(self):
+        return (
+            f"{self.major.value:.3g} x {self.minor.value:.3g} mas "
+            f"at {self.pa.value:.1f} deg"
+        )
+
+    @property
+    def area(self):
+        """Solid angle, pi major minor / (4 ln 2)."""
+        return np.pi * self.major * self.minor / (4 * np.log(2))
+
+    @property
+    def covariance(self):
+        """
+        Covariance of the Gaussian over (east, north), shape (2, 2).
+
+        With ``p = (sin pa, cos pa)`` along the major axis and ``q`` across
+        it, ``C = s_major^2 p p^T + s_minor^2 q q^T``, s the standard
+        deviations.
+        """
+        along = np.array([np.sin(self.pa), np.cos(self.pa)])
+        across = np.array([np.cos(self.pa), -np.sin(self.pa)])
+        return FWHM_TO_SIGMA**2 * (
+            self.major**2 * np.outer(along, along)
+            + self.minor**2 * np.outer(across, across)
+        )
+
+    def fwhm_along(self, position_angle):
+        """
+        Full width at half maximum of the marginal profile in one direction.
+
+        Parameters
+        ----------
+        position_angle : `~astropy.units.Quantity`
+            Direction, north through east; scalar or array.
+
+        Returns
+        -------
+        `~astropy.units.Quantity`
+            ``sqrt(8 ln 2 d^T C d)`` with d the unit vector, in mas.
+        """
+        direction = np.stack([np.sin(position_angle), np.cos(position_angle)])
+        variance = np.einsum("i...,ij,j...->...", direction, self.covariance, direction)
+        return np.sqrt(variance) / FWHM_TO_SIGMA
+
+    def __eq__(self, other):
+        if not isinstance(other, Beam):
+            return NotImplemented
+        return bool(np.all(np.isclose(self.covariance, other.covariance, rtol=1e-6)))
+
+    __hash__ = None
