@@ -1,0 +1,71 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Fixtures and settings of the tests and of the doctests of package and docs."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+from pytest_astropy_header.display import PYTEST_HEADER_MODULES, TESTED_VERSIONS
+
+import astro_scc
+
+HERE = Path(__file__).parent
+
+# Machines of CI are shared and slow, so examples have no deadline; there they are
+# also the same in every run.
+settings.register_profile("dev", deadline=None)
+settings.register_profile("ci", deadline=None, derandomize=True)
+settings.load_profile("ci" if os.environ.get("CI") else "dev")
+
+
+def pytest_configure(config):
+    config.option.astropy_header = True
+    PYTEST_HEADER_MODULES.clear()
+    for name, module in {
+        "numpy": "numpy",
+        "scipy": "scipy",
+        "astropy": "astropy",
+        "scikit-image": "skimage",
+        "photutils": "photutils",
+        "regions": "regions",
+        "reproject": "reproject",
+        "radio-beam": "radio_beam",
+        "matplotlib": "matplotlib",
+    }.items():
+        PYTEST_HEADER_MODULES[name] = module
+    TESTED_VERSIONS["astro_scc"] = astro_scc.__version__
+    os.environ.setdefault("MPLBACKEND", "Agg")
+
+
+def find_shared_data():
+    """Folder of the test data, or None."""
+    given = os.environ.get("ASTRO_SCC_DATA")
+    if given:
+        folder = Path(given)
+        if not folder.is_dir():
+            raise pytest.UsageError(
+                f"ASTRO_SCC_DATA={given} is not a folder; unset it or correct it"
+            )
+        return folder.resolve()
+    folder = HERE.parent / "shared" / "data"
+    return folder if folder.is_dir() else None
+
+
+@pytest.fixture(scope="session")
+def shared_data():
+    """Path of the folder with the test data; skips where there is none."""
+    folder = find_shared_data()
+    if folder is None:
+        pytest.skip(
+            "the test data are not part of the repository: lay them in "
+            "../shared/data beside the clone or name their folder in ASTRO_SCC_DATA"
+        )
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _scratch_folder_for_doctests(request, monkeypatch, tmp_path_factory):
+    """Let doctests write files without leaving any behind."""
+    if type(request.node).__module__.split(".")[0] == "pytest_doctestplus":
+        monkeypatch.chdir(tmp_path_factory.mktemp("doctest"))
