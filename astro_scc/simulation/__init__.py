@@ -1,1 +1,23 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Simulation: jets whose velocities are known."""
+
+from astro_scc.simulation.jets import JetSimulation, SimulatedJet
+from astro_scc.simulation.presets import (
+    simulate_ballistic,
+    simulate_random_velocity,
+    simulate_static,
+    simulate_two_fluid,
+    simulate_unrelated,
+)
+from astro_scc.simulation.streams import Stream
+
+__all__ = [
+    "JetSimulation",
+    "SimulatedJet",
+    "Stream",
+    "simulate_ballistic",
+    "simulate_random_velocity",
+    "simulate_static",
+    "simulate_two_fluid",
+    "simulate_unrelated",
+]
