@@ -1,0 +1,64 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Local maxima of correlation maps, sub-pixel."""
+
+import numpy as np
+
+from astro_scc.decomposition import quadratic_peak
+
+__all__ = ["find_peaks"]
+
+
+def find_peaks(coefficient, threshold):
+    """
+    Local maxima of stacked maps at or above a threshold.
+
+    A pixel is a maximum if none of its eight neighbours is larger; of equal
+    neighbours the first counts.  Positions are those of the least-squares
+    quadratic through the nine.
+
+    Parameters
+    ----------
+    coefficient : `~numpy.ndarray`, shape (n, ny, nx)
+        Pixels of the border are no maxima.
+    threshold : float
+
+    Returns
+    -------
+    index : `~numpy.ndarray` of int, shape (k,)
+        Which map.
+    y, x : `~numpy.ndarray`, shape (k,)
+        Position in pixels of the map.
+    value : `~numpy.ndarray`, shape (k,)
+        Coefficient at the central pixel's maximum, at most 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.correlation import find_peaks
+    >>> y, x = np.mgrid[:9, :9]
+    >>> index, py, px, value = find_peaks(
+    ...     0.9 - 0.01 * ((y - 4) ** 2 + (x - 5.25) ** 2)[None], 0.5)
+    >>> py.round(3), px.round(3), value.round(3)
+    (array([4.]), array([5.25]), array([0.9]))
+    """
+    inner = coefficient[:, 1:-1, 1:-1]
+    index, y, x = np.nonzero(inner >= threshold)
+    y += 1
+    x += 1
+    value = coefficient[index, y, x]
+    # Four neighbours first: most candidates fall here, at half the price.
+    keep = (
+        (value >= coefficient[index, y - 1, x])
+        & (value >= coefficient[index, y, x - 1])
+        & (value > coefficient[index, y, x + 1])
+        & (value > coefficient[index, y + 1, x])
+    )
+    index, y, x, value = index[keep], y[keep], x[keep], value[keep]
+    step = np.arange(-1, 2)
+    around = coefficient[
+        index[:, None, None], y[:, None, None] + step[:, None], x[:, None, None] + step
+    ]
+    keep = (value >= around[:, 0, 0]) & (value >= around[:, 0, 2])
+    keep &= (value > around[:, 2, 0]) & (value > around[:, 2, 2])
+    dy, dx, height = quadratic_peak(around[keep])
+    return index[keep], y[keep] + dy, x[keep] + dx, np.minimum(height, 1.0)

@@ -1,0 +1,193 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The segmented wavelet decomposition of an image."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from astro_scc.decomposition.noise import local_noise, plane_noise, propagated_noise
+from astro_scc.decomposition.segmentation import find_ssps
+from astro_scc.decomposition.ssp import SSPs
+from astro_scc.decomposition.wavelet import scale_kernel, wavelet_planes
+
+__all__ = ["Decomposer", "Decomposition"]
+
+#: Rounding of single precision, below which nothing is significant.
+ROUNDING = 1e-7
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Decomposition:
+    """
+    An image as wavelet planes, their noise and their SSPs.
+
+    Attributes
+    ----------
+    scales : tuple of float
+        Scale numbers.
+    planes : `~numpy.ndarray`, shape (n_scales, ny, nx)
+        Wavelet coefficients in single precision; zero where the image is
+        missing.
+    noise : tuple of float or `~numpy.ndarray`
+        Standard deviation of the noise of each plane, or a map of it.
+    ssps : `SSPs`
+        Of all scales, in the order of ``scales``.
+    mask : `~numpy.ndarray` of bool, shape (ny, nx), or None
+        Missing pixels.
+    """
+
+    scales: tuple
+    planes: np.ndarray
+    noise: tuple
+    ssps: SSPs
+    mask: np.ndarray | None = None
+
+    def __repr__(self):
+        ny, nx = self.planes.shape[1:]
+        return f"<Decomposition of {nx} x {ny} px: {self.ssps!r}>"
+
+    def plane_index(self, scale):
+        """Index of a scale in ``planes``."""
+        return self.scales.index(scale)
+
+    def segmentation(self, scale):
+        """
+        Label image of the SSPs of a scale.
+
+        Parameters
+        ----------
+        scale : float
+
+        Returns
+        -------
+        `~numpy.ndarray` of int, shape (ny, nx)
+            1 + index in ``ssps`` of the SSP of each pixel, or 0.
+        """
+        labels = np.zeros(self.planes.shape[1:], dtype=np.int32)
+        for index in np.flatnonzero(self.ssps.scale == scale):
+            labels.flat[self.ssps.pixels_of(index)] = index + 1
+        return labels
+
+    def segmented_plane(self, scale):
+        """The plane of a scale, zero outside its SSPs, shape (ny, nx)."""
+        plane = self.planes[self.plane_index(scale)]
+        return np.where(self.segmentation(scale) > 0, plane, np.float32(0))
+
+
+@dataclass(frozen=True)
+class Decomposer:
+    """
+    Settings of the segmented wavelet decomposition.
+
+    Parameters
+    ----------
+    scales : sequence of float
+        Scale numbers; j means 2^j pixels, j + 1/2 means 1.5 x 2^j.
+    kernel : {"b1", "b3"}
+        Low-pass filter, linear or cubic spline.
+    detection, segmentation : float
+        Thresholds of the maxima and of the pixels of SSPs, in sigma.
+    noise : {"plane", "local", "propagated"}
+        Whether sigma is one number from the plane itself, a map of it, or
+        follows from the rms of the image and its beam.
+
+    Raises
+    ------
+    ValueError
+        If a setting is not one of the above.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.decomposition import Decomposer
+    >>> y, x = np.mgrid[:64, :64]
+    >>> image = np.exp(-((x - 30) ** 2 + (y - 32) ** 2) / 20)
+    >>> image += np.random.default_rng(0).normal(scale=0.01, size=image.shape)
+    >>> Decomposer(scales=[1, 2])(image)
+    <Decomposition of 64 x 64 px: <SSPs: 1 on scale 1, 1 on scale 2>>
+    """
+
+    scales: tuple = (1, 2, 3, 4)
+    kernel: str = "b1"
+    detection: float = 4.0
+    segmentation: float = 3.0
+    noise: str = "plane"
+
+    def __post_init__(self):
+        scales = tuple(sorted({float(scale) for scale in self.scales}))
+        if not scales:
+            raise ValueError("at least one wavelet scale is needed")
+        for scale in scales:
+            scale_kernel(scale, self.kernel)
+        if self.noise not in ("plane", "local", "propagated"):
+            raise ValueError(
+                f"unknown noise {self.noise!r}: use 'plane', 'local' or 'propagated'"
+            )
+        object.__setattr__(self, "scales", scales)
+
+    def __call__(self, image, *, mask=None, rms=None, beam_covariance=None):
+        """
+        Decompose an image.
+
+        Parameters
+        ----------
+        image : array_like, shape (ny, nx)
+        mask : array_like of bool, shape (ny, nx), optional
+            True marks missing pixels.
+        rms : float, optional
+            Noise of the image, for ``noise="propagated"``.
+        beam_covariance : array_like, shape (2, 2), optional
+            Of the beam over (x, y) in pixels squared, for the same.
+
+        Returns
+        -------
+        `Decomposition`
+
+        Raises
+        ------
+        ValueError
+            If the image is too small for the scales, or ``rms`` is missing.
+        """
+        image = np.asarray(image, dtype=float)
+        missing = ~np.isfinite(image)
+        if mask is not None:
+            missing |= np.asarray(mask, dtype=bool)
+        if missing.all():
+            raise ValueError("the image has no valid pixel")
+        # An offset would cost the digits that single precision has.
+        offset = np.median(image[~missing])
+        image = np.where(missing, 0.0, image - offset)
+        missing = missing if missing.any() else None
+        planes = wavelet_planes(image, self.scales, kernel=self.kernel, mask=missing)
+        noise = self._noise(planes, missing, rms, beam_covariance)
+        floor = ROUNDING * max(np.ptp(image), abs(offset))
+        noise = tuple(np.maximum(sigma, floor) for sigma in noise)
+        ssps = SSPs.concatenate(
+            [
+                find_ssps(
+                    plane,
+                    scale,
+                    sigma,
+                    mask=missing,
+                    detection=self.detection,
+                    segmentation=self.segmentation,
+                )
+                for plane, scale, sigma in zip(planes, self.scales, noise, strict=True)
+            ]
+        )
+        return Decomposition(
+            self.scales, planes.astype(np.float32), noise, ssps, missing
+        )
+
+    def _noise(self, planes, missing, rms, beam_covariance):
+        if self.noise == "propagated":
+            if rms is None:
+                raise ValueError("noise 'propagated' needs the rms of the image")
+            return propagated_noise(
+                rms, self.scales, beam_covariance=beam_covariance, kernel=self.kernel
+            )
+        estimate = plane_noise if self.noise == "plane" else local_noise
+        return [
+            estimate(plane, scale, mask=missing)
+            for plane, scale in zip(planes, self.scales, strict=True)
+        ]

@@ -1,0 +1,214 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The noise of wavelet planes."""
+
+import numpy as np
+from scipy import ndimage
+
+from astro_scc.decomposition.wavelet import KERNELS, scale_kernel, scale_size
+
+__all__ = ["local_noise", "plane_noise", "propagated_noise"]
+
+MAD_TO_SIGMA = 1.482602218505602
+#: Pixels above this many sigma belong to the source, with their surroundings.
+SOURCE_SNR = 5.0
+MAX_ITERATIONS = 25
+
+
+def _disk(radius):
+    reach = int(np.ceil(radius))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    return x * x + y * y <= radius * radius
+
+
+def _mad(values):
+    """Robust standard deviation about zero, which planes have as their mean."""
+    values = np.abs(values[values != 0])
+    return MAD_TO_SIGMA * float(np.median(values)) if values.size else 0.0
+
+
+def source_free(plane, scale, *, mask=None):
+    """
+    Pixels of a wavelet plane that show no source.
+
+    Pixels beyond 5 sigma, sigma from the median absolute value of all
+    others, are taken out together with a disk of one scale around them,
+    until sigma no longer falls.
+
+    Parameters
+    ----------
+    plane : `~numpy.ndarray`, shape (ny, nx)
+    scale : float
+        Scale number.
+    mask : array_like of bool, shape (ny, nx), optional
+        True marks missing pixels.
+
+    Returns
+    -------
+    free : `~numpy.ndarray` of bool, shape (ny, nx)
+    sigma : float
+    """
+    valid = np.ones(plane.shape, dtype=bool) if mask is None else ~np.asarray(mask)
+    footprint = _disk(scale_size(scale))
+    free, sigma = valid, _mad(plane[valid])
+    for _ in range(MAX_ITERATIONS):
+        source = (np.abs(plane) > SOURCE_SNR * sigma) & valid
+        candidate = valid & ~ndimage.binary_dilation(source, footprint)
+        following = _mad(plane[candidate])
+        if not 0 < following < sigma:
+            break
+        converged = following > 0.999 * sigma
+        free, sigma = candidate, following
+        if converged:
+            break
+    return free, sigma
+
+
+def plane_noise(plane, scale, *, mask=None):
+    """
+    Standard deviation of the noise of a wavelet plane, from the plane itself.
+
+    ``1.4826 median |w|`` of the pixels away from the source, see
+    `source_free`; pixels that are exactly zero (blanked) do not count.
+
+    Parameters
+    ----------
+    plane : `~numpy.ndarray`, shape (ny, nx)
+    scale : float
+        Scale number.
+    mask : array_like of bool, shape (ny, nx), optional
+        True marks missing pixels.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.decomposition import plane_noise
+    >>> plane = np.random.default_rng(0).normal(size=(128, 128))
+    >>> plane[60:68, 60:68] += 100
+    >>> round(plane_noise(plane, 1), 1)
+    1.0
+    """
+    return source_free(plane, scale, mask=mask)[1]
+
+
+def local_noise(plane, scale, *, mask=None, box_size=None):
+    """
+    Standard deviation of the noise of a wavelet plane, pixel by pixel.
+
+    The median absolute deviation of the source-free pixels in boxes,
+    interpolated between them (`photutils.background.Background2D`).
+
+    Parameters
+    ----------
+    plane : `~numpy.ndarray`, shape (ny, nx)
+    scale : float
+        Scale number.
+    mask : array_like of bool, shape (ny, nx), optional
+        True marks missing pixels.
+    box_size : int, optional
+        Side of a box in pixels; 16 times the scale and at least 32 by
+        default, at most half the image.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (ny, nx)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.decomposition import local_noise
+    >>> plane = np.random.default_rng(0).normal(size=(128, 128))
+    >>> plane[:, 64:] *= 3
+    >>> noise = local_noise(plane, 1)
+    >>> bool(noise[:, :32].mean() < 1.2), bool(noise[:, -32:].mean() > 2.5)
+    (True, True)
+    """
+    from photutils.background import (
+        Background2D,
+        MADStdBackgroundRMS,
+        MedianBackground,
+    )
+
+    free, sigma = source_free(plane, scale, mask=mask)
+    if sigma == 0 or free.sum() < 64:
+        return np.full(plane.shape, sigma)
+    if box_size is None:
+        box_size = max(32, int(16 * scale_size(scale)))
+    box_size = max(4, min(box_size, min(plane.shape) // 2))
+    # Boxes that the source fills are interpolated from the others.
+    background = Background2D(
+        plane,
+        box_size,
+        mask=~free,
+        exclude_percentile=90.0 if free.mean() > 0.2 else 100.0,
+        filter_size=3,
+        sigma_clip=None,
+        bkg_estimator=MedianBackground(sigma_clip=None),
+        bkgrms_estimator=MADStdBackgroundRMS(sigma_clip=None),
+    )
+    rms = np.asarray(background.background_rms, dtype=float)
+    return np.where(rms > 0, rms, sigma)
+
+
+def _response(kernel, level, frequency):
+    """Response of the smoothings before and after a level, on one axis."""
+    taps = KERNELS[kernel]
+    offsets = np.arange(len(taps)) - len(taps) // 2
+
+    def one(step):
+        phase = 2 * np.pi * step * np.multiply.outer(frequency, offsets)
+        return (taps * np.cos(phase)).sum(axis=-1)
+
+    before = np.ones_like(frequency)
+    for step in range(level):
+        before = before * one(2**step)
+    return before, before * one(2**level)
+
+
+def propagated_noise(rms, scales, *, beam_covariance=None, kernel="b1"):
+    """
+    Noise of wavelet planes for image noise of a given rms and beam.
+
+    By Parseval ``sigma_j^2 = int |H_j|^2 P dk``, with H_j the response of
+    the filter of scale j and P the power spectrum of white noise smoothed
+    by the Gaussian beam, normalised to ``rms^2``.
+
+    Parameters
+    ----------
+    rms : float
+        Standard deviation of the noise of the image.
+    scales : sequence of float
+        Scale numbers.
+    beam_covariance : array_like, shape (2, 2), optional
+        Covariance of the beam over (x, y) in pixels squared; white noise
+        without it.
+    kernel : {"b1", "b3"}
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n_scales,)
+
+    Examples
+    --------
+    >>> from astro_scc.decomposition import propagated_noise
+    >>> propagated_noise(1.0, [0, 1, 2]).round(3)
+    array([0.8  , 0.273, 0.12 ])
+    """
+    n = 512
+    frequency = np.fft.fftfreq(n)
+    power = np.ones((n, n))
+    if beam_covariance is not None:
+        cxx, cxy, cyy = np.asarray(beam_covariance, dtype=float)[[0, 0, 1], [0, 1, 1]]
+        ky, kx = np.meshgrid(frequency, frequency, indexing="ij")
+        form = cxx * kx**2 + 2 * cxy * kx * ky + cyy * ky**2
+        power = np.exp(-4 * np.pi**2 * form)
+    power /= power.sum()
+    sigma = []
+    for scale in scales:
+        before, after = _response(*scale_kernel(scale, kernel), frequency)
+        response = np.outer(before, before) - np.outer(after, after)
+        sigma.append(rms * np.sqrt((response**2 * power).sum()))
+    return np.array(sigma)

@@ -1,0 +1,213 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The isotropic undecimated ("a trous") wavelet transform."""
+
+import numpy as np
+from scipy import ndimage
+
+__all__ = [
+    "KERNELS",
+    "atrous_transform",
+    "scale_kernel",
+    "scale_size",
+    "wavelet_planes",
+]
+
+#: Low-pass filters by name: linear and cubic B-spline.
+KERNELS = {
+    "b1": np.array([1.0, 2.0, 1.0]) / 4,
+    "b3": np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16,
+}
+
+
+def scale_size(scale):
+    """
+    Size of a scale in pixels.
+
+    Scale number j means 2^j pixels; j + 1/2 names the intermediate scale of
+    1.5 x 2^j pixels.
+
+    Parameters
+    ----------
+    scale : float
+        Scale number, a multiple of one half.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> from astro_scc.decomposition import scale_size
+    >>> scale_size(1), scale_size(1.5), scale_size(2)
+    (2.0, 3.0, 4.0)
+    """
+    whole = int(np.floor(scale))
+    if scale < 0 or scale - whole not in (0, 0.5):
+        raise ValueError(
+            f"scale {scale} is not a number of the series 0, 0.5, 1, 1.5, 2, ..."
+        )
+    return 2.0**whole * (1.5 if scale > whole else 1.0)
+
+
+def scale_kernel(scale, kernel="b1"):
+    """
+    Filter and level of the transform that hold a scale.
+
+    The intermediate scales are the planes of the wider cubic spline, which
+    fall between those of the linear one.
+
+    Parameters
+    ----------
+    scale : float
+        Scale number.
+    kernel : {"b1", "b3"}
+        Filter of the whole-numbered scales.
+
+    Returns
+    -------
+    kernel : str
+    level : int
+
+    Raises
+    ------
+    ValueError
+        For an unknown filter, or an intermediate scale of "b3".
+    """
+    if kernel not in KERNELS:
+        raise ValueError(f"unknown wavelet kernel {kernel!r}: use 'b1' or 'b3'")
+    scale_size(scale)
+    level = int(np.floor(scale))
+    if scale == level:
+        return kernel, level
+    if kernel != "b1":
+        raise ValueError(
+            f"intermediate scale {scale} exists between the scales of kernel 'b1' only"
+        )
+    return "b3", level
+
+
+def _smooth(image, kernel, level):
+    """Convolve with the filter dilated by 2^level, edges mirrored."""
+    dilated = np.zeros((len(kernel) - 1) * 2**level + 1)
+    dilated[:: 2**level] = kernel
+    for axis in (0, 1):
+        image = ndimage.convolve1d(image, dilated, axis=axis, mode="mirror")
+    return image
+
+
+def _check_image(image, n_levels, kernel):
+    image = np.asarray(image, dtype=float)
+    if image.ndim != 2:
+        raise ValueError(f"an image has two dimensions, this has {image.ndim}")
+    if kernel not in KERNELS:
+        raise ValueError(f"unknown wavelet kernel {kernel!r}: use 'b1' or 'b3'")
+    # ndimage mirrors only once correctly: half a kernel must fit the image.
+    reach = (len(KERNELS[kernel]) // 2) * 2 ** (n_levels - 1) if n_levels else 0
+    if reach >= min(image.shape):
+        raise ValueError(
+            f"an image of {image.shape[1]} x {image.shape[0]} px is too small for "
+            f"wavelet scale {n_levels - 1} ({2 ** (n_levels - 1)} px): "
+            "leave out the largest scales"
+        )
+    return image
+
+
+def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
+    """
+    Decompose an image into wavelet planes of doubling scale.
+
+    With a_0 the image and a_{j+1} = h_j * a_j, h_j the low-pass filter
+    dilated by 2^j, the planes are ``w_j = a_j - a_{j+1}`` and the image is
+    exactly ``sum_j w_j + a_J`` [1]_.  Edges are mirrored.
+
+    Parameters
+    ----------
+    image : array_like, shape (ny, nx)
+    n_levels : int
+        Number J of planes.
+    kernel : {"b1", "b3"}
+        Linear ([1, 2, 1] / 4) or cubic ([1, 4, 6, 4, 1] / 16) spline.
+    mask : array_like of bool, shape (ny, nx), optional
+        True marks missing pixels.  Each smoothing is then normalised by
+        the weight of the pixels that exist (``h * (m a) / h * m``), and
+        the planes are zero where the image is missing.  Pixels that are
+        not finite are always missing.
+
+    Returns
+    -------
+    planes : `~numpy.ndarray`, shape (n_levels, ny, nx)
+    residual : `~numpy.ndarray`, shape (ny, nx)
+        The smooth image a_J.
+
+    Raises
+    ------
+    ValueError
+        If the largest filter does not fit the image.
+
+    References
+    ----------
+    .. [1] Starck, J.-L. & Murtagh, F. 2006, Astronomical Image and Data
+       Analysis (Springer), chapter 2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.decomposition import atrous_transform
+    >>> image = np.random.default_rng(1).normal(size=(64, 64))
+    >>> planes, residual = atrous_transform(image, 4)
+    >>> bool(np.allclose(planes.sum(axis=0) + residual, image))
+    True
+    """
+    image = _check_image(image, n_levels, kernel)
+    filter_ = KERNELS[kernel]
+    missing = ~np.isfinite(image)
+    if mask is not None:
+        missing |= np.asarray(mask, dtype=bool)
+    planes = np.empty((n_levels, *image.shape))
+    smooth = np.where(missing, 0.0, image)
+    valid = (~missing).astype(float)
+    for level in range(n_levels):
+        if missing.any():
+            weight = _smooth(valid, filter_, level)
+            following = _smooth(smooth, filter_, level)
+            # A pixel that exists has a positive weight of its own.
+            following = np.divide(
+                following, weight, out=np.zeros_like(smooth), where=~missing
+            )
+        else:
+            following = _smooth(smooth, filter_, level)
+        planes[level] = smooth - following
+        smooth = following
+    return planes, smooth
+
+
+def wavelet_planes(image, scales, *, kernel="b1", mask=None):
+    """
+    The wavelet planes of chosen scales.
+
+    Parameters
+    ----------
+    image : array_like, shape (ny, nx)
+    scales : sequence of float
+        Scale numbers, see `scale_size`.
+    kernel : {"b1", "b3"}
+    mask : array_like of bool, shape (ny, nx), optional
+        True marks missing pixels.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n_scales, ny, nx)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.decomposition import wavelet_planes
+    >>> wavelet_planes(np.eye(32), [1, 1.5, 2]).shape
+    (3, 32, 32)
+    """
+    places = [scale_kernel(scale, kernel) for scale in scales]
+    transforms = {}
+    for name in {name for name, _ in places}:
+        n_levels = 1 + max(level for key, level in places if key == name)
+        transforms[name], _ = atrous_transform(image, n_levels, kernel=name, mask=mask)
+    return np.stack([transforms[name][level] for name, level in places])
