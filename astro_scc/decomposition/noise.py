@@ -147,7 +147,7 @@ def local_noise(plane, scale, *, mask=None, box_size=None):
         filter_size=3,
         sigma_clip=None,
         bkg_estimator=MedianBackground(sigma_clip=None),
-        bkgrms_estimator=MADStdBackgroundRMS(sigma_clip=None),
+        bkg_rms_estimator=MADStdBackgroundRMS(sigma_clip=None),
     )
     rms = np.asarray(background.background_rms, dtype=float)
     return np.where(rms > 0, rms, sigma)
