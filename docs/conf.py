@@ -1,0 +1,75 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Configuration of Sphinx."""
+
+import os
+
+import astro_scc
+
+project = "astro_scc"
+author = "The astro_scc developers"
+copyright = f"2026, {author}"
+release = astro_scc.__version__
+version = ".".join(release.split(".")[:2])
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx_automodapi.automodapi",
+    "numpydoc",
+    "pytest_doctestplus.sphinx.doctestplus",
+    "matplotlib.sphinxext.plot_directive",
+]
+exclude_patterns = ["_build"]
+default_role = "obj"
+nitpicky = False
+
+# Builds must pass without a network; Read the Docs has one.
+if os.environ.get("READTHEDOCS"):
+    extensions.append("sphinx.ext.intersphinx")
+    intersphinx_mapping = {
+        "python": ("https://docs.python.org/3", None),
+        "numpy": ("https://numpy.org/doc/stable/", None),
+        "scipy": ("https://docs.scipy.org/doc/scipy/", None),
+        "matplotlib": ("https://matplotlib.org/stable/", None),
+        "astropy": ("https://docs.astropy.org/en/stable/", None),
+        "skimage": ("https://scikit-image.org/docs/stable/", None),
+        "photutils": ("https://photutils.readthedocs.io/en/stable/", None),
+        "regions": ("https://astropy-regions.readthedocs.io/en/stable/", None),
+        "reproject": ("https://reproject.readthedocs.io/en/stable/", None),
+        "ndcube": ("https://docs.sunpy.org/projects/ndcube/en/stable/", None),
+    }
+
+automodapi_toctreedirnm = "api"
+automodapi_inheritance_diagram = False
+numpydoc_show_class_members = False
+numpydoc_xref_param_type = False
+# What every public docstring must have; a failure is a warning, and so an error.
+numpydoc_validation_checks = {
+    "GL01",  # text starts on the line after the quotes
+    "GL06",  # unknown section
+    "GL07",  # order of the sections
+    "GL08",  # no docstring
+    "SS01",  # no summary
+    "SS02",  # summary without a capital letter
+    "SS03",  # summary without a full stop
+    "SS06",  # summary longer than one line
+    "PR01",  # parameter not documented
+    "PR02",  # unknown parameter documented
+    "PR03",  # order of the parameters
+    "PR04",  # parameter without a type
+    "PR10",  # no space before the colon
+    "RT01",  # no Returns section
+    "YD01",  # no Yields section
+}
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"astro_scc {version}"
+html_theme_options = {
+    "show_prev_next": False,
+    "navigation_with_keys": False,
+    "show_toc_level": 2,
+}
+
+plot_formats = [("png", 120)]
+plot_html_show_formats = False
+plot_html_show_source_link = False

@@ -1,0 +1,166 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What the package promises before it computes anything."""
+
+import configparser
+import importlib.metadata
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import astro_scc
+
+REPOSITORY = Path(__file__).parents[1]
+HEAVY = (
+    "astropy",
+    "dask",
+    "matplotlib",
+    "ndcube",
+    "numpy",
+    "photutils",
+    "radio_beam",
+    "regions",
+    "reproject",
+    "scipy",
+    "skimage",
+)
+# What may be imported together with the classes, but costs a second or more.
+SLOW = (
+    "astropy.cosmology",
+    "matplotlib",
+    "photutils",
+    "radio_beam",
+    "regions",
+    "reproject",
+    "scipy.stats",
+)
+
+
+def modules_after(statement):
+    """Names of the modules that a new interpreter has after a statement."""
+    code = f"{statement}\nimport sys\nprint('\\n'.join(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    return set(done.stdout.split())
+
+
+def test_version():
+    # An editable install keeps the metadata of the day it was made.
+    release = re.match(r"\d+(\.\d+)+", importlib.metadata.version("astro_scc"))
+    assert astro_scc.__version__.startswith(release.group())
+
+
+def test_version_of_a_tree_that_was_never_built():
+    code = (
+        "import sys; sys.modules['astro_scc._version'] = None\n"
+        "import astro_scc; print(astro_scc.__version__)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "0.0+unknown"
+
+
+def test_import_is_light():
+    loaded = modules_after("import astro_scc")
+    assert loaded.isdisjoint(HEAVY)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import astro_scc.cli",
+        "from astro_scc import EpochCube",
+        "import astro_scc.decomposition, astro_scc.correlation, astro_scc.stacking",
+        "import astro_scc.kinematics, astro_scc.simulation",
+    ],
+)
+def test_slow_libraries_are_imported_at_first_use(statement):
+    loaded = modules_after(statement)
+    assert loaded.isdisjoint(SLOW)
+
+
+def test_every_public_name_resolves():
+    for name in astro_scc.__all__:
+        assert getattr(astro_scc, name).__name__ == name
+    assert set(astro_scc.__all__) <= set(dir(astro_scc))
+    assert set(astro_scc.__all__) == set(astro_scc._PUBLIC)
+
+
+def test_folders_are_attributes():
+    code = "import astro_scc; print(astro_scc.epochs.EpochCube.__name__)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "EpochCube"
+    folders = {
+        path.parent.name
+        for path in Path(astro_scc.__file__).parent.glob("*/__init__.py")
+    }
+    assert folders == set(astro_scc._FOLDERS)
+
+
+def test_unknown_name():
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        astro_scc.nothing  # noqa: B018
+
+
+def test_command_line_starts():
+    done = subprocess.run(
+        [sys.executable, "-c", "from astro_scc.cli import main; main(['--version'])"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["astro-scc", astro_scc.__version__]
+
+
+def test_pytest_reads_setup_cfg(pytestconfig):
+    assert pytestconfig.inipath.name == "setup.cfg"
+    assert pytestconfig.getini("filterwarnings")[0] == "error"
+    assert {"tests", "docs", "astro_scc"} <= set(pytestconfig.getini("testpaths"))
+
+
+def test_readme_and_documentation_give_one_test_command():
+    readme = (REPOSITORY / "README.rst").read_text(encoding="utf-8")
+    commands = re.findall(r"^ +(python3 -m venv .*)$", readme, flags=re.MULTILINE)
+    assert len(commands) == 2
+    install = (REPOSITORY / "docs" / "install.rst").read_text(encoding="utf-8")
+    assert commands[1] in install
+    assert commands[1].endswith("-m pytest")
+
+
+def test_documented_bounds_are_those_of_the_metadata():
+    with open(REPOSITORY / "pyproject.toml", "rb") as file:
+        dependencies = tomllib.load(file)["project"]["dependencies"]
+    install = (REPOSITORY / "docs" / "install.rst").read_text(encoding="utf-8")
+    tox = (REPOSITORY / "tox.ini").read_text(encoding="utf-8")
+    for dependency in dependencies:
+        name, oldest = dependency.split(">=")
+        assert re.search(rf"^{name} +{re.escape(oldest)} ", install, re.MULTILINE), name
+        assert f"oldestdeps: {name}=={oldest}" in tox, name
+
+
+def test_every_module_has_a_layer():
+    config = configparser.ConfigParser()
+    config.read(REPOSITORY / "setup.cfg")
+    layers = config["importlinter:contract:layers"]
+    assert layers.getboolean("exhaustive")
+    names = set(re.findall(r"\w+", layers["layers"] + layers["exhaustive_ignores"]))
+    package = Path(astro_scc.__file__).parent
+    modules = {path.stem for path in package.glob("*.py") if path.stem != "__init__"}
+    assert modules | set(astro_scc._FOLDERS) <= names
+
+
+def test_licence_line_heads_every_module():
+    line = "# Licensed under a 3-clause BSD style license - see LICENSE.rst\n"
+    for folder in ("astro_scc", "tests", "docs"):
+        for path in sorted((REPOSITORY / folder).rglob("*.py")):
+            if path.name == "_version.py" or "_build" in path.parts:
+                continue
+            with open(path, encoding="utf-8") as file:
+                assert file.readline() == line, path
