@@ -52,20 +52,37 @@ def find_shared_data():
     return folder if folder.is_dir() else None
 
 
+NO_DATA = (
+    "the test data are not part of the repository: lay them in ../shared/data beside "
+    "the clone or name their folder in ASTRO_SCC_DATA"
+)
+
+
 @pytest.fixture(scope="session")
 def shared_data():
     """Path of the folder with the test data; skips where there is none."""
     folder = find_shared_data()
     if folder is None:
-        pytest.skip(
-            "the test data are not part of the repository: lay them in "
-            "../shared/data beside the clone or name their folder in ASTRO_SCC_DATA"
-        )
+        pytest.skip(NO_DATA)
     return folder
 
 
 @pytest.fixture(autouse=True)
 def _scratch_folder_for_doctests(request, monkeypatch, tmp_path_factory):
-    """Let doctests write files without leaving any behind."""
-    if type(request.node).__module__.split(".")[0] == "pytest_doctestplus":
-        monkeypatch.chdir(tmp_path_factory.mktemp("doctest"))
+    """
+    Run doctests in a folder of their own, so that they may write files.
+
+    The test data are in ``../shared/data``, as they are for a reader who pastes the
+    example in a clone; a page that names them is skipped where there are none.
+    """
+    if isinstance(request.node, pytest.Function):
+        return
+    folder = find_shared_data()
+    if folder is None and "../shared/data" in request.node.dtest.docstring:
+        pytest.skip(NO_DATA)
+    scratch = tmp_path_factory.mktemp("doctest")
+    if folder is not None:
+        (scratch / "shared").mkdir()
+        (scratch / "shared" / "data").symlink_to(folder, target_is_directory=True)
+    (scratch / "clone").mkdir()
+    monkeypatch.chdir(scratch / "clone")
