@@ -2,6 +2,7 @@
 """Correlation: each SSP with the images of other epochs, as matches in pixels."""
 
 from astro_scc.correlation.correlator import Correlator, all_pairs
+from astro_scc.correlation.landing import landing_ssps
 from astro_scc.correlation.matches import Matches
 from astro_scc.correlation.peaks import find_peaks
 from astro_scc.correlation.zncc import Template, correlate_windows, zncc
@@ -13,5 +14,6 @@ __all__ = [
     "all_pairs",
     "correlate_windows",
     "find_peaks",
+    "landing_ssps",
     "zncc",
 ]

@@ -1,0 +1,162 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Velocity components: the maxima of a stack."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from astro_scc.correlation import find_peaks
+
+__all__ = ["Component", "find_components", "fit_gaussian"]
+
+
+@dataclass(frozen=True)
+class Component:
+    """
+    A maximum of a stack.
+
+    Attributes
+    ----------
+    v1, v2 : float
+        Velocity along the two axes of the grid, from the Gaussian fit.
+    coefficient : float
+        Stacked correlation coefficient at the maximum.
+    width1, width2 : float
+        Standard deviations of the fitted Gaussian along the axes.
+    row, column : int
+        Grid point of the maximum.
+    fitted : bool
+        False where no Gaussian with a maximum in the box fits, and the
+        velocity is that of the local quadratic.
+    """
+
+    v1: float
+    v2: float
+    coefficient: float
+    width1: float
+    width2: float
+    row: int
+    column: int
+    fitted: bool
+
+
+def fit_gaussian(values, x, y):
+    """
+    Fit a two-dimensional Gaussian by linear least squares of its logarithm.
+
+    ``ln f = a + b x + c y + d x^2 + e x y + f y^2`` with weights f^2, which
+    make the residuals those of f itself to first order (Guo 2011, IEEE
+    Signal Process. Mag. 28, 134).
+
+    Parameters
+    ----------
+    values : array_like, shape (ny, nx)
+        Only positive ones take part.
+    x, y : array_like, shapes (nx,) and (ny,)
+
+    Returns
+    -------
+    tuple of float or None
+        ``x0, y0, height, sigma_x, sigma_y``, sigma those of the marginal
+        profiles; None if the surface has no maximum.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import fit_gaussian
+    >>> x = y = np.linspace(-2, 2, 9)
+    >>> f = 3 * np.exp(-0.5 * ((x - 0.3) ** 2 + (y[:, None] / 2) ** 2))
+    >>> np.round(fit_gaussian(f, x, y), 3)
+    array([0.3, 0. , 3. , 1. , 2. ])
+    """
+    values = np.asarray(values, dtype=float)
+    gx, gy = np.meshgrid(x, y)
+    good = values > 1e-6 * values.max(initial=0.0)
+    if good.sum() < 6:
+        return None
+    f, gx, gy = values[good] / values.max(), gx[good], gy[good]
+    # Centred and scaled, or the normal equations lose digits.
+    x0, y0 = gx.mean(), gy.mean()
+    scale = max(np.ptp(gx), np.ptp(gy))
+    px, py = (gx - x0) / scale, (gy - y0) / scale
+    design = np.stack([np.ones_like(px), px, py, px * px, px * py, py * py], axis=1)
+    solution, _, rank, _ = np.linalg.lstsq(design * f[:, None], f * np.log(f))
+    if rank < 6:
+        return None
+    a, b, c, d, e, g = solution
+    curvature = -np.array([[2 * d, e], [e, 2 * g]])
+    if not (curvature[0, 0] > 0 and np.linalg.det(curvature) > 0):
+        return None
+    covariance = np.linalg.inv(curvature)
+    centre = covariance @ np.array([b, c])
+    height = np.exp(a + 0.5 * np.array([b, c]) @ centre) * values.max()
+    sigma = scale * np.sqrt(np.diag(covariance))
+    return (
+        float(x0 + scale * centre[0]),
+        float(y0 + scale * centre[1]),
+        float(height),
+        float(sigma[0]),
+        float(sigma[1]),
+    )
+
+
+def find_components(scc, grid, box, *, threshold=0.0):
+    """
+    Find the maxima of a stack and fit a Gaussian to a box around each.
+
+    Parameters
+    ----------
+    scc : `~numpy.ndarray`, shape ``grid.shape``
+    grid : `VelocityGrid`
+    box : tuple of float
+        Sides of the box along the two axes, the beam over the interval in
+        the paper.
+    threshold : float, optional
+        Smallest coefficient of a maximum.
+
+    Returns
+    -------
+    list of `Component`
+        By falling coefficient.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import VelocityGrid, find_components
+    >>> grid = VelocityGrid.covering(4.0, 0.25)
+    >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
+    >>> [round(c.v1, 3) for c in find_components(scc, grid, (2.0, 2.0))]
+    [1.1]
+    """
+    smallest = max(threshold, np.finfo(float).tiny)
+    _, y, x, _ = find_peaks(scc[None], smallest)
+    half1, half2 = box[0] / 2, box[1] / 2
+    step1, step2 = grid.step
+    found = []
+    for py, px in zip(y, x, strict=True):
+        row, column = int(np.rint(py)), int(np.rint(px))
+        near1 = np.abs(grid.v1 - grid.v1[column]) <= max(half1, 1.5 * step1)
+        near2 = np.abs(grid.v2 - grid.v2[row]) <= max(half2, 1.5 * step2)
+        fit = fit_gaussian(scc[np.ix_(near2, near1)], grid.v1[near1], grid.v2[near2])
+        v1 = grid.v1[0] + px * step1
+        v2 = grid.v2[0] + py * step2
+        width1 = width2 = np.nan
+        inside = fit is not None and (
+            abs(fit[0] - v1) <= max(half1, step1)
+            and abs(fit[1] - v2) <= max(half2, step2)
+        )
+        if inside:
+            v1, v2, _, width1, width2 = fit
+        found.append(
+            Component(
+                v1=float(v1),
+                v2=float(v2),
+                coefficient=float(scc[row, column]),
+                width1=width1,
+                width2=width2,
+                row=row,
+                column=column,
+                fitted=inside,
+            )
+        )
+    return sorted(found, key=lambda c: -c.coefficient)

@@ -1,0 +1,70 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Displacements: the matches as angles along the two axes of a frame."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+__all__ = ["Displacements"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Displacements:
+    """
+    Matches as displacements along two axes, with their errors, in mas.
+
+    They know no dates: a velocity is a displacement over the interval of
+    the pair of dates that the two images are laid on.
+
+    Attributes
+    ----------
+    d1, d2 : `~numpy.ndarray`, shape (n,)
+        Displacement along the first and second axis.
+    s1, s2 : `~numpy.ndarray`, shape (n,)
+        Standard errors of the displacement, of SSP and target combined.
+    weight : `~numpy.ndarray`, shape (n,)
+        Weight of the match, its correlation coefficient.
+    reference, target : `~numpy.ndarray` of int, shape (n,)
+        Epochs of the SSP and of the image it was matched in.
+    ssp : `~numpy.ndarray` of int, shape (n,)
+        The SSP.
+    target_ssp : `~numpy.ndarray` of int, shape (n,)
+        The SSP of the target epoch that the match falls on, or -1.
+    n_ssps : `~numpy.ndarray` of int, shape (n_epochs,)
+        Number of SSPs of each epoch that were correlated, with or without
+        a match.
+    """
+
+    d1: np.ndarray
+    d2: np.ndarray
+    s1: np.ndarray
+    s2: np.ndarray
+    weight: np.ndarray
+    reference: np.ndarray
+    target: np.ndarray
+    ssp: np.ndarray
+    target_ssp: np.ndarray
+    n_ssps: np.ndarray
+
+    def __len__(self):
+        return len(self.d1)
+
+    @property
+    def n_epochs(self):
+        """Number of epochs."""
+        return len(self.n_ssps)
+
+    def select(self, keep):
+        """
+        A selection of the matches; the number of SSPs stays.
+
+        Parameters
+        ----------
+        keep : array_like of bool, shape (n,), or indices
+
+        Returns
+        -------
+        `Displacements`
+        """
+        names = [f.name for f in fields(self) if f.name != "n_ssps"]
+        return replace(self, **{name: getattr(self, name)[keep] for name in names})

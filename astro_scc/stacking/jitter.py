@@ -1,0 +1,158 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The paper's uncertainty: stacks of SSPs shifted by their position errors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from astro_scc.decomposition import quadratic_peak
+from astro_scc.stacking.stack import gaussian_sum, velocities
+
+__all__ = ["JitteredVelocity", "jitter_positions"]
+
+#: Half-width of the searched box, in units of the component's.
+SEARCH = 1.0
+#: Grid points of a box on each axis.
+POINTS = 25
+
+
+@dataclass(frozen=True, eq=False)
+class JitteredVelocity:
+    """
+    What happens to a component when the SSPs are shifted by their errors.
+
+    Attributes
+    ----------
+    err1, err2 : float
+        Standard deviation of the component's velocity over the trials.
+    covariance : float
+        Between the two axes.
+    bias1, bias2 : float
+        Mean of the trials minus the observed velocity.
+    gaussian_p : float
+        Smaller p-value of the two axes of D'Agostino and Pearson's test
+        that the trials are Gaussian.
+    share : float
+        Share of the trials that have a maximum in the box.
+    """
+
+    err1: float
+    err2: float
+    covariance: float
+    bias1: float
+    bias2: float
+    gaussian_p: float
+    share: float
+
+
+def _draw(displacements, rng, n_trials, index):
+    """
+    Shifts of matches, (n_trials, k) for each axis.
+
+    An SSP has one shift in a trial, whatever it is matched with and
+    whichever of the two ends of the displacement it is.
+    """
+    d = displacements
+    n = int(max(d.ssp.max(initial=-1), d.target_ssp.max(initial=-1))) + 1
+    shifts = []
+    for sigma in (d.s1[index], d.s2[index]):
+        # Half the variance of a displacement belongs to either end.
+        sigma = sigma / np.sqrt(2)
+        unit = rng.standard_normal((n_trials, n))
+        target = np.where(
+            d.target_ssp[index] >= 0,
+            unit[:, d.target_ssp[index]] if n else 0.0,
+            rng.standard_normal((n_trials, len(index))),
+        )
+        shifts.append(sigma * (target - (unit[:, d.ssp[index]] if n else 0.0)))
+    return shifts
+
+
+def jitter_positions(displacements, pairs, component, box, n_trials, *, rng):
+    """
+    Shift the SSPs by their position errors and follow a component.
+
+    Each trial draws one shift for every SSP from a normal distribution
+    (paper, Sect. 2.4), stacks the matches around the component again and
+    takes its maximum.
+
+    Parameters
+    ----------
+    displacements : `Displacements`
+    pairs : `DatePairs`
+    component : `Component`
+    box : tuple of float
+        Sides of the box around the component in which the maximum is
+        looked for.
+    n_trials : int
+    rng : `~numpy.random.Generator`
+
+    Returns
+    -------
+    `JitteredVelocity`
+        Errors are NaN if fewer than 3 trials have a maximum.
+    """
+    index, v1, v2, s1, s2, weight = velocities(displacements, pairs)
+    half1, half2 = SEARCH * box[0] / 2, SEARCH * box[1] / 2
+    near = (np.abs(v1 - component.v1) < half1 + 5 * s1) & (
+        np.abs(v2 - component.v2) < half2 + 5 * s2
+    )
+    index, v1, v2, s1, s2, weight = (a[near] for a in (index, v1, v2, s1, s2, weight))
+    grid1 = np.linspace(component.v1 - half1, component.v1 + half1, POINTS)
+    grid2 = np.linspace(component.v2 - half2, component.v2 + half2, POINTS)
+    shift1, shift2 = _draw(displacements, rng, n_trials, index)
+    # Displacement errors over the interval are velocity errors.
+    rate1 = np.divide(s1, displacements.s1[index])
+    rate2 = np.divide(s2, displacements.s2[index])
+    observed = _maximum(
+        gaussian_sum(v1, v2, s1, s2, weight, grid1, grid2), grid1, grid2
+    )
+    found = []
+    for trial in range(n_trials):
+        local = gaussian_sum(
+            v1 + shift1[trial] * rate1,
+            v2 + shift2[trial] * rate2,
+            s1, s2, weight, grid1, grid2,
+        )  # fmt: skip
+        place = _maximum(local, grid1, grid2)
+        if place is not None:
+            found.append(place)
+    return _summary(np.array(found).reshape(-1, 2), observed, n_trials)
+
+
+def _maximum(scc, grid1, grid2):
+    """Position of the largest value, None if it is on the border."""
+    row, column = np.unravel_index(np.argmax(scc), scc.shape)
+    if not (0 < row < len(grid2) - 1 and 0 < column < len(grid1) - 1):
+        return None
+    dy, dx, _ = quadratic_peak(scc[row - 1 : row + 2, column - 1 : column + 2])
+    return (
+        grid1[column] + dx * (grid1[1] - grid1[0]),
+        grid2[row] + dy * (grid2[1] - grid2[0]),
+    )
+
+
+def _summary(found, observed, n_trials):
+    share = len(found) / n_trials if n_trials else 0.0
+    if len(found) < 3:
+        return JitteredVelocity(*(np.nan,) * 6, share)
+    covariance = np.cov(found.T)
+    bias = found.mean(axis=0) - (found.mean(axis=0) if observed is None else observed)
+    return JitteredVelocity(
+        err1=float(np.sqrt(covariance[0, 0])),
+        err2=float(np.sqrt(covariance[1, 1])),
+        covariance=float(covariance[0, 1]),
+        bias1=float(bias[0]),
+        bias2=float(bias[1]),
+        gaussian_p=_gaussian_p(found),
+        share=share,
+    )
+
+
+def _gaussian_p(found):
+    from scipy.stats import normaltest
+
+    # The test's kurtosis part is not valid for fewer.
+    if len(found) < 20 or np.any(np.ptp(found, axis=0) == 0):
+        return float("nan")
+    return float(np.min(normaltest(found, axis=0).pvalue))
