@@ -1,0 +1,304 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Parts of the images: regions as masks, and cubes cropped to them."""
+
+import os
+import warnings
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+from astro_scc.epochs.reprojection import moved_wcs
+from astro_scc.exceptions import EpochWarning
+
+__all__ = ["crop", "distance_mask", "region_mask"]
+
+
+def region_mask(cube, region=None):
+    """
+    Pixels whose centres lie inside a region.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+        Its ``wcs`` places regions of the sky.
+    region : optional
+        One of: None (everything), a `regions.Region` of pixels or of the
+        sky, a sequence of them (a `regions.Regions`), the path of a DS9 or
+        CRTF region file, or an array of bool of the images' shape.
+
+    Returns
+    -------
+    `~numpy.ndarray` of bool, shape (ny, nx)
+        True inside, the reverse of a mask of bad pixels.
+
+    Raises
+    ------
+    ValueError
+        If the region holds no pixel of the image, an array has another
+        shape, a file holds no region or cannot be understood, or a shape
+        has no inside (points, lines, text).
+    TypeError
+        If ``region`` is none of the above.
+    OSError
+        If the file cannot be read.
+
+    Notes
+    -----
+    Several regions are united, then excluded ones (a leading ``-`` in DS9
+    and CRTF files, ``meta["include"]`` false) are taken away.  If all of
+    them are excluded, the rest of the image remains.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from types import SimpleNamespace
+    >>> from regions import CirclePixelRegion, PixCoord
+    >>> cube = SimpleNamespace(shape=(2, 5, 7), wcs=None)
+    >>> region_mask(cube, CirclePixelRegion(PixCoord(3, 2), 1.5)).astype(int)
+    array([[0, 0, 0, 0, 0, 0, 0],
+           [0, 0, 1, 1, 1, 0, 0],
+           [0, 0, 1, 1, 1, 0, 0],
+           [0, 0, 1, 1, 1, 0, 0],
+           [0, 0, 0, 0, 0, 0, 0]])
+    """
+    shape = cube.shape[1:]
+    name = "region"
+    if region is None:
+        return np.ones(shape, dtype=bool)
+    if isinstance(region, np.ndarray):
+        if region.dtype != bool or region.shape != shape:
+            raise ValueError(
+                f"region is an array of {region.dtype} of shape {region.shape}; "
+                f"give an array of bool of the images' shape {shape}"
+            )
+        inside = region.copy()
+    else:
+        if isinstance(region, str | os.PathLike):
+            name = str(region)
+            region = _read(region)
+        inside = _combine(cube, _as_list(region), name)
+    if not inside.any():
+        raise ValueError(
+            f"{name}: holds no pixel of the {shape[1]} x {shape[0]} image; "
+            "check its coordinates, frame and size"
+        )
+    return inside
+
+
+def _as_list(region):
+    from regions import Region
+
+    items = [region] if isinstance(region, Region) else region
+    try:
+        items = list(items)
+    except TypeError:
+        items = [None]
+    if not items or not all(isinstance(item, Region) for item in items):
+        raise TypeError(
+            "region must be a regions.Region, a non-empty list of them, the path of a "
+            f"region file or an array of bool, got {region!r}"
+        )
+    return items
+
+
+def _combine(cube, items, name):
+    from regions import SkyRegion
+
+    shape = cube.shape[1:]
+    included = np.zeros(shape, dtype=bool)
+    excluded = np.zeros(shape, dtype=bool)
+    only_excluded = True
+    for item in items:
+        pixel = item.to_pixel(cube.wcs) if isinstance(item, SkyRegion) else item
+        try:
+            image = pixel.to_mask(mode="center").to_image(shape)
+        except NotImplementedError:
+            raise ValueError(
+                f"{name}: a {type(item).__name__} has no inside; "
+                "use circles, ellipses, rectangles or polygons"
+            ) from None
+        # Masks ignore "include", and are None outside the image.
+        wanted = bool(item.meta.get("include", True))
+        only_excluded &= not wanted
+        if image is not None:
+            (included if wanted else excluded)[image > 0] = True
+    return ~excluded if only_excluded else included & ~excluded
+
+
+def _read(path):
+    from regions import Regions
+
+    path = Path(path)
+    # Reading the text first keeps "no such file" apart from "not a region".
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise ValueError(
+            f"{path}: is not a text file; give a DS9 or CRTF region file"
+        ) from None
+    file_format = "crtf" if text.startswith("#CRTF") else "ds9"
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            found = Regions.parse(text, format=file_format)
+        except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
+            raise ValueError(
+                f"{path}: cannot be read as a {file_format} region file "
+                f"({' '.join(str(error).split())})"
+            ) from error
+    if len(found) == 0:
+        raise ValueError(f"{path}: holds no region that can be used")
+    for item in caught:
+        warnings.warn(
+            f"{path}: {item.message}; check that the rest is what you want",
+            EpochWarning,
+            stacklevel=4,
+        )
+    return found
+
+
+def _slices(cube, region, pad):
+    """First and past-the-end pixel in y and in x."""
+    shape = cube.shape[1:]
+    is_slices = isinstance(region, tuple) and all(
+        isinstance(item, slice) for item in region
+    )
+    if is_slices:
+        if len(region) != 2:
+            raise ValueError("slices must be two, (y, x)")
+        if any(item.step not in (None, 1) for item in region):
+            raise ValueError("slices must take every pixel; leave out the step")
+        bounds = [item.indices(n)[:2] for item, n in zip(region, shape, strict=True)]
+        if any(stop <= start for start, stop in bounds):
+            raise ValueError(
+                f"slices {region} hold no pixel of the {shape[1]} x {shape[0]} image"
+            )
+    else:
+        inside = region_mask(cube, region)
+        bounds = []
+        for axis in (1, 0):
+            hit = np.flatnonzero(inside.any(axis=axis))
+            bounds.append((hit[0], hit[-1] + 1))
+    return [
+        slice(int(max(start - pad, 0)), int(min(stop + pad, n)))
+        for (start, stop), n in zip(bounds, shape, strict=True)
+    ]
+
+
+def crop(cube, region, pad=0):
+    """
+    Cut all epochs down to the bounding box of a region.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    region : (slice, slice) or region
+        Slices of pixels (y, x), or whatever `region_mask` takes.
+    pad : int, optional
+        Pixels to keep around the box, as far as the image goes.  The
+        widest wavelet scale needs some.
+
+    Returns
+    -------
+    `~astro_scc.epochs.EpochCube`
+        Smaller images with the same values.  The origin of offsets stays
+        where it is, even if it is no longer inside.
+
+    Raises
+    ------
+    ValueError
+        If no pixel would be left, a slice has a step, or ``pad`` is not a
+        whole number of at least 0; and as `region_mask`.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc.epochs import EpochCube
+    >>> cube = EpochCube.from_arrays(
+    ...     np.ones((1, 16, 16)),
+    ...     ["2000-01-01"],
+    ...     pixel_scale=0.1 * u.mas,
+    ...     reference_pixel=(7, 7),
+    ... )
+    >>> part = crop(cube, (slice(2, 10), slice(4, 16)), pad=1)
+    >>> part.shape, part.wcs.wcs.crpix.tolist()
+    ((1, 10, 13), [5.0, 7.0])
+    """
+    if pad != int(pad) or pad < 0:
+        raise ValueError(f"pad={pad} must be a whole number of at least 0")
+    ys, xs = _slices(cube, region, int(pad))
+    shift = (-xs.start, -ys.start)
+    wcs = moved_wcs(cube.wcs, shift)
+    wcs.array_shape = (ys.stop - ys.start, xs.stop - xs.start)
+    epoch_wcs = cube.epoch_wcs and tuple(moved_wcs(w, shift) for w in cube.epoch_wcs)
+    return cube.with_step(
+        f"cropped to pixels x {xs.start} to {xs.stop - 1}, "
+        f"y {ys.start} to {ys.stop - 1}",
+        data=cube.data[:, ys, xs].copy(),
+        mask=cube.mask[:, ys, xs].copy(),
+        wcs=wcs,
+        epoch_wcs=epoch_wcs,
+    )
+
+
+def distance_mask(cube, r_min, r_max, origin=None):
+    """
+    Pixels whose centres lie in a ring about a point.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    r_min, r_max : `~astropy.units.Quantity`
+        Angles.  ``r_min <= r < r_max``, so that adjoining bins share no
+        pixel.
+    origin : `~astropy.units.Quantity` or `~astropy.coordinates.SkyCoord`, optional
+        Offsets (east, north) from the reference pixel, or a position; by
+        default the reference pixel.
+
+    Returns
+    -------
+    `~numpy.ndarray` of bool, shape (ny, nx)
+        True inside.
+
+    Raises
+    ------
+    ValueError
+        If not ``0 <= r_min < r_max``, ``origin`` is no pair of offsets, or
+        no pixel lies in the ring.
+    `~astropy.units.UnitsError`
+        If an argument is not an angle.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc.epochs import EpochCube
+    >>> cube = EpochCube.from_arrays(
+    ...     np.ones((1, 3, 5)), ["2000-01-01"], pixel_scale=1 * u.arcsec
+    ... )
+    >>> distance_mask(cube, 1 * u.arcsec, 1.9 * u.arcsec).astype(int)
+    array([[0, 1, 1, 1, 0],
+           [0, 1, 0, 1, 0],
+           [0, 1, 1, 1, 0]])
+    """
+    low, high = (u.Quantity(r).to_value(u.mas) for r in (r_min, r_max))
+    if not 0 <= low < high:
+        raise ValueError(f"r_min={r_min} and r_max={r_max} must be 0 <= r_min < r_max")
+    if isinstance(origin, SkyCoord):
+        origin = u.Quantity(cube.pixel_to_offset(*cube.wcs.world_to_pixel(origin)))
+    origin = u.Quantity([0, 0] * u.mas if origin is None else origin)
+    if origin.shape != (2,):
+        raise ValueError("origin must be a pair of offsets (east, north)")
+    east, north = cube.offsets()
+    distance = np.hypot(east - origin[0], north - origin[1]).to_value(u.mas)
+    # Pixels at r_min but for rounding belong to this ring, not to the one inside.
+    slack = 1e-9 * high
+    inside = (distance >= low - slack) & (distance < high - slack)
+    if not inside.any():
+        raise ValueError(
+            f"no pixel of the image lies {r_min} to {r_max} from the origin"
+        )
+    return inside

@@ -1,0 +1,312 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""One beam for all epochs: the smallest common one, and the convolution to it."""
+
+import astropy.units as u
+import numpy as np
+from scipy import fft, optimize
+
+from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
+from astro_scc.epochs.validation import as_beam
+
+__all__ = ["common_beam", "gaussian_smooth", "is_per_beam", "smallest_common_beam"]
+
+# Beams from headers in single precision, or typed from them, contain
+# themselves within this much of their variance.
+CONTAINS = 1e-4
+EQUAL = 1e-6
+
+
+def is_per_beam(unit):
+    """
+    Whether a unit counts intensities per beam.
+
+    Parameters
+    ----------
+    unit : `~astropy.units.UnitBase`
+        Unrecognised units such as 'JY/BEAM' are judged by their name.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> is_per_beam(u.mJy / u.beam), is_per_beam(u.Jy / u.pix)
+    (True, False)
+    >>> is_per_beam(u.Unit("JY/BEAM", parse_strict="silent"))
+    True
+    """
+    if isinstance(unit, u.UnrecognizedUnit):
+        return unit.name.lower().replace(" ", "").endswith(("/beam", "beam-1"))
+    return any(
+        base.name.lower() == "beam" and power == -1
+        for base, power in zip(unit.bases, unit.powers, strict=True)
+    )
+
+
+def gaussian_smooth(image, covariance, mask=None):
+    """
+    Convolve an image with an elliptical Gaussian of unit sum.
+
+    The image is multiplied in Fourier space by
+    ``exp(-2 pi^2 k^T C k)``, which is exact for well-sampled images however
+    narrow the Gaussian is, and a normalised convolution leaves out bad
+    pixels and what lies beyond the edges (Knutsson & Westin 1993):
+    ``(g * (m I)) / (g * m)`` with m 1 for good pixels and 0 for others.
+
+    Parameters
+    ----------
+    image : array_like, shape (ny, nx)
+    covariance : array_like, shape (2, 2)
+        C, over (x, y) in square pixels.  It may be singular.
+    mask : array_like of bool, shape (ny, nx), optional
+        True marks bad pixels.  Pixels that are not finite are always bad.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (ny, nx)
+        NaN where the pixel was bad.
+
+    Raises
+    ------
+    ValueError
+        If ``covariance`` has a negative eigenvalue.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image = np.zeros((31, 31))
+    >>> image[15, 15] = 1
+    >>> smooth = gaussian_smooth(image, [[9, 0], [0, 4]])
+    >>> float(smooth[15, 15].round(6)), round(1 / (2 * np.pi * 3 * 2), 6)
+    (0.026526, 0.026526)
+    """
+    image = np.asarray(image, dtype=float)
+    covariance = np.asarray(covariance, dtype=float)
+    variances = np.linalg.eigvalsh(covariance)
+    if variances[0] < -1e-9 * abs(variances[1]) or variances[1] < 0:
+        raise ValueError(
+            f"covariance={covariance.tolist()} has a negative eigenvalue: "
+            "no Gaussian has it, as a beam cannot be made smaller by convolution"
+        )
+    bad = ~np.isfinite(image)
+    if mask is not None:
+        bad |= np.asarray(mask, dtype=bool)
+    pad = int(np.ceil(6 * np.sqrt(variances[1]))) + 2
+    shape = [fft.next_fast_len(n + pad, real=True) for n in image.shape]
+    ky = fft.fftfreq(shape[0])[:, None]
+    kx = fft.rfftfreq(shape[1])[None, :]
+    transfer = np.exp(
+        -2
+        * np.pi**2
+        * (
+            covariance[0, 0] * kx**2
+            + 2 * covariance[0, 1] * kx * ky
+            + covariance[1, 1] * ky**2
+        )
+    )
+
+    def convolve(values):
+        smooth = fft.irfft2(fft.rfft2(values, s=shape) * transfer, s=shape)
+        return smooth[: image.shape[0], : image.shape[1]]
+
+    weight = convolve((~bad).astype(float))
+    smooth = convolve(np.where(bad, 0.0, image))
+    # Good pixels have their own weight, so nothing is divided by zero there.
+    return np.divide(smooth, weight, out=np.full(image.shape, np.nan), where=~bad)
+
+
+def _covariance(beam):
+    return beam.covariance.to_value(u.mas**2)
+
+
+def _excess(covariance, others):
+    """
+    How far Gaussians stick out of one, as variances in units of its own.
+
+    Largest eigenvalue of ``C^-1 C_i`` for each i: at most 1 for those that
+    fit inside.
+    """
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    return np.linalg.eigvalsh(root @ np.asarray(others) @ root.T)[..., -1]
+
+
+def _beam_of(covariance):
+    variances, axes = np.linalg.eigh(covariance)
+    minor, major = np.sqrt(variances) / FWHM_TO_SIGMA * u.mas
+    return Beam(major, minor, np.arctan2(axes[0, 1], axes[1, 1]) * u.rad)
+
+
+def smallest_common_beam(beams):
+    """
+    Smallest beam to which every one of several beams can be convolved.
+
+    `radio_beam.Beams.common_beam` finds it, the ellipse of least area
+    around all of theirs.  Where it fails, as it may for nearly equal beams,
+    the least area is searched over axis ratio and position angle.
+
+    Parameters
+    ----------
+    beams : sequence of `~astro_scc.epochs.Beam`
+
+    Returns
+    -------
+    `~astro_scc.epochs.Beam`
+        One of ``beams`` itself if it contains all others.
+
+    Raises
+    ------
+    ValueError
+        If ``beams`` is empty.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.epochs import Beam
+    >>> beams = [Beam(1 * u.mas, 0.5 * u.mas, pa) for pa in (10 * u.deg, 50 * u.deg)]
+    >>> print(smallest_common_beam(beams))
+    1.14 x 0.697 mas at 30.0 deg
+    """
+    if len(beams) == 0:
+        raise ValueError("a common beam needs at least one beam")
+    covariances = np.array([_covariance(beam) for beam in beams])
+    largest = int(np.argmax(np.linalg.det(covariances)))
+    if np.all(_excess(covariances[largest], covariances) <= 1 + EQUAL):
+        return beams[largest]
+    found = _library_covariance(beams)
+    if found is None:
+        found = _least_covariance(covariances)
+    # What is left of rounding must not stick out.
+    found = found * max(1.0, _excess(found, covariances).max() * (1 + 1e-9))
+    return _beam_of(found)
+
+
+def _library_covariance(beams):
+    """Covariance of radio_beam's common beam in mas^2, None if that fails."""
+    import radio_beam
+
+    # Its tolerances are absolute, for beams of about a degree.
+    scale = max(beam.major for beam in beams)
+    try:
+        found = radio_beam.Beams(
+            major=u.Quantity([beam.major / scale for beam in beams]).value * u.deg,
+            minor=u.Quantity([beam.minor / scale for beam in beams]).value * u.deg,
+            pa=u.Quantity([beam.pa for beam in beams]),
+        ).common_beam()
+        found = Beam(
+            found.major.to_value(u.deg) * scale,
+            found.minor.to_value(u.deg) * scale,
+            found.pa,
+        )
+    except (ValueError, radio_beam.utils.BeamError, np.linalg.LinAlgError):
+        return None
+    covariances = np.array([_covariance(beam) for beam in beams])
+    contained = np.all(_excess(_covariance(found), covariances) <= 1 + CONTAINS)
+    return _covariance(found) if contained else None
+
+
+def _least_covariance(covariances):
+    """Containing covariance of least determinant, over shapes of determinant 1."""
+
+    def shape(p):
+        r, angle = np.hypot(*p), np.arctan2(p[1], p[0])
+        turn = np.array(
+            [[np.cos(angle), np.sin(angle)], [np.sin(angle), -np.cos(angle)]]
+        )
+        return np.cosh(r) * np.eye(2) + np.sinh(r) * turn
+
+    best = optimize.minimize(
+        lambda p: np.log(_excess(shape(p), covariances).max()),
+        [0.1, 0.1],
+        method="Nelder-Mead",
+        options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 4000},
+    )
+    return np.exp(best.fun) * shape(best.x)
+
+
+def common_beam(cube, beam=None):
+    """
+    Convolve every epoch to one and the same beam.
+
+    An epoch with beam covariance ``C_i`` is convolved with a Gaussian of
+    covariance ``C - C_i``; intensities per beam are multiplied by the ratio
+    of the beam areas, so that flux densities are kept.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+        With ``beams``.
+    beam : `~astro_scc.epochs.Beam` or `radio_beam.Beam`, optional
+        By default the smallest beam that contains the beams of all epochs.
+
+    Returns
+    -------
+    `~astro_scc.epochs.EpochCube`
+        Epochs that have the beam already are the same to the bit.  Bad
+        pixels stay bad and take no part; good pixels beside them and at the
+        edges keep their level.  ``noise`` is None, to be measured anew,
+        unless no epoch needed convolution.
+
+    Raises
+    ------
+    ValueError
+        If the epochs have no beams, or one of them does not fit into
+        ``beam``.
+    TypeError
+        If ``beam`` is not a beam.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc.epochs import Beam, EpochCube
+    >>> cube = EpochCube.from_arrays(
+    ...     np.ones((2, 32, 32)),
+    ...     ["2000-01-01", "2001-01-01"],
+    ...     pixel_scale=0.1 * u.mas,
+    ...     unit=u.Jy / u.beam,
+    ...     beams=[Beam(s * u.mas, s * u.mas) for s in (0.5, 1)],
+    ... )
+    >>> smooth = common_beam(cube)
+    >>> print(smooth.beams[0])
+    1 x 1 mas at 0.0 deg
+    >>> smooth.data[:, 16, 16].round(6)
+    array([4., 1.])
+    """
+    if cube.beams is None:
+        raise ValueError(
+            "the epochs have no beams, so there is no common one; give them to "
+            "EpochCube as beams=[...], or leave this step out"
+        )
+    target = smallest_common_beam(cube.beams) if beam is None else as_beam(beam)
+    goal = _covariance(target)
+    to_pixels = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
+    data = cube.data.copy()
+    changed = []
+    for i, own in enumerate(cube.beams):
+        covariance = _covariance(own)
+        if _excess(goal, covariance) > 1 + CONTAINS:
+            raise ValueError(
+                f"{cube.labels[i]}: its beam {own} does not fit into {target}; "
+                "choose a larger one, or none for the smallest common beam"
+            )
+        if max(_excess(goal, covariance), _excess(covariance, goal)) <= 1 + EQUAL:
+            continue
+        difference = _positive(to_pixels @ (goal - covariance) @ to_pixels.T)
+        data[i] = gaussian_smooth(data[i], difference, cube.mask[i])
+        if is_per_beam(cube.unit):
+            data[i] *= float(target.area / own.area)
+        changed.append(i)
+    return cube.with_step(
+        f"common beam {target} ({len(changed)} of {len(cube)} epochs convolved)",
+        data=data,
+        beams=(target,) * len(cube),
+        noise=None if changed else cube.noise,
+    )
+
+
+def _positive(covariance):
+    """The nearest covariance without negative variances."""
+    variances, axes = np.linalg.eigh(covariance)
+    return (axes * np.maximum(variances, 0)) @ axes.T
