@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The images of one object at many dates, on one pixel grid."""
 
+import operator
 from dataclasses import dataclass, field, replace
 
 import astropy.units as u
@@ -9,6 +10,16 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.validation import (
+    as_beams,
+    as_celestial,
+    as_epoch_tuple,
+    as_mask,
+    as_noise,
+    as_stack,
+    as_times,
+    date_labels,
+)
 
 __all__ = ["EpochCube"]
 
@@ -21,21 +32,25 @@ class EpochCube:
     Parameters
     ----------
     data : array_like, shape (n_epochs, ny, nx)
-        Intensities.
-    times : `~astropy.time.Time`, shape (n_epochs,)
+        Intensities, kept as float64.
+    times : `~astropy.time.Time` or sequence of str, shape (n_epochs,)
         Dates of observation.  Epochs are sorted by date.
     wcs : `~astropy.wcs.WCS`
-        Celestial, two-dimensional.  Its reference pixel is the origin of
-        all offsets.
+        Celestial, two-dimensional, without distortions.  Its reference
+        pixel is the origin of all offsets.
     unit : `~astropy.units.Unit`, optional
     mask : array_like of bool, shape of ``data``, optional
-        True marks bad pixels.  Pixels that are not finite are added to it.
-    beams : sequence of `~astro_scc.epochs.Beam`, length n_epochs, optional
-    noise : `~astropy.units.Quantity`, shape (n_epochs,), optional
+        True marks bad pixels.  Pixels that are not finite are added to it;
+        the attribute is an array always.
+    beams : beam or sequence of beams, length n_epochs, optional
+        `~astro_scc.epochs.Beam`, or anything with the attributes ``major``,
+        ``minor`` and ``pa`` (`radio_beam.Beam`).  One beam is every
+        epoch's.
+    noise : `~astropy.units.Quantity`, scalar or shape (n_epochs,), optional
         Root mean square of the noise of each epoch.
     labels : sequence of str, optional
         What an epoch is called in messages and tables, its file name where
-        there is one.
+        there is one, by default its date.
     epoch_wcs : sequence of `~astropy.wcs.WCS`, optional
         For each epoch the absolute celestial coordinates that its own
         header gives to the pixels of this grid.  Used by
@@ -44,6 +59,24 @@ class EpochCube:
         Facts of each epoch (object, frequency, telescope...).
     meta : dict, optional
         ``meta["history"]`` is a list with one line for every step taken.
+
+    Raises
+    ------
+    ValueError
+        If shapes or numbers of epochs disagree, a date is missing, an epoch
+        has no valid pixel, or the WCS is not celestial.
+    TypeError
+        If an argument is of another kind than described.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc import EpochCube
+    >>> cube = EpochCube.from_arrays(np.ones((2, 8, 16)), ["2001-06-01", "2000-01-01"],
+    ...                              pixel_scale=0.1 * u.mas)
+    >>> cube
+    <EpochCube 2 epochs 2000-01-01 to 2001-06-01, 16 x 8 pixels of 0.1 mas>
     """
 
     data: np.ndarray
@@ -58,8 +91,292 @@ class EpochCube:
     epoch_meta: tuple[dict, ...] = ()
     meta: dict = field(default_factory=dict)
 
+    def __post_init__(self):
+        data, mask, unit = as_stack(self.data, self.mask, self.unit)
+        n = len(data)
+        times = as_times(self.times, n)
+        labels = as_epoch_tuple(self.labels, n, "labels", str) or date_labels(times)
+        mask = as_mask(data, mask, labels)
+        beams = as_beams(self.beams, n)
+        noise = as_noise(self.noise, n, unit)
+        epoch_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
+        epoch_meta = as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
+        epoch_meta = epoch_meta or tuple({} for _ in range(n))
+
+        order = np.argsort((times - times[0]).jd, kind="stable")
+        if np.any(np.diff(order) < 0):
+            data, mask, times = data[order], mask[order], times[order]
+            labels, epoch_meta, beams, epoch_wcs = (
+                values and tuple(values[i] for i in order)
+                for values in (labels, epoch_meta, beams, epoch_wcs)
+            )
+            noise = None if noise is None else noise[order]
+
+        values = {
+            "data": data,
+            "times": times,
+            "wcs": as_celestial(self.wcs),
+            "unit": unit,
+            "mask": mask,
+            "beams": beams or None,
+            "noise": noise,
+            "labels": labels,
+            "epoch_wcs": epoch_wcs or None,
+            "epoch_meta": epoch_meta,
+            "meta": dict(self.meta),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    # -- where epochs come from -------------------------------------------
+
+    @classmethod
+    def read(
+        cls, paths, *, frame="offset", times=None, beams=None, hdu=None, check=True
+    ):
+        """
+        Read FITS images, one an epoch, or a file that `write` made.
+
+        Images of one grid are stacked, with their reference pixels on one
+        another.  Others are resampled onto one grid, with a warning: that
+        of the finest pixels, as large as what all of them cover.  An image
+        that lies whole pixels aside is moved without interpolation.
+
+        Parameters
+        ----------
+        paths : str, path-like, or sequence of them
+            Files, or patterns such as ``"3c273/*.fits"``.
+        frame : {"offset", "absolute"}
+            What is laid on one another: reference pixels, or celestial
+            coordinates.  The absolute coordinates of VLBI images differ
+            from epoch to epoch by more than features move.
+        times : `~astropy.time.Time` or sequence, optional
+            Dates in the order of the files (those of a pattern are in
+            alphabetical order), in place of the headers'.  None in a
+            sequence means the header's.
+        beams : beam or sequence of beams, optional
+            In place of the headers'.
+        hdu : int or str, optional
+            The extension that holds the image, by default the first image.
+        check : bool
+            Refuse files of another object or band, and masks.
+
+        Returns
+        -------
+        `EpochCube`
+
+        Raises
+        ------
+        OSError
+            If a file is missing or is no FITS image.
+        ValueError
+            If a header lacks what is needed, or files do not belong
+            together.
+        """
+        from astro_scc.epochs.assembly import cube_from_files
+
+        return cube_from_files(
+            paths, frame=frame, times=times, beams=beams, hdu=hdu, check=check
+        )
+
+    @classmethod
+    def from_ccddata(
+        cls, images, times=None, beams=None, *, frame="offset", check=True
+    ):
+        """
+        Stack CCDData or other NDData with celestial WCS, one an epoch.
+
+        Parameters
+        ----------
+        images : sequence of `~astropy.nddata.NDData`
+        times : `~astropy.time.Time` or sequence, optional
+            By default from the ``meta`` of each image, as in a FITS header.
+        beams : beam or sequence of beams, optional
+            By default from the ``meta`` of each image.
+        frame, check
+            As in `read`.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        from astro_scc.epochs.assembly import cube_from_images
+
+        return cube_from_images(
+            images, times=times, beams=beams, frame=frame, check=check
+        )
+
+    @classmethod
+    def from_ndcube(cls, ndcube, times=None, beams=None):
+        """
+        From an NDCube of (time, latitude, longitude), or a sequence of NDCubes.
+
+        Parameters
+        ----------
+        ndcube : `ndcube.NDCube` or `ndcube.NDCubeSequence`
+        times : `~astropy.time.Time`, optional
+            By default the time axis or the extra coordinates of the cube.
+        beams : beam or sequence of beams, optional
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        from astro_scc.epochs.assembly import cube_from_ndcube
+
+        return cube_from_ndcube(ndcube, times=times, beams=beams)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        data,
+        times,
+        *,
+        pixel_scale,
+        unit=None,
+        beams=None,
+        mask=None,
+        noise=None,
+        reference_pixel=None,
+        position=None,
+    ):
+        """
+        From arrays with east to the left and north up.
+
+        Parameters
+        ----------
+        data : array_like, shape (n_epochs, ny, nx)
+        times : `~astropy.time.Time` or sequence of str, shape (n_epochs,)
+        pixel_scale : `~astropy.units.Quantity`
+            Side of a pixel, an angle.
+        unit, beams, mask, noise
+            As in `EpochCube`.
+        reference_pixel : tuple of float, optional
+            (x, y) of the origin of offsets, counted from 0; by default the
+            centre of the image.
+        position : `~astropy.coordinates.SkyCoord`, optional
+            Celestial position of the reference pixel.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        from astro_scc.epochs.restoring import offset_wcs
+
+        shape = np.shape(data)
+        if len(shape) != 3:
+            raise ValueError(f"data must have shape (n_epochs, ny, nx), got {shape}")
+        if reference_pixel is None:
+            reference_pixel = (shape[2] - 1) / 2, (shape[1] - 1) / 2
+        return cls(
+            data=data,
+            times=times,
+            wcs=offset_wcs(pixel_scale, reference_pixel, position),
+            unit=unit,
+            mask=mask,
+            beams=beams,
+            noise=noise,
+            meta={"history": [f"{shape[0]} epochs from arrays"]},
+        )
+
+    def write(self, path, *, overwrite=False):
+        """
+        Write everything to one FITS file, which `read` reads back.
+
+        Parameters
+        ----------
+        path : str or path-like
+        overwrite : bool
+            Replace a file that exists.  A file is replaced only when the
+            new one is complete.
+
+        Raises
+        ------
+        OSError
+            If the file exists and ``overwrite`` is False, or cannot be
+            written.
+        """
+        from astro_scc.epochs.serialize import write_cube
+
+        write_cube(self, path, overwrite=overwrite)
+
+    # -- one epoch, some epochs -------------------------------------------
+
     def __len__(self):
         return self.data.shape[0]
+
+    def __iter__(self):
+        return (self[i] for i in range(len(self)))
+
+    def __getitem__(self, item):
+        if isinstance(item, tuple):
+            raise TypeError("index epochs only, cube[i] or cube[i:j]; crop() cuts out")
+        try:
+            return self._image(operator.index(item))
+        except TypeError:
+            pass
+        keep = np.arange(len(self))[item]
+        if keep.ndim != 1 or keep.size == 0:
+            raise ValueError(f"the selection {item!r} holds none of {len(self)} epochs")
+        return self._select(keep)
+
+    def _image(self, index):
+        from astropy.nddata import CCDData
+
+        from astro_scc.epochs.headers import epoch_header
+
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"epoch {index} of a cube with {len(self)} epochs")
+        return CCDData(
+            self.data[index],
+            unit=self.unit,
+            mask=self.mask[index],
+            wcs=self.wcs.deepcopy(),
+            meta=epoch_header(
+                time=self.times[index],
+                label=self.labels[index],
+                beam=self.beams and self.beams[index],
+                noise=None if self.noise is None else self.noise[index],
+                facts=self.epoch_meta[index],
+            ),
+        )
+
+    def _select(self, keep):
+        def pick(values):
+            return values and tuple(values[i] for i in keep)
+
+        return replace(
+            self,
+            data=self.data[keep],
+            times=self.times[keep],
+            mask=self.mask[keep],
+            beams=pick(self.beams),
+            noise=None if self.noise is None else self.noise[keep],
+            labels=pick(self.labels),
+            epoch_wcs=pick(self.epoch_wcs),
+            epoch_meta=pick(self.epoch_meta),
+        )
+
+    def with_step(self, line, **changes):
+        """
+        Copy with changed fields and one more line of provenance.
+
+        Parameters
+        ----------
+        line : str
+            What was done, for ``meta["history"]``.
+        **changes
+            Fields of the new cube.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        meta = changes.pop("meta", self.meta)
+        meta = {**meta, "history": [*meta.get("history", ()), line]}
+        return replace(self, meta=meta, **changes)
+
+    # -- the grid -----------------------------------------------------------
 
     @property
     def shape(self):
@@ -82,24 +399,193 @@ class EpochCube:
         return np.sqrt(np.abs(np.linalg.det(self.pixel_matrix.value))) * u.mas
 
     @property
+    def reference_pixel(self):
+        """(x, y) of the origin of offsets, counted from 0."""
+        x, y = self.wcs.wcs.crpix - 1
+        return float(x), float(y)
+
+    def pixel_to_offset(self, x, y):
+        """
+        Offsets from the reference pixel, in its tangent plane.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Pixels, counted from 0.
+
+        Returns
+        -------
+        east, north : `~astropy.units.Quantity`
+            In mas, of the shape of ``x`` and ``y``.
+        """
+        x0, y0 = self.reference_pixel
+        step = np.stack(np.broadcast_arrays(np.subtract(x, x0), np.subtract(y, y0)))
+        east, north = np.tensordot(self.pixel_matrix.value, step, axes=1)
+        return east * u.mas, north * u.mas
+
+    def offset_to_pixel(self, east, north):
+        """
+        Pixels of offsets, the inverse of `pixel_to_offset`.
+
+        Parameters
+        ----------
+        east, north : `~astropy.units.Quantity`
+
+        Returns
+        -------
+        x, y : `numpy.ndarray`
+            Pixels, counted from 0.
+        """
+        x0, y0 = self.reference_pixel
+        east, north = (u.Quantity(v).to_value(u.mas) for v in (east, north))
+        offset = np.stack(np.broadcast_arrays(east, north))
+        x, y = np.tensordot(np.linalg.inv(self.pixel_matrix.value), offset, axes=1)
+        return x + x0, y + y0
+
+    def offsets(self):
+        """
+        Offsets of all pixels from the reference pixel.
+
+        Returns
+        -------
+        east, north : `~astropy.units.Quantity`, shape (ny, nx)
+        """
+        y, x = np.indices(self.shape[1:])
+        return self.pixel_to_offset(x, y)
+
+    # -- facts ---------------------------------------------------------------
+
+    @property
     def years(self):
         """Dates as years since the first epoch, shape (n_epochs,)."""
         return (self.times - self.times[0]).to(u.yr)
 
-    def with_step(self, line, **changes):
+    @property
+    def epochs(self):
         """
-        Copy with changed fields and one more line of provenance.
+        One row an epoch, `~astropy.table.QTable`.
 
-        Parameters
-        ----------
-        line : str
-            What was done, for ``meta["history"]``.
-        **changes
-            Fields of the new cube.
+        Columns ``epoch``, ``label``, ``date``, where the cube has beams
+        ``major``, ``minor``, ``pa``, then ``noise`` (given or measured),
+        ``object`` and ``frequency`` (NaN where unknown).
+        """
+        from astropy.table import QTable
+
+        table = QTable({"epoch": np.arange(len(self)), "label": list(self.labels)})
+        table["date"] = Time(self.times, format="isot")
+        if self.beams is not None:
+            table["major"] = u.Quantity([beam.major for beam in self.beams])
+            table["minor"] = u.Quantity([beam.minor for beam in self.beams])
+            table["pa"] = u.Quantity([beam.pa for beam in self.beams])
+        table["noise"] = self.noise_rms()
+        table["object"] = [str(m.get("object", "")) for m in self.epoch_meta]
+        frequency = [m.get("frequency", np.nan) for m in self.epoch_meta]
+        table["frequency"] = (frequency * u.Hz).to(u.GHz)
+        return table
+
+    def noise_rms(self):
+        """
+        Noise of each epoch: what was given, or else measured.
+
+        See `~astro_scc.epochs.measure_noise`.
 
         Returns
         -------
-        `EpochCube`
+        `~astropy.units.Quantity`, shape (n_epochs,)
         """
-        meta = {**self.meta, "history": [*self.meta.get("history", ()), line]}
-        return replace(self, meta=meta, **changes)
+        from astro_scc.epochs.statistics import measure_noise
+
+        if self.noise is not None:
+            return self.noise
+        pairs = zip(self.data, self.mask, strict=True)
+        return u.Quantity([measure_noise(d, mask=m) for d, m in pairs], self.unit)
+
+    def mean_image(self):
+        """
+        Mean of the epochs, each pixel over those that have it.
+
+        Returns
+        -------
+        `~astropy.nddata.CCDData`
+            Masked and NaN where no epoch has the pixel.
+        """
+        from astropy.nddata import CCDData
+
+        count = np.sum(~self.mask, axis=0)
+        total = np.sum(self.data, axis=0, where=~self.mask)
+        mean = np.full(total.shape, np.nan)
+        np.divide(total, count, out=mean, where=count > 0)
+        return CCDData(
+            mean,
+            unit=self.unit,
+            mask=count == 0,
+            wcs=self.wcs.deepcopy(),
+            meta={"n_epochs": len(self)},
+        )
+
+    # -- steps, each a new cube -------------------------------------------
+
+    def to_common_beam(self, beam=None):
+        """Convolve to one beam, see `~astro_scc.epochs.common_beam`."""
+        from astro_scc.epochs.smoothing import common_beam
+
+        return common_beam(self, beam=beam)
+
+    def align(self, method="core", **kwargs):
+        """Shift the epochs on one another, see `~astro_scc.epochs.align`."""
+        from astro_scc.epochs.alignment import align
+
+        return align(self, method, **kwargs)
+
+    def reproject_to(self, wcs, shape):
+        """Resample to another grid, see `~astro_scc.epochs.reproject_cube`."""
+        from astro_scc.epochs.reprojection import reproject_cube
+
+        return reproject_cube(self, wcs, shape)
+
+    def crop(self, region):
+        """Cut out, see `~astro_scc.epochs.crop`."""
+        from astro_scc.epochs.cutout import crop
+
+        return crop(self, region)
+
+    def region_mask(self, region):
+        """
+        Pixels inside a region, bool of shape (ny, nx).
+
+        See `~astro_scc.epochs.region_mask`.
+        """
+        from astro_scc.epochs.cutout import region_mask
+
+        return region_mask(self, region)
+
+    # -- how it looks --------------------------------------------------------
+
+    def __repr__(self):
+        n, ny, nx = self.shape
+        dates = date_labels(self.times)
+        parts = [f"{n} epochs {dates[0]} to {dates[-1]}"]
+        if n == 1:
+            parts = [f"1 epoch {dates[0]}"]
+        parts.append(f"{nx} x {ny} pixels of {_readable(self.pixel_scale)}")
+        if self.unit != u.dimensionless_unscaled:
+            parts.append(f"{self.unit}")
+        if self.beams is not None:
+            same = all(beam == self.beams[0] for beam in self.beams)
+            parts.append(f"beam {self.beams[0]}" if same else "beams that differ")
+        return f"<EpochCube {', '.join(parts)}>"
+
+    def _repr_html_(self):
+        from html import escape
+
+        return f"<p>{escape(repr(self)[1:-1])}</p>" + self.epochs._repr_html_()
+
+
+def _readable(angle):
+    """An angle in the unit in which it is between 0.1 and 1000 or so."""
+    for unit in (u.deg, u.arcsec, u.mas):
+        if angle.to_value(unit) >= 0.1:
+            break
+    else:
+        unit = u.uas if angle.to_value(u.mas) < 0.01 else u.mas
+    return f"{angle.to_value(unit):.4g} {unit}"

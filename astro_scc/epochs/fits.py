@@ -1,0 +1,287 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""One FITS image of VLBI, CASA, HST and others as CCDData."""
+
+import os
+import re
+import warnings
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.io import fits, registry
+from astropy.nddata import CCDData
+
+from astro_scc.epochs.headers import (
+    axis_kind,
+    celestial_wcs,
+    get,
+    header_beam,
+    header_facts,
+    parse_unit,
+)
+from astro_scc.exceptions import EpochWarning
+
+__all__ = ["read_image", "read_vlbi_fits"]
+
+# What describes the array and its axes in the file, which the CCDData says
+# itself, in two dimensions.
+_STRUCTURE = re.compile(
+    r"(SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|EXTNAME|PCOUNT|GCOUNT|GROUPS|BLOCKED"
+    r"|BSCALE|BZERO|BLANK|BUNIT|DATAMIN|DATAMAX|CHECKSUM|DATASUM|WCSAXES|EPOCH"
+    r"|EQUINOX|RADESYS|RADECSYS|LONPOLE|LATPOLE|(CTYPE|CRVAL|CRPIX|CDELT|CUNIT|CROTA)\d"
+    r"|(PC|CD|PV|PS)\d+_\d+|PC\d{6}|CD\d{6}|BMAJ|BMIN|BPA|FREQ|STOKES)$"
+)
+
+
+def read_vlbi_fits(path, hdu=None):
+    """
+    Read one FITS image, with the habits of AIPS, difmap, CASA and HST.
+
+    This is what ``CCDData.read(path, format="vlbi-fits")`` calls once
+    ``astro_scc.epochs`` has been imported.
+
+    Parameters
+    ----------
+    path : str or path-like
+    hdu : int or str, optional
+        The extension that holds the image, by default the first image.
+
+    Returns
+    -------
+    `~astropy.nddata.CCDData`, shape (ny, nx)
+        Axes of length one are dropped, and of several Stokes parameters I
+        is taken.  The data are float64, pixels that are not finite are
+        masked, the WCS is the celestial one.  The beam is in ``meta`` as
+        ``BMAJ``, ``BMIN`` and ``BPA`` in degrees wherever the file had it,
+        the frequency as ``FREQ`` in Hz.
+
+    Raises
+    ------
+    OSError
+        If the file is missing, broken, or holds no image.
+    ValueError
+        If the image has more than two axes, no celestial coordinates, or no
+        valid pixel.
+
+    Warns
+    -----
+    EpochWarning
+        If something in the header could not be understood.
+
+    Examples
+    --------
+    >>> from astropy.nddata import CCDData
+    >>> import astro_scc.epochs
+    >>> image = CCDData.read("3c273.fits", format="vlbi-fits")  # doctest: +SKIP
+    """
+    image, notes = read_image(path, hdu=hdu)
+    for note in notes:
+        warnings.warn(f"{path}: {note}", EpochWarning, stacklevel=2)
+    return image
+
+
+def read_image(path, hdu=None):
+    """
+    As `read_vlbi_fits`, with the warnings as text.
+
+    Parameters
+    ----------
+    path : str or path-like
+    hdu : int or str, optional
+
+    Returns
+    -------
+    image : `~astropy.nddata.CCDData`
+    notes : list of str
+    """
+    path = Path(os.fspath(path))
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: is a directory; give {path}/*.fits")
+    try:
+        return _open(path, hdu, memmap=True)
+    except _ContentError as error:
+        raise ValueError(f"{path}: {error}") from None
+    except _NoImageError as error:
+        raise OSError(f"{path}: {error}") from None
+
+
+class _ContentError(Exception):
+    """The file is FITS, but the image in it is not what is needed."""
+
+
+class _NoImageError(Exception):
+    """The file is not FITS, is broken, or holds no image."""
+
+
+def _open(path, hdu, memmap):
+    with warnings.catch_warnings():
+        # AIPS and difmap files break small rules of the standard throughout.
+        warnings.simplefilter("ignore")
+        try:
+            with fits.open(path, memmap=memmap) as hdus:
+                return _image(hdus, hdu, path)
+        except (_ContentError, _NoImageError):
+            raise
+        except ValueError as error:
+            # Scaled integers cannot be memory-mapped.
+            if memmap and "memory-map" in str(error):
+                return _open(path, hdu, memmap=False)
+            raise _broken(error) from None
+        except Exception as error:
+            # A damaged file can fail anywhere inside astropy.io.fits.
+            raise _broken(error) from None
+
+
+def _broken(error):
+    lines = str(error).strip().splitlines() or [type(error).__name__]
+    return _NoImageError(f"cannot be read as FITS, it is broken or no FITS: {lines[0]}")
+
+
+def _image(hdus, which, path):
+    hdu = _find(hdus, which)
+    header = hdu.header.copy()
+    if hdu is not hdus[0]:
+        header.extend(hdus[0].header, unique=True, bottom=True)
+    _check_complete(hdu, path)
+    plane, transposed = _plane(header)
+    raw = hdu.data
+    if raw is None or raw.dtype.kind not in "fiub":
+        raise _NoImageError("holds no image of real numbers")
+    data = np.array(raw[plane], dtype=np.float64)
+    data = data.T if transposed else data
+    bad = ~np.isfinite(data)
+    if bad.all():
+        raise _ContentError("no valid pixel, all are NaN; leave this file out")
+    try:
+        wcs = celestial_wcs(header, fobj=hdus)
+    except ValueError as error:
+        raise _ContentError(error) from None
+    if wcs.has_distortion:
+        raise _ContentError("its coordinates are distorted (SIP); resample it first")
+
+    notes = []
+    text = get(header, "BUNIT", kind=str)
+    unit = parse_unit(text)
+    if unit is None:
+        notes.append(f"its unit {text!r} is not known and taken as dimensionless")
+        unit = u.dimensionless_unscaled
+    meta = _meta(header)
+    beam = _beam(hdus, header, wcs, data.shape, notes)
+    if beam is not None:
+        meta["BMAJ"] = beam.major.to_value(u.deg)
+        meta["BMIN"] = beam.minor.to_value(u.deg)
+        meta["BPA"] = beam.pa.to_value(u.deg)
+    mask = bad if bad.any() else None
+    return CCDData(data, unit=unit, mask=mask, wcs=wcs, meta=meta), notes
+
+
+def _find(hdus, which):
+    if which is not None:
+        try:
+            return hdus[which]
+        except (KeyError, IndexError, TypeError):
+            raise _NoImageError(f"has no extension {which!r}") from None
+    for hdu in hdus:
+        if hdu.is_image and len(hdu.shape) >= 2 and 0 not in hdu.shape:
+            return hdu
+    raise _NoImageError("holds no image")
+
+
+def _check_complete(hdu, path):
+    """Before memory is set aside for pixels that the file does not have."""
+    info = hdu.fileinfo()
+    compressed = path.suffix.lower() in (".gz", ".bz2", ".xz", ".z", ".zip")
+    if info is None or compressed:
+        return
+    missing = info["datLoc"] + hdu.size - path.stat().st_size
+    if missing > 0:
+        raise _NoImageError(f"is truncated, {missing} bytes of its image are missing")
+
+
+def _plane(header):
+    """
+    Index of the image plane, and whether its first axis is latitude.
+
+    The numpy index runs against the order of FITS axes.
+    """
+    naxis = header["NAXIS"]
+    types = [str(header.get(f"CTYPE{k + 1}", "")).upper().strip() for k in range(naxis)]
+    celestial = [k for k, t in enumerate(types) if axis_kind(t)]
+    if len(celestial) != 2:
+        # celestial_wcs refuses these with the better reason.
+        celestial = [0, 1]
+    index = []
+    for k in range(naxis):
+        length = header[f"NAXIS{k + 1}"]
+        if k in celestial:
+            index.append(slice(None))
+        elif length == 1:
+            index.append(0)
+        elif types[k].startswith("STOKES"):
+            index.append(_stokes_i(header, k + 1, length))
+        else:
+            name = types[k] or f"{k + 1} of the file"
+            raise _ContentError(
+                f"has {length} planes on axis {name}; write the one to use, or "
+                "their mean, to a file of its own"
+            )
+    return tuple(reversed(index)), axis_kind(types[celestial[0]]) == "latitude"
+
+
+def _stokes_i(header, axis, length):
+    start = get(header, f"CRVAL{axis}", kind=float)
+    step = get(header, f"CDELT{axis}", kind=float) or 1.0
+    pixel = get(header, f"CRPIX{axis}", kind=float)
+    pixel = 1.0 if pixel is None else pixel
+    if start is not None:
+        position = (1 - start) / step + pixel - 1
+        if abs(position - round(position)) < 1e-6 and 0 <= round(position) < length:
+            return round(position)
+    raise _ContentError(
+        f"has {length} planes on axis STOKES and none of them is I; write the one "
+        "to use to a file of its own"
+    )
+
+
+def _beam(hdus, header, wcs, shape, notes):
+    try:
+        tables = (h for h in hdus if isinstance(h, fits.BinTableHDU))
+        beam = header_beam(header, tables)
+    except (ValueError, KeyError, TypeError) as error:
+        notes.append(f"its beam is taken as unknown: {error}")
+        return None
+    if beam is None:
+        return None
+    extent = max(
+        np.hypot(*column) * n
+        for column, n in zip(wcs.pixel_scale_matrix.T, shape[::-1], strict=True)
+    )
+    if beam.major.to_value(u.deg) > extent:
+        notes.append(
+            f"its beam is taken as unknown: {beam} is larger than the image, "
+            "BMAJ and BMIN must be in degrees"
+        )
+        return None
+    return beam
+
+
+def _meta(header):
+    """The header without what describes the array, with the band as values."""
+    meta = fits.Header()
+    for card in header.cards:
+        try:
+            keyword, value, comment = card.keyword, card.value, card.comment
+        except (fits.VerifyError, ValueError):
+            continue
+        if not _STRUCTURE.match(keyword):
+            meta.append((keyword, value, comment), end=True)
+    facts = header_facts(header)
+    for fact, keyword in (("frequency", "FREQ"), ("stokes", "STOKES")):
+        if fact in facts:
+            meta[keyword] = facts[fact]
+    return meta
+
+
+registry.register_reader("vlbi-fits", CCDData, read_vlbi_fits, force=True)
