@@ -2,6 +2,20 @@
 """Epochs: the images, where they come from and how they are laid on one another."""
 
 from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.component_files import read_components
+from astro_scc.epochs.components import ComponentList
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.epoch_files import write_epochs
+from astro_scc.epochs.noise import correlated_noise
+from astro_scc.epochs.restoring import offset_wcs, restore
 
-__all__ = ["Beam", "EpochCube"]
+__all__ = [
+    "Beam",
+    "ComponentList",
+    "EpochCube",
+    "correlated_noise",
+    "offset_wcs",
+    "read_components",
+    "restore",
+    "write_epochs",
+]

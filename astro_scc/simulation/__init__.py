@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Simulation: jets whose velocities are known."""
 
+from astro_scc.simulation.files import write_simulation
 from astro_scc.simulation.jets import JetSimulation, SimulatedJet
 from astro_scc.simulation.presets import (
     simulate_ballistic,
@@ -20,4 +21,5 @@ __all__ = [
     "simulate_static",
     "simulate_two_fluid",
     "simulate_unrelated",
+    "write_simulation",
 ]

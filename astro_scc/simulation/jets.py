@@ -23,7 +23,7 @@ class SimulatedJet:
     """
     A simulated jet: its images and what is in them.
 
-    Parameters
+    Attributes
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     truth : `~astropy.table.QTable`
