@@ -9,7 +9,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from astro_scc.epochs.reprojection import moved_wcs
+from astro_scc.epochs.resampling import moved_wcs
 from astro_scc.exceptions import EpochWarning
 
 __all__ = ["crop", "distance_mask", "region_mask"]

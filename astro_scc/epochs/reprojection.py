@@ -1,172 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Resampling: shifts inside a grid, and epochs laid onto another grid."""
+"""Epochs laid onto another grid, and the grid that several can share."""
 
 import astropy.units as u
 import numpy as np
-from astropy.wcs.utils import (
-    pixel_to_pixel,
-    wcs_to_celestial_frame,
-)
-from scipy import ndimage
+from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 
-__all__ = ["fill_masked", "reproject_cube", "shared_grid", "shift_image"]
+from astro_scc.epochs.resampling import (
+    WHOLE_PIXEL,
+    grid_translation,
+    moved_wcs,
+    probe_pixels,
+    resample,
+)
+
+__all__ = ["reproject_cube", "shared_grid"]
 
 ORDERS = ("nearest-neighbor", "bilinear", "biquadratic", "bicubic")
-# Shifts nearer than this to whole pixels are copies; sky coordinates in
-# degrees carry pixels of microarcseconds to about 1e-4.
-WHOLE_PIXEL = 1e-4
-# A resampled pixel is bad if bad pixels had more than this weight in it.
-BAD_WEIGHT = 0.01
-
-
-def fill_masked(image, mask, n_iterations=20):
-    """
-    Replace masked pixels by a smooth continuation of their surroundings.
-
-    Interpolation with splines needs a value everywhere, and a jump at the
-    edge of the mask would ring into the good pixels.  The nearest good
-    values are relaxed towards a solution of Laplace's equation.
-
-    Parameters
-    ----------
-    image : `~numpy.ndarray`, shape (ny, nx)
-    mask : `~numpy.ndarray` of bool, shape (ny, nx)
-        True marks bad pixels; their values are never looked at.
-    n_iterations : int, optional
-        Steps of the relaxation, about the width in pixels of the holes
-        that it smooths.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (ny, nx)
-        Finite everywhere, zero if no pixel is good.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> ramp = np.tile(np.arange(5.0), (5, 1))
-    >>> hole = np.zeros((5, 5), dtype=bool)
-    >>> hole[2, 2] = True
-    >>> float(fill_masked(np.where(hole, np.nan, ramp), hole)[2, 2])
-    2.0
-    """
-    if not mask.any():
-        return np.array(image, dtype=float)
-    if mask.all():
-        return np.zeros(image.shape)
-    nearest = ndimage.distance_transform_edt(
-        mask, return_distances=False, return_indices=True
-    )
-    filled = np.asarray(image, dtype=float)[tuple(nearest)]
-    neighbours = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
-    for _ in range(n_iterations):
-        filled[mask] = ndimage.convolve(filled, neighbours, mode="nearest")[mask]
-    return filled
-
-
-def shift_image(image, mask, shift):
-    """
-    Move an image by a number of pixels.
-
-    Whole pixels are copied, anything else is interpolated with cubic
-    splines.  Pixels that would come from outside the image or to which bad
-    pixels contribute are masked.
-
-    Parameters
-    ----------
-    image : `~numpy.ndarray`, shape (ny, nx)
-    mask : `~numpy.ndarray` of bool, shape (ny, nx)
-        True marks bad pixels.
-    shift : (float, float)
-        Steps (dx, dy) that every source is moved by, in pixels.
-
-    Returns
-    -------
-    image : `~numpy.ndarray`, shape (ny, nx)
-        NaN where masked.
-    mask : `~numpy.ndarray` of bool, shape (ny, nx)
-
-    Notes
-    -----
-    Cubic splines damp the smallest structures: white noise loses up to 30%
-    of its rms at half a pixel, noise correlated over a beam of five pixels
-    or more loses nothing that can be measured.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> image = np.arange(6.0).reshape(2, 3)
-    >>> shift_image(image, np.zeros((2, 3), dtype=bool), (1, 0))[0]
-    array([[nan,  0.,  1.],
-           [nan,  3.,  4.]])
-    """
-    step = np.asarray(shift, dtype=float)[::-1]
-    whole = np.rint(step)
-    if np.all(np.abs(step - whole) < WHOLE_PIXEL):
-        moved = np.full(image.shape, np.nan)
-        moved_mask = np.ones(image.shape, dtype=bool)
-        pairs = [
-            (slice(max(s, 0), max(n + s, 0)), slice(max(-s, 0), max(n - s, 0)))
-            for s, n in zip(whole.astype(int), image.shape, strict=True)
-        ]
-        target, source = (tuple(p[k] for p in pairs) for k in (0, 1))
-        moved[target] = image[source]
-        moved_mask[target] = mask[source]
-    else:
-        moved = ndimage.shift(
-            fill_masked(image, mask), step, order=3, mode="constant", cval=np.nan
-        )
-        weight = ndimage.shift(mask.astype(float), step, order=1, cval=1.0)
-        moved_mask = (weight > BAD_WEIGHT) | ~np.isfinite(moved)
-    return np.where(moved_mask, np.nan, moved), moved_mask
-
-
-def grid_translation(wcs, target, shape, tolerance=0.01):
-    """
-    Shift between two pixel grids, if nothing but a shift lies between them.
-
-    Parameters
-    ----------
-    wcs, target : `~astropy.wcs.WCS`
-        Two-dimensional and celestial.
-    shape : (int, int)
-        Shape (ny, nx) of the image on the grid of ``wcs``.
-    tolerance : float, optional
-        Largest departure from a shift at any corner, in pixels.
-
-    Returns
-    -------
-    (float, float) or None
-        Steps (dx, dy) from a pixel of ``wcs`` to the pixel of ``target``
-        at the same place of the sky, in pixels of ``target``.
-    """
-    ny, nx = shape
-    x = np.array([(nx - 1) / 2, 0, nx - 1, 0, nx - 1])
-    y = np.array([(ny - 1) / 2, 0, 0, ny - 1, ny - 1])
-    step = np.array(pixel_to_pixel(wcs, target, x, y)) - np.array([x, y])
-    if not np.all(np.abs(step - step[:, :1]) < tolerance):
-        return None
-    return tuple(float(s) for s in step[:, 0])
-
-
-def moved_wcs(wcs, shift):
-    """
-    WCS of a grid whose content has been moved.
-
-    Parameters
-    ----------
-    wcs : `~astropy.wcs.WCS`
-    shift : (float, float)
-        Steps (dx, dy) that the content was moved by, in pixels.
-
-    Returns
-    -------
-    `~astropy.wcs.WCS`
-    """
-    moved = wcs.deepcopy()
-    moved.wcs.crpix = moved.wcs.crpix + np.asarray(shift, dtype=float)
-    moved.wcs.set()
-    return moved
 
 
 def _check_celestial(wcs):
@@ -190,10 +39,7 @@ def _new_epoch_wcs(cube, wcs, shape):
         return None
     result = []
     for own in cube.epoch_wcs:
-        ny, nx = shape
-        pixels = np.array(
-            [[(nx - 1) / 2, 0, nx - 1, 0, nx - 1], [(ny - 1) / 2, 0, 0, ny - 1, ny - 1]]
-        )
+        pixels = probe_pixels(shape)
         old = pixel_to_pixel(wcs, cube.wcs, *pixels)
         step = pixels - np.array(pixel_to_pixel(own, wcs, *old))
         if not np.all(np.abs(step - step[:, :1]) < 0.01):
@@ -277,7 +123,9 @@ def reproject_cube(cube, wcs, shape, order="bicubic"):
         data, mask = _copy(cube.data, cube.mask, np.rint(step).astype(int), shape)
         noise, how = cube.noise, "whole pixels copied"
     else:
-        data, mask = _interpolate(cube.data, cube.mask, cube.wcs, wcs, shape, order)
+        data, mask = resample(
+            cube.data, cube.mask, cube.wcs, wcs, shape=shape, order=order
+        )
         noise, how = None, order
     area = _pixel_area(wcs) / _pixel_area(cube.wcs)
     if _is_per_pixel(cube.unit) and not np.isclose(area, 1, rtol=1e-6):
@@ -308,20 +156,6 @@ def _copy(data, bad, step, shape):
     moved[target] = np.where(bad[source], np.nan, data[source])
     mask[target] = bad[source]
     return moved, mask
-
-
-def _interpolate(data, bad, wcs, new_wcs, shape, order):
-    from reproject import reproject_interp
-
-    filled = np.stack([fill_masked(d, b) for d, b in zip(data, bad, strict=True)])
-    options = {"shape_out": shape, "return_footprint": False}
-    moved = reproject_interp((filled, wcs), new_wcs, order=order, **options)
-    # reproject broadcasts the images over one mapping of the pixels.
-    weight = reproject_interp(
-        (bad.astype(float), wcs), new_wcs, order="bilinear", **options
-    )
-    mask = ~(weight <= BAD_WEIGHT) | ~np.isfinite(moved)
-    return np.where(mask, np.nan, moved), mask
 
 
 def _pixel_area(wcs):
