@@ -8,16 +8,14 @@ from dataclasses import dataclass
 import astropy.units as u
 import numpy as np
 from astropy.table import Table
-from astropy.wcs.utils import pixel_to_pixel
 
 from astro_scc.epochs.core import core_positions
 from astro_scc.epochs.cutout import region_mask
 from astro_scc.epochs.registration import displacement
 from astro_scc.epochs.resampling import (
     WHOLE_PIXEL,
-    grid_translation,
+    grid_step,
     moved_wcs,
-    probe_pixels,
     resample,
     shift_image,
 )
@@ -53,95 +51,94 @@ def align(
     max_shift=None,
 ):
     """
-        Shift the epochs so that they lie on one another.
+    Shift the epochs so that they lie on one another.
 
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-        method : {"core", "correlate", "table", "wcs", "none"}, optional
-            "core"
-                The core of each epoch, as `~astro_scc.epochs.core_positions`
-                measures it, comes to the reference pixel.
-            "correlate"
-                Every epoch is registered on a reference image, by masked
-                cross-correlation and least squares.  What moves together in
-                all of the region, the velocity sought included, is taken out:
-                choose a region that stands still.
-            "table"
-                The positions of a table come to the reference pixel.
-            "wcs"
-                Absolute coordinates (``cube.epoch_wcs``) are trusted.  Those of
-                VLBI images jump by more than jets move.
-            "none"
-                Reference pixels stay on one another.
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    method : {"core", "correlate", "table", "wcs", "none"}, optional
+        "core"
+            The core of each epoch, as `~astro_scc.epochs.core_positions`
+            measures it, comes to the reference pixel.
+        "correlate"
+            Every epoch is registered on a reference image, by masked
+            cross-correlation and least squares.  What moves together in
+            all of the region, the velocity sought included, is taken out:
+            choose a region that stands still.
+        "table"
+            The positions of a table come to the reference pixel.
+        "wcs"
+            Absolute coordinates (``cube.epoch_wcs``) are trusted.  Those of
+            VLBI images jump by more than jets move.
+        "none"
+            Reference pixels stay on one another.
 
-            The path of a table stands for "table" with that table.
-        table : path-like or `~astropy.table.Table`, optional
-            For "table".  CSV or ECSV with a date and the offsets of the core
-            from the reference pixel, see
-            `~astro_scc.epochs.shift_tables.offsets_from_table`.
-        reference : int or array_like, shape (ny, nx), optional
-            For "correlate": an epoch, or an image, by default the mean of the
-            aligned epochs, found by iteration.
-        region : optional
-            For "correlate": pixels to compare, as `~astro_scc.epochs.region_mask`
-            takes it.
-        jet_pa : `~astropy.units.Quantity`, optional
-            For "core": position angle of the jet at the core.
-        max_shift : `~astropy.units.Quantity`, optional
-            Shifts beyond it are not believed: "core" and "correlate" do not look
-            farther, and any that is larger is an error.
+        The path of a table stands for "table" with that table.
+    table : path-like or `~astropy.table.Table`, optional
+        For "table".  CSV or ECSV with a date and the offsets of the core
+        from the reference pixel, see
+        `~astro_scc.epochs.shift_tables.offsets_from_table`.
+    reference : int or array_like, shape (ny, nx), optional
+        For "correlate": an epoch, or an image, by default the mean of the
+        aligned epochs, found by iteration.
+    region : optional
+        For "correlate": pixels to compare, as `~astro_scc.epochs.region_mask`
+        takes it.
+    jet_pa : `~astropy.units.Quantity`, optional
+        For "core": position angle of the jet at the core.
+    max_shift : `~astropy.units.Quantity`, optional
+        Shifts beyond it are not believed: "core" and "correlate" do not look
+        farther, and any that is larger is an error.
 
-        Returns
-        -------
-        `~astro_scc.epochs.EpochCube`
-            ``meta["alignment"]`` has a dict for each epoch: ``epoch``, ``date``,
-            ``method``, and how far the image was moved, ``shift_east_mas``,
-            ``shift_north_mas``, with ``shift_east_err_mas`` and
-            ``shift_north_err_mas`` (None if unknown).  Further alignments are
-            appended.  ``epoch_wcs`` moves along.
+    Returns
+    -------
+    `~astro_scc.epochs.EpochCube`
+        ``meta["alignment"]`` has a dict for each epoch: ``epoch``, ``date``,
+        ``method``, and how far the image was moved, ``shift_east_mas``,
+        ``shift_north_mas``, with ``shift_east_err_mas`` and
+        ``shift_north_err_mas`` (None if unknown).  Further alignments are
+        appended.  ``epoch_wcs`` moves along.
 
-        Raises
-        ------
-        ValueError
-            If the method or the combination of options makes no sense, an epoch
-            cannot be measured, its shift exceeds ``max_shift`` or takes it off
-            the grid; and as the function of the method does.
+    Raises
+    ------
+    ValueError
+        If the method or the combination of options makes no sense, an epoch
+        cannot be measured, its shift exceeds ``max_shift`` or takes it off
+        the grid; and as the function of the method does.
 
-        Warns
-        -----
-        MeasurementWarning
-            If the core is blended with the jet.
+    Warns
+    -----
+    MeasurementWarning
+        If the core is blended with the jet.
 
-        Notes
-        -----
-        Shifts by whole pixels copy the pixels.  Others interpolate with cubic
-        splines: pixels that come from outside the image, or next to bad ones,
-        are masked, and noise that varies from pixel to pixel is smoothed, so
-        that ``noise`` is None, to be measured anew.
+    Notes
+    -----
+    Shifts by whole pixels copy the pixels.  Others interpolate with cubic
+    splines: pixels that come from outside the image, or next to bad ones,
+    are masked, and noise that varies from pixel to pixel is smoothed, so
+    that ``noise`` is None, to be measured anew.
 
-        Examples
-        --------
-        >>> import astropy.units as u
-        >>> import numpy as np
-        >>> from astropy.table import Table
-    from astropy.wcs.utils import pixel_to_pixel
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astropy.table import Table
         >>> from astro_scc.epochs import EpochCube
-        >>> images = np.zeros((2, 9, 9))
-        >>> images[0, 4, 4] = images[1, 5, 6] = 1
-        >>> cube = EpochCube.from_arrays(
-        ...     images, ["2000-01-01", "2001-01-01"], pixel_scale=0.1 * u.mas
-        ... )
-        >>> table = Table({
-        ...     "date": ["2000-01-01", "2001-01-01"],
-        ...     "east": [0, -0.2] * u.mas,
-        ...     "north": [0, 0.1] * u.mas,
-        ... })
-        >>> aligned = align(cube, "table", table=table)
-        >>> aligned.data[:, 4, 4]
-        array([1., 1.])
-        >>> aligned.meta["alignment"][1]["shift_east_mas"]
-        0.2
+    >>> images = np.zeros((2, 9, 9))
+    >>> images[0, 4, 4] = images[1, 5, 6] = 1
+    >>> cube = EpochCube.from_arrays(
+    ...     images, ["2000-01-01", "2001-01-01"], pixel_scale=0.1 * u.mas
+    ... )
+    >>> table = Table({
+    ...     "date": ["2000-01-01", "2001-01-01"],
+    ...     "east": [0, -0.2] * u.mas,
+    ...     "north": [0, 0.1] * u.mas,
+    ... })
+    >>> aligned = align(cube, "table", table=table)
+    >>> aligned.data[:, 4, 4]
+    array([1., 1.])
+    >>> aligned.meta["alignment"][1]["shift_east_mas"]
+    0.2
     """
     if isinstance(method, Table | os.PathLike) or (
         isinstance(method, str) and method not in METHODS and os.path.isfile(method)
@@ -301,17 +298,12 @@ def _by_wcs(cube):
             "the epochs have no absolute coordinates (epoch_wcs); "
             "read them from FITS files, or choose another alignment"
         )
-    shape = cube.shape[1:]
-    steps, turned = [], []
-    for own in cube.epoch_wcs:
-        step = grid_translation(own, cube.wcs, shape)
-        turned.append(step is None)
-        if step is None:
-            centre = probe_pixels(shape)[:, 0]
-            step = np.array(pixel_to_pixel(own, cube.wcs, *centre)) - centre
-        steps.append(step)
+    steps, pure = zip(
+        *(grid_step(own, cube.wcs, cube.shape[1:]) for own in cube.epoch_wcs),
+        strict=True,
+    )
     unknown = np.full((len(cube), 2, 2), np.nan)
-    return Offsets(-np.array(steps), unknown, "absolute coordinates", np.array(turned))
+    return Offsets(-np.array(steps), unknown, "absolute coordinates", ~np.array(pure))
 
 
 def _by_correlation(cube, *, reference=None, region=None, max_shift=None):

@@ -7,7 +7,7 @@ from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 
 from astro_scc.epochs.resampling import (
     WHOLE_PIXEL,
-    grid_translation,
+    grid_step,
     moved_wcs,
     probe_pixels,
     resample,
@@ -118,8 +118,8 @@ def reproject_cube(cube, wcs, shape, order="bicubic"):
             "of the beams do not hold; use a wcs in the frame of the epochs"
         )
 
-    step = grid_translation(cube.wcs, wcs, cube.shape[1:])
-    if step is not None and np.all(np.abs(step - np.rint(step)) < WHOLE_PIXEL):
+    step, pure = grid_step(cube.wcs, wcs, cube.shape[1:])
+    if pure and np.all(np.abs(step - np.rint(step)) < WHOLE_PIXEL):
         data, mask = _copy(cube.data, cube.mask, np.rint(step).astype(int), shape)
         noise, how = cube.noise, "whole pixels copied"
     else:

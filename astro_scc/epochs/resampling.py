@@ -9,7 +9,7 @@ __all__ = [
     "BAD_WEIGHT",
     "WHOLE_PIXEL",
     "fill_masked",
-    "grid_translation",
+    "grid_step",
     "moved_wcs",
     "probe_pixels",
     "resample",
@@ -125,9 +125,9 @@ def shift_image(image, mask, shift):
     return np.where(moved_mask, np.nan, moved), moved_mask
 
 
-def grid_translation(wcs, target, shape, tolerance=0.01):
+def grid_step(wcs, target, shape, tolerance=0.01):
     """
-    Shift between two pixel grids, if nothing else lies between them.
+    Shift between two pixel grids, and whether nothing else lies between them.
 
     Parameters
     ----------
@@ -140,14 +140,15 @@ def grid_translation(wcs, target, shape, tolerance=0.01):
 
     Returns
     -------
-    `~numpy.ndarray`, shape (2,), or None
-        (dx, dy) from a pixel of ``wcs`` to the pixel of ``target`` at the
-        same place of the sky.
+    step : `~numpy.ndarray`, shape (2,)
+        (dx, dy) from the centre of the image on ``wcs`` to the pixel of
+        ``target`` at the same place of the sky.
+    pure : bool
+        Whether all corners have the same step.
     """
     pixels = probe_pixels(shape)
     step = np.array(pixel_to_pixel(wcs, target, *pixels)) - pixels
-    pure = np.all(np.abs(step - step[:, :1]) < tolerance)
-    return step[:, 0] if pure else None
+    return step[:, 0], bool(np.all(np.abs(step - step[:, :1]) < tolerance))
 
 
 def probe_pixels(shape):
