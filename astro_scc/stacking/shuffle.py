@@ -14,18 +14,23 @@ SIGMA_FLOOR = 0.01
 @dataclass(frozen=True, eq=False)
 class ShuffledStacks:
     """
-    Mean and spread of the stacks of shuffled epochs.
+    A stack beside the stacks of shuffled epochs.
 
     Attributes
     ----------
     mean, std : `~numpy.ndarray`, shape (n2, n1)
         Of the trials at each velocity.
-    n_trials : int
+    p_local : `~numpy.ndarray`, shape (n2, n1)
+        ``(b + 1) / (n + 1)``, b the number of the n trials with at least
+        the observed coefficient at this velocity.
+    maxima : `~numpy.ndarray`, shape (n_trials,)
+        Largest z-score of each trial over all velocities, ascending.
     """
 
     mean: np.ndarray
     std: np.ndarray
-    n_trials: int
+    p_local: np.ndarray
+    maxima: np.ndarray
 
     def z_score(self, scc):
         """
@@ -42,9 +47,30 @@ class ShuffledStacks:
         `~numpy.ndarray`, shape (n2, n1)
             Zero where no trial has any correlation.
         """
-        floor = SIGMA_FLOOR * self.std.max(initial=0.0)
-        std = np.maximum(self.std, floor)
-        return np.divide(scc - self.mean, std, out=np.zeros_like(scc), where=std > 0)
+        return _z_score(scc, self.mean, self.std)
+
+    def p_global(self, z_score):
+        """
+        Probability of a z-score anywhere in the map, in shuffled epochs.
+
+        Parameters
+        ----------
+        z_score : float
+
+        Returns
+        -------
+        float
+            ``(b + 1) / (n + 1)``, b the number of the n trials whose
+            largest z-score is at least this one.
+        """
+        n = len(self.maxima)
+        below = np.searchsorted(self.maxima, z_score, side="left")
+        return float((n - below + 1) / (n + 1))
+
+
+def _z_score(scc, mean, std):
+    floor = np.maximum(std, SIGMA_FLOOR * std.max(initial=0.0))
+    return np.divide(scc - mean, floor, out=np.zeros_like(scc), where=floor > 0)
 
 
 def random_orders(n_epochs, n_trials, rng):
@@ -63,7 +89,9 @@ def random_orders(n_epochs, n_trials, rng):
     return rng.permuted(np.tile(np.arange(n_epochs), (n_trials, 1)), axis=1)
 
 
-def shuffle_epochs(pair_maps, pairs, grid, n_trials, *, rng, shift=None, progress=None):
+def shuffle_epochs(
+    pair_maps, pairs, grid, observed, n_trials, *, rng, shift=None, progress=None
+):
     """
     Stack the epochs in shuffled order, again and again.
 
@@ -72,6 +100,8 @@ def shuffle_epochs(pair_maps, pairs, grid, n_trials, *, rng, shift=None, progres
     pair_maps : `PairMaps`
     pairs : `DatePairs`
     grid : `VelocityGrid`
+    observed : `~numpy.ndarray`, shape ``grid.shape``
+        The stack of the epochs in their own order.
     n_trials : int
     rng : `~numpy.random.Generator`
     shift : tuple of float, optional
@@ -100,15 +130,28 @@ def shuffle_epochs(pair_maps, pairs, grid, n_trials, *, rng, shift=None, progres
         s1, s2 = shift
         shifts = [(s1, 0.0), (-s1, 0.0), (0.0, s2), (0.0, -s2)]
         parts = [(orders[i::4], s) for i, s in enumerate(shifts)]
-    total = np.zeros(grid.shape)
-    squares = np.zeros(grid.shape)
-    for some, offset in parts:
-        for block in pair_maps.stacks(pairs, grid, some, shift=offset):
-            total += block.sum(axis=0)
-            squares += np.einsum("tij,tij->ij", block, block)
-            if progress is not None:
-                progress(len(block))
+
+    def trials():
+        for some, offset in parts:
+            yield from pair_maps.stacks(pairs, grid, some, shift=offset)
+
+    total, squares = np.zeros(grid.shape), np.zeros(grid.shape)
+    larger = np.zeros(grid.shape, dtype=int)
+    for block in trials():
+        total += block.sum(axis=0)
+        squares += np.einsum("tij,tij->ij", block, block)
+        larger += (block >= observed).sum(axis=0)
+        if progress is not None:
+            progress(len(block))
     mean = total / n_trials
     variance = np.maximum(squares / n_trials - mean**2, 0.0)
     std = np.sqrt(variance * n_trials / (n_trials - 1))
-    return ShuffledStacks(mean, std, n_trials)
+    # The z-scores need mean and spread first; trials are cheaper to make
+    # twice than to keep.
+    maxima = [_z_score(block, mean, std).max(axis=(1, 2)) for block in trials()]
+    return ShuffledStacks(
+        mean=mean,
+        std=std,
+        p_local=(larger + 1) / (n_trials + 1),
+        maxima=np.sort(np.concatenate(maxima)),
+    )

@@ -1,0 +1,23 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Measurement: what an array of matches means in angles, years and tables."""
+
+from astro_scc.measurement.errors import (
+    angular_displacements,
+    beam_fwhm,
+    position_errors,
+    ssp_offsets,
+)
+from astro_scc.measurement.result import MatchedEpochs, SCCResult
+from astro_scc.measurement.tables import component_table, ssp_table, versions
+
+__all__ = [
+    "MatchedEpochs",
+    "SCCResult",
+    "angular_displacements",
+    "beam_fwhm",
+    "component_table",
+    "position_errors",
+    "ssp_offsets",
+    "ssp_table",
+    "versions",
+]

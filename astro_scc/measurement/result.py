@@ -1,0 +1,297 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What a measurement found."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+from astropy.nddata import NDData
+from astropy.table import Column
+from astropy.wcs import WCS
+
+from astro_scc.correlation import Matches
+from astro_scc.decomposition import SSPs
+from astro_scc.epochs import EpochCube
+from astro_scc.kinematics import RadialFrame
+from astro_scc.measurement.tables import component_table, ssp_table
+from astro_scc.stacking import (
+    Component,
+    DatePairs,
+    Displacements,
+    JitteredVelocity,
+    ShuffledStacks,
+    VelocityGrid,
+)
+from astro_scc.stacking.stack import velocities
+
+__all__ = ["MatchedEpochs", "SCCResult"]
+
+#: A match belongs to a component within this many of its standard errors.
+MEMBER_SIGMA = 2.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MatchedEpochs:
+    """
+    Epochs decomposed and correlated: all that a stack needs but the dates.
+
+    Attributes
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decompositions : tuple of `~astro_scc.decomposition.Decomposition`
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+    select : `~numpy.ndarray` of bool, shape (n_ssps,)
+        The SSPs of the region.
+    matches : `~astro_scc.correlation.Matches`
+    """
+
+    cube: EpochCube
+    decompositions: tuple
+    ssps: SSPs
+    select: np.ndarray
+    matches: Matches
+
+    def __repr__(self):
+        return (
+            f"<MatchedEpochs: {len(self.cube)} epochs, "
+            f"{int(self.select.sum())} SSPs, {len(self.matches)} matches>"
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SCCResult:
+    """
+    The stacked cross-correlation of a cube and its velocity components.
+
+    Attributes
+    ----------
+    matched : `MatchedEpochs`
+    frame : frame of `astro_scc.kinematics`
+        The two velocity axes.
+    position_angle : `~astropy.units.Quantity`
+        Direction of the jet, to which ``pm_parallel`` refers.
+    pairs : `~astro_scc.stacking.DatePairs`
+    displacements : `~astro_scc.stacking.Displacements`
+    grid : `~astro_scc.stacking.VelocityGrid`
+        In mas/yr.
+    coefficient, z_score : `~numpy.ndarray`, shape ``grid.shape``
+        The stack and its significance.
+    shuffled : `~astro_scc.stacking.ShuffledStacks`
+    maxima : tuple of `~astro_scc.stacking.Component`
+    errors : tuple of `~astro_scc.stacking.JitteredVelocity`
+        One a maximum.
+    meta : dict
+        Settings, seed and versions.
+    """
+
+    matched: MatchedEpochs
+    frame: object
+    position_angle: u.Quantity
+    pairs: DatePairs
+    displacements: Displacements
+    grid: VelocityGrid
+    coefficient: np.ndarray
+    z_score: np.ndarray
+    shuffled: ShuffledStacks
+    maxima: tuple[Component, ...]
+    errors: tuple[JitteredVelocity, ...]
+    meta: dict = field(default_factory=dict)
+
+    def __repr__(self):
+        return f"<SCCResult: {len(self.maxima)} components of {self.matched.cube!r}>"
+
+    @property
+    def cube(self):
+        """The epochs that were measured."""
+        return self.matched.cube
+
+    @cached_property
+    def ssps(self):
+        """The SSPs of all epochs as a `~astropy.table.QTable`."""
+        return ssp_table(self.matched.ssps, self.cube, select=self.matched.select)
+
+    @cached_property
+    def components(self):
+        """
+        The velocity components, a `~astropy.table.QTable`.
+
+        One row a component, by falling coefficient; zero rows with all
+        columns if there is none.  Its meta holds the settings, the seed
+        and the versions.
+        """
+        rows = [
+            self._row(number, *both)
+            for number, both in enumerate(
+                zip(self.maxima, self.errors, strict=True), start=1
+            )
+        ]
+        return component_table(rows, meta=dict(self.meta))
+
+    def components_in_c(self, *, redshift=None, cosmology=None, distance=None):
+        """
+        The components with apparent speeds in units of c.
+
+        Parameters
+        ----------
+        redshift : float, optional
+            Needs a ``cosmology``.
+        cosmology : `~astropy.cosmology.FLRW`, optional
+        distance : `~astropy.units.Quantity`, optional
+            Of a nearby source, instead of both.
+
+        Returns
+        -------
+        `~astropy.table.QTable`
+            `components` with the columns ``beta_app`` and ``beta_app_err``,
+            the speed ``pm`` in units of c.
+
+        Raises
+        ------
+        ValueError
+            If neither a redshift with a cosmology nor a distance is given.
+        """
+        from astro_scc.kinematics import apparent_speed
+
+        how = {"redshift": redshift, "cosmology": cosmology, "distance": distance}
+        table = self.components.copy()
+        for name in ("pm", "pm_err"):
+            speed = apparent_speed(table[name], **how)
+            table[name.replace("pm", "beta_app")] = Column(
+                u.Quantity(speed).to_value(u.dimensionless_unscaled),
+                description=f"{name} in units of c",
+            )
+        table.meta.update({k: v for k, v in how.items() if v is not None})
+        return table
+
+    def velocity_map(self, which="coefficient"):
+        """
+        The stack as an image with velocity coordinates.
+
+        Parameters
+        ----------
+        which : {"coefficient", "z_score"}
+
+        Returns
+        -------
+        `~astropy.nddata.NDData`
+            Its WCS is linear in mas/yr along the two axes of the frame.
+
+        Raises
+        ------
+        ValueError
+            For another name.
+        """
+        if which not in ("coefficient", "z_score"):
+            raise ValueError(f"unknown map {which!r}: use 'coefficient' or 'z_score'")
+        wcs = WCS(naxis=2)
+        wcs.wcs.ctype = [name.upper()[:8] for name in self.frame.axis_names]
+        wcs.wcs.cunit = ["mas/yr", "mas/yr"]
+        wcs.wcs.crpix = [(n + 1) / 2 for n in self.grid.shape[::-1]]
+        wcs.wcs.crval = [0.0, 0.0]
+        wcs.wcs.cdelt = self.grid.step
+        return NDData(
+            getattr(self, which), wcs=wcs, meta={"axes": self.frame.axis_names}
+        )
+
+    def members(self, number):
+        """
+        The matches that make a component.
+
+        Parameters
+        ----------
+        number : int
+            Of the component, from 1.
+
+        Returns
+        -------
+        `~numpy.ndarray` of int
+            Indices into ``displacements``: matches between dates of the
+            stack within two standard errors of the component's velocity on
+            both axes.
+
+        Raises
+        ------
+        ValueError
+            If there is no such component.
+        """
+        if not 1 <= number <= len(self.maxima):
+            raise ValueError(f"no component {number}: there are {len(self.maxima)}")
+        peak = self.maxima[number - 1]
+        index, v1, v2, s1, s2, _ = velocities(self.displacements, self.pairs)
+        near = (np.abs(v1 - peak.v1) <= MEMBER_SIGMA * s1) & (
+            np.abs(v2 - peak.v2) <= MEMBER_SIGMA * s2
+        )
+        return index[near]
+
+    def plot(self, **kwargs):
+        """
+        Draw the velocity map with its components.
+
+        Parameters
+        ----------
+        **kwargs
+            Passed to `astro_scc.visualization.plot_velocity_map`.
+
+        Returns
+        -------
+        `matplotlib.figure.Figure`
+        """
+        from astro_scc.visualization import plot_velocity_map
+
+        return plot_velocity_map(self, **kwargs)
+
+    def _row(self, number, peak, error):
+        velocity = np.array([peak.v1, peak.v2])
+        covariance = np.array(
+            [
+                [error.err1**2, error.covariance],
+                [error.covariance, error.err2**2],
+            ]
+        )
+        member = self.members(number)
+        d = self.displacements
+        row = {
+            "component": number,
+            "coefficient": peak.coefficient,
+            "z_score": float(self.z_score[peak.row, peak.column]),
+            "p_local": float(self.shuffled.p_local[peak.row, peak.column]),
+            "p_global": self.shuffled.p_global(self.z_score[peak.row, peak.column]),
+            "n_ssp": len(np.unique(d.ssp[member])),
+            "n_pairs": len(
+                np.unique(d.reference[member] * d.n_epochs + d.target[member])
+            ),
+        }
+        row.update(_vectors(velocity, covariance, self.frame, self.position_angle))
+        return row
+
+
+def _vectors(velocity, covariance, frame, position_angle):
+    """Components of a velocity and their errors, on the sky and to the jet."""
+    if not isinstance(frame, RadialFrame):
+        to_sky = np.linalg.inv(frame.matrix(0.0, 0.0))
+        sky, sky_covariance = to_sky @ velocity, to_sky @ covariance @ to_sky.T
+        pa = position_angle.to_value(u.rad)
+        jet = np.array([[np.sin(pa), np.cos(pa)], [np.cos(pa), -np.sin(pa)]])
+        along, along_covariance = jet @ sky, jet @ sky_covariance @ jet.T
+    else:
+        # Away from a point there is no one direction on the sky.
+        sky, sky_covariance = np.full(2, np.nan), np.full((2, 2), np.nan)
+        along, along_covariance = velocity, covariance
+    speed = float(np.hypot(*along))
+    unit = along / speed if speed > 0 else np.array([1.0, 0.0])
+    across = np.array([-unit[1], unit[0]])
+    speed_err = np.sqrt(unit @ along_covariance @ unit)
+    pa_err = (
+        np.inf if speed == 0 else np.sqrt(across @ along_covariance @ across) / speed
+    )
+    names = ("pm_ra_cosdec", "pm_dec", "pm_parallel", "pm_transverse")
+    row = dict(zip(names, map(float, (*sky, *along)), strict=True))
+    variances = (*np.diag(sky_covariance), *np.diag(along_covariance))
+    for name, variance in zip(names, variances, strict=True):
+        row[f"{name}_err"] = float(np.sqrt(variance))
+    row["pm"], row["pm_err"] = speed, float(speed_err)
+    row["pm_pa"] = float(np.degrees(np.arctan2(*sky)) % 360)
+    row["pm_pa_err"] = float(min(np.degrees(pa_err), 180.0))
+    return row

@@ -1,0 +1,148 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Results as tables of quantities."""
+
+from importlib.metadata import PackageNotFoundError, version
+
+import astropy.units as u
+import numpy as np
+from astropy.table import Column, QTable
+
+from astro_scc.decomposition import scale_size
+from astro_scc.measurement.errors import beam_fwhm, position_errors, ssp_offsets
+
+__all__ = ["PM_UNIT", "component_table", "ssp_table", "versions"]
+
+PM_UNIT = u.mas / u.yr
+
+DESCRIPTIONS = {
+    "component": "number of the component, by falling coefficient",
+    "pm_ra_cosdec": "proper motion to the east",
+    "pm_dec": "proper motion to the north",
+    "pm": "proper motion, its length",
+    "pm_pa": "direction of the proper motion, north through east",
+    "pm_parallel": "proper motion along the jet",
+    "pm_transverse": "proper motion across the jet, positive to larger angles",
+    "coefficient": "stacked correlation coefficient",
+    "z_score": "(coefficient - mean) / std of shuffled epochs (paper)",
+    "p_local": "p-value of the coefficient at this velocity, shuffled epochs",
+    "p_global": "p-value against the largest z-score of any velocity",
+    "n_ssp": "SSPs with a match at the component's velocity",
+    "n_pairs": "pairs of epochs with a match at the component's velocity",
+}
+
+
+def versions():
+    """
+    Versions of this package and of what its numbers depend on.
+
+    Returns
+    -------
+    dict of str
+    """
+    found = {}
+    for name in ("astro_scc", "numpy", "scipy", "astropy", "scikit-image"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+def ssp_table(ssps, cube, *, select=None):
+    """
+    The catalogue of SSPs with sky positions and errors.
+
+    Parameters
+    ----------
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+    cube : `~astro_scc.epochs.EpochCube`
+    select : array_like of bool, shape (n_ssps,), optional
+        Which SSPs were used, for the column ``in_region``.
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        One row an SSP.  Positions ``east`` and ``north`` are offsets of the
+        maximum from the reference pixel, with thermal errors
+        ``beam / (sqrt(2) SNR)``.
+    """
+    n = len(ssps)
+    select = np.ones(n, bool) if select is None else np.asarray(select, bool)
+    east, north = ssp_offsets(ssps, cube)
+    east_centroid, north_centroid = ssp_offsets(ssps, cube, centroid=True)
+    fwhm = beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
+    error = position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
+    size = np.array([scale_size(s) for s in ssps.scale], dtype=float)
+    dates = cube.times.isot[ssps.epoch] if n else np.empty(0, dtype="U23")
+    table = QTable(
+        {
+            "ssp": np.arange(n),
+            "epoch": ssps.epoch,
+            "date": dates,
+            "scale": ssps.scale,
+            "scale_size": size * cube.pixel_scale,
+            "x": ssps.x * u.pix,
+            "y": ssps.y * u.pix,
+            "east": east * u.mas,
+            "north": north * u.mas,
+            "east_err": error[:, 0] * u.mas,
+            "north_err": error[:, 1] * u.mas,
+            "east_centroid": east_centroid * u.mas,
+            "north_centroid": north_centroid * u.mas,
+            "peak": ssps.peak * cube.unit,
+            "flux": ssps.flux * cube.unit,
+            "snr": ssps.snr,
+            "n_pixels": ssps.n_pixels,
+            "in_region": select,
+        }
+    )
+    table["flux"].info.description = "sum of the wavelet coefficients of the pixels"
+    return table
+
+
+def component_table(rows, *, meta=None):
+    """
+    Velocity components as a table.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+        One a component: the columns as plain numbers, proper motions in
+        mas/yr and angles in degrees.  May be empty.
+    meta : dict, optional
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        All columns are there with their units even if there is no row.
+    """
+    units = {}
+    for name in ("pm_ra_cosdec", "pm_dec", "pm", "pm_pa", "pm_parallel",
+                 "pm_transverse"):  # fmt: skip
+        unit = u.deg if name == "pm_pa" else PM_UNIT
+        units[name] = units[f"{name}_err"] = unit
+    names = [
+        "component",
+        *units,
+        "coefficient",
+        "z_score",
+        "p_local",
+        "p_global",
+        "n_ssp",
+        "n_pairs",
+    ]
+    integers = {"component", "n_ssp", "n_pairs"}
+    table = QTable()
+    for name in names:
+        dtype = int if name in integers else float
+        values = np.array([row[name] for row in rows], dtype=dtype)
+        if name in units:
+            table[name] = values * units[name]
+            table[name].info.description = DESCRIPTIONS.get(
+                name, f"standard error of {name.removesuffix('_err')}"
+            )
+        else:
+            table[name] = Column(values, description=DESCRIPTIONS[name])
+    table.meta.update(meta or {})
+    return table
