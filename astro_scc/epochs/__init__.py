@@ -6,16 +6,20 @@ from astro_scc.epochs.component_files import read_components
 from astro_scc.epochs.components import ComponentList
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.epoch_files import write_epochs
+from astro_scc.epochs.fits import read_vlbi_fits
 from astro_scc.epochs.noise import correlated_noise
 from astro_scc.epochs.restoring import offset_wcs, restore
+from astro_scc.epochs.statistics import measure_noise
 
 __all__ = [
     "Beam",
     "ComponentList",
     "EpochCube",
     "correlated_noise",
+    "measure_noise",
     "offset_wcs",
     "read_components",
+    "read_vlbi_fits",
     "restore",
     "write_epochs",
 ]

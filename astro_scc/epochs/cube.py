@@ -10,6 +10,7 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.offset_grid import OffsetGrid
 from astro_scc.epochs.validation import (
     as_beams,
     as_celestial,
@@ -25,7 +26,7 @@ __all__ = ["EpochCube"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EpochCube:
+class EpochCube(OffsetGrid):
     """
     Images of one object at many dates on one pixel grid.
 
@@ -376,82 +377,10 @@ class EpochCube:
         meta = {**meta, "history": [*meta.get("history", ()), line]}
         return replace(self, meta=meta, **changes)
 
-    # -- the grid -----------------------------------------------------------
-
     @property
     def shape(self):
         """Shape of the data, (n_epochs, ny, nx)."""
         return self.data.shape
-
-    @property
-    def pixel_matrix(self):
-        """
-        Offsets (east, north) of one pixel step in (x, y), shape (2, 2).
-
-        ``(east, north) = pixel_matrix @ (dx, dy)``, the CD matrix of the
-        WCS as angles.
-        """
-        return (self.wcs.pixel_scale_matrix * u.deg).to(u.mas)
-
-    @property
-    def pixel_scale(self):
-        """Side of a square pixel of the same area."""
-        return np.sqrt(np.abs(np.linalg.det(self.pixel_matrix.value))) * u.mas
-
-    @property
-    def reference_pixel(self):
-        """(x, y) of the origin of offsets, counted from 0."""
-        x, y = self.wcs.wcs.crpix - 1
-        return float(x), float(y)
-
-    def pixel_to_offset(self, x, y):
-        """
-        Offsets from the reference pixel, in its tangent plane.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Pixels, counted from 0.
-
-        Returns
-        -------
-        east, north : `~astropy.units.Quantity`
-            In mas, of the shape of ``x`` and ``y``.
-        """
-        x0, y0 = self.reference_pixel
-        step = np.stack(np.broadcast_arrays(np.subtract(x, x0), np.subtract(y, y0)))
-        east, north = np.tensordot(self.pixel_matrix.value, step, axes=1)
-        return east * u.mas, north * u.mas
-
-    def offset_to_pixel(self, east, north):
-        """
-        Pixels of offsets, the inverse of `pixel_to_offset`.
-
-        Parameters
-        ----------
-        east, north : `~astropy.units.Quantity`
-
-        Returns
-        -------
-        x, y : `numpy.ndarray`
-            Pixels, counted from 0.
-        """
-        x0, y0 = self.reference_pixel
-        east, north = (u.Quantity(v).to_value(u.mas) for v in (east, north))
-        offset = np.stack(np.broadcast_arrays(east, north))
-        x, y = np.tensordot(np.linalg.inv(self.pixel_matrix.value), offset, axes=1)
-        return x + x0, y + y0
-
-    def offsets(self):
-        """
-        Offsets of all pixels from the reference pixel.
-
-        Returns
-        -------
-        east, north : `~astropy.units.Quantity`, shape (ny, nx)
-        """
-        y, x = np.indices(self.shape[1:])
-        return self.pixel_to_offset(x, y)
 
     # -- facts ---------------------------------------------------------------
 
@@ -469,19 +398,9 @@ class EpochCube:
         ``major``, ``minor``, ``pa``, then ``noise`` (given or measured),
         ``object`` and ``frequency`` (NaN where unknown).
         """
-        from astropy.table import QTable
+        from astro_scc.epochs.description import epoch_table
 
-        table = QTable({"epoch": np.arange(len(self)), "label": list(self.labels)})
-        table["date"] = Time(self.times, format="isot")
-        if self.beams is not None:
-            table["major"] = u.Quantity([beam.major for beam in self.beams])
-            table["minor"] = u.Quantity([beam.minor for beam in self.beams])
-            table["pa"] = u.Quantity([beam.pa for beam in self.beams])
-        table["noise"] = self.noise_rms()
-        table["object"] = [str(m.get("object", "")) for m in self.epoch_meta]
-        frequency = [m.get("frequency", np.nan) for m in self.epoch_meta]
-        table["frequency"] = (frequency * u.Hz).to(u.GHz)
-        return table
+        return epoch_table(self)
 
     def noise_rms(self):
         """
@@ -562,30 +481,11 @@ class EpochCube:
     # -- how it looks --------------------------------------------------------
 
     def __repr__(self):
-        n, ny, nx = self.shape
-        dates = date_labels(self.times)
-        parts = [f"{n} epochs {dates[0]} to {dates[-1]}"]
-        if n == 1:
-            parts = [f"1 epoch {dates[0]}"]
-        parts.append(f"{nx} x {ny} pixels of {_readable(self.pixel_scale)}")
-        if self.unit != u.dimensionless_unscaled:
-            parts.append(f"{self.unit}")
-        if self.beams is not None:
-            same = all(beam == self.beams[0] for beam in self.beams)
-            parts.append(f"beam {self.beams[0]}" if same else "beams that differ")
-        return f"<EpochCube {', '.join(parts)}>"
+        from astro_scc.epochs.description import describe
+
+        return f"<EpochCube {describe(self)}>"
 
     def _repr_html_(self):
         from html import escape
 
         return f"<p>{escape(repr(self)[1:-1])}</p>" + self.epochs._repr_html_()
-
-
-def _readable(angle):
-    """An angle in the unit in which it is between 0.1 and 1000 or so."""
-    for unit in (u.deg, u.arcsec, u.mas):
-        if angle.to_value(unit) >= 0.1:
-            break
-    else:
-        unit = u.uas if angle.to_value(u.mas) < 0.01 else u.mas
-    return f"{angle.to_value(unit):.4g} {unit}"

@@ -14,11 +14,10 @@ from astropy.nddata import CCDData
 from astro_scc.epochs.headers import (
     axis_kind,
     celestial_wcs,
-    get,
     header_beam,
     header_facts,
-    parse_unit,
 )
+from astro_scc.epochs.keywords import get, parse_unit
 from astro_scc.exceptions import EpochWarning
 
 __all__ = ["read_image", "read_vlbi_fits"]
@@ -135,8 +134,9 @@ def _open(path, hdu, memmap):
 
 
 def _broken(error):
-    lines = str(error).strip().splitlines() or [type(error).__name__]
-    return _NoImageError(f"cannot be read as FITS, it is broken or no FITS: {lines[0]}")
+    # The first sentence of the reason; the rest is advice for callers of astropy.
+    reason = re.split(r"[.,;:] |\n", str(error).strip())[0] or type(error).__name__
+    return _NoImageError(f"cannot be read as FITS, it is broken or no FITS: {reason}")
 
 
 def _image(hdus, which, path):

@@ -7,6 +7,7 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.keywords import parse_date
 
 __all__ = [
     "as_beam",
@@ -62,8 +63,6 @@ def as_mask(data, mask, labels):
 
 def as_times(times, n):
     """Dates as a Time of shape (n,)."""
-    from astro_scc.epochs.headers import parse_date
-
     if not isinstance(times, Time):
         if isinstance(times, str) or not np.iterable(times):
             times = [times]

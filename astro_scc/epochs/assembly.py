@@ -1,0 +1,357 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Single images, from files or in memory, put together to a cube."""
+
+import glob
+import os
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.time import Time
+from astropy.wcs import WCS, WCSSUB_LATITUDE, WCSSUB_LONGITUDE
+
+from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.consistency import find_odd, find_same_dates, looks_like_mask
+from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.fits import read_image
+from astro_scc.epochs.gridding import FRAMES, lay_on_one_grid
+from astro_scc.epochs.headers import header_beam, header_facts, observing_time
+from astro_scc.epochs.keywords import get
+from astro_scc.epochs.validation import as_beams, as_celestial, as_times
+from astro_scc.exceptions import EpochWarning
+
+__all__ = ["cube_from_files", "cube_from_images", "cube_from_ndcube", "find_files"]
+
+# Reference pixels further apart than this part of the image are more than
+# the scatter of VLBI positions.
+FAR = 0.05
+
+
+@dataclass
+class Plane:
+    """One image on its own grid, with what its header says."""
+
+    name: str
+    data: np.ndarray
+    mask: np.ndarray
+    unit: u.UnitBase
+    wcs: WCS
+    time: Time
+    beam: Beam | None
+    facts: dict
+    label: str | None = None
+
+    @property
+    def extent(self):
+        """Size of the image in degrees."""
+        ny, nx = self.data.shape
+        return float(np.max(np.hypot(*self.wcs.pixel_scale_matrix) * [nx, ny]))
+
+
+def find_files(paths):
+    """
+    Files that paths and patterns stand for, each once.
+
+    Parameters
+    ----------
+    paths : str, path-like, or sequence of them
+
+    Returns
+    -------
+    list of `~pathlib.Path`
+        In the order given, those of a pattern in alphabetical order.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a file does not exist or nothing matches a pattern.
+    TypeError
+        If something is not a path.
+    """
+    if isinstance(paths, str | os.PathLike):
+        paths = [paths]
+    try:
+        names = [os.path.expanduser(os.fspath(path)) for path in paths]
+    except TypeError:
+        raise TypeError(
+            f"paths must be file names or a pattern, got {paths!r}"
+        ) from None
+    found = []
+    for name in names:
+        if not isinstance(name, str):
+            raise TypeError(f"paths must be text, got {name!r}")
+        if os.path.exists(name):
+            found.append(name)
+        elif glob.has_magic(name):
+            matches = sorted(p for p in glob.glob(name, recursive=True))
+            found += [match for match in matches if not os.path.isdir(match)]
+            if not matches:
+                raise FileNotFoundError(f"{name}: no file matches this pattern")
+        else:
+            raise FileNotFoundError(f"{name}: no such file")
+    if not found:
+        raise FileNotFoundError("no files were given")
+    return [Path(name) for name in dict.fromkeys(found)]
+
+
+def cube_from_files(paths, *, frame, times, beams, hdu, check):
+    """See `EpochCube.read`."""
+    from astro_scc.epochs.serialize import is_cube_file, read_cube
+
+    _check_frame(frame)
+    files = find_files(paths)
+    if len(files) == 1 and is_cube_file(files[0]):
+        if times is not None or beams is not None or hdu is not None:
+            raise ValueError(f"{files[0]}: an EpochCube; it has its dates and beams")
+        return read_cube(files[0])
+    times, beams = _given(times, beams, len(files))
+    names = [path.name for path in files]
+    if len(set(names)) < len(names):
+        names = [str(path) for path in files]
+
+    planes = []
+    remarks = {}
+    for path, name, time, beam in zip(files, names, times, beams, strict=True):
+        image, notes = read_image(path, hdu=hdu)
+        for note in notes:
+            if not (beam is not None and note.startswith("its beam")):
+                remarks.setdefault(note, []).append(name)
+        if check and looks_like_mask(image.data):
+            raise ValueError(
+                f"{path}: has no more than two different values, it seems to be a "
+                "mask; leave it out (or read with check=False)"
+            )
+        planes.append(_plane(image, str(path), time, beam))
+        planes[-1].label = name
+    for note, where in remarks.items():
+        _warn(f"{_some(where)}: {note}")
+    return _assemble(planes, frame, check, f"{len(files)} FITS images")
+
+
+def cube_from_images(images, *, times, beams, frame, check):
+    """See `EpochCube.from_ccddata`."""
+    _check_frame(frame)
+    images = list(images)
+    times, beams = _given(times, beams, len(images))
+    planes = []
+    for i, (image, time, beam) in enumerate(zip(images, times, beams, strict=True)):
+        plane = _plane(image, f"image {i}", time, beam)
+        plane.label = get(image.meta, "LABEL", kind=str)
+        planes.append(plane)
+    return _assemble(planes, frame, check, f"{len(images)} images")
+
+
+def cube_from_ndcube(ndcube, *, times, beams):
+    """See `EpochCube.from_ndcube`."""
+    if isinstance(ndcube.data, list | tuple):
+        return cube_from_images(
+            ndcube.data, times=times, beams=beams, frame="offset", check=True
+        )
+    wcs = getattr(ndcube.wcs, "low_level_wcs", ndcube.wcs)
+    data = np.asarray(ndcube.data)
+    if not isinstance(wcs, WCS) or not wcs.has_celestial or data.ndim != 3:
+        raise ValueError(
+            "an NDCube must have three axes, two of them celestial, and a FITS WCS; "
+            "EpochCube.from_arrays takes what has none"
+        )
+    mask = np.broadcast_to(False if ndcube.mask is None else ndcube.mask, data.shape)
+    if wcs.naxis == 3:
+        # Array axes run against the order of WCS axes.
+        lon, lat = wcs.wcs.lng, wcs.wcs.lat
+        order = [2 - ({0, 1, 2} - {lon, lat}).pop(), 2 - lat, 2 - lon]
+        data, mask = data.transpose(order), mask.transpose(order)
+    return EpochCube(
+        data=data,
+        times=_ndcube_times(ndcube) if times is None else times,
+        wcs=wcs.sub([WCSSUB_LONGITUDE, WCSSUB_LATITUDE]),
+        unit=ndcube.unit,
+        mask=mask,
+        beams=beams,
+        meta={"history": ["from an NDCube"]},
+    )
+
+
+def _ndcube_times(ndcube):
+    for coordinates in (ndcube.wcs, ndcube.extra_coords):
+        try:
+            world = ndcube.axis_world_coords(wcs=coordinates)
+        except (AttributeError, TypeError, ValueError):
+            continue
+        for values in world:
+            if isinstance(values, Time):
+                return values
+    raise ValueError("the NDCube has no coordinate of type Time; give times=")
+
+
+def _check_frame(frame):
+    if frame not in FRAMES:
+        raise ValueError(f"frame must be 'offset' or 'absolute', got {frame!r}")
+
+
+def _given(times, beams, n):
+    """Dates and beams that the user gives, None where there is none."""
+    if n == 0:
+        raise ValueError("a cube needs at least one image")
+    if times is None:
+        times = [None] * n
+    elif not isinstance(times, Time):
+        times = [times] if isinstance(times, str) else list(times)
+        times = [t if t is None else as_times([t], 1)[0] for t in times]
+    elif times.isscalar:
+        times = [times]
+    if len(times) != n:
+        raise ValueError(f"{n} images need {n} times, got {len(times)}")
+    return times, as_beams(beams, n) or [None] * n
+
+
+def _plane(image, name, time, beam):
+    """An image with what its header says, errors and warnings with its name."""
+    data = np.ma.getdata(image.data)
+    mask = ~np.isfinite(data)
+    if image.mask is not None:
+        mask |= np.asarray(image.mask, dtype=bool)
+    if data.ndim < 2 or np.prod(data.shape[:-2]) != 1:
+        raise ValueError(f"{name}: has shape {data.shape}, an image has two axes")
+    if mask.all():
+        raise ValueError(f"{name}: no valid pixel; leave it out")
+    try:
+        if image.wcs is None:
+            raise ValueError("it has no WCS; use EpochCube.from_arrays")
+        wcs = as_celestial(image.wcs)
+        time = observing_time(image.meta) if time is None else time
+        if time is None:
+            raise ValueError("no date of observation (DATE-OBS, MJD-OBS); give times=")
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: {error}") from None
+    if beam is None:
+        try:
+            beam = header_beam(image.meta)
+        except ValueError as error:
+            _warn(f"{name}: its beam is taken as unknown: {error}")
+    return Plane(
+        name=name,
+        data=data.reshape(data.shape[-2:]),
+        mask=mask.reshape(data.shape[-2:]),
+        unit=image.unit or u.dimensionless_unscaled,
+        wcs=wcs,
+        time=time,
+        beam=beam,
+        facts=header_facts(image.meta),
+    )
+
+
+def _assemble(planes, frame, check, source):
+    """A cube of images that are each on their own grid."""
+    times = Time([plane.time for plane in planes])
+    order = np.argsort((times - times[0]).jd, kind="stable")
+    planes, times = [planes[i] for i in order], times[order]
+    for i, k in find_same_dates(times):
+        _warn(
+            f"{planes[i].name} and {planes[k].name} are both of {times[i].isot[:10]}; "
+            "leave one out if it is a stack or another image of the same data"
+        )
+    if check:
+        _refuse_odd(planes)
+    unit = planes[0].unit
+    for plane in planes:
+        try:
+            factor = plane.unit.to(unit)
+        except u.UnitConversionError:
+            raise ValueError(
+                f"{plane.name}: is in {plane.unit or 'no unit'}, which is not "
+                f"{unit or 'dimensionless'} as {planes[0].name} is"
+            ) from None
+        if factor != 1:
+            plane.data = plane.data * factor
+            plane.unit = unit
+    if frame == "offset":
+        _warn_of_distances(planes)
+    grid = lay_on_one_grid(planes, frame)
+    if grid.resampled:
+        ny, nx = grid.data.shape[1:]
+        _warn(
+            f"{_some(grid.resampled)}: on another grid than the finest and therefore "
+            f"resampled to it; all are {nx} x {ny} pixels, masked outside each image"
+        )
+    laid = "reference pixels" if frame == "offset" else "absolute coordinates"
+    names = {plane.facts.get("object") for plane in planes} - {None}
+    labelled = all(plane.label for plane in planes)
+    return EpochCube(
+        data=grid.data,
+        times=times,
+        wcs=grid.wcs,
+        unit=unit,
+        mask=grid.mask,
+        beams=_all_or_none(planes),
+        labels=[plane.label for plane in planes] if labelled else (),
+        epoch_wcs=grid.epoch_wcs,
+        epoch_meta=[plane.facts for plane in planes],
+        meta={
+            **({"object": names.pop()} if len(names) == 1 else {}),
+            "history": [f"{source}, laid on their {laid}"],
+        },
+    )
+
+
+def _refuse_odd(planes):
+    odd = find_odd(
+        [plane.facts for plane in planes],
+        [plane.wcs.wcs.crval for plane in planes],
+        [plane.extent for plane in planes],
+    )
+    for i, what, fatal in odd:
+        if fatal:
+            raise ValueError(
+                f"{planes[i].name}: {what}; leave it out (or read with check=False)"
+            )
+        _warn(f"{planes[i].name}: {what}; leave it out if it is another object")
+
+
+def _warn_of_distances(planes):
+    first = planes[0]
+    lon, lat = np.array([plane.wcs.wcs.crval for plane in planes]).T
+    east = (lon - lon[0] + 180) % 360 - 180
+    distance = np.hypot(east * np.cos(np.radians(lat[0])), lat - lat[0])
+    k = int(np.argmax(distance))
+    if distance[k] > FAR * max(first.extent, planes[k].extent):
+        _warn(
+            f"{first.name} and {planes[k].name}: their reference pixels are "
+            f"{distance[k] * 3600:.4g} arcsec apart on the sky and are laid on one "
+            "another; use frame='absolute' where the coordinates are to be trusted"
+        )
+
+
+def _all_or_none(planes):
+    missing = [plane.name for plane in planes if plane.beam is None]
+    if missing and len(missing) < len(planes):
+        _warn(
+            f"{_some(missing)}: no beam where other epochs have one, so the cube has "
+            "none; give beams= to supply them"
+        )
+    return None if missing else [plane.beam for plane in planes]
+
+
+def _some(names):
+    """The first names of a list that may be long."""
+    names = [str(name) for name in names]
+    if len(names) <= 3:
+        return ", ".join(names)
+    return f"{', '.join(names[:2])} and {len(names) - 2} more"
+
+
+def _warn(message):
+    warnings.warn(message, EpochWarning, stacklevel=_outside())
+
+
+def _outside():
+    """Stack level of the first caller outside this folder."""
+    import sys
+
+    here = os.path.dirname(__file__)
+    level = 1
+    frame = sys._getframe(1)
+    while frame and os.path.dirname(frame.f_code.co_filename) == here:
+        frame, level = frame.f_back, level + 1
+    return level

@@ -1,0 +1,161 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Images that come on grids of their own, laid on one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from astropy.time import Time
+from astropy.wcs import WCS
+
+from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.reprojection import reproject_cube, shared_grid
+from astro_scc.epochs.resampling import grid_step, moved_wcs
+
+__all__ = ["FRAMES", "Grid", "lay_on_one_grid"]
+
+FRAMES = ("offset", "absolute")
+# Grids that agree to this part of a pixel all over the image are one grid.
+TOLERANCE = 0.01
+
+
+@dataclass(frozen=True)
+class Grid:
+    """
+    Images on one grid.
+
+    Attributes
+    ----------
+    data : `~numpy.ndarray`, shape (n, ny, nx)
+    mask : `~numpy.ndarray` of bool, shape (n, ny, nx)
+    wcs : `~astropy.wcs.WCS`
+    epoch_wcs : tuple of `~astropy.wcs.WCS`
+        Absolute coordinates of this grid by each image's own header.
+    resampled : tuple of str
+        Names of the images that were interpolated.
+    """
+
+    data: np.ndarray
+    mask: np.ndarray
+    wcs: WCS
+    epoch_wcs: tuple[WCS, ...]
+    resampled: tuple[str, ...]
+
+
+def lay_on_one_grid(planes, frame):
+    """
+    Lay images on the finest of their grids, as large as all of them.
+
+    Parameters
+    ----------
+    planes : sequence
+        With ``name``, ``data``, ``mask``, ``unit`` and ``wcs``.
+    frame : {"offset", "absolute"}
+        Whether reference pixels or celestial coordinates are laid on one
+        another.
+
+    Returns
+    -------
+    `Grid`
+        Images on the very same grid are stacked as they are; those that lie
+        whole pixels aside are moved without interpolation; others are
+        interpolated.  Pixels outside an image are masked.
+    """
+    first = planes[0]
+    shape = first.data.shape
+    if all(_same_grid(first, plane, frame) for plane in planes):
+        return Grid(
+            data=np.stack([plane.data for plane in planes]),
+            mask=np.stack([plane.mask for plane in planes]),
+            wcs=first.wcs,
+            epoch_wcs=tuple(plane.wcs for plane in planes),
+            resampled=(),
+        )
+    offset = frame == "offset"
+    frames = [_offset_frame(p.wcs) if offset else p.wcs for p in planes]
+    grid, shape = shared_grid(
+        [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
+    )
+    data = np.empty((len(planes), *shape))
+    mask = np.empty(data.shape, dtype=bool)
+    resampled = []
+    for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
+        data[i], mask[i], exact = _place(plane, wcs, grid, shape)
+        if not exact:
+            resampled.append(plane.name)
+    return Grid(
+        data=data,
+        mask=mask,
+        wcs=_own_frame(grid, first.wcs) if offset else grid,
+        epoch_wcs=tuple(_own_frame(grid, p.wcs) if offset else grid for p in planes),
+        resampled=tuple(resampled),
+    )
+
+
+def _same_grid(one, other, frame):
+    """Equal shape, projection, pixels and reference pixel."""
+    a, b = one.wcs.wcs, other.wcs.wcs
+    ny, nx = one.data.shape
+    if other.data.shape != (ny, nx) or [*a.ctype] != [*b.ctype]:
+        return False
+    step = np.linalg.solve(
+        one.wcs.pixel_scale_matrix,
+        other.wcs.pixel_scale_matrix - one.wcs.pixel_scale_matrix,
+    )
+    # The largest possible difference at the far corner of the image.
+    largest = np.abs(step) @ [nx, ny] + np.abs(a.crpix - b.crpix)
+    if np.any(largest > TOLERANCE):
+        return False
+    if frame == "offset":
+        return True
+    return (
+        np.array_equal(a.crval, b.crval)
+        and a.radesys == b.radesys
+        and np.array_equal(a.equinox, b.equinox, equal_nan=True)
+    )
+
+
+def _offset_frame(wcs):
+    """The WCS with its reference pixel at (0, 0) of a frame of offsets."""
+    local = wcs.deepcopy()
+    local.wcs.ctype = [
+        name + code[5:]
+        for name, code in zip(("RA---", "DEC--"), wcs.wcs.ctype, strict=True)
+    ]
+    local.wcs.crval = 0, 0
+    local.wcs.radesys = "ICRS"
+    local.wcs.equinox = np.nan
+    local.wcs.set()
+    return local
+
+
+def _own_frame(grid, own):
+    """The grid with the celestial frame and reference point of an image."""
+    wcs = grid.deepcopy()
+    wcs.wcs.ctype = [
+        name[:5] + code[5:]
+        for name, code in zip(own.wcs.ctype, grid.wcs.ctype, strict=True)
+    ]
+    wcs.wcs.crval = own.wcs.crval
+    wcs.wcs.radesys = own.wcs.radesys
+    wcs.wcs.equinox = own.wcs.equinox
+    wcs.wcs.lonpole = own.wcs.lonpole
+    wcs.wcs.latpole = own.wcs.latpole
+    wcs.wcs.set()
+    return wcs
+
+
+def _place(plane, wcs, grid, shape):
+    """Data and mask on the grid, and whether no interpolation was needed."""
+    step, pure = grid_step(wcs, grid, plane.data.shape, tolerance=TOLERANCE)
+    exact = pure and bool(np.all(np.abs(step - np.rint(step)) < TOLERANCE))
+    if exact:
+        wcs = moved_wcs(grid, -np.rint(step))
+    one = EpochCube(
+        data=plane.data[None],
+        times=Time([2000.0], format="jyear"),
+        wcs=wcs,
+        unit=plane.unit,
+        mask=plane.mask[None],
+    )
+    placed = reproject_cube(one, grid, shape)
+    return placed.data[0], placed.mask[0], exact
