@@ -43,8 +43,8 @@ def correlated_noise(shape, *, rms, beam=None, pixel_scale=None, rng=None):
     Raises
     ------
     ValueError
-        If ``rms`` is negative or not finite, or a beam comes without
-        ``pixel_scale``.
+        If ``rms`` is negative or not finite, or a beam comes without a
+        positive ``pixel_scale``.
 
     Examples
     --------
@@ -70,6 +70,8 @@ def correlated_noise(shape, *, rms, beam=None, pixel_scale=None, rng=None):
     # Offsets run east to the left: dx = -east / pixel, dy = north / pixel.
     flip = np.diag([-1.0, 1.0])
     scale = u.Quantity(pixel_scale).to_value(u.mas)
+    if not (np.isfinite(scale) and scale > 0):
+        raise ValueError(f"pixel_scale must be positive, got {pixel_scale}")
     covariance = flip @ beam.covariance.to_value(u.mas**2) @ flip / scale**2
     padding = int(np.ceil(PADDING * np.sqrt(np.trace(covariance))))
     padded = tuple(fft.next_fast_len(n + padding, real=True) for n in (ny, nx))
