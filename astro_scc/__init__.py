@@ -21,6 +21,7 @@ _FOLDERS = frozenset(
         "decomposition",
         "epochs",
         "kinematics",
+        "measurement",
         "simulation",
         "stacking",
         "visualization",
