@@ -9,15 +9,11 @@ from astro_scc.decomposition.wavelet import KERNELS, scale_kernel, scale_size
 __all__ = ["local_noise", "plane_noise", "propagated_noise"]
 
 MAD_TO_SIGMA = 1.482602218505602
+#: Share of a Gaussian's absolute values below ``DECILE_TO_SIGMA`` is a tenth.
+DECILE_TO_SIGMA = 1 / 0.12566134685507402
 #: Pixels above this many sigma belong to the source, with their surroundings.
 SOURCE_SNR = 5.0
 MAX_ITERATIONS = 25
-
-
-def _disk(radius):
-    reach = int(np.ceil(radius))
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    return x * x + y * y <= radius * radius
 
 
 def _mad(values):
@@ -30,9 +26,11 @@ def source_free(plane, scale, *, mask=None):
     """
     Pixels of a wavelet plane that show no source.
 
-    Pixels beyond 5 sigma, sigma from the median absolute value of all
-    others, are taken out together with a disk of one scale around them,
-    until sigma no longer falls.
+    Pixels beyond 5 sigma are taken out together with a disk of one scale
+    around them, sigma being ``1.4826 median |w|`` of all others, until
+    sigma stands still.  The first sigma is that of the faintest tenth of
+    the pixels, so that a source may fill most of the image; where that
+    leaves no sky, it is that of all pixels.
 
     Parameters
     ----------
@@ -48,15 +46,32 @@ def source_free(plane, scale, *, mask=None):
     sigma : float
     """
     valid = np.ones(plane.shape, dtype=bool) if mask is None else ~np.asarray(mask)
-    footprint = _disk(scale_size(scale))
-    free, sigma = valid, _mad(plane[valid])
-    for _ in range(MAX_ITERATIONS):
-        source = (np.abs(plane) > SOURCE_SNR * sigma) & valid
-        candidate = valid & ~ndimage.binary_dilation(source, footprint)
-        following = _mad(plane[candidate])
-        if not 0 < following < sigma:
+    values = np.abs(plane[valid])
+    values = values[values > 0]
+    if values.size == 0:
+        return valid, 0.0
+    everything = MAD_TO_SIGMA * float(np.median(values))
+    faintest = DECILE_TO_SIGMA * float(np.quantile(values, 0.1))
+    for start in (min(faintest, everything), everything):
+        free, sigma = _without_source(plane, scale_size(scale), valid, start)
+        if free is not valid:
             break
-        converged = following > 0.999 * sigma
+    return free, sigma
+
+
+def _without_source(plane, radius, valid, sigma):
+    """Iterate `source_free` from a first sigma."""
+    free = valid
+    for _ in range(MAX_ITERATIONS):
+        sky = (np.abs(plane) <= SOURCE_SNR * sigma) | ~valid
+        # Distances are undefined without any source.
+        far = valid if sky.all() else ndimage.distance_transform_edt(sky) > radius
+        candidate = valid & far
+        # A sky smaller than one disk is too small to tell a noise.
+        following = _mad(plane[candidate])
+        if candidate.sum() < np.pi * radius**2 or following == 0:
+            break
+        converged = abs(following - sigma) < 1e-3 * sigma
         free, sigma = candidate, following
         if converged:
             break
@@ -67,8 +82,10 @@ def plane_noise(plane, scale, *, mask=None):
     """
     Standard deviation of the noise of a wavelet plane, from the plane itself.
 
-    ``1.4826 median |w|`` of the pixels away from the source, see
-    `source_free`; pixels that are exactly zero (blanked) do not count.
+    ``1.4826 median |w|`` of the pixels that show no source, which are found
+    in turn: pixels beyond 5 sigma are taken out with a disk of one scale
+    around them until sigma stands still.  Pixels that are exactly zero
+    (blanked) do not count.
 
     Parameters
     ----------
@@ -81,6 +98,13 @@ def plane_noise(plane, scale, *, mask=None):
     Returns
     -------
     float
+        Zero if the plane is.
+
+    Notes
+    -----
+    Wavelets of a source reach about two scales (``b1``; four, ``b3``)
+    beyond it.  Where an image holds no sky so far out the number is too
+    large, and ``noise="propagated"`` of `Decomposer` is better.
 
     Examples
     --------
