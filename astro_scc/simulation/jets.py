@@ -126,6 +126,8 @@ class JetSimulation:
     def __post_init__(self):
         if isinstance(self.streams, Stream):
             raise ValueError("streams must be a sequence of Stream, got one Stream")
+        if len(self.streams) == 0:
+            raise ValueError("a jet needs at least one Stream")
         dates = self.dates
         if dates is None:
             if self.n_epochs < 1:
