@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from astro_scc.decomposition.noise import local_noise, plane_noise, propagated_noise
-from astro_scc.decomposition.segmentation import find_ssps
+from astro_scc.decomposition.segmentation import check_thresholds, find_ssps
 from astro_scc.decomposition.ssp import SSPs
 from astro_scc.decomposition.wavelet import scale_kernel, wavelet_planes
 
@@ -117,6 +117,7 @@ class Decomposer:
         scales = tuple(sorted({float(scale) for scale in self.scales}))
         if not scales:
             raise ValueError("at least one wavelet scale is needed")
+        check_thresholds(self.detection, self.segmentation)
         for scale in scales:
             scale_kernel(scale, self.kernel)
         if self.noise not in ("plane", "local", "propagated"):
@@ -146,12 +147,19 @@ class Decomposer:
         Raises
         ------
         ValueError
-            If the image is too small for the scales, or ``rms`` is missing.
+            If the image is too small for the scales or has no valid pixel,
+            the mask has not its shape, or ``rms`` is missing.
         """
         image = np.asarray(image, dtype=float)
         missing = ~np.isfinite(image)
         if mask is not None:
-            missing |= np.asarray(mask, dtype=bool)
+            mask = np.asarray(mask, dtype=bool)
+            if mask.shape != image.shape:
+                raise ValueError(
+                    f"the mask has shape {mask.shape}, the image {image.shape}: "
+                    "give one value for each pixel"
+                )
+            missing |= mask
         if missing.all():
             raise ValueError("the image has no valid pixel")
         # An offset would cost the digits that single precision has.
@@ -181,8 +189,10 @@ class Decomposer:
 
     def _noise(self, planes, missing, rms, beam_covariance):
         if self.noise == "propagated":
-            if rms is None:
-                raise ValueError("noise 'propagated' needs the rms of the image")
+            if rms is None or not 0 < rms < np.inf:
+                raise ValueError(
+                    f"noise 'propagated' needs the rms of the image, got {rms}"
+                )
             return propagated_noise(
                 rms, self.scales, beam_covariance=beam_covariance, kernel=self.kernel
             )

@@ -57,9 +57,31 @@ def quadratic_peak(values):
     return dy, dx, np.maximum(height, v[..., 1, 1])
 
 
-def _positions(plane, peaks):
+def check_thresholds(detection, segmentation):
+    """
+    Refuse thresholds that make no SSPs.
+
+    Parameters
+    ----------
+    detection, segmentation : float
+        In units of the noise.
+
+    Raises
+    ------
+    ValueError
+        If a threshold is not positive or ``segmentation > detection``.
+    """
+    if not 0 < segmentation <= detection:
+        raise ValueError(
+            "thresholds must satisfy 0 < segmentation <= detection, "
+            f"got segmentation {segmentation} and detection {detection}"
+        )
+
+
+def _positions(plane, valid, peaks):
     """Sub-pixel positions of maxima given as (y, x) pixels."""
-    padded = np.pad(plane, 1, mode="reflect")
+    # Beside a missing pixel there is no curvature, and the pixel counts.
+    padded = np.pad(np.where(valid, plane, np.nan), 1, mode="reflect")
     step = np.arange(3)
     rows = peaks[:, 0, None, None] + step[:, None]
     columns = peaks[:, 1, None, None] + step[None, :]
@@ -109,11 +131,7 @@ def find_ssps(plane, scale, noise, *, mask=None, detection=4.0, segmentation=3.0
     >>> len(ssps), float(ssps.x_centroid[0].round(1))
     (1, 20.3)
     """
-    if not 0 < segmentation <= detection:
-        raise ValueError(
-            "thresholds must satisfy 0 < segmentation <= detection, "
-            f"got segmentation {segmentation} and detection {detection}"
-        )
+    check_thresholds(detection, segmentation)
     plane = np.asarray(plane, dtype=float)
     noise = np.broadcast_to(np.asarray(noise, dtype=float), plane.shape)
     valid = np.ones(plane.shape, dtype=bool) if mask is None else ~np.asarray(mask)
@@ -137,10 +155,10 @@ def find_ssps(plane, scale, noise, *, mask=None, detection=4.0, segmentation=3.0
     markers = np.zeros(plane.shape, dtype=np.int32)
     markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
     labels = watershed(-plane, markers, connectivity=1, mask=significant)
-    return _catalogue(plane, scale, noise, labels, peaks)
+    return _catalogue(plane, scale, noise, valid, labels, peaks)
 
 
-def _catalogue(plane, scale, noise, labels, peaks):
+def _catalogue(plane, scale, noise, valid, labels, peaks):
     pixels = np.flatnonzero(labels)
     pixels = pixels[np.argsort(labels.flat[pixels], kind="stable")].astype(np.int32)
     owner = labels.flat[pixels] - 1
@@ -150,7 +168,7 @@ def _catalogue(plane, scale, noise, labels, peaks):
     py, px = np.unravel_index(pixels, plane.shape)
     weight = plane.flat[pixels]
     flux = np.bincount(owner, weight, n)
-    y, x = _positions(plane, peaks)
+    y, x = _positions(plane, valid, peaks)
     peak = plane[tuple(peaks.T)]
     first = starts[:-1]
     bbox = np.stack(

@@ -35,18 +35,22 @@ def scale_size(scale):
     -------
     float
 
+    Raises
+    ------
+    ValueError
+        If there is no such scale.
+
     Examples
     --------
     >>> from astro_scc.decomposition import scale_size
     >>> scale_size(1), scale_size(1.5), scale_size(2)
     (2.0, 3.0, 4.0)
     """
-    whole = int(np.floor(scale))
-    if scale < 0 or scale - whole not in (0, 0.5):
+    if not (0 <= scale < np.inf and scale % 1 in (0, 0.5)):
         raise ValueError(
             f"scale {scale} is not a number of the series 0, 0.5, 1, 1.5, 2, ..."
         )
-    return 2.0**whole * (1.5 if scale > whole else 1.0)
+    return 2.0 ** int(scale) * (1.5 if scale % 1 else 1.0)
 
 
 def scale_kernel(scale, kernel="b1"):
@@ -95,21 +99,32 @@ def _smooth(image, kernel, level):
     return image
 
 
-def _check_image(image, n_levels, kernel):
+def _check_image(image, n_levels, kernel, mask):
     image = np.asarray(image, dtype=float)
     if image.ndim != 2:
         raise ValueError(f"an image has two dimensions, this has {image.ndim}")
     if kernel not in KERNELS:
         raise ValueError(f"unknown wavelet kernel {kernel!r}: use 'b1' or 'b3'")
-    # ndimage mirrors only once correctly: half a kernel must fit the image.
-    reach = (len(KERNELS[kernel]) // 2) * 2 ** (n_levels - 1) if n_levels else 0
+    if n_levels < 1:
+        raise ValueError(f"at least one wavelet scale is needed, got {n_levels}")
+    missing = ~np.isfinite(image)
+    if mask is not None:
+        mask = np.asarray(mask, dtype=bool)
+        if mask.shape != image.shape:
+            raise ValueError(
+                f"the mask has shape {mask.shape}, the image {image.shape}: "
+                "give one value for each pixel"
+            )
+        missing |= mask
+    # Half a filter must fit the image, or the planes are mirrors of mirrors.
+    reach = (len(KERNELS[kernel]) // 2) * 2 ** (n_levels - 1)
     if reach >= min(image.shape):
         raise ValueError(
             f"an image of {image.shape[1]} x {image.shape[0]} px is too small for "
             f"wavelet scale {n_levels - 1} ({2 ** (n_levels - 1)} px): "
             "leave out the largest scales"
         )
-    return image
+    return image, missing
 
 
 def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
@@ -142,7 +157,8 @@ def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
     Raises
     ------
     ValueError
-        If the largest filter does not fit the image.
+        If the image has not two dimensions, the mask not its shape, the
+        kernel no known name, or the largest filter does not fit the image.
 
     References
     ----------
@@ -158,11 +174,8 @@ def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
     >>> bool(np.allclose(planes.sum(axis=0) + residual, image))
     True
     """
-    image = _check_image(image, n_levels, kernel)
+    image, missing = _check_image(image, n_levels, kernel, mask)
     filter_ = KERNELS[kernel]
-    missing = ~np.isfinite(image)
-    if mask is not None:
-        missing |= np.asarray(mask, dtype=bool)
     planes = np.empty((n_levels, *image.shape))
     smooth = np.where(missing, 0.0, image)
     valid = (~missing).astype(float)
@@ -198,6 +211,11 @@ def wavelet_planes(image, scales, *, kernel="b1", mask=None):
     -------
     `~numpy.ndarray`, shape (n_scales, ny, nx)
 
+    Raises
+    ------
+    ValueError
+        If there are no scales, or as `scale_size` and `atrous_transform`.
+
     Examples
     --------
     >>> import numpy as np
@@ -206,6 +224,8 @@ def wavelet_planes(image, scales, *, kernel="b1", mask=None):
     (3, 32, 32)
     """
     places = [scale_kernel(scale, kernel) for scale in scales]
+    if not places:
+        raise ValueError("at least one wavelet scale is needed")
     transforms = {}
     for name in {name for name, _ in places}:
         n_levels = 1 + max(level for key, level in places if key == name)
