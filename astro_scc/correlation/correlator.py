@@ -55,7 +55,7 @@ class Correlator:
         set to zero, or the plane as it is (the paper's equation).
     min_overlap : float
         Share of the SSP's pixels that must fall on existing pixels of the
-        target image.
+        target image, for a displacement and for its eight neighbours.
 
     Raises
     ------
@@ -115,8 +115,8 @@ class Correlator:
         Raises
         ------
         ValueError
-            If pairs name epochs that do not exist or decompositions differ
-            in shape or scales.
+            If pairs name epochs that do not exist, decompositions differ
+            in shape or scales, or ``reach`` or ``select`` is not as above.
 
         Examples
         --------
@@ -142,10 +142,15 @@ class Correlator:
             )
         reach = (reach, reach) if np.isscalar(reach) else tuple(reach)
         reach = tuple(int(r) for r in reach)
+        if len(reach) != 2 or min(reach) < 0:
+            raise ValueError(f"reach must be one or two numbers of pixels, got {reach}")
         ssps = SSPs.of_epochs(decompositions)
-        chosen = (
-            np.ones(len(ssps), bool) if select is None else np.asarray(select, bool)
-        )
+        chosen = np.ones(len(ssps), bool) if select is None else np.asarray(select)
+        if chosen.shape != (len(ssps),) or chosen.dtype != bool:
+            raise ValueError(
+                f"select must be one bool for each of the {len(ssps)} SSPs, "
+                f"got {chosen.dtype} of shape {chosen.shape}"
+            )
         targets = _Targets(decompositions, self.target)
         jobs = []
         for epoch in np.unique(pairs[:, 0]):
@@ -197,6 +202,9 @@ class Correlator:
                     coefficient, overlap = template.of_masked_windows(
                         windows, valid, self.min_overlap
                     )
+                    # Beside a displacement that cannot be judged there is no
+                    # maximum: the pattern may well have gone further.
+                    coefficient[overlap < self.min_overlap] = np.nan
                 which, y, x, value = find_peaks(coefficient, self.kappa)
                 if len(which) == 0:
                     continue

@@ -12,9 +12,9 @@ def find_peaks(coefficient, threshold):
     """
     Local maxima of stacked maps at or above a threshold.
 
-    A pixel is a maximum if none of its eight neighbours is larger; of equal
-    neighbours the first counts.  Positions are those of the least-squares
-    quadratic through the nine.
+    A pixel is a maximum if none of its eight neighbours is larger or NaN;
+    of equal neighbours the last counts, row by row.  Positions are those of
+    the least-squares quadratic through the nine.
 
     Parameters
     ----------
@@ -29,7 +29,8 @@ def find_peaks(coefficient, threshold):
     y, x : `~numpy.ndarray`, shape (k,)
         Position in pixels of the map.
     value : `~numpy.ndarray`, shape (k,)
-        Coefficient at the central pixel's maximum, at most 1.
+        Value of the quadratic at its maximum, at least the pixel's own and
+        at most 1.
 
     Examples
     --------
