@@ -55,7 +55,7 @@ def write_epochs(cube, directory, *, prefix=None, overwrite=False):
     """
     directory = Path(directory)
     if prefix is None:
-        facts = cube.epoch_meta[0] if cube.epoch_meta else {}
+        facts = cube.epoch_meta[0]
         prefix = str(facts.get("object") or cube.meta.get("object") or "epoch")
     prefix = re.sub(r"[^\w+.-]+", "_", prefix.strip()).strip("_") or "epoch"
     days = cube.times.strftime("%Y-%m-%d")
@@ -76,14 +76,13 @@ def write_epochs(cube, directory, *, prefix=None, overwrite=False):
 
 def _image_hdu(cube, i):
     image = np.array(cube.data[i], dtype=np.float32)
-    if cube.mask is not None:
-        image[cube.mask[i]] = np.nan
+    image[cube.mask[i]] = np.nan
     header = epoch_header(
         time=cube.times[i],
         label=cube.labels[i],
         beam=cube.beams and cube.beams[i],
         noise=None if cube.noise is None else cube.noise[i],
-        facts=cube.epoch_meta[i] if cube.epoch_meta else {},
+        facts=cube.epoch_meta[i],
     )
     wcs = cube.wcs.to_header()
     # The epoch's own date stands; wcslib derives others from the first.

@@ -179,6 +179,13 @@ def test_blank_offset_of_the_core_is_none(tmp_path):
     np.testing.assert_allclose(components.east.value[:2], [0, 4], atol=1e-12)
 
 
+def test_size_without_a_ratio_is_a_circle(tmp_path):
+    table = mojave(axial_ratio=None, excluded_from_fit=None)
+    components = read_components(write(table, tmp_path / "t.ecsv"))
+    np.testing.assert_array_equal(components.minor, components.major)
+    assert not components.excluded.any()
+
+
 def test_offsets_are_taken_as_they_are(tmp_path):
     table = mojave(separation=None, position_angle=None)
     table["east"] = [1.0, 2.0, 3.0, 4.0] * u.mas
@@ -517,8 +524,11 @@ def test_aips_table_of_points(tmp_path):
 
 
 def test_aips_date_may_be_given(tmp_path):
-    path = aips(tmp_path / "a.fits", header={"DATE-OBS": None})
-    assert read_components(path, dates="2009-01-07").n_epochs == 1
+    path = aips(tmp_path / "a.fits", header={"DATE-OBS": None, "CTYPE1": None})
+    components = read_components(path, dates="2009-01-07")
+    assert "position" not in components.meta
+    same = read_components(path, dates=Time("2009-01-07"))
+    assert same.times[0] == components.times[0]
     with pytest.raises(ValueError, match="no DATE-OBS in the header"):
         read_components(path)
 
@@ -530,6 +540,7 @@ def test_aips_date_may_be_given(tmp_path):
         ({"drop": ("DELTAX",)}, "no column DELTAX"),
         ({"FLUX": [1, np.nan]}, "row 2: FLUX is blank"),
         ({"TYPE OBJ": [0, 3]}, "row 2: component type 3"),
+        ({"MINOR AX": [0, 1.0]}, "component 2 of 2: axes must be"),
         ({"header": {"DATE-OBS": "never"}}, "'never' is no date"),
     ],
 )

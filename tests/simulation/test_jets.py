@@ -10,7 +10,7 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.epochs import Beam
+from astro_scc.epochs import Beam, EpochCube
 from astro_scc.simulation import (
     JetSimulation,
     Stream,
@@ -393,3 +393,15 @@ def test_written_distributions_and_functions(tmp_path):
     assert a["dx"] == [1.0, 2.0]
     assert b["dx"] == "function"
     assert c["dx"] == 1 * u.mas / u.yr
+
+
+def test_written_epochs_are_read_back(tmp_path):
+    jet = simulate_two_fluid(n_epochs=3, rng=1)
+    *images, _ = write_simulation(jet, tmp_path)
+    cube = EpochCube.read(images)
+    np.testing.assert_allclose(cube.data, jet.cube.data, atol=1e-6)
+    assert cube.unit == jet.cube.unit
+    assert cube.beams == jet.cube.beams
+    assert np.all(cube.times == jet.cube.times)
+    np.testing.assert_allclose(cube.wcs.wcs.crpix, jet.cube.wcs.wcs.crpix)
+    np.testing.assert_allclose(cube.pixel_matrix.value, jet.cube.pixel_matrix.value)
