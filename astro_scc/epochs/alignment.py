@@ -317,7 +317,7 @@ def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
     iterations = 5 if image is None else 1
     pixels = np.zeros((len(cube), 2))
     covariance = np.zeros((len(cube), 2, 2))
-    for _ in range(iterations):
+    for k in range(iterations):
         target = _mean_of_moved(cube, -pixels) if image is None else image
         use = inside & np.isfinite(target)
         if not use.any():
@@ -326,7 +326,12 @@ def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
         for i, label in enumerate(cube.labels):
             try:
                 pixels[i], covariance[i] = displacement(
-                    cube.data[i], cube.mask[i], target, use, reach
+                    cube.data[i],
+                    cube.mask[i],
+                    target,
+                    use,
+                    reach,
+                    start=pixels[i] if k > 1 else None,
                 )
             except ValueError as error:
                 raise ValueError(f"{label}: {error}; leave it out") from error

@@ -61,12 +61,14 @@ def core_positions(cube, *, jet_pa=None, max_shift=None):
     -----
     What an image can tell is limited.  On ten MOJAVE epochs of 0003+380
     with their own beams (0.9 x 0.6 mas) the result agrees with the core of
-    the model fits in the visibilities to 0.02 mas, where the brightest
-    pixel is off by up to 0.11 mas.  On images restored from the models of
-    3C 120 it agrees to 0.05 mas, and on those of 3C 273, where several
-    bright features crowd within a beam of a faint core, only to 0.15 mas in
-    two thirds of the epochs, and to 0.6 mas in the rest.  Where positions
-    of the core from model fits exist, align with a table of them.
+    the model fits in the visibilities to 0.02 mas, and to 0.03 mas after
+    convolution to the common beam (1.1 x 0.9 mas), where the brightest pixel
+    is off by up to 0.11 mas.  On images restored from the published models,
+    two thirds of the epochs agree to 0.05 mas for 3C 120 (the worst:
+    0.16 mas), and to 0.2 mas (0.75 mas) for 3C 273, where bright features
+    crowd within a beam of a faint core; M87 is off by 0.04 mas downstream,
+    the same in all epochs to 0.02 mas.  Where positions of the core from
+    model fits exist, align with a table of them.
 
     Examples
     --------

@@ -9,10 +9,13 @@ from astro_scc.epochs.resampling import BAD_WEIGHT, fill_masked
 
 __all__ = ["displacement"]
 
+# Share of the pixels in use that must fall on good pixels.
 MIN_OVERLAP = 0.5
+FLAT = 0.01
+FEWEST = 10
 
 
-def displacement(image, mask, reference, use, reach):
+def displacement(image, mask, reference, use, reach, start=None):
     """
     Displacement of an image from a reference image.
 
@@ -20,7 +23,8 @@ def displacement(image, mask, reference, use, reach):
     to a pixel.  From there the sum of squares of
     ``a I(x + d) + b - R(x)`` over the pixels in use is minimised over d,
     with gain a and level b solved for, and I interpolated with cubic
-    splines.
+    splines.  Pixels where R is flat, its slope less than 1% of the
+    steepest, say nothing about d and are left out.
 
     Parameters
     ----------
@@ -32,6 +36,8 @@ def displacement(image, mask, reference, use, reach):
         Pixels of ``reference`` to compare; they must be good.
     reach : float
         Longest displacement to search, in pixels.
+    start : array_like, shape (2,), optional
+        (dx, dy) known to a pixel; nothing is searched then.
 
     Returns
     -------
@@ -45,7 +51,8 @@ def displacement(image, mask, reference, use, reach):
     Raises
     ------
     ValueError
-        If nothing correlates inside ``reach``.
+        If nothing correlates inside ``reach``, or fewer than ten good
+        pixels can be compared.
 
     Examples
     --------
@@ -58,32 +65,23 @@ def displacement(image, mask, reference, use, reach):
     >>> shift.round(2)
     array([-2.3, -4.7])
     """
-    steps = int(np.ceil(reach)) + 1
-    rows, columns = (np.flatnonzero(use.any(axis=k)) for k in (1, 0))
-    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     filled = fill_masked(image, mask)
-    # Windows reach past the box on all sides, and past the image.
-    window = tuple(slice(s.start, s.stop + 2 * steps) for s in box)
-    coefficient, _ = correlate_windows(
-        np.where(use, reference, 0)[box],
-        use[box],
-        np.pad(filled, steps)[window],
-        (steps, steps),
-        valid=np.pad(~mask, steps)[window],
-        min_overlap=MIN_OVERLAP,
-    )
-    dy, dx = np.mgrid[-steps : steps + 1, -steps : steps + 1]
-    coefficient = np.where(np.hypot(dx, dy) <= max(reach, 0.5), coefficient, 0)
-    if coefficient.max() <= 0:
-        raise ValueError("nothing in the image correlates with the reference")
-    best = np.unravel_index(np.argmax(coefficient), coefficient.shape)
-    start = np.array([dx[best], dy[best]], dtype=float)
+    if start is None:
+        start = _whole_pixels(filled, mask, reference, use, reach)
+    start = np.asarray(start, dtype=float)
 
+    slope = np.hypot(*np.gradient(fill_masked(reference, ~use)))
+    use = use & (slope >= FLAT * slope[use].max())
     y, x = np.nonzero(use)
+    # The spline carries what the bad pixels were filled with two pixels far,
+    # and the fit moves on by one and a half.
+    around = ndimage.binary_dilation(mask, iterations=3).astype(float)
     far = ndimage.map_coordinates(
-        mask.astype(float), [y + start[1], x + start[0]], order=1, cval=1.0
+        around, [y + start[1], x + start[0]], order=1, cval=1.0
     )
     keep = far <= BAD_WEIGHT
+    if keep.sum() < FEWEST:
+        raise ValueError("too few good pixels to compare with the reference")
     y, x, target = y[keep], x[keep], reference[use][keep]
     spline = ndimage.spline_filter(filled, order=3)
 
@@ -102,3 +100,26 @@ def displacement(image, mask, reference, use, reach):
     freedom = max(len(target) - 4, 1)
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * 2 * fit.cost / freedom
     return fit.x, covariance
+
+
+def _whole_pixels(filled, mask, reference, use, reach):
+    """The displacement (dx, dy) of the largest correlation."""
+    steps = int(np.ceil(reach)) + 1
+    rows, columns = (np.flatnonzero(use.any(axis=k)) for k in (1, 0))
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    # Windows reach past the box on all sides, and past the image.
+    window = tuple(slice(s.start, s.stop + 2 * steps) for s in box)
+    coefficient, _ = correlate_windows(
+        np.where(use, reference, 0)[box],
+        use[box],
+        np.pad(filled, steps)[window],
+        (steps, steps),
+        valid=np.pad(~mask, steps)[window],
+        min_overlap=MIN_OVERLAP,
+    )
+    dy, dx = np.mgrid[-steps : steps + 1, -steps : steps + 1]
+    coefficient = np.where(np.hypot(dx, dy) <= max(reach, 0.5), coefficient, 0)
+    if coefficient.max() <= 0:
+        raise ValueError("nothing in the image correlates with the reference")
+    best = np.unravel_index(np.argmax(coefficient), coefficient.shape)
+    return dx[best], dy[best]
