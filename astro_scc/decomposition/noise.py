@@ -14,6 +14,7 @@ DECILE_TO_SIGMA = 1 / 0.12566134685507402
 #: Pixels above this many sigma belong to the source, with their surroundings.
 SOURCE_SNR = 5.0
 MAX_ITERATIONS = 25
+LOCAL_ITERATIONS = 3
 
 
 def _mad(values):
@@ -59,14 +60,18 @@ def source_free(plane, scale, *, mask=None):
     return free, sigma
 
 
+def _away_from_source(plane, radius, valid, sigma):
+    """Pixels further than a radius from those beyond 5 sigma."""
+    sky = (np.abs(plane) <= SOURCE_SNR * sigma) | ~valid
+    # Distances are undefined without any source.
+    return sky if sky.all() else ndimage.distance_transform_edt(sky) > radius
+
+
 def _without_source(plane, radius, valid, sigma):
     """Iterate `source_free` from a first sigma."""
     free = valid
     for _ in range(MAX_ITERATIONS):
-        sky = (np.abs(plane) <= SOURCE_SNR * sigma) | ~valid
-        # Distances are undefined without any source.
-        far = valid if sky.all() else ndimage.distance_transform_edt(sky) > radius
-        candidate = valid & far
+        candidate = valid & _away_from_source(plane, radius, valid, sigma)
         # A sky smaller than one disk is too small to tell a noise.
         following = _mad(plane[candidate])
         if candidate.sum() < np.pi * radius**2 or following == 0:
@@ -122,8 +127,10 @@ def local_noise(plane, scale, *, mask=None, box_size=None):
     """
     Standard deviation of the noise of a wavelet plane, pixel by pixel.
 
-    The median absolute deviation of the source-free pixels in boxes,
-    interpolated between them (`photutils.background.Background2D`).
+    The root mean square of the source-free pixels in boxes, interpolated
+    between them (`photutils.background.Background2D` of the squared plane);
+    then the source is found anew with this map.  Boxes that the source
+    fills to 90% are interpolated from the others.
 
     Parameters
     ----------
@@ -133,12 +140,13 @@ def local_noise(plane, scale, *, mask=None, box_size=None):
     mask : array_like of bool, shape (ny, nx), optional
         True marks missing pixels.
     box_size : int, optional
-        Side of a box in pixels; 16 times the scale and at least 32 by
-        default, at most half the image.
+        Side of a box in pixels; 6 times the scale and at least 32 by
+        default, at most a quarter of the image.
 
     Returns
     -------
     `~numpy.ndarray`, shape (ny, nx)
+        Constant, as `plane_noise`, where the source fills every box.
 
     Examples
     --------
@@ -150,31 +158,42 @@ def local_noise(plane, scale, *, mask=None, box_size=None):
     >>> bool(noise[:, :32].mean() < 1.2), bool(noise[:, -32:].mean() > 2.5)
     (True, True)
     """
-    from photutils.background import (
-        Background2D,
-        MADStdBackgroundRMS,
-        MedianBackground,
-    )
-
     free, sigma = source_free(plane, scale, mask=mask)
-    if sigma == 0 or free.sum() < 64:
-        return np.full(plane.shape, sigma)
+    noise = np.full(plane.shape, sigma)
+    if sigma == 0:
+        return noise
+    radius = scale_size(scale)
     if box_size is None:
-        box_size = max(32, int(16 * scale_size(scale)))
-    box_size = max(4, min(box_size, min(plane.shape) // 2))
-    # Boxes that the source fills are interpolated from the others.
-    background = Background2D(
-        plane,
-        box_size,
-        mask=~free,
-        exclude_percentile=90.0 if free.mean() > 0.2 else 100.0,
-        filter_size=3,
-        sigma_clip=None,
-        bkg_estimator=MedianBackground(sigma_clip=None),
-        bkg_rms_estimator=MADStdBackgroundRMS(sigma_clip=None),
-    )
-    rms = np.asarray(background.background_rms, dtype=float)
-    return np.where(rms > 0, rms, sigma)
+        box_size = max(32, int(6 * radius))
+    box_size = max(4, min(box_size, min(plane.shape) // 4))
+    valid = np.ones(plane.shape, dtype=bool) if mask is None else ~np.asarray(mask)
+    for _ in range(LOCAL_ITERATIONS):
+        variance = _local_mean((plane / sigma) ** 2, ~free, box_size)
+        if variance is None:
+            break
+        noise = sigma * np.sqrt(np.where(variance > 0, variance, 1.0))
+        free = valid & _away_from_source(plane, radius, valid, noise)
+    return noise
+
+
+def _local_mean(values, mask, box_size):
+    """Mean of values in boxes, interpolated between them, or None."""
+    from photutils.background import Background2D, MeanBackground, StdBackgroundRMS
+
+    try:
+        background = Background2D(
+            values,
+            box_size,
+            mask=mask,
+            exclude_percentile=90.0,
+            filter_size=3,
+            sigma_clip=None,
+            bkg_estimator=MeanBackground(sigma_clip=None),
+            bkg_rms_estimator=StdBackgroundRMS(sigma_clip=None),
+        )
+    except ValueError:  # no box has enough pixels
+        return None
+    return np.asarray(background.background, dtype=float)
 
 
 def _response(kernel, level, frequency):
