@@ -2,6 +2,7 @@
 """From a wavelet plane to its significant structural patterns."""
 
 import numpy as np
+from scipy import ndimage
 from skimage.feature import peak_local_max
 from skimage.segmentation import watershed
 
@@ -78,6 +79,14 @@ def check_thresholds(detection, segmentation):
         )
 
 
+def _beside_outside(valid):
+    """Pixels that touch the outside: the image's edge, or what is missing there."""
+    outside, _ = ndimage.label(np.pad(~valid, 1, constant_values=True))
+    return ndimage.binary_dilation(outside == outside[0, 0], np.ones((3, 3)))[
+        1:-1, 1:-1
+    ]
+
+
 def _positions(plane, valid, peaks):
     """Sub-pixel positions of maxima given as (y, x) pixels."""
     # Beside a missing pixel there is no curvature, and the pixel counts.
@@ -96,7 +105,9 @@ def find_ssps(plane, scale, noise, *, mask=None, detection=4.0, segmentation=3.0
     Local maxima of at least ``detection`` times the noise and about a scale
     apart are the seeds of a watershed of the negative plane inside the
     pixels above ``segmentation`` times the noise (Mertens & Lobanov 2015,
-    Sect. 2.1).
+    Sect. 2.1).  A pixel at the edge of the image, or of what exists of it,
+    is no maximum: the image may well go on rising beyond.  Beside a hole
+    within the image it can be one.
 
     Parameters
     ----------
@@ -149,7 +160,10 @@ def find_ssps(plane, scale, noise, *, mask=None, detection=4.0, segmentation=3.0
         p_norm=np.inf,
     )
     rows, columns = peaks.T
-    peaks = peaks[plane[rows, columns] >= detection * noise[rows, columns]]
+    peaks = peaks[
+        (plane[rows, columns] >= detection * noise[rows, columns])
+        & ~_beside_outside(valid)[rows, columns]
+    ]
     if len(peaks) == 0:
         return SSPs.empty()
     markers = np.zeros(plane.shape, dtype=np.int32)
