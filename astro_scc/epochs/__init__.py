@@ -7,6 +7,7 @@ from astro_scc.epochs.components import ComponentList
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.epoch_files import write_epochs
 from astro_scc.epochs.fits import read_vlbi_fits
+from astro_scc.epochs.inspection import IntervalPlan, inspect_epochs, plan_intervals
 from astro_scc.epochs.noise import correlated_noise
 from astro_scc.epochs.restoring import offset_wcs, restore
 from astro_scc.epochs.statistics import measure_noise
@@ -15,9 +16,12 @@ __all__ = [
     "Beam",
     "ComponentList",
     "EpochCube",
+    "IntervalPlan",
     "correlated_noise",
+    "inspect_epochs",
     "measure_noise",
     "offset_wcs",
+    "plan_intervals",
     "read_components",
     "read_vlbi_fits",
     "restore",

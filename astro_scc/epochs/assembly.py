@@ -10,7 +10,7 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 from astropy.time import Time
-from astropy.wcs import WCS, WCSSUB_LATITUDE, WCSSUB_LONGITUDE
+from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.consistency import find_odd, find_same_dates, looks_like_mask
@@ -50,13 +50,15 @@ class Plane:
         return float(np.max(np.hypot(*self.wcs.pixel_scale_matrix) * [nx, ny]))
 
 
-def find_files(paths):
+def find_files(paths, *, missing_ok=False):
     """
     Files that paths and patterns stand for, each once.
 
     Parameters
     ----------
     paths : str, path-like, or sequence of them
+    missing_ok : bool
+        Keep names of files that do not exist.
 
     Returns
     -------
@@ -89,6 +91,8 @@ def find_files(paths):
             found += [match for match in matches if not os.path.isdir(match)]
             if not matches:
                 raise FileNotFoundError(f"{name}: no file matches this pattern")
+        elif missing_ok:
+            found.append(name)
         else:
             raise FileNotFoundError(f"{name}: no such file")
     if not found:
@@ -159,13 +163,12 @@ def cube_from_ndcube(ndcube, *, times, beams):
     mask = np.broadcast_to(False if ndcube.mask is None else ndcube.mask, data.shape)
     if wcs.naxis == 3:
         # Array axes run against the order of WCS axes.
-        lon, lat = wcs.wcs.lng, wcs.wcs.lat
-        order = [2 - ({0, 1, 2} - {lon, lat}).pop(), 2 - lat, 2 - lon]
-        data, mask = data.transpose(order), mask.transpose(order)
+        axis = 2 - ({0, 1, 2} - {wcs.wcs.lng, wcs.wcs.lat}).pop()
+        data, mask = np.moveaxis(data, axis, 0), np.moveaxis(mask, axis, 0)
     return EpochCube(
         data=data,
         times=_ndcube_times(ndcube) if times is None else times,
-        wcs=wcs.sub([WCSSUB_LONGITUDE, WCSSUB_LATITUDE]),
+        wcs=wcs.celestial,
         unit=ndcube.unit,
         mask=mask,
         beams=beams,
@@ -260,8 +263,8 @@ def _assemble(planes, frame, check, source):
             factor = plane.unit.to(unit)
         except u.UnitConversionError:
             raise ValueError(
-                f"{plane.name}: is in {plane.unit or 'no unit'}, which is not "
-                f"{unit or 'dimensionless'} as {planes[0].name} is"
+                f"{plane.name}: its unit is {plane.unit.to_string() or 'none'}, that "
+                f"of {planes[0].name} is {unit.to_string() or 'none'}; leave one out"
             ) from None
         if factor != 1:
             plane.data = plane.data * factor

@@ -22,6 +22,8 @@ from astro_scc.exceptions import EpochWarning
 
 __all__ = ["read_image", "read_vlbi_fits"]
 
+# What the files of EpochCube.write are known by.
+CUBE_CREATOR = "astro_scc EpochCube"
 # What describes the array and its axes in the file, which the CCDData says
 # itself, in two dimensions.
 _STRUCTURE = re.compile(
@@ -119,7 +121,8 @@ def _open(path, hdu, memmap):
         # AIPS and difmap files break small rules of the standard throughout.
         warnings.simplefilter("ignore")
         try:
-            with fits.open(path, memmap=memmap) as hdus:
+            # astropy.io.fits forgets to close files that it fails to open.
+            with path.open("rb") as file, fits.open(file, memmap=memmap) as hdus:
                 return _image(hdus, hdu, path)
         except (_ContentError, _NoImageError):
             raise
@@ -140,17 +143,18 @@ def _broken(error):
 
 
 def _image(hdus, which, path):
+    if hdus[0].header.get("CREATOR") == CUBE_CREATOR:
+        raise _ContentError("is a whole EpochCube; give it alone to EpochCube.read")
     hdu = _find(hdus, which)
     header = hdu.header.copy()
     if hdu is not hdus[0]:
         header.extend(hdus[0].header, unique=True, bottom=True)
     _check_complete(hdu, path)
-    plane, transposed = _plane(header)
+    plane = _plane(header)
     raw = hdu.data
     if raw is None or raw.dtype.kind not in "fiub":
         raise _NoImageError("holds no image of real numbers")
     data = np.array(raw[plane], dtype=np.float64)
-    data = data.T if transposed else data
     bad = ~np.isfinite(data)
     if bad.all():
         raise _ContentError("no valid pixel, all are NaN; leave this file out")
@@ -201,11 +205,7 @@ def _check_complete(hdu, path):
 
 
 def _plane(header):
-    """
-    Index of the image plane, and whether its first axis is latitude.
-
-    The numpy index runs against the order of FITS axes.
-    """
+    """Index of the image plane; numpy's axes run against those of FITS."""
     naxis = header["NAXIS"]
     types = [str(header.get(f"CTYPE{k + 1}", "")).upper().strip() for k in range(naxis)]
     celestial = [k for k, t in enumerate(types) if axis_kind(t)]
@@ -227,7 +227,7 @@ def _plane(header):
                 f"has {length} planes on axis {name}; write the one to use, or "
                 "their mean, to a file of its own"
             )
-    return tuple(reversed(index)), axis_kind(types[celestial[0]]) == "latitude"
+    return tuple(reversed(index))
 
 
 def _stokes_i(header, axis, length):

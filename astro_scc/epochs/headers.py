@@ -8,7 +8,7 @@ import astropy.units as u
 import numpy as np
 from astropy.io import fits
 from astropy.time import Time
-from astropy.wcs import WCS, WCSSUB_LATITUDE, WCSSUB_LONGITUDE
+from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.keywords import get, parse_date
@@ -38,6 +38,7 @@ _CLEAN_BEAM = re.compile(
     rf"CLEAN\s+BMAJ\s*=\s*{_NUMBER}\s+BMIN\s*=\s*{_NUMBER}\s+BPA\s*=\s*{_NUMBER}"
 )
 _FREQUENCY_KEYWORDS = ("FREQ", "FREQUENCY", "OBSFREQ", "RESTFRQ", "RESTFREQ")
+_WCS_NUMBER = re.compile(r"((CRPIX|CRVAL|CDELT|CROTA)\d+|(PC|CD)\d+_\d+)$")
 _COMMENTARY = ("HISTORY", "COMMENT", "")
 _STOKES = {1: "I", 2: "Q", 3: "U", 4: "V", -1: "RR", -2: "LL", -5: "XX", -6: "YY"}
 
@@ -245,7 +246,7 @@ def celestial_wcs(header, fobj=None):
     Raises
     ------
     ValueError
-        If there are no celestial axes, or no pixel scale.
+        If there are no celestial axes, longitude first, or no pixel scale.
     """
     clean = fits.Header()
     for card in header.cards:
@@ -260,6 +261,11 @@ def celestial_wcs(header, fobj=None):
             value = _standard_ctype(str(value))
         elif keyword.startswith("CUNIT") and str(value).upper().startswith("DEG"):
             value = "deg"
+        elif _WCS_NUMBER.match(keyword):
+            number = get({keyword: value}, keyword, kind=float)
+            if number is None:
+                raise ValueError(f"{keyword} = {value!r} is not a finite number")
+            value = number
         try:
             clean[keyword] = value
         except (fits.VerifyError, ValueError):
@@ -270,8 +276,7 @@ def celestial_wcs(header, fobj=None):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            # Longitude first, whatever the order of the axes in the file.
-            wcs = WCS(clean, fobj=fobj).sub([WCSSUB_LONGITUDE, WCSSUB_LATITUDE])
+            wcs = WCS(clean, fobj=fobj).celestial
             wcs.wcs.set()
             scale = np.linalg.det(wcs.pixel_scale_matrix)
         except Exception as error:
@@ -281,8 +286,6 @@ def celestial_wcs(header, fobj=None):
             ) from None
     if wcs.naxis != 2 or not np.isfinite(scale) or scale == 0:
         raise ValueError("its celestial coordinates have no pixel scale (CDELT or CD)")
-    if not np.all(np.isfinite([wcs.wcs.crpix, wcs.wcs.crval])):
-        raise ValueError("its celestial coordinates are not finite")
     if not wcs.wcs.radesys and np.isfinite(wcs.wcs.equinox):
         wcs.wcs.radesys = "FK5" if wcs.wcs.equinox >= 1984 else "FK4"
     return wcs
@@ -309,12 +312,14 @@ def axis_kind(ctype):
 
 
 def _check_celestial(header):
-    kinds = {axis_kind(str(header.get(f"CTYPE{axis}", ""))) for axis in range(1, 8)}
-    if not {"longitude", "latitude"} <= kinds:
+    kinds = [axis_kind(str(header.get(f"CTYPE{axis}", ""))) for axis in range(1, 8)]
+    if not {"longitude", "latitude"} <= set(kinds):
         raise ValueError(
             "it has no celestial coordinates (CTYPE); use EpochCube.from_arrays, "
             "which takes the pixel scale"
         )
+    if kinds.index("longitude") > kinds.index("latitude"):
+        raise ValueError("latitude is its first axis; transpose the image")
     scaled = [
         key for key in header if re.match(r"(CDELT|CD\d+_)\d+$", key) and header[key]
     ]

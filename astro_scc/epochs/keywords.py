@@ -123,6 +123,8 @@ def parse_date(text, scale="utc"):
     elif match := _ISO.match(stripped):
         year, month, day = (int(part) for part in match.groups()[:3])
         clock = match.group(4)
+        if clock and ":" not in clock:
+            clock += ":00"
     else:
         raise ValueError(f"{text!r} is no date; write it as 2006-03-09")
     try:
@@ -165,7 +167,9 @@ def parse_unit(text):
     text = str(text).strip()
     upper = re.sub(r"\s+PER\s+", "/", text.upper())
     # Upper case has lost whether M was milli or mega.
-    ambiguous = text == text.upper() and "MJY" in upper and "MJY/SR" not in upper
+    ambiguous = text == text.upper() and "MJY" in upper
+    if upper == "MJY/SR":
+        return u.MJy / u.sr
     words = re.sub(
         r"[A-Za-z]+",
         lambda word: _UNIT_WORDS.get(word.group().lower(), word.group()),

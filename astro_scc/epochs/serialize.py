@@ -15,10 +15,10 @@ from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.fits import CUBE_CREATOR
 
 __all__ = ["is_cube_file", "read_cube", "replace_when_complete", "write_cube"]
 
-CREATOR = "astro_scc EpochCube"
 VERSION = 1
 NUMBERS = ("crval", "crpix", "cdelt", "pc")
 
@@ -95,7 +95,7 @@ def write_cube(cube, path, *, overwrite=False):
     header = cube.wcs.to_header(relax=True)
     header["BUNIT"] = rest["unit"]
     primary = fits.PrimaryHDU()
-    primary.header["CREATOR"] = CREATOR
+    primary.header["CREATOR"] = CUBE_CREATOR
     primary.header["SCCVERS"] = VERSION, "version of this layout"
     text = np.frombuffer(_dump(rest).encode("ascii"), dtype=np.uint8)
     hdus = fits.HDUList(
@@ -127,8 +127,8 @@ def is_cube_file(path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            header = fits.getheader(path, 0)
-            return header.get("CREATOR") == CREATOR
+            with open(path, "rb") as file, fits.open(file) as hdus:
+                return hdus[0].header.get("CREATOR") == CUBE_CREATOR
         except Exception:
             # What is wrong with it, reading it as an image will say.
             return False
@@ -154,7 +154,7 @@ def read_cube(path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            with fits.open(path, memmap=False) as hdus:
+            with open(path, "rb") as file, fits.open(file, memmap=False) as hdus:
                 version = hdus[0].header["SCCVERS"]
                 if version == VERSION:
                     return _unpack(hdus)

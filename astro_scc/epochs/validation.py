@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What an `EpochCube` accepts, turned into what it holds."""
 
+import warnings
+
 import astropy.units as u
 import numpy as np
 from astropy.time import Time
@@ -82,9 +84,13 @@ def as_times(times, n):
     times = times.reshape(1) if times.isscalar else times
     if times.shape != (n,):
         raise ValueError(f"{n} epochs need {n} times, got shape {times.shape}")
-    if np.any(times.mask) or not np.all(np.isfinite(np.ma.getdata(times.jd))):
+    if np.any(times.mask):
         raise ValueError("every epoch needs a date, times has missing values")
-    return times
+    with warnings.catch_warnings(record=True) as dubious:
+        warnings.simplefilter("always")
+        atomic = times.tai
+    # Photographic plates are older than UTC; with it every use would warn.
+    return atomic if dubious else times
 
 
 def as_beam(beam):
