@@ -7,6 +7,12 @@ from astro_scc.measurement.errors import (
     position_errors,
     ssp_offsets,
 )
+from astro_scc.measurement.products import (
+    plain_cosmology,
+    product_folder,
+    velocity_hdus,
+    write_products,
+)
 from astro_scc.measurement.result import MatchedEpochs, SCCResult
 from astro_scc.measurement.tables import component_table, ssp_table, versions
 
@@ -16,8 +22,12 @@ __all__ = [
     "angular_displacements",
     "beam_fwhm",
     "component_table",
+    "plain_cosmology",
     "position_errors",
+    "product_folder",
     "ssp_offsets",
     "ssp_table",
+    "velocity_hdus",
     "versions",
+    "write_products",
 ]

@@ -1,0 +1,219 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Arguments that several commands have, and what becomes of them."""
+
+__all__ = [
+    "add_output",
+    "add_selection",
+    "draw_seed",
+    "parse_option",
+    "select_epochs",
+    "settings_of",
+]
+
+# The cosmology of Mertens & Lobanov (2016), for a redshift without another.
+COSMOLOGY = "H0=71,Om0=0.27"
+#: Options of `measure` that are settings of its configuration.
+OPTIONS = (
+    "epochs",
+    "after",
+    "before",
+    "align",
+    "common_beam",
+    "region",
+    "scales",
+    "max_speed",
+    "position_angle",
+    "baseline",
+    "kernel",
+    "kappa",
+    "n_trials",
+    "seed",
+    "redshift",
+    "cosmology",
+    "distance",
+)
+
+
+def add_output(parser, *, what, required=True, default=None):
+    """
+    Add ``--output`` and ``--overwrite``.
+
+    Parameters
+    ----------
+    parser : `argparse.ArgumentParser`
+    what : str
+        That is written.
+    required : bool, optional
+    default : str, optional
+    """
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="DIR",
+        required=required,
+        default=default,
+        help=f"folder for {what}" + (f"; default {default}" if default else ""),
+    )
+    add_overwrite(parser)
+
+
+def add_overwrite(parser):
+    """
+    Add ``--overwrite``.
+
+    Parameters
+    ----------
+    parser : `argparse.ArgumentParser`
+    """
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace what is in the folder under the same names",
+    )
+
+
+def add_selection(parser):
+    """
+    Add ``--after`` and ``--before``.
+
+    Parameters
+    ----------
+    parser : `argparse.ArgumentParser`
+    """
+    parser.add_argument(
+        "--after", metavar="DATE", help="take epochs of this date, 2006-03-09, or later"
+    )
+    parser.add_argument("--before", metavar="DATE", help="take epochs before this date")
+
+
+def parse_option(name, value):
+    """
+    The value of an option that is also a setting.
+
+    Parameters
+    ----------
+    name : str
+        Of the setting.
+    value
+        As given.
+
+    Returns
+    -------
+    object
+
+    Raises
+    ------
+    ValueError
+        If it makes no sense; the message names the option.
+    """
+    from astro_scc.config import parse_setting
+
+    try:
+        return parse_setting(name, value)
+    except ValueError as error:
+        option = name.replace("_", "-")
+        raise ValueError(f"--{option} {value!r}: {error}") from None
+
+
+def draw_seed():
+    """A seed that nobody chose, short enough to be typed."""
+    import secrets
+
+    return secrets.randbelow(2**31)
+
+
+def settings_of(args, reporter):
+    """
+    The settings of the configuration file and of the command line over it.
+
+    Parameters
+    ----------
+    args : `argparse.Namespace`
+    reporter : `~astro_scc.cli.reporter.Reporter`
+
+    Returns
+    -------
+    dict
+        Those that were given, see `astro_scc.config`.
+
+    Raises
+    ------
+    ValueError
+        If one makes no sense, or some do not go together.
+    """
+    from astro_scc.config import read_config
+
+    config, written_by = read_config(args.config) if args.config else ({}, {})
+    _compare_versions(written_by, args, reporter)
+    given = {
+        name: parse_option(name, value)
+        for name in OPTIONS
+        if (value := getattr(args, name)) not in (None, [])
+    }
+    # One kind of distance on the command line replaces the other in the file.
+    if "distance" in given:
+        config = {k: v for k, v in config.items() if k not in ("redshift", "cosmology")}
+    elif "redshift" in given:
+        config.pop("distance", None)
+    config |= given
+    if "distance" in config and ("redshift" in config or "cosmology" in config):
+        raise ValueError("--distance needs neither --redshift nor --cosmology")
+    if "cosmology" in config and "redshift" not in config:
+        raise ValueError("--cosmology needs a --redshift")
+    if "redshift" in config:
+        config.setdefault("cosmology", COSMOLOGY)
+    return config
+
+
+def _compare_versions(written_by, args, reporter):
+    from astro_scc.measurement import versions
+
+    now = versions()
+    other = [
+        f"{name} {version} (here {now.get(name, 'none')})"
+        for name, version in written_by.items()
+        if now.get(name) != version
+    ]
+    if other:
+        reporter.note(
+            f"{args.config} was written with {', '.join(other)}: numbers may differ"
+        )
+
+
+def select_epochs(cube, config):
+    """
+    The epochs between two dates.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.EpochCube`
+    config : dict
+        With ``after`` and ``before``, or without.
+
+    Returns
+    -------
+    `~astro_scc.EpochCube`
+
+    Raises
+    ------
+    ValueError
+        If no epoch is left.
+    """
+    import numpy as np
+
+    from astro_scc.config import to_time
+
+    keep = np.ones(len(cube), dtype=bool)
+    if "after" in config:
+        keep &= cube.times >= to_time(config["after"])
+    if "before" in config:
+        keep &= cube.times < to_time(config["before"])
+    if keep.all():
+        return cube
+    if not keep.any():
+        first, last = cube.times.isot[[0, -1]]
+        raise ValueError(
+            f"no epoch is left between --after and --before; they are of {first[:10]} "
+            f"to {last[:10]}"
+        )
+    return cube[keep]

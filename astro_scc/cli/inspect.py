@@ -1,0 +1,189 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""``astro-scc inspect``: what files hold, before anything is measured."""
+
+from astro_scc.cli.summary import table_lines
+
+__all__ = ["add_parser", "run"]
+
+# Cores that scatter by more than this part of the beam want an alignment.
+SCATTER = 0.05
+
+
+def add_parser(commands):
+    """Add the command to the program's parser."""
+    parser = commands.add_parser(
+        "inspect",
+        help="say what images hold, what is wrong and what can be measured",
+        description="One line an epoch, then what is wrong, and which speeds the dates "
+        "allow to be\nmeasured.  Nothing is measured and nothing is written.",
+        epilog="example:\n  astro-scc inspect 3c273/*.fits",
+    )
+    parser.add_argument(
+        "epochs",
+        metavar="EPOCH.fits",
+        nargs="+",
+        help="one image a date, or a file that EpochCube.write made",
+    )
+    return parser
+
+
+def run(args, reporter):
+    """
+    Look at files.
+
+    Parameters
+    ----------
+    args : `argparse.Namespace`
+    reporter : `~astro_scc.cli.reporter.Reporter`
+    """
+    from pathlib import Path
+
+    from astro_scc.epochs.assembly import find_files
+    from astro_scc.epochs.inspection import inspect_epochs
+    from astro_scc.epochs.serialize import is_cube_file
+
+    files = find_files(args.epochs, missing_ok=True)
+    cube, refusal = _cube(files)
+    if len(files) == 1 and files[0].exists() and is_cube_file(files[0]):
+        if cube is None:
+            raise ValueError(refusal)
+        names, unit, problems = list(cube.labels), cube.unit, []
+        rows = [_epoch_cells(cube, i) for i in range(len(cube))]
+    else:
+        table = inspect_epochs(files)
+        names = [Path(row["file"]).name for row in table]
+        unit = table["noise"].unit
+        problems = [
+            f"{row['file']}: {row['problem']}" for row in table if row["problem"]
+        ]
+        if not any(table["nx"]):
+            more = f" (and {len(table) - 1} more like it)" if len(table) > 1 else ""
+            raise ValueError(f"{problems[0]}{more}")
+        rows = [_file_cells(*pair) for pair in zip(names, table, strict=True)]
+    cores, scatter = _cores(cube)
+    for name, row in zip(names, rows, strict=True):
+        row.append(cores.get(name, "-"))
+    head = ["epoch", "date", "pixels", "pixel", "beam", f"noise ({unit})", "peak"]
+    for line in table_lines([*head, "core"], rows):
+        reporter.say(line)
+    reporter.say("peak and core: (east, north) from the reference pixel in mas")
+    if refusal:
+        problems.append(f"as one series: {refusal}")
+    reporter.say("\n" + ("Problems:" if problems else "No problems."))
+    for problem in problems:
+        reporter.say(f"  {problem}")
+    if cube is not None:
+        reporter.say()
+        for line in [*_plan(cube), *scatter]:
+            reporter.say(line)
+
+
+def _cube(files):
+    """The files as a cube, or None and why they are none."""
+    import warnings
+
+    from astro_scc import EpochCube
+    from astro_scc.exceptions import AstroSccWarning
+
+    with warnings.catch_warnings():
+        # They are among the problems.
+        warnings.simplefilter("ignore", AstroSccWarning)
+        try:
+            return EpochCube.read(files), None
+        except (ValueError, OSError) as error:
+            return None, str(error)
+
+
+def _cores(cube):
+    """Offset of the core of each epoch as text, by label, and what to do about it."""
+    import numpy as np
+
+    from astro_scc.epochs.core import core_positions
+
+    if cube is None or cube.beams is None:
+        return {}, []
+    try:
+        found = core_positions(cube)
+    except ValueError:
+        return {}, []
+    east, north = found["east"], found["north"]
+    cores = {
+        label: _offset(e.value, n.value)
+        for label, e, n in zip(cube.labels, east, north, strict=True)
+    }
+    scatter = max(east.std(), north.std())
+    width = np.median([np.sqrt(b.major * b.minor).value for b in cube.beams])
+    if scatter.value < SCATTER * width:
+        return cores, []
+    return cores, [
+        f"The core scatters by {scatter:.2g} from epoch to epoch: measure with --align "
+        "core, or with a table of its positions."
+    ]
+
+
+def _offset(east, north):
+    return f"{east:+.2f} {north:+.2f}"
+
+
+def _file_cells(name, row):
+    """One row of `inspect_epochs` as text."""
+    import numpy as np
+
+    from astro_scc.epochs.description import readable_angle
+
+    if not row["nx"]:
+        return [name, *"------"]
+    known = np.isfinite(row["major"])
+    return [
+        name,
+        "-" if np.any(row["date"].mask) else str(row["date"].isot)[:10],
+        f"{row['nx']} x {row['ny']}",
+        readable_angle(row["pixel"]),
+        _beam(row["major"], row["minor"], row["pa"]) if known else "-",
+        f"{row['noise'].value:.2g}" if np.isfinite(row["noise"]) else "-",
+        _offset(row["peak_east"].value, row["peak_north"].value),
+    ]
+
+
+def _epoch_cells(cube, i):
+    """One epoch of a cube as text."""
+    import numpy as np
+
+    from astro_scc.epochs.description import readable_angle
+
+    ny, nx = cube.shape[1:]
+    beam = "-"
+    if cube.beams is not None:
+        own = cube.beams[i]
+        beam = _beam(own.major, own.minor, own.pa)
+    image = np.where(cube.mask[i], -np.inf, cube.data[i])
+    y, x = np.unravel_index(np.argmax(image), image.shape)
+    return [
+        cube.labels[i],
+        cube.times[i].isot[:10],
+        f"{nx} x {ny}",
+        readable_angle(cube.pixel_scale),
+        beam,
+        f"{cube.noise_rms()[i].value:.2g}",
+        _offset(*(v.value for v in cube.pixel_to_offset(x, y))),
+    ]
+
+
+def _beam(major, minor, pa):
+    from astro_scc.epochs.description import readable_angle
+
+    unit = readable_angle(major).split()[1]
+    return (
+        f"{major.to_value(unit):.3g} x {minor.to_value(unit):.3g} {unit} "
+        f"at {pa.value:.0f} deg"
+    )
+
+
+def _plan(cube):
+    """What the dates allow."""
+    from astro_scc.epochs.inspection import plan_intervals
+
+    try:
+        return plan_intervals(cube).lines()
+    except ValueError as error:
+        return [f"{error}."]

@@ -1,0 +1,106 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What a command says, and where."""
+
+import sys
+from contextlib import contextmanager
+
+__all__ = ["Reporter", "one_line"]
+
+
+def one_line(error):
+    """
+    An error as one line that begins with the file, where there is one.
+
+    Parameters
+    ----------
+    error : Exception or str
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> from astro_scc.cli.reporter import one_line
+    >>> try:
+    ...     open("nothing.fits")
+    ... except OSError as error:
+    ...     print(one_line(error))
+    nothing.fits: No such file or directory
+    """
+    text = str(error)
+    if isinstance(error, OSError) and error.strerror and error.filename is not None:
+        text = f"{error.filename}: {error.strerror}"
+    elif isinstance(error, MemoryError):
+        text = f"not enough memory; crop the images or use fewer epochs ({text})"
+    return " ".join(text.split()) or type(error).__name__
+
+
+class Reporter:
+    """
+    Messages of a command: results to standard output, the rest to error.
+
+    Parameters
+    ----------
+    name : str
+        Of the command.
+    quiet : bool, optional
+        Print errors only.
+
+    Attributes
+    ----------
+    warnings : list of str
+        All that were issued, each once.
+    progress : bool
+        Whether to show progress bars.
+    """
+
+    def __init__(self, name, *, quiet=False):
+        self.name = name
+        self.quiet = quiet
+        self.warnings = []
+        self.progress = not quiet and sys.stderr.isatty()
+
+    def say(self, text=""):
+        """Print a result."""
+        if not self.quiet:
+            print(text)
+
+    def note(self, text):
+        """Print what was decided or left out."""
+        if not self.quiet:
+            print(f"note: {text}", file=sys.stderr)
+
+    def warn(self, text):
+        """Print and keep a warning, the first time."""
+        text = one_line(text)
+        if text not in self.warnings:
+            self.warnings.append(text)
+            if not self.quiet:
+                print(f"warning: {text}", file=sys.stderr)
+
+    def error(self, error):
+        """Print an error."""
+        print(f"{self.name}: error: {one_line(error)}", file=sys.stderr)
+
+    @contextmanager
+    def warnings_as_lines(self):
+        """
+        Keep warnings and print each as a line, while in this context.
+
+        Yields
+        ------
+        None
+        """
+        import warnings
+
+        # Astropy replaces the function that shows warnings when it is imported.
+        from astropy.utils.exceptions import AstropyWarning
+
+        def show(message, category, filename, lineno, file=None, line=None):
+            self.warn(str(message))
+
+        with warnings.catch_warnings():
+            warnings.filterwarnings("always", category=AstropyWarning)
+            warnings.showwarning = show
+            yield

@@ -1,0 +1,157 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""``astro-scc restore``: images from lists of components."""
+
+from pathlib import Path
+
+from astro_scc.cli.arguments import (
+    add_output,
+    add_selection,
+    draw_seed,
+    parse_option,
+)
+
+__all__ = ["add_parser", "run"]
+
+EPILOG = """\
+examples:
+  astro-scc restore 1226+023.ecsv -o 3c273 --beam "1.0 mas 0.5 mas -7 deg" \\
+      --pixel "0.1 mas" --noise "0.3 mJy/beam" --seed 1 --before 2011-01-01
+  astro-scc restore models/*.mod -o images --beam "0.9 0.6 mas -5 deg" \\
+      --pixel "0.1 mas"
+
+Tables are ECSV or machine-readable tables of the AAS and CDS (.txt), with the columns
+epoch, flux, separation and position_angle; .mod are models of difmap with the date in
+the name; .fits have CLEAN components in an AIPS CC table.
+"""
+
+
+def add_parser(commands):
+    """Add the command to the program's parser."""
+    parser = commands.add_parser(
+        "restore",
+        help="make images of lists of Gaussian or CLEAN components",
+        description="Make images of lists of components, all with one beam: one FITS "
+        "file an epoch.",
+        epilog=EPILOG,
+    )
+    parser.add_argument(
+        "tables",
+        metavar="TABLE.ecsv|MODEL.mod",
+        nargs="+",
+        help="a table of many epochs, or one file an epoch",
+    )
+    add_output(parser, what="the images")
+    parser.add_argument(
+        "--beam",
+        metavar='"1.0 mas 0.5 mas -7 deg"',
+        required=True,
+        help="major axis, minor axis (full widths at half maximum) and position angle; "
+        "one axis is a circle",
+    )
+    parser.add_argument(
+        "--pixel", metavar='"0.1 mas"', required=True, help="side of a pixel"
+    )
+    parser.add_argument(
+        "--noise",
+        metavar='"0.3 mJy/beam"',
+        help="rms of the noise to add, correlated by the beam; default none",
+    )
+    parser.add_argument(
+        "--seed", metavar="N", help="of the noise; drawn and printed by default"
+    )
+    add_selection(parser)
+    parser.add_argument(
+        "--source", metavar="NAME", help="source to take from a table of many"
+    )
+    parser.add_argument(
+        "--origin",
+        choices=("core", "map"),
+        help="what is at the reference pixel, the core (feature 0) or the centre of "
+        "the map; default the core in tables that refer to it",
+    )
+    return parser
+
+
+def run(args, reporter):
+    """
+    Restore, as the arguments say.
+
+    Parameters
+    ----------
+    args : `argparse.Namespace`
+    reporter : `~astro_scc.cli.reporter.Reporter`
+    """
+    import astropy.units as u
+
+    from astro_scc.config import to_time
+    from astro_scc.epochs import read_components, restore, write_epochs
+    from astro_scc.measurement import product_folder
+
+    beam = _beam(args.beam)
+    pixel = _quantity("--pixel", args.pixel, "0.1 mas")
+    noise = args.noise and _quantity("--noise", args.noise, "0.3 mJy/beam")
+    dates = {
+        name: to_time(parse_option(name, value))
+        for name in ("after", "before")
+        if (value := getattr(args, name)) is not None
+    }
+    seed = draw_seed() if args.seed is None else parse_option("seed", args.seed)
+    folder = Path(args.output)
+    with product_folder(folder, overwrite=args.overwrite) as part:
+        components = read_components(
+            args.tables, source=args.source, origin=args.origin
+        )
+        cube = restore(
+            components.select(**dates),
+            beam=beam,
+            pixel_scale=pixel,
+            noise=noise,
+            rng=seed,
+        )
+        if noise is not None:
+            cube = cube.with_step(f"noise of {noise} with the seed {seed}")
+        paths = write_epochs(cube, part)
+    first, last = cube.times.isot[[0, -1]]
+    ny, nx = cube.shape[1:]
+    drawn = "" if noise is None else f" (seed of the noise {seed})"
+    reporter.say(
+        f"{len(paths)} epochs, {first[:10]} to {last[:10]}, {nx} x {ny} pixels of "
+        f"{pixel.to(u.mas):.4g}, beam {beam}, in {folder}{drawn}; next:\n"
+        f"  astro-scc measure {folder}/*.fits -o {folder}-measured"
+    )
+
+
+def _quantity(option, text, example):
+    """A positive quantity of the kind of an example."""
+    import astropy.units as u
+
+    from astro_scc.config import parse_quantities
+
+    wanted = f"must be one number above 0 with a unit, such as {example!r}"
+    try:
+        found = parse_quantities(text)
+    except ValueError as error:
+        raise ValueError(f"{option} {text!r}: {error}; it {wanted}") from None
+    unit = u.Quantity(example).unit
+    if len(found) != 1 or not found[0].unit.is_equivalent(unit) or not found[0] > 0:
+        raise ValueError(f"{option} {text!r}: {wanted}")
+    return found[0]
+
+
+def _beam(text):
+    """A beam from one axis, two axes, or two axes and a position angle."""
+    import astropy.units as u
+
+    from astro_scc.config import parse_quantities
+    from astro_scc.epochs import Beam
+
+    try:
+        major, *rest = parse_quantities(text)
+        if not 0 <= len(rest) <= 2:
+            raise ValueError("has too many numbers")
+        return Beam(major, *rest) if rest else Beam(major, major)
+    except (ValueError, u.UnitConversionError) as error:
+        raise ValueError(
+            f"--beam {text!r}: {error}; give major axis, minor axis and position "
+            "angle, such as '1.0 mas 0.5 mas -7 deg'"
+        ) from None

@@ -1,0 +1,101 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Results as lines of text."""
+
+__all__ = ["component_lines", "table_lines"]
+
+
+def table_lines(head, rows):
+    """
+    A table as aligned lines.
+
+    Parameters
+    ----------
+    head : sequence of str
+    rows : sequence of sequence of str
+        As long as ``head``.
+
+    Returns
+    -------
+    list of str
+
+    Examples
+    --------
+    >>> from astro_scc.cli.summary import table_lines
+    >>> for line in table_lines(["file", "noise"], [["a.fits", "0.3 mJy"]]):
+    ...     print(line)
+    file      noise
+    a.fits  0.3 mJy
+    """
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    # Text to the left in the first column, numbers to the right in the others.
+    return [
+        "  ".join(
+            cell.ljust(width) if i == 0 else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in (head, *rows)
+    ]
+
+
+def with_error(value, error):
+    """
+    A value and its error, with two digits of the error.
+
+    Parameters
+    ----------
+    value, error : float
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> from astro_scc.cli.summary import with_error
+    >>> with_error(6.08744, 0.1234), with_error(0.3, float("nan"))
+    ('6.09 +- 0.12', '0.3 +- nan')
+    """
+    import math
+
+    if not (math.isfinite(error) and error > 0):
+        return f"{value:.3g} +- {error:.2g}"
+    digits = max(0, 1 - math.floor(math.log10(error)))
+    return f"{value:.{digits}f} +- {error:.{digits}f}"
+
+
+def component_lines(components):
+    """
+    Components as a table to read.
+
+    Parameters
+    ----------
+    components : `~astropy.table.QTable`
+        See `~astro_scc.measurement.SCCResult.components`.
+
+    Returns
+    -------
+    list of str
+    """
+    if len(components) == 0:
+        return [
+            "No velocity component stands out.  Other scales, a --baseline that suits "
+            "the speed",
+            "(see astro-scc inspect) or a --region may help; so may more epochs.",
+        ]
+    in_c = "beta_app" in components.colnames
+    unit = components["pm"].unit
+    head = ["component", f"proper motion ({unit})", "PA (deg)"]
+    head += ["speed (c)"] if in_c else []
+    head += ["z score", "p_global", "SSPs"]
+    rows = []
+    for row in components:
+        cells = [
+            str(row["component"]),
+            with_error(row["pm"].value, row["pm_err"].value),
+            f"{row['pm_pa'].value:.0f}",
+        ]
+        if in_c:
+            cells.append(with_error(row["beta_app"], row["beta_app_err"]))
+        cells += [f"{row['z_score']:.1f}", f"{row['p_global']:.3f}", str(row["n_ssp"])]
+        rows.append(cells)
+    return table_lines(head, rows)

@@ -1,0 +1,289 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""A measurement as files: tables, maps and the settings that lead to them."""
+
+import errno
+import os
+import secrets
+import shutil
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.io import fits
+
+__all__ = ["plain_cosmology", "product_folder", "velocity_hdus", "write_products"]
+
+MAPS = (("coefficient", "COEFFICIENT"), ("z_score", "ZSCORE"))
+
+
+@contextmanager
+def product_folder(path, *, overwrite=False, stale=()):
+    """
+    Make a folder of products that appears when all of them are complete.
+
+    Parameters
+    ----------
+    path : path
+        The folder.  Its parents are made if need be.
+    overwrite : bool, optional
+        Replace the files of a folder that has some, those of the same names;
+        its other files stay.
+    stale : sequence of str, optional
+        Names of files that go when they are not replaced.
+
+    Yields
+    ------
+    `~pathlib.Path`
+        Where to write.  Nothing of it is left behind if there is an error.
+
+    Raises
+    ------
+    OSError
+        If the folder has files and ``overwrite`` is False, is a file, or
+        cannot be written to.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from astro_scc.measurement import product_folder
+    >>> with product_folder("out") as folder:
+    ...     _ = (folder / "a.txt").write_text("done")
+    >>> [path.name for path in Path("out").iterdir()]
+    ['a.txt']
+    """
+    target = Path(path)
+    exists = target.is_dir()
+    if target.exists() and not exists:
+        raise OSError(f"{path}: is a file; choose another folder")
+    made = [parent for parent in target.absolute().parents if not parent.exists()]
+    name = f"partial-{os.getpid()}-{secrets.token_hex(4)}"
+    # On the disk of the target, so that things only have to be renamed.
+    folder = target / f".{name}" if exists else target.parent / f".{target.name}.{name}"
+    try:
+        filled = exists and any(target.iterdir())
+        if overwrite or not filled:
+            folder.mkdir(parents=True)
+    except OSError as error:
+        _remove(made)
+        raise OSError(f"{path}: cannot be made or used: {error.strerror}") from None
+    if filled and not overwrite:
+        raise OSError(
+            f"{path}: exists and is not empty; choose another folder, or --overwrite"
+        )
+    try:
+        yield folder
+        if exists:
+            _move(folder, target, stale)
+        else:
+            folder.rename(target)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        _remove(made)
+        raise
+
+
+def _remove(folders):
+    """Take folders away that are empty, the innermost first."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
+
+
+def _move(folder, target, stale=()):
+    """Put all files of a folder into another one, and take stale ones away."""
+    new = {path.name for path in folder.iterdir()}
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and (target / path.name).is_dir():
+            _move(path, target / path.name)
+        else:
+            os.replace(path, target / path.name)
+    for name in set(stale) - new:
+        (target / name).unlink(missing_ok=True)
+    folder.rmdir()
+
+
+def write_products(result, components, directory, *, configuration=None, text=None):
+    """
+    Write tables and maps of a measurement.
+
+    Parameters
+    ----------
+    result : `SCCResult`
+    components : `~astropy.table.QTable`
+        `SCCResult.components`, with apparent speeds if there are any.
+    directory : path
+        A folder that exists, see `product_folder`.
+    configuration : dict, optional
+        Settings as plain numbers and text; they go into the meta of the
+        tables in place of the settings of the stack alone.
+    text : str, optional
+        The same as TOML, for ``config.toml``.
+
+    Returns
+    -------
+    list of `~pathlib.Path`
+        ``components.ecsv``, ``ssps.ecsv``, ``scc.fits`` and, with a
+        ``text``, ``config.toml``.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+
+    Notes
+    -----
+    The files have no date of their own: the same measurement gives the same
+    files, to the byte.
+    """
+    directory = Path(directory)
+    paths = [directory / name for name in ("components.ecsv", "ssps.ecsv", "scc.fits")]
+    for table, path in zip((components, result.ssps), paths, strict=False):
+        table = table.copy(copy_data=False)
+        table.meta = _table_meta(result, components.meta, configuration)
+        table.write(path, format="ascii.ecsv", overwrite=True)
+    velocity_hdus(result, text=text).writeto(
+        paths[2], output_verify="exception", overwrite=True
+    )
+    if text is not None:
+        paths.append(directory / "config.toml")
+        paths[3].write_text(text, encoding="utf-8")
+    return paths
+
+
+def _table_meta(result, given, configuration):
+    """What a table says about itself, as any reader of ECSV understands it."""
+    meta = {**result.meta, **given}
+    if configuration is not None:
+        meta.pop("settings", None)
+        meta = {"configuration": configuration, **meta}
+    meta["history"] = list(result.cube.meta.get("history", ()))
+    if meta.get("cosmology") is not None:
+        meta["cosmology"] = plain_cosmology(meta["cosmology"])
+    return {key: _plain(value) for key, value in meta.items()}
+
+
+def plain_cosmology(cosmology):
+    """
+    A cosmology as a dictionary.
+
+    Tables with a `~astropy.cosmology.Cosmology` in their meta cannot be read
+    before `astropy.cosmology` is imported; with this they can.
+
+    Parameters
+    ----------
+    cosmology : `~astropy.cosmology.Cosmology` or dict
+        A dictionary is returned as it is.
+
+    Returns
+    -------
+    dict
+        Which ``Cosmology.from_format(..., format="mapping")`` takes.
+
+    Examples
+    --------
+    >>> from astropy.cosmology import Cosmology
+    >>> from astro_scc.kinematics import paper_cosmology
+    >>> from astro_scc.measurement import plain_cosmology
+    >>> plain = plain_cosmology(paper_cosmology())
+    >>> plain["cosmology"], plain["Om0"]
+    ('FlatLambdaCDM', 0.27)
+    >>> Cosmology.from_format(plain, format="mapping") == paper_cosmology()
+    True
+    """
+    if isinstance(cosmology, dict):
+        return cosmology
+    plain = cosmology.to_format("mapping", cosmology_as_str=True)
+    return {k: v for k, v in plain.items() if k != "meta" and v is not None}
+
+
+def _plain(value):
+    """Scalars of Python, lists and quantities, which ECSV keeps as text."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, u.Quantity):
+        return [_plain(item) for item in value] if value.shape else value
+    if isinstance(value, tuple | list | np.ndarray):
+        return [_plain(item) for item in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def velocity_hdus(result, *, text=None):
+    """
+    The velocity map and its significance as FITS images.
+
+    Parameters
+    ----------
+    result : `SCCResult`
+    text : str, optional
+        Settings, for the comments of the header.
+
+    Returns
+    -------
+    `~astropy.io.fits.HDUList`
+        The stacked correlation coefficients, and the extension ``ZSCORE``.
+        Both have a linear WCS in mas/yr along the axes of the velocities.
+
+    Examples
+    --------
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import velocity_hdus
+    >>> from astro_scc.simulation import simulate_static
+    >>> cube = simulate_static(n_epochs=4, rng=1).cube
+    >>> result = StackedCrossCorrelation(scales=[2])(cube, n_trials=10, rng=1)
+    >>> [hdu.name for hdu in velocity_hdus(result)]
+    ['COEFFICIENT', 'ZSCORE']
+    """
+    hdus = []
+    for which, name in MAPS:
+        image = result.velocity_map(which)
+        header = _header(result, image)
+        kind = fits.ImageHDU if hdus else fits.PrimaryHDU
+        hdus.append(kind(np.asarray(image.data, dtype=float), header))
+        hdus[-1].name = name
+    primary = hdus[0].header
+    for key, value in _facts(result).items():
+        primary[key] = value
+    for line in result.cube.meta.get("history", ()):
+        primary.add_history(_ascii(line))
+    for line in (text or "").splitlines():
+        primary.add_comment(_ascii(line) or " ")
+    return fits.HDUList(hdus)
+
+
+def _header(result, image):
+    header = image.wcs.to_header()
+    # Of the sky, which these axes are not.
+    for key in ("LATPOLE", "LONPOLE", "MJDREF", "RADESYS"):
+        header.remove(key, ignore_missing=True)
+    for i, axis in enumerate(result.frame.axis_names, start=1):
+        header[f"CNAME{i}"] = (axis, "direction of the proper motion")
+    return header
+
+
+def _facts(result):
+    cube, meta = result.cube, result.meta
+    dates = cube.times.utc.isot
+    versions = meta.get("versions", {})
+    creator = f"astro_scc {versions.get('astro_scc', '')}"
+    facts = {
+        "OBJECT": (_ascii(cube.meta.get("object", ""))[:60], "name of the object"),
+        "DATE-BEG": (dates[0], "first epoch"),
+        "DATE-END": (dates[-1], "last epoch"),
+        "NEPOCHS": (len(cube), "number of epochs"),
+        "JETPA": (
+            float(result.position_angle.to_value(u.deg)),
+            "[deg] position angle of the jet",
+        ),
+        "NTRIALS": (meta.get("n_trials"), "number of trials"),
+        "SEED": (meta.get("seed"), "seed of the trials"),
+        "CREATOR": (_ascii(creator)[:60], "program"),
+    }
+    facts = {k: v for k, v in facts.items() if v[0] not in (None, "")}
+    for i, (name, version) in enumerate(sorted(versions.items()), start=1):
+        facts[f"VERS{i}"] = _ascii(f"{name} {version}")[:60]
+    return facts
+
+
+def _ascii(text):
+    return " ".join(str(text).split()).encode("ascii", "replace").decode()
