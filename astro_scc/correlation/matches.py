@@ -166,7 +166,17 @@ class Matches:
         return cls.from_columns([columns], meta["pairs"], meta["reach"], meta["kappa"])
 
     def same_as(self, other):
-        """Whether all fields equal those of other matches."""
+        """
+        Whether all fields equal those of other matches.
+
+        Parameters
+        ----------
+        other : `Matches`
+
+        Returns
+        -------
+        bool
+        """
         return all(
             np.array_equal(getattr(self, f.name), getattr(other, f.name))
             for f in fields(self)

@@ -94,7 +94,17 @@ class Template:
         return full[..., : self.result_shape[0], : self.result_shape[1]]
 
     def of_windows(self, windows):
-        """Coefficients for windows without missing pixels."""
+        """
+        Coefficients for windows without missing pixels.
+
+        Parameters
+        ----------
+        windows : `~numpy.ndarray`, shape (..., h, w)
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (..., ny, nx)
+        """
         transform = fft.rfft2(windows, self.fft_shape)
         energy_fft = fft.rfft2(windows * windows, self.fft_shape)
         total = self._correlate(transform, self._footprint_fft * self.n_pixels**-0.5)
@@ -103,7 +113,19 @@ class Template:
         return _coefficient(covariance, variance, self.energy, windows)
 
     def of_masked_windows(self, windows, valid, min_overlap):
-        """Coefficients, and overlaps, for windows with missing pixels."""
+        """
+        Coefficients, and overlaps, for windows with missing pixels.
+
+        Parameters
+        ----------
+        windows : `~numpy.ndarray`, shape (..., h, w)
+        valid : `~numpy.ndarray` of bool, same shape
+        min_overlap : float
+
+        Returns
+        -------
+        coefficient, overlap : `~numpy.ndarray`, shape (..., ny, nx)
+        """
         windows = np.where(valid, windows, 0.0)
         valid = valid.astype(float)
         transform = fft.rfft2(windows, self.fft_shape)

@@ -47,7 +47,17 @@ class Decomposition:
         return f"<Decomposition of {nx} x {ny} px: {self.ssps!r}>"
 
     def plane_index(self, scale):
-        """Index of a scale in ``planes``."""
+        """
+        Index of a scale in ``planes``.
+
+        Parameters
+        ----------
+        scale : float
+
+        Returns
+        -------
+        int
+        """
         return self.scales.index(scale)
 
     def segmentation(self, scale):
@@ -69,7 +79,17 @@ class Decomposition:
         return labels
 
     def segmented_plane(self, scale):
-        """The plane of a scale, zero outside its SSPs, shape (ny, nx)."""
+        """
+        The plane of a scale, zero outside its SSPs.
+
+        Parameters
+        ----------
+        scale : float
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (ny, nx)
+        """
         plane = self.planes[self.plane_index(scale)]
         return np.where(self.segmentation(scale) > 0, plane, np.float32(0))
 

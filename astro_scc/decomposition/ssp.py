@@ -68,7 +68,17 @@ class SSPs:
         return np.diff(self.starts)
 
     def pixels_of(self, index):
-        """Indices into the flattened image of the pixels of one SSP."""
+        """
+        Indices into the flattened image of the pixels of one SSP.
+
+        Parameters
+        ----------
+        index : int
+
+        Returns
+        -------
+        `~numpy.ndarray` of int
+        """
         return self.pixels[self.starts[index] : self.starts[index + 1]]
 
     @classmethod

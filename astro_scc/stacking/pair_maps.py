@@ -114,7 +114,7 @@ class PairMaps:
 
         Yields
         ------
-        `~numpy.ndarray`, shape (m, *grid.shape)
+        `~numpy.ndarray`, shape (m, n2, n1)
             Blocks of stacks, in the order of ``orders``.
         """
         orders = np.asarray(orders)
