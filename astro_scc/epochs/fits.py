@@ -101,7 +101,7 @@ def read_image(path, hdu=None):
     if path.is_dir():
         raise IsADirectoryError(f"{path}: is a directory; give {path}/*.fits")
     try:
-        return _open(path, hdu, memmap=True)
+        return _open(path, hdu)
     except _ContentError as error:
         raise ValueError(f"{path}: {error}") from None
     except _NoImageError as error:
@@ -116,21 +116,16 @@ class _NoImageError(Exception):
     """The file is not FITS, is broken, or holds no image."""
 
 
-def _open(path, hdu, memmap):
+def _open(path, hdu):
     with warnings.catch_warnings():
         # AIPS and difmap files break small rules of the standard throughout.
         warnings.simplefilter("ignore")
         try:
             # astropy.io.fits forgets to close files that it fails to open.
-            with path.open("rb") as file, fits.open(file, memmap=memmap) as hdus:
+            with path.open("rb") as file, fits.open(file) as hdus:
                 return _image(hdus, hdu, path)
         except (_ContentError, _NoImageError):
             raise
-        except ValueError as error:
-            # Scaled integers cannot be memory-mapped.
-            if memmap and "memory-map" in str(error):
-                return _open(path, hdu, memmap=False)
-            raise _broken(error) from None
         except Exception as error:
             # A damaged file can fail anywhere inside astropy.io.fits.
             raise _broken(error) from None
@@ -269,19 +264,21 @@ def _beam(hdus, header, wcs, shape, notes):
 
 def _meta(header):
     """The header without what describes the array, with the band as values."""
-    meta = fits.Header()
-    for card in header.cards:
-        try:
-            keyword, value, comment = card.keyword, card.value, card.comment
-        except (fits.VerifyError, ValueError):
-            continue
-        if not _STRUCTURE.match(keyword):
-            meta.append((keyword, value, comment), end=True)
+    meta = fits.Header([card for card in header.cards if _belongs_to_meta(card)])
     facts = header_facts(header)
     for fact, keyword in (("frequency", "FREQ"), ("stokes", "STOKES")):
         if fact in facts:
             meta[keyword] = facts[fact]
     return meta
+
+
+def _belongs_to_meta(card):
+    try:
+        # Cards are parsed at first use, where broken ones raise.
+        readable = (card.value, card.comment)
+        return bool(readable) and not _STRUCTURE.match(card.keyword)
+    except (fits.VerifyError, ValueError):
+        return False
 
 
 registry.register_reader("vlbi-fits", CCDData, read_vlbi_fits, force=True)

@@ -5,7 +5,6 @@ import re
 import warnings
 
 import astropy.units as u
-import numpy as np
 from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
@@ -278,16 +277,11 @@ def celestial_wcs(header, fobj=None):
         try:
             wcs = WCS(clean, fobj=fobj).celestial
             wcs.wcs.set()
-            scale = np.linalg.det(wcs.pixel_scale_matrix)
         except Exception as error:
             reason = str(error).strip().splitlines()
             raise ValueError(
                 f"its celestial coordinates cannot be read: {' '.join(reason[:2])}"
             ) from None
-    if wcs.naxis != 2 or not np.isfinite(scale) or scale == 0:
-        raise ValueError("its celestial coordinates have no pixel scale (CDELT or CD)")
-    if not wcs.wcs.radesys and np.isfinite(wcs.wcs.equinox):
-        wcs.wcs.radesys = "FK5" if wcs.wcs.equinox >= 1984 else "FK4"
     return wcs
 
 
@@ -320,11 +314,10 @@ def _check_celestial(header):
         )
     if kinds.index("longitude") > kinds.index("latitude"):
         raise ValueError("latitude is its first axis; transpose the image")
-    scaled = [
-        key for key in header if re.match(r"(CDELT|CD\d+_)\d+$", key) and header[key]
-    ]
-    if not scaled:
-        raise ValueError("its celestial coordinates have no pixel scale (CDELT or CD)")
+    for axis in (kinds.index("longitude") + 1, kinds.index("latitude") + 1):
+        rows = [key for key in header if re.match(rf"CD{axis}_\d+$", key)]
+        if not any(header[key] for key in (*rows, f"CDELT{axis}") if key in header):
+            raise ValueError("its celestial axes have no pixel scale (CDELT or CD)")
 
 
 def _standard_ctype(ctype):

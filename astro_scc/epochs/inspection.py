@@ -340,7 +340,7 @@ def plan_intervals(cube, beam=None, *, extent=None):
     >>> times = Time(["2000-01-01", "2000-07-01", "2001-01-01", "2002-01-01"])
     >>> plan = plan_intervals(times, Beam(1 * u.mas, 0.5 * u.mas))
     >>> plan.slowest.round(3), plan.consecutive.round(2)
-    (<Quantity 0.071 mas / yr>, <Quantity [0.42, 2.1 ] mas / yr>)
+    (<Quantity 0.071 mas / yr>, <Quantity [0.42, 2.11] mas / yr>)
     >>> plan.baseline(1 * u.mas / u.yr).round(2)
     <Quantity [0.21, 1.06] yr>
     """

@@ -126,6 +126,8 @@ def test_thousands_of_history_cards_and_clean_components(tmp_path, aips_header):
     image = read_vlbi_fits(path)
     assert image.meta["BMAJ"] == pytest.approx(3e-7)
     assert len(image.meta["HISTORY"]) == 3001
+    with pytest.raises(OSError, match="holds no image of real numbers"):
+        read_vlbi_fits(path, hdu="AIPS CC")
 
 
 def test_beam_of_an_aips_table(tmp_path, aips_header):
