@@ -1,1 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Visualization: one function a figure, each a matplotlib figure of its own."""
+
+from astro_scc.visualization.images import plot_epoch, plot_epochs
+from astro_scc.visualization.members import plot_members
+from astro_scc.visualization.significance import (
+    plot_map_and_significance,
+    plot_significance,
+)
+from astro_scc.visualization.timeline import plot_intervals
+from astro_scc.visualization.velocity import plot_velocity_map
+
+__all__ = [
+    "plot_epoch",
+    "plot_epochs",
+    "plot_intervals",
+    "plot_map_and_significance",
+    "plot_members",
+    "plot_significance",
+    "plot_velocity_map",
+]

@@ -1,0 +1,155 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What the figures share: colours, units of axes, and where they are drawn."""
+
+import astropy.units as u
+import numpy as np
+
+__all__ = []
+
+# Okabe & Ito's colours, which people of all colour visions tell apart.
+BLACK = "#000000"
+ORANGE = "#E69F00"
+SKY_BLUE = "#56B4E9"
+GREEN = "#009E73"
+BLUE = "#0072B2"
+VERMILLION = "#D55E00"
+PURPLE = "#CC79A7"
+GREY = "#767676"
+
+PM_UNIT = u.mas / u.yr
+
+SCALE_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY_BLUE)
+
+#: Width and largest height of a figure in inches, for a page.
+WIDTH = 6.0
+HEIGHT = 9.5
+
+#: Up to this p-value a component counts as found.
+LEVEL = 0.05
+
+#: Squared distance from zero in errors that 95% of standing features keep below.
+STATIONARY = 5.99
+
+
+def figure_and_axes(ax, figsize):
+    """
+    The axes to draw on and their figure, new ones where none are given.
+
+    Figures are made without pyplot: nothing is registered, shown or set.
+    """
+    if ax is not None:
+        return ax.get_figure(), ax
+    figure = new_figure(figsize)
+    return figure, figure.add_subplot()
+
+
+def new_figure(figsize):
+    """An empty figure that makes room for its labels."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=figsize, layout="compressed")
+
+
+def offset_unit(span, unit=None):
+    """The unit in which offsets over a span of so many mas are easily read."""
+    if unit is not None:
+        unit = u.Unit(unit)
+        if not unit.is_equivalent(u.mas):
+            raise ValueError(f"unit must be an angle, such as 'mas', got {unit}")
+        return unit
+    for unit, least in ((u.deg, 3.0), (u.arcmin, 5.0), (u.arcsec, 3.0), (u.mas, 0.3)):
+        if (span * u.mas).to_value(unit) >= least:
+            return unit
+    return u.uas
+
+
+def speed_unit(fastest, unit=None):
+    """The unit in which proper motions up to so many mas/yr are easily read."""
+    if unit is None:
+        return u.arcsec / u.yr if fastest >= 3000 else PM_UNIT
+    unit = u.Unit(unit)
+    if not unit.is_equivalent(PM_UNIT):
+        raise ValueError(
+            f"unit must be an angle over a time, such as 'mas/yr', got {unit}"
+        )
+    return unit
+
+
+def unit_name(unit):
+    """A unit as it stands in a label."""
+    return u.Unit(unit).to_string().replace(" / ", "/")
+
+
+def scale_colors(scales):
+    """A colour for each scale number, the finest first."""
+    numbers = np.unique(np.asarray(scales, dtype=float))
+    return {
+        float(number): SCALE_COLORS[k % len(SCALE_COLORS)]
+        for k, number in enumerate(numbers)
+    }
+
+
+def component_kinds(components, level=LEVEL):
+    """
+    What the figures and the report may say of each component.
+
+    Parameters
+    ----------
+    components : `~astropy.table.QTable`
+        As `~astro_scc.measurement.SCCResult.components`.
+    level : float, optional
+        Largest ``p_global`` of a component that counts as found.
+
+    Returns
+    -------
+    list of str
+        "uncertain" where ``p_global`` is above the level; else "stationary"
+        where the table's column of that name says so or, without one, no
+        motion is within the errors at 95%; else "moving".
+    """
+    names = components.colnames
+    kinds = []
+    for row in components:
+        if "p_global" in names and not float(row["p_global"]) <= level:
+            kinds.append("uncertain")
+        elif _stands(row, names):
+            kinds.append("stationary")
+        else:
+            kinds.append("moving")
+    return kinds
+
+
+def _stands(row, names):
+    if "stationary" in names:
+        return bool(row["stationary"])
+    distance = 0.0
+    for name in ("pm_parallel", "pm_transverse"):
+        if name not in names:
+            return False
+        error = u.Quantity(row[f"{name}_err"]).value
+        if not 0 < error < np.inf:
+            return False
+        distance += (u.Quantity(row[name]).value / error) ** 2
+    return distance < STATIONARY
+
+
+def add_colorbar(ax, drawn, label, ticks=None):
+    """A colour bar beside axes, exactly as high as they are."""
+    beside = ax.inset_axes((1.02, 0.0, 0.03, 1.0))
+    bar = ax.get_figure().colorbar(drawn, cax=beside, label=label)
+    set_ticks(bar, ticks)
+    return bar
+
+
+def set_ticks(bar, ticks):
+    """Set the ticks of a colour bar as plain numbers; none for matplotlib's."""
+    if ticks is not None:
+        bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
+        bar.minorticks_off()
+
+
+def outline(width=2.5, color="white"):
+    """Path effects that keep a line or a letter readable on any ground."""
+    from matplotlib.patheffects import Normal, Stroke
+
+    return [Stroke(linewidth=width, foreground=color), Normal()]

@@ -1,0 +1,259 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The map of velocities."""
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.visualization.style import (
+    BLACK,
+    LEVEL,
+    PM_UNIT,
+    WIDTH,
+    add_colorbar,
+    component_kinds,
+    figure_and_axes,
+    outline,
+    speed_unit,
+    unit_name,
+)
+
+__all__ = ["plot_velocity_map"]
+
+AXIS_LABELS = {
+    "east": "Proper motion to the east",
+    "north": "Proper motion to the north",
+    "parallel": "Proper motion parallel to the jet",
+    "transverse": "Transverse proper motion",
+    "radial": "Radial proper motion",
+}
+MAP_LABELS = {
+    "coefficient": "Stacked correlation coefficient",
+    "z_score": "Significance z",
+}
+#: Of each kind of component: marker in the map and in the slice, name.
+KINDS = {
+    "moving": ("+", "o", "component"),
+    "stationary": ("s", "s", "stationary"),
+    "uncertain": ("x", "x", "may be chance"),
+}
+#: Corners for the legend of the map; the arrow of the jet is in the fourth.
+CORNERS = {"upper right": (1, 1), "upper left": (0, 1), "lower right": (1, 0)}
+
+
+def plot_velocity_map(
+    result,
+    *,
+    ax=None,
+    components=None,
+    which="coefficient",
+    unit=None,
+    beta_per_pm=None,
+    level=LEVEL,
+    colorbar=True,
+):
+    """
+    Draw the stacked cross-correlation as a map of velocities.
+
+    Components have their numbers of the table, a sign for their kind (found,
+    stationary, perhaps chance), and an ellipse of one standard error along
+    each axis.  The arrow is the direction of the jet.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    ax : `matplotlib.axes.Axes`, optional
+        Drawn on these instead of a new figure.
+    components : `~astropy.table.QTable`, optional
+        The components to mark, by default ``result.components``.
+    which : {"coefficient", "z_score"}
+        The map that is drawn.
+    unit : `~astropy.units.Unit`, optional
+        Of the axes, by default mas/yr, or arcsec/yr for large speeds.
+    beta_per_pm : float, optional
+        Apparent speed, in units of c, of a proper motion of 1 mas/yr; draws
+        a second axis.
+    level : float, optional
+        Largest ``p_global`` of a component that counts as found.
+    colorbar : bool, optional
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Raises
+    ------
+    ValueError
+        If the map is unknown, or the unit no proper motion.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.visualization import plot_velocity_map
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
+    >>> result = scc(simulate_two_fluid(n_epochs=4, rng=1).cube, n_trials=50, rng=1)
+    >>> figure = plot_velocity_map(result)
+    >>> figure.axes[0].get_xlabel()
+    'Proper motion to the east (mas/yr)'
+    """
+    if which not in MAP_LABELS:
+        raise ValueError(f"unknown map {which!r}: use 'coefficient' or 'z_score'")
+    unit = speed_unit(max(result.grid.v_max), unit)
+    components = result.components if components is None else components
+    figure, ax = figure_and_axes(ax, (WIDTH, 5.2))
+    drawn = _draw_map(ax, result, which, unit)
+    _draw_components(ax, result, components, component_kinds(components, level), unit)
+    _draw_jet(ax, result)
+    if beta_per_pm is not None:
+        second_axis(ax, unit, beta_per_pm)
+    if colorbar:
+        add_colorbar(ax, drawn, MAP_LABELS[which])
+    return figure
+
+
+def axis_label(result, axis, unit):
+    """Label of an axis of velocities."""
+    name = result.frame.axis_names[axis]
+    return f"{AXIS_LABELS.get(name, f'Proper motion, {name}')} ({unit_name(unit)})"
+
+
+def on_sky(result):
+    """Whether the axes of a result are east and north."""
+    return tuple(result.frame.axis_names) == ("east", "north")
+
+
+def _draw_map(ax, result, which, unit):
+    import matplotlib
+
+    grid = result.grid
+    factor = PM_UNIT.to(unit)
+    (left, right), (bottom, top) = (
+        np.array([axis[0] - step / 2, axis[-1] + step / 2]) * factor
+        for axis, step in zip((grid.v1, grid.v2), grid.step, strict=True)
+    )
+    values = np.ma.masked_invalid(getattr(result, which))
+    highest = values.max() if values.count() else 0.0
+    drawn = ax.imshow(
+        values,
+        origin="lower",
+        extent=(left, right, bottom, top),
+        vmin=0.0,
+        vmax=highest if highest > 0 else 1.0,
+        cmap=matplotlib.colormaps["cividis"],
+        interpolation="bilinear",
+    )
+    ax.axhline(0, color="white", linewidth=0.6, alpha=0.6)
+    ax.axvline(0, color="white", linewidth=0.6, alpha=0.6)
+    ax.set_aspect("equal")
+    ax.set_xlim((right, left) if on_sky(result) else (left, right))
+    ax.set_ylim(bottom, top)
+    ax.set_xlabel(axis_label(result, 0, unit))
+    ax.set_ylabel(axis_label(result, 1, unit))
+    return drawn
+
+
+def _draw_components(ax, result, components, kinds, unit):
+    from matplotlib.patches import Ellipse
+
+    first, second = ("pm_parallel", "pm_transverse")
+    if on_sky(result):
+        first, second = ("pm_ra_cosdec", "pm_dec")
+    v1, v2 = (plain(components, name, unit) for name in (first, second))
+    e1, e2 = (plain(components, f"{name}_err", unit) for name in (first, second))
+    if not kinds:
+        return
+    # Where the components are as parts of the axes, for what is written beside them.
+    place = ax.transLimits.transform(np.stack([v1, v2], axis=-1))
+    for kind in dict.fromkeys(kinds):
+        marker, _, name = KINDS[kind]
+        ax.plot(
+            [], [], marker, markersize=5, markerfacecolor="none",
+            markeredgecolor=BLACK, linestyle="", label=name,
+        )  # fmt: skip
+    effects = outline(2.5, BLACK)
+    for k, (number, kind) in enumerate(
+        zip(plain(components, "component"), kinds, strict=True)
+    ):
+        strong = kind != "uncertain"
+        if np.isfinite([e1[k], e2[k]]).all():
+            ax.add_patch(
+                Ellipse(
+                    (v1[k], v2[k]), 2 * e1[k], 2 * e2[k], facecolor="none",
+                    edgecolor="white", linewidth=1.2, path_effects=effects,
+                    linestyle="-" if strong else ":", gid="error",
+                )
+            )  # fmt: skip
+        ax.plot(
+            v1[k], v2[k], KINDS[kind][0], markersize=4, markerfacecolor="none",
+            markeredgecolor="white", path_effects=effects,
+        )  # fmt: skip
+        inward = np.where(place[k] > 0.93, -1, 1)
+        ax.annotate(
+            f"{number:.0f}",
+            np.clip(place[k], 0, 1),
+            xycoords="axes fraction",
+            xytext=7 * inward,
+            textcoords="offset points",
+            ha="left" if inward[0] > 0 else "right",
+            va="bottom" if inward[1] > 0 else "top",
+            color="white",
+            fontweight="bold" if strong else "normal",
+            fontsize="large" if strong else "small",
+            path_effects=effects,
+        )
+    corner = min(CORNERS, key=lambda name: _crowd(place, CORNERS[name]))
+    ax.legend(loc=corner, fontsize="small", framealpha=0.85)
+
+
+def _crowd(place, corner):
+    """How many components are in the corner of the axes that a legend covers."""
+    distance = np.abs(place - corner)
+    return int(np.sum((distance[:, 0] < 0.38) & (distance[:, 1] < 0.22)))
+
+
+def _draw_jet(ax, result):
+    """An arrow in the lower corner at the jet's direction."""
+    if on_sky(result):
+        if result.position_angle is None:
+            return
+        angle = u.Quantity(result.position_angle).to_value(u.rad)
+        # East is to the left.
+        direction = np.array([-np.sin(angle), np.cos(angle)])
+    else:
+        direction = np.array([1.0, 0.0])
+    name = "outward" if result.frame.axis_names[0] == "radial" else "jet"
+    centre = np.array([0.11, 0.11])
+    ax.annotate(
+        "",
+        centre + 0.07 * direction,
+        centre - 0.07 * direction,
+        xycoords="axes fraction",
+        textcoords="axes fraction",
+        arrowprops={"arrowstyle": "-|>", "color": "white", "linewidth": 1.5},
+    )
+    beside = centre + 0.05 * np.array([-direction[1], direction[0]])
+    ax.text(
+        *beside, name, transform=ax.transAxes, color="white", fontsize="small",
+        ha="center", va="center", gid="jet",
+    )  # fmt: skip
+
+
+def second_axis(ax, unit, beta_per_pm):
+    """An axis in units of c above the one in proper motions."""
+    factor = float(beta_per_pm) * (1 * unit).to_value(PM_UNIT)
+    if not 0 < factor < np.inf:
+        raise ValueError(f"beta_per_pm must be positive, got {beta_per_pm}")
+    second = ax.secondary_xaxis(
+        "top", functions=(lambda v: v * factor, lambda beta: beta / factor)
+    )
+    second.set_xlabel("Apparent speed (c)")
+    return second
+
+
+def plain(components, name, unit=None):
+    """A column as plain numbers, in a unit if it has one."""
+    values = components[name]
+    if unit is not None:
+        return np.atleast_1d(u.Quantity(values).to_value(unit))
+    return np.atleast_1d(np.asarray(values, dtype=float))
