@@ -9,6 +9,9 @@ from astro_scc.correlation import find_peaks
 
 __all__ = ["Component", "find_components", "fit_gaussian"]
 
+#: Share of a maximum that a grid point must reach to take part in its fit.
+LEVEL = 0.5
+
 
 @dataclass(frozen=True)
 class Component:
@@ -104,6 +107,11 @@ def find_components(scc, grid, box, *, threshold=0.0):
     """
     Find the maxima of a stack and fit a Gaussian to a box around each.
 
+    Within the box only those grid points take part that reach half of the
+    maximum and are nearer to it than to another one: neighbours in the box
+    would pull the fit to themselves, and the level beneath the maximum,
+    where the stack is of unrelated matches, would widen it.
+
     Parameters
     ----------
     scc : `~numpy.ndarray`, shape ``grid.shape``
@@ -130,18 +138,25 @@ def find_components(scc, grid, box, *, threshold=0.0):
     """
     smallest = max(threshold, np.finfo(float).tiny)
     _, y, x, _ = find_peaks(scc[None], smallest)
+    points = [_grid_point(scc, *place) for place in zip(y, x, strict=True)]
     half1, half2 = box[0] / 2, box[1] / 2
     step1, step2 = grid.step
     found = []
-    for py, px in zip(y, x, strict=True):
-        row, column = int(np.rint(py)), int(np.rint(px))
+    for (row, column), py, px in zip(points, y, x, strict=True):
         near1 = np.abs(grid.v1 - grid.v1[column]) <= max(half1, 1.5 * step1)
         near2 = np.abs(grid.v2 - grid.v2[row]) <= max(half2, 1.5 * step2)
-        fit = fit_gaussian(scc[np.ix_(near2, near1)], grid.v1[near1], grid.v2[near2])
+        part = np.ix_(near2, near1)
+        values = np.where(
+            (scc[part] >= LEVEL * scc[row, column])
+            & _nearest(part, (row, column), points),
+            scc[part],
+            0.0,
+        )
+        fit = fit_gaussian(values, grid.v1[near1], grid.v2[near2])
         v1 = grid.v1[0] + px * step1
         v2 = grid.v2[0] + py * step2
         width1 = width2 = np.nan
-        inside = fit is not None and (
+        inside = fit is not None and bool(
             abs(fit[0] - v1) <= max(half1, step1)
             and abs(fit[1] - v2) <= max(half2, step2)
         )
@@ -160,3 +175,21 @@ def find_components(scc, grid, box, *, threshold=0.0):
             )
         )
     return sorted(found, key=lambda c: -c.coefficient)
+
+
+def _grid_point(scc, y, x):
+    """The maximum's grid point; half a step aside, rounding may miss it."""
+    rows = {int(np.floor(y)), int(np.ceil(y))}
+    columns = {int(np.floor(x)), int(np.ceil(x))}
+    return max(((r, c) for r in rows for c in columns), key=lambda p: scc[p])
+
+
+def _nearest(part, point, points):
+    """Whether grid points are nearer to one maximum than to any other."""
+    rows, columns = part
+
+    def squares(p):
+        return (rows - p[0]) ** 2 + (columns - p[1]) ** 2
+
+    own = squares(point)
+    return np.all([own <= squares(p) for p in points], axis=0)
