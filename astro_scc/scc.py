@@ -113,13 +113,13 @@ class StackedCrossCorrelation:
 
     def __post_init__(self):
         if self.max_speed is not None:
-            speed = u.Quantity(self.max_speed).to(PM_UNIT)
+            speed = _in_unit("max_speed", self.max_speed, PM_UNIT)
             if not (speed.isscalar and 0 < speed.value < np.inf):
                 raise ValueError(f"max_speed must be one positive speed, got {speed}")
             object.__setattr__(self, "max_speed", speed)
         if self.baseline is not None:
-            baseline = u.Quantity(self.baseline).to(u.yr)
-            if baseline.shape != (2,):
+            baseline = _in_unit("baseline", self.baseline, u.yr)
+            if baseline.shape != (2,) or not 0 <= baseline[0] <= baseline[1]:
                 raise ValueError(
                     f"baseline must be a shortest and a longest time, got {baseline}"
                 )
@@ -131,11 +131,20 @@ class StackedCrossCorrelation:
                     f"got {self.position_angle!r}"
                 )
         elif self.position_angle is not None:
-            angle = u.Quantity(self.position_angle).to(u.deg)
+            angle = _in_unit("position_angle", self.position_angle, u.deg)
+            if not (angle.isscalar and np.isfinite(angle)):
+                raise ValueError(
+                    f"position_angle must be one finite angle, got {angle}"
+                )
             object.__setattr__(self, "position_angle", angle)
         if not 0 < self.kernel < 5:
             raise ValueError(f"kernel must be a part of the beam, got {self.kernel}")
-        if not isinstance(self.scales, u.Quantity):
+        if isinstance(self.scales, u.Quantity):
+            sizes = _in_unit("scales", self.scales, u.mas).value
+            if np.size(sizes) == 0 or not np.all((sizes > 0) & np.isfinite(sizes)):
+                raise ValueError(f"scales must be positive angles, got {self.scales}")
+            self._decomposer((1,))
+        else:
             scales = tuple(float(s) for s in np.atleast_1d(self.scales))
             object.__setattr__(self, "scales", scales)
             self._decomposer(scales)
@@ -308,15 +317,17 @@ class StackedCrossCorrelation:
         return decompose(image, mask=mask, rms=rms, beam_covariance=covariance)
 
     def _reach(self, cube, pairs):
-        """Largest displacement in pixels that any order of the epochs needs."""
+        """Largest displacement (y, x) in pixels that any order of the epochs needs."""
         longest = pairs.interval.max()
         farthest = self.speed_limit(cube).value * longest
         every = np.arange(len(cube))
         scale = np.full(len(cube), max(self.scale_numbers(cube)))
         margin = self.kernel * beam_fwhm(cube, every, scale, np.eye(2)).max()
-        reach = int(np.ceil((farthest + margin) / cube.pixel_scale.value))
-        limit = max(cube.shape[1:]) - 1
-        if reach > limit // 2:
+        # Pixels may not be square: (x, y) sides.
+        side = np.hypot(*cube.pixel_matrix.value)
+        reach = np.ceil((farthest + margin) / side).astype(int)[::-1]
+        limit = np.array(cube.shape[1:]) - 1
+        if np.any(reach > limit.max() // 2):
             warnings.warn(
                 f"the largest speed moves {farthest:.3g} mas in the longest interval "
                 f"({longest:.3g} yr), more than half the image: give a smaller "
@@ -324,7 +335,7 @@ class StackedCrossCorrelation:
                 MeasurementWarning,
                 stacklevel=4,
             )
-        return min(reach, limit)
+        return tuple(np.minimum(reach, limit))
 
     def _frame(self, matched):
         """The velocity frame, and the direction of the jet."""
@@ -516,6 +527,15 @@ def measure_velocities(
     return scc(
         cube, region=region, n_trials=n_trials, rng=rng, n_workers=n_workers
     ).components
+
+
+def _in_unit(name, value, unit):
+    try:
+        return u.Quantity(value).to(unit)
+    except u.UnitConversionError:
+        raise u.UnitConversionError(
+            f"{name} must be in a unit like {unit}, got {value}"
+        ) from None
 
 
 def _velocity_grid(displacements, pairs, limit):
