@@ -283,9 +283,12 @@ def _vectors(velocity, covariance, frame, position_angle):
     unit = along / speed if speed > 0 else np.array([1.0, 0.0])
     across = np.array([-unit[1], unit[0]])
     speed_err = np.sqrt(unit @ along_covariance @ unit)
-    pa_err = (
-        np.inf if speed == 0 else np.sqrt(across @ along_covariance @ across) / speed
-    )
+    if isinstance(frame, RadialFrame):
+        pa_err = np.nan
+    elif speed == 0:
+        pa_err = np.inf
+    else:
+        pa_err = np.sqrt(across @ along_covariance @ across) / speed
     names = ("pm_ra_cosdec", "pm_dec", "pm_parallel", "pm_transverse")
     row = dict(zip(names, map(float, (*sky, *along)), strict=True))
     variances = (*np.diag(sky_covariance), *np.diag(along_covariance))

@@ -135,7 +135,8 @@ class PairMaps:
             used, place = np.unique(images[:, slots], return_inverse=True)
             place = place.reshape(len(orders), len(slots))
             weight = pairs.weight[slots]
-            if len(used) <= place.size // 2 or len(slots) == 1:
+            few = len(used) <= min(place.size // 2, BLOCK_BYTES // total[0].nbytes)
+            if few or len(slots) == 1:
                 # Stretch each pair of images once, then add.
                 stretched = to2 @ self.maps[used] @ to1.T
                 for slot in range(len(slots)):
