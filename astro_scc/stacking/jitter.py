@@ -28,7 +28,8 @@ class JitteredVelocity:
     covariance : float
         Between the two axes.
     bias1, bias2 : float
-        Mean of the trials minus the observed velocity.
+        Mean of the trials minus the observed velocity, that of the maximum
+        in the box without shifts.
     gaussian_p : float
         Smaller p-value of the two axes of D'Agostino and Pearson's test
         that the trials are Gaussian.
@@ -45,27 +46,17 @@ class JitteredVelocity:
     share: float
 
 
-def _draw(displacements, rng, n_trials, index):
+def _ends(displacements, index):
     """
-    Shifts of matches, (n_trials, k) for each axis.
+    Which of n positions each match starts from and which it ends at.
 
-    An SSP has one shift in a trial, whatever it is matched with and
-    whichever of the two ends of the displacement it is.
+    An SSP is one position, whatever it is matched with and whichever of the
+    two ends of a displacement it is; an end without an SSP is one of its own.
     """
-    d = displacements
-    n = int(max(d.ssp.max(initial=-1), d.target_ssp.max(initial=-1))) + 1
-    shifts = []
-    for sigma in (d.s1[index], d.s2[index]):
-        # Half the variance of a displacement belongs to either end.
-        sigma = sigma / np.sqrt(2)
-        unit = rng.standard_normal((n_trials, n))
-        target = np.where(
-            d.target_ssp[index] >= 0,
-            unit[:, d.target_ssp[index]] if n else 0.0,
-            rng.standard_normal((n_trials, len(index))),
-        )
-        shifts.append(sigma * (target - (unit[:, d.ssp[index]] if n else 0.0)))
-    return shifts
+    start, end = displacements.ssp[index], displacements.target_ssp[index]
+    end = np.where(end < 0, -1 - np.arange(len(end)), end)
+    positions, number = np.unique(np.concatenate([start, end]), return_inverse=True)
+    return number[: len(start)], number[len(start) :], len(positions)
 
 
 def jitter_positions(displacements, pairs, component, box, n_trials, *, rng):
@@ -100,23 +91,23 @@ def jitter_positions(displacements, pairs, component, box, n_trials, *, rng):
     index, v1, v2, s1, s2, weight = (a[near] for a in (index, v1, v2, s1, s2, weight))
     grid1 = np.linspace(component.v1 - half1, component.v1 + half1, POINTS)
     grid2 = np.linspace(component.v2 - half2, component.v2 + half2, POINTS)
-    shift1, shift2 = _draw(displacements, rng, n_trials, index)
-    # Displacement errors over the interval are velocity errors.
-    rate1 = np.divide(s1, displacements.s1[index])
-    rate2 = np.divide(s2, displacements.s2[index])
+    start, end, n = _ends(displacements, index)
     observed = _maximum(
         gaussian_sum(v1, v2, s1, s2, weight, grid1, grid2), grid1, grid2
     )
     found = []
-    for trial in range(n_trials):
+    for _ in range(n_trials):
+        # Half the variance of a displacement belongs to either end.
+        unit = rng.standard_normal((2, n)) / np.sqrt(2)
+        shift = unit[:, end] - unit[:, start]
         local = gaussian_sum(
-            v1 + shift1[trial] * rate1,
-            v2 + shift2[trial] * rate2,
-            s1, s2, weight, grid1, grid2,
-        )  # fmt: skip
+            v1 + s1 * shift[0], v2 + s2 * shift[1], s1, s2, weight, grid1, grid2
+        )
         place = _maximum(local, grid1, grid2)
         if place is not None:
             found.append(place)
+    if observed is None:
+        observed = component.v1, component.v2
     return _summary(np.array(found).reshape(-1, 2), observed, n_trials)
 
 
@@ -137,7 +128,7 @@ def _summary(found, observed, n_trials):
     if len(found) < 3:
         return JitteredVelocity(*(np.nan,) * 6, share)
     covariance = np.cov(found.T)
-    bias = found.mean(axis=0) - (found.mean(axis=0) if observed is None else observed)
+    bias = found.mean(axis=0) - observed
     return JitteredVelocity(
         err1=float(np.sqrt(covariance[0, 0])),
         err2=float(np.sqrt(covariance[1, 1])),
