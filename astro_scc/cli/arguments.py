@@ -192,28 +192,30 @@ def select_epochs(cube, config):
 
     Returns
     -------
-    `~astro_scc.EpochCube`
+    cube : `~astro_scc.EpochCube`
+    left_out : list of (str, str)
+        The other epochs, and why they are left out.
 
     Raises
     ------
     ValueError
         If no epoch is left.
     """
-    import numpy as np
-
     from astro_scc.config import to_time
 
-    keep = np.ones(len(cube), dtype=bool)
-    if "after" in config:
-        keep &= cube.times >= to_time(config["after"])
-    if "before" in config:
-        keep &= cube.times < to_time(config["before"])
-    if keep.all():
-        return cube
-    if not keep.any():
+    left_out = {}
+    for i, time in enumerate(cube.times):
+        if "after" in config and time < to_time(config["after"]):
+            left_out[i] = f"before {config['after']}"
+        if "before" in config and time >= to_time(config["before"]):
+            left_out[i] = f"not before {config['before']}"
+    if not left_out:
+        return cube, []
+    if len(left_out) == len(cube):
         first, last = cube.times.isot[[0, -1]]
         raise ValueError(
             f"no epoch is left between --after and --before; they are of {first[:10]} "
             f"to {last[:10]}"
         )
-    return cube[keep]
+    keep = [i for i in range(len(cube)) if i not in left_out]
+    return cube[keep], [(cube.labels[i], why) for i, why in left_out.items()]

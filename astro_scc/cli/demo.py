@@ -60,10 +60,15 @@ def run(args, reporter):
             "seed": SEED,
         }
         config = {name: parse_setting(name, v) for name, v in settings.items()}
-        cube, config = measure.read(config, reporter, files=files)
+        cube, config, _ = measure.read(config, reporter, files=files)
         config["region"] = str(output / "region.reg")
         components = measure.measure(
-            cube, config, folder, reporter, region=folder / "region.reg"
+            cube,
+            config,
+            folder,
+            reporter,
+            output=output,
+            region=folder / "region.reg",
         )
     for line in (*_truth_lines(jet), "", "Measured:", *component_lines(components)):
         reporter.say(line)

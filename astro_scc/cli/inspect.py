@@ -115,9 +115,13 @@ def _cores(cube):
     width = np.median([np.sqrt(b.major * b.minor).value for b in cube.beams])
     if scatter.value < SCATTER * width:
         return cores, []
+    n = int(sum(found["blended"]))
+    blended = f", blended with the jet in {n} of {len(cube)}" if n else ""
     return cores, [
-        f"The core scatters by {scatter:.2g} from epoch to epoch: measure with --align "
-        "core, or with a table of its positions."
+        f"The core as it is fitted scatters by {scatter:.2g} from epoch to epoch"
+        f"{blended}.  Unless the",
+        "images are aligned already, as restored ones are, measure with --align core "
+        "or a table of its positions.",
     ]
 
 

@@ -32,14 +32,23 @@ some that have no option: target, min_overlap, wavelet, detection, segmentation,
 noise, min_z_score, small_displacement_correction (see the documentation).  What the
 command line says comes before what the file says.
 """
-RERUN = "astro-scc measure --config config.toml -o FOLDER"
 REMARKS = (
     "What determined this measurement.  To do it again, in the folder it was done in,",
-    "with the path of this file:",
-    RERUN,
+    "with the path of this file: astro-scc measure --config FILE -o FOLDER",
 )
 # Files of an earlier measurement that must not stand beside a new one.
-PRODUCTS = ("components.ecsv", "ssps.ecsv", "scc.fits", "config.toml", "report.html")
+PRODUCTS = (
+    "components.ecsv",
+    "ssps.ecsv",
+    "scc.fits",
+    "config.toml",
+    "report.html",
+    "velocity_map.png",
+    "significance.png",
+    "members.png",
+    "epochs.png",
+    "intervals.png",
+)
 
 
 def add_parser(commands):
@@ -167,12 +176,14 @@ def run(args, reporter):
     with product_folder(
         args.output, overwrite=args.overwrite, stale=PRODUCTS
     ) as folder:
-        cube, config = read(config, reporter)
+        cube, config, left_out = read(config, reporter)
         components = measure(
             cube,
             config,
             folder,
             reporter,
+            output=args.output,
+            left_out=left_out,
             n_workers=args.workers,
             report=not args.no_report,
         )
@@ -205,6 +216,8 @@ def read(config, reporter, *, files=None):
         With one beam and aligned.
     config : dict
         With the files and the steps that were taken.
+    left_out : list of (str, str)
+        Epochs that are not in the cube, and why.
     """
     from astro_scc import EpochCube
     from astro_scc.epochs.assembly import find_files
@@ -216,11 +229,11 @@ def read(config, reporter, *, files=None):
     align = config.setdefault("align", "none")
     frame = "absolute" if align == "wcs" else "offset"
     cube = EpochCube.read(files, frame=frame)
-    cube = select_epochs(cube, config)
+    cube, left_out = select_epochs(cube, config)
     config["common_beam"] = _wants_common_beam(cube, config, reporter)
     if config["common_beam"]:
         cube = cube.to_common_beam()
-    return cube.align(align), config
+    return cube.align(align), config, left_out
 
 
 def _wants_common_beam(cube, config, reporter):
@@ -236,7 +249,18 @@ def _wants_common_beam(cube, config, reporter):
     return differ
 
 
-def measure(cube, config, folder, reporter, *, region=None, n_workers=1, report=True):
+def measure(
+    cube,
+    config,
+    folder,
+    reporter,
+    *,
+    output,
+    region=None,
+    left_out=(),
+    n_workers=1,
+    report=True,
+):
     """
     Measure a cube and write the products.
 
@@ -248,8 +272,12 @@ def measure(cube, config, folder, reporter, *, region=None, n_workers=1, report=
     folder : path
         Where to write.
     reporter : `~astro_scc.cli.reporter.Reporter`
+    output : path
+        What the folder will be called.
     region : path, optional
         Where the region file is now, if that is not where it will be.
+    left_out : list of (str, str), optional
+        Epochs that are not in the cube, and why, for the report.
     n_workers : int, optional
     report : bool, optional
 
@@ -266,12 +294,13 @@ def measure(cube, config, folder, reporter, *, region=None, n_workers=1, report=
     # A region file that cannot be used is better known before the long part.
     region = region or config.get("region")
     inside = None if region is None else cube.region_mask(region)
+    # What was given stays as it was written.
     config = {
         "n_trials": 1000,
         "seed": draw_seed(),
-        **config,
         **_settings(scc),
-        "max_speed": scc.speed_limit(cube),
+        **config,
+        "max_speed": config.get("max_speed", scc.speed_limit(cube)),
     }
     result = scc(
         cube,
@@ -282,23 +311,23 @@ def measure(cube, config, folder, reporter, *, region=None, n_workers=1, report=
         progress_bar=reporter.progress,
     )
     components = result.components_in_c(**how) if how else result.components
+    text = format_config(config, versions=versions(), remarks=REMARKS)
     write_products(
-        result,
-        components,
-        folder,
-        configuration=plain_settings(config),
-        text=format_config(config, versions=versions(), remarks=REMARKS),
+        result, components, folder, configuration=plain_settings(config), text=text
     )
     if report:
         from astro_scc.report import write_report
 
+        again = Path(output) / "config.toml"
         write_report(
             result,
             components,
             folder,
             title=cube.meta.get("object") or "Velocity components",
             warnings=tuple(reporter.warnings),
-            rerun=RERUN,
+            left_out=left_out,
+            rerun=f"astro-scc measure --config {again} -o FOLDER",
+            config_text=text,
         )
     return components
 

@@ -1,7 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Results as lines of text."""
 
+import math
+
 __all__ = ["component_lines", "table_lines"]
+
+# What each kind of component is, beside its numbers.
+REMARKS = {"moving": "", "stationary": "stands still", "uncertain": "may be chance"}
 
 
 def table_lines(head, rows):
@@ -55,8 +60,6 @@ def with_error(value, error):
     >>> with_error(6.08744, 0.1234), with_error(0.3, float("nan"))
     ('6.09 +- 0.12', '0.3 +- nan')
     """
-    import math
-
     if not (math.isfinite(error) and error > 0):
         return f"{value:.3g} +- {error:.2g}"
     digits = max(0, 1 - math.floor(math.log10(error)))
@@ -82,20 +85,23 @@ def component_lines(components):
             "the speed",
             "(see astro-scc inspect) or a --region may help; so may more epochs.",
         ]
+    from astro_scc.visualization.style import component_kinds
+
     in_c = "beta_app" in components.colnames
     unit = components["pm"].unit
     head = ["component", f"proper motion ({unit})", "PA (deg)"]
     head += ["speed (c)"] if in_c else []
-    head += ["z score", "p_global", "SSPs"]
+    head += ["z score", "p_global", "SSPs", ""]
     rows = []
-    for row in components:
+    for row, kind in zip(components, component_kinds(components), strict=True):
+        angle = row["pm_pa"].value
         cells = [
             str(row["component"]),
             with_error(row["pm"].value, row["pm_err"].value),
-            f"{row['pm_pa'].value:.0f}",
+            f"{angle:.0f}" if math.isfinite(angle) else "-",
         ]
         if in_c:
             cells.append(with_error(row["beta_app"], row["beta_app_err"]))
         cells += [f"{row['z_score']:.1f}", f"{row['p_global']:.3f}", str(row["n_ssp"])]
-        rows.append(cells)
+        rows.append([*cells, REMARKS[kind]])
     return table_lines(head, rows)

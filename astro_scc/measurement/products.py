@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """A measurement as files: tables, maps and the settings that lead to them."""
 
-import errno
 import os
 import secrets
 import shutil
@@ -263,13 +262,17 @@ def _header(result, image):
 
 def _facts(result):
     cube, meta = result.cube, result.meta
-    dates = cube.times.utc.isot
+    times = cube.times.utc[[0, -1]]
     versions = meta.get("versions", {})
     creator = f"astro_scc {versions.get('astro_scc', '')}"
     facts = {
         "OBJECT": (_ascii(cube.meta.get("object", ""))[:60], "name of the object"),
-        "DATE-BEG": (dates[0], "first epoch"),
-        "DATE-END": (dates[-1], "last epoch"),
+        # Without both forms of a date, readers complain that they add the other.
+        "TIMESYS": ("UTC", "time scale"),
+        "DATE-BEG": (times.isot[0], "first epoch"),
+        "DATE-END": (times.isot[1], "last epoch"),
+        "MJD-BEG": (float(times.mjd[0]), "first epoch"),
+        "MJD-END": (float(times.mjd[1]), "last epoch"),
         "NEPOCHS": (len(cube), "number of epochs"),
         "JETPA": (
             float(result.position_angle.to_value(u.deg)),

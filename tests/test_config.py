@@ -1,0 +1,286 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Settings in TOML: what is read, what is refused, and what comes back."""
+
+import tomllib
+from dataclasses import fields
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.cosmology import FlatLambdaCDM, LambdaCDM, Planck18
+from hypothesis import given
+from hypothesis import strategies as st
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.config import (
+    _PARSERS,
+    format_config,
+    parse_quantities,
+    parse_setting,
+    plain_settings,
+    read_config,
+    to_cosmology,
+    to_time,
+)
+
+FULL = {
+    "epochs": ["a.fits", "b c.fits"],
+    "after": "1995-01-01",
+    "before": "2011.0",
+    "align": "core",
+    "common_beam": True,
+    "region": "jet.reg",
+    "scales": "0.2 mas, 0.4 mas",
+    "max_speed": "2 mas/yr",
+    "position_angle": "-112 deg",
+    "baseline": "70 d 1.0 yr",
+    "kernel": 0.2,
+    "kappa": 0.6,
+    "target": "plane",
+    "min_overlap": 0.8,
+    "wavelet": "b3",
+    "detection": 4,
+    "segmentation": 3.0,
+    "noise": "local",
+    "min_z_score": -1.5,
+    "small_displacement_correction": False,
+    "n_trials": 1000,
+    "seed": 2**63 - 1,
+    "redshift": 0.158,
+    "cosmology": "H0=71,Om0=0.27",
+    "distance": "16.7 Mpc",
+}
+
+
+def same(a, b):
+    if isinstance(a, u.Quantity):
+        return a.unit == b.unit and np.array_equal(a.value, b.value)
+    return type(a) is type(b) and a == b
+
+
+def test_every_setting_of_the_measurement_is_a_key():
+    names = {field.name for field in fields(StackedCrossCorrelation)}
+    assert names <= set(_PARSERS)
+    assert set(FULL) == set(_PARSERS)
+
+
+def test_settings_survive_the_file_to_the_bit(tmp_path):
+    settings = {name: parse_setting(name, value) for name, value in FULL.items()}
+    path = tmp_path / "config.toml"
+    text = format_config(settings, versions={"numpy": "2.0"}, remarks=["One", "two"])
+    assert text.startswith("# One\n# two\n\nepochs = ")
+    path.write_text(text, encoding="utf-8")
+    again, versions = read_config(path)
+    assert versions == {"numpy": "2.0"}
+    assert list(again) == list(FULL)
+    for name, value in settings.items():
+        assert same(again[name], value), name
+
+
+@given(
+    value=st.floats(min_value=1e-12, max_value=1e12),
+    unit=st.sampled_from(["mas/yr", "arcsec / h", "deg/d", "uas yr-1", "rad/s"]),
+)
+def test_speeds_survive_to_the_bit(value, unit):
+    speed = parse_setting("max_speed", f"{value!r} {unit}")
+    text = format_config({"max_speed": speed})
+    again = parse_setting("max_speed", tomllib.loads(text)["max_speed"])
+    assert same(again, speed)
+    # What the measurement computes with is the same, too.
+    assert again.to_value(u.mas / u.yr) == speed.to_value(u.mas / u.yr)
+
+
+@given(
+    shortest=st.floats(min_value=0, max_value=10),
+    length=st.floats(min_value=1e-3, max_value=10),
+    unit=st.sampled_from(["yr", "d", "h", "min"]),
+)
+def test_baselines_survive_to_the_bit(shortest, length, unit):
+    text = f"{shortest!r} {shortest + length!r} {unit}"
+    times = parse_setting("baseline", text)
+    again = parse_setting("baseline", plain_settings({"baseline": times})["baseline"])
+    assert same(again, times)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("0.2 yr 1.0 yr", [0.2, 1.0] * u.yr),
+        ("0.2 1.0 yr", [0.2, 1.0] * u.yr),
+        ("0.2yr, 1.0yr", [0.2, 1.0] * u.yr),
+        ("  .5,1.,1e1 mas ", [0.5, 1.0, 10.0] * u.mas),
+    ],
+)
+def test_several_quantities(text, expected):
+    found = u.Quantity(parse_quantities(text))
+    assert same(found, expected)
+
+
+def test_quantities_of_different_kinds():
+    major, minor, angle = parse_quantities("1.0 0.5 mas -7 deg")
+    assert (major, minor, angle) == (1 * u.mas, 0.5 * u.mas, -7 * u.deg)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "no unit"),
+        ("1 2", "no unit"),
+        ("1 mas 2", "no unit"),
+        ("mas", "'mas' where a number"),
+        ("1 mas yr", "'yr' where a number"),
+        ("1 parsecond", "unknown unit 'parsecond'"),
+        ("1x2 mas", "unknown unit 'x2'"),
+    ],
+)
+def test_quantities_that_are_none(text, reason):
+    with pytest.raises(ValueError, match=reason):
+        parse_quantities(text)
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("1,2,3", (1.0, 2.0, 3.0)),
+        ("1 1.5", (1.0, 1.5)),
+        ([1, 2.5], (1.0, 2.5)),
+        (2, (2.0,)),
+        ("0.2,0.4 mas", [0.2, 0.4] * u.mas),
+        (["0.2 mas", "0.4 mas"], [0.2, 0.4] * u.mas),
+        ("0.2 mas", [0.2] * u.mas),
+    ],
+)
+def test_scales(value, expected):
+    assert same(parse_setting("scales", value), expected)
+
+
+def test_position_angle():
+    assert parse_setting("position_angle", "radial") == "radial"
+    assert parse_setting("position_angle", "-65 deg") == -65 * u.deg
+    assert parse_setting("position_angle", "1 rad") == 1 * u.rad
+
+
+def test_dates_of_toml_are_dates(tmp_path):
+    path = tmp_path / "config.toml"
+    path.write_text("after = 2001-02-03\nbefore = 2005-01-01T12:00:00\n")
+    settings, _ = read_config(path)
+    assert settings == {"after": "2001-02-03", "before": "2005-01-01T12:00:00"}
+    assert to_time(settings["before"]).isot == "2005-01-01T12:00:00.000"
+
+
+def test_times():
+    assert to_time("2011-01-01") == to_time(" 2011-01-01T00:00:00 ")
+    assert to_time("2011.5").jyear == 2011.5
+    assert to_time("2011").jyear == 2011
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("Planck18", Planck18),
+        ("H0=71,Om0=0.27", FlatLambdaCDM(H0=71, Om0=0.27)),
+        (" H0 = 70 , Om0 = .3 ", FlatLambdaCDM(H0=70, Om0=0.3)),
+        ("H0=70,Om0=0.3,Ode0=0.6", LambdaCDM(H0=70, Om0=0.3, Ode0=0.6)),
+    ],
+)
+def test_cosmologies(text, expected):
+    assert to_cosmology(text) == expected
+
+
+@pytest.mark.parametrize(
+    "text", ["Planck", "H0=71", "H0=71,Om0", "H0=71,Om0=0.3,w=1", "H0=0,Om0=0.3", ""]
+)
+def test_cosmologies_that_are_none(text):
+    with pytest.raises(ValueError, match=r"is no cosmology; give H0=71,Om0=0.27.*Pla"):
+        to_cosmology(text)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("epochs", [], "list of files"),
+        ("epochs", 3, "list of files"),
+        ("epochs", ["a.fits", 3], "must be text"),
+        ("align", " ", "must be text"),
+        ("region", 3, "must be text"),
+        ("common_beam", "yes", "true or false"),
+        ("kappa", "much", "must be a number"),
+        ("kappa", True, "must be a number"),
+        ("kappa", float("nan"), "finite"),
+        ("kernel", 0, "above 0"),
+        ("n_trials", 1, "must be 2 to"),
+        ("n_trials", 10.5, "whole number"),
+        ("n_trials", "many", "whole number"),
+        ("n_trials", True, "whole number"),
+        ("seed", -1, "must be 0 to"),
+        ("seed", 2**63, "must be 0 to"),
+        ("target", "all", "one of segments, plane"),
+        ("max_speed", "2", "angle per time with a unit, such as '2 mas/yr'"),
+        ("max_speed", 2, "angle per time with a unit"),
+        ("max_speed", "2 mas", "angle per time with a unit"),
+        ("max_speed", "2 mas/parsecond", "unknown unit 'mas/parsecond'"),
+        ("max_speed", "-2 mas/yr", "above 0"),
+        ("distance", "16.7 mas", "a length with a unit"),
+        ("position_angle", "65", "radial or an angle"),
+        ("position_angle", "65 mas/yr", "radial or an angle"),
+        ("baseline", "1 yr", "shortest and a longest"),
+        ("baseline", "1 yr 2 yr 3 yr", "shortest and a longest"),
+        ("baseline", "2 yr 1 yr", "shortest and a longest"),
+        ("baseline", "1 mas 2 mas", "shortest and a longest"),
+        ("baseline", "1 2", "no unit at its end; it must be a shortest"),
+        ("baseline", [1, 2], "shortest and a longest"),
+        ("scales", "1,b", "scale numbers such as 1,2,3 or angles"),
+        ("scales", "1 yr", "scale numbers"),
+        ("scales", "0 mas", "above 0"),
+        ("cosmology", "standard", "is no cosmology"),
+        ("cosmology", 3, "must be text"),
+        ("before", "yesterday", "is no date such as 2011-01-01"),
+        ("before", 20110101, "is no date such as 2011-01-01"),
+        ("redshift", -0.1, "above 0"),
+    ],
+)
+def test_values_that_make_no_sense(name, value, reason):
+    with pytest.raises(ValueError, match=reason) as caught:
+        parse_setting(name, value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("max_sped = '2 mas/yr'", "unknown key 'max_sped', did you mean max_speed"),
+        ("max-speed = '2 mas/yr'", "did you mean max_speed"),
+        ("xyzzy = 1", "unknown key 'xyzzy'; see"),
+        ("max_speed = '2 mas'", "max_speed = '2 mas' must be an angle per time"),
+        ("kappa = ", "is not a TOML file: "),
+        ("versions = 3", "versions must be a table"),
+    ],
+)
+def test_files_that_make_no_sense(tmp_path, text, reason):
+    path = tmp_path / "jet.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=reason) as caught:
+        read_config(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_file_that_is_no_text(tmp_path):
+    path = tmp_path / "jet.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="is not a TOML file"):
+        read_config(path)
+    with pytest.raises(FileNotFoundError):
+        read_config(tmp_path / "nothing.toml")
+
+
+def test_settings_that_do_not_exist():
+    with pytest.raises(KeyError):
+        parse_setting("speed", 1)
+    with pytest.raises(KeyError, match="unknown settings speed"):
+        plain_settings({"speed": 1})
+
+
+def test_what_is_none_is_left_out():
+    plain = plain_settings({"region": None, "detection": np.float64(4), "kappa": 0.65})
+    assert plain == {"kappa": 0.65, "detection": 4}
