@@ -1,0 +1,332 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+
+import base64
+import os
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import astropy.units as u
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from astro_scc import StackedCrossCorrelation, report
+from astro_scc.kinematics import paper_cosmology
+from astro_scc.report import with_error, write_report
+from astro_scc.simulation import simulate_two_fluid
+
+HOSTILE = "<script>alert('1')</script> & \"more\""
+FIGURES = ("velocity_map", "significance", "members", "epochs", "intervals")
+VOID = {"meta", "img", "br", "link", "hr"}
+
+
+class Page(HTMLParser):
+    """The elements and the text of a page; fails if a tag is not closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.text = [], [], []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" not in self.open:
+            self.text.append(data)
+
+    def all(self, tag):
+        return [attrs for name, attrs in self.tags if name == tag]
+
+    @property
+    def words(self):
+        return " ".join(" ".join(self.text).split())
+
+
+@pytest.fixture(scope="module")
+def result():
+    cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    labels = (HOSTILE, *(f"epoch{k}.fits" for k in range(4)))
+    cube = replace(cube, labels=labels).with_step(f"tested with {HOSTILE}")
+    scc = StackedCrossCorrelation(
+        scales=[1, 2, 3], max_speed=36 * u.mas / u.yr, position_angle=270 * u.deg,
+        min_z_score=1.5,
+    )  # fmt: skip
+    return scc(cube, n_trials=40, rng=1)
+
+
+@pytest.fixture(scope="module")
+def components(result):
+    """Three kinds of components."""
+    table = result.components_in_c(redshift=0.033, cosmology=paper_cosmology())[:3]
+    table["p_global"] = [0.01, 0.03, 0.4]
+    for name in ("pm_parallel", "pm_transverse"):
+        table[name][1] = 0 * u.mas / u.yr
+        table[f"{name}_err"] = 0.5 * u.mas / u.yr
+    return table
+
+
+@pytest.fixture(scope="module")
+def folder(result, components, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report") / "new" / "folder"
+    folder.mkdir(parents=True)
+    (folder / "components.ecsv").touch()
+    path = write_report(
+        result, components, folder, title=f"3C {HOSTILE}",
+        warnings=[f"beware of {HOSTILE}"],
+        left_out=[("late.fits", f"no date, {HOSTILE}"), f"bad.fits {HOSTILE}"],
+        rerun=f"astro-scc measure {HOSTILE}", config_text=f"# {HOSTILE}",
+    )  # fmt: skip
+    assert path == folder / "report.html"
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(folder):
+    return Page((folder / "report.html").read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Reports without the time that figures take."""
+    monkeypatch.setattr(report, "_pictures", lambda *args: {"velocity_map": b"PNG"})
+
+
+def test_the_page_stands_alone(page, folder):
+    assert not page.all("script")
+    assert not page.all("link")
+    assert [img["alt"] for img in page.all("img")]
+    for img in page.all("img"):
+        head, data = img["src"].split(",")
+        assert head == "data:image/png;base64"
+        assert base64.b64decode(data).startswith(b"\x89PNG")
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"(src|href)=\"?(http|//)|url\(|@import", text)
+
+
+def test_the_figures_are_beside_it(page, folder):
+    inside = [base64.b64decode(img["src"].split(",")[1]) for img in page.all("img")]
+    beside = [(folder / f"{name}.png").read_bytes() for name in FIGURES]
+    assert inside == beside
+    assert not list(folder.glob(".*"))
+    assert {path.name for path in folder.iterdir()} == {
+        "report.html", "components.ecsv", *(f"{name}.png" for name in FIGURES)
+    }  # fmt: skip
+
+
+def test_nothing_that_was_given_is_code(page):
+    assert page.words.count("<script>alert('1')</script>") >= 7
+    assert "alert" not in str([attrs for _, attrs in page.tags])
+
+
+def test_the_answer_comes_first(page, components):
+    words = page.words
+    speed = with_error(components["pm"][0].value, components["pm_err"][0].value)
+    beta = with_error(components["beta_app"][0], components["beta_app_err"][0])
+    order = [
+        "One speed stands out, beside structure that stands still.",
+        f"{speed} mas/yr = {beta} c",
+        "no motion within the errors",
+        "40 trials show none below 0.024",
+        "Component 3 of the table, with p_global above 0.05, may be chance.",
+        "beware of",
+        "Components",
+        "Velocity map.",
+        "epoch3.fits",
+        "late.fits : no date".replace(" :", ":"),
+        "astro-scc measure",
+        "max speed",
+        "tested with",
+        "numpy",
+    ]
+    places = [words.find(part) for part in order]
+    assert -1 not in places, order[places.index(-1)]
+    assert places == sorted(places)
+
+
+def test_the_table_has_a_row_for_each_component(page, components):
+    kinds = [tr.get("class") for tr in page.all("tr") if tr.get("class")]
+    assert kinds == ["moving", "stationary", "uncertain"]
+    for name in ("speed (mas/yr)", "speed (c)", "PA (deg)", "z", "p_global", "SSPs"):
+        assert name in page.text
+
+
+def test_it_names_the_settings_and_the_files(page):
+    for words in ("position angle 270 deg", "kernel 0.2", "baseline not given",
+                  "scales 1, 2, 3", "n trials 40", "seed 1", "redshift 0.033",
+                  "small displacement correction no"):  # fmt: skip
+        assert words in page.words
+    assert [a["href"] for a in page.all("a")] == ["components.ecsv"]
+
+
+def test_the_same_measurement_gives_the_same_page(
+    result, components, tmp_path, quick, folder
+):
+    paths = [
+        write_report(result, components, tmp_path / name, title="M87") for name in "ab"
+    ]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def words_of(result, components, folder, **kwargs):
+    path = write_report(result, components, folder, title="M87", **kwargs)
+    return Page(path.read_text(encoding="utf-8")).words
+
+
+def test_no_component_is_an_answer_too(result, tmp_path):
+    empty = replace(result, maxima=(), errors=())
+    words = words_of(empty, empty.components, tmp_path)
+    assert "No speed stands out." in words
+    assert "None. Other scales" in words
+    assert "p_global is" not in words
+    assert not (tmp_path / "members.png").exists()
+
+
+def test_nor_need_any_be_more_than_chance(result, tmp_path, quick):
+    table = result.components[:2].copy()
+    table["p_global"] = 0.9
+    words = words_of(result, table, tmp_path)
+    assert "No speed stands out from chance." in words
+    assert "Components 1 and 2 of the table" in words
+    assert "Two speeds stand out." in words_of(result, table, tmp_path, level=0.9)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "headline"),
+    [
+        ([], "No speed stands out."),
+        (["uncertain"], "No speed stands out from chance."),
+        (["moving"], "One speed stands out."),
+        (["moving"] * 2 + ["uncertain"], "Two speeds stand out."),
+        (["moving"] * 12, "12 speeds stand out."),
+        (["stationary"], "Nothing moves at a common speed: structure stands still."),
+        (
+            ["moving", "stationary"],
+            "One speed stands out, beside structure that stands still.",
+        ),
+    ],
+)
+def test_headlines(kinds, headline):
+    assert report._headline(kinds) == headline
+
+
+def test_a_radial_speed_is_outward_or_inward(result, tmp_path, quick):
+    table = result.components[:2].copy()
+    table["p_global"] = 0.01
+    table["pm_pa"] = np.nan * u.deg
+    table["pm_parallel"] = [5, -5] * u.mas / u.yr
+    words = words_of(result, table, tmp_path)
+    assert "outward; z-score" in words
+    assert "inward; z-score" in words
+
+
+def test_a_component_at_the_edge_of_the_map_is_pointed_out(result, tmp_path, quick):
+    table = result.components[:2].copy()
+    words = words_of(result, table, tmp_path)
+    assert "edge of the velocity map" not in words
+    table["pm_parallel"][1] = 35.9 * u.mas / u.yr
+    words = words_of(result, table, tmp_path)
+    assert "Component 2 is at the edge of the velocity map" in words
+    table["pm_transverse"][0] = -35.9 * u.mas / u.yr
+    words = words_of(result, table, tmp_path)
+    assert "Components 1 and 2 are at the edge" in words
+
+
+def test_on_the_sky_the_edges_are_east_and_north(result, tmp_path, quick):
+    from astro_scc.kinematics import SkyFrame
+
+    sky = replace(result, frame=SkyFrame())
+    table = result.components[:1].copy()
+    table["pm_dec"] = 35.9 * u.mas / u.yr
+    assert "Component 1 is at the edge" in words_of(sky, table, tmp_path)
+
+
+def test_columns_that_are_new_are_shown(result, tmp_path, quick):
+    table = result.components[:1].copy()
+    table["gamma_min"] = 1.2345
+    table["note"] = "<b>good</b>"
+    del table["p_global"]
+    words = words_of(result, table, tmp_path)
+    assert "gamma_min" in words
+    assert "1.234" in words or "1.235" in words
+    assert "<b>good</b>" in words
+    assert "p_global" not in words
+
+
+def test_only_ssps_of_the_region_are_counted(result, tmp_path, quick):
+    n = len(result.ssps)
+    assert f"{n} significant" in words_of(result, result.components, tmp_path)
+    ssps = result.ssps.copy()
+    ssps["in_region"] = np.arange(n) < 5
+    other = replace(result)
+    object.__setattr__(other, "ssps", ssps)
+    assert "; 5 significant" in words_of(other, result.components, tmp_path)
+
+
+def test_epochs_have_their_names_only_where_these_are_not_their_dates(
+    result, tmp_path, quick
+):
+    plain = replace(result.cube, labels=tuple(result.cube.times.strftime("%Y-%m-%d")))
+    plain = replace(result, matched=replace(result.matched, cube=plain))
+    words = words_of(plain, result.components, tmp_path)
+    assert words.count("2000-01-31") == 1
+    assert "Date Beam (mas, deg) Noise (Jy/beam) SSPs" in words
+    one_day = ["2000-01-01", "2000-01-01T12:00", *result.cube.times[2:].isot]
+    same = replace(plain.cube, times=one_day, beams=None)
+    same = replace(result, matched=replace(result.matched, cube=same))
+    words = words_of(same, result.components, tmp_path)
+    assert "2000-01-01 12:00" in words
+    assert "Beam" not in words
+
+
+def test_a_file_is_no_folder(result, components, tmp_path, quick):
+    (tmp_path / "out").touch()
+    with pytest.raises(OSError, match="out: is a file; choose another folder"):
+        write_report(result, components, tmp_path / "out", title="M87")
+
+
+def test_what_cannot_be_completed_leaves_what_was_there(
+    result, components, tmp_path, quick, monkeypatch
+):
+    (tmp_path / "report.html").write_text("old")
+
+    def fail(*args):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(OSError, match="No space left"):
+        write_report(result, components, tmp_path, title="M87")
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+    assert (tmp_path / "report.html").read_text() == "old"
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (5.5687, 0.4323, "5.57 ± 0.43"),
+        (117.3, 12.2, "117 ± 12"),
+        (0.01234, 0.00098, "0.01234 ± 0.00098"),
+        (5.5687, np.nan, "5.57"),
+        (5.5687, np.inf, "5.57"),
+        (5.5687, 0.0, "5.57"),
+        (np.nan, 0.1, "-"),
+    ],
+)
+def test_numbers_have_two_digits_of_their_error(value, error, text):
+    assert with_error(value, error) == text
+
+
+@given(st.floats(-1e4, 1e4), st.floats(1e-6, 1e3))
+def test_rounding_is_small_beside_the_error(value, error):
+    shown, shown_error = map(float, with_error(value, error).split(" ± "))
+    assert shown_error == pytest.approx(error, rel=0.06, abs=0.5 if error > 10 else 0)
+    assert abs(shown - value) <= max(0.051 * error, 0.5) + 1e-9

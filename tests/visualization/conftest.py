@@ -1,0 +1,58 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""A small measurement to draw, on axes along the jet, on the sky and radial."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.simulation import simulate_two_fluid
+
+
+@pytest.fixture(scope="session")
+def cube():
+    return simulate_two_fluid(n_epochs=5, rng=1).cube
+
+
+@pytest.fixture(scope="session")
+def matched(cube):
+    scc = StackedCrossCorrelation(scales=[1, 2, 3], max_speed=36 * u.mas / u.yr)
+    return scc.match(cube)
+
+
+@pytest.fixture(scope="session")
+def results(matched):
+    """Results of the same matches by the kind of their axes."""
+    angles = {"jet": 270 * u.deg, "sky": None, "radial": "radial"}
+    return {
+        name: StackedCrossCorrelation(
+            scales=[1, 2, 3], max_speed=36 * u.mas / u.yr, position_angle=angle,
+            min_z_score=2.0,
+        ).stack(matched, n_trials=40, rng=1)
+        for name, angle in angles.items()
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def result(results):
+    return results["jet"]
+
+
+@pytest.fixture(scope="session")
+def empty(result):
+    """A result without components."""
+    return replace(result, maxima=(), errors=())
+
+
+@pytest.fixture(scope="session")
+def bare(matched):
+    """A result without SSPs, matches and components, of images of no beam."""
+    scc = StackedCrossCorrelation(
+        scales=[1, 2], max_speed=20 * u.mas / u.yr, detection=99, segmentation=98
+    )
+    rng = np.random.default_rng(1)
+    data = 1e-3 * rng.standard_normal((3, 48, 64))
+    dull = replace(matched.cube[:3], data=data, mask=None, beams=None)
+    return scc(dull, n_trials=5, rng=1)

@@ -1,0 +1,85 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What every figure keeps to: no global state, no pyplot, results of any size."""
+
+import io
+import subprocess
+import sys
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from astro_scc import visualization
+
+OF_RESULTS = (
+    visualization.plot_velocity_map,
+    visualization.plot_significance,
+    visualization.plot_map_and_significance,
+    visualization.plot_members,
+)
+OF_CUBES = (
+    lambda result, **kw: visualization.plot_epoch(result.cube, 0, result.ssps, **kw),
+    lambda result, **kw: visualization.plot_epochs(result.cube, result.ssps, **kw),
+    lambda result, **kw: visualization.plot_intervals(result.cube, result.pairs, **kw),
+)
+
+
+def draw(figure):
+    """Render, and return the picture as an array."""
+    file = io.BytesIO()
+    figure.savefig(file, format="rgba", dpi=50)
+    return np.frombuffer(file.getvalue(), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("plot", OF_RESULTS + OF_CUBES)
+@pytest.mark.parametrize("frame", ["jet", "sky", "radial"])
+def test_figures_are_drawn_and_change_no_global_state(plot, frame, results):
+    from matplotlib import _pylab_helpers
+
+    before = dict(matplotlib.rcParams)
+    managers = list(_pylab_helpers.Gcf.figs)
+    figure = plot(results[frame])
+    assert isinstance(figure, Figure)
+    assert figure.get_figwidth() <= 6
+    assert figure.get_figheight() <= 9.6
+    assert len(np.unique(draw(figure))) > 20
+    assert dict(matplotlib.rcParams) == before
+    assert list(_pylab_helpers.Gcf.figs) == managers
+
+
+@pytest.mark.parametrize("plot", OF_RESULTS + OF_CUBES)
+def test_no_component_is_no_reason_to_fail(plot, empty):
+    draw(plot(empty))
+
+
+@pytest.mark.parametrize("plot", OF_RESULTS + OF_CUBES)
+def test_nor_are_no_ssps_and_no_beam(plot, bare):
+    assert len(bare.ssps) == 0
+    assert len(bare.components) == 0
+    assert bare.cube.beams is None
+    draw(plot(bare))
+
+
+@pytest.mark.parametrize("plot", [OF_RESULTS[0], OF_RESULTS[1], OF_CUBES[0]])
+def test_figures_draw_on_axes_that_are_given(plot, result):
+    figure = Figure()
+    upper, lower = figure.subplots(2, 1)
+    assert plot(result, ax=lower) is figure
+    assert lower.get_xlabel()
+    assert not upper.get_xlabel()
+
+
+@pytest.mark.parametrize("plot", [OF_RESULTS[2], OF_RESULTS[3], OF_CUBES[1]])
+def test_figures_draw_on_a_figure_that_is_given(plot, result):
+    figure = Figure()
+    assert plot(result, figure=figure) is figure
+    assert figure.axes
+
+
+def test_matplotlib_is_imported_when_something_is_drawn():
+    code = (
+        "import sys, astro_scc.visualization, astro_scc.report;"
+        "sys.exit('matplotlib' in sys.modules or 'jinja2' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,299 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+
+from astro_scc.visualization import (
+    plot_map_and_significance,
+    plot_members,
+    plot_significance,
+    plot_velocity_map,
+)
+from astro_scc.visualization.style import component_kinds
+
+LABELS = {
+    "jet": ("Proper motion parallel to the jet", "Transverse proper motion"),
+    "sky": ("Proper motion to the east", "Proper motion to the north"),
+    "radial": ("Radial proper motion", "Transverse proper motion"),
+}
+
+
+def ellipses(ax):
+    return [p for p in ax.patches if p.get_gid() == "error"]
+
+
+def numbers(ax):
+    return [t.get_text() for t in ax.texts if t.get_text().isdigit()]
+
+
+@pytest.mark.parametrize("frame", LABELS)
+def test_the_axes_are_those_of_the_frame(frame, results):
+    ax = plot_velocity_map(results[frame]).axes[0]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == tuple(
+        f"{name} (mas/yr)" for name in LABELS[frame]
+    )
+    left, right = ax.get_xlim()
+    assert (left > right) == (frame == "sky")
+    assert np.diff(ax.get_ylim()) > 0
+
+
+@pytest.mark.parametrize("frame", LABELS)
+def test_each_component_has_an_ellipse_and_its_number(frame, results):
+    result = results[frame]
+    ax = plot_velocity_map(result).axes[0]
+    table = result.components
+    assert len(table) > 1
+    assert numbers(ax) == [str(n) for n in table["component"]]
+    known = [
+        (peak, error)
+        for peak, error in zip(result.maxima, result.errors, strict=True)
+        if np.isfinite([error.err1, error.err2]).all()
+    ]
+    assert known
+    for ellipse, (peak, error) in zip(ellipses(ax), known, strict=True):
+        assert ellipse.get_center() == pytest.approx((peak.v1, peak.v2))
+        assert ellipse.get_width() == pytest.approx(2 * error.err1)
+        assert ellipse.get_height() == pytest.approx(2 * error.err2)
+
+
+def test_the_grid_point_of_the_map_is_at_its_velocity(result):
+    grid = result.grid
+    ax = plot_velocity_map(result).axes[0]
+    drawn = ax.images[0]
+    left, right, bottom, top = drawn.get_extent()
+    n2, n1 = grid.shape
+    assert left + (right - left) * 0.5 / n1 == pytest.approx(grid.v1[0])
+    assert bottom + (top - bottom) * (n2 - 0.5) / n2 == pytest.approx(grid.v2[-1])
+    np.testing.assert_array_equal(drawn.get_array(), result.coefficient)
+    z_map = plot_velocity_map(result, which="z_score").axes[0].images[0]
+    np.testing.assert_array_equal(z_map.get_array(), result.z_score)
+
+
+def test_speeds_in_c_are_on_a_second_axis(result):
+    figure = plot_velocity_map(result, beta_per_pm=2.0)
+    figure.draw_without_rendering()
+    (second,) = (a for a in figure.axes[0].child_axes if a.get_xlabel())
+    assert second.get_xlabel() == "Apparent speed (c)"
+    np.testing.assert_allclose(second.get_xlim(), np.multiply(ax_limits(figure), 2.0))
+    with pytest.raises(ValueError, match="beta_per_pm must be positive, got -1"):
+        plot_velocity_map(result, beta_per_pm=-1)
+
+
+def ax_limits(figure):
+    return figure.axes[0].get_xlim()
+
+
+def test_speeds_have_the_unit_that_was_asked_for(result):
+    ax = plot_velocity_map(result, unit="uas/yr").axes[0]
+    assert ax.get_xlabel().endswith("(uas/yr)")
+    assert ellipses(ax)[0].get_center()[0] == pytest.approx(1e3 * result.maxima[0].v1)
+    figure = plot_velocity_map(result, unit="uas/yr", beta_per_pm=2.0)
+    figure.draw_without_rendering()
+    (second,) = (a for a in figure.axes[0].child_axes if a.get_xlabel())
+    np.testing.assert_allclose(second.get_xlim(), np.multiply(ax_limits(figure), 2e-3))
+    with pytest.raises(ValueError, match="unit must be an angle over a time"):
+        plot_velocity_map(result, unit="mas")
+
+
+def test_large_speeds_are_in_arcseconds(result):
+    grid = replace(result.grid, v1=result.grid.v1 * 1e3, v2=result.grid.v2 * 1e3)
+    ax = plot_velocity_map(replace(result, grid=grid)).axes[0]
+    assert ax.get_xlabel().endswith("(arcsec/yr)")
+
+
+def test_an_unknown_map_is_refused(result):
+    with pytest.raises(ValueError, match="unknown map 'p': use 'coefficient'"):
+        plot_velocity_map(result, which="p")
+
+
+def test_nothing_in_the_map_is_drawn_without_warnings(result):
+    for value in (0.0, np.nan):
+        nothing = replace(
+            result, coefficient=np.full(result.grid.shape, value), maxima=(), errors=()
+        )
+        assert plot_velocity_map(nothing).axes[0].images[0].norm.vmax == 1
+
+
+def direction_of_the_arrow(figure):
+    (arrow,) = (t for t in figure.axes[0].texts if getattr(t, "arrow_patch", None))
+    return np.subtract(arrow.xy, arrow.get_position())
+
+
+def test_the_arrow_points_along_the_jet(results):
+    east = replace(results["sky"], position_angle=90 * u.deg)
+    assert direction_of_the_arrow(plot_velocity_map(east))[0] < -0.1
+    north_west = replace(results["sky"], position_angle=-45 * u.deg)
+    step = direction_of_the_arrow(plot_velocity_map(north_west))
+    assert step[0] == pytest.approx(step[1])
+    assert step[0] > 0
+    assert direction_of_the_arrow(plot_velocity_map(results["jet"]))[0] > 0.1
+
+
+def table_of(**columns):
+    row = {
+        "pm_parallel": 1.0,
+        "pm_parallel_err": 0.1,
+        "pm_transverse": 0.0,
+        "pm_transverse_err": 0.1,
+        "p_global": 0.01,
+        **columns,
+    }
+    return QTable({name: [value] for name, value in row.items()})
+
+
+@pytest.mark.parametrize(
+    ("columns", "kind"),
+    [
+        ({}, "moving"),
+        ({"p_global": 0.06}, "uncertain"),
+        ({"p_global": np.nan}, "uncertain"),
+        ({"pm_parallel": 0.2}, "stationary"),
+        ({"pm_parallel": 0.2, "pm_transverse": 0.2}, "moving"),
+        ({"pm_parallel": 0.2, "p_global": 0.5}, "uncertain"),
+        ({"pm_parallel_err": np.inf}, "moving"),
+        ({"stationary": True}, "stationary"),
+        ({"stationary": False, "pm_parallel": 0.0}, "moving"),
+    ],
+)
+def test_kinds_of_components(columns, kind):
+    assert component_kinds(table_of(**columns)) == [kind]
+
+
+def test_kinds_need_neither_probabilities_nor_speeds():
+    assert component_kinds(QTable({"component": [1, 2]})) == ["moving", "moving"]
+
+
+def test_kinds_have_signs_of_their_own(result):
+    table = result.components.copy()
+    table["p_global"] = 0.5
+    table["p_global"][0] = 0.001
+    ax = plot_velocity_map(result, components=table).axes[0]
+    names = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert names == ["component", "may be chance"]
+    assert plot_velocity_map(result, components=table, level=0.6).axes[
+        0
+    ].get_legend().get_texts()[0].get_text() == ("component")
+
+
+def test_the_slice_is_the_middle_row_of_the_map(result):
+    ax = plot_significance(result).axes[0]
+    (line,) = (x for x in ax.lines if x.get_label() == "at zero transverse speed")
+    np.testing.assert_allclose(line.get_xdata(), result.grid.v1)
+    middle = len(result.grid.v2) // 2
+    np.testing.assert_allclose(line.get_ydata(), result.z_score[middle])
+    (highest,) = (x for x in ax.lines if x.get_label().startswith("highest"))
+    np.testing.assert_allclose(highest.get_ydata(), result.z_score.max(axis=0))
+    assert ax.get_ylabel() == "Significance z"
+
+
+@pytest.mark.parametrize("angle", [0, 33, 90, 270, 200])
+def test_the_slice_of_a_map_on_the_sky_is_along_the_position_angle(angle, results):
+    sky = results["sky"]
+    grid = sky.grid
+    theta = np.radians(angle)
+    along = grid.v1 * np.sin(theta) + grid.v2[:, None] * np.cos(theta)
+    across = grid.v1 * np.cos(theta) - grid.v2[:, None] * np.sin(theta)
+    turned = replace(
+        sky, z_score=along + 0.1 * across, position_angle=angle * u.deg, maxima=(),
+        errors=(),
+    )  # fmt: skip
+    ax = plot_significance(turned).axes[0]
+    (line,) = (x for x in ax.lines if x.get_label() == "at zero transverse speed")
+    speed, z_score = line.get_xdata(), line.get_ydata()
+    assert np.isfinite(z_score).sum() >= len(speed) - 2
+    np.testing.assert_allclose(
+        z_score[np.isfinite(z_score)], speed[np.isfinite(z_score)], atol=1e-6
+    )
+    assert speed[-1] >= grid.v_max[0] * 0.999
+    assert f"position angle {angle} deg" in ax.get_xlabel()
+
+
+def test_components_are_marked_at_their_significance(result):
+    ax = plot_significance(result).axes[0]
+    assert numbers(ax) == [str(n) for n in result.components["component"]]
+    marks = [bar.lines[0] for bar in ax.containers]
+    for mark, row in zip(marks, result.components, strict=True):
+        assert mark.get_xdata()[0] == pytest.approx(row["pm_parallel"].value)
+        assert mark.get_ydata()[0] == pytest.approx(row["z_score"])
+
+
+def test_errors_that_are_unknown_are_not_drawn(result):
+    table = result.components.copy()
+    for name in ("pm_parallel_err", "pm_transverse_err"):
+        table[name] = 1 * u.mas / u.yr
+        table[name][0] = np.nan * u.mas / u.yr
+    ax = plot_velocity_map(result, components=table).axes[0]
+    assert len(ellipses(ax)) == len(table) - 1
+    assert len(numbers(ax)) == len(table)
+    plot_significance(result, components=table).draw_without_rendering()
+
+
+def test_both_panels_of_the_paper(results):
+    figure = plot_map_and_significance(results["sky"], beta_per_pm=3.0)
+    upper, lower = (ax for ax in figure.axes if ax.get_label() != "<colorbar>")
+    assert upper.images
+    assert lower.get_ylabel() == "Significance z"
+
+
+def arrows_of(ax):
+    return next(c for c in ax.collections if hasattr(c, "U"))
+
+
+def test_members_are_arrows_from_ssps_to_their_matches(results):
+    lengths = []
+    for result in results.values():
+        figure = plot_members(result, max_panels=2, level=1.0)
+        axes = [ax for ax in figure.axes if ax.images]
+        assert len(axes) == 2
+        arrows = arrows_of(axes[0])
+        member = result.members(1)
+        assert len(arrows.U) == len(member)
+        d = result.displacements
+        np.testing.assert_allclose(
+            np.hypot(arrows.U, arrows.V), np.hypot(d.d1, d.d2)[member]
+        )
+        start = result.ssps["east"][d.ssp[member]].value
+        np.testing.assert_allclose(arrows.X, start)
+        # The jet flows to the west.
+        assert arrows.U.mean() < 0
+        assert axes[0].get_xlim()[0] > axes[0].get_xlim()[1]
+        assert axes[0].texts[0].get_text().startswith("1: ")
+        lengths.append(len(arrows.U))
+    assert lengths[0] == lengths[1]
+
+
+def test_arrows_are_the_same_on_all_axes(results):
+    def motions(result):
+        everything = replace(result)
+        object.__setattr__(
+            everything, "members", lambda n: np.arange(len(result.displacements))
+        )
+        arrows = arrows_of(plot_members(everything, max_panels=1).axes[0])
+        return np.stack([arrows.U, arrows.V])
+
+    sky = motions(results["sky"])
+    np.testing.assert_allclose(motions(results["jet"]), sky, atol=1e-9)
+    np.testing.assert_allclose(motions(results["radial"]), sky, atol=1e-9)
+
+
+def test_components_that_were_found_come_first(result):
+    table = result.components.copy()
+    table["p_global"] = 0.001
+    table["p_global"][0] = 0.5
+    figure = plot_members(result, components=table, max_panels=2)
+    texts = [ax.texts[0].get_text() for ax in figure.axes if ax.texts]
+    assert [text.split(":")[0] for text in texts] == ["2", "3"]
+    figure = plot_members(result, components=table[:1])
+    assert figure.axes[0].texts[0].get_text().endswith("may be chance")
+
+
+def test_no_component_shows_the_mean_image(empty):
+    (ax,) = plot_members(empty).axes
+    assert ax.get_title() == "no component"
+    assert ax.images
+    with pytest.raises(ValueError, match="max_panels must be at least 1"):
+        plot_members(empty, max_panels=0)
