@@ -687,20 +687,44 @@ def test_numbers_with_errors(value, error, text):
     assert with_error(value, error) == text
 
 
-def test_summary_of_motions_away_from_a_point(jet):
+@pytest.fixture(scope="module")
+def radial(jet):
+    """Components away from a point, which have no direction on the sky."""
     scc = StackedCrossCorrelation(
         scales=[2], max_speed=30 * u.mas / u.yr, position_angle="radial", min_z_score=0
     )
     table = scc(EpochCube.read(epochs(jet)), n_trials=20, rng=1).components
+    assert len(table) >= 3
+    return table
+
+
+def test_summary(radial):
+    table = radial.copy()
+    table["p_global"] = 0.5
+    table["p_global"][:2] = 0.01
+    table["pm_parallel_err"] = table["pm_transverse_err"] = 0.1 * u.mas / u.yr
+    table["pm_parallel"][1] = table["pm_transverse"][1] = 0
     lines = component_lines(table)
-    assert len(lines) == len(table) + 1
+    assert len(lines) == 4
     assert lines[1].split()[4] == "-"
+    assert lines[2].endswith("stands still")
+    assert lines[3].startswith(
+        f"{len(table) - 2} more in components.ecsv may be chance"
+    )
+
+
+def test_summary_of_chance(radial):
+    table = radial.copy()
+    table["p_global"] = 0.5
+    lines = component_lines(table)
+    assert lines[0].startswith("No velocity component stands out.")
+    assert lines[-1].startswith(f"{len(table)} of {len(table)} rows of components")
 
 
 # -- as a program ------------------------------------------------------------------
 
 
-def test_demo(tmp_path):
+def test_demo(tmp_path, monkeypatch):
     command = [sys.executable, "-m", "astro_scc.cli"]
     done = subprocess.run(
         [*command, "demo", "-o", "out"],
@@ -725,11 +749,8 @@ def test_demo(tmp_path):
         apart = np.hypot(table["pm_parallel"] - truth * step, table["pm_transverse"])
         assert np.min(apart) < 1.5 * step
     # The demo is a measurement like any other.
-    subprocess.run(
-        [*command, "measure", "--config", "out/config.toml", "-o", "again"]
-        + ["--no-report", "--quiet"],
-        cwd=tmp_path,
-        check=True,
-    )
+    monkeypatch.chdir(tmp_path)
+    again = ["measure", "--config", "out/config.toml", "-o", "again", "--no-report"]
+    assert main(again) == 0
     for name in (*TABLES, "scc.fits", "config.toml"):
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()

@@ -5,8 +5,8 @@ import math
 
 __all__ = ["component_lines", "table_lines"]
 
-# What each kind of component is, beside its numbers.
-REMARKS = {"moving": "", "stationary": "stands still", "uncertain": "may be chance"}
+# What stands beside the numbers of each kind of component.
+REMARKS = {"moving": "", "stationary": "stands still"}
 
 
 def table_lines(head, rows):
@@ -79,21 +79,35 @@ def component_lines(components):
     -------
     list of str
     """
-    if len(components) == 0:
-        return [
+    from astro_scc.visualization.style import LEVEL, component_kinds
+
+    kinds = component_kinds(components)
+    found = [kind != "uncertain" for kind in kinds]
+    if any(found):
+        lines = _found_lines(components[found], [k for k in kinds if k in REMARKS])
+    else:
+        lines = [
             "No velocity component stands out.  Other scales, a --baseline that suits "
             "the speed",
             "(see astro-scc inspect) or a --region may help; so may more epochs.",
         ]
-    from astro_scc.visualization.style import component_kinds
+    n = len(components) - sum(found)
+    if n:
+        lines.append(
+            f"{n} of {len(components)} rows of components.ecsv may be chance "
+            f"(p_global above {LEVEL:g})"
+        )
+    return lines
 
+
+def _found_lines(components, kinds):
     in_c = "beta_app" in components.colnames
     unit = components["pm"].unit
     head = ["component", f"proper motion ({unit})", "PA (deg)"]
     head += ["speed (c)"] if in_c else []
     head += ["z score", "p_global", "SSPs", ""]
     rows = []
-    for row, kind in zip(components, component_kinds(components), strict=True):
+    for row, kind in zip(components, kinds, strict=True):
         angle = row["pm_pa"].value
         cells = [
             str(row["component"]),
