@@ -85,11 +85,12 @@ def panels_size(rows, columns, limits, *, aside, above=0.0):
     )
 
 
-def columns_of(n, limits):
-    """The number of columns whose panels are largest on a page of 6 by 8 inches."""
+def columns_of(n, limits, figure=None):
+    """The number of columns whose panels are largest, in a figure or on a page."""
+    page = (5.0, 8.0) if figure is None else figure.get_size_inches() - [1.2, 1.0]
     width, height = lengths(limits)
     sizes = [
-        min(5.0 / columns, 8.0 / -(-n // columns) * width / height)
+        min(page[0] / columns, page[1] / -(-n // columns) * width / height)
         for columns in range(1, n + 1)
     ]
     # Equal but for rounding, the grid with fewer empty places.

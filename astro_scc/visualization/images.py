@@ -182,7 +182,7 @@ def plot_epochs(
     unit = offset_unit(longest(limits), unit)
     images = np.ma.masked_array(cube.data[chosen], cube.mask[chosen])
     norm = plotting_norm(cube, images, chosen, stretch, vmin, vmax)
-    columns = columns_of(len(chosen), limits)
+    columns = columns_of(len(chosen), limits, figure)
     rows = -(-len(chosen) // columns)
     if figure is None:
         figure = new_figure(panels_size(rows, columns, limits, aside=1.4, above=0.4))

@@ -93,7 +93,7 @@ def plot_members(
     image = np.ma.masked_array(mean.data, mean.mask)
     norm = plotting_norm(cube, image)
 
-    columns = columns_of(max(len(panels), 1), limits)
+    columns = columns_of(max(len(panels), 1), limits, figure)
     rows = -(-max(len(panels), 1) // columns)
     if figure is None:
         figure = new_figure(panels_size(rows, columns, limits, aside=0.6))

@@ -55,8 +55,9 @@ def draw_ssps(ax, cube, ssps, points, epoch, unit, size=1.0):
         diameter = (4.0 + 3.0 * rank) * size
         label = _label(cube, scale, unit, rank, len(colors))
         if is_catalogue(ssps):
-            _draw_outlines(ax, cube, ssps, np.flatnonzero(here), color, unit)
-            handles.append(Line2D([], [], color=color, label=label))
+            line = {"color": color, "linewidth": 0.7 + 0.4 * rank}
+            _draw_outlines(ax, cube, ssps, np.flatnonzero(here), unit, **line)
+            handles.append(Line2D([], [], label=label, **line))
             continue
         for used, alpha in ((True, 1.0), (False, 0.3)):
             some = here & (points["used"] == used)
@@ -91,7 +92,7 @@ def _label(cube, scale, unit, rank, n_scales):
     return " ".join(words + [unit_name(unit)] * (rank == n_scales - 1))
 
 
-def _draw_outlines(ax, cube, ssps, indices, color, unit):
+def _draw_outlines(ax, cube, ssps, indices, unit, **line):
     """Draw the edges of the pixels of SSPs, none over another."""
     from matplotlib.collections import LineCollection
 
@@ -108,8 +109,5 @@ def _draw_outlines(ax, cube, ssps, indices, color, unit):
     east, north = cube.pixel_to_offset(ends[:, 0], ends[:, 1])
     lines = np.stack([east.to_value(unit), north.to_value(unit)], axis=-1)
     ax.add_collection(
-        LineCollection(
-            lines.swapaxes(0, 1), colors=color, linewidths=0.9, gid="outlines"
-        ),
-        autolim=False,
+        LineCollection(lines.swapaxes(0, 1), gid="outlines", **line), autolim=False
     )

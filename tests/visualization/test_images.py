@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.collections import LineCollection
 from matplotlib.colors import AsinhNorm, LogNorm
+from matplotlib.figure import Figure
 from matplotlib.transforms import Affine2D
 
 from astro_scc import Beam, EpochCube
@@ -301,3 +302,11 @@ def test_limits_are_a_part_of_the_image_that_is_not_empty(ssps):
     whole, near = image_limits(cube), image_limits(cube, points)
     assert np.all(near[:, 1] > near[:, 0])
     assert np.all((near >= whole[:, :1] - 1e-9) & (near <= whole[:, 1:] + 1e-9))
+
+
+def test_panels_are_laid_out_for_the_figure(result):
+    def columns(figure):
+        panels = plot_epochs(result.cube, result.ssps, figure=figure).axes
+        return len({round(ax.get_position().x0, 2) for ax in panels if ax.images})
+
+    assert columns(Figure(figsize=(9, 2))) > columns(Figure(figsize=(3, 9))) == 1
