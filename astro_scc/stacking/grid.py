@@ -78,5 +78,5 @@ class VelocityGrid:
         half = np.ceil(v_max / step - 1e-9).astype(int)
         half = np.clip(half, 1, max_size // 2)
         return cls(
-            *(np.linspace(-v, v, 2 * n + 1) for v, n in zip(v_max, half, strict=True))
+            *(v * (np.arange(-n, n + 1) / n) for v, n in zip(v_max, half, strict=True))
         )

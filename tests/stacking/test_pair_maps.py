@@ -1,0 +1,127 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The fast stacks of many orders against the exact one of each."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from astro_scc.stacking import (
+    PairMaps,
+    VelocityGrid,
+    baseline_pairs,
+    consecutive_pairs,
+    random_orders,
+    stack,
+)
+
+GRID = VelocityGrid.covering((4.0, 3.0), (0.25, 0.3))
+
+
+def all_stacks(maps, pairs, grid, orders, **kwargs):
+    return np.concatenate(list(maps.stacks(pairs, grid, orders, **kwargs)))
+
+
+def check(maps, pairs, grid, orders, shift=(0.0, 0.0)):
+    found = all_stacks(maps, pairs, grid, orders, shift=shift)
+    assert found.shape == (len(orders), *grid.shape)
+    d = maps.displacements
+    moved = replace(d, d1=d.d1 + shift[0], d2=d.d2 + shift[1])
+    for one, order in zip(found, orders, strict=True):
+        exact = stack(moved, pairs, grid, order=order)
+        np.testing.assert_allclose(one, exact, atol=1e-3 * exact.max())
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_uneven_dates_and_kernels_of_all_shapes(random_displacements, seed, every_pair):
+    rng = np.random.default_rng(seed)
+    d = random_displacements(rng, 5, 120, s1=(0.2, 0.8), s2=(0.4, 1.5))
+    years = np.cumsum(rng.uniform(0.2, 1.5, 5))
+    if every_pair:
+        pairs = baseline_pairs(years, 0.0, 9.0)
+    else:
+        pairs = consecutive_pairs(years)
+    maps = PairMaps.of(d, GRID.v_max, pairs.interval.max())
+    check(maps, pairs, GRID, random_orders(5, 4, rng))
+    shift = rng.uniform(-0.5, 0.5, 2)
+    check(maps, pairs, GRID, random_orders(5, 4, rng), shift=shift)
+
+
+def test_evenly_spaced_dates_which_share_one_interval(random_displacements):
+    rng = np.random.default_rng(0)
+    d = random_displacements(rng, 6, 200)
+    pairs = consecutive_pairs(0.7 * np.arange(6))
+    maps = PairMaps.of(d, GRID.v_max, 0.7)
+    # Few orders add the maps first and stretch once; many stretch each map first.
+    for n_orders in (2, 40):
+        check(maps, pairs, GRID, random_orders(6, n_orders, rng))
+
+
+def test_some_dates_equal(random_displacements):
+    rng = np.random.default_rng(1)
+    pairs = consecutive_pairs([0.0, 0.5, 0.5, 0.5, 2.0])
+    maps = PairMaps.of(random_displacements(rng, 5, 80), GRID.v_max, 1.5)
+    check(maps, pairs, GRID, random_orders(5, 6, rng))
+
+
+def test_other_grids_and_dates_from_the_same_maps(random_displacements):
+    rng = np.random.default_rng(2)
+    maps = PairMaps.of(random_displacements(rng, 4, 80), (5.0, 5.0), 2.0)
+    for years in ([0.0, 1.0, 2.0, 4.0], [0.0, 0.1, 0.5, 0.6]):
+        for grid in (GRID, VelocityGrid.covering(1.0, 0.05)):
+            check(maps, consecutive_pairs(years), grid, random_orders(4, 3, rng))
+
+
+def test_blocks_of_any_size_give_the_same_numbers(random_displacements, monkeypatch):
+    rng = np.random.default_rng(3)
+    pairs = consecutive_pairs(0.7 * np.arange(6))
+    maps = PairMaps.of(random_displacements(rng, 6, 200), GRID.v_max, 0.7)
+    orders = random_orders(6, 30, rng)
+    whole = all_stacks(maps, pairs, GRID, orders)
+    size = 8 * GRID.shape[0] * GRID.shape[1]
+    for n_maps in (0, 1, 7):
+        monkeypatch.setattr(f"{PairMaps.__module__}.BLOCK_BYTES", n_maps * size)
+        blocks = list(maps.stacks(pairs, GRID, orders))
+        assert max(len(b) for b in blocks) == max(n_maps, 1)
+        np.testing.assert_allclose(np.concatenate(blocks), whole, atol=1e-6)
+
+
+def test_without_matches(random_displacements):
+    rng = np.random.default_rng(4)
+    none = random_displacements(rng, 3, 10).select(slice(0, 0))
+    pairs = consecutive_pairs([0.0, 1.0, 3.0])
+    maps = PairMaps.of(none, GRID.v_max, 2.0)
+    found = all_stacks(maps, pairs, GRID, random_orders(3, 5, rng))
+    assert found.shape == (5, *GRID.shape)
+    np.testing.assert_array_equal(found, 0.0)
+
+
+def test_no_orders_no_stacks(random_displacements):
+    d = random_displacements(np.random.default_rng(5))
+    maps = PairMaps.of(d, GRID.v_max, 1.0)
+    pairs = consecutive_pairs(np.arange(4.0))
+    assert list(maps.stacks(pairs, GRID, np.empty((0, 4), dtype=int))) == []
+
+
+def test_the_exact_stack_is_at_hand(random_displacements):
+    d = random_displacements(np.random.default_rng(6))
+    pairs = consecutive_pairs(np.arange(4.0))
+    maps = PairMaps.of(d, GRID.v_max, 1.0)
+    np.testing.assert_array_equal(maps.stack(pairs, GRID), stack(d, pairs, GRID))
+    order = [1, 3, 0, 2]
+    np.testing.assert_array_equal(
+        maps.stack(pairs, GRID, order), stack(d, pairs, GRID, order=order)
+    )
+
+
+@pytest.mark.parametrize("farthest", [0.5, 50.0])
+def test_matches_beyond_the_largest_velocity_do_not_widen_the_maps(
+    random_displacements, farthest
+):
+    d = random_displacements(np.random.default_rng(7), reach=farthest)
+    maps = PairMaps.of(d, (4.0, 3.0), 0.5)
+    assert maps.axis1[-1] <= min(4.0 * 0.5, farthest) + 5 * d.s1.max()
+    check(maps, consecutive_pairs(0.5 * np.arange(4.0)), GRID, [[0, 1, 2, 3]])
