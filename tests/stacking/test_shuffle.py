@@ -1,0 +1,158 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Shuffled stacks against a loop over the same orders."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chisquare
+
+from astro_scc.stacking import (
+    PairMaps,
+    VelocityGrid,
+    consecutive_pairs,
+    random_orders,
+    shuffle_epochs,
+    stack,
+)
+
+GRID = VelocityGrid.covering((4.0, 3.0), (0.25, 0.3))
+YEARS = [0.0, 0.4, 1.2, 1.5, 2.6]
+
+
+@pytest.fixture(scope="module")
+def maps(random_displacements):
+    d = random_displacements(np.random.default_rng(0), 5, 300)
+    return PairMaps.of(d, GRID.v_max, 1.1)
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    return consecutive_pairs(YEARS)
+
+
+def run(maps, pairs, n_trials=30, seed=1, **kwargs):
+    observed = stack(maps.displacements, pairs, GRID)
+    rng = np.random.default_rng(seed)
+    return shuffle_epochs(maps, pairs, GRID, observed, n_trials, rng=rng, **kwargs)
+
+
+def test_orders_are_permutations_and_all_of_them_occur_equally_often():
+    orders = random_orders(4, 6000, np.random.default_rng(0))
+    assert orders.shape == (6000, 4)
+    np.testing.assert_array_equal(np.sort(orders, axis=1), [[0, 1, 2, 3]] * 6000)
+    kinds, counts = np.unique(orders, axis=0, return_counts=True)
+    assert len(kinds) == 24
+    assert [0, 1, 2, 3] in kinds.tolist()
+    assert chisquare(counts).pvalue > 1e-3
+
+
+def test_mean_and_std_are_those_of_the_stacks_of_the_orders(maps, pairs):
+    found = run(maps, pairs)
+    orders = random_orders(5, 30, np.random.default_rng(1))
+    d = maps.displacements
+    stacks = np.array([stack(d, pairs, GRID, order=order) for order in orders])
+    tolerance = 1e-3 * stacks.max()
+    np.testing.assert_allclose(found.mean, stacks.mean(axis=0), atol=tolerance)
+    np.testing.assert_allclose(found.std, stacks.std(axis=0, ddof=1), atol=tolerance)
+    observed = stack(d, pairs, GRID)
+    z = (observed - stacks.mean(axis=0)) / stacks.std(axis=0, ddof=1)
+    np.testing.assert_allclose(found.z_score(observed), z, atol=0.02)
+
+
+def test_a_shift_is_added_in_four_directions_in_turn(maps, pairs):
+    found = run(maps, pairs, shift=(0.3, 0.2))
+    orders = random_orders(5, 30, np.random.default_rng(1))
+    d = maps.displacements
+    moved = [
+        replace(d, d1=d.d1 + 0.3),
+        replace(d, d1=d.d1 - 0.3),
+        replace(d, d2=d.d2 + 0.2),
+        replace(d, d2=d.d2 - 0.2),
+    ]
+    stacks = np.array(
+        [stack(moved[i % 4], pairs, GRID, order=o) for i, o in enumerate(orders)]
+    )
+    tolerance = 1e-3 * stacks.max()
+    np.testing.assert_allclose(found.mean, stacks.mean(axis=0), atol=tolerance)
+    np.testing.assert_allclose(found.std, stacks.std(axis=0, ddof=1), atol=tolerance)
+    assert np.abs(found.mean - run(maps, pairs).mean).max() > 10 * tolerance
+
+
+def test_a_shift_lowers_the_mean_at_rest_of_what_stands_still(clump):
+    """The paper's correction: shuffled epochs of standing structure correlate too."""
+    one = clump(20, velocity=(0.0, 0.0))
+    d = replace(
+        one,
+        **{
+            name: np.concatenate([getattr(one, name)] * 6)
+            for name in ("d1", "d2", "s1", "s2", "weight", "ssp", "target_ssp")
+        },
+        reference=np.repeat([0, 0, 1, 1, 2, 2], 20),
+        target=np.repeat([1, 2, 0, 2, 0, 1], 20),
+        n_ssps=np.full(3, 20),
+    )
+    pairs = consecutive_pairs([0.0, 0.5, 1.0])
+    maps = PairMaps.of(d, GRID.v_max, 0.5)
+    rest = tuple(n // 2 for n in GRID.shape)
+    plain, shifted = (run(maps, pairs, shift=s) for s in (None, (0.3, 0.3)))
+    assert plain.mean[rest] == pytest.approx(1.0, abs=1e-3)
+    assert shifted.mean[rest] == pytest.approx(np.exp(-0.5 * 1.5**2), abs=1e-3)
+
+
+def test_fewer_trials_than_directions(maps, pairs):
+    found = run(maps, pairs, n_trials=2, shift=(0.3, 0.2))
+    assert np.isfinite(found.mean).all()
+    assert np.isfinite(found.z_score(found.mean)).all()
+
+
+def test_the_same_seed_gives_the_same_numbers(maps, pairs):
+    first, again, other = (run(maps, pairs, seed=s) for s in (1, 1, 2))
+    np.testing.assert_array_equal(first.mean, again.mean)
+    np.testing.assert_array_equal(first.std, again.std)
+    assert np.any(first.mean != other.mean)
+
+
+def test_memory_blocks_give_the_same_numbers(maps, pairs, monkeypatch):
+    whole = run(maps, pairs)
+    size = 8 * GRID.shape[0] * GRID.shape[1]
+    for n_maps in (1, 7):
+        monkeypatch.setattr(f"{PairMaps.__module__}.BLOCK_BYTES", n_maps * size)
+        blocks = run(maps, pairs)
+        np.testing.assert_allclose(blocks.mean, whole.mean, atol=1e-9)
+        np.testing.assert_allclose(blocks.std, whole.std, atol=1e-9)
+
+
+def test_progress_counts_the_trials(maps, pairs, monkeypatch):
+    size = 8 * GRID.shape[0] * GRID.shape[1]
+    monkeypatch.setattr(f"{PairMaps.__module__}.BLOCK_BYTES", 7 * size)
+    done = []
+    run(maps, pairs, progress=done.append)
+    assert done == [7, 7, 7, 7, 2]
+    done.clear()
+    run(maps, pairs, progress=done.append, shift=(0.3, 0.2))
+    assert sum(done) == 30
+
+
+def test_small_standard_deviations_are_floored(maps, pairs):
+    """Where hardly a trial has a match, a tiny coefficient is no discovery."""
+    found = run(maps, pairs)
+    std = found.std.copy()
+    std[0, 0] = 1e-9
+    found = replace(found, std=std)
+    z = found.z_score(found.mean + std.max())
+    assert z[0, 0] == pytest.approx(100.0)
+    assert z.max() == pytest.approx(100.0)
+
+
+def test_without_any_correlation_the_z_score_is_zero(maps, pairs):
+    none = replace(maps, maps=np.zeros_like(maps.maps))
+    found = run(none, pairs)
+    np.testing.assert_array_equal(found.std, 0.0)
+    np.testing.assert_array_equal(found.z_score(np.ones(GRID.shape)), 0.0)
+
+
+@pytest.mark.parametrize("n_trials", [-1, 0, 1])
+def test_needs_at_least_two_trials(maps, pairs, n_trials):
+    with pytest.raises(ValueError, match=f"at least 2 trials, got {n_trials}"):
+        run(maps, pairs, n_trials=n_trials)
