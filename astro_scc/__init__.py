@@ -17,6 +17,7 @@ _PUBLIC = {
 }
 _FOLDERS = frozenset(
     {
+        "config",
         "correlation",
         "decomposition",
         "epochs",

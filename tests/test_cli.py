@@ -708,9 +708,7 @@ def test_summary(radial):
     assert len(lines) == 4
     assert lines[1].split()[4] == "-"
     assert lines[2].endswith("stands still")
-    assert lines[3].startswith(
-        f"{len(table) - 2} more in components.ecsv may be chance"
-    )
+    assert lines[3].startswith(f"{len(table) - 2} of {len(table)} rows of components")
 
 
 def test_summary_of_chance(radial):

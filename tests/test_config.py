@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.config import (
-    _PARSERS,
+    SETTINGS,
     format_config,
     parse_quantities,
     parse_setting,
@@ -60,8 +60,8 @@ def same(a, b):
 
 def test_every_setting_of_the_measurement_is_a_key():
     names = {field.name for field in fields(StackedCrossCorrelation)}
-    assert names <= set(_PARSERS)
-    assert set(FULL) == set(_PARSERS)
+    assert names <= set(SETTINGS)
+    assert set(FULL) == set(SETTINGS)
 
 
 def test_settings_survive_the_file_to_the_bit(tmp_path):

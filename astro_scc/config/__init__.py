@@ -1,0 +1,22 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+What determines a measurement, as settings in TOML files.
+
+The keys are those of the command line, ``max_speed`` for ``--max-speed``.
+Quantities are text with a unit, ``"2 mas / yr"``.
+"""
+
+from astro_scc.config.files import format_config, read_config
+from astro_scc.config.settings import SETTINGS, parse_setting, plain_settings
+from astro_scc.config.text import parse_quantities, to_cosmology, to_time
+
+__all__ = [
+    "SETTINGS",
+    "format_config",
+    "parse_quantities",
+    "parse_setting",
+    "plain_settings",
+    "read_config",
+    "to_cosmology",
+    "to_time",
+]
