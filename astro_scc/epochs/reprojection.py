@@ -82,7 +82,7 @@ def reproject_cube(cube, wcs, shape, order="bicubic"):
     Intensities per beam or per solid angle are interpolated as they are,
     intensities per pixel are multiplied by the ratio of the pixel areas.
     Interpolation does not average: smooth before going to larger pixels
-    (`~astro_scc.epochs.smoothing.common_beam`).
+    (`~astro_scc.epochs.common_beam`).
 
     ``epoch_wcs`` is carried to the new grid if it differs from ``cube.wcs``
     by shifts only, and dropped otherwise (align on it first).
