@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.config import (
-    SETTINGS,
     format_config,
     parse_quantities,
     parse_setting,
@@ -22,6 +21,7 @@ from astro_scc.config import (
     to_cosmology,
     to_time,
 )
+from astro_scc.config.settings import SETTINGS
 
 FULL = {
     "epochs": ["a.fits", "b c.fits"],

@@ -7,11 +7,10 @@ Quantities are text with a unit, ``"2 mas / yr"``.
 """
 
 from astro_scc.config.files import format_config, read_config
-from astro_scc.config.settings import SETTINGS, parse_setting, plain_settings
+from astro_scc.config.settings import parse_setting, plain_settings
 from astro_scc.config.text import parse_quantities, to_cosmology, to_time
 
 __all__ = [
-    "SETTINGS",
     "format_config",
     "parse_quantities",
     "parse_setting",
