@@ -152,7 +152,7 @@ def write_report(
         headline=_headline(kinds),
         answers=_answers(components, kinds),
         chances=_chances(components, kinds, level, result.meta),
-        warnings=[str(w) for w in warnings] + _edge_remarks(result, components),
+        warnings=[str(w) for w in warnings] + _edge_remarks(result, components, kinds),
         figures=[
             {
                 "name": name,
@@ -276,27 +276,28 @@ def _chances(components, kinds, level, meta):
     return said
 
 
-def _edge_remarks(result, components):
-    """What to do about components where the map ends."""
+def _edge_remarks(result, components, kinds):
+    """What to do about components that were found where the map ends."""
     if not len(components):
         return []
     columns = ("pm_parallel", "pm_transverse")
     if tuple(result.frame.axis_names) == ("east", "north"):
         columns = ("pm_ra_cosdec", "pm_dec")
     near = np.zeros(len(components), bool)
+    found = [kind != "uncertain" for kind in kinds]
     for name, end, step in zip(
         columns, result.grid.v_max, result.grid.step, strict=True
     ):
         speed = np.abs(u.Quantity(components[name]).to_value(u.mas / u.yr))
         near |= speed > end - 2 * step
-    numbers = [str(int(n)) for n in np.asarray(components["component"])[near]]
+    numbers = [str(int(n)) for n in np.asarray(components["component"])[near & found]]
     if not numbers:
         return []
     which = f"{_plural(len(numbers), 'Component')} {_list(numbers)}"
     verb = "is" if len(numbers) == 1 else "are"
     return [
         f"{which} {verb} at the edge of the velocity map, where maxima are cut off: "
-        "measure with a larger max_speed before you believe or dismiss "
+        "measure with a larger max_speed before you believe "
         + ("it." if len(numbers) == 1 else "them.")
     ]
 

@@ -231,6 +231,7 @@ def test_a_radial_speed_is_outward_or_inward(result, tmp_path, quick):
 
 def test_a_component_at_the_edge_of_the_map_is_pointed_out(result, tmp_path, quick):
     table = result.components[:2].copy()
+    table["p_global"] = 0.01
     words = words_of(result, table, tmp_path)
     assert "edge of the velocity map" not in words
     table["pm_parallel"][1] = 35.9 * u.mas / u.yr
@@ -239,6 +240,8 @@ def test_a_component_at_the_edge_of_the_map_is_pointed_out(result, tmp_path, qui
     table["pm_transverse"][0] = -35.9 * u.mas / u.yr
     words = words_of(result, table, tmp_path)
     assert "Components 1 and 2 are at the edge" in words
+    table["p_global"] = 0.1
+    assert "edge of" not in words_of(result, table, tmp_path)
 
 
 def test_on_the_sky_the_edges_are_east_and_north(result, tmp_path, quick):
@@ -247,6 +250,7 @@ def test_on_the_sky_the_edges_are_east_and_north(result, tmp_path, quick):
     sky = replace(result, frame=SkyFrame())
     table = result.components[:1].copy()
     table["pm_dec"] = 35.9 * u.mas / u.yr
+    table["p_global"] = 0.01
     assert "Component 1 is at the edge" in words_of(sky, table, tmp_path)
 
 

@@ -36,8 +36,13 @@ KINDS = {
     "stationary": ("s", "s", "stationary"),
     "uncertain": ("x", "x", "may be chance"),
 }
-#: Corners for the legend of the map; the arrow of the jet is in the fourth.
-CORNERS = {"upper right": (1, 1), "upper left": (0, 1), "lower right": (1, 0)}
+#: Corners for the arrow of the jet and for the legend, the first ones preferred.
+CORNERS = {
+    "lower left": (0, 0),
+    "upper right": (1, 1),
+    "upper left": (0, 1),
+    "lower right": (1, 0),
+}
 
 
 def plot_velocity_map(
@@ -103,8 +108,12 @@ def plot_velocity_map(
     components = result.components if components is None else components
     figure, ax = figure_and_axes(ax, (WIDTH, 5.2))
     drawn = _draw_map(ax, result, which, unit)
-    _draw_components(ax, result, components, component_kinds(components, level), unit)
-    _draw_jet(ax, result)
+    kinds = component_kinds(components, level)
+    place = _draw_components(ax, result, components, kinds, unit)
+    corners = sorted(CORNERS, key=lambda name: _crowd(place, CORNERS[name]))
+    _draw_jet(ax, result, CORNERS[corners[0]])
+    if kinds:
+        ax.legend(loc=corners[1], fontsize="small", framealpha=0.85)
     if beta_per_pm is not None:
         second_axis(ax, unit, beta_per_pm)
     if colorbar:
@@ -154,6 +163,7 @@ def _draw_map(ax, result, which, unit):
 
 
 def _draw_components(ax, result, components, kinds, unit):
+    """Draw the components; their positions as parts of the axes, shape (n, 2)."""
     from matplotlib.patches import Ellipse
 
     first, second = ("pm_parallel", "pm_transverse")
@@ -161,8 +171,6 @@ def _draw_components(ax, result, components, kinds, unit):
         first, second = ("pm_ra_cosdec", "pm_dec")
     v1, v2 = (plain(components, name, unit) for name in (first, second))
     e1, e2 = (plain(components, f"{name}_err", unit) for name in (first, second))
-    if not kinds:
-        return
     # Where the components are as parts of the axes, for what is written beside them.
     place = ax.transLimits.transform(np.stack([v1, v2], axis=-1))
     for kind in dict.fromkeys(kinds):
@@ -202,28 +210,25 @@ def _draw_components(ax, result, components, kinds, unit):
             fontsize="large" if strong else "small",
             path_effects=effects,
         )
-    corner = min(CORNERS, key=lambda name: _crowd(place, CORNERS[name]))
-    ax.legend(loc=corner, fontsize="small", framealpha=0.85)
+    return place
 
 
 def _crowd(place, corner):
-    """How many components are in the corner of the axes that a legend covers."""
+    """How many components are in the part of a corner that a legend covers."""
     distance = np.abs(place - corner)
     return int(np.sum((distance[:, 0] < 0.38) & (distance[:, 1] < 0.22)))
 
 
-def _draw_jet(ax, result):
-    """An arrow in the lower corner at the jet's direction."""
+def _draw_jet(ax, result, corner):
+    """An arrow in a corner of the axes in the jet's direction."""
     if on_sky(result):
-        if result.position_angle is None:
-            return
         angle = u.Quantity(result.position_angle).to_value(u.rad)
         # East is to the left.
         direction = np.array([-np.sin(angle), np.cos(angle)])
     else:
         direction = np.array([1.0, 0.0])
     name = "outward" if result.frame.axis_names[0] == "radial" else "jet"
-    centre = np.array([0.11, 0.11])
+    centre = 0.11 + 0.78 * np.array(corner)
     ax.annotate(
         "",
         centre + 0.07 * direction,
