@@ -36,13 +36,16 @@ KINDS = {
     "stationary": ("s", "s", "stationary"),
     "uncertain": ("x", "x", "may be chance"),
 }
-#: Corners for the arrow of the jet and for the legend, the first ones preferred.
+#: Corners for the legend, the first ones preferred, and the last ones for the arrow.
 CORNERS = {
-    "lower left": (0, 0),
     "upper right": (1, 1),
     "upper left": (0, 1),
     "lower right": (1, 0),
+    "lower left": (0, 0),
 }
+#: Size of legend and arrow as parts of the axes.
+LEGEND_SIZE = (0.34, 0.16)
+ARROW_SIZE = (0.22, 0.22)
 
 
 def plot_velocity_map(
@@ -110,10 +113,12 @@ def plot_velocity_map(
     drawn = _draw_map(ax, result, which, unit)
     kinds = component_kinds(components, level)
     place = _draw_components(ax, result, components, kinds, unit)
-    corners = sorted(CORNERS, key=lambda name: _crowd(place, CORNERS[name]))
-    _draw_jet(ax, result, CORNERS[corners[0]])
+    free = list(CORNERS)
     if kinds:
-        ax.legend(loc=corners[1], fontsize="small", framealpha=0.85)
+        corner = min(free, key=lambda name: _crowd(place, name, LEGEND_SIZE))
+        free.remove(corner)
+        ax.legend(loc=corner, fontsize="small", framealpha=0.85)
+    _draw_jet(ax, result, min(free[::-1], key=lambda n: _crowd(place, n, ARROW_SIZE)))
     if beta_per_pm is not None:
         second_axis(ax, unit, beta_per_pm)
     if colorbar:
@@ -213,10 +218,9 @@ def _draw_components(ax, result, components, kinds, unit):
     return place
 
 
-def _crowd(place, corner):
-    """How many components are in the part of a corner that a legend covers."""
-    distance = np.abs(place - corner)
-    return int(np.sum((distance[:, 0] < 0.38) & (distance[:, 1] < 0.22)))
+def _crowd(place, corner, size):
+    """How many components are in so much of a corner."""
+    return int(np.sum(np.all(np.abs(place - CORNERS[corner]) < size, axis=1)))
 
 
 def _draw_jet(ax, result, corner):
@@ -228,7 +232,7 @@ def _draw_jet(ax, result, corner):
     else:
         direction = np.array([1.0, 0.0])
     name = "outward" if result.frame.axis_names[0] == "radial" else "jet"
-    centre = 0.11 + 0.78 * np.array(corner)
+    centre = 0.11 + 0.78 * np.array(CORNERS[corner])
     ax.annotate(
         "",
         centre + 0.07 * direction,
