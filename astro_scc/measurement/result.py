@@ -283,12 +283,13 @@ def _vectors(velocity, covariance, frame, position_angle):
     unit = along / speed if speed > 0 else np.array([1.0, 0.0])
     across = np.array([-unit[1], unit[0]])
     speed_err = np.sqrt(unit @ along_covariance @ unit)
+    pa_err = np.pi
     if isinstance(frame, RadialFrame):
         pa_err = np.nan
-    elif speed == 0:
-        pa_err = np.inf
-    else:
-        pa_err = np.sqrt(across @ along_covariance @ across) / speed
+    elif speed > 0:
+        # No direction is more than half a turn off.
+        across_err = np.sqrt(across @ along_covariance @ across)
+        pa_err = np.minimum(across_err, np.pi * speed) / speed
     names = ("pm_ra_cosdec", "pm_dec", "pm_parallel", "pm_transverse")
     row = dict(zip(names, map(float, (*sky, *along)), strict=True))
     variances = (*np.diag(sky_covariance), *np.diag(along_covariance))
@@ -296,5 +297,5 @@ def _vectors(velocity, covariance, frame, position_angle):
         row[f"{name}_err"] = float(np.sqrt(variance))
     row["pm"], row["pm_err"] = speed, float(speed_err)
     row["pm_pa"] = float(np.degrees(np.arctan2(*sky)) % 360)
-    row["pm_pa_err"] = float(min(np.degrees(pa_err), 180.0))
+    row["pm_pa_err"] = float(np.degrees(pa_err))
     return row
