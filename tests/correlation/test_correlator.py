@@ -1,0 +1,405 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from astro_scc.correlation import Correlator, all_pairs, find_peaks, zncc
+from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.simulation import simulate_two_fluid
+
+NY, NX = 96, 128
+
+
+def gaussian(x0, y0, fwhm=10.0, height=1.0, shape=(NY, NX)):
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    sigma2 = fwhm**2 / (8 * np.log(2))
+    return height * np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * sigma2))
+
+
+def noise(seed=0, rms=1e-4, shape=(NY, NX)):
+    return np.random.default_rng(seed).normal(scale=rms, size=shape)
+
+
+def brightest(decomposition, scale):
+    ssps = decomposition.ssps
+    return int(np.argmax(np.where(ssps.scale == scale, ssps.snr, -1)))
+
+
+def best_match(matches, ssp):
+    own = matches.select(matches.ssp == ssp)
+    return own.select(np.argsort(-own.coefficient)[:1])
+
+
+@pytest.fixture(scope="module")
+def jet():
+    """Decompositions of four epochs of the two-fluid jet."""
+    cube = simulate_two_fluid(rng=5, n_epochs=4).cube
+    return [Decomposer(scales=(1, 2))(image) for image in cube.data]
+
+
+def slow_matches(decompositions, pairs, reach, kappa, target, min_overlap):
+    """The paper's equation: each SSP's own pixels, each displacement."""
+    ssps = SSPs.of_epochs(decompositions)
+    ny, nx = decompositions[0].planes.shape[1:]
+    ry, rx = reach[0] + 1, reach[1] + 1
+    rows = []
+    for first, second in pairs:
+        reference, other = decompositions[first], decompositions[second]
+        for index in np.flatnonzero(ssps.epoch == first):
+            scale = ssps.scale[index]
+            level = reference.plane_index(scale)
+            plane = other.planes[level].astype(float)
+            if target == "segments":
+                plane = other.segmented_plane(scale).astype(float)
+            py, px = np.unravel_index(ssps.pixels_of(index), (ny, nx))
+            own = reference.planes[level][py, px].astype(float)
+            gamma = np.full((2 * ry + 1, 2 * rx + 1), np.nan)
+            for dy in range(-ry, ry + 1):
+                for dx in range(-rx, rx + 1):
+                    y, x = py + dy, px + dx
+                    on = (y >= 0) & (y < ny) & (x >= 0) & (x < nx)
+                    if other.mask is not None:
+                        on[on] = ~other.mask[y[on], x[on]]
+                    if on.mean() >= min_overlap:
+                        gamma[dy + ry, dx + rx] = zncc(own[on], plane[y[on], x[on]])
+            _, y, x, value = find_peaks(gamma[None], kappa)
+            rows += [
+                (index, second, a - ry, b - rx, c)
+                for a, b, c in zip(y, x, value, strict=True)
+            ]
+    return np.array(sorted(rows))
+
+
+@pytest.mark.parametrize("target", ["segments", "plane"])
+def test_equals_the_papers_equation(target):
+    """Masked, at the edges, on two scales, with every pixel summed in a loop."""
+    rng = np.random.default_rng(2)
+    shape = (44, 56)
+    spots = [(10, 12), (30, 20), (44, 30), (50, 12)]
+    decompositions = []
+    for epoch in range(3):
+        image = noise(epoch, shape=shape)
+        for x, y in spots:
+            image += gaussian(x + 1.7 * epoch, y - 0.8 * epoch, 7.0, shape=shape)
+        mask = rng.random(shape) < (0.0, 0.02, 0.05)[epoch]
+        decompositions.append(Decomposer(scales=(1, 2))(image, mask=mask))
+    pairs = [(0, 1), (1, 2), (2, 0), (0, 2)]
+    correlate = Correlator(target=target, min_overlap=0.7)
+    found = correlate(decompositions, pairs, (6, 8))
+    expected = slow_matches(decompositions, pairs, (6, 8), 0.6, target, 0.7)
+    order = np.lexsort((found.dx, found.dy, found.target, found.ssp))
+    found = found.select(order)
+    assert len(found) == len(expected) > 20
+    np.testing.assert_array_equal(found.ssp, expected[:, 0])
+    np.testing.assert_array_equal(found.target, expected[:, 1])
+    np.testing.assert_allclose(found.dy, expected[:, 2], atol=1e-4)
+    np.testing.assert_allclose(found.dx, expected[:, 3], atol=1e-4)
+    np.testing.assert_allclose(found.coefficient, expected[:, 4], atol=1e-6)
+
+
+@settings(max_examples=20)
+@given(
+    st.floats(-11, 11),
+    st.floats(-11, 11),
+    st.floats(-0.5, 0.5),
+    st.floats(-0.5, 0.5),
+    st.sampled_from([1, 1.5, 2, 3]),
+    st.sampled_from(["segments", "plane"]),
+)
+def test_shifted_gaussian_comes_back(dx, dy, x0, y0, scale, target):
+    decompose = Decomposer(scales=[scale])
+    first = decompose(gaussian(60 + x0, 48 + y0) + noise(1))
+    second = decompose(gaussian(60 + x0 + dx, 48 + y0 + dy) + noise(2))
+    matches = Correlator(target=target)([first, second], all_pairs(2), 14)
+    forward = best_match(matches, brightest(first, scale))
+    assert forward.dx[0] == pytest.approx(dx, abs=0.06)
+    assert forward.dy[0] == pytest.approx(dy, abs=0.06)
+    assert forward.coefficient[0] > 0.9
+    assert forward.overlap[0] == 1
+    # The roles reversed, the displacement is the opposite one.
+    back = best_match(matches, len(first.ssps) + brightest(second, scale))
+    assert back.dx[0] == pytest.approx(-forward.dx[0], abs=0.06)
+    assert back.dy[0] == pytest.approx(-forward.dy[0], abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("fwhm", "scale", "largest"),
+    [(3, 1, 0.15), (5, 1, 0.08), (10, 1, 0.03), (10, 2, 0.03), (10, 3, 0.02),
+     (20, 2, 0.01), (20, 4, 0.01)],
+)  # fmt: skip
+def test_sub_pixel_error(fwhm, scale, largest):
+    """Of single features without noise: a few hundredths of a pixel at most."""
+    decompose = Decomposer(scales=[scale])
+    rng = np.random.default_rng(0)
+    errors = []
+    for _ in range(8):
+        x0, y0, dx, dy = rng.uniform(-0.5, 0.5, 4) + [60, 48, 7, 3]
+        pair = [
+            decompose(gaussian(x0, y0, fwhm) + noise(1, 1e-6)),
+            decompose(gaussian(x0 + dx, y0 + dy, fwhm) + noise(2, 1e-6)),
+        ]
+        matches = Correlator()(pair, [(0, 1)], 12)
+        best = best_match(matches, brightest(pair[0], scale))
+        errors += [best.dx[0] - dx, best.dy[0] - dy]
+    assert np.abs(errors).max() < largest
+
+
+def test_whole_image_shifted(jet):
+    """Every SSP of a shifted image comes back with the shift."""
+    image = simulate_two_fluid(rng=5, n_epochs=1).cube.data[0]
+    shift = (-2.3, 4.7)
+    shifted = ndimage.shift(image, shift, order=5, mode="nearest")
+    decompose = Decomposer(scales=(1, 2))
+    pair = [decompose(image), decompose(shifted)]
+    matches = Correlator()(pair, [(0, 1)], 12)
+    ssps = pair[0].ssps
+    # The weakest are moved by the noise between, which is resampled.
+    inside = (ssps.x > 15) & (ssps.x < 240) & (ssps.snr > 30)
+    best = [best_match(matches, k) for k in np.flatnonzero(inside)]
+    assert all(len(b) == 1 for b in best)
+    error = np.array([(b.dy[0] - shift[0], b.dx[0] - shift[1]) for b in best])
+    assert np.median(np.abs(error)) < 0.03
+    assert np.mean(np.abs(error).max(axis=1) < 0.3) > 0.9
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_unit_does_not_matter(unit):
+    images = [gaussian(50, 40) + noise(1), gaussian(54.3, 41.2) + noise(2)]
+    decompose = Decomposer(scales=(1, 2))
+    expected = Correlator()([decompose(i) for i in images], all_pairs(2), 9)
+    pair = [decompose(images[0] * unit + 3 * unit), decompose(images[1])]
+    found = Correlator()(pair, all_pairs(2), 9)
+    for name in ("ssp", "target"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    for name in ("dy", "dx", "coefficient"):
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(expected, name), atol=1e-4
+        )
+
+
+def test_faint_feature_beside_a_core():
+    """A knot is found beside a core a hundred thousand times brighter."""
+    images = [
+        gaussian(30, 48, 6, 1e5) + gaussian(60 + 4.4 * k, 48, 6, 1.0) for k in (0, 1)
+    ]
+    # Far from the core its wavelets are exactly zero: any noise would do.
+    decompose = Decomposer(scales=[2], noise="propagated")
+    pair = [decompose(image, rms=0.05) for image in images]
+    knot = int(np.argmin(np.abs(pair[0].ssps.x - 60)))
+    matches = Correlator()(pair, [(0, 1)], (8, 34))
+    own = matches.select(matches.ssp == knot)
+    errors = np.hypot(own.dx - 4.4, own.dy)
+    assert errors.min() < 0.05
+
+
+@pytest.mark.parametrize("edge", ["image", "mask"])
+@pytest.mark.parametrize("target", ["segments", "plane"])
+def test_feature_that_leaves(edge, target):
+    """Near the edge its place is right; beyond it there is no match."""
+    decompose = Decomposer(scales=[2])
+    first = decompose(gaussian(90, 48) + noise(1))
+    ssp = brightest(first, 2)
+    end = NX if edge == "image" else 118
+    mask = np.zeros((NY, NX), dtype=bool)
+    mask[:, end:] = True
+    for beyond, largest in ((-16, 0.05), (-10, 0.3), (-7, 1.0)):
+        x = end + beyond + 0.3
+        second = decompose(gaussian(x, 48) + noise(2), mask=mask)
+        matches = Correlator(target=target)([first, second], [(0, 1)], 44)
+        best = best_match(matches, ssp)
+        assert best.dx[0] == pytest.approx(x - 90, abs=largest)
+        assert best.dy[0] == pytest.approx(0, abs=0.05)
+    for beyond in (-2, 0, 5):
+        x = end + beyond + 0.3
+        second = decompose(gaussian(x, 48) + noise(2), mask=mask)
+        matches = Correlator(target=target)([first, second], [(0, 1)], 44)
+        # Not on the brink of the smallest overlap either.
+        own = matches.select((matches.ssp == ssp) & (np.abs(matches.dy) < 4))
+        assert not (own.dx > end - 90 - 15).any()
+
+
+def test_overlap_is_reported():
+    decompose = Decomposer(scales=[2])
+    first = decompose(gaussian(60, 48) + noise(1))
+    mask = np.zeros((NY, NX), dtype=bool)
+    mask[50:52, 64:66] = True
+    second = decompose(gaussian(64, 50) + noise(2), mask=mask)
+    matches = Correlator()([first, second], [(0, 1)], 9)
+    best = best_match(matches, brightest(first, 2))
+    n_pixels = first.ssps.n_pixels[brightest(first, 2)]
+    assert best.overlap[0] == pytest.approx(1 - 4 / n_pixels)
+    assert best.dx[0] == pytest.approx(4, abs=0.2)
+    assert best.dy[0] == pytest.approx(2, abs=0.2)
+
+
+def test_reference_may_have_masked_pixels():
+    decompose = Decomposer(scales=[2])
+    mask = np.zeros((NY, NX), dtype=bool)
+    mask[44:46, 58:61] = True
+    first = decompose(gaussian(60, 48) + noise(1), mask=mask)
+    second = decompose(gaussian(64.4, 50.2) + noise(2))
+    matches = Correlator()([first, second], [(0, 1)], 9)
+    best = best_match(matches, brightest(first, 2))
+    assert best.dx[0] == pytest.approx(4.4, abs=0.2)
+    assert best.dy[0] == pytest.approx(2.2, abs=0.2)
+
+
+def test_mask_elsewhere_does_not_matter():
+    decompose = Decomposer(scales=[2])
+    pair = [
+        decompose(gaussian(60, 48) + noise(1)),
+        decompose(gaussian(64, 50) + noise(2)),
+    ]
+    mask = np.zeros((NY, NX), dtype=bool)
+    mask[:5, :5] = True
+    masked = [pair[0], replace(pair[1], mask=mask)]
+    ssp = brightest(pair[0], 2)
+    one, other = (best_match(Correlator()(p, [(0, 1)], 9), ssp) for p in (pair, masked))
+    assert other.same_as(one)
+
+
+def test_target_snr():
+    decompose = Decomposer(scales=[2])
+    pair = [
+        decompose(gaussian(60, 48) + noise(1)),
+        decompose(gaussian(64, 50, height=0.5) + noise(2)),
+    ]
+    ssp, other = (brightest(d, 2) for d in pair)
+    matches = Correlator()(pair, [(0, 1)], 9)
+    best = best_match(matches, ssp)
+    assert best.target_snr[0] == pytest.approx(pair[1].ssps.snr[other], rel=1e-3)
+    noise_map = np.full((NY, NX), pair[1].noise[0]) * 2
+    pair[1] = replace(pair[1], noise=(noise_map,))
+    again = best_match(Correlator()(pair, [(0, 1)], 9), ssp)
+    assert again.target_snr[0] == pytest.approx(best.target_snr[0] / 2, rel=1e-3)
+
+
+def test_segments_are_the_stricter_target(jet):
+    pairs = all_pairs(len(jet))
+    segments = Correlator(target="segments")(jet, pairs, 20)
+    plane = Correlator(target="plane")(jet, pairs, 20)
+    assert 0 < len(segments) < len(plane)
+    assert (plane.coefficient >= 0.6).all()
+    strict = Correlator(target="segments", kappa=0.8)(jet, pairs, 20)
+    assert len(strict) < len(segments)
+    assert strict.kappa == 0.8
+    # The threshold is one on the pixel's value, of which the peak's is not less.
+    assert (strict.coefficient >= 0.8).all()
+    columns = ("ssp", "target", "dy", "dx")
+    rows = [
+        set(zip(*(getattr(m, name) for name in columns), strict=True))
+        for m in (strict, segments)
+    ]
+    assert rows[0] < rows[1]
+
+
+def test_larger_reach_keeps_the_matches(jet):
+    """Whatever the window, a displacement has one coefficient."""
+    small = Correlator()(jet, all_pairs(len(jet)), (6, 11))
+    large = Correlator()(jet, all_pairs(len(jet)), (9, 21))
+    assert small.reach == (6, 11)
+    inside = (np.abs(np.rint(large.dy)) < 6) & (np.abs(np.rint(large.dx)) < 11)
+    again = (np.abs(np.rint(small.dy)) < 6) & (np.abs(np.rint(small.dx)) < 11)
+    a, b = large.select(inside), small.select(again)
+    np.testing.assert_array_equal(a.ssp, b.ssp)
+    np.testing.assert_allclose(a.dx, b.dx, atol=1e-5)
+    np.testing.assert_allclose(a.coefficient, b.coefficient, atol=1e-6)
+
+
+def test_threads_give_the_same_to_the_bit(jet):
+    pairs = all_pairs(len(jet))
+    done = []
+    one = Correlator()(jet, pairs, 12, n_workers=1, progress=done.append)
+    two = Correlator()(jet, pairs, 12, n_workers=2, progress=done.append)
+    assert one.same_as(two)
+    assert len(one) > 0
+    assert done == [1] * (2 * len(jet))
+
+
+def test_select(jet):
+    ssps = SSPs.of_epochs(jet)
+    pairs = all_pairs(len(jet))
+    chosen = ssps.scale == 2
+    every = Correlator()(jet, pairs, 12)
+    some = Correlator()(jet, pairs, 12, select=chosen)
+    assert some.same_as(every.of_ssps(chosen))
+    assert len(Correlator()(jet, pairs, 12, select=np.zeros(len(ssps), bool))) == 0
+
+
+def test_pairs_are_independent(jet):
+    every = Correlator()(jet, all_pairs(len(jet)), 12)
+    one = Correlator()(jet, [(2, 0)], 12)
+    epoch = SSPs.of_epochs(jet).epoch
+    alone = every.select((epoch[every.ssp] == 2) & (every.target == 0))
+    np.testing.assert_array_equal(one.ssp, alone.ssp)
+    np.testing.assert_allclose(one.dx, alone.dx, atol=1e-5)
+    assert one.pairs.tolist() == [[2, 0]]
+
+
+def test_nothing_to_correlate(jet):
+    for matches in (
+        Correlator()(jet, [], 5),
+        Correlator()([], [], 5),
+        Correlator()([Decomposer(scales=[1])(np.zeros((32, 32)))] * 2, [(0, 1)], 5),
+    ):
+        assert len(matches) == 0
+        assert matches.dx.dtype == np.float32
+        assert matches.pairs.shape[1] == 2
+    assert all_pairs(0).shape == all_pairs(1).shape == (0, 2)
+
+
+def test_pattern_against_an_empty_target():
+    decompose = Decomposer(scales=[2])
+    pair = [decompose(gaussian(60, 48) + noise(1)), decompose(np.zeros((NY, NX)))]
+    for target in ("segments", "plane"):
+        assert len(Correlator(target=target)(pair, [(0, 1)], 9)) == 0
+
+
+def test_pattern_of_one_pixel_has_no_matches():
+    image = noise(0)
+    image[40, 50] = 1.0
+    pair = [Decomposer(scales=[0])(image)] * 2
+    index = brightest(pair[0], 0)
+    assert pair[0].ssps.n_pixels[index] == 1
+    matches = Correlator()(pair, [(0, 1)], 3)
+    assert not (matches.ssp == index).any()
+
+
+@pytest.mark.parametrize(
+    ("settings_", "message"),
+    [
+        ({"kappa": 0}, "kappa must be between 0 and 1"),
+        ({"kappa": 1}, "kappa must be between 0 and 1"),
+        ({"kappa": np.nan}, "kappa must be between 0 and 1"),
+        ({"target": "image"}, "use 'segments' or 'plane'"),
+        ({"min_overlap": 0}, "min_overlap must be above 0"),
+        ({"min_overlap": 1.1}, "min_overlap must be above 0"),
+    ],
+)
+def test_settings_errors(settings_, message):
+    with pytest.raises(ValueError, match=message):
+        Correlator(**settings_)
+
+
+def test_call_errors(jet):
+    correlate = Correlator()
+    with pytest.raises(ValueError, match="outside 0 to 3"):
+        correlate(jet, [(0, 4)], 5)
+    with pytest.raises(ValueError, match="outside 0 to 3"):
+        correlate(jet, [(-1, 2)], 5)
+    other = Decomposer(scales=(1, 2))(np.zeros((40, 40)))
+    with pytest.raises(ValueError, match="one shape and the same scales"):
+        correlate([jet[0], other], [(0, 1)], 5)
+    other = Decomposer(scales=(1, 3))(np.zeros((128, 256)))
+    with pytest.raises(ValueError, match="one shape and the same scales"):
+        correlate([jet[0], other], [(0, 1)], 5)
+    for reach in (-1, (5, -1), (1, 2, 3)):
+        with pytest.raises(ValueError, match="reach must be one or two"):
+            correlate(jet, [(0, 1)], reach)
+    for select in (np.ones(3, bool), np.arange(len(SSPs.of_epochs(jet)))):
+        with pytest.raises(ValueError, match="select must be one bool for each"):
+            correlate(jet, [(0, 1)], 5, select=select)

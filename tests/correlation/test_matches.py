@@ -1,0 +1,111 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+import numpy as np
+import pytest
+from astropy.table import Table
+from hypothesis import given
+from hypothesis import strategies as st
+
+from astro_scc.correlation import Correlator, Matches, all_pairs, landing_ssps
+from astro_scc.decomposition import Decomposer, SSPs, scale_size
+from astro_scc.simulation import simulate_two_fluid
+
+
+@pytest.fixture(scope="module")
+def epochs():
+    cube = simulate_two_fluid(rng=3, n_epochs=3).cube
+    return [Decomposer(scales=(1, 1.5, 2))(image) for image in cube.data]
+
+
+@pytest.fixture(scope="module")
+def matches(epochs):
+    return Correlator(kappa=0.7)(epochs, all_pairs(3), (8, 25))
+
+
+@pytest.mark.parametrize("empty", [False, True])
+def test_table_round_trip(matches, tmp_path, empty):
+    if empty:
+        matches = matches.select(np.zeros(len(matches), dtype=bool))
+    file = tmp_path / "matches.ecsv"
+    matches.to_table().write(file)
+    again = Matches.from_table(Table.read(file))
+    assert again.same_as(matches)
+    for name in ("ssp", "target", "dx", "overlap"):
+        assert getattr(again, name).dtype == getattr(matches, name).dtype
+    assert again.reach == (8, 25)
+    assert again.kappa == 0.7
+    assert again.pairs.shape == (6, 2)
+
+
+def test_same_as_sees_any_difference(matches):
+    assert not matches.same_as(matches.select(slice(1, None)))
+    changed = matches.select(np.arange(len(matches)))
+    assert changed.same_as(matches)
+    changed.dx[0] += 1
+    assert not changed.same_as(matches)
+    other = Matches.from_columns([], matches.pairs, matches.reach, 0.8)
+    nothing = Matches.from_columns([], matches.pairs, matches.reach, 0.7)
+    assert not other.same_as(nothing)
+
+
+def test_from_table_errors(matches):
+    table = matches.to_table()
+    table.remove_columns(["dx", "overlap"])
+    with pytest.raises(ValueError, match="not a table of matches: dx, overlap missing"):
+        Matches.from_table(table)
+    table = matches.to_table()
+    del table.meta["kappa"]
+    with pytest.raises(ValueError, match="kappa missing"):
+        Matches.from_table(table)
+
+
+def test_selections(matches, epochs):
+    scale = SSPs.of_epochs(epochs).scale
+    fine = matches.of_ssps(scale == 1)
+    assert 0 < len(fine) < len(matches)
+    assert (scale[fine.ssp] == 1).all()
+    assert fine.pairs is matches.pairs
+    first = matches.select([0, 2])
+    np.testing.assert_array_equal(first.dx, matches.dx[[0, 2]])
+    assert repr(first) == "<Matches: 2 peaks of 6 pairs of epochs>"
+
+
+def test_landing_is_on_the_nearest_pattern(matches, epochs):
+    ssps = SSPs.of_epochs(epochs)
+    landed = landing_ssps(matches, ssps)
+    assert landed.shape == (len(matches),)
+    assert 0.3 < np.mean(landed >= 0) < 1
+    for k in range(len(matches)):
+        own = matches.ssp[k]
+        there = np.flatnonzero(
+            (ssps.epoch == matches.target[k]) & (ssps.scale == ssps.scale[own])
+        )
+        distance = np.hypot(
+            ssps.y[there] - ssps.y[own] - matches.dy[k],
+            ssps.x[there] - ssps.x[own] - matches.dx[k],
+        )
+        if distance.size and distance.min() <= scale_size(ssps.scale[own]):
+            assert landed[k] == there[distance.argmin()]
+        else:
+            assert landed[k] == -1
+
+
+def test_landing_where_nothing_is(epochs):
+    ssps = epochs[0].ssps
+    columns = (np.arange(2), np.ones(2), *np.zeros((5, 2)))
+    matches = Matches.from_columns([columns], [(0, 1)], (5, 5), 0.6)
+    assert landing_ssps(matches, ssps).tolist() == [-1, -1]
+    nothing = matches.select(slice(0, 0))
+    assert landing_ssps(nothing, ssps).shape == (0,)
+
+
+@given(
+    st.lists(st.integers(0, 5), max_size=4),
+    st.integers(0, 2**32 - 1),
+)
+def test_columns_are_joined_in_order(lengths, seed):
+    rng = np.random.default_rng(seed)
+    parts = [tuple(rng.integers(0, 100, (7, n))) for n in lengths]
+    matches = Matches.from_columns(parts, [(0, 1)], (3, 4), 0.6)
+    assert len(matches) == sum(lengths)
+    expected = np.concatenate([np.empty(0), *(part[3] for part in parts)])
+    np.testing.assert_array_equal(matches.dx, expected)
