@@ -1,0 +1,738 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The whole way from images to components, on motions that are known."""
+
+import json
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+from astropy.time import Time
+from astropy.wcs import WCS
+
+from astro_scc import Beam, EpochCube, StackedCrossCorrelation, measure_velocities
+from astro_scc.exceptions import MeasurementWarning
+from astro_scc.simulation import simulate_static, simulate_two_fluid
+from astro_scc.stacking import find_components
+
+PM = u.mas / u.yr
+DAYS = 30
+#: One pixel of 0.1 mas between two epochs.
+PIXEL = (0.1 * u.mas / (DAYS * u.day)).to(PM)
+
+
+def image(places, shape=(72, 96), fwhm=6.0):
+    """Round Gaussians at places (x, y, height)."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    total = np.zeros(shape)
+    for px, py, height in places:
+        r2 = (x - px) ** 2 + (y - py) ** 2
+        total += height * np.exp(-4 * np.log(2) * r2 / fwhm**2)
+    return total
+
+
+def moving(
+    velocity=(3.0, 1.0), n_epochs=5, n=9, seed=0, shape=(72, 96), rms=0.01, steps=None
+):
+    """Images of features that all move by (x, y) pixels between epochs."""
+    rng = np.random.default_rng(seed)
+    ny, nx = shape
+    # One feature a cell, so that they do not blend.
+    cells = [(i + 0.5, j + 0.5) for i in range(3) for j in range(3)][:n]
+    start = [
+        (nx * c / 3 + rng.uniform(-5, 5), ny * r / 3 + rng.uniform(-4, 4),
+         rng.uniform(0.5, 1.5)) for r, c in cells
+    ]  # fmt: skip
+    steps = np.arange(n_epochs) if steps is None else np.asarray(steps)
+    middle = steps.mean()
+    return np.array(
+        [
+            image(
+                [
+                    (x + velocity[0] * (k - middle), y + velocity[1] * (k - middle), h)
+                    for x, y, h in start
+                ],
+                shape,
+            )
+            + rng.normal(scale=rms, size=shape)
+            for k in steps
+        ]
+    )
+
+
+def dates(steps):
+    return Time("2000-01-01") + np.asarray(steps) * DAYS * u.day
+
+
+def make_cube(data, steps=None, **kwargs):
+    options = {"beams": Beam(0.6 * u.mas, 0.6 * u.mas), "pixel_scale": 0.1 * u.mas}
+    return EpochCube.from_arrays(
+        data,
+        dates(np.arange(len(data)) if steps is None else steps),
+        **{**options, **kwargs},
+    )
+
+
+def make_scc(**settings):
+    options = {"scales": [1, 2], "max_speed": 8 * PIXEL}
+    return StackedCrossCorrelation(**{**options, **settings})
+
+
+def measure(cube, *, n_trials=20, rng=1, region=None, n_workers=1, **settings):
+    return make_scc(**settings)(
+        cube, region=region, n_trials=n_trials, rng=rng, n_workers=n_workers
+    )
+
+
+def in_pixels(table):
+    """Motions in pixels between epochs, (x, y), x to the west."""
+    return np.stack(
+        [
+            -(table["pm_ra_cosdec"] / PIXEL).to_value(u.one),
+            (table["pm_dec"] / PIXEL).to_value(u.one),
+        ],
+        axis=1,
+    )
+
+
+def maxima(result):
+    """Maxima of the stack by falling coefficient, as `in_pixels`."""
+    box = (6 * PIXEL).value
+    found = find_components(result.coefficient, result.grid, (box, box))
+    sky = np.array([result.frame.to_sky(c.v1, c.v2) for c in found])
+    return sky * [-1, 1] / PIXEL.value
+
+
+def strongest(result):
+    """The highest maximum of the stack, significant or not."""
+    return maxima(result)[0]
+
+
+def nearest(motions, x, y=0.0):
+    return motions[np.hypot(motions[:, 0] - x, motions[:, 1] - y).argmin()]
+
+
+@pytest.fixture(scope="module")
+def data():
+    return moving()
+
+
+@pytest.fixture(scope="module")
+def cube(data):
+    return make_cube(data)
+
+
+@pytest.fixture(scope="module")
+def result(cube):
+    return measure(cube)
+
+
+# What cannot be meant ------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"max_speed": 0 * PM}, "max_speed must be one positive speed, got 0"),
+        ({"max_speed": -2 * PM}, "max_speed must be one positive speed"),
+        ({"max_speed": np.inf * PM}, "max_speed must be one positive speed"),
+        ({"max_speed": np.nan * PM}, "max_speed must be one positive speed"),
+        ({"max_speed": [1, 2] * PM}, "max_speed must be one positive speed"),
+        ({"baseline": 1 * u.yr}, "baseline must be a shortest and a longest time"),
+        ({"baseline": [1, 2, 3] * u.yr}, "baseline must be a shortest and a longest"),
+        ({"baseline": [2, 1] * u.yr}, "baseline must be a shortest and a longest"),
+        ({"baseline": [-1, 1] * u.yr}, "baseline must be a shortest and a longest"),
+        ({"baseline": [0, np.nan] * u.yr}, "baseline must be a shortest"),
+        ({"position_angle": "west"}, "must be an angle or 'radial', got 'west'"),
+        ({"position_angle": [1, 2] * u.deg}, "position_angle must be one finite"),
+        ({"position_angle": np.nan * u.deg}, "position_angle must be one finite"),
+        ({"kernel": 0}, "kernel must be a part of the beam, got 0"),
+        ({"kernel": 5}, "kernel must be a part of the beam, got 5"),
+        ({"kernel": np.nan}, "kernel must be a part of the beam"),
+        ({"scales": []}, "at least one wavelet scale"),
+        ({"scales": [-1]}, "-1"),
+        ({"scales": [0.3]}, r"0\.3"),
+        ({"scales": [0] * u.mas}, "scales must be positive angles"),
+        ({"scales": [] * u.mas}, "scales must be positive angles"),
+        ({"scales": [0.1, np.nan] * u.mas}, "scales must be positive angles"),
+        ({"scales": [0.2] * u.mas, "wavelet": "b2"}, "unknown wavelet kernel 'b2'"),
+        ({"wavelet": "b2"}, "unknown wavelet kernel 'b2'"),
+        ({"noise": "none"}, "unknown noise 'none'"),
+        ({"detection": 2.0}, "detection"),
+        ({"segmentation": 0.0}, "segmentation"),
+        ({"kappa": 1.0}, "kappa must be between 0 and 1"),
+        ({"target": "image"}, "unknown target 'image'"),
+        ({"min_overlap": 0.0}, "min_overlap must be above 0"),
+    ],
+)
+def test_a_setting_that_cannot_be_meant(settings, message):
+    with pytest.raises(ValueError, match=message):
+        StackedCrossCorrelation(**settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "unit"),
+    [
+        ({"max_speed": 2.0}, "mas / yr"),
+        ({"max_speed": 2 * u.km / u.s}, "mas / yr"),
+        ({"baseline": [1, 2]}, "yr"),
+        ({"baseline": [1, 2] * u.mas}, "yr"),
+        ({"position_angle": 65}, "deg"),
+        ({"position_angle": 1 * u.yr}, "deg"),
+        ({"scales": [1, 2] * u.s}, "mas"),
+    ],
+)
+def test_a_unit_that_does_not_fit(settings, unit):
+    (name,) = settings
+    with pytest.raises(
+        u.UnitConversionError, match=f"{name} must be in a unit like {unit}, got"
+    ):
+        StackedCrossCorrelation(**settings)
+
+
+def test_settings_are_named():
+    with pytest.raises(TypeError):
+        StackedCrossCorrelation([1, 2])
+    with pytest.raises(TypeError, match="min_zscore"):
+        StackedCrossCorrelation(min_zscore=2)
+
+
+def test_settings_are_kept_in_the_units_of_the_package():
+    scc = StackedCrossCorrelation(
+        scales=2,
+        max_speed=1 * u.arcsec / u.kyr,
+        baseline=[0, 365.25] * u.day,
+        position_angle=np.pi * u.rad,
+    )
+    assert scc.scales == (2.0,)
+    assert scc.max_speed == 1 * PM
+    assert scc.baseline.unit == u.yr
+    assert scc.position_angle == 180 * u.deg
+    assert scc.to_dict()["scales"] == [2.0]
+    assert StackedCrossCorrelation(**scc.to_dict()).to_dict()["kernel"] == scc.kernel
+    assert StackedCrossCorrelation(max_speed="2 mas/yr").max_speed == 2 * PM
+
+
+@pytest.mark.parametrize("n_trials", [-3, 0, 1])
+def test_needs_two_trials_or_more(cube, n_trials):
+    with pytest.raises(
+        ValueError, match=f"n_trials must be at least 2, got {n_trials}"
+    ):
+        measure(cube, n_trials=n_trials)
+
+
+def test_one_epoch_has_no_velocity(data):
+    with pytest.raises(ValueError, match="at least two epochs, the cube has one"):
+        measure(make_cube(data[:1]))
+
+
+def test_epochs_of_one_date_have_no_velocity(data):
+    with pytest.raises(ValueError, match=r"all 3 epochs are of one date \(2000-01-01"):
+        measure(make_cube(data[:3], steps=[0, 0, 0]))
+
+
+def test_a_baseline_that_no_pair_has(cube):
+    with pytest.raises(
+        ValueError, match=r"no two epochs are 1 to 2 yr apart: .* 0\.0821 to 0\.329 yr"
+    ):
+        measure(cube, baseline=[1, 2] * u.yr)
+
+
+def test_a_speed_that_crosses_the_image_is_warned_of(cube):
+    with pytest.warns(MeasurementWarning, match="more than half the image: give a sm"):
+        make_scc(max_speed=70 * PIXEL).match(cube)
+
+
+def test_a_region_must_be_one(cube):
+    with pytest.raises(ValueError, match="region"):
+        measure(cube, region=np.ones((3, 3), bool))
+
+
+# Scales and speeds ---------------------------------------------------------------
+
+
+def test_scales_as_angles(cube):
+    scc = make_scc(scales=[0.2, 0.3, 0.4, 0.6] * u.mas)
+    assert scc.scale_numbers(cube) == (1.0, 1.5, 2.0, 2.5)
+    assert make_scc(scales=0.4 * u.mas).scale_numbers(cube) == (2.0,)
+    assert make_scc(scales=[2e-4] * u.arcsec).scale_numbers(cube) == (1.0,)
+    # Within a fifth of the scale.
+    assert make_scc(scales=[0.42, 0.21] * u.mas).scale_numbers(cube) == (2.0, 1.0)
+    assert make_scc(scales=[1, 2.5]).scale_numbers(cube) == (1.0, 2.5)
+
+
+@pytest.mark.parametrize("angle", [0.05, 0.488, 2000.0])
+def test_a_scale_that_is_none(cube, angle):
+    with pytest.raises(ValueError, match=f"scale {angle} mas is .* px, not near 2\\^j"):
+        measure(cube, scales=[angle] * u.mas)
+
+
+def test_angles_and_numbers_are_the_same_scales(cube, result):
+    other = measure(cube, scales=[0.2, 0.4] * u.mas)
+    np.testing.assert_array_equal(other.coefficient, result.coefficient)
+
+
+def test_without_a_largest_speed_it_is_four_beams_an_interval(data):
+    scc = make_scc(max_speed=None)
+    month = (DAYS * u.day).to_value(u.yr)
+    found = scc.speed_limit(make_cube(data))
+    assert found.to_value(PM) == pytest.approx(4 * 0.6 / month)
+    # The median of 1, 1, 1 and 3 months.
+    found = scc.speed_limit(make_cube(data, steps=[0, 1, 2, 3, 6]))
+    assert found.to_value(PM) == pytest.approx(4 * 0.6 / month)
+    # Without a beam, four times twice the widest scale, 0.4 mas.
+    found = scc.speed_limit(make_cube(data, beams=None))
+    assert found.to_value(PM) == pytest.approx(4 * 0.8 / month)
+    assert make_scc(max_speed=3 * PM).speed_limit(make_cube(data)) == 3 * PM
+
+
+def test_finds_the_motion_within_the_default_speed(cube):
+    found = measure(cube, max_speed=None)
+    np.testing.assert_allclose(strongest(found), (3, 1), atol=0.2)
+
+
+# The motion that is there --------------------------------------------------------
+
+
+def test_finds_the_motion(result):
+    np.testing.assert_allclose(strongest(result), (3, 1), atol=0.1)
+    assert result.coefficient.max() > 0.5
+    row, column = np.unravel_index(result.coefficient.argmax(), result.grid.shape)
+    assert result.z_score[row, column] > 2
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0.0), (-4.0, 2.5), (0.4, -6.0)])
+def test_finds_other_motions(velocity):
+    found = measure(make_cube(moving(velocity, seed=2)))
+    np.testing.assert_allclose(strongest(found), velocity, atol=0.15)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"scales": [1.5, 2]},
+        {"wavelet": "b3"},
+        {"target": "plane"},
+        {"noise": "local"},
+        {"noise": "propagated"},
+        {"kernel": 0.1},
+        {"kappa": 0.8},
+        {"position_angle": 250 * u.deg},
+        {"small_displacement_correction": True},
+        {"baseline": [20, 70] * u.day},
+    ],
+    ids=repr,
+)
+def test_finds_it_with_other_settings(cube, settings):
+    np.testing.assert_allclose(strongest(measure(cube, **settings)), (3, 1), atol=0.15)
+
+
+def test_uneven_dates_in_any_order(result):
+    steps = [0, 1, 3, 3.5, 5]
+    order = [3, 0, 4, 1, 2]
+    data = moving(steps=steps)
+    found = measure(make_cube(data[order], steps=np.array(steps)[order]))
+    np.testing.assert_allclose(strongest(found), (3, 1), atol=0.15)
+
+
+def test_two_epochs_of_one_date_among_others():
+    steps = [0, 1, 1, 2, 3]
+    found = measure(make_cube(moving(steps=steps), steps=steps))
+    assert len(found.pairs) == 3
+    np.testing.assert_allclose(strongest(found), (3, 1), atol=0.15)
+
+
+def test_every_pair_inside_a_baseline(cube):
+    found = measure(cube, baseline=[0, 65] * u.day)
+    separation = found.pairs.second - found.pairs.first
+    assert sorted(separation) == [1, 1, 1, 1, 2, 2, 2]
+    # The longer pairs, with their smaller errors, weigh four times as much.
+    weight = dict(zip(separation, found.pairs.weight, strict=True))
+    assert weight[2] / weight[1] == pytest.approx(4)
+
+
+def test_the_correction_for_small_displacements_leaves_the_stack(cube, result):
+    found = measure(cube, small_displacement_correction=True)
+    np.testing.assert_array_equal(found.coefficient, result.coefficient)
+    assert np.any(found.z_score != result.z_score)
+
+
+def test_only_ssps_of_the_region_count():
+    up, down = moving((3, 0), seed=1), moving((-3, 0), seed=4)
+    data = np.concatenate([up, down], axis=1)
+    cube = make_cube(data)
+    upper = np.zeros(data.shape[1:], bool)
+    upper[72:] = True
+    for region, velocity in ((upper, (-3, 0)), (~upper, (3, 0))):
+        found = measure(cube, region=region)
+        np.testing.assert_allclose(strongest(found), velocity, atol=0.15)
+        inside = np.asarray(found.ssps["in_region"])
+        assert 0 < inside.sum() < len(inside)
+        ssps = found.matched.ssps
+        np.testing.assert_array_equal(
+            inside,
+            region[
+                np.rint(ssps.y_centroid).astype(int),
+                np.rint(ssps.x_centroid).astype(int),
+            ],
+        )
+        np.testing.assert_array_equal(
+            found.displacements.n_ssps, np.bincount(ssps.epoch[inside], minlength=5)
+        )
+        assert set(found.displacements.ssp) <= set(np.flatnonzero(inside))
+    both = measure(cube)
+    for velocity in (3, -3):
+        np.testing.assert_allclose(
+            nearest(maxima(both), velocity), (velocity, 0), atol=0.15
+        )
+
+
+def test_a_region_of_regions(cube):
+    from regions import PixCoord, RectanglePixelRegion
+
+    region = RectanglePixelRegion(PixCoord(24, 36), 48, 72)
+    found = make_scc().match(cube, region=region)
+    assert found.ssps.x_centroid[found.select].max() <= 48.5
+    assert found.ssps.x_centroid[~found.select].min() >= 47.5
+
+
+def test_a_region_without_ssps_has_no_components(cube):
+    corner = np.zeros(cube.shape[1:], bool)
+    corner[:2, :2] = True
+    found = measure(cube, region=corner)
+    assert len(found.components) == 0
+    assert not found.ssps["in_region"].any()
+
+
+# What must not matter ------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e-3, 1e9])
+def test_the_unit_of_intensity(data, result, factor):
+    found = measure(make_cube(factor * data))
+    np.testing.assert_allclose(strongest(found), strongest(result), atol=1e-3)
+    np.testing.assert_allclose(found.coefficient, result.coefficient, atol=1e-4)
+
+
+def test_an_offset_of_intensity(data, result):
+    found = measure(make_cube(data + 5.0))
+    np.testing.assert_allclose(found.coefficient, result.coefficient, atol=1e-3)
+
+
+def test_single_precision(data, result):
+    found = measure(make_cube(data.astype(np.float32)))
+    np.testing.assert_allclose(found.coefficient, result.coefficient, atol=1e-3)
+
+
+def test_whether_there_are_beams(data):
+    found = measure(make_cube(data, beams=None))
+    np.testing.assert_allclose(strongest(found), (3, 1), atol=0.15)
+
+
+def test_time_runs_backwards(data):
+    """Images in reverse: every motion changes its sign."""
+    found = measure(make_cube(data[::-1]))
+    np.testing.assert_allclose(strongest(found), (-3, -1), atol=0.15)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_turned_by_right_angles(data, result, k):
+    found = measure(make_cube(np.rot90(data, k, axes=(1, 2))))
+    # From +x to -y: rows count upwards here, downwards in rot90.
+    turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), k)
+    np.testing.assert_allclose(strongest(found), turn @ strongest(result), atol=0.02)
+
+
+def test_mirrored(data, result):
+    found = measure(make_cube(data[:, :, ::-1]))
+    np.testing.assert_allclose(strongest(found), strongest(result) * [-1, 1], atol=0.02)
+
+
+@pytest.mark.parametrize("how", ["mask", "nan"])
+def test_missing_pixels(data, how):
+    mask = np.zeros(data.shape, bool)
+    mask[1, 20:40, 30:45] = True
+    mask[3, 50, :] = True
+    mask[:, :, :3] = True
+    if how == "mask":
+        cube = make_cube(np.where(mask, 1e6, data), mask=mask)
+    else:
+        cube = make_cube(np.where(mask, np.nan, data))
+    found = measure(cube)
+    assert np.isfinite(found.coefficient).all()
+    assert np.isfinite(found.z_score).all()
+    np.testing.assert_allclose(strongest(found), (3, 1), atol=0.2)
+
+
+def test_number_of_workers(cube, result):
+    found = measure(cube, n_workers=2)
+    assert found.matched.matches.same_as(result.matched.matches)
+    np.testing.assert_array_equal(found.coefficient, result.coefficient)
+    np.testing.assert_array_equal(found.z_score, result.z_score)
+    for name in result.components.colnames:
+        np.testing.assert_array_equal(
+            np.asarray(found.components[name]), np.asarray(result.components[name])
+        )
+
+
+def test_pixels_that_are_not_square():
+    """Ten narrow pixels an epoch are farther than the mean pixel tells."""
+    data = moving((10.0, 0.0), n_epochs=3, shape=(72, 128))
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype = ["RA---SIN", "DEC--SIN"]
+    wcs.wcs.cunit = ["mas", "mas"]
+    wcs.wcs.crpix = [64.0, 36.0]
+    wcs.wcs.cdelt = [-0.05, 0.2]
+    cube = EpochCube(
+        data=data,
+        times=dates(range(3)),
+        wcs=wcs,
+        beams=Beam(0.3 * u.mas, 0.3 * u.mas),
+    )
+    found = measure(cube, max_speed=6 * PIXEL)
+    # Half of 0.1 mas each.
+    np.testing.assert_allclose(strongest(found), (5, 0), atol=0.15)
+
+
+def test_other_units_of_angle_and_time():
+    """Arcseconds and hours, as of the Sun."""
+    cube = EpochCube.from_arrays(
+        moving(),
+        Time("2000-01-01") + np.arange(5) * u.hour,
+        pixel_scale=2 * u.arcsec,
+        beams=None,
+    )
+    unit = 2 * u.arcsec / u.hour
+    found = measure(cube, scales=[4, 8] * u.arcsec, max_speed=8 * unit)
+    motion = strongest(found) * (PIXEL / unit).to_value(u.one)
+    np.testing.assert_allclose(motion, (3, 1), atol=0.15)
+    assert found.components["pm"].unit == PM
+
+
+def test_expansion_about_the_reference_pixel():
+    """Twelve knots around a centre, all receding by 3 px between epochs."""
+    angle = np.arange(12) * np.pi / 6 + 0.1
+    rng = np.random.default_rng(0)
+    height = rng.uniform(0.5, 1.5, 12)
+    data = np.array(
+        [
+            image(
+                zip(
+                    48 + (24 + 3 * k) * np.cos(angle),
+                    48 + (24 + 3 * k) * np.sin(angle),
+                    height,
+                    strict=True,
+                ),
+                (97, 97),
+            )
+            + rng.normal(scale=0.01, size=(97, 97))
+            for k in range(4)
+        ]
+    )
+    found = measure(make_cube(data), position_angle="radial")
+    best = find_components(found.coefficient, found.grid, (6 * PIXEL.value,) * 2)[0]
+    assert best.v1 / PIXEL.value == pytest.approx(3, abs=0.15)
+    assert best.v2 / PIXEL.value == pytest.approx(0, abs=0.15)
+    assert best.coefficient > 0.7
+    for column in ("pm_ra_cosdec", "pm_dec", "pm_pa"):
+        assert np.isnan(found.components[column]).all()
+
+
+# Nothing there -------------------------------------------------------------------
+
+
+def check_empty(result, other, tmp_path):
+    table = result.components
+    assert len(table) == 0
+    assert table.colnames == other.components.colnames
+    for name in table.colnames:
+        unit = getattr(other.components[name], "unit", None)
+        assert getattr(table[name], "unit", None) == unit
+    assert result.velocity_map().data.shape == result.grid.shape
+    path = tmp_path / "components.ecsv"
+    table.write(path)
+    assert QTable.read(path).colnames == table.colnames
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0])
+@pytest.mark.parametrize("position_angle", [None, 30 * u.deg, "radial"])
+def test_flat_images_have_no_components(result, tmp_path, value, position_angle):
+    found = measure(
+        make_cube(np.full((3, 48, 48), value)), position_angle=position_angle
+    )
+    assert len(found.ssps) == 0
+    np.testing.assert_array_equal(found.coefficient, 0.0)
+    check_empty(found, result, tmp_path)
+    assert len(found.components_in_c(distance=1 * u.Mpc)) == 0
+
+
+def test_noise_alone():
+    rng = np.random.default_rng(0)
+    found = measure(make_cube(rng.normal(size=(4, 64, 64))), detection=6.0)
+    assert len(found.ssps) == 0
+    assert len(found.components) == 0
+    # At the usual threshold some maxima of the noise are SSPs.
+    found = measure(make_cube(rng.normal(size=(4, 64, 64))))
+    assert np.isfinite(found.z_score).all()
+
+
+def test_one_ssp(result, tmp_path):
+    rng = np.random.default_rng(0)
+    data = rng.normal(scale=0.01, size=(3, 48, 48))
+    data[0] += image([(24, 20, 1.0)], (48, 48))
+    found = measure(make_cube(data), scales=[2], detection=6.0)
+    assert len(found.ssps) == 1
+    check_empty(found, result, tmp_path)
+
+
+def test_one_match():
+    """One feature in two epochs: a velocity, if not a significant one."""
+    rng = np.random.default_rng(0)
+    data = rng.normal(scale=0.01, size=(2, 48, 48))
+    for k in range(2):
+        data[k] += image([(22 + 3 * k, 20 + k, 1.0)], (48, 48))
+    found = measure(make_cube(data), scales=[2], detection=6.0)
+    assert len(found.displacements) == 2
+    row, column = np.unravel_index(found.coefficient.argmax(), found.grid.shape)
+    assert found.grid.v1[column] / -PIXEL.value == pytest.approx(3, abs=0.6)
+    assert found.grid.v2[row] / PIXEL.value == pytest.approx(1, abs=0.6)
+
+
+# Seeds and records ---------------------------------------------------------------
+
+
+def same_tables(one, other):
+    for name in one.colnames:
+        np.testing.assert_array_equal(np.asarray(one[name]), np.asarray(other[name]))
+
+
+def test_the_seed_is_recorded_and_gives_the_same_again(cube, result):
+    assert result.components.meta["seed"] == 1
+    again = measure(cube)
+    same_tables(again.components, result.components)
+    np.testing.assert_array_equal(again.z_score, result.z_score)
+    other = measure(cube, rng=2)
+    np.testing.assert_array_equal(other.coefficient, result.coefficient)
+    assert np.any(other.z_score != result.z_score)
+
+
+def test_without_a_seed_one_is_drawn_and_recorded(cube):
+    scc = make_scc()
+    matched = scc.match(cube)
+    first, second = (scc.stack(matched, n_trials=20) for _ in range(2))
+    seed = first.components.meta["seed"]
+    assert seed != second.components.meta["seed"]
+    again = scc.stack(matched, n_trials=20, rng=seed)
+    same_tables(again.components, first.components)
+
+
+def test_a_generator_is_used_and_leaves_no_seed(cube, result):
+    found = measure(cube, rng=np.random.default_rng(1))
+    assert found.components.meta["seed"] is None
+    np.testing.assert_array_equal(found.z_score, result.z_score)
+    assert measure(cube, rng=np.int64(1)).components.meta["seed"] == 1
+
+
+def test_what_was_done_is_recorded(result):
+    meta = result.components.meta
+    assert meta["n_trials"] == 20
+    assert meta["settings"] == make_scc().to_dict()
+    assert set(meta["versions"]) >= {"astro_scc", "numpy", "astropy"}
+    assert isinstance(meta["jet_position_angle"], u.Quantity)
+
+
+def test_matches_are_made_once_and_stacked_often(cube, result):
+    matched = result.matched
+    again = make_scc().stack(matched, n_trials=20, rng=1)
+    same_tables(again.components, result.components)
+    turned = make_scc(position_angle=90 * u.deg, kernel=0.3).stack(
+        matched, n_trials=20, rng=1
+    )
+    np.testing.assert_allclose(strongest(turned), (3, 1), atol=0.15)
+
+
+def test_one_call_gives_the_table(cube, result):
+    table = measure_velocities(
+        cube, scales=[1, 2], max_speed=8 * PIXEL, n_trials=20, rng=1
+    )
+    same_tables(table, result.components)
+    region = np.ones(cube.shape[1:], bool)
+    table = measure_velocities(
+        cube, region=region, scales=[1, 2], max_speed=8 * PIXEL, n_trials=20, rng=1,
+        n_workers=2,
+    )  # fmt: skip
+    same_tables(table, result.components)
+
+
+def test_progress_is_shown_when_asked_for(cube, capsys):
+    make_scc()(cube, n_trials=20, rng=1, progress_bar=True)
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    for label in ("Correlating", "Shuffling"):
+        assert label in shown.err
+    make_scc()(cube, n_trials=20, rng=1)
+    assert capsys.readouterr() == ("", "")
+
+
+# The paper's jets ----------------------------------------------------------------
+
+
+def jet_region(cube):
+    """The region of the paper's test, ten beams along the jet."""
+    region = np.zeros(cube.shape[1:], bool)
+    region[:, 60:161] = True
+    return region
+
+
+def check_two_streams(cube, truth):
+    """The streams' speeds, and the mean motions that their features really have."""
+    found = measure(
+        cube,
+        region=jet_region(cube),
+        scales=[1, 2, 3],
+        max_speed=30 * PIXEL,
+        n_trials=100,
+    )
+    for speed, group in ((5, "slow"), (20, "fast")):
+        motion = nearest(in_pixels(found.components), speed)
+        assert abs(motion[0] - speed) < 1.0
+        np.testing.assert_allclose(motion, truth[group], atol=1.0)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_two_streams_of_a_simulated_jet(seed):
+    jet = simulate_two_fluid(rng=seed)
+    table = jet.truth[
+        (jet.truth["x"] >= 60 * u.pix)
+        & (jet.truth["x"] <= 160 * u.pix)
+        & (jet.truth["epoch"] < 9)
+    ]
+    truth = {
+        group: in_pixels(
+            {
+                "pm_ra_cosdec": table["pm_east"][table["group"] == group],
+                "pm_dec": table["pm_north"][table["group"] == group],
+            }
+        ).mean(axis=0)
+        for group in ("slow", "fast")
+    }
+    check_two_streams(jet.cube, truth)
+
+
+@pytest.mark.parametrize("folder", ["two_fluid", "two_fluid_dense"])
+def test_two_streams_of_the_files_of_the_papers_test(shared_data, folder):
+    folder = shared_data / "paper_test" / folder
+    truth = {"slow": [], "fast": []}
+    for feature in json.loads((folder / "truth.json").read_text())["features"]:
+        x, y = (np.array(feature[axis], dtype=float) for axis in "xy")
+        inside = (x[:-1] >= 60) & (x[:-1] <= 160)
+        steps = np.stack([np.diff(x), np.diff(y)], axis=1)
+        truth[feature["group"]].extend(steps[inside & np.isfinite(steps[:, 0])])
+    truth = {group: np.mean(steps, axis=0) for group, steps in truth.items()}
+    check_two_streams(EpochCube.read(str(folder / "*.fits")), truth)
+
+
+def test_a_jet_that_stands_still():
+    cube = simulate_static(n_epochs=4, rng=1).cube
+    found = measure(cube, scales=[2, 3])
+    np.testing.assert_allclose(strongest(found), (0, 0), atol=0.1)
