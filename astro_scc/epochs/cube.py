@@ -11,6 +11,7 @@ from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.offset_grid import OffsetGrid
+from astro_scc.epochs.steps import EpochSteps
 from astro_scc.epochs.validation import (
     as_beams,
     as_celestial,
@@ -26,7 +27,7 @@ __all__ = ["EpochCube"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EpochCube(OffsetGrid):
+class EpochCube(OffsetGrid, EpochSteps):
     """
     Images of one object at many dates on one pixel grid.
 
@@ -129,8 +130,6 @@ class EpochCube(OffsetGrid):
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
-    # -- where epochs come from -------------------------------------------
-
     @classmethod
     def read(
         cls, paths, *, frame="offset", times=None, beams=None, hdu=None, check=True
@@ -173,6 +172,13 @@ class EpochCube(OffsetGrid):
         ValueError
             If a header lacks what is needed, or files do not belong
             together.
+
+        Examples
+        --------
+        >>> from astro_scc import EpochCube
+        >>> cube = EpochCube.read("../shared/data/0003+380/*.fits")
+        >>> len(cube), cube.labels[0]
+        (10, '0003+380.u.2006_03_09.fits')
         """
         from astro_scc.epochs.assembly import cube_from_files
 
@@ -296,12 +302,21 @@ class EpochCube(OffsetGrid):
         OSError
             If the file exists and ``overwrite`` is False, or cannot be
             written.
+
+        Examples
+        --------
+        >>> import astropy.units as u
+        >>> import numpy as np
+        >>> from astro_scc import EpochCube
+        >>> cube = EpochCube.from_arrays(np.ones((1, 8, 8)), ["2000-01-01"],
+        ...                              pixel_scale=0.1 * u.mas)
+        >>> cube.write("cube.fits")
+        >>> EpochCube.read("cube.fits").shape
+        (1, 8, 8)
         """
         from astro_scc.epochs.serialize import write_cube
 
         write_cube(self, path, overwrite=overwrite)
-
-    # -- one epoch, some epochs -------------------------------------------
 
     def __len__(self):
         return self.data.shape[0]
@@ -382,8 +397,6 @@ class EpochCube(OffsetGrid):
         """Shape of the data, (n_epochs, ny, nx)."""
         return self.data.shape
 
-    # -- facts ---------------------------------------------------------------
-
     @property
     def years(self):
         """Dates as years since the first epoch, shape (n_epochs,)."""
@@ -441,105 +454,6 @@ class EpochCube(OffsetGrid):
             wcs=self.wcs.deepcopy(),
             meta={"n_epochs": len(self)},
         )
-
-    # -- steps, each a new cube -------------------------------------------
-
-    def to_common_beam(self, beam=None):
-        """
-        Convolve to one beam, see `~astro_scc.epochs.common_beam`.
-
-        Parameters
-        ----------
-        beam : beam, optional
-            By default the smallest that contains the beams of all epochs.
-
-        Returns
-        -------
-        `EpochCube`
-        """
-        from astro_scc.epochs.smoothing import common_beam
-
-        return common_beam(self, beam=beam)
-
-    def align(self, method="core", **kwargs):
-        """
-        Shift the epochs on one another, see `~astro_scc.epochs.align`.
-
-        Parameters
-        ----------
-        method : {"core", "correlate", "table", "wcs", "none"} or path, optional
-            The path is that of a table of core positions.
-        **kwargs
-            Options of the method: ``table``, ``reference``, ``region``,
-            ``jet_pa``, ``max_shift``.
-
-        Returns
-        -------
-        `EpochCube`
-        """
-        from astro_scc.epochs.alignment import align
-
-        return align(self, method, **kwargs)
-
-    def reproject_to(self, wcs, shape, order="bicubic"):
-        """
-        Resample to another grid, see `~astro_scc.epochs.reproject_cube`.
-
-        Parameters
-        ----------
-        wcs : `~astropy.wcs.WCS`
-            Celestial WCS of the new grid.
-        shape : (int, int)
-            Shape (ny, nx) of the new grid.
-        order : {"bicubic", "biquadratic", "bilinear", "nearest-neighbor"}, optional
-
-        Returns
-        -------
-        `EpochCube`
-        """
-        from astro_scc.epochs.reprojection import reproject_cube
-
-        return reproject_cube(self, wcs, shape, order=order)
-
-    def crop(self, region, pad=0):
-        """
-        Cut all epochs down to a region, see `~astro_scc.epochs.crop`.
-
-        Parameters
-        ----------
-        region : (slice, slice) or region
-            Slices of pixels (y, x), or what `region_mask` takes, of which
-            the bounding box is kept.
-        pad : int, optional
-            Pixels to keep around the box.
-
-        Returns
-        -------
-        `EpochCube`
-        """
-        from astro_scc.epochs.cutout import crop
-
-        return crop(self, region, pad=pad)
-
-    def region_mask(self, region):
-        """
-        Pixels inside a region, see `~astro_scc.epochs.region_mask`.
-
-        Parameters
-        ----------
-        region : region, list of regions, path, array of bool or None
-            None is everything.
-
-        Returns
-        -------
-        `~numpy.ndarray` of bool, shape (ny, nx)
-            True inside.
-        """
-        from astro_scc.epochs.cutout import region_mask
-
-        return region_mask(self, region)
-
-    # -- how it looks --------------------------------------------------------
 
     def __repr__(self):
         from astro_scc.epochs.description import describe

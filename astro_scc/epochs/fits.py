@@ -73,7 +73,10 @@ def read_vlbi_fits(path, hdu=None):
     --------
     >>> from astropy.nddata import CCDData
     >>> import astro_scc.epochs
-    >>> image = CCDData.read("3c273.fits", format="vlbi-fits")  # doctest: +SKIP
+    >>> image = CCDData.read("../shared/data/0003+380/0003+380.u.2006_03_09.fits",
+    ...                      format="vlbi-fits")
+    >>> image.shape, image.unit
+    ((256, 256), Unit("Jy / beam"))
     """
     image, notes = read_image(path, hdu=hdu)
     for note in notes:
@@ -122,13 +125,23 @@ def _open(path, hdu):
         warnings.simplefilter("ignore")
         try:
             # astropy.io.fits forgets to close files that it fails to open.
-            with path.open("rb") as file, fits.open(file) as hdus:
-                return _image(hdus, hdu, path)
+            with path.open("rb") as file:
+                _check_axes(file)
+                with fits.open(file) as hdus:
+                    return _image(hdus, hdu, path)
         except (_ContentError, _NoImageError):
             raise
         except Exception as error:
             # A damaged file can fail anywhere inside astropy.io.fits.
             raise _broken(error) from None
+
+
+def _check_axes(file):
+    """The standard has up to 999 axes; astropy counts to any damaged number."""
+    naxis = re.search(rb"NAXIS   = *(\d+)", file.read(2880))
+    file.seek(0)
+    if naxis and int(naxis[1]) > 999:
+        raise _NoImageError(f"is broken, it claims to have {naxis[1].decode()} axes")
 
 
 def _broken(error):

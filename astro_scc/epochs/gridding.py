@@ -3,11 +3,13 @@
 
 from dataclasses import dataclass
 
+import astropy.units as u
 import numpy as np
 from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.description import readable_angle
 from astro_scc.epochs.reprojection import reproject_cube, shared_grid
 from astro_scc.epochs.resampling import grid_step, moved_wcs
 
@@ -16,6 +18,8 @@ __all__ = ["FRAMES", "Grid", "lay_on_one_grid"]
 FRAMES = ("offset", "absolute")
 # Grids that agree to this part of a pixel all over the image are one grid.
 TOLERANCE = 0.01
+# Sides of pixels of images that can be one series.
+LARGEST_RATIO = 10.0
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,11 @@ def lay_on_one_grid(planes, frame):
         Images on the very same grid are stacked as they are; those that lie
         whole pixels aside are moved without interpolation; others are
         interpolated.  Pixels outside an image are masked.
+
+    Raises
+    ------
+    ValueError
+        If pixels or positions are too different to be of one series.
     """
     first = planes[0]
     shape = first.data.shape
@@ -72,9 +81,8 @@ def lay_on_one_grid(planes, frame):
         )
     offset = frame == "offset"
     frames = [_offset_frame(p.wcs) if offset else p.wcs for p in planes]
-    grid, shape = shared_grid(
-        [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
-    )
+    _check_pixels(planes)
+    grid, shape = _shared_grid(planes, frames)
     data = np.empty((len(planes), *shape))
     mask = np.empty(data.shape, dtype=bool)
     resampled = []
@@ -89,6 +97,34 @@ def lay_on_one_grid(planes, frame):
         epoch_wcs=tuple(_own_frame(grid, p.wcs) if offset else grid for p in planes),
         resampled=tuple(resampled),
     )
+
+
+def _shared_grid(planes, frames):
+    grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
+    try:
+        return shared_grid(grids)
+    except ValueError:
+        for plane, grid in zip(planes, grids, strict=True):
+            try:
+                shared_grid([grids[0], grid])
+            except ValueError:
+                raise ValueError(
+                    f"{plane.name}: lies too far from {planes[0].name} to share a "
+                    "grid with it, by its coordinates; leave one of them out"
+                ) from None
+        raise
+
+
+def _check_pixels(planes):
+    """Refuse pixels so different that the finest would make huge images."""
+    sizes = [abs(np.linalg.det(p.wcs.pixel_scale_matrix)) ** 0.5 for p in planes]
+    usual = np.sort(sizes)[(len(sizes) - 1) // 2]
+    for plane, size in zip(planes, sizes, strict=True):
+        if not usual / LARGEST_RATIO <= size <= usual * LARGEST_RATIO:
+            raise ValueError(
+                f"{plane.name}: its pixels are {readable_angle(size * u.deg)} where "
+                f"others are {readable_angle(usual * u.deg)}; leave it out"
+            )
 
 
 def _same_grid(one, other, frame):

@@ -13,6 +13,20 @@ class OffsetGrid:
 
     Offsets are (east, north) in the plane tangent to the sky at the
     reference pixel, on which the projection of the WCS has its scale.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc import EpochCube
+    >>> cube = EpochCube.from_arrays(np.ones((1, 8, 8)), ["2000-01-01"],
+    ...                              pixel_scale=0.1 * u.mas, reference_pixel=(2, 3))
+    >>> east, north = cube.pixel_to_offset(1, 5)
+    >>> east, north
+    (<Quantity 0.1 mas>, <Quantity 0.2 mas>)
+    >>> x, y = cube.offset_to_pixel(east, north)
+    >>> round(float(x), 6), round(float(y), 6)
+    (1.0, 5.0)
     """
 
     @property

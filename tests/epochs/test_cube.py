@@ -417,14 +417,14 @@ def test_steps_are_those_of_their_modules(monkeypatch):
     monkeypatch.setattr(cutout, "region_mask", record("region"))
     cube.to_common_beam(ROUND)
     cube.align("wcs", table=1)
-    cube.reproject_to("w", (1, 2))
-    cube.crop("r")
+    cube.reproject_to("w", (1, 2), order="bilinear")
+    cube.crop("r", pad=3)
     cube.region_mask("m")
     assert calls == [
         ("beam", (), {"beam": ROUND}),
         ("align", ("wcs",), {"table": 1}),
-        ("reproject", ("w", (1, 2)), {}),
-        ("crop", ("r",), {}),
+        ("reproject", ("w", (1, 2)), {"order": "bilinear"}),
+        ("crop", ("r",), {"pad": 3}),
         ("region", ("m",), {}),
     ]
 
@@ -818,6 +818,18 @@ def test_other_grids_are_resampled_in_offsets(make_fits):
     assert cube.wcs.wcs.crval[0] == 187.25
     assert cube.epoch_wcs[1].wcs.crval[0] == 187.25 + 3 * step
     assert np.array_equal(cube.epoch_wcs[1].wcs.crpix, cube.wcs.wcs.crpix)
+
+
+def test_pixels_or_positions_too_different_for_one_grid(make_fits):
+    paths = [make_fits("a.fits"), make_fits("b.fits", DATE_OBS="2007-01-01")]
+    coarse = {"CDELT1": -1e-6, "CDELT2": 1e-6, "DATE_OBS": "2008-01-01"}
+    paths.append(make_fits("c.fits", **coarse))
+    with pytest.raises(ValueError, match=r"c.fits: its pixels are 3.6 mas where"):
+        EpochCube.read(paths)
+    far = {"CRVAL1": 188.0, "DATE_OBS": "2008-01-01"}
+    paths[2] = make_fits("d.fits", **far)
+    with pytest.raises(ValueError, match=r"d.fits: lies too far from .*a.fits"):
+        EpochCube.read(paths, frame="absolute")
 
 
 def test_absolute_coordinates_are_trusted_when_asked(make_fits):

@@ -275,6 +275,14 @@ def test_header_that_claims_a_huge_image(make_fits, claim):
         read_vlbi_fits(path)
 
 
+def test_header_that_claims_many_axes(make_fits):
+    path = make_fits()
+    old, new = (b"NAXIS   =          " + n for n in (b"          4", b"99999999999"))
+    path.write_bytes(path.read_bytes().replace(old, new))
+    with pytest.raises(OSError, match="is broken, it claims to have 99999999999 axes"):
+        read_vlbi_fits(path)
+
+
 def test_truncated_gzip(tmp_path):
     path = tmp_path / "a.fits.gz"
     fits.PrimaryHDU(PIXELS).writeto(path)

@@ -1,0 +1,108 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The operations on epochs as methods, so that they can be chained."""
+
+__all__ = ["EpochSteps"]
+
+
+class EpochSteps:
+    """
+    Methods of a cube that call the functions of this folder.
+
+    The functions are imported at first use, each with the libraries that it
+    needs.
+    """
+
+    def to_common_beam(self, beam=None):
+        """
+        Convolve to one beam, see `~astro_scc.epochs.common_beam`.
+
+        Parameters
+        ----------
+        beam : beam, optional
+            By default the smallest that contains the beams of all epochs.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        from astro_scc.epochs.smoothing import common_beam
+
+        return common_beam(self, beam=beam)
+
+    def align(self, method="core", **kwargs):
+        """
+        Shift the epochs on one another, see `~astro_scc.epochs.align`.
+
+        Parameters
+        ----------
+        method : {"core", "correlate", "table", "wcs", "none"} or path, optional
+            The path is that of a table of core positions.
+        **kwargs
+            Options of the method: ``table``, ``reference``, ``region``,
+            ``jet_pa``, ``max_shift``.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        from astro_scc.epochs.alignment import align
+
+        return align(self, method, **kwargs)
+
+    def reproject_to(self, wcs, shape, order="bicubic"):
+        """
+        Resample to another grid, see `~astro_scc.epochs.reproject_cube`.
+
+        Parameters
+        ----------
+        wcs : `~astropy.wcs.WCS`
+            Celestial WCS of the new grid.
+        shape : (int, int)
+            Shape (ny, nx) of the new grid.
+        order : {"bicubic", "biquadratic", "bilinear", "nearest-neighbor"}, optional
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        from astro_scc.epochs.reprojection import reproject_cube
+
+        return reproject_cube(self, wcs, shape, order=order)
+
+    def crop(self, region, pad=0):
+        """
+        Cut all epochs down to a region, see `~astro_scc.epochs.crop`.
+
+        Parameters
+        ----------
+        region : (slice, slice) or region
+            Slices of pixels (y, x), or what `region_mask` takes, of which
+            the bounding box is kept.
+        pad : int, optional
+            Pixels to keep around the box.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        from astro_scc.epochs.cutout import crop
+
+        return crop(self, region, pad=pad)
+
+    def region_mask(self, region):
+        """
+        Pixels inside a region, see `~astro_scc.epochs.region_mask`.
+
+        Parameters
+        ----------
+        region : region, list of regions, path, array of bool or None
+            None is everything.
+
+        Returns
+        -------
+        `~numpy.ndarray` of bool, shape (ny, nx)
+            True inside.
+        """
+        from astro_scc.epochs.cutout import region_mask
+
+        return region_mask(self, region)
