@@ -29,8 +29,8 @@ GRIDS = {
     "usual": [[-0.1, 0.0], [0.0, 0.1]],
     "east to the right": [[0.1, 0.0], [0.0, 0.1]],
     "not square": [[-0.05, 0.0], [0.0, 0.2]],
-    "rotated": [[-0.1 * np.cos(0.5), 0.1 * np.sin(0.5)],
-                [0.1 * np.sin(0.5), 0.1 * np.cos(0.5)]],
+    "rotated": [[-0.1 * np.cos(0.5), 0.15 * np.sin(0.5)],
+                [0.1 * np.sin(0.5), 0.15 * np.cos(0.5)]],
 }  # fmt: skip
 
 
