@@ -109,14 +109,17 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
     Returns
     -------
     `~astro_scc.stacking.Displacements`
+        Without the matches of SSPs at which the frame has no axes; they
+        count as SSPs without a match.
     """
     select = np.ones(len(ssps), bool) if select is None else np.asarray(select, bool)
     matches = matches.of_ssps(select)
-    owner = matches.ssp
     east, north = ssp_offsets(ssps, cube)
-    axes = np.broadcast_to(
-        frame.matrix(east[owner], north[owner]), (len(matches), 2, 2)
-    )
+    axes = np.broadcast_to(frame.matrix(east, north), (len(ssps), 2, 2))
+    # At the origin of a radial frame there are no axes.
+    matches = matches.of_ssps(np.isfinite(axes).all(axis=(1, 2)))
+    owner = matches.ssp
+    axes = axes[owner]
     pixels = np.stack([matches.dx, matches.dy], axis=-1).astype(float)
     sky = pixels @ cube.pixel_matrix.value.T
     d = np.einsum("nai,ni->na", axes, sky)
@@ -140,4 +143,6 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
         ssp=owner.astype(int),
         target_ssp=landing_ssps(matches, ssps),
         n_ssps=np.bincount(ssps.epoch[select], minlength=len(cube)),
+        position=np.stack([east[owner], north[owner]], axis=-1),
+        motion=sky,
     )

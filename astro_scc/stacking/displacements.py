@@ -33,6 +33,9 @@ class Displacements:
     n_ssps : `~numpy.ndarray` of int, shape (n_epochs,)
         Number of SSPs of each epoch that were correlated, with or without
         a match.
+    position, motion : `~numpy.ndarray`, shape (n, 2), optional
+        Position of the SSP and displacement in Cartesian coordinates, which
+        the axes of the frame need not be.
     """
 
     d1: np.ndarray
@@ -45,6 +48,8 @@ class Displacements:
     ssp: np.ndarray
     target_ssp: np.ndarray
     n_ssps: np.ndarray
+    position: np.ndarray | None = None
+    motion: np.ndarray | None = None
 
     def __len__(self):
         return len(self.d1)
@@ -66,5 +71,9 @@ class Displacements:
         -------
         `Displacements`
         """
-        names = [f.name for f in fields(self) if f.name != "n_ssps"]
-        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+        columns = {
+            f.name: getattr(self, f.name) for f in fields(self) if f.name != "n_ssps"
+        }
+        return replace(
+            self, **{k: v[keep] for k, v in columns.items() if v is not None}
+        )

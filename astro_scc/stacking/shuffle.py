@@ -47,7 +47,7 @@ class ShuffledStacks:
         `~numpy.ndarray`, shape (n2, n1)
             Zero where no trial has any correlation.
         """
-        return _z_score(scc, self.mean, self.std)
+        return z_score(scc, self.mean, self.std)
 
     def p_global(self, z_score):
         """
@@ -68,7 +68,20 @@ class ShuffledStacks:
         return float((n - below + 1) / (n + 1))
 
 
-def _z_score(scc, mean, std):
+def z_score(scc, mean, std):
+    """
+    ``(C - mean) / std``, std floored at a hundredth of its largest value.
+
+    Parameters
+    ----------
+    scc : `~numpy.ndarray`, shape (..., n2, n1)
+    mean, std : `~numpy.ndarray`, shape (n2, n1)
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (..., n2, n1)
+        Zero where no trial has any correlation.
+    """
     floor = np.maximum(std, SIGMA_FLOOR * std.max(initial=0.0))
     return np.divide(scc - mean, floor, out=np.zeros_like(scc), where=floor > 0)
 
@@ -148,7 +161,7 @@ def shuffle_epochs(
     std = np.sqrt(variance * n_trials / (n_trials - 1))
     # The z-scores need mean and spread first; trials are cheaper to make
     # twice than to keep.
-    maxima = [_z_score(block, mean, std).max(axis=(1, 2)) for block in trials()]
+    maxima = [z_score(block, mean, std).max(axis=(1, 2)) for block in trials()]
     return ShuffledStacks(
         mean=mean,
         std=std,

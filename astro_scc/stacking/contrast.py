@@ -1,0 +1,163 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""How far a velocity stands out from its surroundings, among witnesses."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from astro_scc.stacking.grid import VelocityGrid
+
+__all__ = ["DIRECTIONS", "Contrast"]
+
+#: Directions in the plane of velocities, in units of the standard errors.
+DIRECTIONS = np.array([[1, 0], [0, 1], [0.5**0.5, 0.5**0.5], [0.5**0.5, -(0.5**0.5)]])
+#: Distances of the background along a direction, in standard errors.
+BACKGROUND = np.array([3.0, 4.0, 5.0])
+#: Reach of the filters in standard errors: the background and its tails.
+FILTER_REACH = BACKGROUND.max() + 3.5
+#: Standard errors are rounded to powers of this ratio...
+CLASS_RATIO = 2**0.5
+#: ...and raised to, or left out beyond, these multiples of their median.
+NARROWEST, WIDEST = 0.5, 4.0
+#: Spacing of the grid in the smallest standard error.
+STEP = 0.75
+#: Largest number of velocities on an axis.
+MAX_SIZE = 401
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Contrast:
+    """
+    The contrast of velocities, for one set of witnesses and any shift of it.
+
+    With ``C(v) = sum W g(v - V)`` the sum of Gaussians of unit area at the
+    witnesses' velocities and ``B_u`` its mean at 3, 4 and 5 standard errors
+    to both sides along a direction u, the contrast is ``T_u = C - B_u``.
+    Along a ridge of C it is nought.  Unit area makes a Gaussian plus a flat
+    background the model of which C is the score: witnesses of long
+    intervals, which are sharp, count more.
+
+    Attributes
+    ----------
+    grid : `~astro_scc.stacking.VelocityGrid`
+        The velocities searched.
+    kind : `~numpy.ndarray` of int, shape (n_witnesses,)
+        Class of standard errors that each witness belongs to, or -1 for
+        those too wide to tell velocities apart.
+    s1, s2 : `~numpy.ndarray`, shape (n_classes,)
+        Standard errors of the classes along the two axes.
+    shape : tuple of int
+        Of the padded grid.
+    response : `~numpy.ndarray`, shape (n_classes, 4, ny, nx)
+        Fourier transforms of the filters, one a direction.
+    """
+
+    grid: VelocityGrid
+    kind: np.ndarray
+    s1: np.ndarray
+    s2: np.ndarray
+    shape: tuple
+    response: np.ndarray
+
+    @classmethod
+    def of(cls, witnesses, v_max):
+        """
+        Prepare the filters.
+
+        Parameters
+        ----------
+        witnesses : `~astro_scc.stacking.Witnesses`
+            At least one.
+        v_max : tuple of float
+            Largest velocities to search along the two axes.
+
+        Returns
+        -------
+        `Contrast`
+        """
+        kind, s1, s2 = _classes(witnesses.s1, witnesses.s2)
+        grid = VelocityGrid.covering(
+            v_max, (STEP * s1.min(), STEP * s2.min()), max_size=MAX_SIZE
+        )
+        step1, step2 = grid.step
+        # The convolution is circular: the margin keeps the ends apart.
+        margin = 2 * FILTER_REACH * np.array([s2.max() / step2, s1.max() / step1])
+        shape = tuple(
+            fft.next_fast_len(n + int(np.ceil(m)), real=True)
+            for n, m in zip(grid.shape, margin, strict=True)
+        )
+        k2 = np.fft.fftfreq(shape[0], step2)[:, None]
+        k1 = np.fft.rfftfreq(shape[1], step1)[None, :]
+        response = [
+            [
+                gauss * (1 - _shifted_mean(e1 * a * k1 + e2 * b * k2))
+                for e1, e2 in DIRECTIONS
+            ]
+            for a, b in zip(s1, s2, strict=True)
+            for gauss in [np.exp(-2 * np.pi**2 * ((a * k1) ** 2 + (b * k2) ** 2))]
+        ]
+        return cls(grid, kind, s1, s2, shape, np.array(response))
+
+    def maps(self, v1, v2, weight, directions):
+        """
+        Contrast maps for witnesses at given velocities.
+
+        Parameters
+        ----------
+        v1, v2 : `~numpy.ndarray`, shape (n_trials, n_witnesses)
+        weight : `~numpy.ndarray`, shape (n_witnesses,)
+        directions : sequence of int
+            Indices of `DIRECTIONS`.
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (n_directions, n_trials, n2, n1)
+        """
+        use = self.kind >= 0
+        transform = self._transform(v1[:, use], v2[:, use], weight[use], self.kind[use])
+        n2, n1 = self.grid.shape
+        result = []
+        for u in directions:
+            product = np.einsum("tcij,cij->tij", transform, self.response[:, u])
+            result.append(fft.irfft2(product, self.shape)[:, :n2, :n1])
+        return np.stack(result)
+
+    def _transform(self, v1, v2, weight, kind):
+        """Transforms of the weights on the padded grid, one a class."""
+        n2, n1 = self.shape
+        step1, step2 = self.grid.step
+        weight = np.broadcast_to(weight, v1.shape)
+        x = (v1 - self.grid.v1[0]) / step1
+        y = (v2 - self.grid.v2[0]) / step2
+        i, j = np.floor(x).astype(int), np.floor(y).astype(int)
+        x, y = x - i, y - j
+        base = (np.arange(len(v1))[:, None] * len(self.s1) + kind) * n2
+        total = 0.0
+        # Linear weights to four neighbours; indices wrap into the margin.
+        for dj, wy in ((0, 1 - y), (1, y)):
+            row = (base + (j + dj) % n2) * n1
+            for di, wx in ((0, 1 - x), (1, x)):
+                total = total + np.bincount(
+                    (row + (i + di) % n1).ravel(),
+                    (weight * wx * wy).ravel(),
+                    len(v1) * len(self.s1) * n2 * n1,
+                )
+        return fft.rfft2(total.reshape(len(v1), len(self.s1), n2, n1))
+
+
+def _classes(s1, s2):
+    """Round standard errors to few classes of one axis ratio."""
+    size = np.sqrt(s1 * s2)
+    relative = size / np.median(size)
+    power = np.rint(np.log(np.maximum(relative, NARROWEST)) / np.log(CLASS_RATIO))
+    classes = np.unique(power[relative <= WIDEST])
+    kind = np.where(relative <= WIDEST, np.searchsorted(classes, power), -1)
+    width = np.median(size) * CLASS_RATIO**classes
+    ratio = np.sqrt(np.median(s1 / s2))
+    return kind, width * ratio, width / ratio
+
+
+def _shifted_mean(phase):
+    """Response of the mean of the places on both sides along a direction."""
+    return np.mean([np.cos(2 * np.pi * r * phase) for r in BACKGROUND], axis=0)
