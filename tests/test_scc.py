@@ -424,8 +424,9 @@ def test_single_precision(data, result):
     np.testing.assert_allclose(found.coefficient, result.coefficient, atol=1e-3)
 
 
-def test_whether_there_are_beams(data):
-    found = measure(make_cube(data, beams=None))
+@pytest.mark.parametrize("noise", ["plane", "propagated"])
+def test_whether_there_are_beams(data, noise):
+    found = measure(make_cube(data, beams=None), noise=noise)
     np.testing.assert_allclose(strongest(found), (3, 1), atol=0.15)
 
 
