@@ -1,0 +1,277 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+The jets of the paper, 3C 273 and 3C 120, restored from the features of MOJAVE.
+
+Epochs before 2011, as in Sect. 3 of Mertens & Lobanov (2016), one beam for all, with
+noise.  Speeds in rings about the core, beside the paper and beside the straight lines
+that MOJAVE's features follow::
+
+    python benchmarks/mojave.py ../shared/data/mojave_xviii
+"""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from common import (
+    LEVEL,
+    PM_UNIT,
+    RESULTS,
+    Stopwatch,
+    feature_motions,
+    feature_quartiles,
+    measured,
+    p_text,
+    part,
+    plain,
+    write_table,
+)
+
+from astro_scc import Beam, StackedCrossCorrelation
+from astro_scc.epochs import read_components, restore
+from astro_scc.kinematics import apparent_speed, paper_cosmology
+
+BEFORE = "2011-01-01"
+PIXEL = 0.1 * u.mas
+NOISE = 0.3 * u.mJy / u.beam
+SCALES = (1, 2, 3, 4)
+ALL, FINE, COARSE = SCALES, (1, 2), (3, 4)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A jet, how it is measured, and what others found: {(r_min, scales): text}."""
+
+    name: str
+    table: str
+    redshift: float
+    beam: Beam
+    position_angle: float
+    baseline: tuple
+    max_speed: float
+    rings: tuple
+    groups: tuple
+    prototype: dict
+    paper: dict
+
+    @property
+    def per_c(self):
+        """Units of c that 1 mas/yr is."""
+        speed = apparent_speed(
+            1 * PM_UNIT, redshift=self.redshift, cosmology=paper_cosmology()
+        )
+        return float(speed)
+
+
+SOURCES = (
+    Source(
+        name="3C 273",
+        table="1226+023",
+        redshift=0.158,
+        beam=Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg),
+        position_angle=-138.0,
+        baseline=(0.25, 1.2),
+        max_speed=2.0,
+        rings=((1, 6), (6, 11), (11, 16)),
+        groups=(FINE, COARSE),
+        prototype={
+            (1, FINE): 0.77, (1, COARSE): 0.98, (6, FINE): 0.86, (6, COARSE): 0.89,
+            (11, FINE): 0.86, (11, COARSE): 0.88,
+        },
+        paper=dict.fromkeys(((1, FINE), (6, FINE), (11, FINE)), "about 7.5 c")
+        | dict.fromkeys(((1, COARSE), (6, COARSE), (11, COARSE)), "about 9 c"),
+    ),
+    Source(
+        name="3C 120",
+        table="0430+052",
+        redshift=0.033,
+        beam=Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg),
+        position_angle=-112.0,
+        baseline=(0.1, 0.6),
+        max_speed=5.0,
+        rings=((0.5, 1.5), (1.5, 2.5), (2.5, 3.5), (3.5, 5.5), (5.5, 7.5), (7.5, 10.5)),
+        groups=(ALL,),
+        prototype=dict(
+            zip(
+                [(r, ALL) for r in (0.5, 1.5, 2.5, 3.5, 5.5, 7.5)],
+                (1.67, 1.73, 1.80, 2.00, 2.27, 1.87),
+                strict=True,
+            )
+        ),
+        paper={
+            (0.5, ALL): "4.0 ± 0.2 c (at 1 mas)",
+            (5.5, ALL): "6.0 ± 0.4 c (at 7 mas)",
+            (7.5, ALL): "slower",
+        },
+    ),
+)  # fmt: skip
+HEADER = [
+    "jet", "distance (mas)", "scales", "SSPs", "speed (mas/yr)", "in c", "z",
+    "p_global", "others", "prototype", "features, quartiles", "paper",
+]  # fmt: skip
+COST_HEADER = [
+    "jet", "epochs", "pixels", "pairs", "SSPs", "correlations", "matches",
+    "correlate (CPU s)", "one stack (CPU s)", "memory (GB)",
+]  # fmt: skip
+
+
+def main():
+    """Restore and measure the jets, write tables and figure."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument("folder", type=Path, help="of the tables of features")
+    parser.add_argument("--n-trials", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=1)
+    args = parser.parse_args()
+    rows, costs, panels = [], [], []
+    for source in SOURCES:
+        motions = feature_motions(
+            args.folder, source.table, source.position_angle, before=BEFORE
+        )
+        more, cost, points = measure(source, motions, args)
+        rows += more
+        costs.append(cost)
+        panels.append((source, points, motions))
+    write_table("mojave", HEADER, rows)
+    write_table("mojave_cost", COST_HEADER, costs)
+    draw(panels)
+
+
+def images(source, folder, seed):
+    """The epochs of a source."""
+    components = read_components(folder / f"{source.table}.ecsv")
+    return restore(
+        components.select(before=BEFORE),
+        beam=source.beam,
+        pixel_scale=PIXEL,
+        noise=NOISE,
+        rng=seed,
+    )
+
+
+def measure(source, motions, args):
+    """Rows of the table, what they cost, and points of the figure."""
+    cube = images(source, args.folder, args.seed)
+    scc = StackedCrossCorrelation(
+        scales=SCALES,
+        max_speed=source.max_speed * PM_UNIT,
+        position_angle=source.position_angle * u.deg,
+        baseline=source.baseline * u.yr,
+    )
+    watch = Stopwatch()
+    matched = scc.match(cube)
+    correlate, _ = watch.lap("correlate")
+    scc.stack(matched, n_trials=args.n_trials, rng=args.seed)
+    stack, _ = watch.lap("stack")
+    n = len(cube)
+    cost = [
+        source.name,
+        n,
+        f"{cube.shape[2]} x {cube.shape[1]}",
+        len(scc.date_pairs(cube)),
+        len(matched.ssps),
+        len(matched.ssps) * (n - 1),
+        len(matched.matches),
+        f"{correlate:.0f}",
+        f"{stack:.0f}",
+        f"{watch.peak_memory():.1f}",
+    ]
+    rows, points = [], []
+    for ring in source.rings:
+        features = quartiles_text(motions, *ring)
+        for group in source.groups:
+            chosen = part(matched, r_min=ring[0], r_max=ring[1], scales=group)
+            result = scc.stack(chosen, n_trials=args.n_trials, rng=args.seed)
+            prototype = source.prototype.get((ring[0], group))
+            rows.append(
+                [
+                    source.name,
+                    f"{ring[0]:g} to {ring[1]:g}",
+                    ", ".join(map(str, group)),
+                    int(chosen.select.sum()),
+                    *cells(result.components, source.per_c),
+                    "" if prototype is None else f"{prototype:.2f}",
+                    features,
+                    source.paper.get((ring[0], group), ""),
+                ]
+            )
+            if len(result.components):
+                first = result.components[0]
+                speed, error = (
+                    plain(first[name], PM_UNIT)
+                    for name in ("pm_parallel", "pm_parallel_err")
+                )
+                points.append((ring, group, speed, error))
+    return rows, cost, points
+
+
+def cells(table, per_c):
+    """The strongest component of a table, and the speeds of the others."""
+    if len(table) == 0:
+        return ["none", "", "", "", ""]
+    speeds, errors = (
+        table[name].to_value(PM_UNIT) for name in ("pm_parallel", "pm_parallel_err")
+    )
+    others = [
+        f"{speed:.2f}"
+        for speed, p in zip(speeds[1:], table["p_global"][1:], strict=True)
+        if p <= LEVEL
+    ]
+    return [
+        measured(speeds[0], errors[0]),
+        measured(per_c * speeds[0], per_c * errors[0], 1),
+        f"{table['z_score'][0]:.1f}",
+        p_text(plain(table["p_global"][0])),
+        ", ".join(others),
+    ]
+
+
+def quartiles_text(motions, r_min, r_max):
+    """The quartiles of the features' speeds, in a cell of the table."""
+    found = feature_quartiles(motions, r_min, r_max)
+    return "" if found is None else ", ".join(f"{v:.2f}" for v in found)
+
+
+def draw(panels):
+    """Speed against distance, of the stack and of the features."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 6.5), layout="constrained")
+    for ax, (source, points, motions) in zip(
+        figure.subplots(len(panels)), panels, strict=True
+    ):
+        ax.errorbar(
+            motions["distance"], motions["speed"], motions["error"], fmt="o", ms=3,
+            color="0.6", lw=0.8, label="MOJAVE, each feature", zorder=1,
+        )  # fmt: skip
+        for group, color, shift in zip(
+            source.groups, ("#0072B2", "#D55E00"), (-0.1, 0.1), strict=False
+        ):
+            own = [point for point in points if point[1] == group]
+            middle = np.array([sum(ring) / 2 for ring, *_ in own])
+            ax.errorbar(
+                middle + (shift if len(source.groups) > 1 else 0),
+                [speed for *_, speed, _ in own],
+                [error for *_, error in own],
+                [(ring[1] - ring[0]) / 2 for ring, *_ in own],
+                fmt="s", ms=5, color=color, zorder=3,
+                label=f"scales {', '.join(map(str, group))}",
+            )  # fmt: skip
+        ax.set(
+            title=source.name,
+            xlim=(0, source.rings[-1][1] + 0.5),
+            ylim=(0, 1.6 * max((speed for *_, speed, _ in points), default=1)),
+            xlabel="Distance from the core (mas)",
+            ylabel="Speed along the jet (mas/yr)",
+        )
+        ax.secondary_yaxis(
+            "right", functions=(lambda v, k=source.per_c: k * v,
+                                lambda v, k=source.per_c: v / k)
+        ).set_ylabel("Apparent speed (c)")  # fmt: skip
+        ax.legend(loc="upper left", fontsize="small", ncols=3)
+    figure.savefig(RESULTS / "mojave.png", dpi=110)
+
+
+if __name__ == "__main__":
+    main()

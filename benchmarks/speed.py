@@ -1,0 +1,74 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+# ruff: noqa: E402
+"""
+How long it takes to measure the two-fluid jet of the paper, on one core.
+
+Ten epochs of 256 x 128 pixels, three scales, 1000 trials.  The stages run in this
+process after all imports; ``astro-scc --help`` is a process of its own::
+
+    python benchmarks/speed.py
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+
+# Libraries read these when they are loaded.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import astropy.units as u
+import scipy.stats  # noqa: F401 (the errors of components load it)
+from common import Stopwatch, write_table
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.simulation import simulate_two_fluid
+
+HELP = [sys.executable, "-m", "astro_scc.cli", "--help"]
+
+
+def main():
+    """Time the stages and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument("--n-trials", type=int, default=1000)
+    parser.add_argument("--help-runs", type=int, default=5)
+    args = parser.parse_args()
+    watch = Stopwatch()
+    jet = simulate_two_fluid(rng=1)
+    watch.lap("simulate ten epochs")
+    scc = StackedCrossCorrelation(
+        scales=(1, 2, 3), max_speed=48 * u.mas / u.yr, position_angle=270 * u.deg
+    )
+    matched = scc.match(jet.cube)
+    watch.lap(f"decompose, correlate {len(matched.ssps)} SSPs with nine epochs each")
+    result = scc.stack(matched, n_trials=args.n_trials, rng=1)
+    watch.lap(f"stack, {args.n_trials} trials of significance and of errors")
+    components = result.components
+    watch.lap(f"table of {len(components)} components")
+    rows = [
+        [stage, f"{cpu:.2f}", f"{wall:.2f}"]
+        for stage, (cpu, wall) in watch.stages.items()
+    ]
+    total = [sum(times) for times in zip(*watch.stages.values(), strict=True)]
+    rows.append(["together", *(f"{t:.2f}" for t in total)])
+    rows.append(["astro-scc --help, best of several", *help_seconds(args.help_runs)])
+    write_table("speed", ["stage", "CPU seconds", "seconds"], rows)
+    print(f"largest memory: {watch.peak_memory():.2f} GB")
+
+
+def help_seconds(runs):
+    """Least processor time and least wall clock of printing the help."""
+    spent = []
+    for _ in range(runs):
+        before, start = os.times(), time.perf_counter()
+        subprocess.run(HELP, check=True, stdout=subprocess.DEVNULL)
+        after = os.times()
+        cpu = sum(after[2:4]) - sum(before[2:4])
+        spent.append((cpu, time.perf_counter() - start))
+    return [f"{min(times):.2f}" for times in zip(*spent, strict=True)]
+
+
+if __name__ == "__main__":
+    main()
