@@ -16,8 +16,6 @@ from astro_scc.measurement import ssp_offsets
 
 RESULTS = Path(__file__).parent / "results"
 PM_UNIT = u.mas / u.yr
-#: A component is listed as found up to this p-value.
-LEVEL = 0.05
 
 
 def part(matched, *, r_min=0.0, r_max=np.inf, scales=None):

@@ -16,7 +16,6 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 from common import (
-    LEVEL,
     PM_UNIT,
     RESULTS,
     Stopwatch,
@@ -32,6 +31,7 @@ from common import (
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import read_components, restore
 from astro_scc.kinematics import apparent_speed, paper_cosmology
+from astro_scc.stacking import find_components
 
 BEFORE = "2011-01-01"
 PIXEL = 0.1 * u.mas
@@ -109,7 +109,7 @@ SOURCES = (
 )  # fmt: skip
 HEADER = [
     "jet", "distance (mas)", "scales", "SSPs", "speed (mas/yr)", "in c", "z",
-    "p_global", "others", "prototype", "features, quartiles", "paper",
+    "p_global", "kind", "others", "prototype", "features, quartiles", "paper",
 ]  # fmt: skip
 COST_HEADER = [
     "jet", "epochs", "pixels", "pairs", "SSPs", "correlations", "matches",
@@ -183,6 +183,7 @@ def measure(source, motions, args):
         for group in source.groups:
             chosen = part(matched, r_min=ring[0], r_max=ring[1], scales=group)
             result = scc.stack(chosen, n_trials=args.n_trials, rng=args.seed)
+            found, (speed, error) = cells(result, source.per_c)
             prototype = source.prototype.get((ring[0], group))
             rows.append(
                 [
@@ -190,41 +191,54 @@ def measure(source, motions, args):
                     f"{ring[0]:g} to {ring[1]:g}",
                     ", ".join(map(str, group)),
                     int(chosen.select.sum()),
-                    *cells(result.components, source.per_c),
+                    *found,
                     "" if prototype is None else f"{prototype:.2f}",
                     features,
                     source.paper.get((ring[0], group), ""),
                 ]
             )
-            if len(result.components):
-                first = result.components[0]
-                speed, error = (
-                    plain(first[name], PM_UNIT)
-                    for name in ("pm_parallel", "pm_parallel_err")
-                )
-                points.append((ring, group, speed, error))
+            points.append((ring, group, speed, error))
     return rows, cost, points
 
 
-def cells(table, per_c):
-    """The strongest component of a table, and the speeds of the others."""
-    if len(table) == 0:
-        return ["none", "", "", "", ""]
-    speeds, errors = (
-        table[name].to_value(PM_UNIT) for name in ("pm_parallel", "pm_parallel_err")
+def strongest(result):
+    """The largest maximum of the stack, and the row of the components that it is."""
+    beam = result.cube.beams[0]
+    fwhm = np.sqrt(beam.major * beam.minor).to_value(u.mas)
+    box = fwhm / np.average(result.pairs.interval, weights=result.pairs.weight)
+    top = find_components(result.coefficient, result.grid, (box, box))[0]
+    table = result.components
+    away = np.hypot(
+        table["pm_parallel"].to_value(PM_UNIT) - top.v1,
+        table["pm_transverse"].to_value(PM_UNIT) - top.v2,
     )
+    if len(away) == 0 or away.min() > box / 4:
+        return top, None
+    return top, int(away.argmin())
+
+
+def cells(result, per_c):
+    """The largest maximum of a stack, and the other components."""
+    top, number = strongest(result)
+    table = result.components
     others = [
-        f"{speed:.2f}"
-        for speed, p in zip(speeds[1:], table["p_global"][1:], strict=True)
-        if p <= LEVEL
+        f"{plain(row['pm_parallel'], PM_UNIT):.2f} ({row['kind']})"
+        for k, row in enumerate(table)
+        if k != number and row["kind"] != "uncertain"
     ]
+    error, p, kind = np.nan, np.nan, "not tested"
+    if number is not None:
+        row = table[number]
+        error = plain(row["pm_parallel_err"], PM_UNIT)
+        p, kind = plain(row["p_global"]), str(row["kind"])
     return [
-        measured(speeds[0], errors[0]),
-        measured(per_c * speeds[0], per_c * errors[0], 1),
-        f"{table['z_score'][0]:.1f}",
-        p_text(plain(table["p_global"][0])),
+        measured(top.v1, error),
+        measured(per_c * top.v1, per_c * error, 1),
+        f"{result.z_score[top.row, top.column]:.1f}",
+        p_text(p),
+        kind,
         ", ".join(others),
-    ]
+    ], (top.v1, error)
 
 
 def quartiles_text(motions, r_min, r_max):
@@ -253,7 +267,7 @@ def draw(panels):
             ax.errorbar(
                 middle + (shift if len(source.groups) > 1 else 0),
                 [speed for *_, speed, _ in own],
-                [error for *_, error in own],
+                np.nan_to_num([error for *_, error in own]),
                 [(ring[1] - ring[0]) / 2 for ring, *_ in own],
                 fmt="s", ms=5, color=color, zorder=3,
                 label=f"scales {', '.join(map(str, group))}",

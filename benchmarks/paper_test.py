@@ -113,7 +113,8 @@ def components(result, step):
             "e": tuple(plain(row[f"pm_{a}_err"] / step, u.one) for a in AXES),
             "z": float(row["z_score"]),
             "p": float(row["p_global"]),
-            "n": int(row["n_ssp"]),
+            "kind": str(row["kind"]),
+            "jitter": plain(row["pm_err_jitter"] / step, u.one),
         }
         for row in result.components
     ]
@@ -124,7 +125,10 @@ def text(c):
     along, across = (
         measured(v, e, d) for v, e, d in zip(c["v"], c["e"], (2, 1), strict=True)
     )
-    return f"({along}, {across}); z {c['z']:.1f}; p_global {p_text(c['p'])}"
+    return (
+        f"({along}, {across}), ± {c['jitter']:.2f} by jitter; z {c['z']:.1f}; "
+        f"p_global {p_text(c['p'])}; {c['kind']}"
+    )
 
 
 def nearest(found, speed):

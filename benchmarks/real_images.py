@@ -16,6 +16,7 @@ import astropy.units as u
 import numpy as np
 from common import (
     PM_UNIT,
+    RESULTS,
     feature_motions,
     measured,
     p_text,
@@ -26,6 +27,7 @@ from common import (
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.epochs import plan_intervals
+from astro_scc.visualization import plot_members
 
 SOURCE = "0003+380"
 #: Direction of the jet, where its patterns lie as seen from the core.
@@ -34,6 +36,8 @@ MAX_SPEED = 1.0
 SCALES = (1, 2, 3)
 #: The first ring is what the beam does not tell from the core.
 RINGS = ((0, 1), (1, 3), (3, 6))
+#: Ring and variant of which there are figures.
+DRAWN = (1, "consecutive")
 VARIANTS = {
     "consecutive": {},
     "consecutive, scales 1, 2": {"scales": (1, 2)},
@@ -97,6 +101,8 @@ def rows_of(cube, args):
         for r_min, r_max in RINGS:
             ring = part(matched, r_min=r_min, r_max=r_max)
             result = scc.stack(ring, n_trials=args.n_trials, rng=args.seed)
+            if (r_min, name) == DRAWN:
+                draw(result)
             found[r_min, name] = [
                 f"{r_min} to {r_max} mas",
                 name,
@@ -107,13 +113,23 @@ def rows_of(cube, args):
     return [found[r_min, name] for r_min, _ in RINGS for name in VARIANTS]
 
 
+def draw(result):
+    """The figures of the tutorial."""
+    RESULTS.mkdir(exist_ok=True)
+    result.plot().savefig(RESULTS / "real_images_map.png", dpi=100)
+    plot_members(result).savefig(RESULTS / "real_images_members.png", dpi=100)
+
+
 def component_text(row):
     """A component in a cell of the table."""
     along, across = (
         measured(plain(row[name], PM_UNIT), plain(row[f"{name}_err"], PM_UNIT))
         for name in ("pm_parallel", "pm_transverse")
     )
-    return f"{along}, {across} (z {row['z_score']:.1f}, p {p_text(row['p_global'])})"
+    return (
+        f"{along}, {across} (z {row['z_score']:.1f}, p {p_text(row['p_global'])}, "
+        f"{row['kind']})"
+    )
 
 
 def largest(result):
