@@ -108,7 +108,8 @@ SOURCES = (
     ),
 )  # fmt: skip
 HEADER = [
-    "jet", "distance (mas)", "scales", "SSPs", "speed (mas/yr)", "in c", "z",
+    "jet", "distance (mas)", "scales", "SSPs", "speed (mas/yr)", "± by jitter",
+    "in c", "z",
     "p_global", "kind", "others", "prototype", "features, quartiles", "paper",
 ]  # fmt: skip
 COST_HEADER = [
@@ -226,13 +227,15 @@ def cells(result, per_c):
         for k, row in enumerate(table)
         if k != number and row["kind"] != "uncertain"
     ]
-    error, p, kind = np.nan, np.nan, "not tested"
+    error, jitter, p, kind = np.nan, "", np.nan, "not tested"
     if number is not None:
         row = table[number]
         error = plain(row["pm_parallel_err"], PM_UNIT)
+        jitter = f"{plain(row['pm_err_jitter'], PM_UNIT):.2f}"
         p, kind = plain(row["p_global"]), str(row["kind"])
     return [
         measured(top.v1, error),
+        jitter,
         measured(per_c * top.v1, per_c * error, 1),
         f"{result.z_score[top.row, top.column]:.1f}",
         p_text(p),
