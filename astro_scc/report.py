@@ -23,12 +23,15 @@ CAPTIONS = {
         "Velocity map",
         "How well the patterns of the images agree when they are moved at each "
         "velocity.  A bright spot is a speed that many patterns share; its number is "
-        "that of the table, and the ellipse is one standard error.",
+        "that of the table, and the ellipse is one standard error.  A square is "
+        "structure that stands still; an oblique cross with a dotted ellipse may be "
+        "chance.",
     ),
     "significance": (
         "Significance along the jet",
         "The map against those of shuffled epochs, in standard deviations, along the "
-        "jet.  Open signs are components off the axis.",
+        "jet, as in the paper.  It is no probability: that is p_global.  Open signs "
+        "are components off the axis.",
     ),
     "members": (
         "Which patterns make which component",
@@ -51,11 +54,12 @@ CAPTIONS = {
 #: Columns of the page: name, heading with {unit}, decimals where there is no error.
 COLUMNS = (
     ("component", "No.", 0),
+    ("kind", "kind", 0),
     ("pm", "speed ({unit})", 3),
     ("beta_app", "speed (c)", 3),
     ("pm_pa", "PA ({unit})", 0),
-    ("z_score", "z", 1),
     ("p_global", "p_global", 3),
+    ("z_score", "z", 1),
     ("n_ssp", "SSPs", 0),
     ("n_pairs", "pairs", 0),
     ("pm_parallel", "along ({unit})", 3),
@@ -63,7 +67,9 @@ COLUMNS = (
     ("pm_ra_cosdec", "east ({unit})", 3),
     ("pm_dec", "north ({unit})", 3),
     ("coefficient", "coefficient", 3),
+    ("pm_err_jitter", "paper's error of the speed ({unit})", 3),
     ("p_local", "p_local", 3),
+    ("p_smallest", "smallest p_global", 3),
 )
 
 
@@ -77,7 +83,6 @@ def write_report(
     left_out=(),
     rerun=None,
     config_text=None,
-    level=0.05,
 ):
     """
     Write a measurement as an HTML page that stands alone, and its figures.
@@ -103,8 +108,6 @@ def write_report(
         The command that does the measurement again.
     config_text : str, optional
         The configuration as text.
-    level : float, optional
-        Largest ``p_global`` of a component that counts as found.
 
     Returns
     -------
@@ -123,7 +126,7 @@ def write_report(
     >>> from astro_scc.report import write_report
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=4, rng=1).cube, n_trials=50, rng=1)
+    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
     >>> path = write_report(result, result.components, "out", title="Two fluids")
     >>> path.name
     'report.html'
@@ -137,8 +140,8 @@ def write_report(
         directory.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
         raise OSError(f"{directory}: is a file; choose another folder") from None
-    kinds = component_kinds(components, level)
-    pictures = _pictures(result, components, level)
+    kinds = component_kinds(components)
+    pictures = _pictures(result, components)
     environment = jinja2.Environment(
         autoescape=True,
         undefined=jinja2.StrictUndefined,
@@ -151,7 +154,7 @@ def write_report(
         facts=_facts(result),
         headline=_headline(kinds),
         answers=_answers(components, kinds),
-        chances=_chances(components, kinds, level, result.meta),
+        chances=_chances(result, components, kinds),
         warnings=[str(w) for w in warnings] + _edge_remarks(result, components, kinds),
         figures=[
             {
@@ -177,16 +180,16 @@ def write_report(
     return _write(directory / "report.html", page.encode("utf-8"))
 
 
-def _pictures(result, components, level):
+def _pictures(result, components):
     """The figures as PNG, by name."""
     from astro_scc import visualization as show
 
     beta = _beta_per_pm(components)
-    shared = {"components": components, "level": level}
+    shared = {"components": components, "beta_per_pm": beta}
     figures = {
-        "velocity_map": show.plot_velocity_map(result, beta_per_pm=beta, **shared),
-        "significance": show.plot_significance(result, beta_per_pm=beta, **shared),
-        "members": show.plot_members(result, **shared),
+        "velocity_map": show.plot_velocity_map(result, **shared),
+        "significance": show.plot_significance(result, **shared),
+        "members": show.plot_members(result, components=components),
         "epochs": show.plot_epochs(result.cube, result.ssps),
         "intervals": show.plot_intervals(result.cube, result.pairs),
     }
@@ -218,9 +221,10 @@ def _headline(kinds):
     if moving:
         text = f"{_number(moving).capitalize()} {_plural(moving, 'speed')} "
         text += "stand out" if moving > 1 else "stands out"
-        return text + (", beside structure that stands still." if standing else ".")
+        beside = ", beside what does not move within its errors" if standing else ""
+        return f"{text}{beside}."
     if standing:
-        return "Nothing moves at a common speed: structure stands still."
+        return "No speed stands out: what patterns share does not move."
     return "No speed stands out" + (" from chance." if kinds else ".")
 
 
@@ -237,14 +241,13 @@ def _answers(components, kinds):
             speed += f" = {beta} c"
         angle, error = _value(row["pm_pa"]), _value(row["pm_pa_err"])
         if kind == "stationary":
-            more = "no motion within the errors"
+            more = "stationary: no motion within the errors"
         elif math.isfinite(angle):
             more = f"towards position angle {with_error(angle, max(error, 1))} deg"
         else:
             more = "outward" if _value(row["pm_parallel"]) > 0 else "inward"
-        more += f"; z-score {_value(row['z_score']):.1f}"
         if "p_global" in components.colnames:
-            more += f", p_global {_value(row['p_global']):.2g}"
+            more += f"; p_global {_value(row['p_global']):.2g}"
         more += (
             f"; {int(row['n_ssp'])} SSPs in {int(row['n_pairs'])} "
             f"{_plural(int(row['n_pairs']), 'pair')} of epochs"
@@ -253,27 +256,66 @@ def _answers(components, kinds):
     return answers
 
 
-def _chances(components, kinds, level, meta):
+def _chances(result, components, kinds):
     """Sentences on how sure the answer is."""
     if not len(components) or "p_global" not in components.colnames:
         return []
-    said = ["p_global is the probability to see as much anywhere in the map by chance."]
-    n_trials = meta.get("n_trials")
-    if n_trials:
-        said[0] = said[0][:-1] + (
-            f"; {n_trials} trials show none below {1 / (n_trials + 1):.2g}."
-        )
-    numbers = [
-        str(int(number))
-        for number, kind in zip(components["component"], kinds, strict=True)
-        if kind == "uncertain"
+    level = result.meta["settings"]["level"]
+    n_trials = result.meta["n_trials"]
+    said = [
+        "p_global is the probability that a jet whose features move but share no "
+        "speed (scramble), or whose epochs have no order (shuffle), shows as much at "
+        "any velocity: the larger of the two; "
+        f"{n_trials} trials show none below {1 / (n_trials + 1):.2g}."
     ]
-    if numbers:
-        who = f"{_plural(len(numbers), 'Component')} {_list(numbers)}"
+    said += _limits(result, components, kinds, level)
+    who, more = _numbers(components, kinds, "stationary")
+    if who:
+        said.append(
+            f"{who} of the table, stationary, {'do' if more else 'does'} not move "
+            f"within {'their' if more else 'its'} errors: no discovery of a speed."
+        )
+    who, _ = _numbers(components, kinds, "uncertain")
+    if who:
         said.append(
             f"{who} of the table, with p_global above {level:g}, may be chance."
         )
     return said
+
+
+def _limits(result, components, kinds, level):
+    """Whether epochs or trials are too few for anything to be significant."""
+    smallest = [
+        _value(row["p_smallest"])
+        for row, kind in zip(components, kinds, strict=True)
+        if kind != "stationary" and "p_smallest" in components.colnames
+    ]
+    worst = max(smallest, default=0.0)
+    if worst <= level:
+        return []
+    n = len(result.cube)
+    said = f"cannot be below {worst:.2g}"
+    if worst <= 2 / math.factorial(min(n, 20)):
+        return [
+            f"With {n} epochs p_global {said} (2/N!): with so few no component that "
+            "moves can be significant; measure more epochs."
+        ]
+    return [
+        f"With {result.meta['n_trials']} trials p_global {said}: with so few no "
+        "component can be significant; measure with more."
+    ]
+
+
+def _numbers(components, kinds, kind):
+    """The components of a kind as text, and whether they are several."""
+    numbers = [
+        str(int(number))
+        for number, own in zip(components["component"], kinds, strict=True)
+        if own == kind
+    ]
+    if not numbers:
+        return "", False
+    return f"{_plural(len(numbers), 'Component')} {_list(numbers)}", len(numbers) > 1
 
 
 def _edge_remarks(result, components, kinds):
@@ -351,7 +393,8 @@ def _cell(components, row, name, digits):
         return value
     if f"{name}_err" in components.colnames:
         return with_error(value, _value(row[f"{name}_err"]))
-    return f"{value:.{digits}f}"
+    # A probability may be small, but is never rounded to nothing.
+    return f"{value:.2g}" if name.startswith("p_") else f"{value:.{digits}f}"
 
 
 def _epoch_rows(result):

@@ -1,46 +1,29 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Stacked cross-correlation: the one call that ties the stages together."""
 
-import warnings
 from dataclasses import asdict, dataclass
-from itertools import starmap
 
 import astropy.units as u
 import numpy as np
 
 from astro_scc.correlation import Correlator, all_pairs
-from astro_scc.decomposition import Decomposer, SSPs
-from astro_scc.exceptions import MeasurementWarning
-from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
-from astro_scc.measurement import (
-    MatchedEpochs,
-    SCCResult,
-    angular_displacements,
-    beam_fwhm,
-    ssp_offsets,
-    versions,
+from astro_scc.decomposition import Decomposer
+from astro_scc.measurement import MatchedEpochs, stack_matches
+from astro_scc.measurement.plan import (
+    decompose_epochs,
+    mean_fwhm,
+    pairs_of_dates,
+    scales_of_pixels,
+    search_reach,
+    ssps_inside,
 )
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
-from astro_scc.stacking import (
-    PairMaps,
-    VelocityGrid,
-    baseline_pairs,
-    consecutive_pairs,
-    find_components,
-    jitter_positions,
-    shuffle_epochs,
-    stack,
-)
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
 #: Without a largest speed, displacements up to this many beams are tried.
 BEAMS_PER_INTERVAL = 4.0
-#: Spacing of the velocity grid in units of the narrowest kernel.
-GRID_STEP = 0.5
-#: Shift of the paper's correction for small displacements, in beams.
-SMALL_SHIFT = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +54,8 @@ class StackedCrossCorrelation:
         See `~astro_scc.correlation.Correlator`.
     wavelet, detection, segmentation, noise
         ``kernel`` and the rest of `~astro_scc.decomposition.Decomposer`.
-    min_z_score : float, optional
-        Components below this significance are not listed.
+    level : float, optional
+        Velocities whose ``p_global`` is at most this are components.
     small_displacement_correction : bool, optional
         Shift the shuffled images by a fifth of the beam (paper, Sect. 2.3).
 
@@ -108,7 +91,7 @@ class StackedCrossCorrelation:
     detection: float = 4.0
     segmentation: float = 3.0
     noise: str = "plane"
-    min_z_score: float = 3.0
+    level: float = 0.05
     small_displacement_correction: bool = False
 
     def __post_init__(self):
@@ -137,6 +120,8 @@ class StackedCrossCorrelation:
                     f"position_angle must be one finite angle, got {angle}"
                 )
             object.__setattr__(self, "position_angle", angle)
+        if not 0 < self.level < 1:
+            raise ValueError(f"level must be between 0 and 1, got {self.level}")
         if not 0 < self.kernel < 5:
             raise ValueError(f"kernel must be a part of the beam, got {self.kernel}")
         if isinstance(self.scales, u.Quantity):
@@ -181,20 +166,7 @@ class StackedCrossCorrelation:
         ValueError
             If an angle is not within 20% of a scale's size.
         """
-        if not isinstance(self.scales, u.Quantity):
-            return self.scales
-        numbers = np.arange(0, 12, 0.5)
-        sizes = np.array([2.0 ** int(j) * (1.5 if j % 1 else 1.0) for j in numbers])
-        wanted = (np.atleast_1d(self.scales) / cube.pixel_scale).to_value(u.one)
-        nearest = np.abs(np.log(wanted[:, None] / sizes)).argmin(axis=1)
-        for angle, size, k in zip(
-            np.atleast_1d(self.scales), wanted, nearest, strict=True
-        ):
-            if abs(size / sizes[k] - 1) > 0.2:
-                raise ValueError(
-                    f"scale {angle} is {size:.2g} px, not near 2^j or 1.5 x 2^j px"
-                )
-        return tuple(numbers[nearest])
+        return scales_of_pixels(self.scales, cube.pixel_scale)
 
     def date_pairs(self, cube):
         """
@@ -213,26 +185,7 @@ class StackedCrossCorrelation:
         ValueError
             If no two epochs make a pair.
         """
-        years = cube.years.to_value(u.yr)
-        if len(years) < 2:
-            raise ValueError("velocities need at least two epochs, the cube has one")
-        if self.baseline is None:
-            pairs = consecutive_pairs(years)
-            if len(pairs) == 0:
-                raise ValueError(
-                    f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
-                    "velocities need different dates"
-                )
-            return pairs
-        shortest, longest = self.baseline.to_value(u.yr)
-        pairs = baseline_pairs(years, shortest, longest)
-        if len(pairs) == 0:
-            raise ValueError(
-                f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
-                f"separations go from {np.diff(years).min():.3g} to "
-                f"{np.ptp(years):.3g} yr; choose another baseline"
-            )
-        return pairs
+        return pairs_of_dates(cube, self.baseline)
 
     def speed_limit(self, cube):
         """
@@ -250,10 +203,10 @@ class StackedCrossCorrelation:
         if self.max_speed is not None:
             return self.max_speed
         interval = np.median(self.date_pairs(cube).interval)
-        every = np.arange(len(cube))
-        scale = np.full(len(cube), max(self.scale_numbers(cube)))
-        width = np.median(beam_fwhm(cube, every, scale, np.eye(2)))
-        return BEAMS_PER_INTERVAL * width / interval * PM_UNIT
+        return BEAMS_PER_INTERVAL * self._fwhm(cube) / interval * PM_UNIT
+
+    def _fwhm(self, cube):
+        return mean_fwhm(cube, max(self.scale_numbers(cube)))
 
     def match(self, cube, *, region=None, n_workers=1, progress_bar=False):
         """
@@ -277,23 +230,12 @@ class StackedCrossCorrelation:
         `~astro_scc.measurement.MatchedEpochs`
         """
         pairs = self.date_pairs(cube)
-        decompose = self._decomposer(self.scale_numbers(cube))
-        decompositions = tuple(
-            starmap(
-                lambda k, image: self._decompose(decompose, cube, k, image),
-                enumerate(cube.data),
-            )
+        reach = search_reach(
+            cube, pairs, self.speed_limit(cube).value, self._fwhm(cube), self.kernel
         )
-        ssps = SSPs.of_epochs(decompositions)
-        select = np.ones(len(ssps), bool)
-        if region is not None:
-            inside = cube.region_mask(region)
-            row = np.clip(np.rint(ssps.y_centroid).astype(int), 0, inside.shape[0] - 1)
-            column = np.clip(
-                np.rint(ssps.x_centroid).astype(int), 0, inside.shape[1] - 1
-            )
-            select = inside[row, column]
-        reach = self._reach(cube, pairs)
+        decomposer = self._decomposer(self.scale_numbers(cube))
+        decompositions = decompose_epochs(cube, decomposer)
+        ssps, select = ssps_inside(decompositions, cube, region)
         with progress(len(cube), "Correlating", show=progress_bar) as done:
             matches = self._correlator()(
                 decompositions,
@@ -304,47 +246,6 @@ class StackedCrossCorrelation:
                 progress=done,
             )
         return MatchedEpochs(cube, decompositions, ssps, select, matches)
-
-    def _decompose(self, decompose, cube, k, image):
-        mask = None if cube.mask is None else cube.mask[k]
-        if self.noise != "propagated":
-            return decompose(image, mask=mask)
-        rms = cube.noise_rms()[k].value
-        covariance = None
-        if cube.beams is not None:
-            inverse = np.linalg.inv(cube.pixel_matrix.value)
-            covariance = inverse @ cube.beams[k].covariance.value @ inverse.T
-        return decompose(image, mask=mask, rms=rms, beam_covariance=covariance)
-
-    def _reach(self, cube, pairs):
-        """Largest displacement (y, x) in pixels that any order of the epochs needs."""
-        longest = pairs.interval.max()
-        farthest = self.speed_limit(cube).value * longest
-        every = np.arange(len(cube))
-        scale = np.full(len(cube), max(self.scale_numbers(cube)))
-        margin = self.kernel * beam_fwhm(cube, every, scale, np.eye(2)).max()
-        # Pixels may not be square: (x, y) sides.
-        side = np.hypot(*cube.pixel_matrix.value)
-        reach = np.ceil((farthest + margin) / side).astype(int)[::-1]
-        limit = np.array(cube.shape[1:]) - 1
-        if np.any(reach > limit.max() // 2):
-            warnings.warn(
-                f"the largest speed moves {farthest:.3g} mas in the longest interval "
-                f"({longest:.3g} yr), more than half the image: give a smaller "
-                "max_speed, or a baseline that leaves out long intervals",
-                MeasurementWarning,
-                stacklevel=4,
-            )
-        return tuple(np.minimum(reach, limit))
-
-    def _frame(self, matched):
-        """The velocity frame, and the direction of the jet."""
-        if isinstance(self.position_angle, u.Quantity):
-            return PositionAngleFrame(self.position_angle), self.position_angle
-        angle = _flow_direction(matched)
-        if self.position_angle == "radial":
-            return RadialFrame(), angle
-        return SkyFrame(), angle
 
     def stack(self, matched, *, n_trials=1000, rng=None, progress_bar=False):
         """
@@ -368,75 +269,19 @@ class StackedCrossCorrelation:
         ValueError
             If ``n_trials`` is below 2.
         """
-        if n_trials < 2:
-            raise ValueError(f"n_trials must be at least 2, got {n_trials}")
-        if rng is None:
-            rng = int(np.random.SeedSequence().entropy % 2**63)
-        seed = int(rng) if isinstance(rng, (int, np.integer)) else None
-        shuffle_rng, jitter_rng = np.random.default_rng(rng).spawn(2)
-        cube = matched.cube
-        pairs = self.date_pairs(cube)
-        frame, angle = self._frame(matched)
-        displacements = angular_displacements(
-            matched.matches,
-            matched.ssps,
-            cube,
-            frame,
-            self.kernel,
-            select=matched.select,
-        )
-        limit = self.speed_limit(cube).value
-        grid = _velocity_grid(displacements, pairs, limit)
-        scc = stack(displacements, pairs, grid)
-        fwhm = beam_fwhm(
-            cube, np.arange(len(cube)), np.full(len(cube), 1.0), np.eye(2)
-        ).mean()
-        shift = (
-            (SMALL_SHIFT * fwhm,) * 2 if self.small_displacement_correction else None
-        )
-        maps = PairMaps.of(displacements, grid.v_max, pairs.interval.max())
-        with progress(n_trials, "Shuffling", show=progress_bar) as done:
-            shuffled = shuffle_epochs(
-                maps, pairs, grid, scc, n_trials, rng=shuffle_rng, shift=shift,
-                progress=done,
-            )  # fmt: skip
-        z_score = shuffled.z_score(scc)
-        box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
-        maxima = tuple(
-            c
-            for c in find_components(scc, grid, box)
-            if z_score[c.row, c.column] >= self.min_z_score
-        )
-        errors = []
-        with progress(len(maxima), "Jittering", show=progress_bar) as done:
-            for component, own in zip(
-                maxima, jitter_rng.spawn(len(maxima)), strict=True
-            ):
-                errors.append(
-                    jitter_positions(
-                        displacements, pairs, component, box, n_trials, rng=own
-                    )
-                )
-                done(1)
-        return SCCResult(
-            matched=matched,
-            frame=frame,
-            position_angle=angle,
-            pairs=pairs,
-            displacements=displacements,
-            grid=grid,
-            coefficient=scc,
-            z_score=z_score,
-            shuffled=shuffled,
-            maxima=maxima,
-            errors=tuple(errors),
-            meta={
-                "settings": self.to_dict(),
-                "n_trials": int(n_trials),
-                "seed": seed,
-                "versions": versions(),
-                "jet_position_angle": angle,
-            },
+        return stack_matches(
+            matched,
+            self.date_pairs(matched.cube),
+            speed=self.speed_limit(matched.cube).value,
+            fwhm=self._fwhm(matched.cube),
+            position_angle=self.position_angle,
+            kernel=self.kernel,
+            level=self.level,
+            small_displacement_correction=self.small_displacement_correction,
+            n_trials=n_trials,
+            rng=rng,
+            progress_bar=progress_bar,
+            settings=self.to_dict(),
         )
 
     def __call__(
@@ -536,24 +381,3 @@ def _in_unit(name, value, unit):
         raise u.UnitConversionError(
             f"{name} must be in a unit like {unit}, got {value}"
         ) from None
-
-
-def _velocity_grid(displacements, pairs, limit):
-    rate = 1 / pairs.interval.max()
-    steps = [
-        GRID_STEP * rate * (s.min() if len(s) else np.inf)
-        for s in (displacements.s1, displacements.s2)
-    ]
-    steps = [step if np.isfinite(step) else limit / 20 for step in steps]
-    return VelocityGrid.covering(limit, steps)
-
-
-def _flow_direction(matched):
-    """Position angle of the mean offset of the SSPs, weighted by flux."""
-    use = matched.select
-    east, north = ssp_offsets(matched.ssps, matched.cube)
-    weight = matched.ssps.flux[use]
-    if weight.sum() <= 0:
-        return 0.0 * u.deg
-    mean = [np.average(offset[use], weights=weight) for offset in (east, north)]
-    return np.degrees(np.arctan2(*mean)) % 360 * u.deg

@@ -11,7 +11,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io import fits
-from astropy.table import QTable
+from astropy.table import QTable, vstack
 from astropy.time import Time
 
 from astro_scc import EpochCube, StackedCrossCorrelation
@@ -31,7 +31,7 @@ TABLES = ("components.ecsv", "ssps.ecsv")
 def jet(tmp_path_factory):
     """A folder with the images of a jet."""
     folder = tmp_path_factory.mktemp("jet")
-    write_simulation(simulate_two_fluid(n_epochs=4, rng=1), folder)
+    write_simulation(simulate_two_fluid(n_epochs=6, rng=1), folder)
     return folder
 
 
@@ -255,7 +255,7 @@ def test_defaults_that_follow_from_the_images_are_repeated_to_the_bit(
 ):
     first = ["-o", "a", "--scales", "0.4 mas", "--n-trials", "20", "--no-report"]
     assert (
-        astro_scc("measure", *epochs(jet)[:3], *first, "--baseline", "20 70 d")[0] == 0
+        astro_scc("measure", *epochs(jet)[:5], *first, "--baseline", "20 70 d")[0] == 0
     )
     text = (here / "a" / "config.toml").read_text()
     assert 'max_speed = "' in text
@@ -269,7 +269,7 @@ def test_the_command_line_comes_before_the_file(measured, astro_scc, here):
     status, _, err = astro_scc(
         "measure", "--config", measured / "config.toml", "-o", "new", "--no-report",
         "--distance", "16.7 Mpc", "--n-trials", "30", "--seed", "5", "--common-beam",
-        "--before", "2000-03-15",
+        "--before", "2000-05-15",
     )  # fmt: skip
     assert (status, err) == (0, "")
     meta = QTable.read(here / "new" / "components.ecsv").meta
@@ -279,13 +279,15 @@ def test_the_command_line_comes_before_the_file(measured, astro_scc, here):
     assert "redshift" not in config
     assert "cosmology" not in config
     assert meta["distance"] == 16.7 * u.Mpc
-    assert set(QTable.read(here / "new" / "ssps.ecsv")["epoch"]) == {0, 1, 2}
+    assert set(QTable.read(here / "new" / "ssps.ecsv")["epoch"]) == {0, 1, 2, 3, 4}
 
 
 def test_a_distance_in_the_file_gives_way_to_a_redshift(jet, astro_scc, here):
-    (here / "jet.toml").write_text("distance = '16.7 Mpc'\nmin_z_score = 100\n")
+    (here / "jet.toml").write_text(
+        "distance = '16.7 Mpc'\ndetection = 1e6\nsegmentation = 1e6\n"
+    )
     status, out, _ = astro_scc(
-        "measure", *epochs(jet)[:3], *QUICK, "-o", "out", "--no-report",
+        "measure", *epochs(jet)[:5], *QUICK, "-o", "out", "--no-report",
         "--config", "jet.toml", "--redshift", "0.1", "--cosmology", "Planck18",
     )  # fmt: skip
     assert status == 0
@@ -311,7 +313,7 @@ def test_other_versions_are_noted(measured, astro_scc, here):
 def test_a_region_restricts_the_patterns(jet, astro_scc, here):
     (here / "jet.reg").write_text("image\nbox(61,65,40,60,0)\n")
     status, _, err = astro_scc(
-        "measure", *epochs(jet)[:3], *QUICK, "-o", "out", "--region", "jet.reg",
+        "measure", *epochs(jet)[:5], *QUICK, "-o", "out", "--region", "jet.reg",
         "--no-report",
     )  # fmt: skip
     assert (status, err) == (0, "")
@@ -326,7 +328,7 @@ def series(here):
     """Write epochs with beams of their own, or none."""
 
     def write(beams, name="series", **changes):
-        jet = simulate_two_fluid(n_epochs=3, rng=1)
+        jet = simulate_two_fluid(n_epochs=len(beams), rng=1)
         paths = write_simulation(jet, here / name)[:-1]
         for path, beam in zip(paths, beams, strict=True):
             with fits.open(path, mode="update") as hdus:
@@ -343,7 +345,7 @@ def series(here):
 
 
 def test_beams_that_differ_become_one(series, astro_scc, here):
-    beams = [Beam(size * u.mas, size * u.mas) for size in (1, 1.2, 1)]
+    beams = [Beam(size * u.mas, size * u.mas) for size in (1, 1.2, 1, 1, 1)]
     paths = series(beams)
     status, _, err = astro_scc("measure", *paths, *QUICK, "-o", "a", "--no-report")
     assert status == 0
@@ -361,7 +363,7 @@ def test_beams_that_differ_become_one(series, astro_scc, here):
 
 
 def test_images_without_beams_are_left_as_they_are(series, astro_scc, refused):
-    paths = series([None] * 3)
+    paths = series([None] * 5)
     status, _, err = astro_scc("measure", *paths, *QUICK, "-o", "a", "--no-report")
     assert status == 0
     assert err == "note: the epochs have no beams and are left as they are\n"
@@ -374,7 +376,7 @@ def test_images_without_beams_are_left_as_they_are(series, astro_scc, refused):
 @pytest.mark.parametrize("method", ["core", "correlate", "wcs", "table"])
 def test_alignments(method, series, astro_scc, here):
     beam = Beam(1 * u.mas, 1 * u.mas)
-    paths = series([beam] * 3)
+    paths = series([beam] * 5)
     if method == "table":
         dates = EpochCube.read(paths).times.isot
         (here / "cores.csv").write_text(
@@ -393,7 +395,7 @@ def test_alignments(method, series, astro_scc, here):
 
 def test_a_report_tells_warnings_and_epochs_left_out(series, astro_scc, here):
     beam = Beam(1 * u.mas, 1 * u.mas)
-    paths = series([beam] * 3, OBJECT="3C <273>")
+    paths = series([beam] * 6, OBJECT="3C <273>")
     status, out, err = astro_scc(
         "measure", *paths, *QUICK, "-o", "out", "--after", "2000-01-15",
         "--max-speed", "900 mas/yr",
@@ -410,13 +412,23 @@ def test_a_report_tells_warnings_and_epochs_left_out(series, astro_scc, here):
     assert "astro-scc measure --config out/config.toml -o FOLDER" in page
 
 
+def test_too_few_epochs_are_one_line(jet, astro_scc, here):
+    status, _, err = astro_scc("measure", *epochs(jet)[:3], *QUICK, "-o", "out")
+    assert status == 0
+    (line,) = err.splitlines()
+    assert line.startswith("warning: 3 epochs allow no p_global below 0.33 (2/N!), so")
+    page = (here / "out" / "report.html").read_text()
+    assert line.removeprefix("warning: ") in page
+    assert "measure more epochs." in page
+
+
 def test_overwriting_leaves_nothing_of_the_old_measurement(jet, astro_scc, here):
     out = here / "out"
     out.mkdir()
     for name in (*PRODUCTS, "notes.txt"):
         (out / name).write_text("old")
     status, _, _ = astro_scc(
-        "measure", *epochs(jet)[:3], *QUICK, "-o", out, "--overwrite", "--no-report"
+        "measure", *epochs(jet)[:5], *QUICK, "-o", out, "--overwrite", "--no-report"
     )
     assert status == 0
     assert {path.name for path in out.iterdir()} == {*PRODUCTS[:4], "notes.txt"}
@@ -430,7 +442,7 @@ def test_the_report_writes_what_is_known_to_be_stale():
 
 
 def test_a_cube_file_is_measured(jet, astro_scc, here):
-    EpochCube.read(epochs(jet)[:3]).write("cube.fits")
+    EpochCube.read(epochs(jet)[:5]).write("cube.fits")
     status, _, err = astro_scc("measure", "cube.fits", *QUICK, "-o", "a", "--no-report")
     assert (status, err) == (0, "")
 
@@ -464,6 +476,7 @@ def test_a_cube_file_is_measured(jet, astro_scc, here):
         (["--config", "no.toml"], "no.toml: No such file or directory"),
         (["--config", "odd.toml"], "odd.toml: unknown key 'max_sped', did you mean"),
         (["--config", "unit.toml"], "unit.toml: max_speed = '2 mas' must be"),
+        (["--config", "level.toml"], "level must be between 0 and 1, got 1.5"),
         (["-o", "file"], "file: is a file"),
         (["-o", "full"], "full: exists and is not empty"),
     ],
@@ -472,6 +485,7 @@ def test_what_a_user_gets_wrong(jet, refused, here, options, reason):
     (here / "odd.reg").write_text("image\ncircle(9999,9999,3)\n")
     (here / "odd.toml").write_text("max_sped = '2 mas/yr'\n")
     (here / "unit.toml").write_text("max_speed = '2 mas'\n")
+    (here / "level.toml").write_text("level = 1.5\n")
     (here / "file").write_text("mine")
     (here / "full").mkdir()
     (here / "full" / "mine.txt").write_text("mine")
@@ -605,7 +619,7 @@ def test_inspect(jet, astro_scc, here):
     assert (status, err) == (0, "")
     lines = out.splitlines()
     assert lines[0].split()[:3] == ["epoch", "date", "pixels"]
-    for line, path in zip(lines[1:5], epochs(jet), strict=True):
+    for line, path in zip(lines[1:7], epochs(jet), strict=True):
         assert line.startswith(path.name)
         assert "256 x 128" in line
         assert "1 x 1 mas at 0 deg" in line
@@ -691,32 +705,36 @@ def test_numbers_with_errors(value, error, text):
 def radial(jet):
     """Components away from a point, which have no direction on the sky."""
     scc = StackedCrossCorrelation(
-        scales=[2], max_speed=30 * u.mas / u.yr, position_angle="radial", min_z_score=0
+        scales=[2], max_speed=30 * u.mas / u.yr, position_angle="radial"
     )
-    table = scc(EpochCube.read(epochs(jet)), n_trials=20, rng=1).components
-    assert len(table) >= 3
-    return table
+    row = scc(EpochCube.read(epochs(jet)), n_trials=20, rng=1).components[:1]
+    return vstack([row] * 3, metadata_conflicts="silent")
 
 
 def test_summary(radial):
     table = radial.copy()
-    table["p_global"] = 0.5
-    table["p_global"][:2] = 0.01
-    table["pm_parallel_err"] = table["pm_transverse_err"] = 0.1 * u.mas / u.yr
-    table["pm_parallel"][1] = table["pm_transverse"][1] = 0
+    table["kind"] = ["moving", "stationary", "uncertain"]
+    table["p_global"] = [0.00099, 0.01, 0.5]
     lines = component_lines(table)
-    assert len(lines) == 4
+    assert len(lines) == 6
+    assert "0.00099" in lines[1].split()
     assert lines[1].split()[4] == "-"
-    assert lines[2].endswith("stands still")
-    assert lines[3].startswith(f"{len(table) - 2} of {len(table)} rows of components")
+    assert lines[2].endswith("stationary, no discovery")
+    assert lines[3].startswith("p_global: probability of as much at any velocity")
+    assert lines[5] == (
+        "1 of 3 rows of components.ecsv may be chance (p_global above 0.05)"
+    )
 
 
 def test_summary_of_chance(radial):
     table = radial.copy()
-    table["p_global"] = 0.5
+    table["kind"] = "uncertain"
+    table.meta["settings"]["level"] = 0.01
     lines = component_lines(table)
     assert lines[0].startswith("No velocity component stands out.")
-    assert lines[-1].startswith(f"{len(table)} of {len(table)} rows of components")
+    assert lines[-1] == (
+        "3 of 3 rows of components.ecsv may be chance (p_global above 0.01)"
+    )
 
 
 # -- as a program ------------------------------------------------------------------
@@ -743,9 +761,10 @@ def test_demo(tmp_path, monkeypatch):
     }
     table = QTable.read(folder / "components.ecsv")
     step = (0.1 * u.mas / (30 * u.day)).to(u.mas / u.yr)
+    assert list(table["kind"][:2]) == ["moving", "moving"]
     for truth in (5, 20):
         apart = np.hypot(table["pm_parallel"] - truth * step, table["pm_transverse"])
-        assert np.min(apart) < 1.5 * step
+        assert np.min(apart[:2]) < 1.5 * step
     # The demo is a measurement like any other.
     monkeypatch.chdir(tmp_path)
     again = ["measure", "--config", "out/config.toml", "-o", "again", "--no-report"]

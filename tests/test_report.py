@@ -58,20 +58,17 @@ def result():
     labels = (HOSTILE, *(f"epoch{k}.fits" for k in range(4)))
     cube = replace(cube, labels=labels).with_step(f"tested with {HOSTILE}")
     scc = StackedCrossCorrelation(
-        scales=[1, 2, 3], max_speed=36 * u.mas / u.yr, position_angle=270 * u.deg,
-        min_z_score=1.5,
-    )  # fmt: skip
+        scales=[1, 2, 3], max_speed=36 * u.mas / u.yr, position_angle=270 * u.deg
+    )
     return scc(cube, n_trials=40, rng=1)
 
 
 @pytest.fixture(scope="module")
 def components(result):
     """Three kinds of components."""
-    table = result.components_in_c(redshift=0.033, cosmology=paper_cosmology())[:3]
-    table["p_global"] = [0.01, 0.03, 0.4]
-    for name in ("pm_parallel", "pm_transverse"):
-        table[name][1] = 0 * u.mas / u.yr
-        table[f"{name}_err"] = 0.5 * u.mas / u.yr
+    table = result.components_in_c(redshift=0.033, cosmology=paper_cosmology())
+    assert list(table["kind"]) == ["moving", "moving", "uncertain"]
+    table["kind"][1] = "stationary"
     return table
 
 
@@ -133,10 +130,12 @@ def test_the_answer_comes_first(page, components):
     speed = with_error(components["pm"][0].value, components["pm_err"][0].value)
     beta = with_error(components["beta_app"][0], components["beta_app_err"][0])
     order = [
-        "One speed stands out, beside structure that stands still.",
+        "One speed stands out, beside what does not move within its errors.",
         f"{speed} mas/yr = {beta} c",
-        "no motion within the errors",
-        "40 trials show none below 0.024",
+        "stationary: no motion within the errors; p_global 0.024; ",
+        "share no speed (scramble), or whose epochs have no order (shuffle), shows",
+        "the larger of the two; 40 trials show none below 0.024.",
+        "Component 2 of the table, stationary, does not move within its errors: no ",
         "Component 3 of the table, with p_global above 0.05, may be chance.",
         "beware of",
         "Components",
@@ -156,8 +155,12 @@ def test_the_answer_comes_first(page, components):
 def test_the_table_has_a_row_for_each_component(page, components):
     kinds = [tr.get("class") for tr in page.all("tr") if tr.get("class")]
     assert kinds == ["moving", "stationary", "uncertain"]
-    for name in ("speed (mas/yr)", "speed (c)", "PA (deg)", "z", "p_global", "SSPs"):
+    for name in ("speed (mas/yr)", "speed (c)", "PA (deg)", "z", "p_global", "SSPs",
+                 "kind", "paper's error of the speed (mas/yr)"):  # fmt: skip
         assert name in page.text
+    words = page.words
+    assert with_error(components["p_global"][2], components["p_global_err"][2]) in words
+    assert "from the scatter of the features" in words
 
 
 def test_it_names_the_settings_and_the_files(page):
@@ -183,21 +186,69 @@ def words_of(result, components, folder, **kwargs):
 
 
 def test_no_component_is_an_answer_too(result, tmp_path):
-    empty = replace(result, maxima=(), errors=())
+    empty = replace(result, maxima=(), findings=(), errors=(), jitters=())
     words = words_of(empty, empty.components, tmp_path)
     assert "No speed stands out." in words
-    assert "None. Other scales" in words
+    assert "None: too few patterns have matches to test a velocity." in words
     assert "p_global is" not in words
     assert not (tmp_path / "members.png").exists()
 
 
 def test_nor_need_any_be_more_than_chance(result, tmp_path, quick):
     table = result.components[:2].copy()
-    table["p_global"] = 0.9
+    table["kind"] = "uncertain"
     words = words_of(result, table, tmp_path)
     assert "No speed stands out from chance." in words
-    assert "Components 1 and 2 of the table" in words
-    assert "Two speeds stand out." in words_of(result, table, tmp_path, level=0.9)
+    assert "Components 1 and 2 of the table, with p_global above 0.05, may" in words
+    meta = {**result.meta, "settings": {**result.meta["settings"], "level": 0.01}}
+    words = words_of(replace(result, meta=meta), table, tmp_path)
+    assert "with p_global above 0.01, may" in words
+
+
+def test_what_does_not_move_is_no_discovery(result, tmp_path, quick):
+    table = result.components[:2].copy()
+    table["kind"] = "stationary"
+    words = words_of(result, table, tmp_path)
+    assert "No speed stands out: what patterns share does not move." in words
+    assert (
+        "Components 1 and 2 of the table, stationary, do not move within their errors: "
+        "no discovery of a speed."
+    ) in words
+    assert "may be chance" not in words.split("Velocity map.")[0].split("Rows")[0]
+
+
+def test_too_few_epochs_are_named(result, tmp_path, quick):
+    few = replace(result, matched=replace(result.matched, cube=result.cube[:4]))
+    table = result.components.copy()
+    assert "with so few" not in words_of(result, table, tmp_path)
+    table["p_smallest"] = 2 / 24
+    table["kind"] = ["stationary", "uncertain", "uncertain"]
+    line = (
+        "With 4 epochs p_global cannot be below 0.083 (2/N!): with so few no component "
+        "that moves can be significant; measure more epochs."
+    )
+    ssps = result.ssps[result.ssps["epoch"] < 4]
+    object.__setattr__(few, "ssps", ssps)
+    assert line in words_of(few, table, tmp_path)
+    # What stands still is told without an order of the epochs.
+    assert "with so few" not in words_of(few, table[:1], tmp_path)
+
+
+def test_too_few_trials_are_named(result, tmp_path, quick):
+    table = result.components.copy()
+    table["p_smallest"] = 1 / 11
+    line = (
+        "With 10 trials p_global cannot be below 0.091: with so few no component can "
+        "be significant; measure with more."
+    )
+    short = replace(result, meta={**result.meta, "n_trials": 10})
+    assert line in words_of(short, table, tmp_path)
+
+
+def test_small_probabilities_are_not_rounded_to_nothing(result, tmp_path, quick):
+    table = result.components[:1].copy()
+    table["p_local"] = 0.000123
+    assert " 0.00012 " in words_of(result, table, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -208,10 +259,10 @@ def test_nor_need_any_be_more_than_chance(result, tmp_path, quick):
         (["moving"], "One speed stands out."),
         (["moving"] * 2 + ["uncertain"], "Two speeds stand out."),
         (["moving"] * 12, "12 speeds stand out."),
-        (["stationary"], "Nothing moves at a common speed: structure stands still."),
+        (["stationary"], "No speed stands out: what patterns share does not move."),
         (
             ["moving", "stationary"],
-            "One speed stands out, beside structure that stands still.",
+            "One speed stands out, beside what does not move within its errors.",
         ),
     ],
 )
@@ -221,17 +272,15 @@ def test_headlines(kinds, headline):
 
 def test_a_radial_speed_is_outward_or_inward(result, tmp_path, quick):
     table = result.components[:2].copy()
-    table["p_global"] = 0.01
     table["pm_pa"] = np.nan * u.deg
     table["pm_parallel"] = [5, -5] * u.mas / u.yr
     words = words_of(result, table, tmp_path)
-    assert "outward; z-score" in words
-    assert "inward; z-score" in words
+    assert "outward; p_global" in words
+    assert "inward; p_global" in words
 
 
 def test_a_component_at_the_edge_of_the_map_is_pointed_out(result, tmp_path, quick):
     table = result.components[:2].copy()
-    table["p_global"] = 0.01
     words = words_of(result, table, tmp_path)
     assert "edge of the velocity map" not in words
     table["pm_parallel"][1] = 35.9 * u.mas / u.yr
@@ -240,7 +289,7 @@ def test_a_component_at_the_edge_of_the_map_is_pointed_out(result, tmp_path, qui
     table["pm_transverse"][0] = -35.9 * u.mas / u.yr
     words = words_of(result, table, tmp_path)
     assert "Components 1 and 2 are at the edge" in words
-    table["p_global"] = 0.1
+    table["kind"] = "uncertain"
     assert "edge of" not in words_of(result, table, tmp_path)
 
 
@@ -250,7 +299,6 @@ def test_on_the_sky_the_edges_are_east_and_north(result, tmp_path, quick):
     sky = replace(result, frame=SkyFrame())
     table = result.components[:1].copy()
     table["pm_dec"] = 35.9 * u.mas / u.yr
-    table["p_global"] = 0.01
     assert "Component 1 is at the edge" in words_of(sky, table, tmp_path)
 
 
@@ -258,7 +306,7 @@ def test_columns_that_are_new_are_shown(result, tmp_path, quick):
     table = result.components[:1].copy()
     table["gamma_min"] = 1.2345
     table["note"] = "<b>good</b>"
-    del table["p_global"]
+    table.remove_columns(["p_global", "p_global_err", "p_smallest"])
     words = words_of(result, table, tmp_path)
     assert "gamma_min" in words
     assert "1.234" in words or "1.235" in words

@@ -149,6 +149,10 @@ def result(cube):
         ({"kernel": 0}, "kernel must be a part of the beam, got 0"),
         ({"kernel": 5}, "kernel must be a part of the beam, got 5"),
         ({"kernel": np.nan}, "kernel must be a part of the beam"),
+        ({"level": 0.0}, r"level must be between 0 and 1, got 0\.0"),
+        ({"level": 1}, "level must be between 0 and 1, got 1"),
+        ({"level": -0.1}, "level must be between 0 and 1"),
+        ({"level": np.nan}, "level must be between 0 and 1"),
         ({"scales": []}, "at least one wavelet scale"),
         ({"scales": [-1]}, "-1"),
         ({"scales": [0.3]}, r"0\.3"),
@@ -295,6 +299,9 @@ def test_finds_the_motion_within_the_default_speed(cube):
 
 
 def test_finds_the_motion(result):
+    first = result.components[0]
+    assert first["kind"] == "moving"
+    np.testing.assert_allclose(in_pixels(result.components)[0], (3, 1), atol=0.1)
     np.testing.assert_allclose(strongest(result), (3, 1), atol=0.1)
     assert result.coefficient.max() > 0.5
     row, column = np.unravel_index(result.coefficient.argmax(), result.grid.shape)
@@ -488,7 +495,8 @@ def test_pixels_that_are_not_square():
         wcs=wcs,
         beams=Beam(0.3 * u.mas, 0.3 * u.mas),
     )
-    found = measure(cube, max_speed=6 * PIXEL)
+    with pytest.warns(MeasurementWarning, match="3 epochs allow no p_global below"):
+        found = measure(cube, max_speed=6 * PIXEL)
     # Half of 0.1 mas each.
     np.testing.assert_allclose(strongest(found), (5, 0), atol=0.15)
 
@@ -517,15 +525,15 @@ def test_expansion_about_the_reference_pixel():
         [
             image(
                 zip(
-                    48 + (24 + 3 * k) * np.cos(angle),
-                    48 + (24 + 3 * k) * np.sin(angle),
+                    48 + (22 + 3 * k) * np.cos(angle),
+                    48 + (22 + 3 * k) * np.sin(angle),
                     height,
                     strict=True,
                 ),
                 (97, 97),
             )
             + rng.normal(scale=0.01, size=(97, 97))
-            for k in range(4)
+            for k in range(5)
         ]
     )
     found = measure(make_cube(data), position_angle="radial")
@@ -557,7 +565,7 @@ def check_empty(result, other, tmp_path):
 @pytest.mark.parametrize("position_angle", [None, 30 * u.deg, "radial"])
 def test_flat_images_have_no_components(result, tmp_path, value, position_angle):
     found = measure(
-        make_cube(np.full((3, 48, 48), value)), position_angle=position_angle
+        make_cube(np.full((5, 48, 48), value)), position_angle=position_angle
     )
     assert len(found.ssps) == 0
     np.testing.assert_array_equal(found.coefficient, 0.0)
@@ -567,17 +575,17 @@ def test_flat_images_have_no_components(result, tmp_path, value, position_angle)
 
 def test_noise_alone():
     rng = np.random.default_rng(0)
-    found = measure(make_cube(rng.normal(size=(4, 64, 64))), detection=6.0)
+    found = measure(make_cube(rng.normal(size=(5, 64, 64))), detection=6.0)
     assert len(found.ssps) == 0
     assert len(found.components) == 0
     # At the usual threshold some maxima of the noise are SSPs.
-    found = measure(make_cube(rng.normal(size=(4, 64, 64))))
+    found = measure(make_cube(rng.normal(size=(5, 64, 64))))
     assert np.isfinite(found.z_score).all()
 
 
 def test_one_ssp(result, tmp_path):
     rng = np.random.default_rng(0)
-    data = rng.normal(scale=0.01, size=(3, 48, 48))
+    data = rng.normal(scale=0.01, size=(5, 48, 48))
     data[0] += image([(24, 20, 1.0)], (48, 48))
     found = measure(make_cube(data), scales=[2], detection=6.0)
     assert len(found.ssps) == 1
@@ -585,13 +593,15 @@ def test_one_ssp(result, tmp_path):
 
 
 def test_one_match():
-    """One feature in two epochs: a velocity, if not a significant one."""
+    """One feature in two epochs: a velocity, but nothing to test it against."""
     rng = np.random.default_rng(0)
     data = rng.normal(scale=0.01, size=(2, 48, 48))
     for k in range(2):
         data[k] += image([(22 + 3 * k, 20 + k, 1.0)], (48, 48))
-    found = measure(make_cube(data), scales=[2], detection=6.0)
+    with pytest.warns(MeasurementWarning, match="2 epochs allow no p_global below 1 "):
+        found = measure(make_cube(data), scales=[2], detection=6.0)
     assert len(found.displacements) == 2
+    assert len(found.components) == 0
     row, column = np.unravel_index(found.coefficient.argmax(), found.grid.shape)
     assert found.grid.v1[column] / -PIXEL.value == pytest.approx(3, abs=0.6)
     assert found.grid.v2[row] / PIXEL.value == pytest.approx(1, abs=0.6)
@@ -667,7 +677,7 @@ def test_progress_is_shown_when_asked_for(cube, capsys):
     make_scc()(cube, n_trials=20, rng=1, progress_bar=True)
     shown = capsys.readouterr()
     assert shown.out == ""
-    for label in ("Correlating", "Shuffling"):
+    for label in ("Correlating", "Shuffling", "Searching"):
         assert label in shown.err
     make_scc()(cube, n_trials=20, rng=1)
     assert capsys.readouterr() == ("", "")
@@ -692,8 +702,10 @@ def check_two_streams(cube, truth):
         max_speed=30 * PIXEL,
         n_trials=100,
     )
+    significant = found.components[found.components["kind"] == "moving"]
+    assert len(significant) == 2
     for speed, group in ((5, "slow"), (20, "fast")):
-        motion = nearest(in_pixels(found.components), speed)
+        motion = nearest(in_pixels(significant), speed)
         assert abs(motion[0] - speed) < 1.0
         np.testing.assert_allclose(motion, truth[group], atol=1.0)
 
@@ -732,6 +744,11 @@ def test_two_streams_of_the_files_of_the_papers_test(shared_data, folder):
 
 
 def test_a_jet_that_stands_still():
-    cube = simulate_static(n_epochs=4, rng=1).cube
+    cube = simulate_static(n_epochs=5, rng=1).cube
     found = measure(cube, scales=[2, 3])
     np.testing.assert_allclose(strongest(found), (0, 0), atol=0.1)
+    first = found.components[0]
+    assert first["kind"] == "stationary"
+    assert first["p_global"] <= 0.05
+    np.testing.assert_allclose(in_pixels(found.components)[0], (0, 0), atol=0.1)
+    assert "moving" not in found.components["kind"]

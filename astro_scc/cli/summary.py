@@ -6,7 +6,11 @@ import math
 __all__ = ["component_lines", "table_lines"]
 
 # What stands beside the numbers of each kind of component.
-REMARKS = {"moving": "", "stationary": "stands still"}
+REMARKS = {"moving": "", "stationary": "stationary, no discovery"}
+EXPLANATION = (
+    "p_global: probability of as much at any velocity, if features share no speed or",
+    "epochs have no order; the larger of the two",
+)
 
 
 def table_lines(head, rows):
@@ -79,12 +83,13 @@ def component_lines(components):
     -------
     list of str
     """
-    from astro_scc.visualization.style import LEVEL, component_kinds
+    from astro_scc.visualization.style import component_kinds
 
     kinds = component_kinds(components)
     found = [kind != "uncertain" for kind in kinds]
     if any(found):
         lines = _found_lines(components[found], [k for k in kinds if k in REMARKS])
+        lines += EXPLANATION
     else:
         lines = [
             "No velocity component stands out.  Other scales, a --baseline that suits "
@@ -95,7 +100,7 @@ def component_lines(components):
     if n:
         lines.append(
             f"{n} of {len(components)} rows of components.ecsv may be chance "
-            f"(p_global above {LEVEL:g})"
+            f"(p_global above {components.meta['settings']['level']:g})"
         )
     return lines
 
@@ -105,7 +110,7 @@ def _found_lines(components, kinds):
     unit = components["pm"].unit
     head = ["component", f"proper motion ({unit})", "PA (deg)"]
     head += ["speed (c)"] if in_c else []
-    head += ["z score", "p_global", "SSPs", ""]
+    head += ["p_global", "z score", "SSPs", ""]
     rows = []
     for row, kind in zip(components, kinds, strict=True):
         angle = row["pm_pa"].value
@@ -116,6 +121,6 @@ def _found_lines(components, kinds):
         ]
         if in_c:
             cells.append(with_error(row["beta_app"], row["beta_app_err"]))
-        cells += [f"{row['z_score']:.1f}", f"{row['p_global']:.3f}", str(row["n_ssp"])]
+        cells += [f"{row['p_global']:.2g}", f"{row['z_score']:.1f}", str(row["n_ssp"])]
         rows.append([*cells, REMARKS[kind]])
     return table_lines(head, rows)

@@ -197,7 +197,7 @@ SETTINGS = {
     "detection": _positive,
     "segmentation": _positive,
     "noise": _choice("plane", "local", "propagated"),
-    "min_z_score": _number,
+    "level": _positive,
     "small_displacement_correction": _boolean,
     "n_trials": _integer(2, 10**9),
     "seed": _integer(0, _LARGEST_SEED),

@@ -14,6 +14,7 @@ from astro_scc.measurement.products import (
     write_products,
 )
 from astro_scc.measurement.result import MatchedEpochs, SCCResult
+from astro_scc.measurement.stacking import stack_matches
 from astro_scc.measurement.tables import component_table, ssp_table, versions
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "product_folder",
     "ssp_offsets",
     "ssp_table",
+    "stack_matches",
     "velocity_hdus",
     "versions",
     "write_products",

@@ -228,8 +228,8 @@ def velocity_hdus(result, *, text=None):
     >>> from astro_scc import StackedCrossCorrelation
     >>> from astro_scc.measurement import velocity_hdus
     >>> from astro_scc.simulation import simulate_static
-    >>> cube = simulate_static(n_epochs=4, rng=1).cube
-    >>> result = StackedCrossCorrelation(scales=[2])(cube, n_trials=10, rng=1)
+    >>> cube = simulate_static(n_epochs=5, rng=1).cube
+    >>> result = StackedCrossCorrelation(scales=[2])(cube, n_trials=20, rng=1)
     >>> [hdu.name for hdu in velocity_hdus(result)]
     ['COEFFICIENT', 'ZSCORE']
     """

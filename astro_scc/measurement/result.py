@@ -19,6 +19,7 @@ from astro_scc.stacking import (
     Component,
     DatePairs,
     Displacements,
+    Finding,
     JitteredVelocity,
     ShuffledStacks,
     VelocityGrid,
@@ -29,6 +30,8 @@ __all__ = ["MatchedEpochs", "SCCResult"]
 
 #: A match belongs to a component within this many of its standard errors.
 MEMBER_SIGMA = 2.0
+#: Squared distance from rest in standard errors, of 95% in two dimensions.
+STATIONARY = 5.991
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -80,8 +83,13 @@ class SCCResult:
         The stack and its significance.
     shuffled : `~astro_scc.stacking.ShuffledStacks`
     maxima : tuple of `~astro_scc.stacking.Component`
-    errors : tuple of `~astro_scc.stacking.JitteredVelocity`
-        One a maximum.
+        Of the stack, one at each velocity that was tested.
+    findings : tuple of `~astro_scc.stacking.Finding`
+        The velocities that were tested, strongest first.
+    errors : tuple of `~numpy.ndarray`, shape (2, 2)
+        Covariance of each velocity, of the scatter of its features.
+    jitters : tuple of `~astro_scc.stacking.JitteredVelocity`
+        The paper's uncertainty: SSPs shifted by their position errors.
     meta : dict
         Settings, seed and versions.
     """
@@ -96,7 +104,9 @@ class SCCResult:
     z_score: np.ndarray
     shuffled: ShuffledStacks
     maxima: tuple[Component, ...]
-    errors: tuple[JitteredVelocity, ...]
+    findings: tuple[Finding, ...]
+    errors: tuple[np.ndarray, ...]
+    jitters: tuple[JitteredVelocity, ...]
     meta: dict = field(default_factory=dict)
 
     def __repr__(self):
@@ -117,16 +127,13 @@ class SCCResult:
         """
         The velocity components, a `~astropy.table.QTable`.
 
-        One row a component, by falling coefficient; zero rows with all
-        columns if there is none.  Its meta holds the settings, the seed
-        and the versions.
+        One row a velocity that was tested, in the order of the search,
+        strongest first: those of the ``kind`` "moving" and "stationary" are
+        significant, an "uncertain" one is the strongest that is not.  Zero
+        rows with all columns if nothing could be tested.  Its meta holds the
+        settings, the seed and the versions.
         """
-        rows = [
-            self._row(number, *both)
-            for number, both in enumerate(
-                zip(self.maxima, self.errors, strict=True), start=1
-            )
-        ]
+        rows = [self._row(number) for number in range(1, len(self.maxima) + 1)]
         return component_table(rows, meta=dict(self.meta))
 
     def components_in_c(self, *, redshift=None, cosmology=None, distance=None):
@@ -242,29 +249,57 @@ class SCCResult:
 
         return plot_velocity_map(self, **kwargs)
 
-    def _row(self, number, peak, error):
-        velocity = np.array([peak.v1, peak.v2])
-        covariance = np.array(
-            [
-                [error.err1**2, error.covariance],
-                [error.covariance, error.err2**2],
-            ]
-        )
+    def _row(self, number):
+        peak, finding = self.maxima[number - 1], self.findings[number - 1]
+        jitter = self.jitters[number - 1]
         member = self.members(number)
         d = self.displacements
         row = {
             "component": number,
+            "kind": self._kind(finding, peak, self.errors[number - 1]),
             "coefficient": peak.coefficient,
             "z_score": float(self.z_score[peak.row, peak.column]),
-            "p_local": float(self.shuffled.p_local[peak.row, peak.column]),
-            "p_global": self.shuffled.p_global(self.z_score[peak.row, peak.column]),
+            "p_local": finding.p_local,
+            "p_global": finding.p_global,
+            "p_global_err": finding.p_error,
+            "p_smallest": _smallest(finding),
             "n_ssp": len(np.unique(d.ssp[member])),
             "n_pairs": len(
                 np.unique(d.reference[member] * d.n_epochs + d.target[member])
             ),
         }
-        row.update(_vectors(velocity, covariance, self.frame, self.position_angle))
+        velocity = np.array([peak.v1, peak.v2])
+        where = self.frame, self.position_angle
+        row.update(_vectors(velocity, self.errors[number - 1], *where))
+        shifted = _vectors(velocity, _covariance(jitter), *where)["pm_err"]
+        # Without a maximum in the trials the paper's error is not bounded.
+        row["pm_err_jitter"] = shifted if np.isfinite(shifted) else np.inf
         return row
+
+    @staticmethod
+    def _kind(finding, peak, covariance):
+        velocity = np.array([peak.v1, peak.v2])
+        if finding.kind == "moving" and np.all(np.isfinite(covariance)):
+            if velocity @ np.linalg.pinv(covariance) @ velocity < STATIONARY:
+                return "stationary"
+        return finding.kind
+
+
+def _smallest(finding):
+    """The smallest ``p_global`` that the tests which count can give."""
+    tests = finding.tests
+    if finding.kind == "stationary":
+        tests = {"scramble": tests["scramble"]}
+    return max(test.smallest for test in tests.values())
+
+
+def _covariance(jitter):
+    return np.array(
+        [
+            [jitter.err1**2, jitter.covariance],
+            [jitter.covariance, jitter.err2**2],
+        ]
+    )
 
 
 def _vectors(velocity, covariance, frame, position_angle):

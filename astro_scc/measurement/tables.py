@@ -15,7 +15,8 @@ __all__ = ["PM_UNIT", "component_table", "ssp_table", "versions"]
 PM_UNIT = u.mas / u.yr
 
 DESCRIPTIONS = {
-    "component": "number of the component, by falling coefficient",
+    "component": "number of the component, in the order of the search",
+    "kind": "moving, stationary (no motion within the errors) or uncertain",
     "pm_ra_cosdec": "proper motion to the east",
     "pm_dec": "proper motion to the north",
     "pm": "proper motion, its length",
@@ -24,8 +25,11 @@ DESCRIPTIONS = {
     "pm_transverse": "proper motion across the jet, positive to larger angles",
     "coefficient": "stacked correlation coefficient",
     "z_score": "(coefficient - mean) / std of shuffled epochs (paper)",
-    "p_local": "p-value of the coefficient at this velocity, shuffled epochs",
-    "p_global": "p-value against the largest z-score of any velocity",
+    "p_local": "probability of as much at this velocity, largest of the nulls",
+    "p_global": "probability of as much at any velocity, largest of the nulls",
+    "p_global_err": "Monte Carlo standard error of p_global",
+    "p_smallest": "smallest p_global that trials and number of epochs allow",
+    "pm_err_jitter": "standard error of pm from shifted SSPs (paper)",
     "n_ssp": "SSPs with a match at the component's velocity",
     "n_pairs": "pairs of epochs with a match at the component's velocity",
 }
@@ -122,21 +126,25 @@ def component_table(rows, *, meta=None):
                  "pm_transverse"):  # fmt: skip
         unit = u.deg if name == "pm_pa" else PM_UNIT
         units[name] = units[f"{name}_err"] = unit
+    units["pm_err_jitter"] = PM_UNIT
     names = [
         "component",
+        "kind",
         *units,
         "coefficient",
         "z_score",
         "p_local",
         "p_global",
+        "p_global_err",
+        "p_smallest",
         "n_ssp",
         "n_pairs",
     ]
-    integers = {"component", "n_ssp", "n_pairs"}
+    dtypes = dict.fromkeys(("component", "n_ssp", "n_pairs"), int)
+    dtypes["kind"] = "U10"
     table = QTable()
     for name in names:
-        dtype = int if name in integers else float
-        values = np.array([row[name] for row in rows], dtype=dtype)
+        values = np.array([row[name] for row in rows], dtype=dtypes.get(name, float))
         if name in units:
             table[name] = values * units[name]
             table[name].info.description = DESCRIPTIONS.get(

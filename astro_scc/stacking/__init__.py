@@ -1,26 +1,49 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Stacking: matches as a map of velocities, its maxima and what they are worth."""
 
-from astro_scc.stacking.components import Component, find_components, fit_gaussian
+from astro_scc.stacking.components import (
+    Component,
+    component_near,
+    find_components,
+    fit_gaussian,
+)
+from astro_scc.stacking.contrast import Contrast
 from astro_scc.stacking.displacements import Displacements
 from astro_scc.stacking.grid import VelocityGrid
 from astro_scc.stacking.jitter import JitteredVelocity, jitter_positions
+from astro_scc.stacking.nulls import NULLS, NullTest, ScrambleNull, ShuffleNull
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.pairs import DatePairs, baseline_pairs, consecutive_pairs
+from astro_scc.stacking.scatter import feature_scatter
 from astro_scc.stacking.shuffle import ShuffledStacks, random_orders, shuffle_epochs
+from astro_scc.stacking.sightings import Sightings
+from astro_scc.stacking.significance import Finding, find_velocities
 from astro_scc.stacking.stack import gaussian_sum, stack
+from astro_scc.stacking.witnesses import Witnesses, find_witnesses
 
 __all__ = [
+    "NULLS",
     "Component",
+    "Contrast",
     "DatePairs",
     "Displacements",
+    "Finding",
     "JitteredVelocity",
+    "NullTest",
     "PairMaps",
+    "ScrambleNull",
+    "ShuffleNull",
     "ShuffledStacks",
+    "Sightings",
     "VelocityGrid",
+    "Witnesses",
     "baseline_pairs",
+    "component_near",
     "consecutive_pairs",
+    "feature_scatter",
     "find_components",
+    "find_velocities",
+    "find_witnesses",
     "fit_gaussian",
     "gaussian_sum",
     "jitter_positions",

@@ -1,13 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Velocity components: the maxima of a stack."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from astro_scc.correlation import find_peaks
 
-__all__ = ["Component", "find_components", "fit_gaussian"]
+__all__ = ["Component", "component_near", "find_components", "fit_gaussian"]
 
 #: Share of a maximum that a grid point must reach to take part in its fit.
 LEVEL = 0.5
@@ -31,6 +31,9 @@ class Component:
     fitted : bool
         False where no Gaussian with a maximum in the box fits, and the
         velocity is that of the local quadratic.
+    points : tuple of `~numpy.ndarray`
+        Columns and rows of the grid that the fit's box has, and which of
+        its points took part.
     """
 
     v1: float
@@ -41,6 +44,7 @@ class Component:
     row: int
     column: int
     fitted: bool
+    points: tuple = field(default=(), repr=False, compare=False)
 
 
 def fit_gaussian(values, x, y):
@@ -143,16 +147,11 @@ def find_components(scc, grid, box, *, threshold=0.0):
     step1, step2 = grid.step
     found = []
     for (row, column), py, px in zip(points, y, x, strict=True):
-        near1 = np.abs(grid.v1 - grid.v1[column]) <= max(half1, 1.5 * step1)
-        near2 = np.abs(grid.v2 - grid.v2[row]) <= max(half2, 1.5 * step2)
-        part = np.ix_(near2, near1)
-        values = np.where(
-            (scc[part] >= LEVEL * scc[row, column])
-            & _nearest(part, (row, column), points),
-            scc[part],
-            0.0,
+        part, used = _fitted_points(scc, grid, box, (row, column), points)
+        near2, near1 = (np.ravel(index) for index in part)
+        fit = fit_gaussian(
+            np.where(used, scc[part], 0.0), grid.v1[near1], grid.v2[near2]
         )
-        fit = fit_gaussian(values, grid.v1[near1], grid.v2[near2])
         v1 = grid.v1[0] + px * step1
         v2 = grid.v2[0] + py * step2
         width1 = width2 = np.nan
@@ -172,9 +171,68 @@ def find_components(scc, grid, box, *, threshold=0.0):
                 row=row,
                 column=column,
                 fitted=inside,
+                points=(near1, near2, used),
             )
         )
     return sorted(found, key=lambda c: -c.coefficient)
+
+
+def _fitted_points(scc, grid, box, point, points):
+    """Grid points of the box, and which of them take part in the fit."""
+    row, column = point
+    step1, step2 = grid.step
+    near1 = np.abs(grid.v1 - grid.v1[column]) <= max(box[0] / 2, 1.5 * step1)
+    near2 = np.abs(grid.v2 - grid.v2[row]) <= max(box[1] / 2, 1.5 * step2)
+    part = np.ix_(near2, near1)
+    high = scc[part] >= LEVEL * scc[row, column]
+    return part, high & _nearest(part, point, points)
+
+
+def component_near(scc, grid, box, v1, v2):
+    """
+    The maximum of a stack nearest to a velocity.
+
+    Parameters
+    ----------
+    scc : `~numpy.ndarray`, shape ``grid.shape``
+    grid : `VelocityGrid`
+    box : tuple of float
+        As for `find_components`; the maximum lies within half of it.
+    v1, v2 : float
+
+    Returns
+    -------
+    `Component`
+        At the velocity itself, and not ``fitted``, if no maximum is near.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import VelocityGrid, component_near
+    >>> grid = VelocityGrid.covering(4.0, 0.25)
+    >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
+    >>> round(component_near(scc, grid, (2.0, 2.0), 1.5, 0.0).v1, 3)
+    1.1
+    """
+
+    def distance(c):
+        return np.hypot((c.v1 - v1) / box[0], (c.v2 - v2) / box[1])
+
+    nearest = min(find_components(scc, grid, box), key=distance, default=None)
+    if nearest is not None and distance(nearest) <= 0.5:
+        return nearest
+    row = int(np.abs(grid.v2 - v2).argmin())
+    column = int(np.abs(grid.v1 - v1).argmin())
+    return Component(
+        v1=float(v1),
+        v2=float(v2),
+        coefficient=float(scc[row, column]),
+        width1=np.nan,
+        width2=np.nan,
+        row=row,
+        column=column,
+        fitted=False,
+    )
 
 
 def _grid_point(scc, y, x):

@@ -17,13 +17,15 @@ BACKGROUND = np.array([3.0, 4.0, 5.0])
 #: Reach of the filters in standard errors: the background and its tails.
 FILTER_REACH = BACKGROUND.max() + 3.5
 #: Standard errors are rounded to powers of this ratio...
-CLASS_RATIO = 2**0.5
+CLASS_RATIO = 2.0
 #: ...and raised to, or left out beyond, these multiples of their median.
-NARROWEST, WIDEST = 0.5, 4.0
+NARROWEST, WIDEST = 0.5, 2.8
 #: Spacing of the grid in the smallest standard error.
 STEP = 0.75
 #: Largest number of velocities on an axis.
 MAX_SIZE = 401
+#: Bytes that are worked on at once.
+CACHED = 2**20
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,34 +117,64 @@ class Contrast:
         `~numpy.ndarray`, shape (n_directions, n_trials, n2, n1)
         """
         use = self.kind >= 0
-        transform = self._transform(v1[:, use], v2[:, use], weight[use], self.kind[use])
-        n2, n1 = self.grid.shape
-        result = []
-        for u in directions:
-            product = np.einsum("tcij,cij->tij", transform, self.response[:, u])
-            result.append(fft.irfft2(product, self.shape)[:, :n2, :n1])
-        return np.stack(result)
+        v1, v2, kind = v1[:, use], v2[:, use], self.kind[use]
+        weight = weight[use]
+        n_trials, (n2, n1) = len(v1), self.grid.shape
+        result = np.empty((len(directions), n_trials, n2, n1))
+        size = self._trials_at_once(v1.shape[1])
+        for start in range(0, n_trials, size):
+            part = slice(start, start + size)
+            transform = self._transform(v1[part], v2[part], weight, kind)
+            for place, u in enumerate(directions):
+                product = np.einsum("tcij,cij->tij", transform, self.response[:, u])
+                result[place, part] = self._on_grid(product)
+        return result
+
+    def _trials_at_once(self, n_witnesses):
+        """So many that what is worked on stays in the processor's cache."""
+        numbers = max(8 * n_witnesses, len(self.s1) * self.shape[0] * self.shape[1])
+        return max(1, CACHED // (8 * numbers))
+
+    @property
+    def _margin(self):
+        """Rows and columns of the padded grid before the velocities searched."""
+        return [(p - n) // 2 for p, n in zip(self.shape, self.grid.shape, strict=True)]
+
+    def _on_grid(self, product):
+        """Back from Fourier space, without the margins."""
+        (m2, m1), (n2, n1) = self._margin, self.grid.shape
+        rows = fft.ifft(product, axis=-2)[:, m2 : m2 + n2]
+        return fft.irfft(rows, self.shape[1], axis=-1)[:, :, m1 : m1 + n1]
 
     def _transform(self, v1, v2, weight, kind):
         """Transforms of the weights on the padded grid, one a class."""
         n2, n1 = self.shape
+        m2, m1 = self._margin
         step1, step2 = self.grid.step
-        weight = np.broadcast_to(weight, v1.shape)
-        x = (v1 - self.grid.v1[0]) / step1
-        y = (v2 - self.grid.v2[0]) / step2
-        i, j = np.floor(x).astype(int), np.floor(y).astype(int)
-        x, y = x - i, y - j
-        base = (np.arange(len(v1))[:, None] * len(self.s1) + kind) * n2
-        total = 0.0
-        # Linear weights to four neighbours; indices wrap into the margin.
-        for dj, wy in ((0, 1 - y), (1, y)):
-            row = (base + (j + dj) % n2) * n1
-            for di, wx in ((0, 1 - x), (1, x)):
-                total = total + np.bincount(
-                    (row + (i + di) % n1).ravel(),
-                    (weight * wx * wy).ravel(),
-                    len(v1) * len(self.s1) * n2 * n1,
-                )
+        x = (v1 - (self.grid.v1[0] - m1 * step1)) / step1
+        y = (v2 - (self.grid.v2[0] - m2 * step2)) / step2
+        # Beyond the margin nothing is in reach of the grid; it would come in
+        # again on the other side.
+        weight = weight * ((x >= 0) & (x < n1 - 1) & (y >= 0) & (y < n2 - 1))
+        np.clip(x, 0, n1 - 2, out=x)
+        np.clip(y, 0, n2 - 2, out=y)
+        i, j = x.astype(np.intp), y.astype(np.intp)
+        x -= i
+        y -= j
+        j += (np.arange(len(v1))[:, None] * len(self.s1) + kind) * n2
+        j *= n1
+        j += i
+        # Linear weights to four neighbours.
+        upper = weight * y
+        lower = weight - upper
+        corners = np.empty((4, *v1.shape))
+        np.multiply(lower, x, out=corners[1])
+        np.subtract(lower, corners[1], out=corners[0])
+        np.multiply(upper, x, out=corners[3])
+        np.subtract(upper, corners[3], out=corners[2])
+        places = j + np.array([0, 1, n1, n1 + 1])[:, None, None]
+        size = len(v1) * len(self.s1) * n2 * n1
+        total = np.bincount(places.ravel(), corners.ravel(), size)
         return fft.rfft2(total.reshape(len(v1), len(self.s1), n2, n1))
 
 

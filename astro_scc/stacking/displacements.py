@@ -77,3 +77,31 @@ class Displacements:
         return replace(
             self, **{k: v[keep] for k, v in columns.items() if v is not None}
         )
+
+    def both_ways(self):
+        """
+        The matches and, turned round, the same from the target's side.
+
+        Returns
+        -------
+        `Displacements`
+            Twice as many; without ``position`` and ``motion``.
+        """
+        swapped = {
+            "d1": -self.d1,
+            "d2": -self.d2,
+            "reference": self.target,
+            "target": self.reference,
+        }
+        names = [
+            f.name
+            for f in fields(self)
+            if f.name not in ("n_ssps", "position", "motion")
+        ]
+        doubled = {
+            name: np.concatenate(
+                [getattr(self, name), swapped.get(name, getattr(self, name))]
+            )
+            for name in names
+        }
+        return Displacements(**doubled, n_ssps=self.n_ssps)

@@ -9,9 +9,10 @@ import numpy as np
 
 from astro_scc.stacking.contrast import DIRECTIONS, Contrast
 from astro_scc.stacking.displacements import Displacements
+from astro_scc.stacking.grid import VelocityGrid
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.pairs import DatePairs
-from astro_scc.stacking.shuffle import random_orders, z_score
+from astro_scc.stacking.shuffle import random_orders
 from astro_scc.stacking.witnesses import Witnesses
 
 __all__ = ["NULLS", "NullTest", "Scene", "ScrambleNull", "ShuffleNull"]
@@ -20,6 +21,10 @@ __all__ = ["NULLS", "NullTest", "Scene", "ScrambleNull", "ShuffleNull"]
 SCRAMBLE_REACH = 4.0
 #: Trials made at once.
 BLOCK = 50
+#: Stacks whose excess differs by less than this part of the largest tie.
+TIE = 1e-6
+#: Bytes of shuffled stacks that are made at once.
+PART_BYTES = 2**25
 #: A test ends early when so many trials have beaten the observation.
 ENOUGH = 30
 #: Closer to rest than this many standard errors, motion is not told from it.
@@ -41,6 +46,8 @@ class Scene:
         Contrast of the witnesses, one map a direction.
     row, column : int
         The velocity that is tested, on the grid of ``contrast``.
+    free : `~numpy.ndarray` of bool, shape (n2, n1)
+        Velocities that are told from those found before.
     """
 
     displacements: Displacements
@@ -50,6 +57,7 @@ class Scene:
     observed: np.ndarray
     row: int
     column: int
+    free: np.ndarray
 
     @property
     def grid(self):
@@ -85,7 +93,7 @@ class NullTest:
 
     @property
     def error(self):
-        """Monte Carlo standard error of ``p_global``."""
+        """Monte Carlo standard error of ``p_global``, ``sqrt(p (1 - p) / n)``."""
         p = self.p_global
         return math.sqrt(max(p * (1 - p), 0.0) / (self.n_trials + 1))
 
@@ -147,7 +155,8 @@ class ScrambleNull:
                 w.weight,
                 [u],
             )[0]
-            above += int((trial.max(axis=(1, 2)) >= observed).sum())
+            largest = trial.max(axis=(1, 2), where=scene.free, initial=-np.inf)
+            above += int((largest >= observed).sum())
             above_here += int((trial[:, scene.row, scene.column] >= observed).sum())
             done += size
         return NullTest(
@@ -161,12 +170,14 @@ class ShuffleNull:
     The epochs have no order: nothing moves.
 
     All permutations of the epochs over the dates, the observed one among
-    them, are equally likely.  The statistic is the z-score of the stack at
-    the velocity, mean and standard deviation those of all permutations
-    drawn, the observed one included, against the largest of each
-    permutation at velocities other than rest.  With few epochs all
-    permutations are gone through; a reversed order is the same motion
-    backwards, so no probability is below 2 / N!.
+    them, are equally likely.  The statistic is the excess of the stack, of
+    both directions of each pair, over its mean in all permutations drawn,
+    the observed one included; at the velocity, against the largest of each
+    permutation at velocities other than rest.  It is not divided by the
+    spread of the permutations, which would hand the maximum to velocities
+    at which hardly anything matches.  With few epochs all permutations are
+    gone through; a reversed order is the same motion backwards, so no
+    probability is below 2 / N!.
 
     Parameters
     ----------
@@ -228,18 +239,14 @@ class ShuffleNull:
             return NullTest(1.0, 1.0, len(orders), 1.0)
         maps = PairMaps.of(scene.displacements, grid.v_max, pairs.interval.max())
         own = np.arange(pairs.n_dates)[None]
-        stacks = np.concatenate(
-            [
-                block.astype(np.float32)
-                for block in maps.stacks(pairs, grid, np.concatenate([own, orders]))
-            ]
+        where = scene.free & ~_at_rest(scene)
+        here, largest = _excess(
+            maps.both_ways(), scene, np.concatenate([own, orders]), where
         )
-        z = z_score(stacks, stacks.mean(axis=0), stacks.std(axis=0))
-        here = z[:, scene.row, scene.column]
-        moving = ~_at_rest(scene)
-        largest = z[:, moving].max(axis=1) if moving.any() else here
-        above = int((largest[1:] >= here[0]).sum())
-        above_here = int((here[1:] >= here[0]).sum())
+        # Orders that differ by a reversal tie, but for rounding.
+        observed = here[0] - TIE * np.abs(largest).max()
+        above = int((largest[1:] >= observed).sum())
+        above_here = int((here[1:] >= observed).sum())
         n = len(orders)
         return NullTest(
             p_local=max((above_here + 1) / (n + 1), smallest),
@@ -247,6 +254,37 @@ class ShuffleNull:
             n_trials=n,
             smallest=smallest,
         )
+
+
+def _excess(maps, scene, orders, where):
+    """
+    What the stacks of some orders have more than their mean.
+
+    Returns
+    -------
+    here : `~numpy.ndarray`, shape (n_orders,)
+        At the velocity of the scene.
+    largest : `~numpy.ndarray`, shape (n_orders,)
+        There or anywhere in ``where``.
+    """
+    n2, n1 = scene.grid.shape
+    # All orders on a part of the grid, so that memory does not grow with them.
+    points = max(1, PART_BYTES // (8 * len(orders)))
+    rows, columns = max(1, points // n1), min(n1, points)
+    here, largest = None, np.full(len(orders), -np.inf)
+    for row in range(0, n2, rows):
+        for column in range(0, n1, columns):
+            part = slice(row, row + rows), slice(column, column + columns)
+            grid = VelocityGrid(scene.grid.v1[part[1]], scene.grid.v2[part[0]])
+            excess = np.concatenate(list(maps.stacks(scene.pairs, grid, orders)))
+            excess -= excess.mean(axis=0)
+            inside = where[part]
+            if inside.any():
+                np.maximum(largest, excess[:, inside].max(axis=1), out=largest)
+            i, j = scene.row - row, scene.column - column
+            if 0 <= i < grid.shape[0] and 0 <= j < grid.shape[1]:
+                here = excess[:, i, j]
+    return here, np.maximum(largest, here)
 
 
 def _at_rest(scene):

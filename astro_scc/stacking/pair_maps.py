@@ -99,6 +99,25 @@ class PairMaps:
             )
         return cls(displacements, *axes, maps)
 
+    def both_ways(self):
+        """
+        The maps of the matches and, turned round, of the same from the target.
+
+        Returns
+        -------
+        `PairMaps`
+            Those of ``displacements.both_ways()``.
+        """
+        n = self.displacements.n_epochs
+        square = self.maps.reshape(n, n, *self.maps.shape[1:])
+        turned = square.transpose(1, 0, 2, 3)[:, :, ::-1, ::-1]
+        return PairMaps(
+            self.displacements.both_ways(),
+            self.axis1,
+            self.axis2,
+            (square + turned).reshape(self.maps.shape),
+        )
+
     def stacks(self, pairs, grid, orders, *, shift=(0.0, 0.0)):
         """
         The stacks of many orders of the images over the dates.
@@ -137,10 +156,14 @@ class PairMaps:
             weight = pairs.weight[slots]
             few = len(used) <= min(place.size // 2, BLOCK_BYTES // total[0].nbytes)
             if few or len(slots) == 1:
-                # Stretch each pair of images once, then add.
+                # Stretch each pair of images once, then add, one trial at a
+                # time: that stays in the processor's cache.
                 stretched = to2 @ self.maps[used] @ to1.T
-                for slot in range(len(slots)):
-                    total += weight[slot] * stretched[place[:, slot]]
+                weighted = np.empty(grid.shape)
+                for trial, pair in enumerate(place):
+                    for slot, w in zip(pair, weight, strict=True):
+                        np.multiply(stretched[slot], w, out=weighted)
+                        total[trial] += weighted
             else:
                 for trial, pair in enumerate(images[:, slots]):
                     added = np.tensordot(weight, self.maps[pair], axes=1)

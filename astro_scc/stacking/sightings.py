@@ -36,6 +36,8 @@ class Sightings:
         Earlier date of the pair.
     ssp : `~numpy.ndarray` of int, shape (n,)
         The SSP that was correlated.
+    match : `~numpy.ndarray` of int, shape (n,)
+        Index of the match in the displacements.
     """
 
     v1: np.ndarray
@@ -50,6 +52,7 @@ class Sightings:
     sigma: np.ndarray
     first: np.ndarray
     ssp: np.ndarray
+    match: np.ndarray
 
     def __len__(self):
         return len(self.v1)
@@ -140,4 +143,5 @@ class Sightings:
             sigma=np.sqrt(d.s1[use] * d.s2[use]),
             first=first,
             ssp=d.ssp[use],
+            match=use,
         )

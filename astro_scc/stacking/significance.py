@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from astro_scc.stacking.contrast import Contrast
-from astro_scc.stacking.nulls import NULLS, REST, NullTest, Scene
+from astro_scc.stacking.displacements import Displacements
+from astro_scc.stacking.nulls import NULLS, REST, Scene
 from astro_scc.stacking.sightings import Sightings
 from astro_scc.stacking.witnesses import find_witnesses
 
@@ -14,11 +15,14 @@ __all__ = ["Finding", "find_velocities"]
 
 #: SSPs with a sighting this close to a component are explained by it.
 EXPLAINED = 1.5
+#: Velocities closer to a component than this are not told from it, in the
+#: same unit: two Gaussians of the width of the kernel are one peak.
+RESOLVED = 2.0
 #: Fewest witnesses that can be searched.
 FEWEST = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Finding:
     """
     A velocity that was tested.
@@ -31,13 +35,18 @@ class Finding:
         Whether it is a component that moves, one at rest within its
         errors, or none that is significant.
     p_local, p_global : float
-        Largest of the null hypotheses.
+        Largest of the null hypotheses; of a stationary component that of
+        the scramble, as no order of the epochs tells what stands still.
     p_error : float
         Monte Carlo standard error of ``p_global``.
     tests : dict of `~astro_scc.stacking.NullTest`
         By the name of the null hypothesis.
     n_witnesses : int
         Witnesses within 1.5 standard errors.
+    displacements : `~astro_scc.stacking.Displacements`
+        What earlier findings had left to be explained.
+    group : `~numpy.ndarray` of int, shape (len(displacements),)
+        The witness of each match, -1 if it has none.
     """
 
     v1: float
@@ -46,8 +55,10 @@ class Finding:
     p_local: float
     p_global: float
     p_error: float
-    tests: dict = field(default_factory=dict)
-    n_witnesses: int = 0
+    tests: dict
+    n_witnesses: int
+    displacements: Displacements = field(repr=False)
+    group: np.ndarray = field(repr=False)
 
 
 def find_velocities(
@@ -68,8 +79,9 @@ def find_velocities(
 
     Sightings are grouped into witnesses, the velocity with the largest
     contrast is tested against every null hypothesis, and if it passes all
-    SSPs that it explains are taken away and the search starts again; it
-    ends with the first velocity that the scramble cannot reject.  The
+    SSPs that it explains are taken away and the search starts again, at
+    velocities more than two standard errors from those found; it ends with
+    the first velocity that the scramble cannot reject.  The
     probability is that of the strongest of what is left, so later steps
     hold given that the earlier ones are right.
 
@@ -98,28 +110,38 @@ def find_velocities(
     list of `Finding`
         In the order they were found; the last ones may be uncertain.
     """
-    everything = Sightings.of(
-        displacements, pairs, years, _widened(displacements, v_max, pairs)
-    )
-    alive = np.ones(len(everything), dtype=bool)
-    rest = displacements
-    findings = []
+    limits = _widened(displacements, v_max, pairs)
+    everything = Sightings.of(displacements, pairs, years, limits)
+    left = np.ones(len(displacements), dtype=bool)
+    findings, taken = [], []
     for step_rng in rng.spawn(max_components):
-        scene = _scene(rest, pairs, everything.select(alive), v_max)
+        seen = everything.select(left[everything.match])
+        scene = _scene(displacements.select(left), pairs, seen, v_max, taken)
         if scene is None:
             break
-        finding = _test(scene, nulls, n_trials, level, step_rng)
+        group = np.full(len(displacements), -1)
+        group[seen.match] = scene.witnesses.group
+        finding = _test(scene, group[left], nulls, n_trials, level, step_rng)
         findings.append(finding)
         if progress is not None:
             progress(1)
-        scramble = finding.tests.get("scramble")
-        if (scramble.p_global if scramble else finding.p_global) > level:
+        if _rejected(finding, level):
             break
+        taken.append(scene.velocity)
         near = everything.near(*scene.velocity, EXPLAINED)
-        gone = np.unique(everything.ssp[near])
-        alive &= ~np.isin(everything.ssp, gone)
-        rest = rest.select(~np.isin(rest.ssp, gone))
+        left &= ~np.isin(displacements.ssp, everything.ssp[near])
     return findings
+
+
+def _rejected(finding, level):
+    """
+    Whether the search ends.
+
+    A velocity that only the shuffle rejects is no component, but what it
+    explains may hide one.
+    """
+    first = finding.tests.get("scramble")
+    return (finding.p_global if first is None else first.p_global) > level
 
 
 def _widened(displacements, v_max, pairs):
@@ -133,7 +155,7 @@ def _widened(displacements, v_max, pairs):
     )
 
 
-def _scene(displacements, pairs, sightings, v_max):
+def _scene(displacements, pairs, sightings, v_max, taken):
     witnesses = find_witnesses(sightings)
     if len(witnesses) < FEWEST:
         return None
@@ -141,32 +163,56 @@ def _scene(displacements, pairs, sightings, v_max):
     observed = contrast.maps(
         witnesses.v1[None], witnesses.v2[None], witnesses.weight, range(4)
     )[:, 0]
-    row, column = np.unravel_index(observed.min(axis=0).argmax(), observed.shape[1:])
+    grid = contrast.grid
+    s1, s2 = np.median(witnesses.s1), np.median(witnesses.s2)
+    free = np.ones(grid.shape, dtype=bool)
+    for v1, v2 in taken:
+        away = np.hypot((grid.v1 - v1) / s1, (grid.v2[:, None] - v2) / s2)
+        free &= away > RESOLVED
+    if not free.any():
+        return None
+    least = np.where(free, observed.min(axis=0), -np.inf)
+    row, column = np.unravel_index(least.argmax(), least.shape)
     return Scene(
-        displacements, pairs, witnesses, contrast, observed, int(row), int(column)
+        displacements=displacements,
+        pairs=pairs,
+        witnesses=witnesses,
+        contrast=contrast,
+        observed=observed,
+        row=int(row),
+        column=int(column),
+        free=free,
     )
 
 
-def _test(scene, nulls, n_trials, level, rng):
+def _test(scene, group, nulls, n_trials, level, rng):
     v1, v2 = scene.velocity
     w = scene.witnesses
+    tests = {
+        null.name: null.test(scene, n_trials, own)
+        for null, own in zip(nulls, rng.spawn(len(nulls)), strict=True)
+    }
     still = np.hypot(v1 / np.median(w.s1), v2 / np.median(w.s2)) <= REST
-    tests: dict[str, NullTest] = {}
-    for null, own in zip(nulls, rng.spawn(len(nulls)), strict=True):
+    stood = [t for name, t in tests.items() if name == "scramble"]
+    everything = list(tests.values())
+    if max(t.p_global for t in everything) <= level:
+        kind, counted = "moving", everything
+    elif still and stood and stood[0].p_global <= level:
         # No order of the epochs tells what stands still.
-        if still and null.name != "scramble":
-            continue
-        tests[null.name] = null.test(scene, n_trials, own)
-    worst = max(tests.values(), key=lambda t: t.p_global)
-    kind = "stationary" if still else "moving"
+        kind, counted = "stationary", stood
+    else:
+        kind, counted = "uncertain", everything
+    worst = max(counted, key=lambda t: t.p_global)
     near = np.hypot((w.v1 - v1) / w.s1, (w.v2 - v2) / w.s2) <= EXPLAINED
     return Finding(
         v1=float(v1),
         v2=float(v2),
-        kind=kind if worst.p_global <= level else "uncertain",
-        p_local=max(t.p_local for t in tests.values()),
+        kind=kind,
+        p_local=max(t.p_local for t in counted),
         p_global=worst.p_global,
         p_error=worst.error,
         tests=tests,
         n_witnesses=int(near.sum()),
+        displacements=scene.displacements,
+        group=group,
     )

@@ -21,6 +21,8 @@ LINK_GROWTH = 0.25
 LINK_VELOCITY = 0.85
 #: Sightings further apart in time than this many intervals do not link.
 LINK_INTERVALS = 10.0
+#: Above so many combinations, trees find links faster than a table does.
+FOR_TREES = 8000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,46 +64,71 @@ def _links(sightings):
         return_inverse=True,
     )  # fmt: skip
     slot = slot.reshape(-1)
-    members = [np.flatnonzero(slot == k) for k in range(len(slots))]
+    time, interval = slots.T
+    # Sightings by the mean date of their pair, one pair after another.
+    order = np.argsort(slot, kind="stable")
+    count = np.bincount(slot, minlength=len(slots))
+    start = np.cumsum(count) - count
     sigma = np.median(sightings.sigma)
     rows, columns = [], []
-    for a, (time_a, interval_a) in enumerate(slots):
-        for b in range(a, len(slots)):
-            time_b, interval_b = slots[b]
-            interval = np.sqrt(interval_a * interval_b)
-            gap = time_b - time_a
-            if gap > LINK_INTERVALS * interval:
-                continue
-            place = sigma * (LINK_PLACE + LINK_GROWTH * gap / interval)
-            speed = LINK_VELOCITY * sigma / interval
-            i, j = members[a], members[b]
-            # Each is carried by its own velocity over half the gap.
-            here = _carried(sightings, i, 0.5 * gap, place, speed)
-            there = _carried(sightings, j, -0.5 * gap, place, speed)
-            pairs = cKDTree(here).sparse_distance_matrix(
-                cKDTree(there), np.sqrt(2.0), output_type="ndarray"
-            )
-            p, q = pairs["i"], pairs["j"]
-            apart = (here[p] - there[q]) ** 2
-            near = (apart[:, :2].sum(axis=1) <= 1) & (apart[:, 2:].sum(axis=1) <= 1)
-            p, q = i[p[near]], j[q[near]]
-            if a == b:
-                other = p != q
-                p, q = p[other], q[other]
-                rows.append(p)
-                columns.append(q)
-            else:
-                rows += [p, q]
-                columns += [q, p]
+    for a in range(len(slots)):
+        i = order[start[a] : start[a] + count[a]]
+        gap = time[a:] - time[a]
+        mean = np.sqrt(interval[a] * interval[a:])
+        place = sigma * (LINK_PLACE + LINK_GROWTH * gap / mean)
+        speed = LINK_VELOCITY * sigma / mean
+        use = gap <= LINK_INTERVALS * mean
+        large = count[a] * count[a:] > FOR_TREES
+        for k in np.flatnonzero(use & large):
+            j = order[start[a + k] : start[a + k] + count[a + k]]
+            p, q = _near_by_trees(sightings, i, j, gap[k], place[k], speed[k])
+            rows.append(p)
+            columns.append(q)
+        some = np.repeat(use & ~large, count[a:])
+        j = order[start[a] :][some]
+        limits = (np.repeat(x, count[a:])[some] for x in (gap, place, speed))
+        p, q = _near_by_table(sightings, i, j, *limits)
+        rows.append(p)
+        columns.append(q)
     rows, columns = np.concatenate(rows), np.concatenate(columns)
-    ones = np.ones(len(rows), dtype=np.int8)
-    return coo_matrix((ones, (rows, columns)), shape=(n, n)).tocsr()
+    other = rows != columns
+    rows, columns = rows[other], columns[other]
+    both = np.concatenate([rows, columns]), np.concatenate([columns, rows])
+    return coo_matrix((np.ones(2 * len(rows), bool), both), shape=(n, n)).tocsr()
+
+
+def _near_by_trees(sightings, i, j, gap, place, speed):
+    """Pairs that link, of the sightings of two pairs of dates."""
+    # Each is carried by its own velocity over half the gap.
+    here = _carried(sightings, i, 0.5 * gap, place, speed)
+    there = _carried(sightings, j, -0.5 * gap, place, speed)
+    pairs = cKDTree(here).sparse_distance_matrix(
+        cKDTree(there), np.sqrt(2.0), output_type="ndarray"
+    )
+    p, q = pairs["i"], pairs["j"]
+    apart = (here[p] - there[q]) ** 2
+    near = (apart[:, :2].sum(axis=1) <= 1) & (apart[:, 2:].sum(axis=1) <= 1)
+    return i[p[near]], j[q[near]]
 
 
 def _carried(sightings, index, delay, place, speed):
     velocity = sightings.velocity[index]
     middle = sightings.middle[index] + velocity * delay
     return np.concatenate([middle / place, velocity / speed], axis=1)
+
+
+def _near_by_table(sightings, i, j, gap, place, speed):
+    """Pairs that link, limits and gap being those of each of the latter."""
+    (vx, vy), (wx, wy) = sightings.velocity[i].T, sightings.velocity[j].T
+    apart = (vx[:, None] - wx) ** 2
+    apart += (vy[:, None] - wy) ** 2
+    p, q = np.nonzero(apart <= speed**2)
+    delay = 0.5 * gap[q, None]
+    i, j = i[p], j[q]
+    here = sightings.middle[i] + delay * sightings.velocity[i]
+    there = sightings.middle[j] - delay * sightings.velocity[j]
+    near = ((here - there) ** 2).sum(axis=1) <= place[q] ** 2
+    return i[near], j[near]
 
 
 def _greedy_groups(links):

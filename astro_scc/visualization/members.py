@@ -17,7 +17,6 @@ from astro_scc.visualization.drawing import (
 from astro_scc.visualization.patterns import ssp_points
 from astro_scc.visualization.style import (
     BLUE,
-    LEVEL,
     VERMILLION,
     component_kinds,
     new_figure,
@@ -36,7 +35,6 @@ def plot_members(
     components=None,
     max_panels=4,
     unit=None,
-    level=LEVEL,
 ):
     """
     Draw the displacements that make each component on the mean image.
@@ -56,8 +54,6 @@ def plot_members(
         first, then the others, each in the order of the table.
     unit : `~astropy.units.Unit`, optional
         Of the offsets.
-    level : float, optional
-        Largest ``p_global`` of a component that counts as found.
 
     Returns
     -------
@@ -76,13 +72,13 @@ def plot_members(
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> from astro_scc.visualization import plot_members
     >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=4, rng=1).cube, n_trials=50, rng=1)
+    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
     >>> figure = plot_members(result)
     """
     if max_panels < 1:
         raise ValueError(f"max_panels must be at least 1, got {max_panels}")
     components = result.components if components is None else components
-    kinds = component_kinds(components, level)
+    kinds = component_kinds(components)
     order = sorted(range(len(kinds)), key=lambda k: kinds[k] == "uncertain")
     panels = [(int(components["component"][k]), kinds[k]) for k in order[:max_panels]]
     cube = result.cube

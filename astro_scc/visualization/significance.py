@@ -7,7 +7,6 @@ import numpy as np
 from astro_scc.visualization.style import (
     BLUE,
     GREY,
-    LEVEL,
     PM_UNIT,
     VERMILLION,
     WIDTH,
@@ -38,7 +37,6 @@ def plot_significance(
     components=None,
     unit=None,
     beta_per_pm=None,
-    level=LEVEL,
 ):
     """
     Draw the significance along the jet, at zero speed across it.
@@ -52,7 +50,7 @@ def plot_significance(
     result : `~astro_scc.measurement.SCCResult`
         On axes east and north, the map is interpolated along
         ``result.position_angle``.
-    ax, components, unit, beta_per_pm, level
+    ax, components, unit, beta_per_pm
         As in `plot_velocity_map`.
 
     Returns
@@ -71,7 +69,7 @@ def plot_significance(
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> from astro_scc.visualization import plot_significance
     >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=4, rng=1).cube, n_trials=50, rng=1)
+    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
     >>> figure = plot_significance(result)
     """
     unit = speed_unit(max(result.grid.v_max), unit)
@@ -84,7 +82,7 @@ def plot_significance(
         speed, highest, color=GREY, linewidth=0.8, label="highest, any transverse speed"
     )
     ax.plot(speed, axis, color=BLUE, linewidth=1.6, label="at zero transverse speed")
-    _mark_significance(ax, result, components, component_kinds(components, level), unit)
+    _mark_significance(ax, result, components, component_kinds(components), unit)
     ax.set_xlim(speed[0], speed[-1])
     top = max(np.nanmax(highest, initial=1.0), *plain(components, "z_score"), 1.0)
     ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
@@ -103,7 +101,6 @@ def plot_map_and_significance(
     components=None,
     unit=None,
     beta_per_pm=None,
-    level=LEVEL,
 ):
     """
     Draw the velocity map over its significance along the jet.
@@ -116,7 +113,7 @@ def plot_map_and_significance(
     result : `~astro_scc.measurement.SCCResult`
     figure : `matplotlib.figure.Figure`, optional
         Drawn on this one instead of a new figure.
-    components, unit, beta_per_pm, level
+    components, unit, beta_per_pm
         As in `plot_velocity_map`.
 
     Returns
@@ -135,12 +132,12 @@ def plot_map_and_significance(
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> from astro_scc.visualization import plot_map_and_significance
     >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=4, rng=1).cube, n_trials=50, rng=1)
+    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
     >>> figure = plot_map_and_significance(result)
     """
     figure = new_figure((WIDTH, 8.0)) if figure is None else figure
     upper, lower = figure.subplots(2, 1, height_ratios=(2.0, 1.0))
-    shared = {"components": components, "unit": unit, "level": level}
+    shared = {"components": components, "unit": unit}
     plot_velocity_map(result, ax=upper, beta_per_pm=beta_per_pm, **shared)
     plot_significance(result, ax=lower, **shared)
     return figure

@@ -24,12 +24,6 @@ SCALE_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY_BLUE)
 WIDTH = 6.0
 HEIGHT = 9.5
 
-#: Up to this p-value a component counts as found.
-LEVEL = 0.05
-
-#: Squared distance from zero in errors that 95% of standing features keep below.
-STATIONARY = 5.99
-
 
 def figure_and_axes(ax, figsize):
     """
@@ -89,7 +83,7 @@ def scale_colors(scales):
     }
 
 
-def component_kinds(components, level=LEVEL):
+def component_kinds(components):
     """
     What the figures and the report may say of each component.
 
@@ -97,40 +91,15 @@ def component_kinds(components, level=LEVEL):
     ----------
     components : `~astropy.table.QTable`
         As `~astro_scc.measurement.SCCResult.components`.
-    level : float, optional
-        Largest ``p_global`` of a component that counts as found.
 
     Returns
     -------
     list of str
-        "uncertain" where ``p_global`` is above the level; else "stationary"
-        where the table's column of that name says so or, without one, no
-        motion is within the errors at 95%; else "moving".
+        The column ``kind``; "moving" without one.
     """
-    names = components.colnames
-    kinds = []
-    for row in components:
-        if "p_global" in names and not float(row["p_global"]) <= level:
-            kinds.append("uncertain")
-        elif _stands(row, names):
-            kinds.append("stationary")
-        else:
-            kinds.append("moving")
-    return kinds
-
-
-def _stands(row, names):
-    if "stationary" in names:
-        return bool(row["stationary"])
-    distance = 0.0
-    for name in ("pm_parallel", "pm_transverse"):
-        if name not in names:
-            return False
-        error = u.Quantity(row[f"{name}_err"]).value
-        if not 0 < error < np.inf:
-            return False
-        distance += (u.Quantity(row[name]).value / error) ** 2
-    return distance < STATIONARY
+    if "kind" not in components.colnames:
+        return ["moving"] * len(components)
+    return [str(kind) for kind in components["kind"]]
 
 
 def add_colorbar(ax, drawn, label, ticks=None):

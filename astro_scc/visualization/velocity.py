@@ -6,7 +6,6 @@ import numpy as np
 
 from astro_scc.visualization.style import (
     BLACK,
-    LEVEL,
     PM_UNIT,
     WIDTH,
     add_colorbar,
@@ -56,13 +55,12 @@ def plot_velocity_map(
     which="coefficient",
     unit=None,
     beta_per_pm=None,
-    level=LEVEL,
     colorbar=True,
 ):
     """
     Draw the stacked cross-correlation as a map of velocities.
 
-    Components have their numbers of the table, a sign for their kind (found,
+    Components have their numbers of the table, a sign for their kind (moving,
     stationary, perhaps chance), and an ellipse of one standard error along
     each axis.  The arrow is the direction of the jet.
 
@@ -80,8 +78,6 @@ def plot_velocity_map(
     beta_per_pm : float, optional
         Apparent speed, in units of c, of a proper motion of 1 mas/yr; draws
         a second axis.
-    level : float, optional
-        Largest ``p_global`` of a component that counts as found.
     colorbar : bool, optional
 
     Returns
@@ -100,7 +96,7 @@ def plot_velocity_map(
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> from astro_scc.visualization import plot_velocity_map
     >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=4, rng=1).cube, n_trials=50, rng=1)
+    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
     >>> figure = plot_velocity_map(result)
     >>> figure.axes[0].get_xlabel()
     'Proper motion to the east (mas/yr)'
@@ -111,7 +107,7 @@ def plot_velocity_map(
     components = result.components if components is None else components
     figure, ax = figure_and_axes(ax, (WIDTH, 5.2))
     drawn = _draw_map(ax, result, which, unit)
-    kinds = component_kinds(components, level)
+    kinds = component_kinds(components)
     place = _draw_components(ax, result, components, kinds, unit)
     free = list(CORNERS)
     if kinds:

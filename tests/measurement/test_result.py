@@ -1,5 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The vectors, maps and members of a measurement."""
+"""The vectors, kinds, maps and members of a measurement."""
+
+from dataclasses import replace
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -10,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
-from astro_scc.measurement.result import _vectors
+from astro_scc.measurement.result import SCCResult, _smallest, _vectors
+from astro_scc.stacking import NullTest
 
 PM = u.mas / u.yr
 #: One pixel between two epochs of the simulated jets.
@@ -170,11 +174,85 @@ def test_without_a_position_angle_parallel_is_along_the_flow(sky_result):
 # Tables --------------------------------------------------------------------------
 
 
-def test_components_are_numbered_by_falling_coefficient(sky_result):
+def test_components_are_the_velocities_tested_in_the_order_of_the_search(sky_result):
     table = sky_result.components
     np.testing.assert_array_equal(table["component"], np.arange(1, len(table) + 1))
-    assert np.all(np.diff(table["coefficient"]) <= 0)
+    assert table["kind"][0] == "moving"
+    assert table["kind"][-1] == "uncertain"
+    assert np.all((table["p_global"] <= 0.05) == (table["kind"] != "uncertain"))
+    for row, finding, peak, covariance in zip(
+        table,
+        sky_result.findings,
+        sky_result.maxima,
+        sky_result.errors,
+        strict=True,
+    ):
+        for name, value in (
+            ("p_local", finding.p_local),
+            ("p_global", finding.p_global),
+            ("p_global_err", finding.p_error),
+        ):
+            assert row[name] == value
+        assert row["p_smallest"] == pytest.approx(1 / 31)
+        assert row["p_smallest"] <= row["p_global"]
+        assert row["p_local"] <= row["p_global"]
+        # The maximum near the velocity that was tested.
+        box = 1.0 / np.mean(sky_result.pairs.interval)
+        assert np.hypot(peak.v1 - finding.v1, peak.v2 - finding.v2) <= box / 2
+        assert row["pm_ra_cosdec"].value == peak.v1
+        assert row["pm_ra_cosdec_err"].value == pytest.approx(covariance[0, 0] ** 0.5)
+        assert row["pm_dec_err"].value == pytest.approx(covariance[1, 1] ** 0.5)
+        assert row["coefficient"] == sky_result.coefficient[peak.row, peak.column]
+        assert row["z_score"] == sky_result.z_score[peak.row, peak.column]
     assert repr(sky_result).startswith(f"<SCCResult: {len(table)} components of <Epoch")
+
+
+def test_the_papers_error_stands_beside_that_of_the_features(sky_result):
+    for row, jitter in zip(sky_result.components, sky_result.jitters, strict=True):
+        speeds = np.array([row["pm_ra_cosdec"].value, row["pm_dec"].value])
+        along = speeds / np.hypot(*speeds)
+        c = np.array(
+            [[jitter.err1**2, jitter.covariance], [jitter.covariance, jitter.err2**2]]
+        )
+        assert row["pm_err_jitter"].value == pytest.approx((along @ c @ along) ** 0.5)
+
+
+def test_a_papers_error_that_is_not_known_is_not_bounded(sky_result):
+    lost = replace(sky_result.jitters[0], err1=np.nan, err2=np.nan, covariance=np.nan)
+    jitters = (lost, *sky_result.jitters[1:])
+    table = replace(sky_result, jitters=jitters).components
+    assert table["pm_err_jitter"][0] == np.inf * PM
+    assert np.isfinite(table["pm_err"]).all()
+
+
+@pytest.mark.parametrize(
+    ("found", "v1", "err", "kind"),
+    [
+        ("moving", 3.0, 1.0, "moving"),
+        # Within the ellipse of 95% in two dimensions, 2.45 standard errors.
+        ("moving", 2.4, 1.0, "stationary"),
+        ("moving", 2.5, 1.0, "moving"),
+        ("moving", -2.4, 1.0, "stationary"),
+        ("moving", 2.4, np.inf, "moving"),
+        ("moving", 0.0, 0.0, "stationary"),
+        ("stationary", 3.0, 1.0, "stationary"),
+        ("uncertain", 3.0, 1.0, "uncertain"),
+        ("uncertain", 0.0, 1.0, "uncertain"),
+    ],
+)
+def test_what_does_not_move_within_its_errors_is_stationary(found, v1, err, kind):
+    peak = SimpleNamespace(v1=v1, v2=0.0)
+    covariance = np.diag([err**2, 0.01])
+    assert SCCResult._kind(SimpleNamespace(kind=found), peak, covariance) == kind
+
+
+def test_the_smallest_probability_is_that_of_the_tests_that_count():
+    tests = {
+        "scramble": NullTest(0.01, 0.01, 99, 0.01),
+        "shuffle": NullTest(0.3, 0.3, 23, 0.08),
+    }
+    for kind, smallest in (("moving", 0.08), ("uncertain", 0.08), ("stationary", 0.01)):
+        assert _smallest(SimpleNamespace(kind=kind, tests=tests)) == smallest
 
 
 def test_apparent_speeds_of_a_redshift(sky_result):

@@ -12,8 +12,10 @@ from astro_scc.measurement import component_table, ssp_table, versions
 
 PM = u.mas / u.yr
 PROPER_MOTIONS = ["pm_ra_cosdec", "pm_dec", "pm", "pm_parallel", "pm_transverse"]
+MOTIONS = [*PROPER_MOTIONS, "pm_pa"]
 CONTRACT = [
     "component",
+    "kind",
     "pm_ra_cosdec",
     "pm_dec",
     "pm",
@@ -24,14 +26,17 @@ CONTRACT = [
     "z_score",
     "p_local",
     "p_global",
+    "p_global_err",
+    "p_smallest",
+    "pm_err_jitter",
     "n_ssp",
     "n_pairs",
 ]
 
 
 def row(number):
-    names = [*CONTRACT, *(f"{name}_err" for name in CONTRACT[1:7])]
-    return dict.fromkeys(names, number)
+    names = [*CONTRACT, *(f"{name}_err" for name in MOTIONS)]
+    return {**dict.fromkeys(names, number), "kind": "uncertain"}
 
 
 def same(read, written):
@@ -60,15 +65,18 @@ def test_components_have_all_columns_with_units_and_descriptions(n):
             assert table[column].unit == PM
     assert table["pm_pa"].unit == table["pm_pa_err"].unit == u.deg
     assert table["pm_err"].info.description == "standard error of pm"
+    assert table["pm_err_jitter"].unit == PM
+    assert list(table["kind"]) == ["uncertain"] * n
+    assert table["kind"].dtype.kind == "U"
     for name in ("component", "n_ssp", "n_pairs"):
         assert table[name].dtype.kind == "i"
-    for name in ("coefficient", "z_score"):
+    for name in ("coefficient", "z_score", "p_local", "p_global", "p_smallest"):
         assert table[name].dtype.kind == "f"
 
 
 def test_errors_stand_beside_their_values():
     names = component_table([]).colnames
-    for name in CONTRACT[1:7]:
+    for name in MOTIONS:
         assert names[names.index(name) + 1] == f"{name}_err"
 
 

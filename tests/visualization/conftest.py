@@ -28,8 +28,7 @@ def results(matched):
     angles = {"jet": 270 * u.deg, "sky": None, "radial": "radial"}
     return {
         name: StackedCrossCorrelation(
-            scales=[1, 2, 3], max_speed=36 * u.mas / u.yr, position_angle=angle,
-            min_z_score=2.0,
+            scales=[1, 2, 3], max_speed=36 * u.mas / u.yr, position_angle=angle
         ).stack(matched, n_trials=40, rng=1)
         for name, angle in angles.items()
     }  # fmt: skip
@@ -43,7 +42,7 @@ def result(results):
 @pytest.fixture(scope="session")
 def empty(result):
     """A result without components."""
-    return replace(result, maxima=(), errors=())
+    return replace(result, maxima=(), findings=(), errors=(), jitters=())
 
 
 @pytest.fixture(scope="session")
@@ -53,6 +52,6 @@ def bare(matched):
         scales=[1, 2], max_speed=20 * u.mas / u.yr, detection=99, segmentation=98
     )
     rng = np.random.default_rng(1)
-    data = 1e-3 * rng.standard_normal((3, 48, 64))
-    dull = replace(matched.cube[:3], data=data, mask=None, beams=None)
-    return scc(dull, n_trials=5, rng=1)
+    data = 1e-3 * rng.standard_normal((len(matched.cube), 48, 64))
+    dull = replace(matched.cube, data=data, mask=None, beams=None)
+    return scc(dull, n_trials=20, rng=1)

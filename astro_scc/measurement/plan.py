@@ -1,0 +1,263 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What a measurement of a cube comes to: scales, pairs, speeds and windows."""
+
+import warnings
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.exceptions import MeasurementWarning
+from astro_scc.measurement.errors import beam_fwhm, ssp_offsets
+from astro_scc.stacking import VelocityGrid, baseline_pairs, consecutive_pairs
+
+__all__ = [
+    "decompose_epochs",
+    "flow_direction",
+    "map_grid",
+    "mean_fwhm",
+    "pairs_of_dates",
+    "scales_of_pixels",
+    "search_reach",
+    "ssps_inside",
+]
+
+#: Angles may differ so much from the size of a scale that they name.
+SCALE_TOLERANCE = 0.2
+#: Largest scale number that an angle can name.
+LARGEST_SCALE = 12
+#: Spacing of the velocity grid in units of the narrowest kernel.
+GRID_STEP = 0.5
+#: Matches beyond the largest speed are background for it, up to so many
+#: standard errors of a displacement.
+MARGIN = 5.0
+
+
+def scales_of_pixels(scales, pixel_scale):
+    """
+    The numbers of scales that are given as angles.
+
+    Parameters
+    ----------
+    scales : sequence of float or `~astropy.units.Quantity`
+        Numbers, or angles.
+    pixel_scale : `~astropy.units.Quantity`
+
+    Returns
+    -------
+    tuple of float
+
+    Raises
+    ------
+    ValueError
+        If an angle is not within 20% of a scale's size.
+    """
+    if not isinstance(scales, u.Quantity):
+        return scales
+    numbers = np.arange(0, LARGEST_SCALE, 0.5)
+    sizes = np.array([scale_size(j) for j in numbers])
+    wanted = (np.atleast_1d(scales) / pixel_scale).to_value(u.one)
+    nearest = np.abs(np.log(wanted[:, None] / sizes)).argmin(axis=1)
+    for angle, size, k in zip(np.atleast_1d(scales), wanted, nearest, strict=True):
+        if abs(size / sizes[k] - 1) > SCALE_TOLERANCE:
+            raise ValueError(
+                f"scale {angle} is {size:.2g} px, not near 2^j or 1.5 x 2^j px"
+            )
+    return tuple(numbers[nearest])
+
+
+def pairs_of_dates(cube, baseline):
+    """
+    The pairs of dates that are compared.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    baseline : `~astropy.units.Quantity`, shape (2,), or None
+        Shortest and longest separation; consecutive epochs without it.
+
+    Returns
+    -------
+    `~astro_scc.stacking.DatePairs`
+
+    Raises
+    ------
+    ValueError
+        If no two epochs make a pair.
+    """
+    years = cube.years.to_value(u.yr)
+    if len(years) < 2:
+        raise ValueError("velocities need at least two epochs, the cube has one")
+    if baseline is None:
+        pairs = consecutive_pairs(years)
+        if len(pairs) == 0:
+            raise ValueError(
+                f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
+                "velocities need different dates"
+            )
+        return pairs
+    shortest, longest = baseline.to_value(u.yr)
+    pairs = baseline_pairs(years, shortest, longest)
+    if len(pairs) == 0:
+        raise ValueError(
+            f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
+            f"separations go from {np.diff(years).min():.3g} to "
+            f"{np.ptp(years):.3g} yr; choose another baseline"
+        )
+    return pairs
+
+
+def mean_fwhm(cube, scale):
+    """
+    Mean width of the resolution over the epochs and both axes, in mas.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    scale : float
+        Scale number that stands for the resolution if there are no beams.
+
+    Returns
+    -------
+    float
+    """
+    every = np.arange(len(cube))
+    return float(np.mean(beam_fwhm(cube, every, np.full(len(cube), scale), np.eye(2))))
+
+
+def search_reach(cube, pairs, speed, fwhm, kernel):
+    """
+    Largest displacement in pixels that any order of the epochs needs.
+
+    The largest speed in the longest interval, and five standard errors of a
+    displacement more: what lies beyond the largest speed is the background
+    against which it is judged.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    pairs : `~astro_scc.stacking.DatePairs`
+    speed : float
+        Largest speed in mas/yr.
+    fwhm : float
+        Resolution in mas.
+    kernel : float
+        Standard error of a displacement in units of the resolution.
+
+    Returns
+    -------
+    tuple of int
+        Along (y, x).
+    """
+    longest = pairs.interval.max()
+    farthest = speed * longest
+    # Pixels may not be square: (x, y) sides.
+    side = np.hypot(*cube.pixel_matrix.value)
+    limit = np.array(cube.shape[1:]) - 1
+    if np.any(farthest / side > limit.max() // 2):
+        warnings.warn(
+            f"the largest speed moves {farthest:.3g} mas in the longest interval "
+            f"({longest:.3g} yr), more than half the image: give a smaller "
+            "max_speed, or a baseline that leaves out long intervals",
+            MeasurementWarning,
+            stacklevel=5,
+        )
+    reach = np.ceil((farthest + MARGIN * kernel * fwhm) / side).astype(int)[::-1]
+    return tuple(int(r) for r in np.minimum(reach, limit))
+
+
+def map_grid(displacements, pairs, limit):
+    """
+    The grid of velocities of the stack.
+
+    Parameters
+    ----------
+    displacements : `~astro_scc.stacking.Displacements`
+    pairs : `~astro_scc.stacking.DatePairs`
+    limit : float
+        Largest velocity along either axis.
+
+    Returns
+    -------
+    `~astro_scc.stacking.VelocityGrid`
+        Spaced by half the narrowest kernel.
+    """
+    rate = 1 / pairs.interval.max()
+    steps = [
+        GRID_STEP * rate * (s.min() if len(s) else np.inf)
+        for s in (displacements.s1, displacements.s2)
+    ]
+    steps = [step if np.isfinite(step) else limit / 20 for step in steps]
+    return VelocityGrid.covering(limit, steps)
+
+
+def decompose_epochs(cube, decomposer):
+    """
+    Decompose every epoch of a cube.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+
+    Returns
+    -------
+    tuple of `~astro_scc.decomposition.Decomposition`
+    """
+    propagated = decomposer.noise == "propagated"
+    rms = cube.noise_rms().value if propagated else [None] * len(cube)
+    covariances = [None] * len(cube)
+    if propagated and cube.beams is not None:
+        inverse = np.linalg.inv(cube.pixel_matrix.value)
+        covariances = [inverse @ b.covariance.value @ inverse.T for b in cube.beams]
+    return tuple(
+        decomposer(image, mask=cube.mask[k], rms=rms[k], beam_covariance=covariances[k])
+        for k, image in enumerate(cube.data)
+    )
+
+
+def ssps_inside(decompositions, cube, region):
+    """
+    The SSPs of all epochs, and which have their centroid in a region.
+
+    Parameters
+    ----------
+    decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+    cube : `~astro_scc.epochs.EpochCube`
+    region : optional
+        Anything that ``cube.region_mask`` takes, or None for everything.
+
+    Returns
+    -------
+    ssps : `~astro_scc.decomposition.SSPs`
+    select : `~numpy.ndarray` of bool, shape (n_ssps,)
+    """
+    ssps = SSPs.of_epochs(decompositions)
+    if region is None:
+        return ssps, np.ones(len(ssps), bool)
+    inside = cube.region_mask(region)
+    row = np.clip(np.rint(ssps.y_centroid).astype(int), 0, inside.shape[0] - 1)
+    column = np.clip(np.rint(ssps.x_centroid).astype(int), 0, inside.shape[1] - 1)
+    return ssps, inside[row, column]
+
+
+def flow_direction(matched):
+    """
+    Position angle of the mean offset of the SSPs, weighted by flux.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+        North through east, 0 to 360 deg.
+    """
+    use = matched.select
+    east, north = ssp_offsets(matched.ssps, matched.cube)
+    weight = matched.ssps.flux[use]
+    if weight.sum() <= 0:
+        return 0.0 * u.deg
+    mean = [np.average(offset[use], weights=weight) for offset in (east, north)]
+    return np.degrees(np.arctan2(*mean)) % 360 * u.deg

@@ -1,0 +1,183 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""From matched epochs to velocity components."""
+
+import math
+import warnings
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.exceptions import MeasurementWarning
+from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
+from astro_scc.measurement.errors import angular_displacements
+from astro_scc.measurement.plan import flow_direction, map_grid
+from astro_scc.measurement.result import SCCResult
+from astro_scc.measurement.tables import versions
+from astro_scc.progress import progress
+from astro_scc.stacking import (
+    PairMaps,
+    component_near,
+    feature_scatter,
+    find_velocities,
+    jitter_positions,
+    shuffle_epochs,
+    stack,
+)
+
+__all__ = ["stack_matches"]
+
+#: Shift of the paper's correction for small displacements, in beams.
+SMALL_SHIFT = 0.2
+
+
+def stack_matches(
+    matched,
+    pairs,
+    *,
+    speed,
+    fwhm,
+    position_angle=None,
+    kernel=0.2,
+    level=0.05,
+    small_displacement_correction=False,
+    n_trials=1000,
+    rng=None,
+    progress_bar=False,
+    settings=None,
+):
+    """
+    Stack the matches of epochs and measure the velocity components.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    pairs : `~astro_scc.stacking.DatePairs`
+    speed : float
+        Largest velocity along either axis, in mas/yr.
+    fwhm : float
+        Resolution in mas.
+    position_angle : `~astropy.units.Quantity`, "radial" or None
+        Of the velocity axes, see `~astro_scc.StackedCrossCorrelation`.
+    kernel : float
+        Smallest standard error of a displacement, in beams.
+    level : float
+        Largest ``p_global`` of a component.
+    small_displacement_correction : bool
+        Shift the shuffled images of the z-score by a fifth of the beam.
+    n_trials : int
+    rng : None, int or `~numpy.random.Generator`
+    progress_bar : bool
+    settings : dict, optional
+        Kept in the meta of the result.
+
+    Returns
+    -------
+    `~astro_scc.measurement.SCCResult`
+
+    Raises
+    ------
+    ValueError
+        If ``n_trials`` is below 2.
+
+    Warns
+    -----
+    `~astro_scc.exceptions.MeasurementWarning`
+        If the trials or the epochs are so few that no ``p_global`` can be as
+        small as ``level``.
+    """
+    if n_trials < 2:
+        raise ValueError(f"n_trials must be at least 2, got {n_trials}")
+    _warn_of_limits(pairs.n_dates, n_trials, level)
+    if rng is None:
+        rng = int(np.random.SeedSequence().entropy % 2**63)
+    seed = int(rng) if isinstance(rng, (int, np.integer)) else None
+    paper_rng, search_rng, error_rng = np.random.default_rng(rng).spawn(3)
+    cube = matched.cube
+    frame, angle = _frame(matched, position_angle)
+    displacements = angular_displacements(
+        matched.matches, matched.ssps, cube, frame, kernel, select=matched.select
+    )
+    grid = map_grid(displacements, pairs, speed)
+    scc = stack(displacements, pairs, grid)
+    maps = PairMaps.of(displacements, grid.v_max, pairs.interval.max())
+    shift = (SMALL_SHIFT * fwhm,) * 2 if small_displacement_correction else None
+    with progress(n_trials, "Shuffling", show=progress_bar) as done:
+        shuffled = shuffle_epochs(
+            maps, pairs, grid, scc, n_trials, rng=paper_rng, shift=shift, progress=done
+        )
+    with progress(None, "Searching", show=progress_bar) as done:
+        findings = find_velocities(
+            displacements,
+            pairs,
+            cube.years.to_value(u.yr),
+            grid.v_max,
+            n_trials=n_trials,
+            level=level,
+            rng=search_rng,
+            progress=done,
+        )
+    box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
+    maxima, jitters, errors = [], [], []
+    for finding, own in zip(findings, error_rng.spawn(len(findings)), strict=True):
+        # What earlier components explain would pull at the maximum.
+        rest = finding.displacements
+        peak = component_near(
+            stack(rest, pairs, grid), grid, box, finding.v1, finding.v2
+        )
+        jitters.append(jitter_positions(rest, pairs, peak, box, n_trials, rng=own))
+        errors.append(feature_scatter(rest, pairs, finding.group, peak, grid))
+        maxima.append(replace(peak, coefficient=float(scc[peak.row, peak.column])))
+    return SCCResult(
+        matched=matched,
+        frame=frame,
+        position_angle=angle,
+        pairs=pairs,
+        displacements=displacements,
+        grid=grid,
+        coefficient=scc,
+        z_score=shuffled.z_score(scc),
+        shuffled=shuffled,
+        findings=tuple(findings),
+        maxima=tuple(maxima),
+        errors=tuple(errors),
+        jitters=tuple(jitters),
+        meta={
+            "settings": {**(settings or {}), "level": level},
+            "n_trials": int(n_trials),
+            "seed": seed,
+            "versions": versions(),
+            "jet_position_angle": angle,
+        },
+    )
+
+
+def _warn_of_limits(n_epochs, n_trials, level):
+    """Tell when no probability can be as small as the level."""
+    least = {n: 2 / math.factorial(n) for n in range(2, 20)}
+    if least.get(n_epochs, 0.0) > level:
+        enough = next(n for n, p in least.items() if p <= level)
+        what = (
+            f"{n_epochs} epochs allow no p_global below {least[n_epochs]:.2g} (2/N!), "
+            f"so nothing that moves can reach level {level:g}: measure {enough} epochs "
+            "or more"
+        )
+    elif 1 / (n_trials + 1) > level:
+        enough = math.ceil(1 / level) - 1
+        enough += 1 / (enough + 1) > level
+        what = (
+            f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, "
+            f"so no component can reach level {level:g}: give n_trials of {enough} "
+            "or more"
+        )
+    else:
+        return
+    warnings.warn(what, MeasurementWarning, stacklevel=5)
+
+
+def _frame(matched, position_angle):
+    """The velocity frame, and the direction of the jet."""
+    if isinstance(position_angle, u.Quantity):
+        return PositionAngleFrame(position_angle), position_angle
+    angle = flow_direction(matched)
+    return (RadialFrame() if position_angle == "radial" else SkyFrame()), angle
