@@ -269,20 +269,24 @@ class StackedCrossCorrelation:
         ValueError
             If ``n_trials`` is below 2.
         """
-        return stack_matches(
-            matched,
-            self.date_pairs(matched.cube),
-            speed=self.speed_limit(matched.cube).value,
-            fwhm=self._fwhm(matched.cube),
-            position_angle=self.position_angle,
-            kernel=self.kernel,
-            level=self.level,
-            small_displacement_correction=self.small_displacement_correction,
-            n_trials=n_trials,
-            rng=rng,
-            progress_bar=progress_bar,
-            settings=self.to_dict(),
-        )
+        from threadpoolctl import threadpool_limits
+
+        # The products are small: threads would wait for one another.
+        with threadpool_limits(1):
+            return stack_matches(
+                matched,
+                self.date_pairs(matched.cube),
+                speed=self.speed_limit(matched.cube).value,
+                fwhm=self._fwhm(matched.cube),
+                position_angle=self.position_angle,
+                kernel=self.kernel,
+                level=self.level,
+                small_displacement_correction=self.small_displacement_correction,
+                n_trials=n_trials,
+                rng=rng,
+                progress_bar=progress_bar,
+                settings=self.to_dict(),
+            )
 
     def __call__(
         self,

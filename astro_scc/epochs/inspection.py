@@ -268,7 +268,8 @@ class IntervalPlan:
         if not speed > 0:
             raise ValueError(f"speed must be positive, got {speed}")
         wanted = (np.array(GOOD_SHIFTS) * self.resolution / speed).to(self.span.unit)
-        if wanted[0] > self.span:
+        # Rounding must not refuse the slowest speed that the plan names.
+        if wanted[0] > self.span * (1 + 1e-9):
             raise ValueError(
                 f"at {speed:.3g} nothing moves {GOOD_SHIFTS[0]} of a beam in the "
                 f"{self.span:.3g} of the series"

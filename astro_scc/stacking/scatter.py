@@ -25,7 +25,8 @@ def feature_scatter(displacements, pairs, group, component, grid):
 
     (Efron & Stein 1981, Ann. Statist. 9, 586; Lipsitz et al. 1994).  It
     holds whatever the features' velocities scatter by: position errors,
-    motion of their own, or chance matches.
+    motion of their own, or chance matches.  A maximum that leaves the box
+    without a feature counts as being at the side of the box.
 
     Parameters
     ----------
@@ -86,7 +87,10 @@ def feature_scatter(displacements, pairs, group, component, grid):
         part = (profile2[of] * weight[of, None]).T @ profile1[of]
         fit = fit_gaussian(np.where(used, total - part, 0.0), v1, v2)
         if fit is not None:
-            without.append(fit[:2])
+            # Without a feature that holds most of it the maximum may be lost:
+            # all that is known then is that it was in the box.
+            place = np.clip(fit[:2], (v1[0], v2[0]), (v1[-1], v2[-1]))
+            without.append(place)
     n = len(without)
     if n < 2:
         return _own_errors(x - component.v1, y - component.v2, sx, sy)

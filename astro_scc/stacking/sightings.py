@@ -121,12 +121,14 @@ class Sightings:
         ahead = slot[d.reference, d.target]
         back = slot[d.target, d.reference]
         which = np.maximum(ahead, back)
-        sign = np.where(ahead >= 0, 1.0, -1.0)
-        rate = np.where(which >= 0, sign / pairs.interval[which], 0.0)
+        paired = which >= 0
+        rate = np.zeros(len(d))
+        rate[paired] = 1 / pairs.interval[which[paired]]
+        rate[paired & (ahead < 0)] *= -1
         v1, v2 = d.d1 * rate, d.d2 * rate
         s1, s2 = d.s1 * np.abs(rate), d.s2 * np.abs(rate)
         use = np.flatnonzero(
-            (which >= 0) & (np.abs(v1) <= limit[0]) & (np.abs(v2) <= limit[1])
+            paired & (np.abs(v1) <= limit[0]) & (np.abs(v2) <= limit[1])
         )
         which = which[use]
         first, second = pairs.first[which], pairs.second[which]

@@ -146,7 +146,7 @@ def _rejected(finding, level):
 
 def _widened(displacements, v_max, pairs):
     """Limits beyond which a sighting touches no searched velocity."""
-    if len(displacements) == 0:
+    if len(displacements) == 0 or len(pairs) == 0:
         return v_max
     shortest = pairs.interval.min()
     return (

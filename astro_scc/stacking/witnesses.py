@@ -12,6 +12,9 @@ __all__ = ["Witnesses", "find_witnesses"]
 
 #: Power of the number of dates in the weight of a witness.
 WEIGHT_POWER = 1.5
+#: More dates than these weigh no more: what stands still in all of a hundred
+#: epochs is one witness, and not to outweigh all that moves.
+MOST_DATES = 9
 #: Sightings link if their places, carried to one date, are this close, in
 #: standard errors of a displacement...
 LINK_PLACE = 1.25
@@ -37,7 +40,7 @@ class Witnesses:
     s1, s2 : `~numpy.ndarray`, shape (n,)
         Standard error of the velocity of one sighting, mean of the group.
     weight : `~numpy.ndarray`, shape (n,)
-        Mean coefficient times ``n_dates ** 1.5``.
+        Mean coefficient times ``n_dates ** 1.5``, for at most 9 dates.
     n_dates : `~numpy.ndarray` of int, shape (n,)
         Number of different dates at which the feature was seen to set off.
     group : `~numpy.ndarray` of int, shape (n_sightings,)
@@ -199,7 +202,7 @@ def find_witnesses(sightings):
         v2=mean(sightings.v2),
         s1=mean(sightings.s1),
         s2=mean(sightings.s2),
-        weight=total / count * n_dates**WEIGHT_POWER,
+        weight=total / count * np.minimum(n_dates, MOST_DATES) ** WEIGHT_POWER,
         n_dates=n_dates,
         group=group,
     )

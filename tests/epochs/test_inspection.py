@@ -3,7 +3,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.time import Time
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs, plan_intervals
@@ -189,6 +189,7 @@ def test_plan_needs_two_dates_and_a_resolution():
     st.lists(st.integers(0, 8000), min_size=2, max_size=20, unique=True),
     st.floats(0.01, 10),
 )
+@example([0, 7], 7.0)
 def test_plans_are_in_order(days, size):
     times = Time("2000-01-01") + np.array(days) * u.day
     plan = plan_intervals(times, Beam(size * u.mas, size * u.mas))
