@@ -26,7 +26,8 @@ def feature_scatter(displacements, pairs, group, component, grid):
     (Efron & Stein 1981, Ann. Statist. 9, 586; Lipsitz et al. 1994).  It
     holds whatever the features' velocities scatter by: position errors,
     motion of their own, or chance matches.  A maximum that leaves the box
-    without a feature counts as being at the side of the box.
+    without a feature counts as being at the side of the box, and one that
+    is none any more as half a box away on both axes.
 
     Parameters
     ----------
@@ -81,20 +82,26 @@ def feature_scatter(displacements, pairs, group, component, grid):
     profile1 = np.exp(-0.5 * ((v1 - x[:, None]) / sx[:, None]) ** 2)
     profile2 = np.exp(-0.5 * ((v2 - y[:, None]) / sy[:, None]) ** 2)
     total = (profile2 * weight[:, None]).T @ profile1
-    without = []
-    for feature in range(len(features)):
+    n = len(features)
+    if n < 2:
+        return _own_errors(x - component.v1, y - component.v2, sx, sy)
+    without, lost = [], 0
+    for feature in range(n):
         of = owner == feature
         part = (profile2[of] * weight[of, None]).T @ profile1[of]
         fit = fit_gaussian(np.where(used, total - part, 0.0), v1, v2)
-        if fit is not None:
-            # Without a feature that holds most of it the maximum may be lost:
-            # all that is known then is that it was in the box.
-            place = np.clip(fit[:2], (v1[0], v2[0]), (v1[-1], v2[-1]))
-            without.append(place)
-    n = len(without)
-    if n < 2:
-        return _own_errors(x - component.v1, y - component.v2, sx, sy)
-    return (n - 1) ** 2 / n * np.cov(np.transpose(without))
+        # Without a feature that holds most of it the maximum may be lost:
+        # all that is known then is that it was in the box.
+        if fit is None:
+            lost += 1
+        else:
+            without.append(np.clip(fit[:2], (v1[0], v2[0]), (v1[-1], v2[-1])))
+    half = 0.5 * np.array([v1[-1] - v1[0], v2[-1] - v2[0]])
+    squares = lost * np.diag(half**2)
+    if without:
+        apart = np.array(without) - np.mean(without, axis=0)
+        squares += apart.T @ apart
+    return (n - 1) / n * squares
 
 
 def _own_errors(x, y, sx, sy):

@@ -137,7 +137,7 @@ def test_sums_are_those_of_the_groups():
         q = own.weight
         n_dates = len(set(own.first))
         assert w.n_dates[g] == n_dates
-        assert w.weight[g] == pytest.approx(q.mean() * n_dates**1.5)
+        assert w.weight[g] == pytest.approx(q.mean() * min(n_dates, 9) ** 1.5)
         for name in ("v1", "v2", "s1", "s2"):
             mean = np.average(getattr(own, name), weights=q)
             assert getattr(w, name)[g] == pytest.approx(mean)
@@ -152,6 +152,15 @@ def test_one_feature_on_three_scales_in_nine_pairs_is_one_witness():
     assert w.n_dates[0] == 9
     assert w.weight[0] == pytest.approx(27 * s.weight.mean())
     assert w.v1[0] == pytest.approx(2.0, abs=0.05)
+
+
+def test_more_than_nine_dates_weigh_no_more():
+    rng = np.random.default_rng(8)
+    for n_dates, weight in ((4, 8), (9, 27), (25, 27)):
+        s = of_feature(rng, (0, 0), (1.0, 0.0), np.arange(n_dates) / 3, scatter=0.01)
+        w = find_witnesses(s)
+        assert w.n_dates.tolist() == [n_dates]
+        assert w.weight[0] == pytest.approx(weight * s.weight.mean())
 
 
 def test_pairs_of_all_lengths_and_uneven_dates_are_one_witness():
