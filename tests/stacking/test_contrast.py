@@ -204,9 +204,7 @@ def test_trials_are_maps_of_their_own(monkeypatch):
         alone = c.maps(v1[t : t + 1], v2[t : t + 1], w.weight, ALL)[:, 0]
         np.testing.assert_allclose(together[:, t], alone[[2, 0]], atol=1e-12)
     monkeypatch.setattr(contrast, "CACHED", 1)
-    np.testing.assert_allclose(
-        c.maps(v1, v2, w.weight, [2, 0]), together, atol=1e-12
-    )
+    np.testing.assert_allclose(c.maps(v1, v2, w.weight, [2, 0]), together, atol=1e-12)
 
 
 def test_maps_are_linear_in_the_weights():

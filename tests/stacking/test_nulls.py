@@ -70,7 +70,9 @@ def poisson(rng, density=1.0, reach=6.0):
 def scramble_p(rng, n_scenes, n_trials, density=1.0):
     return np.array(
         [
-            ScrambleNull().test(scene_of(*poisson(rng, density)), n_trials, rng).p_global
+            ScrambleNull()
+            .test(scene_of(*poisson(rng, density)), n_trials, rng)
+            .p_global
             for _ in range(n_scenes)
         ]
     )
@@ -101,7 +103,9 @@ def background(rng, n=100):
 
 def test_scramble_finds_a_clump():
     rng = np.random.default_rng(2)
-    v = np.concatenate([background(rng), rng.normal([[1.0], [0.5]], 0.5 * S, (2, 40))], axis=1)
+    v = np.concatenate(
+        [background(rng), rng.normal([[1.0], [0.5]], 0.5 * S, (2, 40))], axis=1
+    )
     scene = scene_of(*v)
     assert np.hypot(scene.velocity[0] - 1, scene.velocity[1] - 0.5) < S
     test = ScrambleNull().test(scene, 99, rng)

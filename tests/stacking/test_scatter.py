@@ -218,9 +218,7 @@ def test_two_features_bound_it_by_their_distance():
     apart = np.array([0.3, 0.0])
     d = matches(np.concatenate([np.tile(V, (5, 1)), np.tile(V + apart, (5, 1))]))
     # The jackknife of two: each without the other is where it is.
-    np.testing.assert_allclose(
-        errors(d, [0] * 5 + [1] * 5), [0.3 / 2, 0.0], atol=0.02
-    )
+    np.testing.assert_allclose(errors(d, [0] * 5 + [1] * 5), [0.3 / 2, 0.0], atol=0.02)
 
 
 def test_pairs_of_other_dates_do_not_enter():

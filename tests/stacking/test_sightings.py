@@ -143,9 +143,7 @@ def test_match_and_ssp_lead_back_to_the_displacements(random_displacements):
     np.testing.assert_array_equal(s.ssp, d.ssp[s.match])
     np.testing.assert_array_equal(s.weight, d.weight[s.match])
     np.testing.assert_allclose(np.abs(s.v1) * s.interval, np.abs(d.d1[s.match]))
-    np.testing.assert_array_equal(
-        s.first, np.minimum(d.reference, d.target)[s.match]
-    )
+    np.testing.assert_array_equal(s.first, np.minimum(d.reference, d.target)[s.match])
 
 
 def test_a_selection_selects_every_column():

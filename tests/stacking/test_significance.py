@@ -42,7 +42,9 @@ def matches(rng, velocities, *, years=YEARS, size=(8.0, 3.0), error=0.05, chance
         true = velocities * (years[t] - years[r])
         where = start + velocities * (years[r] - years[0])
         feature = np.arange(n)
-        parts.append((r, t, feature, where, true + rng.normal(scale=error, size=(n, 2))))
+        parts.append(
+            (r, t, feature, where, true + rng.normal(scale=error, size=(n, 2)))
+        )
         lucky = np.repeat(feature, rng.poisson(chance, n))
         motion = rng.uniform(-5, 5, (len(lucky), 2))
         parts.append((r, t, lucky, where[lucky], motion))
