@@ -17,6 +17,7 @@ from astro_scc.stacking import (
     Contrast,
     Displacements,
     NullTest,
+    PairMaps,
     ScrambleNull,
     ShuffleNull,
     Witnesses,
@@ -411,6 +412,17 @@ def test_memory_does_not_grow_with_the_trials(null, monkeypatch):
     # Of a trial only its order is kept, and how often an image pair occurs.
     assert many < few + 600 * 2000
     assert many < 2**23
+
+
+def test_maps_turned_round_are_those_of_the_matches_turned_round():
+    d = jet(np.random.default_rng(12), 4, (1.0, -0.5), n=6)
+    d = replace(d, s2=1.5 * d.s2)
+    turned = PairMaps.of(d, V_MAX, 1.0).both_ways()
+    direct = PairMaps.of(d.both_ways(), V_MAX, 1.0)
+    np.testing.assert_allclose(turned.maps, direct.maps, atol=1e-6)
+    np.testing.assert_allclose(turned.axis1, direct.axis1)
+    np.testing.assert_allclose(turned.axis2, direct.axis2)
+    assert len(turned.displacements) == 2 * len(d)
 
 
 def test_the_nulls_of_the_search():

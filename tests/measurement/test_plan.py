@@ -1,0 +1,272 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What is measured: scales, pairs, windows, grids and regions, and what is refused."""
+
+import re
+import warnings
+from dataclasses import replace
+from types import SimpleNamespace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from astro_scc import Beam, EpochCube
+from astro_scc.decomposition import Decomposer, scale_size
+from astro_scc.exceptions import MeasurementWarning
+from astro_scc.measurement.plan import (
+    decompose_epochs,
+    flow_direction,
+    map_grid,
+    mean_fwhm,
+    pairs_of_dates,
+    scales_of_pixels,
+    search_reach,
+    ssps_inside,
+)
+from astro_scc.stacking import consecutive_pairs
+
+YEAR = 365.25
+PIXEL = 0.1 * u.mas
+
+
+def cube_of(days=(0, 30, 90), shape=(40, 60), beams=None, data=None):
+    """Epochs without anything in them."""
+    dates = np.datetime64("2010-01-01T00:00:00") + np.array(
+        [int(86400 * d) for d in days], dtype="timedelta64[s]"
+    )
+    data = np.zeros((len(days), *shape)) if data is None else data
+    return EpochCube.from_arrays(
+        data, [str(d) for d in dates], pixel_scale=PIXEL, beams=beams
+    )
+
+
+# Scales.
+
+
+@given(st.integers(1, 16), st.floats(0.84, 1.19))
+def test_angles_name_the_scale_that_they_are_near(half, factor):
+    number = half / 2
+    size = factor * scale_size(number)
+    (found,) = scales_of_pixels([size * 0.1] * u.mas, PIXEL)
+    # Between two scales the nearer one.
+    assert abs(np.log(scale_size(found) / size)) <= abs(np.log(factor)) + 1e-9
+    if 0.9 < factor < 1.1:
+        assert found == number
+
+
+def test_angles_of_any_unit_and_one_alone():
+    angles = [0.4, 0.2, 0.6] * u.mas
+    assert scales_of_pixels(angles.to(u.deg), PIXEL) == (2, 1, 2.5)
+    assert scales_of_pixels(0.8 * u.mas, PIXEL) == (3,)
+    assert scales_of_pixels(0.8 * u.mas, 0.2 * u.mas) == (2,)
+
+
+def test_numbers_stay():
+    assert scales_of_pixels((1, 2.5), PIXEL) == (1, 2.5)
+
+
+@pytest.mark.parametrize(
+    ("angles", "angle", "pixels"),
+    [
+        ([0.4, 0.05] * u.mas, "0.05 mas", "0.5"),
+        # Midway between 1 and 1.5 pixels.
+        ([0.122, 0.4] * u.mas, "0.122 mas", "1.2"),
+        ([2.0] * u.arcsec, "2.0 arcsec", "2e+04"),
+    ],
+)
+def test_an_angle_that_is_no_scale(angles, angle, pixels):
+    message = f"scale {angle} is {pixels} px, not near 2^j or 1.5 x 2^j px"
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        scales_of_pixels(angles, PIXEL)
+
+
+# Pairs.
+
+
+def test_consecutive_dates_are_paired():
+    pairs = pairs_of_dates(cube_of(), None)
+    assert list(zip(pairs.first, pairs.second, strict=True)) == [(0, 1), (1, 2)]
+    np.testing.assert_allclose(pairs.interval * YEAR, [30, 60])
+
+
+def test_baselines_pair_all_dates_of_the_range():
+    pairs = pairs_of_dates(cube_of(), [50, 100] * u.day)
+    assert list(zip(pairs.first, pairs.second, strict=True)) == [(0, 2), (1, 2)]
+
+
+def test_one_epoch_has_no_velocity():
+    with pytest.raises(ValueError, match=r"^velocities need at least two epochs, the"):
+        pairs_of_dates(cube_of((0,)), None)
+
+
+def test_epochs_of_one_date_have_no_velocity():
+    message = r"^all 3 epochs are of one date \(2010-01-01T00:00:00.000\): velocities"
+    with pytest.raises(ValueError, match=message):
+        pairs_of_dates(cube_of((0, 0, 0)), None)
+
+
+@pytest.mark.parametrize("days", [(0, 30, 90), (0, 0, 0)])
+def test_a_baseline_that_no_pair_has(days):
+    message = (
+        f"no two epochs are 1 to 2 yr apart: their separations go from "
+        f"{min(np.diff(days)) / YEAR:.3g} to {max(days) / YEAR:.3g} yr; "
+        "choose another baseline"
+    )
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        pairs_of_dates(cube_of(days), [1, 2] * u.yr)
+
+
+# Resolution, windows and grids.
+
+
+def test_resolution_is_the_mean_over_epochs_and_axes():
+    round_, long_ = (
+        Beam(1 * u.mas, 1 * u.mas, 0 * u.deg),
+        Beam(3 * u.mas, 1 * u.mas, 0 * u.deg),
+    )
+    cube = cube_of(beams=[round_, round_, long_])
+    assert mean_fwhm(cube, 2) == pytest.approx((1 + 1 + 1 + 1 + 3 + 1) / 6)
+    # However the beam is turned.
+    turned = cube_of(beams=[Beam(3 * u.mas, 1 * u.mas, 90 * u.deg)] * 3)
+    assert mean_fwhm(turned, 2) == pytest.approx(2.0)
+
+
+def test_without_beams_resolution_is_twice_the_scale():
+    assert mean_fwhm(cube_of(), 3) == pytest.approx(2 * 8 * 0.1)
+
+
+def test_windows_reach_as_far_as_the_longest_interval_and_the_errors():
+    cube = cube_of((0, 73, 219), shape=(200, 300))
+    pairs = pairs_of_dates(cube, None)
+    # 5 mas/yr in 0.4 yr, and five errors of a fifth of 1 mas, in pixels of 0.1 mas.
+    longest = 146 / YEAR
+    assert (
+        search_reach(cube, pairs, 5.0, 1.0, 0.2)
+        == (int(np.ceil((5 * longest + 1.0) / 0.1)),) * 2
+    )
+
+
+def test_windows_of_pixels_that_are_not_square():
+    cube = cube_of(shape=(200, 300))
+    wide = SimpleNamespace(
+        pixel_matrix=np.array([[-0.2, 0.0], [0.0, 0.1]]) * u.mas, shape=cube.shape
+    )
+    pairs = consecutive_pairs([0.0, 1.0])
+    assert search_reach(wide, pairs, 2.0, 0.0, 0.2) == (20, 10)
+    # Rotated, the sides are the same.
+    c, s = np.cos(0.5), np.sin(0.5)
+    turn = np.array([[c, -s], [s, c]])
+    wide.pixel_matrix = turn @ np.diag([-0.2, 0.1]) * u.mas
+    assert search_reach(wide, pairs, 1.99, 0.0, 0.2) == (20, 10)
+
+
+def test_windows_end_with_the_image_and_warn():
+    cube = cube_of((0, YEAR), shape=(40, 60))
+    pairs = pairs_of_dates(cube, None)
+    message = (
+        r"^the largest speed moves 10 mas in the longest interval \(1 yr\), more than "
+        "half the image: give a smaller max_speed, or a baseline that leaves out long "
+        "intervals$"
+    )
+    with pytest.warns(MeasurementWarning, match=message):
+        assert search_reach(cube, pairs, 10.0, 1.0, 0.2) == (39, 59)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        search_reach(cube, pairs, 2.85, 1.0, 0.2)
+
+
+def test_the_grid_is_half_the_narrowest_kernel(matched, sky_result):
+    d, pairs = sky_result.displacements, sky_result.pairs
+    grid = map_grid(d, pairs, 30.0)
+    assert grid.v_max == (30.0, 30.0)
+    for step, s in zip(grid.step, (d.s1, d.s2), strict=True):
+        narrowest = s.min() / pairs.interval.max()
+        assert 0.45 * narrowest < step <= 0.5 * narrowest
+    none = d.select(np.zeros(len(d), bool))
+    assert map_grid(none, pairs, 30.0).shape == (41, 41)
+    wide = replace(d, s1=100 * d.s1, s2=100 * d.s2)
+    assert map_grid(wide, pairs, 30.0).shape == (3, 3)
+
+
+# Decomposition, regions, direction.
+
+
+def test_every_epoch_is_decomposed_with_its_mask_noise_and_beam(monkeypatch):
+    rng = np.random.default_rng(0)
+    data = rng.normal(size=(3, 40, 60))
+    beams = [Beam(b * u.mas, 0.5 * u.mas, 0 * u.deg) for b in (0.8, 1.0, 1.2)]
+    cube = cube_of(beams=beams, data=data)
+    asked = []
+
+    def record(self, image, **options):
+        asked.append((image, options))
+
+    monkeypatch.setattr(Decomposer, "__call__", record)
+    decompose_epochs(cube, Decomposer(scales=(1,), noise="propagated"))
+    for k, (image, options) in enumerate(asked):
+        np.testing.assert_array_equal(image, data[k])
+        np.testing.assert_array_equal(options["mask"], cube.mask[k])
+        assert options["rms"] == pytest.approx(cube.noise_rms()[k].value)
+        # In pixels: the long axis to the north.
+        variance = np.diag(options["beam_covariance"]) * 8 * np.log(2)
+        np.testing.assert_allclose(variance, [25, 100 * (0.8, 1.0, 1.2)[k] ** 2])
+    asked.clear()
+    decompose_epochs(cube, Decomposer(scales=(1,)))
+    assert [options["rms"] for _, options in asked] == [None] * 3
+    assert [options["beam_covariance"] for _, options in asked] == [None] * 3
+    asked.clear()
+    decompose_epochs(cube_of(data=data), Decomposer(scales=(1,), noise="propagated"))
+    assert [options["beam_covariance"] for _, options in asked] == [None] * 3
+    assert all(options["rms"] > 0 for _, options in asked)
+
+
+def test_ssps_are_inside_if_their_centroid_is(matched):
+    decompositions, cube = matched.decompositions, matched.cube
+    ssps, everything = ssps_inside(decompositions, cube, None)
+    assert everything.all()
+    assert len(everything) == len(ssps) > 0
+    region = np.zeros(cube.shape[1:], bool)
+    region[:, 60:160] = True
+    _, inside = ssps_inside(decompositions, cube, region)
+    x = np.rint(ssps.x_centroid)
+    np.testing.assert_array_equal(inside, (x >= 60) & (x < 160))
+    assert 0 < inside.sum() < len(ssps)
+    empty = np.zeros(cube.shape[1:], bool)
+    empty[0, 0] = True
+    assert not ssps_inside(decompositions, cube, empty)[1].any()
+
+
+def test_a_region_without_a_pixel_is_refused(matched):
+    cube = matched.cube
+    with pytest.raises(ValueError, match="holds no pixel"):
+        ssps_inside(matched.decompositions, cube, np.zeros(cube.shape[1:], bool))
+
+
+def ssps_at(cube, x, y, flux):
+    ssps = SimpleNamespace(x=np.array(x), y=np.array(y), flux=np.array(flux))
+    return SimpleNamespace(cube=cube, ssps=ssps, select=np.ones(len(ssps.x), bool))
+
+
+@pytest.mark.parametrize(
+    ("dx", "dy", "angle"), [(0, 5, 0), (-5, 0, 90), (-3, -3, 135), (5, 0, 270)]
+)
+def test_the_jet_flows_to_where_its_flux_is(dx, dy, angle):
+    """North through east; east is to the left."""
+    cube = cube_of()
+    x0, y0 = cube.wcs.wcs.crpix - 1
+    direction = flow_direction(ssps_at(cube, [x0 + dx], [y0 + dy], [1.0]))
+    assert direction.to_value(u.deg) == pytest.approx(angle)
+
+
+def test_flux_weighs_and_only_what_is_selected_counts():
+    cube = cube_of()
+    x0, y0 = cube.wcs.wcs.crpix - 1
+    two = ssps_at(cube, [x0 - 5, x0], [y0, y0 + 5], [3.0, 1.0])
+    expected = np.degrees(np.arctan2(3, 1))
+    assert flow_direction(two).value == pytest.approx(expected)
+    two.select[1] = False
+    assert flow_direction(two).value == pytest.approx(90)
+    two.select[:] = False
+    assert flow_direction(two) == 0 * u.deg
