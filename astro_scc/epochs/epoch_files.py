@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Writing a cube as one FITS image an epoch."""
 
-import os
 import re
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 from astropy.io import fits
 
 from astro_scc.epochs.headers import epoch_header
+from astro_scc.epochs.serialize import replace_when_complete
 
 __all__ = ["write_epochs"]
 
@@ -70,7 +70,8 @@ def write_epochs(cube, directory, *, prefix=None, overwrite=False):
         )
     directory.mkdir(parents=True, exist_ok=True)
     for i, path in enumerate(paths):
-        _replace(_image_hdu(cube, i), path)
+        with replace_when_complete(path, overwrite=True) as part:
+            _image_hdu(cube, i).writeto(part)
     return paths
 
 
@@ -96,12 +97,3 @@ def _image_hdu(cube, i):
     for line in cube.meta.get("history", ()):
         header.add_history(str(line).encode("ascii", "replace").decode())
     return fits.PrimaryHDU(image, header)
-
-
-def _replace(hdu, path):
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        hdu.writeto(partial, overwrite=True)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
