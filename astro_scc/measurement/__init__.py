@@ -7,6 +7,7 @@ from astro_scc.measurement.errors import (
     position_errors,
     ssp_offsets,
 )
+from astro_scc.measurement.false_discovery import false_discovery_rate
 from astro_scc.measurement.products import (
     plain_cosmology,
     product_folder,
@@ -23,6 +24,7 @@ __all__ = [
     "angular_displacements",
     "beam_fwhm",
     "component_table",
+    "false_discovery_rate",
     "plain_cosmology",
     "position_errors",
     "product_folder",
