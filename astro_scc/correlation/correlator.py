@@ -1,21 +1,30 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Correlation of the SSPs of each epoch with the planes of other epochs."""
 
+from collections import Counter, deque
 from dataclasses import dataclass
 
 import numpy as np
 
+from astro_scc.correlation.blocks import (
+    BATCH,
+    PairBlock,
+    Patterns,
+    Targets,
+    image_part,
+    match_block,
+    window_bounds,
+)
 from astro_scc.correlation.matches import Matches
-from astro_scc.correlation.peaks import find_peaks
-from astro_scc.correlation.zncc import Template
+from astro_scc.correlation.workers import in_order
 from astro_scc.decomposition import SSPs
 
 __all__ = ["Correlator", "all_pairs"]
 
-#: Windows transformed at once: more of them leave the cache.
-BATCH = 10
-#: Transforms of a batch are kept below this number of pixels.
-BATCH_PIXELS = 2_000_000
+#: Pixels of windows that a block correlates, about half a second's work.
+BLOCK_WORK = 2**24
+#: Bytes of target planes that a block holds.
+STACK_BYTES = 2**26
 
 
 def all_pairs(n_epochs):
@@ -103,7 +112,9 @@ class Correlator:
         select : array_like of bool, optional
             Which SSPs of the catalogue of all epochs to correlate.
         n_workers : int, optional
-            Number of threads.
+            Number of processes.  With more than one, a script needs
+            ``if __name__ == "__main__":`` where processes are spawned, see
+            `multiprocessing`.
         progress : callable, optional
             Called with 1 for each reference epoch that is done.
 
@@ -116,7 +127,8 @@ class Correlator:
         ------
         ValueError
             If pairs name epochs that do not exist, decompositions differ
-            in shape or scales, or ``reach`` or ``select`` is not as above.
+            in shape or scales, or ``reach``, ``select`` or ``n_workers`` is
+            not as above.
 
         Examples
         --------
@@ -132,18 +144,49 @@ class Correlator:
         >>> matches.dx.round(1)
         array([ 6.5, -6.5], dtype=float32)
         """
-        shapes = {(d.planes.shape, d.scales) for d in decompositions}
-        if len(shapes) > 1:
-            raise ValueError("all epochs must have one shape and the same scales")
-        pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
-        if pairs.size and not (0 <= pairs.min() and pairs.max() < len(decompositions)):
-            raise ValueError(
-                f"pairs name epochs outside 0 to {len(decompositions) - 1}"
-            )
-        reach = (reach, reach) if np.isscalar(reach) else tuple(reach)
-        reach = tuple(int(r) for r in reach)
-        if len(reach) != 2 or min(reach) < 0:
-            raise ValueError(f"reach must be one or two numbers of pixels, got {reach}")
+        pairs = _pairs_of(pairs, decompositions)
+        columns, left = [], Counter(map(tuple, np.unique(pairs, axis=0).tolist()))
+        references = Counter(first for first, _ in left)
+        begun = deque()
+
+        def begin():
+            for block in self.blocks(decompositions, pairs, reach, select=select):
+                begun.append(block.pairs[:, 0].tolist())
+                yield block
+
+        for part in in_order(match_block, begin(), n_workers):
+            columns.append(part)
+            for epoch in begun.popleft():
+                references[epoch] -= 1
+                if references[epoch] == 0 and progress is not None:
+                    progress(1)
+        matches = Matches.from_columns(columns, pairs, _both_axes(reach), self.kappa)
+        return matches.sorted()
+
+    def blocks(self, decompositions, pairs, reach, *, select=None):
+        """
+        The pairs of epochs as pieces of work, for `match_block`.
+
+        How they are cut depends on the epochs, pairs and reach alone, so
+        that whoever works on them gets the same numbers.
+
+        Parameters
+        ----------
+        decompositions, pairs, reach, select
+            As for a call.
+
+        Yields
+        ------
+        `~astro_scc.correlation.PairBlock`
+            Those of one reference epoch one after the other.
+
+        Raises
+        ------
+        ValueError
+            As for a call.
+        """
+        pairs = np.unique(_pairs_of(pairs, decompositions), axis=0)
+        reach = _both_axes(reach)
         ssps = SSPs.of_epochs(decompositions)
         chosen = np.ones(len(ssps), bool) if select is None else np.asarray(select)
         if chosen.shape != (len(ssps),) or chosen.dtype != bool:
@@ -151,131 +194,70 @@ class Correlator:
                 f"select must be one bool for each of the {len(ssps)} SSPs, "
                 f"got {chosen.dtype} of shape {chosen.shape}"
             )
-        targets = _Targets(decompositions, self.target)
-        jobs = []
-        for epoch in np.unique(pairs[:, 0]):
-            wanted = pairs[pairs[:, 0] == epoch, 1]
-            indices = np.flatnonzero(chosen & (ssps.epoch == epoch))
-            jobs.append((decompositions[epoch], ssps, indices, wanted))
-
-        def work(job):
-            columns = self._match_epoch(*job, targets, reach)
-            if progress is not None:
-                progress(1)
-            return columns
-
-        if n_workers > 1:
-            from concurrent.futures import ThreadPoolExecutor
-
-            with ThreadPoolExecutor(n_workers) as pool:
-                columns = list(pool.map(work, jobs))
-        else:
-            columns = [work(job) for job in jobs]
-        columns = [part for epoch in columns for part in epoch]
-        return Matches.from_columns(columns, pairs, reach, self.kappa)
-
-    def _match_epoch(self, reference, ssps, indices, wanted, targets, reach):
-        columns = []
-        # One more ring makes maxima at the largest displacement genuine.
+        if len(pairs) == 0:
+            return
+        patterns = Patterns.of(decompositions, ssps, np.arange(len(ssps)))
+        chosen &= np.isin(ssps.epoch, pairs[:, 0])
+        shape = decompositions[0].planes.shape
         ring = tuple(r + 1 for r in reach)
-        for index in indices:
-            level = reference.plane_index(ssps.scale[index])
-            y0, x0, y1, x1 = ssps.bbox[index]
-            footprint = np.zeros((y1 - y0, x1 - x0), dtype=bool)
-            py, px = np.unravel_index(ssps.pixels_of(index), reference.planes.shape[1:])
-            footprint[py - y0, px - x0] = True
-            values = reference.planes[level, y0:y1, x0:x1].astype(float)
-            template = Template(values, footprint, ring)
-            if template.energy == 0:
-                continue
-            corner = (y0 - ring[0], x0 - ring[1])
-            batch = int(np.clip(BATCH_PIXELS // np.prod(template.fft_shape), 1, BATCH))
-            for start in range(0, len(wanted), batch):
-                epochs = wanted[start : start + batch]
-                windows, valid = targets.windows(
-                    level, epochs, corner, template.window_shape
-                )
-                if valid is None:
-                    coefficient = template.of_windows(windows)
-                    overlap = None
-                else:
-                    coefficient, overlap = template.of_masked_windows(
-                        windows, valid, self.min_overlap
-                    )
-                    # Beside a displacement that cannot be judged there is no
-                    # maximum: the pattern may well have gone further.
-                    coefficient[overlap < self.min_overlap] = np.nan
-                which, y, x, value = find_peaks(coefficient, self.kappa)
-                if len(which) == 0:
+        part, work = (slice(0, 0),) * 2, np.zeros(len(decompositions))
+        if chosen.any():
+            own = ssps.bbox[chosen]
+            part = image_part(shape[1:], *window_bounds(own, ring))
+            pixels = np.prod(own[:, 2:] - own[:, :2] + 2 * np.array(ring), axis=1)
+            work = np.bincount(ssps.epoch[chosen], pixels, len(decompositions))
+        segments = self.target == "segments"
+        dense = not segments or any(np.ndim(n) for d in decompositions for n in d.noise)
+        plane_bytes = 4 * np.prod([max(p.stop - p.start, 1) for p in part])
+        most = max(
+            BATCH, int(STACK_BYTES // (plane_bytes * (shape[0] if dense else 1)))
+        )
+        every = np.unique(pairs[:, 1])
+        every = np.array_split(every, -(-len(every) // most))
+        groups = _groups(np.unique(pairs[:, 0]), work * len(every[0]), BLOCK_WORK)
+        for references in groups:
+            wanted = pairs[np.isin(pairs[:, 0], references)]
+            own = patterns.select(
+                np.flatnonzero(chosen & np.isin(ssps.epoch, references))
+            )
+            for some in every:
+                here = wanted[np.isin(wanted[:, 1], some)]
+                if len(here) == 0:
                     continue
-                row, column = np.rint(y).astype(int), np.rint(x).astype(int)
-                share = (
-                    np.ones(len(which)) if overlap is None
-                    else overlap[which, row, column]
-                )  # fmt: skip
-                dy, dx = y - ring[0], x - ring[1]
-                snr = targets.snr(
-                    level, epochs[which], ssps.y[index] + dy, ssps.x[index] + dx
+                targets = Targets.of(
+                    decompositions,
+                    np.unique(here[:, 1]),
+                    part,
+                    patterns if segments else None,
                 )
-                columns.append(
-                    (
-                        np.full(len(which), index),
-                        epochs[which],
-                        dy,
-                        dx,
-                        value,
-                        share,
-                        snr,
-                    )
-                )
-        return columns
+                yield PairBlock(own, targets, here, reach, self.kappa, self.min_overlap)
 
 
-class _Targets:
-    """The target planes of all epochs, cut into windows."""
+def _pairs_of(pairs, decompositions):
+    shapes = {(d.planes.shape, d.scales) for d in decompositions}
+    if len(shapes) > 1:
+        raise ValueError("all epochs must have one shape and the same scales")
+    pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
+    if pairs.size and not (0 <= pairs.min() and pairs.max() < len(decompositions)):
+        raise ValueError(f"pairs name epochs outside 0 to {len(decompositions) - 1}")
+    return pairs
 
-    def __init__(self, decompositions, target):
-        self.planes = [
-            np.stack([d.segmented_plane(scale) for scale in d.scales])
-            if target == "segments"
-            else d.planes
-            for d in decompositions
-        ]
-        self.noise = [d.noise for d in decompositions]
-        self.masks = [d.mask for d in decompositions]
-        self.shape = decompositions[0].planes.shape[1:] if decompositions else (0, 0)
 
-    def windows(self, level, epochs, corner, shape):
-        """Windows (n, h, w) at a corner, and where they hold pixels or None."""
-        ny, nx = self.shape
-        y0, x0 = max(corner[0], 0), max(corner[1], 0)
-        y1, x1 = min(corner[0] + shape[0], ny), min(corner[1] + shape[1], nx)
-        inside = (slice(y0 - corner[0], y1 - corner[0]),
-                  slice(x0 - corner[1], x1 - corner[1]))  # fmt: skip
-        windows = np.zeros((len(epochs), *shape))
-        whole = (y1 - y0, x1 - x0) == tuple(shape)
-        if whole and all(self.masks[e] is None for e in epochs):
-            valid = None
-        else:
-            valid = np.zeros(windows.shape, dtype=bool)
-        for i, epoch in enumerate(epochs):
-            windows[i][inside] = self.planes[epoch][level, y0:y1, x0:x1]
-            if valid is not None:
-                mask = self.masks[epoch]
-                valid[i][inside] = True if mask is None else ~mask[y0:y1, x0:x1]
-        if valid is not None and valid.all():
-            valid = None
-        return windows, valid
+def _both_axes(reach):
+    reach = (reach, reach) if np.isscalar(reach) else tuple(reach)
+    reach = tuple(int(r) for r in reach)
+    if len(reach) != 2 or min(reach) < 0:
+        raise ValueError(f"reach must be one or two numbers of pixels, got {reach}")
+    return reach
 
-    def snr(self, level, epochs, y, x):
-        """Largest value in 3 x 3 pixels around positions, over the noise."""
-        ny, nx = self.shape
-        y = np.clip(np.rint(y).astype(int), 0, ny - 1)
-        x = np.clip(np.rint(x).astype(int), 0, nx - 1)
-        result = np.empty(len(y))
-        for i, epoch in enumerate(epochs):
-            box = (slice(max(y[i] - 1, 0), y[i] + 2), slice(max(x[i] - 1, 0), x[i] + 2))
-            noise = self.noise[epoch][level]
-            sigma = noise if np.ndim(noise) == 0 else noise[y[i], x[i]]
-            result[i] = max(self.planes[epoch][level][box].max(), 0.0) / sigma
-        return result
+
+def _groups(epochs, work, limit):
+    """Consecutive epochs together, as long as their work is below a limit."""
+    groups, sum_ = [[]], 0.0
+    for epoch in epochs.tolist():
+        if groups[-1] and sum_ + work[epoch] > limit:
+            groups.append([])
+            sum_ = 0.0
+        groups[-1].append(epoch)
+        sum_ += work[epoch]
+    return groups

@@ -93,6 +93,19 @@ class Matches:
         pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
         return cls(*joined, pairs=pairs, reach=tuple(reach), kappa=float(kappa))
 
+    def sorted(self):
+        """
+        The matches by SSP, and those of one by target.
+
+        Returns
+        -------
+        `Matches`
+        """
+        key = self.ssp.astype(np.int64) << 16 | self.target.astype(np.int64)
+        if np.all(key[1:] >= key[:-1]):
+            return self
+        return self.select(np.argsort(key, kind="stable"))
+
     def select(self, keep):
         """
         The matches of a selection.

@@ -42,23 +42,28 @@ def find_peaks(coefficient, threshold):
     >>> py.round(3), px.round(3), value.round(3)
     (array([4.]), array([5.25]), array([0.9]))
     """
-    inner = coefficient[:, 1:-1, 1:-1]
-    index, y, x = np.nonzero(inner >= threshold)
+    n, ny, nx = coefficient.shape
+    if ny < 3 or nx < 3:
+        return tuple(np.empty(0, int if k == 0 else float) for k in range(4))
+    # One index for all axes: that is the quickest way to look up values.
+    flat = np.ascontiguousarray(coefficient).reshape(-1)
+    at = np.flatnonzero(coefficient[:, 1:-1, 1:-1] >= threshold)
+    index, at = np.divmod(at, (ny - 2) * (nx - 2))
+    y, x = np.divmod(at, nx - 2)
     y += 1
     x += 1
-    value = coefficient[index, y, x]
+    at = (index * ny + y) * nx + x
+    value = flat[at]
     # Four neighbours first: most candidates fall here, at half the price.
     keep = (
-        (value >= coefficient[index, y - 1, x])
-        & (value >= coefficient[index, y, x - 1])
-        & (value > coefficient[index, y, x + 1])
-        & (value > coefficient[index, y + 1, x])
+        (value >= flat[at - nx])
+        & (value >= flat[at - 1])
+        & (value > flat[at + 1])
+        & (value > flat[at + nx])
     )
-    index, y, x, value = index[keep], y[keep], x[keep], value[keep]
+    index, y, x, at, value = (a[keep] for a in (index, y, x, at, value))
     step = np.arange(-1, 2)
-    around = coefficient[
-        index[:, None, None], y[:, None, None] + step[:, None], x[:, None, None] + step
-    ]
+    around = flat[at[:, None, None] + (step[:, None] * nx + step)]
     keep = (value >= around[:, 0, 0]) & (value >= around[:, 0, 2])
     keep &= (value > around[:, 2, 0]) & (value > around[:, 2, 2])
     dy, dx, height = quadratic_peak(around[keep])

@@ -1,10 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Zero-mean normalised cross-correlation of a masked template with windows."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import fft
 
-__all__ = ["Template", "correlate_windows", "zncc"]
+__all__ = ["Overlap", "Template", "correlate_windows", "zncc"]
 
 #: Local variances below this share of a window's energy are rounding, of
 #: which 7e-16 was measured.  A pattern then still counts beside a core a
@@ -53,6 +55,52 @@ def _zero_mean(values):
     return np.zeros_like(deviation) if flat else deviation
 
 
+def fft_shape(shape, reach):
+    """
+    Shape of the transforms of a template.
+
+    Circular correlation is exact where the template does not wrap.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Of the template.
+    reach : tuple of int
+        Largest displacement.
+
+    Returns
+    -------
+    tuple of int
+    """
+    return tuple(
+        fft.next_fast_len(int(n + 2 * r), real=True)
+        for n, r in zip(shape, reach, strict=True)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Overlap:
+    """
+    What missing pixels do to a template, the same for all windows with them.
+
+    Attributes
+    ----------
+    share : `~numpy.ndarray`, shape (..., ny, nx)
+        Share of the template's pixels on existing pixels, a displacement.
+    unjudged : `~numpy.ndarray` of bool, same shape
+        Where that is below the smallest that counts.
+    """
+
+    share: np.ndarray
+    unjudged: np.ndarray
+    # Pixels of the template over those that exist.
+    ratio: np.ndarray
+    # Sum of the template over existing pixels, per pixel, and one over the
+    # root of its variance there.
+    own_mean: np.ndarray
+    scale: np.ndarray
+
+
 class Template:
     """
     The pixels of one pattern, transformed once for all windows.
@@ -65,95 +113,113 @@ class Template:
         The pattern's own pixels; nothing else of the box counts.
     reach : tuple of int
         Largest displacement ``(y, x)`` of the windows in pixels.
+
+    Attributes
+    ----------
+    window_shape : tuple of int
+        Pixels that take part, (h + 2 ry, w + 2 rx).
+    fft_shape : tuple of int
+        That of the transforms: windows of this shape need not be padded,
+        whatever they hold beyond ``window_shape``.
+    result_shape : tuple of int
+        (2 ry + 1, 2 rx + 1).
     """
 
     def __init__(self, values, footprint, reach):
         self.n_pixels = int(footprint.sum())
+        own = _zero_mean(values[footprint])
+        self.energy = float((own**2).sum())
         self.values = np.zeros(footprint.shape)
-        self.values[footprint] = _zero_mean(values[footprint])
-        self.energy = float((self.values**2).sum())
+        if self.energy > 0:
+            self.values[footprint] = own / self.energy**0.5
         self.footprint = footprint.astype(float)
-        #: Shape of the result: all displacements up to ``reach``.
         self.result_shape = tuple(2 * r + 1 for r in reach)
-        #: Shape of the windows.
         self.window_shape = tuple(
             n + 2 * r for n, r in zip(footprint.shape, reach, strict=True)
         )
-        # Circular correlation is exact where the template does not wrap.
-        self.fft_shape = tuple(
-            fft.next_fast_len(n, real=True) for n in self.window_shape
-        )
+        self.fft_shape = fft_shape(footprint.shape, reach)
         self._values_fft = self._transform(self.values)
         self._footprint_fft = self._transform(self.footprint)
+        self._mean_fft = self._footprint_fft * self.n_pixels**-0.5
 
     def _transform(self, array):
         return np.conj(fft.rfft2(array, self.fft_shape))
 
     def _correlate(self, window_fft, template_fft):
-        full = fft.irfft2(window_fft * template_fft, self.fft_shape, overwrite_x=True)
-        return full[..., : self.result_shape[0], : self.result_shape[1]]
+        # Rows that are of no displacement are dropped half way.
+        ny, nx = self.result_shape
+        columns = fft.ifft(window_fft * template_fft, axis=-2, overwrite_x=True)
+        rows = fft.irfft(columns[..., :ny, :], self.fft_shape[1], axis=-1)
+        return rows[..., :nx]
 
-    def of_windows(self, windows):
+    def overlap(self, valid, min_overlap):
         """
-        Coefficients for windows without missing pixels.
+        Prepare for windows with missing pixels.
 
         Parameters
         ----------
-        windows : `~numpy.ndarray`, shape (..., h, w)
-
-        Returns
-        -------
-        `~numpy.ndarray`, shape (..., ny, nx)
-        """
-        transform = fft.rfft2(windows, self.fft_shape)
-        energy_fft = fft.rfft2(windows * windows, self.fft_shape)
-        total = self._correlate(transform, self._footprint_fft * self.n_pixels**-0.5)
-        variance = self._correlate(energy_fft, self._footprint_fft) - total * total
-        covariance = self._correlate(transform, self._values_fft)
-        return _coefficient(covariance, variance, self.energy, windows)
-
-    def of_masked_windows(self, windows, valid, min_overlap):
-        """
-        Coefficients, and overlaps, for windows with missing pixels.
-
-        Parameters
-        ----------
-        windows : `~numpy.ndarray`, shape (..., h, w)
-        valid : `~numpy.ndarray` of bool, same shape
+        valid : `~numpy.ndarray` of bool, shape (..., h, w)
+            False marks missing pixels; one for all windows, or for each.
         min_overlap : float
 
         Returns
         -------
-        coefficient, overlap : `~numpy.ndarray`, shape (..., ny, nx)
+        `Overlap`
         """
-        windows = np.where(valid, windows, 0.0)
-        valid = valid.astype(float)
-        transform = fft.rfft2(windows, self.fft_shape)
-        energy_fft = fft.rfft2(windows * windows, self.fft_shape)
-        valid_fft = fft.rfft2(valid, self.fft_shape)
-        number = self._correlate(valid_fft, self._footprint_fft)
-        number = np.rint(number)
+        valid_fft = fft.rfft2(valid.astype(float), self.fft_shape)
+        number = np.rint(self._correlate(valid_fft, self._footprint_fft))
         some = np.maximum(number, 1.0)
-        total = self._correlate(transform, self._footprint_fft)
-        variance = self._correlate(energy_fft, self._footprint_fft) - total**2 / some
-        own_total = self._correlate(valid_fft, self._values_fft)
+        own_mean = self._correlate(valid_fft, self._values_fft)
         squares_fft = self._transform(self.values**2)
-        own = self._correlate(valid_fft, squares_fft) - own_total**2 / some
-        covariance = (
-            self._correlate(transform, self._values_fft) - own_total * total / some
+        own = self._correlate(valid_fft, squares_fft) - own_mean**2 / some
+        flat = own <= VARIANCE_FLOOR
+        share = number / self.n_pixels
+        return Overlap(
+            share=share,
+            unjudged=share < min_overlap,
+            ratio=self.n_pixels / some,
+            own_mean=own_mean * self.n_pixels**0.5 / some,
+            scale=np.where(flat, 0.0, np.where(flat, 1.0, own) ** -0.5),
         )
-        own = np.where(own > VARIANCE_FLOOR * self.energy, own, np.inf)
-        coefficient = _coefficient(covariance, variance, own, windows)
-        overlap = number / self.n_pixels
-        return np.where(overlap >= min_overlap, coefficient, 0.0), overlap
 
+    def of_windows(self, windows, overlap=None):
+        """
+        Coefficients for windows.
 
-def _coefficient(covariance, variance, own_variance, windows):
-    own_variance = np.where(own_variance > 0, own_variance, np.inf)
-    floor = VARIANCE_FLOOR * (windows * windows).sum(axis=(-2, -1), keepdims=True)
-    flat = variance <= floor
-    norm = np.sqrt(own_variance * np.where(flat, np.inf, variance))
-    return covariance / norm
+        Parameters
+        ----------
+        windows : `~numpy.ndarray`, shape (..., h, w)
+            Of ``window_shape`` or ``fft_shape``, in double precision, zero
+            where pixels are missing.
+        overlap : `Overlap`, optional
+            That of the pixels which exist, if some do not.
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (..., ny, nx)
+            NaN where the overlap is too small.
+        """
+        transform = fft.rfft2(windows, self.fft_shape)
+        squares = windows * windows
+        floor = VARIANCE_FLOOR * squares.sum(axis=(-2, -1), keepdims=True)
+        squares_fft = fft.rfft2(squares, self.fft_shape)
+        variance = self._correlate(squares_fft, self._footprint_fft)
+        total = self._correlate(transform, self._mean_fft)
+        covariance = self._correlate(transform, self._values_fft)
+        if overlap is None:
+            variance -= np.multiply(total, total, out=total)
+        else:
+            covariance -= total * overlap.own_mean
+            covariance *= overlap.scale
+            total *= total
+            variance -= np.multiply(total, overlap.ratio, out=total)
+        np.copyto(variance, np.inf, where=variance <= floor)
+        coefficient = covariance / np.sqrt(variance, out=variance)
+        if overlap is not None:
+            # Beside a displacement that cannot be judged there is no
+            # maximum: the pattern may well have gone further.
+            np.copyto(coefficient, np.nan, where=overlap.unjudged)
+        return coefficient
 
 
 def correlate_windows(
@@ -227,7 +293,10 @@ def correlate_windows(
     # An offset would swamp the local variances.
     number = np.maximum(exists.sum(axis=(-2, -1), keepdims=True), 1)
     windows -= windows.sum(axis=(-2, -1), keepdims=True) / number
+    windows[~exists] = 0.0
     if exists.all():
         coefficient = template.of_windows(windows)
         return coefficient, np.ones_like(coefficient)
-    return template.of_masked_windows(windows, exists, min_overlap)
+    overlap = template.overlap(exists, min_overlap)
+    coefficient = template.of_windows(windows, overlap)
+    return np.nan_to_num(coefficient, copy=False), overlap.share

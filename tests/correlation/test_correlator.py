@@ -1,4 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+import multiprocessing
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from astro_scc.correlation import Correlator, all_pairs, find_peaks, zncc
+from astro_scc.correlation import (
+    Correlator,
+    Matches,
+    all_pairs,
+    find_peaks,
+    match_block,
+    zncc,
+)
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.simulation import simulate_two_fluid
 
@@ -310,7 +319,7 @@ def test_larger_reach_keeps_the_matches(jet):
     np.testing.assert_allclose(a.coefficient, b.coefficient, atol=1e-6)
 
 
-def test_threads_give_the_same_to_the_bit(jet):
+def test_processes_give_the_same_to_the_bit(jet):
     pairs = all_pairs(len(jet))
     done = []
     one = Correlator()(jet, pairs, 12, n_workers=1, progress=done.append)
@@ -318,6 +327,75 @@ def test_threads_give_the_same_to_the_bit(jet):
     assert one.same_as(two)
     assert len(one) > 0
     assert done == [1] * (2 * len(jet))
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize("target", ["segments", "plane"])
+def test_small_blocks_give_the_same(jet, target, monkeypatch):
+    """However few epochs a block holds, and after a pickle of each."""
+    correlate = Correlator(target=target)
+    pairs = all_pairs(len(jet))
+    whole = correlate(jet, pairs, 12)
+    one_each = {"BLOCK_WORK": 1, "STACK_BYTES": 1, "BATCH": 1}
+    for name, value in one_each.items():
+        monkeypatch.setitem(Correlator.blocks.__globals__, name, value)
+    blocks = list(correlate.blocks(jet, pairs, 12))
+    assert [b.pairs.tolist() for b in blocks] == [[p] for p in pairs.tolist()]
+    again = [match_block(pickle.loads(pickle.dumps(b))) for b in blocks]
+    found = Matches.from_columns(again, pairs, (12, 12), 0.6)
+    assert found.sorted().same_as(whole)
+    assert correlate(jet, pairs, 12).same_as(whole)
+
+
+def test_a_block_holds_only_what_it_needs(jet):
+    """Segments are sent as their pixels, planes as the part around the SSPs."""
+    for target, largest in (("segments", 0.2), ("plane", 1.05)):
+        correlate = Correlator(target=target)
+        (block,) = correlate.blocks(jet, [(0, 1)], 5)
+        size = len(pickle.dumps(block))
+        assert size < largest * jet[1].planes.nbytes + 2e5
+        assert repr(block) == f"<PairBlock: {len(jet[0].ssps)} SSPs, 1 pairs>"
+
+
+def test_only_the_pairs_asked_for(jet):
+    every = Correlator()(jet, all_pairs(len(jet)), 12)
+    pairs = [(2, 1), (0, 3), (2, 3), (2, 1)]
+    found = Correlator()(jet, pairs, 12)
+    epoch = SSPs.of_epochs(jet).epoch[every.ssp]
+    wanted = [(a, b) in pairs for a, b in zip(epoch, every.target, strict=True)]
+    for name in ("ssp", "target", "dy", "dx", "coefficient"):
+        np.testing.assert_array_equal(
+            getattr(found, name), getattr(every.select(wanted), name)
+        )
+
+
+def test_edge_of_the_image_and_a_mask_there_are_the_same():
+    """Missing pixels are missing, beyond the image or masked inside it."""
+    decompose = Decomposer(scales=[2])
+    pair = [decompose(gaussian(x, 48) + noise(x)) for x in (10, 5)]
+    mask = np.zeros((NY, NX), dtype=bool)
+    wide = [
+        replace(
+            d,
+            planes=np.pad(d.planes, ((0, 0), (0, 0), (30, 0))),
+            ssps=replace(
+                d.ssps,
+                x=d.ssps.x + 30,
+                bbox=d.ssps.bbox + [0, 30, 0, 30],
+                pixels=d.ssps.pixels + 30 * (d.ssps.pixels // NX + 1),
+            ),
+            mask=np.pad(mask, ((0, 0), (30, 0)), constant_values=True),
+        )
+        for d in pair
+    ]
+    correlate = Correlator(target="plane", min_overlap=0.5)
+    one, other = (correlate(p, all_pairs(2), 25) for p in (pair, wide))
+    assert len(one) == len(other) > 2
+    assert (one.overlap < 1).any()
+    for name in ("ssp", "target", "dy", "dx", "coefficient", "overlap", "target_snr"):
+        np.testing.assert_allclose(
+            getattr(one, name), getattr(other, name), rtol=1e-5, atol=1e-6
+        )
 
 
 def test_select(jet):
@@ -400,6 +478,8 @@ def test_call_errors(jet):
     for reach in (-1, (5, -1), (1, 2, 3)):
         with pytest.raises(ValueError, match="reach must be one or two"):
             correlate(jet, [(0, 1)], reach)
+    with pytest.raises(ValueError, match="n_workers must be at least 1, got 0"):
+        correlate(jet, [(0, 1)], 5, n_workers=0)
     for select in (np.ones(3, bool), np.arange(len(SSPs.of_epochs(jet)))):
         with pytest.raises(ValueError, match="select must be one bool for each"):
             correlate(jet, [(0, 1)], 5, select=select)

@@ -1,0 +1,113 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Work in other processes: the same, in order, and nothing left behind."""
+
+import multiprocessing
+import operator
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from astro_scc.correlation.workers import WAITING, in_order
+
+
+def test_in_this_process():
+    taken = []
+
+    def pieces():
+        for k in range(3):
+            taken.append(k)
+            yield k
+
+    results = in_order(lambda k: 10 * k, pieces(), 1)
+    assert next(results) == 0
+    assert taken == [0]
+    assert list(results) == [10, 20]
+
+
+@pytest.mark.parametrize("context", ["fork", "spawn"])
+def test_results_come_in_order(context):
+    if context not in multiprocessing.get_all_start_methods():
+        pytest.skip("no such start method here")
+    results = list(in_order(operator.neg, range(20), 2, context=context))
+    assert results == [-k for k in range(20)]
+    assert multiprocessing.active_children() == []
+
+
+def test_pieces_are_taken_as_needed():
+    taken = []
+
+    def pieces():
+        for k in range(30):
+            taken.append(k)
+            yield k
+
+    results = in_order(operator.neg, pieces(), 2)
+    next(results)
+    assert len(taken) <= 2 * WAITING + 1
+    # Whoever stops in the middle leaves no process behind.
+    results.close()
+    assert multiprocessing.active_children() == []
+
+
+def test_an_error_of_a_worker_is_raised_here():
+    with pytest.raises(ZeroDivisionError):
+        list(in_order((1).__floordiv__, [1, 0, 1], 2))
+    assert multiprocessing.active_children() == []
+
+
+def test_workers_have_one_thread_each():
+    from threadpoolctl import threadpool_info
+
+    for pools in in_order(_threads_of, range(2), 2, context="fork"):
+        assert set(pools) <= {1}
+    assert threadpool_info() is not None
+
+
+def _threads_of(_):
+    import numpy  # noqa: F401
+    from threadpoolctl import threadpool_info
+
+    return [pool["num_threads"] for pool in threadpool_info()]
+
+
+@pytest.mark.parametrize("n_workers", [0, -1])
+def test_needs_a_worker(n_workers):
+    with pytest.raises(ValueError, match="n_workers must be at least 1"):
+        list(in_order(operator.neg, [1], n_workers))
+
+
+SCRIPT = """
+import time
+from astro_scc.correlation.workers import in_order
+print("begun", flush=True)
+try:
+    for _ in in_order(time.sleep, [0.0] + [0.2] * 500, 2):
+        print("piece", flush=True)
+except KeyboardInterrupt:
+    import multiprocessing
+    print("left:", len(multiprocessing.active_children()), flush=True)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_an_interrupt_ends_it_at_once():
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdout.readline() == "begun\n"
+    assert process.stdout.readline() == "piece\n"
+    # As a terminal does: to all processes of the group.
+    os.killpg(process.pid, signal.SIGINT)
+    start = time.monotonic()
+    out, err = process.communicate(timeout=20)
+    assert time.monotonic() - start < 10
+    assert out.splitlines()[-1] == "left: 0"
+    assert err == ""
