@@ -14,10 +14,10 @@ WAITING = 2
 
 
 def _start():
-    from threadpoolctl import threadpool_limits
-
     # The parent ends on an interrupt, and then its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    from threadpoolctl import threadpool_limits
+
     # More workers than one already share the processor.
     threadpool_limits(1)
 

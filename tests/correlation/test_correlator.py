@@ -372,7 +372,7 @@ def test_only_the_pairs_asked_for(jet):
 def test_edge_of_the_image_and_a_mask_there_are_the_same():
     """Missing pixels are missing, beyond the image or masked inside it."""
     decompose = Decomposer(scales=[2])
-    pair = [decompose(gaussian(x, 48) + noise(x)) for x in (10, 5)]
+    pair = [decompose(gaussian(x, 48) + noise(x)) for x in (26, 5)]
     mask = np.zeros((NY, NX), dtype=bool)
     wide = [
         replace(
