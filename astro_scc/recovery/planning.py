@@ -1,0 +1,448 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""How many epochs at which spacing tell two speeds apart."""
+
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from astro_scc.epochs.beam import Beam
+from astro_scc.measurement import versions
+from astro_scc.recovery.rates import epochs_needed, partly_known, share, smallest_p
+from astro_scc.recovery.work import run_all
+
+__all__ = ["plan", "smallest_plan"]
+
+PM_UNIT = u.mas / u.yr
+#: Pixels of a simulated beam, as in the paper's test, and scales for them.
+BEAM_PIXELS = 10
+SCALES = (1, 2, 3)
+#: Position angle of the simulated jets.
+JET = 270 * u.deg
+#: Motion that can be told from rest (paper, Sect. 2.2), in beams.
+SMALLEST_SHIFT = 0.2
+#: Two speeds are told apart if their motions in a pair of epochs differ by
+#: more than two errors of a displacement, 0.4 beams; with some to spare.
+RESOLVED = 0.5
+#: Share of the field that may be crossed between the epochs of a pair.
+CROSSED = 0.5
+#: Motions larger than the faster one, by so many beams, are searched too.
+MARGIN = 2.0
+#: A component is a stream's within this part of the beam over the interval.
+TOLERANCE = 0.2
+#: Length of the simulated field by default, in beams.
+FIELD = 20.0
+
+DESCRIPTIONS = {
+    "n_epochs": "number of epochs",
+    "interval": "time between consecutive epochs",
+    "total_time": "time from the first to the last epoch",
+    "motion_slow": "motion of the slower stream per interval, in beams",
+    "motion_fast": "motion of the faster stream per interval, in beams",
+    "baseline": "time between the epochs that are paired",
+    "p_smallest": "smallest p_global of something that moves, 2/N!",
+    "limit": "why the speeds cannot be told apart; empty if they may be",
+    "n_jets": "simulated jets that were measured",
+    "fraction_slow": "share of jets in which the slower stream is found",
+    "fraction_fast": "share of jets in which the faster stream is found",
+    "fraction_both": "share of jets in which both are found",
+}
+
+
+def plan(
+    *,
+    speeds,
+    beam,
+    n_epochs,
+    intervals,
+    position_angle=None,
+    field=None,
+    n_jets=20,
+    n_trials=200,
+    level=0.05,
+    wanted=0.9,
+    rng=None,
+    n_workers=1,
+    progress_bar=False,
+    **options,
+):
+    """
+    Tell with how many epochs at which spacing two speeds are told apart.
+
+    For every number of epochs and interval the jet of the paper's two-fluid
+    test is simulated with the two speeds and measured, unless a simple
+    estimate says that nothing can come of it.
+
+    Parameters
+    ----------
+    speeds : `~astropy.units.Quantity`, shape (2,)
+        Proper motions of the two streams, in any order.
+    beam : `~astro_scc.epochs.Beam` or `~astropy.units.Quantity`
+        Or the full width of a round one.
+    n_epochs : int or sequence of int
+    intervals : `~astropy.units.Quantity`, scalar or shape (n,), or sequence
+        Times between consecutive epochs.
+    position_angle : `~astropy.units.Quantity`, optional
+        Direction of the jet, north through east, to which the beam is
+        turned.  Without it the beam is taken to be round, of the same area.
+    field : `~astropy.units.Quantity`, optional
+        Length of the jet that is seen, an angle; 20 beams by default.
+    n_jets : int, optional
+        Simulated jets for each row.  With 0 nothing is simulated, and the
+        simple estimate is returned at once.
+    n_trials : int, optional
+        Of each measurement.
+    level : float, optional
+        Largest ``p_global`` of a component.
+    wanted : float, optional
+        The share of jets in which both are found that `smallest_plan`
+        looks for, see ``meta["smallest"]``.
+    rng : None, int or `~numpy.random.Generator`, optional
+        Every jet has a generator of its own: the table is the same for any
+        ``n_workers``.
+    n_workers : int, optional
+        Number of threads.
+    progress_bar : bool, optional
+    **options
+        Of `~astro_scc.simulation.simulate_two_fluid` (``densities``,
+        ``dense``, ``jitter``) and `~astro_scc.simulation.JetSimulation`
+        (``noise``, ``core``); lengths there are in pixels, ten to the beam.
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        One row a number of epochs and interval: ``n_epochs``, ``interval``,
+        ``total_time``, ``motion_slow`` and ``motion_fast`` (beams per
+        interval), ``baseline`` (the time between the epochs that are
+        paired), ``p_smallest``, ``limit``, ``n_jets``, and the shares
+        ``fraction_slow``, ``fraction_fast`` and ``fraction_both``, each with
+        its 95% interval ``_low`` and ``_high`` (Jeffreys), masked where
+        nothing was simulated.  ``meta["smallest"]`` is the row that
+        `smallest_plan` finds, as a dictionary, or None.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of its range.
+    `~astropy.units.UnitConversionError`
+        If a unit does not fit.
+
+    Notes
+    -----
+    The simple estimate, ``limit``: with N epochs an interval dt apart, T the
+    time between first and last, speeds v < V, b the beam along the jet and L
+    the field,
+
+    - "epochs": 2 / N! is above the level;
+    - "rest": v T < 0.2 b, the slower stream is not told from rest;
+    - "difference": (V - v) T < 0.5 b, the two are one peak;
+    - "field": features of the faster stream cross more than half of the field
+      between the epochs of a pair.
+
+    Epochs k intervals apart are paired, k the smallest number for which
+    ``(V - v) k dt >= 0.5 b``: where consecutive epochs are too close in time
+    give ``baseline`` of `~astro_scc.StackedCrossCorrelation` a range about
+    the column ``baseline``.
+
+    A stream is found if there is a component that moves with ``p_global <=
+    level`` within 0.2 beams over the baseline of its velocity.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.recovery import plan
+    >>> table = plan(speeds=[0.2, 1] * u.mas / u.yr, beam=0.8 * u.mas,
+    ...              n_epochs=[4, 6, 10], intervals=[0.25, 0.5] * u.yr, n_jets=0)
+    >>> table["n_epochs", "interval", "motion_fast", "baseline", "limit"].pprint()
+    n_epochs interval motion_fast baseline limit
+                yr                   yr
+    -------- -------- ----------- -------- ------
+           4     0.25      0.3125      0.5 epochs
+           4      0.5       0.625      0.5 epochs
+           6     0.25      0.3125      0.5
+           6      0.5       0.625      0.5
+          10     0.25      0.3125      0.5
+          10      0.5       0.625      0.5
+    >>> table.meta["smallest"]["n_epochs"], table.meta["smallest"]["interval"]
+    (6, <Quantity 0.25 yr>)
+    """
+    slow, fast = _two_speeds(speeds)
+    beam, width = _beam(beam, position_angle)
+    length = FIELD * width if field is None else _positive("field", field, u.mas)
+    numbers = np.atleast_1d(n_epochs)
+    if numbers.size == 0 or numbers.dtype.kind not in "iu" or numbers.min() < 2:
+        raise ValueError(f"n_epochs must be one or more numbers from 2, got {n_epochs}")
+    intervals = _intervals(intervals)
+    if n_jets < 0:
+        raise ValueError(f"n_jets must be zero or positive, got {n_jets}")
+    for name, value in (("level", level), ("wanted", wanted)):
+        if not 0 < value < 1:
+            raise ValueError(f"{name} must be between 0 and 1, got {value}")
+    if n_jets and 1 / (n_trials + 1) > level:
+        raise ValueError(
+            f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, so "
+            f"nothing can be found at level {level:g}: give more n_trials"
+        )
+    if rng is None:
+        rng = int(np.random.SeedSequence().entropy % 2**63)
+    seed = int(rng) if isinstance(rng, (int, np.integer)) else None
+
+    campaigns = [
+        _Campaign(int(n), interval, slow, fast, width, length, level)
+        for n in numbers
+        for interval in intervals.to_value(u.yr)
+    ]
+    jobs = [
+        (campaign, own)
+        for campaign, row_rng in zip(
+            campaigns, np.random.default_rng(rng).spawn(len(campaigns)), strict=True
+        )
+        if not campaign.limit
+        for own in row_rng.spawn(n_jets)
+    ]
+
+    def measure(job):
+        campaign, own = job
+        return campaign.measure(beam, n_trials, own, options)
+
+    found = run_all(
+        measure, jobs, n_workers=n_workers, label="Planning", progress_bar=progress_bar
+    )
+    given = np.tile(intervals.value, len(numbers)) * intervals.unit
+    table = _table(campaigns, found, n_jets, given)
+    table.meta.update(
+        {
+            "speeds": [slow, fast] * PM_UNIT,
+            "beam_along": width * u.mas,
+            "field": length * u.mas,
+            "n_trials": n_trials,
+            "level": level,
+            "wanted": wanted,
+            "epochs_needed": epochs_needed(level),
+            "seed": seed,
+            "versions": versions(),
+        }
+    )
+    row = smallest_plan(table, wanted)
+    table.meta["smallest"] = None if row is None else _as_dict(row)
+    return table
+
+
+def smallest_plan(table, wanted=0.9):
+    """
+    The smallest row of a plan that reaches a share.
+
+    Of the rows with the fewest epochs that with the shortest total time.
+
+    Parameters
+    ----------
+    table : `~astropy.table.QTable`
+        From `plan`.
+    wanted : float, optional
+        Smallest ``fraction_both``.  Of rows that were not simulated those
+        without a ``limit`` count.
+
+    Returns
+    -------
+    `~astropy.table.Row` or None
+        None if no row reaches it.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.recovery import plan, smallest_plan
+    >>> table = plan(speeds=[1, 4] * u.mas / u.yr, beam=1 * u.mas, n_epochs=[3, 8, 12],
+    ...              intervals=90 * u.day, n_jets=0)
+    >>> int(smallest_plan(table)["n_epochs"])
+    8
+    """
+    if np.any(table["n_jets"] > 0):
+        reached = np.ma.filled(table["fraction_both"], -1.0) >= wanted
+    else:
+        reached = table["limit"] == ""
+    rows = np.flatnonzero(reached)
+    if len(rows) == 0:
+        return None
+    time = table["total_time"].value
+    return table[min(rows, key=lambda k: (table["n_epochs"][k], time[k]))]
+
+
+@dataclass(frozen=True)
+class _Campaign:
+    """Epochs at one spacing, speeds in mas/yr, times in yr, angles in mas."""
+
+    n_epochs: int
+    interval: float
+    slow: float
+    fast: float
+    width: float
+    field: float
+    level: float
+
+    @property
+    def total(self):
+        return (self.n_epochs - 1) * self.interval
+
+    @property
+    def lag(self):
+        """Intervals between the epochs of a pair."""
+        apart = (self.fast - self.slow) * self.interval / self.width
+        # Rounding must not add an interval.
+        return max(1, int(np.ceil(RESOLVED / apart * (1 - 1e-9))))
+
+    @property
+    def limit(self):
+        """Why nothing can come of it, or an empty string."""
+        if smallest_p(self.n_epochs) > self.level:
+            return "epochs"
+        if self.slow * self.total < SMALLEST_SHIFT * self.width * (1 - 1e-9):
+            return "rest"
+        if self.lag > self.n_epochs - 1:
+            return "difference"
+        if self.fast * self.lag * self.interval > CROSSED * self.field * (1 + 1e-9):
+            return "field"
+        return ""
+
+    def measure(self, beam, n_trials, rng, options):
+        """Whether the slow and the fast stream of one jet are found."""
+        from astro_scc.scc import StackedCrossCorrelation
+        from astro_scc.simulation import simulate_two_fluid
+
+        jet_rng, trial_rng = rng.spawn(2)
+        pixel = np.sqrt(beam.major * beam.minor) / BEAM_PIXELS
+        start = 2.0 * BEAM_PIXELS
+        end = start + self.field / pixel.value
+        jet = simulate_two_fluid(
+            slow=self.slow * PM_UNIT,
+            fast=self.fast * PM_UNIT,
+            rng=jet_rng,
+            **{
+                "n_epochs": self.n_epochs,
+                "interval": self.interval * u.yr,
+                "pixel_scale": pixel,
+                "beams": beam,
+                "extent": (start, end),
+                "shape": (128, int(end) + 4 * BEAM_PIXELS),
+                **options,
+            },
+        )
+        pair = self.lag * self.interval
+        scc = StackedCrossCorrelation(
+            scales=SCALES,
+            max_speed=(self.fast + MARGIN * self.width / pair) * PM_UNIT,
+            position_angle=JET,
+            baseline=[pair - self.interval / 2, pair + self.interval / 2] * u.yr,
+            level=self.level,
+        )
+        result = scc(jet.cube, n_trials=n_trials, rng=trial_rng)
+        moving = result.components[result.components["kind"] == "moving"]
+        along = moving["pm_parallel"].to_value(PM_UNIT)
+        across = moving["pm_transverse"].to_value(PM_UNIT)
+        tolerance = TOLERANCE * self.width / pair
+        return [
+            bool(np.any(np.hypot(along - speed, across) <= tolerance))
+            for speed in (self.slow, self.fast)
+        ]
+
+
+def _table(campaigns, found, n_jets, interval):
+    beams = np.array([c.interval / c.width for c in campaigns])
+    limits = [c.limit for c in campaigns]
+    done = np.array([0 if limit else n_jets for limit in limits], dtype=int)
+    table = QTable(
+        {
+            "n_epochs": [c.n_epochs for c in campaigns],
+            "interval": interval,
+            "total_time": interval * [c.n_epochs - 1 for c in campaigns],
+            "motion_slow": beams * [c.slow for c in campaigns],
+            "motion_fast": beams * [c.fast for c in campaigns],
+            "baseline": interval * [c.lag for c in campaigns],
+            "p_smallest": [smallest_p(c.n_epochs) for c in campaigns],
+            "limit": np.array(limits, dtype="U10"),
+            "n_jets": done,
+        }
+    )
+    rows = iter(np.array(found, dtype=bool).reshape(-1, 2))
+    counts = [
+        np.array([next(rows) for _ in range(n)]).reshape(n, 2) if n else None
+        for n in done
+    ]
+    for name, of in (
+        ("slow", lambda c: c[:, 0]),
+        ("fast", lambda c: c[:, 1]),
+        ("both", lambda c: c.all(axis=1)),
+    ):
+        shares = [
+            (None,) * 3 if c is None else [float(s) for s in share(of(c).sum(), len(c))]
+            for c in counts
+        ]
+        for suffix, column in zip(("", "_low", "_high"), zip(*shares, strict=True),
+                                  strict=True):  # fmt: skip
+            table[f"fraction_{name}{suffix}"] = partly_known(column)
+    for name in table.colnames:
+        limit = name.endswith(("_low", "_high"))
+        table[name].info.description = (
+            "limit of the 95% interval (Jeffreys)" if limit else DESCRIPTIONS[name]
+        )
+    return table
+
+
+def _as_dict(row):
+    """A row as ECSV can keep it in a meta."""
+    names = ("n_epochs", "interval", "total_time", "baseline", "fraction_both")
+    values = {name: row[name] for name in names}
+    values["n_epochs"] = int(values["n_epochs"])
+    fraction = values.pop("fraction_both")
+    known = fraction is not np.ma.masked
+    return {**values, "fraction_both": float(fraction) if known else None}
+
+
+def _two_speeds(speeds):
+    values = np.atleast_1d(_in_unit("speeds", speeds, PM_UNIT).value)
+    if values.shape != (2,) or not np.all((values > 0) & np.isfinite(values)):
+        raise ValueError(f"speeds must be two positive speeds, got {speeds}")
+    slow, fast = (float(v) for v in np.sort(values))
+    if slow == fast:
+        raise ValueError(f"speeds must be two different ones, got {speeds}")
+    return slow, fast
+
+
+def _beam(beam, position_angle):
+    """The beam in the frame of the simulated jet, and its width along it in mas."""
+    if not hasattr(beam, "major"):
+        width = _positive("beam", beam, u.mas) * u.mas
+        beam = Beam(width, width)
+    if position_angle is None:
+        width = np.sqrt(beam.major * beam.minor)
+        beam = Beam(width, width)
+    else:
+        turn = JET - _in_unit("position_angle", position_angle, u.deg)
+        beam = Beam(beam.major, beam.minor, beam.pa + turn)
+    return beam, float(beam.fwhm_along(JET).to_value(u.mas))
+
+
+def _intervals(intervals):
+    if not isinstance(intervals, u.Quantity):
+        intervals = list(intervals)
+    values = np.atleast_1d(u.Quantity(intervals))
+    in_years = _in_unit("intervals", values, u.yr).value
+    if values.size == 0 or not np.all((in_years > 0) & np.isfinite(in_years)):
+        raise ValueError(f"intervals must be one or more positive times, got {values}")
+    return values
+
+
+def _positive(name, value, unit):
+    value = _in_unit(name, value, unit)
+    if not (value.isscalar and 0 < value.value < np.inf):
+        raise ValueError(f"{name} must be one positive number, got {value}")
+    return float(value.value)
+
+
+def _in_unit(name, value, unit):
+    try:
+        return u.Quantity(value).to(unit)
+    except u.UnitConversionError:
+        raise u.UnitConversionError(
+            f"{name} must be in a unit like {unit}, got {value}"
+        ) from None
