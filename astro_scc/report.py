@@ -62,6 +62,7 @@ COLUMNS = (
     ("z_score", "z", 1),
     ("n_ssp", "SSPs", 0),
     ("n_pairs", "pairs", 0),
+    ("n_features", "features", 0),
     ("pm_parallel", "along ({unit})", 3),
     ("pm_transverse", "across ({unit})", 3),
     ("pm_ra_cosdec", "east ({unit})", 3),

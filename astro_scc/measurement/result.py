@@ -13,7 +13,6 @@ from astropy.wcs import WCS
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube
-from astro_scc.kinematics import RadialFrame
 from astro_scc.measurement.tables import component_table, ssp_table
 from astro_scc.stacking import (
     Component,
@@ -267,6 +266,7 @@ class SCCResult:
             "n_pairs": len(
                 np.unique(d.reference[member] * d.n_epochs + d.target[member])
             ),
+            "n_features": finding.n_features,
         }
         velocity = np.array([peak.v1, peak.v2])
         where = self.frame, self.position_angle
@@ -304,14 +304,14 @@ def _covariance(jitter):
 
 def _vectors(velocity, covariance, frame, position_angle):
     """Components of a velocity and their errors, on the sky and to the jet."""
-    if not isinstance(frame, RadialFrame):
+    if frame.uniform:
         to_sky = np.linalg.inv(frame.matrix(0.0, 0.0))
         sky, sky_covariance = to_sky @ velocity, to_sky @ covariance @ to_sky.T
         pa = position_angle.to_value(u.rad)
         jet = np.array([[np.sin(pa), np.cos(pa)], [np.cos(pa), -np.sin(pa)]])
         along, along_covariance = jet @ sky, jet @ sky_covariance @ jet.T
     else:
-        # Away from a point there is no one direction on the sky.
+        # Away from a point or along a bend there is no one direction on the sky.
         sky, sky_covariance = np.full(2, np.nan), np.full((2, 2), np.nan)
         along, along_covariance = velocity, covariance
     speed = float(np.hypot(*along))
@@ -319,7 +319,7 @@ def _vectors(velocity, covariance, frame, position_angle):
     across = np.array([-unit[1], unit[0]])
     speed_err = np.sqrt(unit @ along_covariance @ unit)
     pa_err = np.pi
-    if isinstance(frame, RadialFrame):
+    if not frame.uniform:
         pa_err = np.nan
     elif speed > 0:
         # No direction is more than half a turn off.

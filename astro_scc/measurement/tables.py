@@ -28,6 +28,7 @@ DESCRIPTIONS = {
     "p_local": "probability of as much at this velocity, largest of the nulls",
     "p_global": "probability of as much at any velocity, largest of the nulls",
     "p_global_err": "Monte Carlo standard error of p_global",
+    "n_features": "number of different features that the SSPs are of, at least",
     "p_smallest": "smallest p_global that trials and number of epochs allow",
     "pm_err_jitter": "standard error of pm from shifted SSPs (paper)",
     "n_ssp": "SSPs with a match at the component's velocity",
@@ -139,8 +140,9 @@ def component_table(rows, *, meta=None):
         "p_smallest",
         "n_ssp",
         "n_pairs",
+        "n_features",
     ]
-    dtypes = dict.fromkeys(("component", "n_ssp", "n_pairs"), int)
+    dtypes = dict.fromkeys(("component", "n_ssp", "n_pairs", "n_features"), int)
     dtypes["kind"] = "U10"
     table = QTable()
     for name in names:

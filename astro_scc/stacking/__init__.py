@@ -9,6 +9,7 @@ from astro_scc.stacking.components import (
 )
 from astro_scc.stacking.contrast import Contrast
 from astro_scc.stacking.displacements import Displacements
+from astro_scc.stacking.features import count_features
 from astro_scc.stacking.grid import VelocityGrid
 from astro_scc.stacking.jitter import JitteredVelocity, jitter_positions
 from astro_scc.stacking.nulls import NULLS, NullTest, ScrambleNull, ShuffleNull
@@ -40,6 +41,7 @@ __all__ = [
     "baseline_pairs",
     "component_near",
     "consecutive_pairs",
+    "count_features",
     "feature_scatter",
     "find_components",
     "find_velocities",

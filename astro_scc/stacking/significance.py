@@ -7,6 +7,7 @@ import numpy as np
 
 from astro_scc.stacking.contrast import Contrast
 from astro_scc.stacking.displacements import Displacements
+from astro_scc.stacking.features import count_features
 from astro_scc.stacking.nulls import NULLS, REST, Scene
 from astro_scc.stacking.sightings import Sightings
 from astro_scc.stacking.witnesses import find_witnesses
@@ -16,8 +17,10 @@ __all__ = ["Finding", "find_velocities"]
 #: SSPs with a sighting this close to a component are explained by it.
 EXPLAINED = 1.5
 #: Velocities closer to a component than this are not told from it, in the
-#: same unit: two Gaussians of the width of the kernel are one peak.
-RESOLVED = 2.0
+#: same unit: half a beam an interval with the default kernel.
+RESOLVED = 2.5
+#: Fewest features whose velocity is a common one.
+FEWEST_FEATURES = 3
 #: Fewest witnesses that can be searched.
 FEWEST = 3
 
@@ -43,6 +46,9 @@ class Finding:
         By the name of the null hypothesis.
     n_witnesses : int
         Witnesses within 1.5 standard errors.
+    n_features : int
+        Different features that they are at least; what moves with fewer
+        than three is uncertain, with a probability of one.
     displacements : `~astro_scc.stacking.Displacements`
         What earlier findings had left to be explained.
     group : `~numpy.ndarray` of int, shape (len(displacements),)
@@ -57,6 +63,7 @@ class Finding:
     p_error: float
     tests: dict
     n_witnesses: int
+    n_features: int
     displacements: Displacements = field(repr=False)
     group: np.ndarray = field(repr=False)
 
@@ -80,7 +87,7 @@ def find_velocities(
     Sightings are grouped into witnesses, the velocity with the largest
     contrast is tested against every null hypothesis, and if it passes all
     SSPs that it explains are taken away and the search starts again, at
-    velocities more than two standard errors from those found; it ends with
+    velocities more than 2.5 standard errors from those found; it ends with
     the first velocity that the scramble cannot reject.  The
     probability is that of the strongest of what is left, so later steps
     hold given that the earlier ones are right.
@@ -121,7 +128,7 @@ def find_velocities(
             break
         group = np.full(len(displacements), -1)
         group[seen.match] = scene.witnesses.group
-        finding = _test(scene, group[left], nulls, n_trials, level, step_rng)
+        finding = _test(scene, seen, group[left], nulls, n_trials, level, step_rng)
         findings.append(finding)
         if progress is not None:
             progress(1)
@@ -185,9 +192,10 @@ def _scene(displacements, pairs, sightings, v_max, taken):
     )
 
 
-def _test(scene, group, nulls, n_trials, level, rng):
+def _test(scene, seen, group, nulls, n_trials, level, rng):
     v1, v2 = scene.velocity
     w = scene.witnesses
+    n_features = count_features(seen, w.group, seen.near(v1, v2, EXPLAINED))
     tests = {
         null.name: null.test(scene, n_trials, own)
         for null, own in zip(nulls, rng.spawn(len(nulls)), strict=True)
@@ -203,16 +211,21 @@ def _test(scene, group, nulls, n_trials, level, rng):
     else:
         kind, counted = "uncertain", everything
     worst = max(counted, key=lambda t: t.p_global)
+    p_local, p_global, error = max(t.p_local for t in counted), worst.p_global, worst.error
+    if kind == "moving" and n_features < FEWEST_FEATURES:
+        # What one feature does at many dates says nothing of others.
+        kind, p_local, p_global, error = "uncertain", 1.0, 1.0, 0.0
     near = np.hypot((w.v1 - v1) / w.s1, (w.v2 - v2) / w.s2) <= EXPLAINED
     return Finding(
         v1=float(v1),
         v2=float(v2),
         kind=kind,
-        p_local=max(t.p_local for t in counted),
-        p_global=worst.p_global,
-        p_error=worst.error,
+        p_local=p_local,
+        p_global=p_global,
+        p_error=error,
         tests=tests,
         n_witnesses=int(near.sum()),
+        n_features=n_features,
         displacements=scene.displacements,
         group=group,
     )

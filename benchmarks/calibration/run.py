@@ -32,7 +32,7 @@ PIXEL = (0.1 * u.mas / (30 * u.day)).to(u.mas / u.yr)
 #: The region of the paper's test, 10 beams long.
 REGION = slice(60, 160)
 COLUMNS = ("seed", "component", "kind", "v1", "v1_err", "v2", "v2_err", "z_score",
-           "p_scramble", "p_shuffle", "p_global")  # fmt: skip
+           "p_scramble", "p_shuffle", "p_global", "n_features")  # fmt: skip
 
 
 def changing_beams(n_epochs, rng):
@@ -53,6 +53,12 @@ def beam_change(seed):
     return sim.simulate_static(beams=changing_beams(10, rng), rng=rng)
 
 
+def sparse(seed):
+    """About four features, each with a velocity of its own about which it wanders."""
+    options = {"density": 0.2, "dx": (0.0, 20.0), "dy": (-2.0, 2.0), "jitter": 2.0}
+    return sim.simulate_ballistic(rng=seed, **options)
+
+
 def two_fluid(**options):
     """A two-fluid jet with options, by seed."""
     return lambda seed: sim.simulate_two_fluid(rng=seed, **options)
@@ -64,11 +70,12 @@ KINDS = {
     "random": lambda seed: sim.simulate_random_velocity(rng=seed),
     "ballistic": lambda seed: sim.simulate_ballistic(rng=seed),
     "beam-change": beam_change,
+    "sparse": sparse,
     "two-fluid": two_fluid(),
     "two-fluid-dense": two_fluid(dense=True),
 }
-KINDS |= {f"epochs-{n}": two_fluid(n_epochs=n) for n in (5, 20)}
-KINDS |= {f"difference-{d}": two_fluid(fast=5.0 + d) for d in (3, 5, 10)}
+KINDS |= {f"epochs-{n}": two_fluid(n_epochs=n) for n in (5, 20, 40)}
+KINDS |= {f"difference-{d}": two_fluid(fast=5.0 + d) for d in (3, 5, 10, 20)}
 KINDS |= {f"noise-{s}": two_fluid(noise=s) for s in (0.01, 0.05)}
 KINDS |= {f"density-{f}": two_fluid(densities=(f * 1.0, f * 0.8)) for f in (0.5, 2.0)}
 
@@ -98,8 +105,9 @@ def measure(kind, seed, n_trials):
         p = [finding.tests[name].p_global for name in ("scramble", "shuffle")]
         p = [f"{x:.5f}" for x in (*p, row["p_global"])]
         head = (seed, row["component"], row["kind"])
-        rows.append((*head, *values, f"{row['z_score']:.3f}", *p))
-    return rows or [(seed, 0, "none", *["nan"] * 5, 1.0, 1.0, 1.0)]
+        z_score = f"{row['z_score']:.3f}"
+        rows.append((*head, *values, z_score, *p, row["n_features"]))
+    return rows or [(seed, 0, "none", *["nan"] * 5, 1.0, 1.0, 1.0, 0)]
 
 
 def main():

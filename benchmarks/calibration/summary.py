@@ -18,12 +18,12 @@ from astropy.table import Table
 from matplotlib.figure import Figure
 
 RESULTS = Path(__file__).parent / "results"
-NULLS = ("unrelated", "static", "random", "ballistic", "beam-change")
+NULLS = ("unrelated", "static", "random", "ballistic", "beam-change", "sparse")
 #: A component is a stream's if it is this close, in pixels an epoch (0.2 beam).
 CLOSE = 2.0
 LEVELS = (0.01, 0.05)
 COLORS = dict(
-    zip(NULLS, ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"), strict=True)
+    zip(NULLS, ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"), strict=True)
 )
 
 

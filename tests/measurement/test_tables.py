@@ -31,6 +31,7 @@ CONTRACT = [
     "pm_err_jitter",
     "n_ssp",
     "n_pairs",
+    "n_features",
 ]
 
 
@@ -68,7 +69,7 @@ def test_components_have_all_columns_with_units_and_descriptions(n):
     assert table["pm_err_jitter"].unit == PM
     assert list(table["kind"]) == ["uncertain"] * n
     assert table["kind"].dtype.kind == "U"
-    for name in ("component", "n_ssp", "n_pairs"):
+    for name in ("component", "n_ssp", "n_pairs", "n_features"):
         assert table[name].dtype.kind == "i"
     for name in ("coefficient", "z_score", "p_local", "p_global", "p_smallest"):
         assert table[name].dtype.kind == "f"
