@@ -7,6 +7,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import versions
 from astro_scc.measurement.plan import mean_fwhm
 from astro_scc.recovery.area import area_for_features
@@ -118,7 +119,8 @@ def completeness(
     Raises
     ------
     ValueError
-        If an argument is out of its range, the epochs or the trials are so
+        If an argument is out of its range, the velocity axes of ``scc`` have
+        no one direction and are not radial, the epochs or the trials are so
         few that nothing can be found, a speed is beyond the largest that
         ``scc`` searches, or the cube has no beams and ``fwhm`` is not
         given.
@@ -273,23 +275,8 @@ class _Setup:
     def of(cls, cube, scc, position_angle, region, n_trials, fwhm, tolerance):
         pairs = scc.date_pairs(cube)
         _check_possible(len(cube), n_trials, scc.level)
-        if position_angle is None:
-            position_angle = scc.position_angle
-        if position_angle is None:
-            raise ValueError(
-                "position_angle is missing: give the direction in which features "
-                "move, an angle or 'radial'"
-            )
-        radial = isinstance(position_angle, str)
-        if radial != isinstance(scc.position_angle, str) or (
-            radial and position_angle != "radial"
-        ):
-            raise ValueError(
-                f"position_angle {position_angle} does not go with that of the "
-                f"measurement, {scc.position_angle}: either both are 'radial', or none"
-            )
-        if not radial:
-            position_angle = _in_unit("position_angle", position_angle, u.deg)
+        axis = _axis(scc.position_angle)
+        position_angle = _direction(position_angle, axis)
         if fwhm is not None:
             fwhm = _in_unit("fwhm", fwhm, u.mas)
             if not (fwhm.isscalar and 0 < fwhm.value < np.inf):
@@ -314,9 +301,8 @@ class _Setup:
         region = None if region is None else cube.region_mask(region)
         limit = scc.speed_limit(cube).to_value(PM_UNIT)
         largest_part = 1.0
-        if not radial:
-            axis = 0 * u.deg if scc.position_angle is None else scc.position_angle
-            turn = position_angle - axis
+        if not isinstance(position_angle, str):
+            turn = position_angle - (0 * u.deg if axis is None else axis)
             largest_part = float(max(abs(np.cos(turn)), abs(np.sin(turn))))
         return cls(region, position_angle, fwhm, tolerance, limit, largest_part)
 
@@ -338,6 +324,41 @@ class _Setup:
                 "larger max_speed"
             )
         return [float(value) for value in values]
+
+
+def _axis(position_angle):
+    """Direction of the velocity axes of a measurement."""
+    if isinstance(position_angle, PositionAngleFrame):
+        return position_angle.pa
+    if position_angle is None or isinstance(position_angle, u.Quantity):
+        return position_angle
+    if isinstance(position_angle, str) and position_angle == "radial":
+        return position_angle
+    raise ValueError(
+        "features move on straight lines, so the measurement needs velocity axes of "
+        f"one direction, or 'radial', not {position_angle}: give "
+        "StackedCrossCorrelation an angle as position_angle"
+    )
+
+
+def _direction(position_angle, axis):
+    """Direction in which features move."""
+    if position_angle is None:
+        position_angle = axis
+    if position_angle is None:
+        raise ValueError(
+            "position_angle is missing: give the direction in which features move, an "
+            "angle or 'radial'"
+        )
+    radial = isinstance(position_angle, str)
+    if radial != isinstance(axis, str) or (radial and position_angle != "radial"):
+        raise ValueError(
+            f"position_angle {position_angle} does not go with that of the "
+            f"measurement, {axis}: either both are 'radial', or none"
+        )
+    return (
+        position_angle if radial else _in_unit("position_angle", position_angle, u.deg)
+    )
 
 
 def _check_possible(n_epochs, n_trials, level):

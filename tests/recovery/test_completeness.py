@@ -3,6 +3,7 @@
 
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -221,6 +222,22 @@ class TestMessages:
         # Neither east nor north is as fast as the whole.
         table = completeness(sky, bare, speeds=30 * PM, fluxes=0.1, **diagonal)
         assert table["n_found"][0] == 0
+
+    def test_axes_without_a_direction(self, sky, settings):
+        class Bent:
+            """Axes along a line that bends."""
+
+            def __repr__(self):
+                return "Bent()"
+
+        bent = SimpleNamespace(
+            **{**settings.to_dict(), "position_angle": Bent()},
+            date_pairs=settings.date_pairs,
+        )
+        with pytest.raises(
+            ValueError, match=r"or 'radial', not Bent\(\): give Stacked"
+        ):
+            completeness(sky, bent, speeds=FAST, fluxes=5.0, **QUICK)
 
     def test_no_noise(self, sky, settings):
         clean = replace(sky, noise=np.zeros(6) * sky.unit)
