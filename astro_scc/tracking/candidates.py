@@ -1,0 +1,154 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Candidates: which SSP of a later epoch each SSP may have become."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+__all__ = ["Candidates", "find_candidates"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Candidates:
+    """
+    Pairs of SSPs of one scale that may be the same feature at two dates.
+
+    Attributes
+    ----------
+    source, target : `~numpy.ndarray` of int, shape (n,)
+        Indices in the catalogue of the SSPs of all epochs.
+    dy, dx : `~numpy.ndarray`, shape (n,)
+        From maximum to maximum, in pixels.
+    interval : `~numpy.ndarray`, shape (n,)
+        Time from source to target, positive.
+    gap : `~numpy.ndarray` of int, shape (n,)
+        Epochs between the two, 0 for consecutive ones.
+    coefficient : `~numpy.ndarray`, shape (n,)
+        Correlation of the source with the image of the target there.
+    """
+
+    source: np.ndarray
+    target: np.ndarray
+    dy: np.ndarray
+    dx: np.ndarray
+    interval: np.ndarray
+    gap: np.ndarray
+    coefficient: np.ndarray
+
+    def __len__(self):
+        return len(self.source)
+
+    def __repr__(self):
+        return f"<Candidates: {len(self)} of {len(np.unique(self.source))} SSPs>"
+
+    def select(self, keep):
+        """
+        Some of the candidates.
+
+        Parameters
+        ----------
+        keep : array_like of bool, shape (n,), or of int
+
+        Returns
+        -------
+        `Candidates`
+        """
+        return Candidates(*(getattr(self, f.name)[keep] for f in fields(self)))
+
+
+def find_candidates(matches, landed, ssps, years, *, place=None, max_gap=1, most=8):
+    """
+    Candidates out of the correlation peaks.
+
+    A peak is a candidate if it falls on an SSP of the same scale of a later
+    epoch.  Of several peaks of one SSP on the same other one the highest
+    counts.
+
+    Parameters
+    ----------
+    matches : `~astro_scc.correlation.Matches`
+    landed : array_like of int, shape (n_matches,)
+        The SSP that each match falls on, or -1, see
+        `~astro_scc.correlation.landing_ssps`.
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+    years : array_like, shape (n_epochs,)
+        Dates in order, not decreasing.
+    place : array_like of int, shape (n_epochs,), optional
+        Place in time of each image, of a shuffled order; their own one by
+        default.
+    max_gap : int, optional
+        Most epochs between source and target.
+    most : int, optional
+        Of each SSP's candidates for an epoch, those of the highest
+        coefficients.
+
+    Returns
+    -------
+    `Candidates`
+        Ordered by source and target.
+
+    Raises
+    ------
+    ValueError
+        If ``max_gap`` is negative, ``most`` not positive, or the dates
+        decrease.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.correlation import Correlator, all_pairs, landing_ssps
+    >>> from astro_scc.decomposition import Decomposer, SSPs
+    >>> from astro_scc.tracking import find_candidates
+    >>> y, x = np.mgrid[:64, :96]
+    >>> def image(x0):
+    ...     return np.exp(-((x - x0) ** 2 + (y - 32) ** 2) / 30)
+    >>> decompose = Decomposer(scales=[2])
+    >>> epochs = [decompose(image(x0)) for x0 in (40, 46, 52)]
+    >>> ssps = SSPs.of_epochs(epochs)
+    >>> matches = Correlator()(epochs, all_pairs(3), 14)
+    >>> found = find_candidates(
+    ...     matches, landing_ssps(matches, ssps), ssps, [2000.0, 2000.5, 2001.0])
+    >>> found.source.tolist(), found.target.tolist(), found.dx.round(1).tolist()
+    ([0, 0, 1], [1, 2, 2], [6.0, 12.0, 6.0])
+    """
+    years = np.asarray(years, dtype=float)
+    if max_gap < 0 or most < 1:
+        raise ValueError(
+            f"max_gap must be 0 or more and most 1 or more, got {max_gap} and {most}"
+        )
+    if np.any(np.diff(years) < 0):
+        raise ValueError("the dates of the epochs must not decrease")
+    place = np.arange(len(years)) if place is None else np.asarray(place)
+    source, target = matches.ssp.astype(int), np.asarray(landed, dtype=int)
+    at, to = place[ssps.epoch[source]], place[matches.target]
+    use = (target >= 0) & (to > at) & (to - at <= max_gap + 1) & (years[to] > years[at])
+    source, target, at, to = source[use], target[use], at[use], to[use]
+    coefficient = matches.coefficient[use].astype(float)
+    # The best peak of each pair of SSPs, then the best pairs of each SSP and epoch.
+    order = np.lexsort((-coefficient, target, source))
+    order = order[_first_of(source[order], target[order])]
+    order = order[np.lexsort((-coefficient[order], to[order], source[order]))]
+    start = np.flatnonzero(_first_of(source[order], to[order]))
+    rank = np.arange(len(order)) - np.repeat(start, np.diff([*start, len(order)]))
+    order = order[rank < most]
+    order = order[np.lexsort((target[order], source[order]))]
+    source, target, at, to = source[order], target[order], at[order], to[order]
+    return Candidates(
+        source=source,
+        target=target,
+        dy=ssps.y[target] - ssps.y[source],
+        dx=ssps.x[target] - ssps.x[source],
+        interval=years[to] - years[at],
+        gap=to - at - 1,
+        coefficient=coefficient[order],
+    )
+
+
+def _first_of(*keys):
+    """Which entries of sorted keys differ from the one before."""
+    new = np.zeros(len(keys[0]), bool)
+    new[:1] = True
+    for key in keys:
+        new[1:] |= key[1:] != key[:-1]
+    return new

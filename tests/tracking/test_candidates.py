@@ -1,0 +1,79 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Candidates, against loops."""
+
+import numpy as np
+import pytest
+
+from astro_scc.correlation import Matches
+from astro_scc.tracking import find_candidates
+
+
+def random_matches(rng, ssps, n):
+    source = rng.integers(0, len(ssps), n)
+    landed = rng.integers(-1, len(ssps), n)
+    target = np.where(landed >= 0, ssps.epoch[landed], rng.integers(0, 4, n))
+    columns = (source, target, np.zeros(n), np.zeros(n), rng.random(n), np.ones(n),
+               np.ones(n))  # fmt: skip
+    return Matches.from_columns([columns], [(0, 1)], (5, 5), 0.0), landed
+
+
+@pytest.fixture
+def ssps(catalogue):
+    rng = np.random.default_rng(2)
+    epoch = np.repeat(np.arange(4), 3)
+    return catalogue(np.column_stack([epoch, rng.uniform(5, 90, (12, 2)), epoch + 1.0]))
+
+
+@pytest.mark.parametrize("place", [None, [2, 0, 3, 1]])
+@pytest.mark.parametrize("max_gap", [0, 1, 5])
+def test_candidates_are_those_of_loops(ssps, place, max_gap):
+    matches, landed = random_matches(np.random.default_rng(3), ssps, 300)
+    years = np.array([2000.0, 2000.3, 2000.3, 2001.0])
+    found = find_candidates(matches, landed, ssps, years, place=place, max_gap=max_gap)
+    place = np.arange(4) if place is None else place
+    best = {}
+    for i, k, c in zip(matches.ssp, landed, matches.coefficient, strict=True):
+        if k < 0:
+            continue
+        a, b = place[ssps.epoch[i]], place[ssps.epoch[k]]
+        if 0 < b - a <= max_gap + 1 and years[b] > years[a]:
+            best[i, k] = max(best.get((i, k), 0), c)
+    assert list(zip(found.source, found.target, strict=True)) == sorted(best)
+    assert found.coefficient == pytest.approx([best[p] for p in sorted(best)])
+    for i, k, dy, dx, interval, gap in zip(
+        found.source, found.target, found.dy, found.dx, found.interval, found.gap,
+        strict=True,
+    ):  # fmt: skip
+        a, b = place[ssps.epoch[i]], place[ssps.epoch[k]]
+        assert (dy, dx) == (ssps.y[k] - ssps.y[i], ssps.x[k] - ssps.x[i])
+        assert interval == years[b] - years[a]
+        assert gap == b - a - 1
+
+
+def test_only_the_best_candidates_of_an_epoch_are_kept(ssps):
+    matches, landed = random_matches(np.random.default_rng(3), ssps, 500)
+    every = find_candidates(matches, landed, ssps, np.arange(4.0))
+    one = find_candidates(matches, landed, ssps, np.arange(4.0), most=1)
+    groups = {}
+    for i, gap, c in zip(every.source, every.gap, every.coefficient, strict=True):
+        groups.setdefault((i, gap), []).append(c)
+    assert len(one) == len(groups) < len(every)
+    for i, gap, c in zip(one.source, one.gap, one.coefficient, strict=True):
+        assert c == max(groups[i, gap])
+
+
+def test_select_and_repr(ssps):
+    matches, landed = random_matches(np.random.default_rng(3), ssps, 50)
+    found = find_candidates(matches, landed, ssps, np.arange(4.0))
+    assert len(found.select(found.gap == 0)) == np.sum(found.gap == 0)
+    assert repr(found).startswith(f"<Candidates: {len(found)} of ")
+
+
+def test_what_makes_no_sense_is_refused(ssps):
+    matches, landed = random_matches(np.random.default_rng(3), ssps, 5)
+    with pytest.raises(ValueError, match="max_gap must be 0 or more and most 1"):
+        find_candidates(matches, landed, ssps, np.arange(4.0), max_gap=-1)
+    with pytest.raises(ValueError, match="got 1 and 0"):
+        find_candidates(matches, landed, ssps, np.arange(4.0), most=0)
+    with pytest.raises(ValueError, match="dates of the epochs must not decrease"):
+        find_candidates(matches, landed, ssps, [1.0, 0, 2, 3])

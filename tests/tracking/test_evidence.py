@@ -1,0 +1,96 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Evidence, against the densities that it is the ratio of."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from astro_scc.tracking import Candidates, Evidence, chance_density, parents
+
+
+def candidates_of(ssps, pairs, coefficient=1.0):
+    source, target = np.array(pairs, dtype=int).reshape(-1, 2).T
+    step = ssps.epoch[target] - ssps.epoch[source]
+    return Candidates(
+        source, target, ssps.y[target] - ssps.y[source], ssps.x[target] - ssps.x[source],
+        step.astype(float), step - 1, np.broadcast_to(coefficient, len(source)),
+    )  # fmt: skip
+
+
+def test_looks_are_ratios_of_densities(catalogue):
+    ssps = catalogue([[0, 10, 10, 1.0], [1, 10, 14, 1.3], [3, 10, 20, 0.9]])
+    found = Evidence().looks(candidates_of(ssps, [(0, 1), (1, 2)], 0.8), ssps)
+    for value, ratio, gap in zip(found, (np.log(1.3), np.log(0.9 / 1.3)), (0, 1),
+                                 strict=True):  # fmt: skip
+        shape = stats.expon.logpdf(0.2, scale=0.06) - stats.expon.logpdf(
+            0.2, scale=0.15
+        )
+        light = stats.cauchy.logpdf(ratio, scale=0.15) - stats.norm.logpdf(ratio)
+        assert value == pytest.approx(shape + light - 2.0 * gap)
+
+
+def test_steadiness_is_a_ratio_of_densities():
+    step = np.array([[[3.0, 1.0]], [[7.0, 1.5]]])
+    interval = np.array([[1.0], [2.0]])
+    found = Evidence(tolerance=1.5).steadiness(step, interval, np.array([0.01]))
+    normal = stats.multivariate_normal([6.0, 2.0], 1.5**2 * (1 + 4))
+    assert found == pytest.approx(normal.logpdf([7.0, 1.5]) - np.log(0.01))
+    far = Evidence(floor=-3.0).steadiness(100 * step, interval, np.array([0.01]))
+    assert far == pytest.approx(-3.0)
+
+
+def test_guidance_helps_where_it_agrees_and_never_forbids():
+    away = np.array([[0.0, 0.0], [50.0, 0.0]])
+    near, far = Evidence(follow=0.5).guidance(away, 4.0, np.full(2, 0.001))
+    assert near == pytest.approx(np.log(0.5 + 0.5 / (2 * np.pi * 16 * 0.001)))
+    assert far == pytest.approx(np.log(0.5))
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"tolerance": 0}, "tolerance must be above 0"),
+        ({"diversity": -1}, "diversity must be above 0"),
+        ({"follow": 1.0}, "follow must be 0 or more, below 1"),
+        ({"missing": -1}, "missing must be 0 or more"),
+        ({"floor": 1}, "floor 0 or less"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(setting, message):
+    with pytest.raises(ValueError, match=message):
+        Evidence(**setting)
+
+
+def test_density_of_a_lattice(catalogue):
+    y, x = (10 * v.ravel() + 10 for v in np.mgrid[:6, :6])
+    ssps = catalogue(np.column_stack([np.zeros(36), y, x, np.ones(36)]))
+    # Inside, the third neighbour is one step away.
+    assert chance_density(ssps) == pytest.approx(np.full(36, 3 / (np.pi * 100)))
+    alone = catalogue([[0, 10, 10, 1.0]])
+    assert chance_density(alone) == pytest.approx([1 / (np.pi * 400)])
+
+
+def test_parents_are_those_of_loops(catalogue):
+    rng = np.random.default_rng(4)
+    rows = np.column_stack(
+        [rng.integers(0, 2, 60), rng.uniform(10, 90, (60, 2)), np.ones(60)]
+    )
+    scale = rng.integers(1, 4, 60)
+    ssps = catalogue(rows, scale=scale, half=3 * scale)
+    found = parents(ssps, 400)
+    for i, parent in enumerate(found):
+        at = int(np.rint(ssps.y[i])) * 400 + int(np.rint(ssps.x[i]))
+        holders = [
+            k
+            for k in np.flatnonzero(
+                (ssps.scale == ssps.scale[i] + 1) & (ssps.epoch == ssps.epoch[i])
+            )
+            if at in ssps.pixels_of(k)
+        ]
+        assert parent in holders if holders else parent == -1
+
+
+def test_parents_without_a_coarser_epoch(catalogue):
+    ssps = catalogue([[0, 10, 10, 1], [1, 10, 10, 1]], scale=[1, 2])
+    assert parents(ssps, 400).tolist() == [-1, -1]
+    assert len(parents(ssps.empty(), 400)) == 0
