@@ -17,6 +17,7 @@ from astro_scc.measurement.plan import (
     search_reach,
     ssps_inside,
 )
+from astro_scc.measurement.stacking import NAMED_FRAMES
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
 
@@ -41,10 +42,12 @@ class StackedCrossCorrelation:
     max_speed : `~astropy.units.Quantity`, optional
         Largest proper motion along either axis.  By default four beams
         over the median interval of the pairs of epochs.
-    position_angle : `~astropy.units.Quantity` or "radial", optional
+    position_angle : `~astropy.units.Quantity`, str or frame, optional
         Direction of the jet, north through east, for velocity axes along
-        and across it; "radial" for axes away from the reference pixel.  The
-        axes are east and north without it.
+        and across it, or "fit" for that of the mean image; "radial" for
+        axes away from the reference pixel; "ridge" for axes along and across
+        the ridge line of the mean image; or a frame of
+        `astro_scc.kinematics`.  The axes are east and north without it.
     baseline : `~astropy.units.Quantity`, shape (2,), optional
         Shortest and longest time between two epochs that are paired.
         Consecutive epochs are paired without it.
@@ -108,12 +111,14 @@ class StackedCrossCorrelation:
                 )
             object.__setattr__(self, "baseline", baseline)
         if isinstance(self.position_angle, str):
-            if self.position_angle != "radial":
+            if self.position_angle not in NAMED_FRAMES:
                 raise ValueError(
-                    "position_angle must be an angle or 'radial', "
+                    "position_angle must be an angle, 'radial', 'ridge' or 'fit', "
                     f"got {self.position_angle!r}"
                 )
-        elif self.position_angle is not None:
+        elif not (
+            self.position_angle is None or hasattr(self.position_angle, "matrix")
+        ):
             angle = _in_unit("position_angle", self.position_angle, u.deg)
             if not (angle.isscalar and np.isfinite(angle)):
                 raise ValueError(

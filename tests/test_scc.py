@@ -143,7 +143,10 @@ def result(cube):
         ({"baseline": [2, 1] * u.yr}, "baseline must be a shortest and a longest"),
         ({"baseline": [-1, 1] * u.yr}, "baseline must be a shortest and a longest"),
         ({"baseline": [0, np.nan] * u.yr}, "baseline must be a shortest"),
-        ({"position_angle": "west"}, "must be an angle or 'radial', got 'west'"),
+        (
+            {"position_angle": "west"},
+            "must be an angle, 'radial', 'ridge' or 'fit', got 'west'",
+        ),
         ({"position_angle": [1, 2] * u.deg}, "position_angle must be one finite"),
         ({"position_angle": np.nan * u.deg}, "position_angle must be one finite"),
         ({"kernel": 0}, "kernel must be a part of the beam, got 0"),

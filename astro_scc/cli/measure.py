@@ -108,9 +108,10 @@ def add_parser(commands):
     )
     group.add_argument(
         "--position-angle",
-        metavar='"65 deg"|radial',
+        metavar='"65 deg"|fit|ridge|radial',
         help="direction of the jet, north through east: velocities along and across "
-        "it instead of east and north; radial for away from the reference pixel",
+        "it instead of east and north; fit for that of the mean image, ridge for "
+        "along its ridge line, radial for away from the reference pixel",
     )
     group.add_argument(
         "--baseline",

@@ -114,10 +114,11 @@ def _distance(value):
 
 
 def _position_angle(value):
-    if value == "radial":
+    if value in ("radial", "ridge", "fit"):
         return value
     example = "65 deg"
-    return _quantity(value, "radial or an angle", example, positive=False)
+    kind = "radial, ridge, fit or an angle"
+    return _quantity(value, kind, example, positive=False)
 
 
 def _quantities(value, unit, wanted):

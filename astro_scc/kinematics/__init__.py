@@ -11,15 +11,33 @@ from astro_scc.kinematics.cosmology import (
     paper_cosmology,
     viewing_angle,
 )
-from astro_scc.kinematics.frames import PositionAngleFrame, RadialFrame, SkyFrame
+from astro_scc.kinematics.expansion import ExpansionFrame
+from astro_scc.kinematics.frames import (
+    PositionAngleFrame,
+    RadialFrame,
+    SkyFrame,
+    frame_displacements,
+)
+from astro_scc.kinematics.ridge_line import RidgeLine
+from astro_scc.kinematics.ridge_search import (
+    find_ridge_line,
+    fit_position_angle,
+    limb_masks,
+)
 
 __all__ = [
+    "ExpansionFrame",
     "PositionAngleFrame",
     "RadialFrame",
+    "RidgeLine",
     "SkyFrame",
     "apparent_speed",
     "beta_intrinsic",
     "doppler_factor",
+    "find_ridge_line",
+    "fit_position_angle",
+    "frame_displacements",
+    "limb_masks",
     "lorentz_factor",
     "maximum_viewing_angle",
     "minimum_lorentz_factor",

@@ -6,7 +6,38 @@ from dataclasses import dataclass
 import astropy.units as u
 import numpy as np
 
-__all__ = ["PositionAngleFrame", "RadialFrame", "SkyFrame"]
+__all__ = ["PositionAngleFrame", "RadialFrame", "SkyFrame", "frame_displacements"]
+
+
+def frame_displacements(frame, position, motion):
+    """
+    Displacements along the axes of a frame.
+
+    Parameters
+    ----------
+    frame : frame of `astro_scc.kinematics`
+        One with a method ``displacement`` is asked; of others the axes are
+        those at the position.
+    position, motion : `numpy.ndarray`, shape (n, 2)
+        East and north in mas.
+
+    Returns
+    -------
+    `numpy.ndarray`, shape (n, 2)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.kinematics import RadialFrame, frame_displacements
+    >>> position, motion = np.array([[0.0, 2.0]]), np.array([[0.1, 1.0]])
+    >>> frame_displacements(RadialFrame(), position, motion)
+    array([[1. , 0.1]])
+    """
+    own = getattr(frame, "displacement", None)
+    if own is not None:
+        return own(position, motion)
+    axes = frame.matrix(position[:, 0], position[:, 1])
+    return np.einsum("nai,ni->na", axes, motion)
 
 
 @dataclass(frozen=True)
@@ -20,6 +51,9 @@ class SkyFrame:
     >>> SkyFrame().axis_names
     ('east', 'north')
     """
+
+    #: The axes are the same everywhere.
+    uniform = True
 
     @property
     def axis_names(self):
@@ -91,6 +125,9 @@ class PositionAngleFrame:
     """
 
     pa: u.Quantity
+
+    #: The axes are the same everywhere.
+    uniform = True
 
     def __post_init__(self):
         pa = u.Quantity(self.pa).to(u.deg)
@@ -170,6 +207,9 @@ class RadialFrame:
     """
 
     origin: u.Quantity = (0.0, 0.0) * u.mas
+
+    #: The axes are not the same everywhere.
+    uniform = False
 
     def __post_init__(self):
         origin = u.Quantity(self.origin).to(u.mas)

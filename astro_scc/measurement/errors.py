@@ -5,6 +5,7 @@ import numpy as np
 
 from astro_scc.correlation import landing_ssps
 from astro_scc.decomposition import scale_size
+from astro_scc.kinematics import frame_displacements
 from astro_scc.stacking import Displacements
 
 __all__ = ["angular_displacements", "beam_fwhm", "position_errors", "ssp_offsets"]
@@ -46,7 +47,8 @@ def beam_fwhm(cube, epoch, scale, axes):
     scale : array_like, shape (n,)
         Scale numbers of the SSPs.
     axes : `~numpy.ndarray`, shape (2, 2) or (n, 2, 2)
-        Rows are the unit vectors (east, north) of the axes.
+        Rows are the vectors (east, north) of the axes, of unit length but in
+        frames that scale with distance.
 
     Returns
     -------
@@ -58,7 +60,8 @@ def beam_fwhm(cube, epoch, scale, axes):
     if cube.beams is None:
         size = np.vectorize(scale_size, otypes=[float])(scale) if len(epoch) else scale
         width = SCALES_PER_FWHM * np.asarray(size) * cube.pixel_scale.value
-        return np.stack([width, width], axis=-1)
+        # Axes of unit length in all frames but those that scale with distance.
+        return width[..., None] * np.linalg.norm(axes, axis=-1)
     covariance = np.stack([beam.covariance.value for beam in cube.beams])[epoch]
     variance = np.einsum("...ai,...ij,...aj->...a", axes, covariance, axes)
     return np.sqrt(8 * np.log(2) * variance)
@@ -122,7 +125,8 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
     axes = axes[owner]
     pixels = np.stack([matches.dx, matches.dy], axis=-1).astype(float)
     sky = pixels @ cube.pixel_matrix.value.T
-    d = np.einsum("nai,ni->na", axes, sky)
+    position = np.stack([east[owner], north[owner]], axis=-1)
+    d = frame_displacements(frame, position, sky)
     variance = 0.0
     scale = ssps.scale[owner]
     for snr, epoch in (
@@ -143,6 +147,6 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
         ssp=owner.astype(int),
         target_ssp=landing_ssps(matches, ssps),
         n_ssps=np.bincount(ssps.epoch[select], minlength=len(cube)),
-        position=np.stack([east[owner], north[owner]], axis=-1),
+        position=position,
         motion=sky,
     )

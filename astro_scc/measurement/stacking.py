@@ -9,7 +9,13 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
+from astro_scc.kinematics import (
+    PositionAngleFrame,
+    RadialFrame,
+    SkyFrame,
+    find_ridge_line,
+    fit_position_angle,
+)
 from astro_scc.measurement.errors import angular_displacements
 from astro_scc.measurement.plan import flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
@@ -27,6 +33,8 @@ from astro_scc.stacking import (
 
 __all__ = ["stack_matches"]
 
+#: Frames that are found in the images, or need nothing.
+NAMED_FRAMES = ("radial", "ridge", "fit")
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2
 
@@ -57,7 +65,7 @@ def stack_matches(
         Largest velocity along either axis, in mas/yr.
     fwhm : float
         Resolution in mas.
-    position_angle : `~astropy.units.Quantity`, "radial" or None
+    position_angle : `~astropy.units.Quantity`, str, frame or None
         Of the velocity axes, see `~astro_scc.StackedCrossCorrelation`.
     kernel : float
         Smallest standard error of a displacement, in beams.
@@ -177,7 +185,17 @@ def _warn_of_limits(n_epochs, n_trials, level):
 
 def _frame(matched, position_angle):
     """The velocity frame, and the direction of the jet."""
+    if isinstance(position_angle, str) and position_angle == "fit":
+        position_angle, _ = fit_position_angle(matched.cube)
     if isinstance(position_angle, u.Quantity):
         return PositionAngleFrame(position_angle), position_angle
+    if isinstance(position_angle, PositionAngleFrame):
+        return position_angle, position_angle.pa
     angle = flow_direction(matched)
-    return (RadialFrame() if position_angle == "radial" else SkyFrame()), angle
+    if position_angle is None:
+        return SkyFrame(), angle
+    if not isinstance(position_angle, str):
+        return position_angle, angle
+    if position_angle == "ridge":
+        return find_ridge_line(matched.cube), angle
+    return RadialFrame(), angle

@@ -1,0 +1,303 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The ridge line of a jet: distance along it, offset from it, axes on it."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+
+__all__ = ["RidgeLine"]
+
+#: Steps of the line that lie between two of its points, for projections.
+FINE = 8
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RidgeLine:
+    """
+    A line along which a jet flows, and the frame along and across it.
+
+    The distance s runs along the line from its first point, which is the
+    core; the offset n is positive towards larger position angles of the
+    local direction, as the transverse axis of `PositionAngleFrame`.  Beyond
+    its ends the line goes on straight.
+
+    Parameters
+    ----------
+    east, north : `~astropy.units.Quantity`, shape (n,)
+        Points in the order of the flow, offsets from the reference pixel.
+    error : `~astropy.units.Quantity`, shape (n,), optional
+        Standard errors of the points across the line.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two points, or two neighbours coincide.
+    `~astropy.units.UnitConversionError`
+        If the points are no angles.
+
+    Examples
+    --------
+    A quarter of a circle of 10 mas, that begins to the west and ends to the
+    north:
+
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc.kinematics import RidgeLine
+    >>> angle = np.linspace(0, np.pi / 2, 50)
+    >>> line = RidgeLine(-10 * np.sin(angle) * u.mas, 10 * (1 - np.cos(angle)) * u.mas)
+    >>> line.length.round(2), line.position_angle([0, 15] * u.mas).round()
+    (<Quantity 15.71 mas>, <Quantity [270., 356.] deg>)
+    >>> s, n = line.coordinates(-11 * u.mas, 10 * u.mas)
+    >>> s.round(2), n.round(2)
+    (<Quantity 15.71 mas>, <Quantity -1. mas>)
+    """
+
+    east: u.Quantity
+    north: u.Quantity
+    error: u.Quantity | None = None
+    meta: dict = field(default_factory=dict)
+
+    #: The axes are not the same everywhere.
+    uniform = False
+
+    def __post_init__(self):
+        east, north = (
+            np.atleast_1d(u.Quantity(v)).to(u.mas) for v in (self.east, self.north)
+        )
+        if east.shape != north.shape or east.ndim != 1 or len(east) < 2:
+            raise ValueError(
+                "a ridge line needs two points or more, as many to the east as to the "
+                f"north, got shapes {east.shape} and {north.shape}"
+            )
+        step = np.hypot(np.diff(east), np.diff(north)).value
+        if not np.all(step > 0):
+            raise ValueError("the points of a ridge line must be finite and differ")
+        error = self.error
+        error = np.zeros(len(east)) * u.mas if error is None else u.Quantity(error)
+        error = np.broadcast_to(error.to(u.mas), east.shape, subok=True)
+        for name, value in (("east", east), ("north", north), ("error", error)):
+            object.__setattr__(self, name, value)
+
+    def __repr__(self):
+        return (
+            f"<RidgeLine: {len(self.east)} points, {self.length:.3g} long, "
+            f"PA {self.position_angle(0 * u.mas):.0f} to "
+            f"{self.position_angle(self.length):.0f}>"
+        )
+
+    @property
+    def axis_names(self):
+        """Names of the two axes."""
+        return "parallel", "transverse"
+
+    @cached_property
+    def _curve(self):
+        """Fine points (m, 2), their distances s (m,), in mas."""
+        points = np.stack([self.east.value, self.north.value], axis=-1)
+        s = _lengths(points)
+        if len(points) > 3:
+            from scipy.interpolate import CubicSpline
+
+            fine = np.linspace(0, s[-1], FINE * (len(s) - 1) + 1)
+            points = CubicSpline(s, points)(fine)
+            s = _lengths(points)
+        return points, s
+
+    @property
+    def distances(self):
+        """Distance along the line of each of its points, from 0."""
+        points, s = self._curve
+        return s[:: FINE if len(self.east) > 3 else 1] * u.mas
+
+    @property
+    def length(self):
+        """Length of the line."""
+        return self._curve[1][-1] * u.mas
+
+    def at(self, distance):
+        """
+        Points of the line.
+
+        Parameters
+        ----------
+        distance : `~astropy.units.Quantity`
+
+        Returns
+        -------
+        east, north : `~astropy.units.Quantity`
+        """
+        points, s = self._curve
+        wanted = u.Quantity(distance).to_value(u.mas)
+        inside = np.clip(wanted, 0, s[-1])
+        beyond = wanted - inside
+        direction = self._direction(inside)
+        place = [np.interp(inside, s, column) for column in points.T]
+        return tuple(
+            (p + beyond * direction[..., k]) * u.mas for k, p in enumerate(place)
+        )
+
+    def position_angle(self, distance):
+        """
+        Direction of the line, north through east.
+
+        Parameters
+        ----------
+        distance : `~astropy.units.Quantity`
+
+        Returns
+        -------
+        `~astropy.units.Quantity`
+            0 to 360 deg.
+        """
+        east, north = np.moveaxis(
+            self._direction(u.Quantity(distance).to_value(u.mas)), -1, 0
+        )
+        return np.degrees(np.arctan2(east, north)) % 360 * u.deg
+
+    def coordinates(self, east, north):
+        """
+        Distance along the line and offset from it.
+
+        Parameters
+        ----------
+        east, north : `~astropy.units.Quantity`
+            Offsets from the reference pixel.
+
+        Returns
+        -------
+        s, n : `~astropy.units.Quantity`
+            Of the nearest point of the line, in mas.
+        """
+        x, y = (u.Quantity(v).to_value(u.mas) for v in (east, north))
+        s, n = self._project(np.stack(np.broadcast_arrays(x, y), axis=-1))
+        return s * u.mas, n * u.mas
+
+    def matrix(self, east, north):
+        """
+        Matrices that turn (east, north) into the axes of the frame.
+
+        Parameters
+        ----------
+        east, north : array_like, shape (...,)
+            Positions, offsets from the reference pixel in mas.
+
+        Returns
+        -------
+        `numpy.ndarray`, shape (..., 2, 2)
+            ``(v1, v2) = matrix @ (d_east, d_north)``, orthogonal.
+        """
+        x, y = np.broadcast_arrays(np.asarray(east, float), np.asarray(north, float))
+        s, _ = self._project(np.stack([x, y], axis=-1))
+        sin, cos = np.moveaxis(self._direction(s), -1, 0)
+        return np.stack(
+            [np.stack([sin, cos], axis=-1), np.stack([cos, -sin], axis=-1)], axis=-2
+        )
+
+    def displacement(self, position, motion):
+        """
+        Displacements as changes of s and n.
+
+        Along a bend this is the way along the line, which is longer than
+        the straight way between the two places.
+
+        Parameters
+        ----------
+        position, motion : array_like, shape (n, 2)
+            East and north in mas.
+
+        Returns
+        -------
+        `numpy.ndarray`, shape (n, 2)
+        """
+        start = np.stack(self._project(np.asarray(position, float)), axis=-1)
+        end = np.stack(self._project(np.add(position, motion)), axis=-1)
+        return end - start
+
+    def _direction(self, s):
+        """Unit vectors along the line, shape (..., 2)."""
+        points, distances = self._curve
+        middle = 0.5 * (distances[1:] + distances[:-1])
+        step = np.diff(points, axis=0)
+        unit = step / np.hypot(*step.T)[:, None]
+        found = np.stack([np.interp(s, middle, c) for c in unit.T], axis=-1)
+        return found / np.hypot(found[..., 0], found[..., 1])[..., None]
+
+    def _project(self, places):
+        from scipy.spatial import cKDTree
+
+        points, distances = self._curve
+        flat = places.reshape(-1, 2)
+        nearest = cKDTree(points).query(flat)[1]
+        best = np.full(len(flat), np.inf)
+        s, n = np.zeros(len(flat)), np.zeros(len(flat))
+        last = len(points) - 2
+        for segment in (np.maximum(nearest - 1, 0), np.minimum(nearest, last)):
+            start, step = points[segment], points[segment + 1] - points[segment]
+            length = np.hypot(*step.T)
+            unit = step / length[:, None]
+            away = flat - start
+            along = (away * unit).sum(axis=1)
+            # The first and the last segment go on beyond the line.
+            low = np.where(segment == 0, -np.inf, 0.0)
+            high = np.where(segment == last, np.inf, length)
+            along = np.clip(along, low, high)
+            rest = away - along[:, None] * unit
+            square = (rest**2).sum(axis=1)
+            better = square < best
+            best = np.where(better, square, best)
+            s = np.where(better, distances[segment] + along, s)
+            side = away[:, 0] * unit[:, 1] - away[:, 1] * unit[:, 0]
+            n = np.where(better, np.copysign(np.sqrt(square), side), n)
+        return s.reshape(places.shape[:-1]), n.reshape(places.shape[:-1])
+
+    def to_table(self):
+        """
+        The points of the line.
+
+        Returns
+        -------
+        `~astropy.table.QTable`
+            Columns ``s``, ``east``, ``north``, ``error``, ``pa``.
+        """
+        from astropy.table import QTable
+
+        s = self.distances
+        columns = {
+            "s": s,
+            "east": self.east,
+            "north": self.north,
+            "error": self.error,
+            "pa": self.position_angle(s),
+        }
+        return QTable(columns, meta=dict(self.meta))
+
+    @classmethod
+    def from_table(cls, table):
+        """
+        Read what `to_table` wrote.
+
+        Parameters
+        ----------
+        table : `~astropy.table.QTable`
+            Columns ``east``, ``north`` and, if known, ``error``.
+
+        Returns
+        -------
+        `RidgeLine`
+
+        Raises
+        ------
+        ValueError
+            If a column is missing.
+        """
+        for name in ("east", "north"):
+            if name not in table.colnames:
+                raise ValueError(f"not a table of a ridge line: {name} is missing")
+        error = table["error"] if "error" in table.colnames else None
+        return cls(table["east"], table["north"], error, meta=dict(table.meta))
+
+
+def _lengths(points):
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])

@@ -1,0 +1,302 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Where the ridge line of a jet runs, and where it points, from its stacked image."""
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.kinematics.ridge_line import RidgeLine
+
+__all__ = ["find_ridge_line", "fit_position_angle", "limb_masks"]
+
+#: Steps of the search in beams.
+STEP = 0.25
+#: Points of a slice across the jet.
+SLICE = 61
+
+
+def fit_position_angle(cube, *, origin=None, threshold=5.0):
+    r"""
+    The position angle of a jet, from the mean of its images.
+
+    The direction of the mean offset, weighted by brightness, of the pixels
+    above a threshold that lie more than a beam from the core,
+
+    .. math:: \tan p = \sum I\, \Delta_\mathrm{east} \big/ \sum I\,
+              \Delta_\mathrm{north}.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    origin : `~astropy.units.Quantity`, shape (2,), optional
+        (east, north) of the core, by default the reference pixel.
+    threshold : float, optional
+        Faintest pixel, in standard deviations of the mean image's noise.
+
+    Returns
+    -------
+    angle, error : `~astropy.units.Quantity`
+        North through east, 0 to 360 deg; the error is that of a jackknife over
+        the epochs, infinite for one epoch.
+
+    Raises
+    ------
+    ValueError
+        If no pixel is bright enough.
+
+    Examples
+    --------
+    >>> from astro_scc.kinematics import fit_position_angle
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> angle, error = fit_position_angle(simulate_two_fluid(rng=1).cube)
+    >>> bool(abs(angle.value - 270) < 3)
+    True
+    """
+    image, noise = _mean(cube)
+    start = _origin(origin)
+    east, north = (offset.value for offset in cube.offsets())
+    x, y = east - start[0], north - start[1]
+    width = _width(cube)
+    use = (image > threshold * noise) & (np.hypot(x, y) > width)
+    if not use.any():
+        raise ValueError(
+            f"no pixel of the mean image is above {threshold:g} times its noise, a "
+            "beam or more from the core: give a position angle"
+        )
+    x, y = x[use], y[use]
+    each = np.nan_to_num(np.where(cube.mask, np.nan, cube.data))[:, use]
+    sums = np.stack([each @ x, each @ y], axis=-1)
+    total = sums.sum(axis=0)
+    angle = np.arctan2(*total)
+    return np.degrees(angle) % 360 * u.deg, _jackknife(sums, total) * u.deg
+
+
+def _jackknife(sums, total):
+    """Error of the direction of a sum over epochs, in degrees."""
+    n = len(sums)
+    if n < 2:
+        return np.inf
+    without = total - sums
+    side = without[:, 0] * total[1] - without[:, 1] * total[0]
+    turn = np.arctan2(side, without @ total)
+    return float(np.degrees(np.sqrt((n - 1) / n * ((turn - turn.mean()) ** 2).sum())))
+
+
+def find_ridge_line(
+    cube,
+    *,
+    position_angle=None,
+    origin=None,
+    half_width=None,
+    smoothing=None,
+    threshold=5.0,
+    r_max=None,
+):
+    """
+    Follow the brightest line of a jet in the mean of its images.
+
+    From the core on, in steps of a quarter of a beam, the brightness in a
+    slice across the jet is taken; the point is the mean position of what is
+    brighter than half of the slice's maximum, and the next slice lies
+    across the direction of the last points.  Points are then smoothed by
+    local parabolas.  It ends where the slice is no longer above the noise,
+    or at the edge of the image.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    position_angle : `~astropy.units.Quantity`, optional
+        Direction at the core, by default that of `fit_position_angle`.
+    origin : `~astropy.units.Quantity`, shape (2,), optional
+        (east, north) of the core, by default the reference pixel.
+    half_width : `~astropy.units.Quantity`, optional
+        Half length of the slices, by default 1.5 beams.
+    smoothing : `~astropy.units.Quantity`, optional
+        Standard deviation of the weights of the parabolas, two beams by
+        default.
+    threshold : float, optional
+        The line ends where the slice's maximum is below so many standard
+        deviations of the mean image's noise.
+    r_max : `~astropy.units.Quantity`, optional
+        Largest length.
+
+    Returns
+    -------
+    `RidgeLine`
+        The error of a slice is that of noise, ``b / (sqrt(2) SNR)``
+        (Fomalont 1999), or the scatter about the smooth line where that is
+        larger; those of the points are what smoothing leaves of it.
+
+    Raises
+    ------
+    ValueError
+        If the jet cannot be followed over three beams.
+
+    Examples
+    --------
+    >>> from astro_scc.kinematics import find_ridge_line
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> line = find_ridge_line(simulate_two_fluid(rng=1).cube)
+    >>> s, n = line.coordinates(*line.at(line.length / 2))
+    >>> bool(abs(line.at(line.length / 2)[1].value) < 0.5)
+    True
+    """
+    image, noise = _mean(cube)
+    width = _width(cube)
+    step = STEP * width
+    half = 1.5 * width if half_width is None else u.Quantity(half_width).to_value(u.mas)
+    smooth = 2 * width if smoothing is None else u.Quantity(smoothing).to_value(u.mas)
+    # No jet is longer than twice the image is wide; lines could go in circles.
+    longest = 2 * np.hypot(*cube.shape[1:]) * cube.pixel_scale.value
+    if r_max is not None:
+        longest = min(longest, u.Quantity(r_max).to_value(u.mas))
+    if position_angle is None:
+        position_angle, _ = fit_position_angle(cube, origin=origin, threshold=threshold)
+    angle = u.Quantity(position_angle).to_value(u.rad)
+    points = [_origin(origin)]
+    snr = [np.nan]
+    direction = np.array([np.sin(angle), np.cos(angle)])
+    while len(points) * step <= longest + step:
+        guess = points[-1] + step * direction
+        found = _slice_point(cube, image, guess, direction, half)
+        if found is None or found[1] < threshold * noise:
+            break
+        point = found[0]
+        points.append(point)
+        snr.append(found[1] / noise)
+        # The direction is that of the last beam, or slices would tumble.
+        back = points[max(0, len(points) - 1 - round(1.5 / STEP))]
+        direction = (point - back) / np.hypot(*(point - back))
+    if (len(points) - 1) * step < 3 * width:
+        raise ValueError(
+            f"the jet can be followed over {(len(points) - 1) * step:.2g} mas only, "
+            "less than three beams: give a position angle instead"
+        )
+    points = np.array(points)
+    snr[0] = np.nanmax(snr)
+    error = width / (np.sqrt(2) * np.array(snr))
+    # The core is where the line begins.
+    error[0] = 1e-2 * error.min()
+    points, error = _smoothed(points, error, smooth, step)
+    meta = {"width": width * u.mas, "smoothing": smooth * u.mas}
+    return RidgeLine(
+        points[:, 0] * u.mas, points[:, 1] * u.mas, error * u.mas, meta=meta
+    )
+
+
+def limb_masks(cube, ridge, half_width):
+    """
+    The two limbs of a jet and its spine as regions.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    ridge : `RidgeLine`
+    half_width : `~astropy.units.Quantity`
+        Half the width of the spine.
+
+    Returns
+    -------
+    dict of `~numpy.ndarray` of bool, shape (ny, nx)
+        "north", "spine" and "south": north is the side of the line whose
+        mean normal points north.  Each is a ``region`` of a measurement.
+
+    Raises
+    ------
+    ValueError
+        If the spine has no width.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.kinematics import RidgeLine, limb_masks
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> line = RidgeLine([0, -20] * u.mas, [0, 0] * u.mas)
+    >>> masks = limb_masks(cube, line, 0.55 * u.mas)
+    >>> sorted(masks), int(masks["spine"][:, 100].sum())
+    (['north', 'south', 'spine'], 11)
+    """
+    half = u.Quantity(half_width).to(u.mas)
+    if not half > 0:
+        raise ValueError(f"the spine must have a width, got half_width {half_width}")
+    _, n = ridge.coordinates(*cube.offsets())
+    if _normal_points_south(ridge):
+        n = -n
+    spine = np.abs(n) <= half
+    return {"north": (n > 0) & ~spine, "spine": spine, "south": (n < 0) & ~spine}
+
+
+def _normal_points_south(ridge):
+    angle = ridge.position_angle(ridge.distances).to_value(u.rad)
+    return bool(np.mean(-np.sin(angle)) < 0)
+
+
+def _slice_point(cube, image, guess, direction, half):
+    """The bright part of a slice across a direction: its middle and maximum."""
+    from scipy.ndimage import map_coordinates
+
+    normal = np.array([direction[1], -direction[0]])
+    n = np.linspace(-half, half, SLICE)
+    x, y = cube.offset_to_pixel(
+        (guess[0] + n * normal[0]) * u.mas, (guess[1] + n * normal[1]) * u.mas
+    )
+    values = map_coordinates(image, [y, x], order=1, cval=np.nan)
+    if not np.isfinite(values).any():
+        return None
+    values = np.nan_to_num(values)
+    top = int(values.argmax())
+    if values[top] <= 0:
+        return None
+    # What is connected with the maximum; another ridge is none of this one.
+    low = values < 0.5 * values[top]
+    left = top - int(np.argmax(low[top::-1])) if low[: top + 1].any() else -1
+    right = top + int(np.argmax(low[top:])) if low[top:].any() else SLICE
+    part = slice(left + 1, right)
+    middle = np.average(n[part], weights=values[part])
+    return guess + middle * normal, float(values[top])
+
+
+def _smoothed(points, error, width, step):
+    """Local parabolas over distance, and the errors that follow."""
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    smooth, gains = np.empty_like(points), np.empty((len(points),) * 2)
+    windows = np.empty_like(gains)
+    for k, here in enumerate(s):
+        x = (s - here) / width
+        weight = np.exp(-0.5 * x**2) / (error / error.max()) ** 2
+        design = np.stack([np.ones_like(x), x, x * x], axis=1)
+        normal = design.T @ (weight[:, None] * design)
+        gain = np.linalg.solve(normal, design.T * weight)[0]
+        smooth[k], gains[k] = gain @ points, gain
+        windows[k] = np.exp(-0.5 * x**2)
+    # Half of the square in two dimensions is what lies across the line.
+    square = 0.5 * ((points - smooth) ** 2).sum(axis=1)
+    scatter = windows @ square / windows.sum(axis=1)
+    variance = np.maximum(error**2, scatter)
+    # Points within a beam share their noise.
+    spread = np.sqrt(gains**2 @ variance / STEP)
+    return smooth, spread
+
+
+def _mean(cube):
+    """The mean image, masked pixels NaN, and its noise."""
+    image = np.asarray(cube.mean_image().data, dtype=float)
+    noise = u.Quantity(cube.noise_rms()).value
+    return image, float(np.sqrt(np.mean(noise**2) / len(cube)))
+
+
+def _width(cube):
+    """The width of the resolution in mas: the mean beam, or four pixels."""
+    if cube.beams is None:
+        return 4 * cube.pixel_scale.value
+    areas = [(b.major * b.minor).to_value(u.mas**2) for b in cube.beams]
+    return float(np.sqrt(np.mean(areas)))
+
+
+def _origin(origin):
+    if origin is None:
+        return np.zeros(2)
+    origin = u.Quantity(origin).to_value(u.mas)
+    if origin.shape != (2,):
+        raise ValueError("origin must be a pair of offsets (east, north)")
+    return origin
