@@ -1,27 +1,20 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What would have been found in your own epochs, had it been there."""
 
-from dataclasses import dataclass
-
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import versions
-from astro_scc.measurement.plan import mean_fwhm
 from astro_scc.recovery.area import area_for_features
+from astro_scc.recovery.checks import PM_UNIT
 from astro_scc.recovery.features import draw_paths, inject
-from astro_scc.recovery.rates import epochs_needed, partly_known, share, smallest_p
+from astro_scc.recovery.rates import partly_known, share
 from astro_scc.recovery.rule import moving_components, recovered, velocity_along
+from astro_scc.recovery.setup import InjectionSetup, peaks_of
 from astro_scc.recovery.work import run_all
 
 __all__ = ["completeness"]
-
-PM_UNIT = u.mas / u.yr
-#: A component is that of the features within this part of the beam over the
-#: median interval.
-TOLERANCE = 0.2
 
 DESCRIPTIONS = {
     "speed": "speed of the features that were put in",
@@ -162,10 +155,12 @@ def completeness(
     -------- --------- ----------
         12.0       2.0          3
     """
-    setup = _Setup.of(cube, scc, position_angle, region, n_trials, fwhm, tolerance)
+    setup = InjectionSetup.of(
+        cube, scc, position_angle, region, n_trials, fwhm, tolerance
+    )
     speeds = setup.speeds(speeds)
     noise = float(np.median(cube.noise_rms().value))
-    fluxes = _peaks(fluxes, cube.unit, noise)
+    fluxes = peaks_of(fluxes, cube.unit, noise)
     for name, value, least in (("n_injections", n_injections, 1),
                                ("n_features", n_features, 1)):  # fmt: skip
         if not least <= value < np.inf:
@@ -259,147 +254,6 @@ def completeness(
     return table
 
 
-@dataclass(frozen=True, eq=False)
-class _Setup:
-    """What follows from a cube and the settings of its measurement."""
-
-    region: np.ndarray | None
-    position_angle: u.Quantity | str
-    fwhm: float
-    tolerance: float
-    limit: float
-    #: Of a speed, along one of the two velocity axes.
-    largest_part: float
-
-    @classmethod
-    def of(cls, cube, scc, position_angle, region, n_trials, fwhm, tolerance):
-        pairs = scc.date_pairs(cube)
-        _check_possible(len(cube), n_trials, scc.level)
-        axis = _axis(scc.position_angle)
-        position_angle = _direction(position_angle, axis)
-        if fwhm is not None:
-            fwhm = _in_unit("fwhm", fwhm, u.mas)
-            if not (fwhm.isscalar and 0 < fwhm.value < np.inf):
-                raise ValueError(f"fwhm must be one positive angle, got {fwhm}")
-            fwhm = float(fwhm.value)
-        elif cube.beams is None:
-            raise ValueError(
-                "the cube has no beams: give fwhm, the full width of features, as an "
-                "angle"
-            )
-        else:
-            fwhm = mean_fwhm(cube, max(scc.scale_numbers(cube)))
-        if tolerance is None:
-            tolerance = TOLERANCE * fwhm / np.median(pairs.interval)
-        else:
-            tolerance = _in_unit("tolerance", tolerance, PM_UNIT)
-            if not (tolerance.isscalar and 0 < tolerance.value < np.inf):
-                raise ValueError(
-                    f"tolerance must be one positive speed, got {tolerance}"
-                )
-            tolerance = float(tolerance.value)
-        region = None if region is None else cube.region_mask(region)
-        limit = scc.speed_limit(cube).to_value(PM_UNIT)
-        largest_part = 1.0
-        if not isinstance(position_angle, str):
-            turn = position_angle - (0 * u.deg if axis is None else axis)
-            largest_part = float(max(abs(np.cos(turn)), abs(np.sin(turn))))
-        return cls(region, position_angle, fwhm, tolerance, limit, largest_part)
-
-    def speeds(self, speeds):
-        """Speeds as numbers in mas/yr."""
-        values = np.atleast_1d(_in_unit("speeds", speeds, PM_UNIT).value)
-        if (
-            values.ndim != 1
-            or values.size == 0
-            or not np.all((values > 0) & np.isfinite(values))
-        ):
-            raise ValueError(
-                f"speeds must be one or more positive speeds, got {speeds}"
-            )
-        if np.any(values * self.largest_part > self.limit):
-            raise ValueError(
-                f"speed {values.max():.4g} mas/yr is beyond the largest that is "
-                f"searched, {self.limit:.4g} mas/yr: give StackedCrossCorrelation a "
-                "larger max_speed"
-            )
-        return [float(value) for value in values]
-
-
-def _axis(position_angle):
-    """Direction of the velocity axes of a measurement."""
-    if isinstance(position_angle, PositionAngleFrame):
-        return position_angle.pa
-    if position_angle is None or isinstance(position_angle, u.Quantity):
-        return position_angle
-    if isinstance(position_angle, str) and position_angle == "radial":
-        return position_angle
-    raise ValueError(
-        "features move on straight lines, so the measurement needs velocity axes of "
-        f"one direction, or 'radial', not {position_angle}: give "
-        "StackedCrossCorrelation an angle as position_angle"
-    )
-
-
-def _direction(position_angle, axis):
-    """Direction in which features move."""
-    if position_angle is None:
-        position_angle = axis
-    if position_angle is None:
-        raise ValueError(
-            "position_angle is missing: give the direction in which features move, an "
-            "angle or 'radial'"
-        )
-    radial = isinstance(position_angle, str)
-    if radial != isinstance(axis, str) or (radial and position_angle != "radial"):
-        raise ValueError(
-            f"position_angle {position_angle} does not go with that of the "
-            f"measurement, {axis}: either both are 'radial', or none"
-        )
-    return (
-        position_angle if radial else _in_unit("position_angle", position_angle, u.deg)
-    )
-
-
-def _check_possible(n_epochs, n_trials, level):
-    if smallest_p(n_epochs) > level:
-        raise ValueError(
-            f"{n_epochs} epochs allow no p_global below {smallest_p(n_epochs):.2g} "
-            f"(2/N!), so nothing that moves can be found at level {level:g}: "
-            f"{epochs_needed(level)} epochs or more are needed"
-        )
-    if smallest_p(n_epochs, n_trials) > level:
-        raise ValueError(
-            f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, so "
-            f"nothing can be found at level {level:g}: give more n_trials"
-        )
-
-
-def _peaks(fluxes, unit, noise):
-    """Peaks as numbers in the unit of a cube."""
-    if isinstance(fluxes, u.Quantity):
-        # What is as small as the beam has as much in it as at its peak.
-        if not fluxes.unit.is_equivalent(unit):
-            per_beam = fluxes / u.beam
-            fluxes = per_beam if per_beam.unit.is_equivalent(unit) else fluxes
-        values = _in_unit("fluxes", fluxes, unit).value
-    else:
-        values = np.asarray(fluxes, dtype=float) * noise
-        if noise == 0:
-            raise ValueError(
-                "fluxes in multiples of the noise need epochs with noise, theirs is 0: "
-                "give fluxes in the unit of the cube"
-            )
-    values = np.atleast_1d(values)
-    if (
-        values.ndim != 1
-        or values.size == 0
-        or not np.all((values >= 0) & np.isfinite(values))
-    ):
-        raise ValueError(f"fluxes must be one or more positive numbers, got {fluxes}")
-    return [float(value) for value in values]
-
-
 def _error_along(covariance, axis):
     """Standard error in a direction; infinite where there is no bound."""
     if not np.all(np.isfinite(covariance)):
@@ -437,12 +291,3 @@ def _table(cells, rows, n_injections, unit, noise):
             "coverage": partly_known(coverage),
         }
     )
-
-
-def _in_unit(name, value, unit):
-    try:
-        return u.Quantity(value).to(unit)
-    except u.UnitConversionError:
-        raise u.UnitConversionError(
-            f"{name} must be in a unit like {unit}, got {value}"
-        ) from None

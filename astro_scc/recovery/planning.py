@@ -9,12 +9,12 @@ from astropy.table import QTable
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.measurement import versions
+from astro_scc.recovery.checks import PM_UNIT, check_trials, in_unit, positive
 from astro_scc.recovery.rates import epochs_needed, partly_known, share, smallest_p
 from astro_scc.recovery.work import run_all
 
 __all__ = ["plan", "smallest_plan"]
 
-PM_UNIT = u.mas / u.yr
 #: Pixels of a simulated beam, as in the paper's test, and scales for them.
 BEAM_PIXELS = 10
 SCALES = (1, 2, 3)
@@ -169,7 +169,7 @@ def plan(
     """
     slow, fast = _two_speeds(speeds)
     beam, width = _beam(beam, position_angle)
-    length = FIELD * width if field is None else _positive("field", field, u.mas)
+    length = FIELD * width if field is None else positive("field", field, u.mas)
     numbers = np.atleast_1d(n_epochs)
     if numbers.size == 0 or numbers.dtype.kind not in "iu" or numbers.min() < 2:
         raise ValueError(f"n_epochs must be one or more numbers from 2, got {n_epochs}")
@@ -179,11 +179,8 @@ def plan(
     for name, value in (("level", level), ("wanted", wanted)):
         if not 0 < value < 1:
             raise ValueError(f"{name} must be between 0 and 1, got {value}")
-    if n_jets and 1 / (n_trials + 1) > level:
-        raise ValueError(
-            f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, so "
-            f"nothing can be found at level {level:g}: give more n_trials"
-        )
+    if n_jets:
+        check_trials(n_trials, level)
     if rng is None:
         rng = int(np.random.SeedSequence().entropy % 2**63)
     seed = int(rng) if isinstance(rng, (int, np.integer)) else None
@@ -399,7 +396,7 @@ def _as_dict(row):
 
 
 def _two_speeds(speeds):
-    values = np.atleast_1d(_in_unit("speeds", speeds, PM_UNIT).value)
+    values = np.atleast_1d(in_unit("speeds", speeds, PM_UNIT).value)
     if values.shape != (2,) or not np.all((values > 0) & np.isfinite(values)):
         raise ValueError(f"speeds must be two positive speeds, got {speeds}")
     slow, fast = (float(v) for v in np.sort(values))
@@ -411,13 +408,13 @@ def _two_speeds(speeds):
 def _beam(beam, position_angle):
     """The beam in the frame of the simulated jet, and its width along it in mas."""
     if not hasattr(beam, "major"):
-        width = _positive("beam", beam, u.mas) * u.mas
+        width = positive("beam", beam, u.mas) * u.mas
         beam = Beam(width, width)
     if position_angle is None:
         width = np.sqrt(beam.major * beam.minor)
         beam = Beam(width, width)
     else:
-        turn = JET - _in_unit("position_angle", position_angle, u.deg)
+        turn = JET - in_unit("position_angle", position_angle, u.deg)
         beam = Beam(beam.major, beam.minor, beam.pa + turn)
     return beam, float(beam.fwhm_along(JET).to_value(u.mas))
 
@@ -426,23 +423,7 @@ def _intervals(intervals):
     if not isinstance(intervals, u.Quantity):
         intervals = list(intervals)
     values = np.atleast_1d(u.Quantity(intervals))
-    in_years = _in_unit("intervals", values, u.yr).value
+    in_years = in_unit("intervals", values, u.yr).value
     if values.size == 0 or not np.all((in_years > 0) & np.isfinite(in_years)):
         raise ValueError(f"intervals must be one or more positive times, got {values}")
     return values
-
-
-def _positive(name, value, unit):
-    value = _in_unit(name, value, unit)
-    if not (value.isscalar and 0 < value.value < np.inf):
-        raise ValueError(f"{name} must be one positive number, got {value}")
-    return float(value.value)
-
-
-def _in_unit(name, value, unit):
-    try:
-        return u.Quantity(value).to(unit)
-    except u.UnitConversionError:
-        raise u.UnitConversionError(
-            f"{name} must be in a unit like {unit}, got {value}"
-        ) from None

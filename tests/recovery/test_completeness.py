@@ -169,9 +169,10 @@ class TestMessages:
             ({"n_injections": 0}, "n_injections must be at least 1, got 0"),
             ({"n_features": 0}, "n_features must be at least 1, got 0"),
             ({"scatter": -1}, "scatter must be zero or positive, got -1"),
+            ({"n_trials": 1}, "n_trials must be at least 2, got 1"),
             ({"n_trials": 18}, "18 trials allow no p_global below 0.053, so nothing"),
-            ({"fwhm": 0 * u.mas}, "fwhm must be one positive angle, got 0.0 mas"),
-            ({"tolerance": -1 * PM}, "tolerance must be one positive speed, got -1"),
+            ({"fwhm": 0 * u.mas}, "fwhm must be one positive number, got 0.0 mas"),
+            ({"tolerance": -1 * PM}, "tolerance must be one positive number, got -1"),
             ({"position_angle": "radial"}, "either both are 'radial', or none"),
         ],
     )
