@@ -1,10 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Stacks of many orders of the epochs, from one map for each pair of images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from astro_scc.stacking.stack import (
     REACH_SIGMA,
@@ -16,11 +17,18 @@ from astro_scc.stacking.stack import (
 __all__ = ["PairMaps"]
 
 #: Spacing of the maps in units of the narrowest kernel.
-STEP_SIGMA = 0.5
+STEP_SIGMA = 2 / 3
 #: Degree of the interpolating spline; with the step above its error is 1e-4.
-DEGREE = 5
+DEGREE = 7
+#: Intervals beyond the shortest and the longest at which stacks are made, so
+#: that the ends of the spline between intervals are out of the way.
+BEYOND = 3
 #: Bytes of stacks that are made at once.
-BLOCK_BYTES = 2**28
+BLOCK_BYTES = 2**27
+#: Bytes of maps that are kept; if all are more they are made as needed.
+MAP_BYTES = 2**28
+#: Bytes of maps that are added up at once.
+WORK_BYTES = 2**24
 #: Largest number of points of an axis of the maps.
 MAX_SIZE = 1001
 
@@ -31,11 +39,18 @@ def _axis(reach, sigma):
     return np.linspace(-reach, reach, 2 * half + 1)
 
 
-def _interpolation(axis, positions):
-    """Matrix from values on an axis to values at positions, zero outside."""
-    basis = make_interp_spline(axis, np.eye(len(axis)), k=DEGREE)
+def _coefficients(axis):
+    """Matrix from values on an axis to the coefficients of their spline."""
+    return make_interp_spline(axis, np.eye(len(axis)), k=DEGREE).c
+
+
+def _basis(axis, positions):
+    """Matrix from coefficients to values at positions, zero beyond the axis."""
+    knots = make_interp_spline(axis, axis, k=DEGREE).t
     inside = np.abs(positions) <= axis[-1]
-    return np.where(inside[:, None], basis(np.clip(positions, axis[0], axis[-1])), 0.0)
+    at = np.clip(positions, axis[0], axis[-1])
+    basis = BSpline.design_matrix(at, knots, DEGREE).toarray()
+    return np.where(inside[:, None], basis, 0.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,19 +68,25 @@ class PairMaps:
     displacements : `Displacements`
     axis1, axis2 : `~numpy.ndarray`
         Displacements at which the maps are sampled.
-    maps : `~numpy.ndarray`, shape (n_images ** 2, n2, n1)
-        In single precision, that of images (r, t) at ``r * n_images + t``.
+    index : `~numpy.ndarray` of int, shape (n_matches,)
+        Matches by pair of images.
+    ends : `~numpy.ndarray` of int, shape (n_images ** 2 + 1,)
+        Where those of images (r, t) begin, at ``r * n_images + t``.
+    turned : bool
+        Whether the matches of the target's side count, too, turned round.
     """
 
     displacements: object
     axis1: np.ndarray
     axis2: np.ndarray
-    maps: np.ndarray
+    index: np.ndarray
+    ends: np.ndarray
+    turned: bool = False
 
     @classmethod
     def of(cls, displacements, v_max, longest):
         """
-        Make the maps.
+        Prepare the maps.
 
         Parameters
         ----------
@@ -91,13 +112,7 @@ class PairMaps:
         pair = d.reference.astype(int) * n + d.target
         order = np.argsort(pair, kind="stable")
         ends = np.searchsorted(pair[order], np.arange(n * n + 1))
-        maps = np.zeros((n * n, len(axes[1]), len(axes[0])), dtype=np.float32)
-        for p in np.flatnonzero(np.diff(ends)):
-            k = order[ends[p] : ends[p + 1]]
-            maps[p] = gaussian_sum(
-                d.d1[k], d.d2[k], d.s1[k], d.s2[k], d.weight[k], *axes
-            )
-        return cls(displacements, *axes, maps)
+        return cls(displacements, *axes, order.astype(np.int32), ends)
 
     def both_ways(self):
         """
@@ -106,17 +121,64 @@ class PairMaps:
         Returns
         -------
         `PairMaps`
-            Those of ``displacements.both_ways()``.
+            Equivalent to those of ``displacements.both_ways()``.
         """
+        if self.turned:
+            raise ValueError("these maps are of both ways already")
+        return replace(self, turned=True)
+
+    @cached_property
+    def _rows(self):
+        """Row of each pair of images among the maps, or -1 for an empty one."""
         n = self.displacements.n_epochs
-        square = self.maps.reshape(n, n, *self.maps.shape[1:])
-        turned = square.transpose(1, 0, 2, 3)[:, :, ::-1, ::-1]
-        return PairMaps(
-            self.displacements.both_ways(),
-            self.axis1,
-            self.axis2,
-            (square + turned).reshape(self.maps.shape),
+        number = np.diff(self.ends).reshape(n, n)
+        used = np.triu(number + number.T) > 0 if self.turned else number > 0
+        return np.where(used.ravel(), np.cumsum(used) - 1, -1)
+
+    @property
+    def map_bytes(self):
+        """Bytes of one map."""
+        return 4 * len(self.axis1) * len(self.axis2)
+
+    @cached_property
+    def _everything(self):
+        """All maps, or None if they are too many to be kept."""
+        pairs = np.flatnonzero(self._rows >= 0)
+        if len(pairs) * self.map_bytes > MAP_BYTES:
+            return None
+        return self._maps(pairs)
+
+    def _maps(self, pairs):
+        """
+        Maps of pairs of images, as coefficients of splines.
+
+        Parameters
+        ----------
+        pairs : `~numpy.ndarray` of int, shape (n,)
+            Numbers of the pairs.
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (n, n2 * n1)
+            In single precision; turned round is read backwards.
+        """
+        d, n = self.displacements, self.displacements.n_epochs
+        axis1, axis2 = (a.astype(np.float32) for a in (self.axis1, self.axis2))
+        to1, to2 = (
+            _coefficients(a).astype(np.float32) for a in (self.axis1, self.axis2)
         )
+        columns = [a.astype(np.float32) for a in (d.d1, d.d2, d.s1, d.s2, d.weight)]
+        maps = np.empty((len(pairs), len(axis2) * len(axis1)), dtype=np.float32)
+        for own, pair in zip(maps, pairs.tolist(), strict=True):
+            k = self.index[self.ends[pair] : self.ends[pair + 1]]
+            values = gaussian_sum(*(a[k] for a in columns), axis1, axis2)
+            if self.turned:
+                back = pair % n * n + pair // n
+                k = self.index[self.ends[back] : self.ends[back + 1]]
+                there = gaussian_sum(*(a[k] for a in columns), axis1, axis2)
+                values = values + there[::-1, ::-1]
+            own[:] = (to2 @ values.astype(np.float32) @ to1.T).ravel()
+        return maps
 
     def stacks(self, pairs, grid, orders, *, shift=(0.0, 0.0)):
         """
@@ -137,39 +199,46 @@ class PairMaps:
             Blocks of stacks, in the order of ``orders``.
         """
         orders = np.asarray(orders)
+        stretch = _Stretch.of(self, pairs, grid, shift)
         size = max(1, BLOCK_BYTES // (8 * grid.shape[0] * grid.shape[1]))
         for start in range(0, len(orders), size):
-            yield self._block(pairs, grid, orders[start : start + size], shift)
+            yield self._block(pairs, stretch, orders[start : start + size])
 
-    def _block(self, pairs, grid, orders, shift):
-        n = self.displacements.n_epochs
+    def _block(self, pairs, stretch, orders):
         reference, target = pairs.images(orders)
-        images = reference * n + target
-        total = np.zeros((len(orders), *grid.shape))
-        intervals, kind = np.unique(np.round(pairs.interval, 9), return_inverse=True)
-        for k, interval in enumerate(intervals):
-            slots = np.flatnonzero(kind == k)
-            to1 = _interpolation(self.axis1, grid.v1 * interval - shift[0])
-            to2 = _interpolation(self.axis2, grid.v2 * interval - shift[1])
-            used, place = np.unique(images[:, slots], return_inverse=True)
-            place = place.reshape(len(orders), len(slots))
-            weight = pairs.weight[slots]
-            few = len(used) <= min(place.size // 2, BLOCK_BYTES // total[0].nbytes)
-            if few or len(slots) == 1:
-                # Stretch each pair of images once, then add, one trial at a
-                # time: that stays in the processor's cache.
-                stretched = to2 @ self.maps[used] @ to1.T
-                weighted = np.empty(grid.shape)
-                for trial, pair in enumerate(place):
-                    for slot, w in zip(pair, weight, strict=True):
-                        np.multiply(stretched[slot], w, out=weighted)
-                        total[trial] += weighted
-            else:
-                for trial, pair in enumerate(images[:, slots]):
-                    added = np.tensordot(weight, self.maps[pair], axes=1)
-                    total[trial] += to2 @ added @ to1.T
+        flipped = np.zeros(reference.shape, dtype=bool)
+        if self.turned:
+            flipped = reference > target
+            reference, target = (
+                np.minimum(reference, target),
+                np.maximum(reference, target),
+            )
+        images = reference * self.displacements.n_epochs + target
+        total = np.zeros((len(orders), *stretch.shape))
+        for maps, rows in self._parts(images):
+            for trial in range(len(orders)):
+                here = rows[trial] >= 0
+                if here.any():
+                    total[trial] += stretch(
+                        maps, rows[trial], here, flipped[trial], pairs.weight
+                    )
         number = number_of_ssps(self.displacements, pairs, orders)
-        return total / number[:, None, None]
+        total /= number[:, None, None]
+        return total
+
+    def _parts(self, images):
+        """As many maps as are kept at a time, and the rows of pairs in them."""
+        if self._everything is not None:
+            yield self._everything, self._rows[images]
+            return
+        used = np.unique(images)
+        used = used[self._rows[used] >= 0]
+        most = max(1, MAP_BYTES // self.map_bytes)
+        for start in range(0, len(used), most):
+            part = used[start : start + most]
+            rows = np.full(len(self._rows), -1)
+            rows[part] = np.arange(len(part))
+            yield self._maps(part), rows[images]
 
     def stack(self, pairs, grid, order=None):
         """
@@ -185,4 +254,107 @@ class PairMaps:
         -------
         `~numpy.ndarray`, shape ``grid.shape``
         """
-        return stack(self.displacements, pairs, grid, order=order)
+        d = self.displacements.both_ways() if self.turned else self.displacements
+        return stack(d, pairs, grid, order=order)
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretch:
+    """
+    Maps in displacement to stacks in velocity, for pairs of dates.
+
+    The stack of a map is a smooth function of the interval, so that maps are
+    first added up at a few intervals, with the weights of a spline between
+    them, and then stretched.
+    """
+
+    shape: tuple
+    # Share of each pair of dates in the intervals, (n_intervals, n_pairs).
+    share: np.ndarray
+    # For each interval the rows and columns of the map that it needs, and
+    # the matrices along both axes.
+    rows: tuple
+    columns: tuple
+    to1: tuple
+    to2: tuple
+    # Shape of a map.
+    size: tuple
+
+    @classmethod
+    def of(cls, maps, pairs, grid, shift):
+        at, share = _intervals(maps, pairs, grid)
+        rows, columns, to1, to2 = [], [], [], []
+        for interval in at:
+            one = _basis(maps.axis1, grid.v1 * interval - shift[0])
+            two = _basis(maps.axis2, grid.v2 * interval - shift[1])
+            columns.append(_support(one))
+            rows.append(_support(two))
+            to1.append(np.ascontiguousarray(one[:, columns[-1]].T))
+            to2.append(two[:, rows[-1]])
+        return cls(
+            grid.shape,
+            share,
+            tuple(rows),
+            tuple(columns),
+            tuple(to1),
+            tuple(to2),
+            (len(maps.axis2), len(maps.axis1)),
+        )
+
+    def __call__(self, maps, row, here, flipped, weight):
+        """The stack of one order."""
+        total = np.zeros(self.shape)
+        # A few intervals and a few pairs of dates at a time bound memory.
+        few = max(1, WORK_BYTES // (8 * maps.shape[1]))
+        for first in range(0, len(self.share), few):
+            some = slice(first, first + few)
+            added = np.zeros((len(self.share[some]), maps.shape[1]))
+            for sense, back in ((here & ~flipped, False), (here & flipped, True)):
+                slots = np.flatnonzero(sense)
+                for start in range(0, len(slots), few):
+                    use = slots[start : start + few]
+                    share = self.share[some, use] * weight[use]
+                    sums = share @ maps[row[use]].astype(float)
+                    added += sums[:, ::-1] if back else sums
+            total += self._stretched(added.reshape(-1, *self.size), first)
+        return total
+
+    def _stretched(self, added, first):
+        """Sums of maps, those of some intervals, as one stack."""
+        lines = []
+        for k, own in enumerate(added, first):
+            lines.append(own[self.rows[k], self.columns[k]] @ self.to1[k])
+        return np.concatenate(self.to2[first : first + len(added)], axis=1) @ (
+            np.concatenate(lines)
+        )
+
+
+def _support(matrix):
+    """The columns that are not all zero."""
+    used = np.flatnonzero(matrix.any(axis=0))
+    return slice(used[0], used[-1] + 1) if len(used) else slice(0, 0)
+
+
+def _intervals(maps, pairs, grid):
+    """
+    The intervals that maps are stretched by, and how pairs share in them.
+
+    Returns
+    -------
+    at : `~numpy.ndarray`, shape (n,)
+    share : `~numpy.ndarray`, shape (n, n_pairs)
+    """
+    own, kind = np.unique(np.round(pairs.interval, 9), return_inverse=True)
+    d = maps.displacements
+    if len(own) > 1 and len(d):
+        # Along the line v t the map varies on the scale of the kernel.
+        fastest = np.hypot(
+            np.abs(grid.v1).max() / d.s1.min(), np.abs(grid.v2).max() / d.s2.min()
+        )
+        number = int(np.ceil(np.ptp(own) * fastest / STEP_SIGMA)) + 1
+        number = max(number + 2 * BEYOND, DEGREE + 1)
+        if number < len(own):
+            step = np.ptp(own) / (number - 1 - 2 * BEYOND)
+            at = own[0] + step * np.arange(-BEYOND, number - BEYOND)
+            return at, make_interp_spline(at, np.eye(number), k=DEGREE)(own)[kind].T
+    return own, (kind == np.arange(len(own))[:, None]).astype(float)

@@ -9,6 +9,8 @@ __all__ = ["ShuffledStacks", "random_orders", "shuffle_epochs"]
 
 #: Standard deviations are floored at this share of their largest value.
 SIGMA_FLOOR = 0.01
+#: Bytes of stacks that are kept; if all are more they are made twice.
+KEEP_BYTES = 2**27
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,8 @@ def z_score(scc, mean, std):
         Zero where no trial has any correlation.
     """
     floor = np.maximum(std, SIGMA_FLOOR * std.max(initial=0.0))
-    return np.divide(scc - mean, floor, out=np.zeros_like(scc), where=floor > 0)
+    excess = scc - mean
+    return np.divide(excess, floor, out=np.zeros_like(excess), where=floor > 0)
 
 
 def random_orders(n_epochs, n_trials, rng):
@@ -150,7 +153,11 @@ def shuffle_epochs(
 
     total, squares = np.zeros(grid.shape), np.zeros(grid.shape)
     larger = np.zeros(grid.shape, dtype=int)
+    keep = 4 * n_trials * grid.shape[0] * grid.shape[1] <= KEEP_BYTES
+    kept = []
     for block in trials():
+        if keep:
+            kept.append(block.astype(np.float32))
         total += block.sum(axis=0)
         squares += np.einsum("tij,tij->ij", block, block)
         larger += (block >= observed).sum(axis=0)
@@ -159,9 +166,11 @@ def shuffle_epochs(
     mean = total / n_trials
     variance = np.maximum(squares / n_trials - mean**2, 0.0)
     std = np.sqrt(variance * n_trials / (n_trials - 1))
-    # The z-scores need mean and spread first; trials are cheaper to make
-    # twice than to keep.
-    maxima = [z_score(block, mean, std).max(axis=(1, 2)) for block in trials()]
+    # The z-scores need mean and spread first.
+    maxima = [
+        z_score(block, mean, std).max(axis=(1, 2))
+        for block in (kept if keep else trials())
+    ]
     return ShuffledStacks(
         mean=mean,
         std=std,

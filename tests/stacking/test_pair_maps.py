@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The fast stacks of many orders against the exact one of each."""
 
+import sys
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +19,7 @@ from astro_scc.stacking import (
     stack,
 )
 
+pair_maps = sys.modules[PairMaps.__module__]
 GRID = VelocityGrid.covering((4.0, 3.0), (0.25, 0.3))
 
 
@@ -89,6 +92,100 @@ def test_blocks_of_any_size_give_the_same_numbers(random_displacements, monkeypa
         np.testing.assert_allclose(np.concatenate(blocks), whole, atol=1e-6)
 
 
+def test_maps_made_as_needed_give_the_same_numbers(random_displacements, monkeypatch):
+    rng = np.random.default_rng(8)
+    d = random_displacements(rng, 6, 200)
+    pairs = consecutive_pairs(np.cumsum(rng.uniform(0.4, 0.7, 6)))
+    orders = random_orders(6, 12, rng)
+    for both in (False, True):
+        maps = PairMaps.of(d, GRID.v_max, 0.7)
+        maps = maps.both_ways() if both else maps
+        whole = all_stacks(maps, pairs, GRID, orders)
+        with monkeypatch.context() as patch:
+            for n_maps in (0, 1, 7):
+                limit = n_maps * maps.map_bytes
+                patch.setattr(f"{PairMaps.__module__}.MAP_BYTES", limit)
+                few = replace(maps)
+                again = all_stacks(few, pairs, GRID, orders)
+                np.testing.assert_allclose(again, whole, atol=1e-6)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.4, -0.3)])
+def test_many_intervals_are_few_for_the_maps(random_displacements, shift):
+    """A spline between intervals: hundreds of pairs of dates, 1e-3 as ever."""
+    rng = np.random.default_rng(9)
+    d = random_displacements(rng, 14, 900, reach=5.0, s1=(0.4, 0.8), s2=(0.5, 1.0))
+    pairs = baseline_pairs(np.cumsum(rng.uniform(0.1, 0.3, 14)), 0.0, 1.2)
+    stretch = pair_maps._Stretch.of(
+        PairMaps.of(d, GRID.v_max, 1.2), pairs, GRID, (0.0, 0.0)
+    )
+    assert len(stretch.share) < 0.7 * len(pairs)
+    np.testing.assert_allclose(stretch.share.sum(axis=0), 1.0)
+    check(
+        PairMaps.of(d, GRID.v_max, pairs.interval.max()),
+        pairs,
+        GRID,
+        random_orders(14, 4, rng),
+        shift=shift,
+    )
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.5, 0.2)])
+def test_both_ways_is_of_the_matches_turned_round(random_displacements, shift):
+    rng = np.random.default_rng(10)
+    d = random_displacements(rng, 5, 150, s1=(0.2, 0.6), s2=(0.4, 0.9))
+    pairs = consecutive_pairs([0.0, 0.5, 1.2, 1.3, 2.1])
+    maps = PairMaps.of(d, GRID.v_max, 0.8).both_ways()
+    orders = random_orders(5, 6, rng)
+    found = all_stacks(maps, pairs, GRID, orders, shift=shift)
+    twice = d.both_ways()
+    moved = replace(twice, d1=twice.d1 + shift[0], d2=twice.d2 + shift[1])
+    for one, order in zip(found, orders, strict=True):
+        exact = stack(moved, pairs, GRID, order=order)
+        np.testing.assert_allclose(one, exact, atol=1e-3 * exact.max())
+    np.testing.assert_array_equal(
+        maps.stack(pairs, GRID, orders[0]), stack(twice, pairs, GRID, order=orders[0])
+    )
+    with pytest.raises(ValueError, match="of both ways already"):
+        maps.both_ways()
+
+
+def test_reversed_orders_of_even_dates_tie(random_displacements):
+    """The same motion backwards: equal but for the last digits."""
+    rng = np.random.default_rng(11)
+    maps = PairMaps.of(random_displacements(rng, 5, 150), GRID.v_max, 0.7).both_ways()
+    orders = random_orders(5, 5, rng)
+    pairs = consecutive_pairs(0.7 * np.arange(5))
+    there, back = (all_stacks(maps, pairs, GRID, o) for o in (orders, orders[:, ::-1]))
+    number = maps.displacements.n_ssps
+    first, last = number[orders[:, 0]], number[orders[:, -1]]
+    sums = [
+        s * (number.sum() - n)[:, None, None] for s, n in ((there, last), (back, first))
+    ]
+    atol = 1e-12 * sums[0].max()
+    np.testing.assert_allclose(sums[0], sums[1][:, ::-1, ::-1], atol=atol)
+
+
+def test_memory_does_not_grow_with_the_baselines(random_displacements, monkeypatch):
+    """Wide maps of many epochs and pairs of dates: no more than the blocks allow."""
+    rng = np.random.default_rng(12)
+    d = random_displacements(rng, 20, 1500, reach=20.0, s1=(0.5, 0.7))
+    pairs = baseline_pairs(np.cumsum(rng.uniform(0.2, 0.9, 20)), 1.0, 4.0)
+    maps = PairMaps.of(d, (5.0, 5.0), 4.0)
+    orders = random_orders(20, 3, rng)
+    whole = all_stacks(maps, pairs, GRID, orders)
+    assert maps.map_bytes * 20**2 > 2**24
+    for name in ("MAP_BYTES", "BLOCK_BYTES", "WORK_BYTES"):
+        monkeypatch.setattr(f"{PairMaps.__module__}.{name}", 2**20)
+    maps = replace(maps)
+    tracemalloc.start()
+    few = all_stacks(maps, pairs, GRID, orders)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2**23
+    np.testing.assert_allclose(few, whole, atol=1e-6)
+
+
 def test_without_matches(random_displacements):
     rng = np.random.default_rng(4)
     none = random_displacements(rng, 3, 10).select(slice(0, 0))
@@ -123,5 +220,6 @@ def test_matches_beyond_the_largest_velocity_do_not_widen_the_maps(
 ):
     d = random_displacements(np.random.default_rng(7), reach=farthest)
     maps = PairMaps.of(d, (4.0, 3.0), 0.5)
+    assert len(maps.axis1) >= 15
     assert maps.axis1[-1] <= min(4.0 * 0.5, farthest) + 5 * d.s1.max()
     check(maps, consecutive_pairs(0.5 * np.arange(4.0)), GRID, [[0, 1, 2, 3]])

@@ -123,6 +123,14 @@ def test_memory_blocks_give_the_same_numbers(maps, pairs, monkeypatch):
         np.testing.assert_allclose(blocks.std, whole.std, atol=1e-9)
 
 
+def test_stacks_that_are_not_kept_give_the_same_numbers(maps, pairs, monkeypatch):
+    kept = run(maps, pairs, shift=(0.3, 0.2))
+    monkeypatch.setitem(shuffle_epochs.__globals__, "KEEP_BYTES", 0)
+    twice = run(maps, pairs, shift=(0.3, 0.2))
+    np.testing.assert_array_equal(twice.std, kept.std)
+    np.testing.assert_allclose(twice.maxima, kept.maxima, rtol=1e-5)
+
+
 def test_progress_counts_the_trials(maps, pairs, monkeypatch):
     size = 8 * GRID.shape[0] * GRID.shape[1]
     monkeypatch.setattr(f"{PairMaps.__module__}.BLOCK_BYTES", 7 * size)
@@ -146,8 +154,9 @@ def test_small_standard_deviations_are_floored(maps, pairs):
 
 
 def test_without_any_correlation_the_z_score_is_zero(maps, pairs):
-    none = replace(maps, maps=np.zeros_like(maps.maps))
-    found = run(none, pairs)
+    d = maps.displacements
+    none = replace(d, weight=np.zeros(len(d)))
+    found = run(PairMaps.of(none, GRID.v_max, 1.1), pairs)
     np.testing.assert_array_equal(found.std, 0.0)
     np.testing.assert_array_equal(found.z_score(np.ones(GRID.shape)), 0.0)
 
