@@ -56,7 +56,9 @@ class Candidates:
         return Candidates(*(getattr(self, f.name)[keep] for f in fields(self)))
 
 
-def find_candidates(matches, landed, ssps, years, *, place=None, max_gap=1, most=8):
+def find_candidates(
+    matches, landed, ssps, years, *, place=None, max_gap=1, most=12, inside=None
+):
     """
     Candidates out of the correlation peaks.
 
@@ -82,6 +84,8 @@ def find_candidates(matches, landed, ssps, years, *, place=None, max_gap=1, most
     most : int, optional
         Of each SSP's candidates for an epoch, those of the highest
         coefficients.
+    inside : callable, optional
+        Given `Candidates`, says which of them move as fast as they may.
 
     Returns
     -------
@@ -125,16 +129,11 @@ def find_candidates(matches, landed, ssps, years, *, place=None, max_gap=1, most
     use = (target >= 0) & (to > at) & (to - at <= max_gap + 1) & (years[to] > years[at])
     source, target, at, to = source[use], target[use], at[use], to[use]
     coefficient = matches.coefficient[use].astype(float)
-    # The best peak of each pair of SSPs, then the best pairs of each SSP and epoch.
+    # The best peak of each pair of SSPs.
     order = np.lexsort((-coefficient, target, source))
     order = order[_first_of(source[order], target[order])]
-    order = order[np.lexsort((-coefficient[order], to[order], source[order]))]
-    start = np.flatnonzero(_first_of(source[order], to[order]))
-    rank = np.arange(len(order)) - np.repeat(start, np.diff([*start, len(order)]))
-    order = order[rank < most]
-    order = order[np.lexsort((target[order], source[order]))]
     source, target, at, to = source[order], target[order], at[order], to[order]
-    return Candidates(
+    found = Candidates(
         source=source,
         target=target,
         dy=ssps.y[target] - ssps.y[source],
@@ -143,6 +142,14 @@ def find_candidates(matches, landed, ssps, years, *, place=None, max_gap=1, most
         gap=to - at - 1,
         coefficient=coefficient[order],
     )
+    if inside is not None:
+        found = found.select(inside(found))
+    # The best ones of each SSP and epoch.
+    order = np.lexsort((-found.coefficient, found.gap, found.source))
+    start = np.flatnonzero(_first_of(found.source[order], found.gap[order]))
+    size = np.diff([*start, len(order)])[: len(start)]
+    rank = np.arange(len(order)) - np.repeat(start, size)
+    return found.select(np.sort(order[rank < most]))
 
 
 def _first_of(*keys):

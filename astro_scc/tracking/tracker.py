@@ -1,0 +1,451 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Tracking the features of a cube: settings, windows, and the one call."""
+
+from dataclasses import asdict, dataclass, replace
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.correlation import Correlator, Matches, landing_ssps
+from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
+from astro_scc.progress import progress
+from astro_scc.tracking.candidates import find_candidates
+from astro_scc.tracking.chains import chain
+from astro_scc.tracking.confidence import linked_counts, linked_share, shuffled_orders
+from astro_scc.tracking.evidence import Evidence
+from astro_scc.tracking.linking import link
+from astro_scc.tracking.nesting import parents
+from astro_scc.tracking.result import Tracking
+
+__all__ = ["FeatureTracker"]
+
+PM_UNIT = u.mas / u.yr
+#: Without a largest speed, displacements up to this many beams are tried.
+BEAMS_PER_INTERVAL = 4.0
+#: Displacements may pass the limits by so many tolerances.
+MARGIN = 2.0
+#: Windows are as large as these numbers of pixels, so that few sizes are needed.
+WINDOWS = (8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 1024)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeatureTracker:
+    """
+    Follow the SSPs of a cube from epoch to epoch.
+
+    The settings are kept; calling the object on a cube and its
+    decompositions tracks it.
+
+    Parameters
+    ----------
+    max_speed : `~astropy.units.Quantity`, optional
+        Largest proper motion.  By default four beams over the median
+        interval of consecutive epochs.
+    position_angle : `~astropy.units.Quantity` or "radial", optional
+        Direction of the jet, north through east, that ``along`` and
+        ``across`` refer to.
+    along, across : `~astropy.units.Quantity`, shape (2,), optional
+        Smallest and largest proper motion along the jet and across it,
+        positive to larger position angles, in place of ``max_speed`` on
+        that axis.
+    tolerance : float, optional
+        Standard deviation of a displacement about steady motion, in beams.
+    max_gap : int, optional
+        Most consecutive epochs at which a feature may be missing.
+    max_interval : `~astropy.units.Quantity`, optional
+        Longest time between two epochs that are linked.
+    min_epochs : int, optional
+        Tracks of fewer epochs are none.
+    kappa : float, optional
+        Smallest correlation of a candidate.
+    target, min_overlap
+        See `~astro_scc.correlation.Correlator`.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
+    `~astropy.units.UnitConversionError`
+        If a unit does not fit.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.tracking import FeatureTracker
+    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> decompositions = [Decomposer(scales=[1, 2])(image) for image in cube.data]
+    >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
+    >>> tracking = tracker(cube, decompositions)
+    >>> len(tracking.tracks) > 5, tracking.tracks["pm"].unit
+    (True, Unit("mas / yr"))
+    """
+
+    max_speed: u.Quantity | None = None
+    position_angle: u.Quantity | str | None = None
+    along: u.Quantity | None = None
+    across: u.Quantity | None = None
+    tolerance: float = 0.2
+    max_gap: int = 1
+    max_interval: u.Quantity | None = None
+    min_epochs: int = 3
+    kappa: float = 0.5
+    target: str = "segments"
+    min_overlap: float = 0.8
+
+    def __post_init__(self):
+        for name, unit in (("max_speed", PM_UNIT), ("max_interval", u.yr)):
+            value = getattr(self, name)
+            if value is not None:
+                value = u.Quantity(value).to(unit)
+                if not (value.isscalar and 0 < value.value < np.inf):
+                    raise ValueError(f"{name} must be one positive value, got {value}")
+                object.__setattr__(self, name, value)
+        for name in ("along", "across"):
+            value = getattr(self, name)
+            if value is not None:
+                value = u.Quantity(value).to(PM_UNIT)
+                if value.shape != (2,) or not value[0] < value[1]:
+                    raise ValueError(
+                        f"{name} must be a smallest and a largest speed, got {value}"
+                    )
+                object.__setattr__(self, name, value)
+        if isinstance(self.position_angle, str):
+            if self.position_angle != "radial":
+                raise ValueError(
+                    "position_angle must be an angle or 'radial', "
+                    f"got {self.position_angle!r}"
+                )
+        elif self.position_angle is None:
+            if self.along is not None or self.across is not None:
+                raise ValueError("along and across need a position_angle")
+        else:
+            angle = PositionAngleFrame(self.position_angle).pa
+            object.__setattr__(self, "position_angle", angle)
+        if not 0 < self.tolerance < 5:
+            raise ValueError(
+                f"tolerance must be a part of the beam, got {self.tolerance}"
+            )
+        if self.max_gap < 0:
+            raise ValueError(f"max_gap must be 0 or more, got {self.max_gap}")
+        if self.min_epochs < 3:
+            raise ValueError(
+                f"min_epochs must be 3 or more, got {self.min_epochs}: two positions "
+                "fit any line"
+            )
+        self._correlator()
+
+    def _correlator(self):
+        return Correlator(
+            kappa=self.kappa, target=self.target, min_overlap=self.min_overlap
+        )
+
+    def to_dict(self):
+        """
+        The settings, as a dictionary that a table's meta can hold.
+
+        Returns
+        -------
+        dict
+        """
+        return asdict(self)
+
+    def fwhm(self, cube, scales):
+        """
+        Size of the resolution, the mean beam or twice the middle scale.
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+        scales : sequence of float
+
+        Returns
+        -------
+        `~astropy.units.Quantity`
+            In mas.
+        """
+        if cube.beams is None:
+            middle = np.exp(np.mean(np.log([scale_size(s) for s in scales])))
+            return 2 * middle * cube.pixel_scale
+        areas = [(b.major * b.minor).to_value(u.mas**2) for b in cube.beams]
+        return np.sqrt(np.mean(areas)) * u.mas
+
+    def speed_limit(self, cube, scales):
+        """
+        The largest speed that is searched.
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+        scales : sequence of float
+
+        Returns
+        -------
+        `~astropy.units.Quantity`
+            In mas/yr.
+
+        Raises
+        ------
+        ValueError
+            If no two epochs have different dates.
+        """
+        steps = np.diff(cube.years.to_value(u.yr))
+        if not np.any(steps > 0):
+            raise ValueError(
+                f"tracking needs epochs of two different dates, all {len(cube)} are "
+                f"of {cube.times[0].isot}"
+            )
+        if self.max_speed is not None:
+            return self.max_speed
+        fwhm = self.fwhm(cube, scales).value
+        return BEAMS_PER_INTERVAL * fwhm / np.median(steps[steps > 0]) * PM_UNIT
+
+    def pairs(self, cube, *, orders=()):
+        """
+        The pairs of epochs that may be linked, in time order.
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+        orders : sequence of array_like of int, optional
+            Places in time of the images in shuffled orders.
+
+        Returns
+        -------
+        pairs : `~numpy.ndarray` of int, shape (n_pairs, 2)
+        interval : `~numpy.ndarray`, shape (n_pairs,)
+            The longest that the pair has in any order, in years.
+        """
+        years = cube.years.to_value(u.yr)
+        n = len(years)
+        first, second = np.nonzero(~np.eye(n, dtype=bool))
+        longest = np.zeros(len(first))
+        limit = np.inf if self.max_interval is None else self.max_interval.value
+        for place in (np.arange(n), *np.asarray(orders, dtype=int).reshape(-1, n)):
+            gap = place[second] - place[first]
+            interval = years[place[second]] - years[place[first]]
+            use = (gap > 0) & (gap <= self.max_gap + 1) & (interval <= limit)
+            longest = np.where(use, np.maximum(longest, interval), longest)
+        keep = longest > 0
+        return np.stack([first[keep], second[keep]], axis=1), longest[keep]
+
+    def match(
+        self,
+        cube,
+        decompositions,
+        *,
+        select=None,
+        orders=(),
+        n_workers=1,
+        progress_bar=False,
+    ):
+        """
+        Correlate the SSPs of each epoch with the few epochs after it.
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+        decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+        select : array_like of bool, shape (n_ssps,), optional
+            The SSPs that are tracked.
+        orders : sequence of array_like of int, optional
+            Shuffled orders that are to be linked too.
+        n_workers : int, optional
+        progress_bar : bool, optional
+
+        Returns
+        -------
+        `~astro_scc.correlation.Matches`
+            The windows are as large as the interval of the pair needs.
+        """
+        pairs, interval = self.pairs(cube, orders=orders)
+        scales = decompositions[0].scales
+        margin = (MARGIN + 1) * self.tolerance * self.fwhm(cube, scales)
+        margin = float(margin / cube.pixel_scale)
+        reach = self._fastest(cube, scales) * interval[:, None] + margin
+        reach = np.array(WINDOWS)[np.searchsorted(WINDOWS[:-1], reach)]
+        reach = np.minimum(reach, np.array(cube.shape[1:]) - 1)
+        parts = []
+        kinds, kind = np.unique(reach, axis=0, return_inverse=True)
+        with progress(len(pairs), "Correlating", show=progress_bar) as done:
+            for k, window in enumerate(kinds):
+                own = pairs[kind.ravel() == k]
+                parts.append(
+                    self._correlator()(
+                        decompositions, own, tuple(int(w) for w in window),
+                        select=select, n_workers=n_workers,
+                    )
+                )  # fmt: skip
+                done(len(own))
+        return _joined(parts, pairs, self.kappa)
+
+    def _fastest(self, cube, scales):
+        """The largest speeds along (y, x), in pixels a year."""
+        limit = self.speed_limit(cube, scales).value
+        matrix = np.linalg.inv(cube.pixel_matrix.value)
+        if self.along is None and self.across is None:
+            return limit * np.hypot(*matrix.T)[::-1]
+        ends = [
+            np.array([-limit, limit]) if value is None else value.value
+            for value in (self.along, self.across)
+        ]
+        if isinstance(self.position_angle, str):
+            # Any direction on the sky.
+            farthest = np.hypot(*(np.abs(end).max() for end in ends))
+            return farthest * np.hypot(*matrix.T)[::-1]
+        corners = np.stack(np.meshgrid(*ends)).reshape(2, -1)
+        # Symmetric and orthogonal, the frame's matrix is its own inverse.
+        pixels = matrix @ self._frame().matrix() @ corners
+        return np.abs(pixels).max(axis=1)[::-1]
+
+    def _frame(self):
+        if self.position_angle is None:
+            return SkyFrame()
+        if isinstance(self.position_angle, str):
+            return RadialFrame()
+        return PositionAngleFrame(self.position_angle)
+
+    def _inside(self, candidates, ssps, cube, scales):
+        """Which candidates move within the limits."""
+        matrix = cube.pixel_matrix.value
+        x0, y0 = cube.reference_pixel
+        at = np.stack([ssps.x[candidates.source] - x0, ssps.y[candidates.source] - y0])
+        axes = self._frame().matrix(*(matrix @ at))
+        # At the origin of a radial frame there are no axes, and any will do.
+        axes = np.where(np.isfinite(axes), axes, np.eye(2))
+        sky = np.stack([candidates.dx, candidates.dy], axis=1) @ matrix.T
+        moved = np.einsum("nai,ni->na", axes, sky)
+        limit = self.speed_limit(cube, scales).value
+        spare = MARGIN * self.tolerance * self.fwhm(cube, scales).value
+        time = candidates.interval
+        inside = np.ones(len(candidates), bool)
+        for k, ends in enumerate((self.along, self.across)):
+            if ends is not None:
+                low, high = ends.value
+                inside &= moved[:, k] >= low * time - spare
+                inside &= moved[:, k] <= high * time + spare
+        if self.along is None and self.across is None:
+            inside &= np.hypot(*moved.T) <= limit * time + spare
+        elif self.along is None or self.across is None:
+            other = 0 if self.along is None else 1
+            inside &= np.abs(moved[:, other]) <= limit * time + spare
+        if self.max_interval is not None:
+            inside &= time <= self.max_interval.value
+        return inside
+
+    def __call__(
+        self,
+        cube,
+        decompositions,
+        matches=None,
+        *,
+        select=None,
+        n_trials=0,
+        rng=None,
+        n_workers=1,
+        progress_bar=False,
+    ):
+        """
+        Track the features of a cube.
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+            Aligned; distances are from its reference pixel.
+        decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+            One an epoch.
+        matches : `~astro_scc.correlation.Matches`, optional
+            With the pairs of epochs that `pairs` names at least, for shuffled
+            orders all of them.  By default those of `match`.
+        select : array_like of bool, shape (n_ssps,), optional
+            The SSPs that are tracked.
+        n_trials : int, optional
+            Number of shuffled orders that are linked too, to see what chance
+            gives.
+        rng : None, int or `~numpy.random.Generator`, optional
+            Seed of the orders, and of the resampled epochs.
+        n_workers : int, optional
+        progress_bar : bool, optional
+
+        Returns
+        -------
+        `~astro_scc.tracking.Tracking`
+
+        Raises
+        ------
+        ValueError
+            If there is not one decomposition an epoch, ``select`` has not one
+            value an SSP, or no two epochs have different dates.
+        """
+        if len(decompositions) != len(cube):
+            raise ValueError(
+                f"{len(decompositions)} decompositions for {len(cube)} epochs: "
+                "give one for each"
+            )
+        if n_trials < 0:
+            raise ValueError(f"n_trials must be 0 or more, got {n_trials}")
+        rng = np.random.default_rng(rng)
+        ssps = SSPs.of_epochs(decompositions)
+        scales = decompositions[0].scales
+        select = np.ones(len(ssps), bool) if select is None else np.asarray(select)
+        if select.shape != (len(ssps),) or select.dtype != bool:
+            raise ValueError(
+                f"select must be one bool for each of the {len(ssps)} SSPs, "
+                f"got {select.dtype} of shape {select.shape}"
+            )
+        self.speed_limit(cube, scales)
+        orders = shuffled_orders(len(cube), n_trials, rng)
+        if matches is None:
+            matches = self.match(
+                cube, decompositions, select=select, orders=orders,
+                n_workers=n_workers, progress_bar=progress_bar,
+            )  # fmt: skip
+        matches = matches.of_ssps(select)
+        matches = matches.select(matches.coefficient >= self.kappa)
+        landed = landing_ssps(matches, ssps)
+        landed = np.where((landed >= 0) & select[landed], landed, -1)
+        parent = parents(ssps, cube.shape[2])
+        years = cube.years.to_value(u.yr)
+        fwhm = self.fwhm(cube, scales) / cube.pixel_scale
+        evidence = Evidence(tolerance=self.tolerance * float(fwhm))
+
+        def links_of(place):
+            candidates = find_candidates(
+                matches, landed, ssps, years, place=place, max_gap=self.max_gap,
+                inside=lambda found: self._inside(found, ssps, cube, scales),
+            )  # fmt: skip
+            return link(candidates, ssps, parent=parent, place=place, evidence=evidence)
+
+        links = links_of(np.arange(len(cube)))
+        options = {"scales": scales, "n_epochs": len(cube), "select": select}
+        counts = linked_counts(links, ssps, **options)
+        trials = []
+        with progress(n_trials, "Shuffling", show=progress_bar) as done:
+            for place in orders:
+                trials.append(
+                    linked_counts(links_of(place), ssps, **options, place=place)
+                )
+                done(1)
+        return Tracking(
+            cube=cube,
+            ssps=ssps,
+            select=select,
+            links=links,
+            track=chain(links, len(ssps), min_epochs=self.min_epochs),
+            shares=tuple(linked_share(counts, trials, scales, rng=rng)),
+            n_trials=n_trials,
+            settings=self.to_dict(),
+        )
+
+
+def _joined(parts, pairs, kappa):
+    """Matches of several calls as one."""
+    if len(parts) == 1:
+        return replace(parts[0], pairs=pairs)
+    from astro_scc.correlation.matches import COLUMNS
+
+    columns = [tuple(getattr(part, name) for name in COLUMNS) for part in parts]
+    reach = tuple(int(r) for r in np.max([(0, 0), *(p.reach for p in parts)], axis=0))
+    return Matches.from_columns(columns, pairs, reach, kappa).sorted()
