@@ -15,6 +15,7 @@ from astro_scc.measurement.products import (
     write_products,
 )
 from astro_scc.measurement.result import MatchedEpochs, SCCResult
+from astro_scc.measurement.selection import select_ssps, ssp_distances
 from astro_scc.measurement.stacking import stack_matches
 from astro_scc.measurement.tables import component_table, ssp_table, versions
 
@@ -28,6 +29,8 @@ __all__ = [
     "plain_cosmology",
     "position_errors",
     "product_folder",
+    "select_ssps",
+    "ssp_distances",
     "ssp_offsets",
     "ssp_table",
     "stack_matches",

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Stacking: matches as a map of velocities, its maxima and what they are worth."""
 
+from astro_scc.stacking.acceleration import Acceleration, fit_acceleration, flow_speed
 from astro_scc.stacking.components import (
     Component,
     component_near,
@@ -12,6 +13,7 @@ from astro_scc.stacking.displacements import Displacements
 from astro_scc.stacking.features import count_features
 from astro_scc.stacking.grid import VelocityGrid
 from astro_scc.stacking.jitter import JitteredVelocity, jitter_positions
+from astro_scc.stacking.lags import LagTest, lag_test
 from astro_scc.stacking.nulls import NULLS, NullTest, ScrambleNull, ShuffleNull
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.pairs import DatePairs, baseline_pairs, consecutive_pairs
@@ -24,12 +26,14 @@ from astro_scc.stacking.witnesses import Witnesses, find_witnesses
 
 __all__ = [
     "NULLS",
+    "Acceleration",
     "Component",
     "Contrast",
     "DatePairs",
     "Displacements",
     "Finding",
     "JitteredVelocity",
+    "LagTest",
     "NullTest",
     "PairMaps",
     "ScrambleNull",
@@ -46,9 +50,12 @@ __all__ = [
     "find_components",
     "find_velocities",
     "find_witnesses",
+    "fit_acceleration",
     "fit_gaussian",
+    "flow_speed",
     "gaussian_sum",
     "jitter_positions",
+    "lag_test",
     "random_orders",
     "shuffle_epochs",
     "stack",
