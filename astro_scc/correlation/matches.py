@@ -83,12 +83,13 @@ class Matches:
         -------
         `Matches`
         """
-        empty = tuple(np.empty(0) for _ in COLUMNS)
         joined = [
-            np.concatenate(parts).astype(dtype)
-            for parts, dtype in zip(
-                zip(empty, *columns, strict=True), COLUMNS.values(), strict=True
+            np.concatenate(
+                [np.empty(0, dtype), *(part[k] for part in columns)],
+                dtype=dtype,
+                casting="unsafe",
             )
+            for k, dtype in enumerate(COLUMNS.values())
         ]
         pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
         return cls(*joined, pairs=pairs, reach=tuple(reach), kappa=float(kappa))

@@ -96,12 +96,25 @@ def jitter_positions(displacements, pairs, component, box, n_trials, *, rng):
         gaussian_sum(v1, v2, s1, s2, weight, grid1, grid2), grid1, grid2
     )
     found = []
+    # Single precision is enough for places in units of the box.
+    scaled = [
+        a.astype(np.float32)
+        for a in (
+            (v1 - component.v1) / half1,
+            (v2 - component.v2) / half2,
+            s1 / half1,
+            s2 / half2,
+            weight,
+        )
+    ]
+    unit_grid = np.linspace(-1, 1, POINTS, dtype=np.float32)
     for _ in range(n_trials):
         # Half the variance of a displacement belongs to either end.
         unit = rng.standard_normal((2, n)) / np.sqrt(2)
-        shift = unit[:, end] - unit[:, start]
+        shift = (unit[:, end] - unit[:, start]).astype(np.float32)
+        x, y, sx, sy, w = scaled
         local = gaussian_sum(
-            v1 + s1 * shift[0], v2 + s2 * shift[1], s1, s2, weight, grid1, grid2
+            x + sx * shift[0], y + sy * shift[1], sx, sy, w, unit_grid, unit_grid
         )
         place = _maximum(local, grid1, grid2)
         if place is not None:

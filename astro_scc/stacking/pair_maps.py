@@ -18,11 +18,15 @@ __all__ = ["PairMaps"]
 
 #: Spacing of the maps in units of the narrowest kernel.
 STEP_SIGMA = 2 / 3
+#: Kernels beyond the largest velocity that maps reach: room for shifts.
+MARGIN = 6.0
 #: Degree of the interpolating spline; with the step above its error is 1e-4.
 DEGREE = 7
 #: Intervals beyond the shortest and the longest at which stacks are made, so
 #: that the ends of the spline between intervals are out of the way.
 BEYOND = 3
+#: With more intervals than these stacks are made in single precision.
+FEW_INTERVALS = 8
 #: Bytes of stacks that are made at once.
 BLOCK_BYTES = 2**27
 #: Bytes of maps that are kept; if all are more they are made as needed.
@@ -107,7 +111,7 @@ class PairMaps:
             narrow = sigma.min() if len(d) else 1.0
             wide = sigma.max() if len(d) else 1.0
             farthest = np.abs(position).max() if len(d) else 1.0
-            reach = min(v * longest, farthest) + REACH_SIGMA * wide
+            reach = min(v * longest + MARGIN * narrow, farthest + REACH_SIGMA * wide)
             axes.append(_axis(reach, narrow))
         pair = d.reference.astype(int) * n + d.target
         order = np.argsort(pair, kind="stable")
@@ -140,7 +144,6 @@ class PairMaps:
         """Bytes of one map."""
         return 4 * len(self.axis1) * len(self.axis2)
 
-    @cached_property
     def _everything(self):
         """All maps, or None if they are too many to be kept."""
         pairs = np.flatnonzero(self._rows >= 0)
@@ -201,10 +204,11 @@ class PairMaps:
         orders = np.asarray(orders)
         stretch = _Stretch.of(self, pairs, grid, shift)
         size = max(1, BLOCK_BYTES // (8 * grid.shape[0] * grid.shape[1]))
+        kept = self._everything() if len(orders) else None
         for start in range(0, len(orders), size):
-            yield self._block(pairs, stretch, orders[start : start + size])
+            yield self._block(pairs, stretch, orders[start : start + size], kept)
 
-    def _block(self, pairs, stretch, orders):
+    def _block(self, pairs, stretch, orders, kept):
         reference, target = pairs.images(orders)
         flipped = np.zeros(reference.shape, dtype=bool)
         if self.turned:
@@ -215,7 +219,7 @@ class PairMaps:
             )
         images = reference * self.displacements.n_epochs + target
         total = np.zeros((len(orders), *stretch.shape))
-        for maps, rows in self._parts(images):
+        for maps, rows in self._parts(images, kept):
             for trial in range(len(orders)):
                 here = rows[trial] >= 0
                 if here.any():
@@ -226,10 +230,10 @@ class PairMaps:
         total /= number[:, None, None]
         return total
 
-    def _parts(self, images):
+    def _parts(self, images, kept):
         """As many maps as are kept at a time, and the rows of pairs in them."""
-        if self._everything is not None:
-            yield self._everything, self._rows[images]
+        if kept is not None:
+            yield kept, self._rows[images]
             return
         used = np.unique(images)
         used = used[self._rows[used] >= 0]
@@ -283,17 +287,19 @@ class _Stretch:
     @classmethod
     def of(cls, maps, pairs, grid, shift):
         at, share = _intervals(maps, pairs, grid)
+        # Orders tie where dates are even or few: that takes double precision.
+        kind = np.float32 if len(at) > FEW_INTERVALS else float
         rows, columns, to1, to2 = [], [], [], []
         for interval in at:
             one = _basis(maps.axis1, grid.v1 * interval - shift[0])
             two = _basis(maps.axis2, grid.v2 * interval - shift[1])
             columns.append(_support(one))
             rows.append(_support(two))
-            to1.append(np.ascontiguousarray(one[:, columns[-1]].T))
-            to2.append(two[:, rows[-1]])
+            to1.append(np.ascontiguousarray(one[:, columns[-1]].T, dtype=kind))
+            to2.append(two[:, rows[-1]].astype(kind))
         return cls(
             grid.shape,
-            share,
+            share.astype(kind),
             tuple(rows),
             tuple(columns),
             tuple(to1),
@@ -304,18 +310,19 @@ class _Stretch:
     def __call__(self, maps, row, here, flipped, weight):
         """The stack of one order."""
         total = np.zeros(self.shape)
+        kind = self.share.dtype
         # A few intervals and a few pairs of dates at a time bound memory.
-        few = max(1, WORK_BYTES // (8 * maps.shape[1]))
+        few = max(1, WORK_BYTES // (kind.itemsize * maps.shape[1]))
         for first in range(0, len(self.share), few):
             some = slice(first, first + few)
-            added = np.zeros((len(self.share[some]), maps.shape[1]))
+            added = 0
             for sense, back in ((here & ~flipped, False), (here & flipped, True)):
                 slots = np.flatnonzero(sense)
                 for start in range(0, len(slots), few):
                     use = slots[start : start + few]
-                    share = self.share[some, use] * weight[use]
-                    sums = share @ maps[row[use]].astype(float)
-                    added += sums[:, ::-1] if back else sums
+                    share = self.share[some, use] * weight[use].astype(kind)
+                    sums = share @ maps[row[use]].astype(kind, copy=False)
+                    added = added + (sums[:, ::-1] if back else sums)
             total += self._stretched(added.reshape(-1, *self.size), first)
         return total
 

@@ -1,0 +1,431 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+# ruff: noqa: E402
+"""
+How time and memory grow, as ratios taken in one run on one machine.
+
+What is compared runs in turn, several times, and the medians of the processor's
+times are divided; so that a busy machine slows both alike.  The parts are::
+
+    python benchmarks/scaling.py windows    # against bare transforms and a loop
+    python benchmarks/scaling.py doubling   # epochs, pixels, trials
+    python benchmarks/scaling.py workers    # two processes against one
+    python benchmarks/scaling.py imports    # beside numpy and astropy.units
+    python benchmarks/scaling.py whole      # 69 epochs of 512 x 512, some minutes
+
+The jet of all parts has about 90 SSPs an epoch on four scales, at uneven dates.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import threading
+import time
+from functools import partial
+from pathlib import Path
+
+# Libraries read these when they are loaded.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import astropy.units as u
+import numpy as np
+from astropy.time import Time
+from common import write_table
+from scipy import fft, signal
+from skimage.feature import peak_local_max
+
+from astro_scc import Beam, StackedCrossCorrelation
+from astro_scc.correlation import Correlator, Template, all_pairs, find_peaks, zncc
+from astro_scc.decomposition import Decomposer
+from astro_scc.decomposition.wavelet import wavelet_planes
+from astro_scc.simulation import JetSimulation, Stream
+
+SCALES = (1, 2, 3, 4)
+#: Beam in pixels.
+BEAM = 6.0
+KAPPA = 0.6
+BATCH = 10
+
+
+def simulate(n_epochs, shape=(512, 512), rng=1):
+    """A jet of two streams along an image, at dates 20 to 40 days apart."""
+    gaps = np.random.default_rng(rng).uniform(20, 40, n_epochs - 1)
+    dates = Time("2000-01-01") + np.concatenate([[0], np.cumsum(gaps)]) * u.day
+    streams = [
+        Stream("slow", dx=2.0, half_width=12, jitter=1, density=0.25, fwhm=(1, 4)),
+        Stream("fast", dx=6.0, sigma=4, jitter=1, density=0.21, fwhm=(1, 4)),
+    ]
+    beam = Beam(0.1 * BEAM * u.mas, 0.1 * BEAM * u.mas)
+    return JetSimulation(
+        streams,
+        dates=dates,
+        shape=shape,
+        extent=(40, shape[1] - 40),
+        axis=shape[0] / 2,
+        beams=beam,
+        noise=0.005,
+    ).run(rng=rng)
+
+
+def measurer(cube, reach):
+    """A measurement whose windows reach so many pixels."""
+    settings = {"scales": SCALES, "position_angle": 270 * u.deg}
+    longest = StackedCrossCorrelation(**settings).date_pairs(cube).interval.max()
+    speed = (reach - BEAM - 0.05) * 0.1 / longest * u.mas / u.yr
+    return StackedCrossCorrelation(max_speed=speed, **settings)
+
+
+def medians(functions, runs):
+    """Median processor time of functions that run in turn."""
+    spent = np.empty((runs, len(functions)))
+    for row in spent:
+        for k, function in enumerate(functions):
+            start = time.process_time()
+            function()
+            row[k] = time.process_time() - start
+    return np.median(spent, axis=0)
+
+
+def sample_windows(epochs, reach, n_ssps, seed=0):
+    """Some SSPs, each with the windows around it in all other epochs."""
+    rng = np.random.default_rng(seed)
+    ring = reach + 1
+    result = []
+    while len(result) < n_ssps:
+        epoch = epochs[rng.integers(len(epochs))]
+        ssps = epoch.ssps
+        i = rng.integers(len(ssps))
+        y0, x0, y1, x1 = ssps.bbox[i]
+        footprint = np.zeros((y1 - y0, x1 - x0), dtype=bool)
+        py, px = np.unravel_index(ssps.pixels_of(i), epoch.planes.shape[1:])
+        footprint[py - y0, px - x0] = True
+        scale = ssps.scale[i]
+        level = epoch.plane_index(scale)
+        values = epoch.planes[level, y0:y1, x0:x1].astype(float)
+        shape = Template(values, footprint, (ring, ring)).fft_shape
+        rows = slice(y0 - ring, y0 - ring + shape[0])
+        columns = slice(x0 - ring, x0 - ring + shape[1])
+        if rows.start < 0 or columns.start < 0 or rows.stop > 512 or columns.stop > 512:
+            continue
+        windows = [e.segmented_plane(scale)[rows, columns] for e in epochs]
+        result.append((values, footprint, np.array(windows), shape))
+    return result
+
+
+def looped(values, footprint, window, reach):
+    """Coefficients of one window by three correlations of a library."""
+    size = tuple(n + 2 * reach for n in footprint.shape)
+    window = window[: size[0], : size[1]].astype(float)
+    window = window - window.mean()
+    pattern = np.where(footprint, values - values[footprint].mean(), 0.0)
+    mask = footprint.astype(float)
+    covariance = signal.correlate(window, pattern, "valid", method="fft")
+    total = signal.correlate(window, mask, "valid", method="fft")
+    squares = signal.correlate(window**2, mask, "valid", method="fft")
+    variance = squares - total**2 / mask.sum()
+    good = variance > 1e-12 * squares.max()
+    norm = np.sqrt(np.where(good, variance, np.inf) * (pattern**2).sum())
+    return covariance / norm
+
+
+def bare(cases):
+    """The five transforms of each window and nothing else."""
+    for batch, shape in cases:
+        transform = fft.rfft2(batch)
+        fft.rfft2(batch)
+        for _ in range(3):
+            fft.irfft2(transform, shape)
+
+
+def batched(cases, reach, peaks):
+    """Coefficients of all windows, of peaks the number."""
+    number = 0
+    for values, footprint, windows, _ in cases:
+        template = Template(values, footprint, (reach, reach))
+        for k in range(0, len(windows), BATCH):
+            coefficient = template.of_windows(windows[k : k + BATCH].astype(float))
+            if peaks:
+                number += len(find_peaks(coefficient, KAPPA)[0])
+    return number
+
+
+def loop(cases, reach):
+    """The same, one window after the other with functions of libraries."""
+    number = 0
+    for values, footprint, windows, _ in cases:
+        for window in windows:
+            number += len(
+                peak_local_max(
+                    looped(values, footprint, window, reach),
+                    min_distance=1,
+                    threshold_abs=KAPPA,
+                    exclude_border=1,
+                )
+            )
+    return number
+
+
+def windows_part(runs):
+    """Coefficients and peaks against bare transforms, and against a loop."""
+    # The allocator keeps for later what a process has once given back.
+    np.empty(2**25 - 2**16, dtype=np.uint8)
+    decompose = Decomposer(scales=SCALES)
+    images = simulate(20).cube.data
+    epochs = [decompose(image) for image in images]
+    rows = []
+    for reach in (20, 40):
+        ring = reach + 1
+        cases = sample_windows(epochs, reach, 40)
+        batches = [
+            (windows[k : k + BATCH].astype(float), shape)
+            for _, _, windows, shape in cases
+            for k in range(0, len(windows), BATCH)
+        ]
+        functions = [
+            partial(bare, batches),
+            partial(batched, cases, ring, peaks=False),
+            partial(batched, cases, ring, peaks=True),
+            partial(loop, cases, ring),
+        ]
+        spent = medians(functions, runs)
+        each = spent / sum(len(windows) for _, _, windows, _ in cases) * 1e6
+        rows.append(
+            [
+                f"± {reach} px",
+                f"{each[0]:.0f}",
+                f"{each[1] / each[0]:.2f}",
+                f"{each[2] / each[0]:.2f}",
+                f"{each[3] / each[2]:.1f}",
+                f"{batched(cases, ring, peaks=True)}, {loop(cases, ring)}",
+                f"{_largest_error(epochs, images, reach):.1e}",
+            ]
+        )
+    write_table(
+        "scaling_windows",
+        [
+            "windows",
+            "five bare transforms, microseconds",
+            "coefficients / bare",
+            "with peaks / bare",
+            "loop / with peaks",
+            "peaks, of both",
+            "largest error",
+        ],
+        rows,
+    )
+
+
+def _largest_error(epochs, images, reach, n=200):
+    """Of coefficients, from the definition with planes in double precision."""
+    rng = np.random.default_rng(1)
+    planes = [wavelet_planes(i - np.median(i), SCALES) for i in images[:6]]
+    worst = 0.0
+    while n:
+        one, other = rng.choice(6, 2, replace=False)
+        ssps = epochs[one].ssps
+        i = rng.integers(len(ssps))
+        level = epochs[one].plane_index(ssps.scale[i])
+        y0, x0, y1, x1 = ssps.bbox[i]
+        if min(y0, x0) < reach or max(y1, x1) > 512 - reach:
+            continue
+        footprint = np.zeros((y1 - y0, x1 - x0), dtype=bool)
+        py, px = np.unravel_index(ssps.pixels_of(i), (512, 512))
+        footprint[py - y0, px - x0] = True
+        template = Template(
+            epochs[one].planes[level, y0:y1, x0:x1].astype(float),
+            footprint,
+            (reach, reach),
+        )
+        window = epochs[other].planes[
+            level, y0 - reach : y1 + reach, x0 - reach : x1 + reach
+        ].astype(float)  # fmt: skip
+        coefficient = template.of_windows(window)
+        for dy, dx in rng.integers(-reach, reach + 1, (20, 2)):
+            exact = zncc(
+                planes[one][level][py, px], planes[other][level][py + dy, px + dx]
+            )
+            worst = max(worst, abs(coefficient[reach + dy, reach + dx] - exact))
+        n -= 1
+    return worst
+
+
+def workers_part(runs):
+    """Wall clock of the correlation by one process and by two."""
+    decompose = Decomposer(scales=SCALES)
+    epochs = [decompose(image) for image in simulate(69).cube.data]
+    pairs = all_pairs(69)
+    pairs = pairs[pairs[:, 0] < 8]
+    spent = np.empty((runs, 2))
+    for row in spent:
+        for k in range(2):
+            start = time.perf_counter()
+            Correlator()(epochs, pairs, 20, n_workers=k + 1)
+            row[k] = time.perf_counter() - start
+    one, two = np.median(spent, axis=0)
+    write_table(
+        "scaling_workers",
+        ["one process, s", "two, s", "ratio", "others at work"],
+        [[f"{one:.1f}", f"{two:.1f}", f"{one / two:.2f}", f"{os.getloadavg()[0]:.1f}"]],
+    )
+
+
+def doubling_part(runs):
+    """Processor time of a measurement when something is doubled."""
+
+    def measure(n_epochs, shape, n_trials):
+        cube = simulate(n_epochs, shape).cube
+        scc = measurer(cube, 20)
+
+        def run():
+            scc(cube, n_trials=n_trials, rng=1)
+
+        return run
+
+    small = (20, (256, 256), 500)
+    cases = {
+        "epochs": (40, (256, 256), 500),
+        "pixels": (20, (256, 512), 500),
+        "trials": (20, (256, 256), 1000),
+    }
+    runs_of = [measure(*small), *(measure(*case) for case in cases.values())]
+    spent = medians(runs_of, runs)
+    names = ["20 epochs of 256 x 256, 500 trials", *(f"twice the {c}" for c in cases)]
+    write_table(
+        "scaling_doubling",
+        ["case", "CPU seconds", "ratio"],
+        [
+            [name, f"{t:.1f}", f"{t / spent[0]:.2f}"]
+            for name, t in zip(names, spent, strict=True)
+        ],
+    )
+
+
+def imports_part(runs):
+    """Seconds that importing the package takes beyond what it builds on."""
+    base = "import numpy, astropy.units"
+    spent = np.empty((runs, 2))
+    for row in spent:
+        for k, code in enumerate((base, f"{base}; import astro_scc")):
+            before = os.times()
+            subprocess.run([sys.executable, "-c", code], check=True)
+            after = os.times()
+            row[k] = sum(after[2:4]) - sum(before[2:4])
+    alone, both = np.median(spent, axis=0)
+    write_table(
+        "scaling_imports",
+        ["numpy and astropy.units, CPU seconds", "astro_scc beyond"],
+        [[f"{alone:.2f}", f"{both - alone:.2f}"]],
+    )
+
+
+class Memory(threading.Thread):
+    """Largest memory of this process and its children, shared pages once."""
+
+    def __init__(self):
+        super().__init__(daemon=True)
+        self.peak, self.done = 0.0, threading.Event()
+
+    def run(self):
+        """Look at it five times a second."""
+        while not self.done.wait(0.2):
+            self.peak = max(self.peak, self._now())
+
+    @staticmethod
+    def _now():
+        own = os.getpid()
+        total = 0
+        for folder in Path("/proc").glob("[0-9]*"):
+            try:
+                stat = (folder / "stat").read_text().rsplit(")", 1)[1].split()
+                if int(folder.name) != own and int(stat[1]) != own:
+                    continue
+                for line in (folder / "smaps_rollup").read_text().splitlines():
+                    if line.startswith("Pss:"):
+                        total += int(line.split()[1])
+            except OSError:
+                continue
+        return total / 1e6
+
+
+def whole_part(reaches, n_epochs, n_trials, n_workers):
+    """All of a measurement of many epochs: processor time, wall clock, memory."""
+    rows = []
+    for reach in reaches:
+        code = (
+            f"import scaling; scaling.whole({reach}, {n_epochs}, {n_trials}, "
+            f"{n_workers})"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            check=True,
+            cwd=Path(__file__).parent,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        rows.append(done.stdout.split("|"))
+        print(done.stdout, flush=True)
+    write_table(
+        "scaling_whole",
+        [
+            "windows",
+            "SSPs an epoch",
+            "matches, millions",
+            "match: CPU s",
+            "stack: CPU s",
+            "wall clock, s",
+            "largest memory, GB",
+            "others at work",
+        ],
+        rows,
+    )
+
+
+def whole(reach, n_epochs, n_trials, n_workers):
+    """One row of it, in a process of its own."""
+    import scipy.stats  # noqa: F401 (the errors of components load it)
+
+    memory = Memory()
+    memory.start()
+    cube = simulate(n_epochs).cube
+    scc = measurer(cube, reach)
+    start, wall = os.times(), time.perf_counter()
+    matched = scc.match(cube, n_workers=n_workers)
+    middle = os.times()
+    scc.stack(matched, n_trials=n_trials, rng=1)
+    end, wall = os.times(), time.perf_counter() - wall
+    memory.done.set()
+    memory.join()
+    row = [
+        f"± {reach} px",
+        f"{len(matched.ssps) / n_epochs:.0f}",
+        f"{len(matched.matches) / 1e6:.2f}",
+        f"{sum(middle[:4]) - sum(start[:4]):.0f}",
+        f"{sum(end[:4]) - sum(middle[:4]):.0f}",
+        f"{wall:.0f}",
+        f"{memory.peak:.2f}",
+        f"{os.getloadavg()[0]:.1f}",
+    ]
+    print("|".join(row), end="")
+
+
+def main():
+    """Print the tables of the parts that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    names = ["windows", "doubling", "workers", "imports", "whole"]
+    parser.add_argument("parts", nargs="*", choices=names, default=[])
+    parser.add_argument("--runs", type=int, default=5, help="of what is compared")
+    parser.add_argument("--reach", type=int, nargs="+", default=[20, 40])
+    parser.add_argument("--n-epochs", type=int, default=69)
+    parser.add_argument("--n-trials", type=int, default=1000)
+    parser.add_argument("--workers", type=int, default=2)
+    args = parser.parse_args()
+    for part in args.parts or names:
+        if part == "whole":
+            whole_part(args.reach, args.n_epochs, args.n_trials, args.workers)
+        else:
+            globals()[f"{part}_part"](args.runs)
+
+
+if __name__ == "__main__":
+    main()
