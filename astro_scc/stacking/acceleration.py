@@ -5,8 +5,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from astro_scc.stacking.components import fit_gaussian
-
 __all__ = ["Acceleration", "fit_acceleration", "flow_speed"]
 
 #: Spacing of speeds, and of distances, in standard errors of a sighting.
@@ -16,11 +14,13 @@ ACROSS = 5.0
 #: Length of the flow that is left out at once, in standard errors of a
 #: displacement: two beams, as features of one beam are one.
 BLOCK = 10.0
-#: The maximum without a block is sought so many standard errors of a sighting
-#: around that of all.
-NEAR = 3.0
-#: Part of the maximum above which a Gaussian is fitted to it.
-TOP = 0.4
+#: Width of the kernel in standard errors; of narrower ones the local maxima of few
+#: features make a lottery, as simulated flows show.
+WIDTH = 4.0
+#: Steps to the maximum, at most.
+ITERATIONS = 60
+#: Speeds below this part of that at the centre do not weigh more.
+SLOWEST = 0.2
 #: Fewest blocks that give an error.
 FEWEST = 4
 
@@ -98,12 +98,12 @@ def fit_acceleration(sightings, distance, v_max, *, a_max=None, centre=None):
     speed at the mean date, so
 
     .. math:: C(v_0, a) = \frac{\sum_i w_i \Delta t_i^2\,
-              g\big(v_i - v(x_i; v_0, a),\ \sigma_i\big)\, g(u_i, \sigma_i)}
+              g\big(v_i - v(x_i; v_0, a),\ 4 \sigma_i\big)\, g(u_i, \sigma_i)}
               {\sum_i w_i \Delta t_i^2},
 
     with the distance :math:`x_i` at the mean date, :math:`v(x)` of
     `flow_speed`, the speed :math:`u_i` across the flow, and g a Gaussian of
-    unit height.
+    unit height, wider than that of the stack because one flow is sought.
 
     Parameters
     ----------
@@ -173,23 +173,19 @@ def fit_acceleration(sightings, distance, v_max, *, a_max=None, centre=None):
     weight = weight * np.exp(-0.5 * (s.v2 / s.s2) ** 2)
     use = np.abs(s.v2) <= ACROSS * s.s2
     grid = _Grid(x, centre, speeds, accelerations, STEP * error * np.median(s.interval))
-    everything = grid.stack(s.v1, s.s1, weight, use)
+    everything = grid.stack(s.v1, WIDTH * s.s1, weight, use)
     row, column = np.unravel_index(everything.argmax(), everything.shape)
-    near = _window(row, column, everything.shape, error, grid)
-    found = _maximum_in(everything, near, grid)
-    block = flow_blocks(s, x, found[0])
-    parts = [
-        grid.stack(s.v1, s.s1, weight, use & (block == k)) for k in np.unique(block)
-    ]
-    # A block without sightings near the maximum tells nothing of it.
-    least = 1e-3 * everything[row, column] / len(parts)
-    others = np.array(
-        [
-            _maximum_in(everything - part, near, grid)
-            for part in parts
-            if part[row, column] > least
-        ]
-    )
+    seen = [column[use] for column in (x - centre, s.v1, WIDTH * s.s1, weight)]
+    start = np.array([speeds[column], accelerations[row]])
+    found = _climb(start, *seen)
+    block = flow_blocks(s, x, found[0])[use]
+    others = []
+    for k in np.unique(block):
+        rest = block != k
+        # A block without sightings near the maximum tells nothing of it.
+        if _near(found, *(c[~rest] for c in seen)) > 0:
+            others.append(_climb(found, *(c[rest] for c in seen)))
+    others = np.array(others).reshape(-1, 2)
     speed, acceleration = found
     at_edge = row in (0, len(accelerations) - 1)
     n = len(others)
@@ -274,25 +270,28 @@ def flow_blocks(sightings, x, speed):
     return np.floor((start - start.min()) / length).astype(int)
 
 
-def _window(row, column, shape, error, grid):
-    """Part of the grid around a maximum, in which it is sought again."""
-    columns = int(np.ceil(NEAR * error / grid.speeds[1]))
-    speed = max(grid.speeds[column], error)
-    step = grid.accelerations[1] - grid.accelerations[0]
-    rows = int(np.ceil(NEAR * error * speed / (max(grid.reach, 1e-9) * step)))
-    return (
-        slice(max(row - rows, 0), min(row + rows + 1, shape[0])),
-        slice(max(column - columns, 0), min(column + columns + 1, shape[1])),
-    )
+def _climb(place, x, v, s, weight):
+    """
+    The maximum of the stack that is uphill of a speed and an acceleration.
+
+    Where the gradient of a sum of Gaussians vanishes, the model fits in the
+    sense of least squares with the Gaussians as weights.
+    """
+    for _ in range(ITERATIONS):
+        model = flow_speed(x, *place, 0.0)
+        w = weight * np.exp(-0.5 * ((v - model) / s) ** 2) / s**2
+        # Of v^2 = v0^2 + 2 a x; what stands still turns with neither.
+        slow = np.maximum(model, SLOWEST * place[0])
+        slope = np.stack([place[0] / slow, x / slow], axis=1) * (model > 0)[:, None]
+        normal = slope.T @ (w[:, None] * slope)
+        step = np.linalg.pinv(normal) @ (slope.T @ (w * (v - model)))
+        place = np.array([max(place[0] + step[0], 0.1 * place[0]), place[1] + step[1]])
+        if np.all(np.abs(step) <= 1e-6 * (np.abs(place) + 1e-9)):
+            break
+    return place
 
 
-def _maximum_in(values, near, grid):
-    """Speed and acceleration of the maximum in a part of the grid."""
-    part = values[near]
-    row, column = np.unravel_index(part.argmax(), part.shape)
-    x, y = grid.speeds[: grid.shape[1]][near[1]], grid.accelerations[near[0]]
-    top = np.where(part >= TOP * part[row, column], part, 0.0)
-    fit = fit_gaussian(top, x, y)
-    if fit is None or not (x[0] <= fit[0] <= x[-1] and y[0] <= fit[1] <= y[-1]):
-        return x[column], y[row]
-    return fit[:2]
+def _near(place, x, v, s, weight):
+    """How many sightings are within two kernels of a model."""
+    z = (v - flow_speed(x, *place, 0.0)) / s
+    return np.count_nonzero((np.abs(z) < 2) & (weight > 0))
