@@ -6,14 +6,14 @@ import os
 import sys
 
 from astro_scc import __version__
-from astro_scc.cli import demo, inspect, measure, restore, simulate
+from astro_scc.cli import demo, inspect, measure, restore, simulate, track
 from astro_scc.cli.reporter import Reporter
 
 __all__ = ["main"]
 
 # What a user gets wrong; other exceptions are mistakes of the program.
 USER_ERRORS = (ValueError, TypeError, OSError, MemoryError)
-COMMANDS = (demo, simulate, restore, inspect, measure)
+COMMANDS = (demo, simulate, restore, inspect, measure, track)
 
 
 class Parser(argparse.ArgumentParser):

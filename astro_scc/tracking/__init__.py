@@ -19,6 +19,7 @@ from astro_scc.tracking.paths import Transitions, link_gains
 from astro_scc.tracking.profile import average_with_scatter, track_profile
 from astro_scc.tracking.result import Tracking
 from astro_scc.tracking.sharing import company_gain, shared_seats
+from astro_scc.tracking.tables import plain_table
 from astro_scc.tracking.tracker import FeatureTracker
 
 __all__ = [
@@ -44,6 +45,7 @@ __all__ = [
     "linked_counts",
     "linked_share",
     "parents",
+    "plain_table",
     "shared_seats",
     "shuffled_orders",
     "track_names",

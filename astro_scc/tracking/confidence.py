@@ -14,7 +14,7 @@ N_BOOTSTRAP = 1000
 @dataclass(frozen=True)
 class LinkedShare:
     """
-    The share of SSPs that are linked to a later one, and what chance gives.
+    The share of SSPs that tracks link to a later one, and what chance gives.
 
     Attributes
     ----------
@@ -67,7 +67,9 @@ def shuffled_orders(n_epochs, n_trials, rng=None):
     return np.array(orders, dtype=int).reshape(n_trials, n_epochs)
 
 
-def linked_counts(links, ssps, scales, n_epochs, *, select=None, place=None):
+def linked_counts(
+    links, ssps, scales, n_epochs, *, track=None, select=None, place=None
+):
     """
     SSPs of each scale and place in time, and those that are linked onwards.
 
@@ -78,6 +80,8 @@ def linked_counts(links, ssps, scales, n_epochs, *, select=None, place=None):
         Of all epochs.
     scales : sequence of float
     n_epochs : int
+    track : array_like of int, shape (n_ssps,), optional
+        Of links within tracks alone, see `chain`, if given.
     select : array_like of bool, shape (n_ssps,), optional
         The SSPs that count.
     place : array_like of int, shape (n_epochs,), optional
@@ -92,6 +96,8 @@ def linked_counts(links, ssps, scales, n_epochs, *, select=None, place=None):
     select = np.ones(len(ssps), bool) if select is None else np.asarray(select, bool)
     linked = np.zeros(len(ssps), bool)
     linked[links.source] = True
+    if track is not None:
+        linked &= np.asarray(track) >= 0
     at = place[ssps.epoch]
     counts = np.zeros((2, len(scales), n_epochs), dtype=int)
     for k, scale in enumerate(scales):

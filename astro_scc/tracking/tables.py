@@ -9,7 +9,7 @@ from astropy.utils.masked import Masked
 
 from astro_scc.tracking.ejection import ejection_epoch, speed_errors, turn_between
 
-__all__ = ["feature_table", "motion_row", "share_table", "track_table"]
+__all__ = ["feature_table", "motion_row", "plain_table", "share_table", "track_table"]
 
 PM_UNIT = u.mas / u.yr
 PM_DOT_UNIT = u.mas / u.yr**2

@@ -268,6 +268,8 @@ class FeatureTracker:
         reach = np.array(WINDOWS)[np.searchsorted(WINDOWS[:-1], reach)]
         reach = np.minimum(reach, np.array(cube.shape[1:]) - 1)
         parts = []
+        # A copy of its own for each call, whatever becomes of it there.
+        copies = (None if select is None else np.array(select) for _ in pairs)
         kinds, kind = np.unique(reach, axis=0, return_inverse=True)
         with progress(len(pairs), "Correlating", show=progress_bar) as done:
             for k, window in enumerate(kinds):
@@ -275,7 +277,7 @@ class FeatureTracker:
                 parts.append(
                     self._correlator()(
                         decompositions, own, tuple(int(w) for w in window),
-                        select=select, n_workers=n_workers,
+                        select=next(copies), n_workers=n_workers,
                     )
                 )  # fmt: skip
                 done(len(own))
@@ -418,22 +420,27 @@ class FeatureTracker:
             )  # fmt: skip
             return link(candidates, ssps, parent=parent, place=place, evidence=evidence)
 
+        def counts_of(links, track, place):
+            return linked_counts(
+                links, ssps, scales, len(cube), track=track, select=select, place=place
+            )
+
         links = links_of(np.arange(len(cube)))
-        options = {"scales": scales, "n_epochs": len(cube), "select": select}
-        counts = linked_counts(links, ssps, **options)
+        track = chain(links, len(ssps), min_epochs=self.min_epochs)
+        counts = counts_of(links, track, None)
         trials = []
         with progress(n_trials, "Shuffling", show=progress_bar) as done:
             for place in orders:
-                trials.append(
-                    linked_counts(links_of(place), ssps, **options, place=place)
-                )
+                found = links_of(place)
+                own = chain(found, len(ssps), min_epochs=self.min_epochs)
+                trials.append(counts_of(found, own, place))
                 done(1)
         return Tracking(
             cube=cube,
             ssps=ssps,
             select=select,
             links=links,
-            track=chain(links, len(ssps), min_epochs=self.min_epochs),
+            track=track,
             shares=tuple(linked_share(counts, trials, scales, rng=rng)),
             n_trials=n_trials,
             settings=self.to_dict(),

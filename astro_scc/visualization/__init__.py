@@ -8,6 +8,11 @@ from astro_scc.visualization.significance import (
     plot_significance,
 )
 from astro_scc.visualization.timeline import plot_intervals
+from astro_scc.visualization.tracks import (
+    plot_separation,
+    plot_track_profile,
+    plot_tracks,
+)
 from astro_scc.visualization.velocity import plot_velocity_map
 
 __all__ = [
@@ -16,6 +21,9 @@ __all__ = [
     "plot_intervals",
     "plot_map_and_significance",
     "plot_members",
+    "plot_separation",
     "plot_significance",
+    "plot_track_profile",
+    "plot_tracks",
     "plot_velocity_map",
 ]

@@ -1,0 +1,411 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""``astro-scc track``: from images to features followed from epoch to epoch."""
+
+import argparse
+
+from astro_scc.cli.arguments import add_output, add_selection, draw_seed, settings_of
+from astro_scc.cli.summary import table_lines
+
+__all__ = ["add_parser", "run"]
+
+EPILOG = """\
+examples:
+  astro-scc track 3c120/*.fits -o tracks --align core --max-speed "4 mas/yr" \\
+      --redshift 0.033
+  astro-scc track *.fits -o tracks --align cores.ecsv --position-angle "-112 deg" \\
+      --along "0 4 mas/yr" --across "-1 1 mas/yr" --profile out/profile.ecsv
+
+The folder gets features.ecsv, a row for each feature and epoch, tracks.ecsv, a row for
+each feature, track_profile.ecsv, speed against distance, and figures of all three.
+A configuration file of astro-scc measure may be given for the settings that both have.
+"""
+# Files of an earlier run that must not stand beside new ones.
+PRODUCTS = (
+    "features.ecsv",
+    "tracks.ecsv",
+    "track_profile.ecsv",
+    "features.vot",
+    "tracks.vot",
+    "separation.png",
+    "tracks.png",
+    "track_profile.png",
+)
+#: Settings of a measurement that tracking has no use for.
+UNUSED = dict.fromkeys(("baseline", "kernel"))
+DPI = 130
+#: Points of the profile.
+N_RADII = 20
+
+
+def add_parser(commands):
+    """Add the command to the program's parser."""
+    parser = commands.add_parser(
+        "track",
+        help="follow single features from epoch to epoch (WISE)",
+        description="Follow the features of images of one object at many dates.",
+        epilog=EPILOG,
+    )
+    parser.set_defaults(**UNUSED)
+    parser.add_argument(
+        "epochs", nargs="*", metavar="EPOCH.fits", help="images, one an epoch"
+    )
+    add_output(parser, what="the tables and figures")
+    parser.add_argument("--config", metavar="FILE.toml", help="read settings from here")
+    parser.add_argument(
+        "--no-figures", action="store_true", help="write the tables alone"
+    )
+    parser.add_argument(
+        "--votable", action="store_true", help="write features.vot and tracks.vot too"
+    )
+
+    group = parser.add_argument_group("images")
+    add_selection(group)
+    group.add_argument(
+        "--align",
+        metavar="none|core|correlate|wcs|TABLE",
+        help="how epochs are laid on one another, as for astro-scc measure",
+    )
+    group.add_argument(
+        "--common-beam",
+        action=argparse.BooleanOptionalAction,
+        help="convolve to the smallest beam that contains all; the default where "
+        "beams differ",
+    )
+    group.add_argument(
+        "--region",
+        metavar="FILE.reg",
+        help="track patterns inside a DS9 or CRTF region only",
+    )
+
+    group = parser.add_argument_group("tracking")
+    group.add_argument(
+        "--scales",
+        metavar="1,2,3",
+        help='wavelet scales by number (j is 2^j pixels) or angle, "0.2 mas, 0.4 mas"; '
+        "default 1,2,3,4",
+    )
+    group.add_argument(
+        "--max-speed",
+        metavar='"2 mas/yr"',
+        help="largest proper motion; default four beams in the median interval",
+    )
+    group.add_argument(
+        "--position-angle",
+        metavar='"65 deg"|radial',
+        help="direction of the jet, north through east, for --along and --across",
+    )
+    for name, what in (("along", "along the jet"), ("across", "across it")):
+        group.add_argument(
+            f"--{name}",
+            metavar='"-1 4 mas/yr"',
+            help=f"smallest and largest proper motion {what}",
+        )
+    group.add_argument(
+        "--tolerance",
+        metavar="0.2",
+        help="scatter of displacements about steady motion, in beams; default 0.2",
+    )
+    group.add_argument(
+        "--max-gap",
+        metavar="1",
+        help="consecutive epochs at which a feature may be missing; default 1",
+    )
+    group.add_argument(
+        "--max-interval",
+        metavar='"1 yr"',
+        help="longest time between two epochs that are linked",
+    )
+    group.add_argument(
+        "--min-epochs",
+        metavar="3",
+        help="epochs that make a track at least; default 3",
+    )
+    group.add_argument(
+        "--kappa", metavar="0.5", help="smallest correlation of a match; default 0.5"
+    )
+    group.add_argument(
+        "--n-trials",
+        metavar="20",
+        help="shuffled orders that are linked too, to see what chance gives, at "
+        "least 2; default 20",
+    )
+    group.add_argument(
+        "--seed", metavar="N", help="of the trials; drawn and written down by default"
+    )
+    group.add_argument(
+        "--half-width",
+        metavar='"2 mas"',
+        help="features this near a distance make the profile there; default 2 mas "
+        "(Mertens & Lobanov 2016), or a fifth of the longest distance if less",
+    )
+    group.add_argument(
+        "--profile",
+        metavar="FILE.ecsv",
+        help="profile of the stack, as of astro-scc profile, for the figure",
+    )
+
+    group = parser.add_argument_group("speeds in units of c")
+    group.add_argument("--redshift", metavar="Z", help="of the object")
+    group.add_argument(
+        "--cosmology",
+        metavar='NAME|"H0=71,Om0=0.27"',
+        help="for the redshift; default H0=71,Om0=0.27 (Mertens & Lobanov 2016)",
+    )
+    group.add_argument(
+        "--distance", metavar='"16.7 Mpc"', help="of a near object, without a redshift"
+    )
+
+    group = parser.add_argument_group("running")
+    group.add_argument(
+        "--workers",
+        metavar="N",
+        type=int,
+        default=1,
+        help="processes; the numbers do not depend on it; default 1",
+    )
+    return parser
+
+
+def run(args, reporter):
+    """
+    Track, as the arguments say.
+
+    Parameters
+    ----------
+    args : `argparse.Namespace`
+    reporter : `~astro_scc.cli.reporter.Reporter`
+    """
+    from astro_scc.cli.measure import read
+    from astro_scc.measurement import product_folder
+
+    config = settings_of(args, reporter)
+    if not config.get("epochs"):
+        raise ValueError("no epochs were given; name the FITS files, or a --config")
+    if args.workers < 1:
+        raise ValueError(f"--workers must be at least 1, got {args.workers}")
+    tracker = _tracker(args, config)
+    half_width = _quantity(args, "half_width", "mas")
+    stack = None if args.profile is None else _stack_profile(args.profile)
+    with product_folder(
+        args.output, overwrite=args.overwrite, stale=PRODUCTS
+    ) as folder:
+        cube, config, _ = read(config, reporter)
+        config = {"n_trials": 20, "seed": draw_seed(), **config}
+        tracking = _track(cube, tracker, config, reporter, args.workers)
+        profile = _write(tracking, config, folder, args.votable, half_width)
+        if not args.no_figures:
+            _draw(tracking, profile, stack, config, folder)
+    for line in _summary(tracking):
+        reporter.say(line)
+    reporter.say(f"\nTables{'' if args.no_figures else ' and figures'}: {args.output}")
+
+
+def _tracker(args, config):
+    """The settings of the tracker, from the command line and the configuration."""
+    from astro_scc.tracking import FeatureTracker
+
+    names = ("max_speed", "position_angle", "kappa", "target", "min_overlap")
+    settings = {name: config[name] for name in names if name in config}
+    if "kappa" in config and args.kappa is None:
+        # That of a measurement is for stacks.
+        del settings["kappa"]
+    settings |= {
+        "along": _quantity(args, "along", "mas/yr", 2),
+        "across": _quantity(args, "across", "mas/yr", 2),
+        "max_interval": _quantity(args, "max_interval", "yr"),
+    }
+    for name, kind in (("tolerance", float), ("max_gap", int), ("min_epochs", int)):
+        text = getattr(args, name)
+        if text is not None:
+            option = f"--{name.replace('_', '-')}"
+            try:
+                settings[name] = kind(text)
+            except ValueError:
+                what = "a whole number" if kind is int else "a number"
+                raise ValueError(f"{option} {text!r}: must be {what}") from None
+    if settings.get("along") is None and settings.get("across") is None:
+        # A measurement's axes that need more than tracking has are no matter.
+        angle = settings.get("position_angle")
+        if args.position_angle is None and isinstance(angle, str):
+            del settings["position_angle"]
+    return FeatureTracker(**settings)
+
+
+def _quantity(args, name, unit, number=1):
+    """One or two quantities of an option, None if it was not given."""
+    import astropy.units as u
+
+    from astro_scc.config import parse_quantities
+
+    text = getattr(args, name)
+    if text is None:
+        return None
+    option = f"--{name.replace('_', '-')}"
+    wanted = f"must be {'one value' if number == 1 else 'two values'} in {unit}"
+    try:
+        values = parse_quantities(text)
+    except ValueError as error:
+        raise ValueError(f"{option} {text!r}: {error}; it {wanted}") from None
+    good = len(values) == number and all(v.unit.is_equivalent(unit) for v in values)
+    if not good:
+        raise ValueError(f"{option} {text!r}: {wanted}")
+    if name == "half_width" and not values[0].value > 0:
+        raise ValueError(f"{option} {text!r}: must be above 0")
+    return values[0] if number == 1 else u.Quantity(values).to(unit)
+
+
+def _stack_profile(path):
+    """The profile of the stack, and that it is one."""
+    from astropy.table import QTable
+
+    try:
+        table = QTable.read(path, format="ascii.ecsv")
+    except FileNotFoundError:
+        raise OSError(f"{path}: does not exist") from None
+    except Exception as error:
+        first = str(error).strip().splitlines()
+        raise ValueError(
+            f"{path}: is no ECSV table: {first[0] if first else error}"
+        ) from None
+    wanted = ("r_mid", "pm_parallel", "pm_parallel_err")
+    missing = [name for name in wanted if name not in table.colnames]
+    if missing:
+        raise ValueError(f"{path}: is no profile, it has no {', '.join(missing)}")
+    return table
+
+
+def _track(cube, tracker, config, reporter, n_workers):
+    from astro_scc.decomposition import Decomposer
+    from astro_scc.measurement.plan import (
+        decompose_epochs,
+        scales_of_pixels,
+        ssps_inside,
+    )
+
+    names = {"wavelet": "kernel", "detection": "detection", "noise": "noise",
+             "segmentation": "segmentation"}  # fmt: skip
+    options = {names[name]: config[name] for name in names if name in config}
+    scales = scales_of_pixels(config.get("scales", (1, 2, 3, 4)), cube.pixel_scale)
+    region = config.get("region")
+    inside = None if region is None else cube.region_mask(region)
+    decompositions = decompose_epochs(cube, Decomposer(scales=scales, **options))
+    _, select = ssps_inside(decompositions, cube, inside)
+    return tracker(
+        cube,
+        decompositions,
+        select=select,
+        n_trials=config["n_trials"],
+        rng=config["seed"],
+        n_workers=n_workers,
+        progress_bar=reporter.progress,
+    )
+
+
+def _write(tracking, config, folder, votable, half_width):
+    """Write the tables; the profile."""
+    import astropy.units as u
+    import numpy as np
+    from astropy.table import QTable
+
+    from astro_scc.config import plain_settings
+    from astro_scc.measurement import versions
+    from astro_scc.tracking import plain_table
+
+    how = _distance(config)
+    tracks = tracking.tracks_in_c(**how) if how else tracking.tracks
+    longest = tracks["r"].to_value(u.mas).max(initial=0.0) * u.mas
+    if half_width is None:
+        half_width = min(2 * u.mas, longest / 5) if longest > 0 else 2 * u.mas
+    radii = np.linspace(0, 1, N_RADII + 1)[1:] * longest
+    profile = (
+        tracking.profile(radii, half_width=half_width)
+        if longest > 0
+        else tracking.profile([] * u.mas, half_width=half_width)
+    )
+    meta = {
+        "configuration": plain_settings(config),
+        **{k: _plain(v) for k, v in {**tracks.meta, **profile.meta}.items()},
+        "versions": versions(),
+    }
+    tables = {
+        "features": tracking.features,
+        "tracks": tracks,
+        "track_profile": profile,
+    }
+    for name, table in tables.items():
+        table = QTable(table, copy=False)
+        table.meta = meta
+        table.write(folder / f"{name}.ecsv", format="ascii.ecsv", overwrite=True)
+        if votable and name != "track_profile":
+            plain = plain_table(table)
+            plain.write(folder / f"{name}.vot", format="votable", overwrite=True)
+    return profile
+
+
+def _plain(value):
+    """What ECSV readers understand without astropy's classes."""
+    from astro_scc.measurement import plain_cosmology
+
+    if hasattr(value, "unit"):
+        return str(value) if value.isscalar else [str(v) for v in value]
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if hasattr(value, "to_format"):
+        return plain_cosmology(value)
+    return value
+
+
+def _distance(config):
+    """How to turn proper motions into speeds."""
+    from astro_scc.config import to_cosmology
+
+    if "distance" in config:
+        return {"distance": config["distance"]}
+    if "redshift" in config:
+        cosmology = to_cosmology(config["cosmology"])
+        return {"redshift": config["redshift"], "cosmology": cosmology}
+    return {}
+
+
+def _draw(tracking, profile, stack, config, folder):
+    import astropy.units as u
+
+    from astro_scc.kinematics import apparent_speed
+    from astro_scc.visualization import (
+        plot_separation,
+        plot_track_profile,
+        plot_tracks,
+    )
+
+    how = _distance(config)
+    per_pm = float(apparent_speed(1 * u.mas / u.yr, **how)) if how else None
+    figures = {
+        "separation": plot_separation(tracking),
+        "tracks": plot_tracks(tracking),
+        "track_profile": plot_track_profile(profile, stack=stack, beta_per_pm=per_pm),
+    }
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={"Software": None})
+
+
+def _summary(tracking):
+    """What was found, as lines."""
+    import numpy as np
+
+    tracks = tracking.tracks
+    ejected = int(np.sum(~np.asarray(tracks["t_ej"].mask)))
+    rows = []
+    for share in tracking.shares:
+        scale = "all" if share.scale is None else f"{share.scale:g}"
+        own = np.asarray(tracks["scale"]) == share.scale
+        rows.append(
+            [
+                scale,
+                str(len(tracks) if share.scale is None else int(own.sum())),
+                str(share.n_ssps),
+                f"{share.share:.2f} ± {share.share_err:.2f}",
+                f"{share.shuffled:.2f} ± {share.shuffled_err:.2f}",
+            ]
+        )
+    yield from table_lines(["scale", "tracks", "SSPs", "linked", "if shuffled"], rows)
+    yield f"{len(tracks)} tracks, {ejected} with an ejection epoch"
