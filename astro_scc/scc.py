@@ -8,7 +8,12 @@ import numpy as np
 
 from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.decomposition import Decomposer
-from astro_scc.measurement import MatchedEpochs, stack_matches
+from astro_scc.measurement import (
+    MatchedEpochs,
+    angular_displacements,
+    stack_matches,
+    velocity_frame,
+)
 from astro_scc.measurement.plan import (
     decompose_epochs,
     mean_fwhm,
@@ -292,6 +297,31 @@ class StackedCrossCorrelation:
                 progress_bar=progress_bar,
                 settings=self.to_dict(),
             )
+
+    def displacements(self, matched):
+        """
+        The matches as displacements along the velocity axes, and the axes.
+
+        Parameters
+        ----------
+        matched : `~astro_scc.measurement.MatchedEpochs`
+
+        Returns
+        -------
+        displacements : `~astro_scc.stacking.Displacements`
+            In mas, of the SSPs that are selected.
+        frame : frame of `astro_scc.kinematics`
+        """
+        frame, _ = velocity_frame(matched, self.position_angle)
+        found = angular_displacements(
+            matched.matches,
+            matched.ssps,
+            matched.cube,
+            frame,
+            self.kernel,
+            select=matched.select,
+        )
+        return found, frame
 
     def __call__(
         self,

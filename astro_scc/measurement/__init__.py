@@ -16,7 +16,7 @@ from astro_scc.measurement.products import (
 )
 from astro_scc.measurement.result import MatchedEpochs, SCCResult
 from astro_scc.measurement.selection import select_ssps, ssp_distances
-from astro_scc.measurement.stacking import stack_matches
+from astro_scc.measurement.stacking import stack_matches, velocity_frame
 from astro_scc.measurement.tables import component_table, ssp_table, versions
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "ssp_offsets",
     "ssp_table",
     "stack_matches",
+    "velocity_frame",
     "velocity_hdus",
     "versions",
     "write_products",

@@ -31,7 +31,7 @@ from astro_scc.stacking import (
     stack,
 )
 
-__all__ = ["stack_matches"]
+__all__ = ["stack_matches", "velocity_frame"]
 
 #: Frames that are found in the images, or need nothing.
 NAMED_FRAMES = ("radial", "ridge", "fit")
@@ -102,7 +102,7 @@ def stack_matches(
     seed = int(rng) if isinstance(rng, (int, np.integer)) else None
     paper_rng, search_rng, error_rng = np.random.default_rng(rng).spawn(3)
     cube = matched.cube
-    frame, angle = _frame(matched, position_angle)
+    frame, angle = velocity_frame(matched, position_angle)
     displacements = angular_displacements(
         matched.matches, matched.ssps, cube, frame, kernel, select=matched.select
     )
@@ -183,8 +183,22 @@ def _warn_of_limits(n_epochs, n_trials, level):
     warnings.warn(what, MeasurementWarning, stacklevel=5)
 
 
-def _frame(matched, position_angle):
-    """The velocity frame, and the direction of the jet."""
+def velocity_frame(matched, position_angle):
+    """
+    The velocity axes of a measurement.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    position_angle : `~astropy.units.Quantity`, str, frame or None
+        See `~astro_scc.StackedCrossCorrelation`.
+
+    Returns
+    -------
+    frame : frame of `astro_scc.kinematics`
+    angle : `~astropy.units.Quantity`
+        Direction of the jet.
+    """
     if isinstance(position_angle, str) and position_angle == "fit":
         position_angle, _ = fit_position_angle(matched.cube)
     if isinstance(position_angle, u.Quantity):
