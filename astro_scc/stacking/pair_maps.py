@@ -144,6 +144,7 @@ class PairMaps:
         """Bytes of one map."""
         return 4 * len(self.axis1) * len(self.axis2)
 
+    @cached_property
     def _everything(self):
         """All maps, or None if they are too many to be kept."""
         pairs = np.flatnonzero(self._rows >= 0)
@@ -204,11 +205,10 @@ class PairMaps:
         orders = np.asarray(orders)
         stretch = _Stretch.of(self, pairs, grid, shift)
         size = max(1, BLOCK_BYTES // (8 * grid.shape[0] * grid.shape[1]))
-        kept = self._everything() if len(orders) else None
         for start in range(0, len(orders), size):
-            yield self._block(pairs, stretch, orders[start : start + size], kept)
+            yield self._block(pairs, stretch, orders[start : start + size])
 
-    def _block(self, pairs, stretch, orders, kept):
+    def _block(self, pairs, stretch, orders):
         reference, target = pairs.images(orders)
         flipped = np.zeros(reference.shape, dtype=bool)
         if self.turned:
@@ -219,7 +219,7 @@ class PairMaps:
             )
         images = reference * self.displacements.n_epochs + target
         total = np.zeros((len(orders), *stretch.shape))
-        for maps, rows in self._parts(images, kept):
+        for maps, rows in self._parts(images):
             for trial in range(len(orders)):
                 here = rows[trial] >= 0
                 if here.any():
@@ -230,10 +230,10 @@ class PairMaps:
         total /= number[:, None, None]
         return total
 
-    def _parts(self, images, kept):
+    def _parts(self, images):
         """As many maps as are kept at a time, and the rows of pairs in them."""
-        if kept is not None:
-            yield kept, self._rows[images]
+        if self._everything is not None:
+            yield self._everything, self._rows[images]
             return
         used = np.unique(images)
         used = used[self._rows[used] >= 0]

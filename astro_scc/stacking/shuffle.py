@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The paper's significance: stacks of epochs in shuffled order."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -140,6 +140,8 @@ def shuffle_epochs(
     if n_trials < 2:
         raise ValueError(f"shuffling needs at least 2 trials, got {n_trials}")
     orders = random_orders(pairs.n_dates, n_trials, rng)
+    # The maps that a copy makes go with it.
+    pair_maps = replace(pair_maps)
     if shift is None:
         parts = [(orders, (0.0, 0.0))]
     else:
