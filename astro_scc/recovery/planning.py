@@ -22,9 +22,11 @@ SCALES = (1, 2, 3)
 JET = 270 * u.deg
 #: Motion that can be told from rest (paper, Sect. 2.2), in beams.
 SMALLEST_SHIFT = 0.2
-#: Two speeds are told apart if their motions in a pair of epochs differ by
-#: more than two errors of a displacement, 0.4 beams; with some to spare.
+#: Two speeds are one peak if their motions in a pair of epochs differ by less
+#: than two errors of a displacement, 0.4 beams, with some to spare.
 RESOLVED = 0.5
+#: Pairs are so far apart in time that motions differ by so many beams.
+WELL_APART = 1.0
 #: Share of the field that may be crossed between the epochs of a pair.
 CROSSED = 0.5
 #: Motions larger than the faster one, by so many beams, are searched too.
@@ -136,14 +138,15 @@ def plan(
 
     - "epochs": 2 / N! is above the level;
     - "rest": v T < 0.2 b, the slower stream is not told from rest;
-    - "difference": (V - v) T < 0.5 b, the two are one peak;
     - "field": features of the faster stream cross more than half of the field
-      between the epochs of a pair.
+      between consecutive epochs;
+    - "difference": (V - v) k dt < 0.5 b, the two are one peak.
 
     Epochs k intervals apart are paired, k the smallest number for which
-    ``(V - v) k dt >= 0.5 b``: where consecutive epochs are too close in time
-    give ``baseline`` of `~astro_scc.StackedCrossCorrelation` a range about
-    the column ``baseline``.
+    ``(V - v) k dt >= b``, but at most N / 2, and so that the faster stream
+    does not cross more than half of the field.  Where k is more than 1 give
+    ``baseline`` of `~astro_scc.StackedCrossCorrelation` a range about the
+    column ``baseline``.
 
     A stream is found if there is a component that moves with ``p_global <=
     level`` within 0.2 beams over the baseline of its velocity.
@@ -159,11 +162,11 @@ def plan(
                 yr                   yr
     -------- -------- ----------- -------- ------
            4     0.25      0.3125      0.5 epochs
-           4      0.5       0.625      0.5 epochs
-           6     0.25      0.3125      0.5
-           6      0.5       0.625      0.5
-          10     0.25      0.3125      0.5
-          10      0.5       0.625      0.5
+           4      0.5       0.625      1.0 epochs
+           6     0.25      0.3125     0.75
+           6      0.5       0.625      1.0
+          10     0.25      0.3125      1.0
+          10      0.5       0.625      1.0
     >>> table.meta["smallest"]["n_epochs"], table.meta["smallest"]["interval"]
     (6, <Quantity 0.25 yr>)
     """
@@ -282,11 +285,17 @@ class _Campaign:
         return (self.n_epochs - 1) * self.interval
 
     @property
+    def apart(self):
+        """Difference of the motions in an interval, in beams."""
+        return (self.fast - self.slow) * self.interval / self.width
+
+    @property
     def lag(self):
         """Intervals between the epochs of a pair."""
-        apart = (self.fast - self.slow) * self.interval / self.width
-        # Rounding must not add an interval.
-        return max(1, int(np.ceil(RESOLVED / apart * (1 - 1e-9))))
+        # Rounding must neither add an interval nor lose one.
+        wanted = np.ceil(WELL_APART / self.apart * (1 - 1e-9))
+        crossing = CROSSED * self.field / (self.fast * self.interval) * (1 + 1e-9)
+        return int(max(1, min(wanted, self.n_epochs // 2, np.floor(crossing))))
 
     @property
     def limit(self):
@@ -295,10 +304,10 @@ class _Campaign:
             return "epochs"
         if self.slow * self.total < SMALLEST_SHIFT * self.width * (1 - 1e-9):
             return "rest"
-        if self.lag > self.n_epochs - 1:
-            return "difference"
-        if self.fast * self.lag * self.interval > CROSSED * self.field * (1 + 1e-9):
+        if self.fast * self.interval > CROSSED * self.field * (1 + 1e-9):
             return "field"
+        if self.lag * self.apart < RESOLVED * (1 - 1e-9):
+            return "difference"
         return ""
 
     def measure(self, beam, n_trials, rng, options):

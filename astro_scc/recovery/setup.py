@@ -142,7 +142,7 @@ def peaks_of(fluxes, unit, noise):
     Raises
     ------
     ValueError
-        If one is no positive number, or the noise is 0 where it is needed.
+        If one is negative or not finite, or the noise is 0 where it is needed.
     `~astropy.units.UnitConversionError`
         If the unit does not fit.
     """
@@ -165,5 +165,5 @@ def peaks_of(fluxes, unit, noise):
         or values.size == 0
         or not np.all((values >= 0) & np.isfinite(values))
     ):
-        raise ValueError(f"fluxes must be one or more positive numbers, got {fluxes}")
+        raise ValueError(f"fluxes must be one or more numbers from 0, got {fluxes}")
     return [float(value) for value in values]

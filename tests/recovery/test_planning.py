@@ -29,8 +29,9 @@ def test_rows_are_what_was_asked_for():
     assert u.allclose(table["total_time"], [0.75, 1.5, 1.25, 2.5, 2, 4] * u.yr)
     np.testing.assert_allclose(table["motion_slow"], [0.1, 0.2] * 3)
     np.testing.assert_allclose(table["motion_fast"], [0.4, 0.8] * 3)
-    # Motions differ by half a beam after two and after one interval.
-    assert u.allclose(table["baseline"], 0.5 * u.yr)
+    # Motions differ by a beam after four and after two intervals; but pairs are
+    # no further apart than half of the epochs.
+    assert u.allclose(table["baseline"], [0.5, 1, 0.75, 1, 1, 1] * u.yr)
     np.testing.assert_allclose(table["p_smallest"][::2], [1 / 12, 1 / 360, 2 / 362880])
     assert table["limit"].tolist() == ["epochs", "epochs", "", "", "", ""]
     assert not table["n_jets"].any()
@@ -48,11 +49,13 @@ def test_rows_are_what_was_asked_for():
         ({"n_epochs": 4}, "epochs"),
         ({"n_epochs": 4, "level": 0.1}, ""),
         ({"speeds": [0.15, 1.6] * PM}, "rest"),
-        ({"speeds": [0.4, 0.79] * PM}, "difference"),
-        ({"speeds": [0.4, 0.8] * PM}, ""),
+        ({"speeds": [0.4, 1.06] * PM}, "difference"),
+        ({"speeds": [0.4, 1.07] * PM}, ""),
         ({"speeds": [0.4, 40.1] * PM}, "field"),
         ({"speeds": [0.4, 40] * PM}, ""),
         ({"speeds": [0.4, 10.1] * PM, "field": 5 * u.mas}, "field"),
+        # In a short field nothing can be followed long enough.
+        ({"speeds": [1.0, 2.0] * PM, "field": 1.9 * u.mas}, "difference"),
     ],
 )
 def test_what_cannot_be_told_apart(changes, limit):
@@ -74,14 +77,19 @@ def test_pairs_are_as_close_as_the_difference_allows(slow, more, width, interval
         intervals=interval * u.yr, n_jets=0,
     )  # fmt: skip
     pair = table["baseline"][0].to_value(u.yr)
-    apart = more * pair / width
-    assert apart >= 0.5 * (1 - 1e-6)
-    assert pair <= interval * (1 + 1e-9) or more * (pair - interval) / width < 0.5
+    apart, crossed = more * pair / width, (slow + more) * pair / width
+    lag = round(pair / interval)
+    assert 1 <= lag <= max(n // 2, 1)
+    # One interval less would do for none of the reasons to stop.
+    assert lag == 1 or apart - more * interval / width < 1
+    assert lag == 1 or crossed <= 10 * (1 + 1e-6)
+    if lag < n // 2 and apart < 1 - 1e-6:
+        assert crossed + (slow + more) * interval / width > 10 * (1 - 1e-6)
     if not table["limit"][0]:
-        assert pair <= interval * (n - 1) * (1 + 1e-9)
-        assert slow * interval * (n - 1) >= 0.2 * width * (1 - 1e-6)
-        assert (slow + more) * pair <= 10 * width * (1 + 1e-6)
         assert n >= 5
+        assert apart >= 0.5 * (1 - 1e-6)
+        assert crossed <= 10 * (1 + 1e-6)
+        assert slow * interval * (n - 1) >= 0.2 * width * (1 - 1e-6)
 
 
 def test_the_beam_lies_as_it_does_to_the_jet():
