@@ -17,6 +17,7 @@ from astro_scc.correlation import (
     match_block,
     zncc,
 )
+from astro_scc.correlation.workers import in_order
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.simulation import simulate_two_fluid
 
@@ -345,6 +346,16 @@ def test_small_blocks_give_the_same(jet, target, monkeypatch):
     found = Matches.from_columns(again, pairs, (12, 12), 0.6)
     assert found.sorted().same_as(whole)
     assert correlate(jet, pairs, 12).same_as(whole)
+
+
+@pytest.mark.slow
+def test_spawned_processes_give_the_same_to_the_bit(jet):
+    """They know nothing but the blocks."""
+    pairs = all_pairs(len(jet))
+    here = Correlator()(jet, pairs, 12)
+    blocks = Correlator().blocks(jet, pairs, 12)
+    there = list(in_order(match_block, blocks, 2, context="spawn"))
+    assert Matches.from_columns(there, pairs, (12, 12), 0.6).sorted().same_as(here)
 
 
 def test_a_block_holds_only_what_it_needs(jet):

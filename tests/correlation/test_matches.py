@@ -69,6 +69,16 @@ def test_selections(matches, epochs):
     assert repr(first) == "<Matches: 2 peaks of 6 pairs of epochs>"
 
 
+def test_sorted_by_ssp_and_then_by_target(matches):
+    assert matches.sorted() is matches
+    mixed = matches.select(np.random.default_rng(0).permutation(len(matches)))
+    found = mixed.sorted()
+    order = np.lexsort((mixed.target, mixed.ssp))
+    assert found.same_as(mixed.select(order))
+    np.testing.assert_array_equal(found.ssp, matches.ssp)
+    np.testing.assert_array_equal(found.target, matches.target)
+
+
 def test_landing_is_on_the_nearest_pattern(matches, epochs):
     ssps = SSPs.of_epochs(epochs)
     landed = landing_ssps(matches, ssps)
