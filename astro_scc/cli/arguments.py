@@ -31,6 +31,8 @@ OPTIONS = (
     "redshift",
     "cosmology",
     "distance",
+    "bins",
+    "window",
 )
 
 
@@ -148,7 +150,7 @@ def settings_of(args, reporter):
     given = {
         name: parse_option(name, value)
         for name in OPTIONS
-        if (value := getattr(args, name)) not in (None, [])
+        if (value := getattr(args, name, None)) not in (None, [])
     }
     # One kind of distance on the command line replaces the other in the file.
     if "distance" in given:

@@ -13,7 +13,16 @@ from astro_scc.cli.arguments import (
 )
 from astro_scc.cli.summary import component_lines
 
-__all__ = ["add_parser", "measure", "run"]
+__all__ = [
+    "add_measurement",
+    "add_parser",
+    "distance_of",
+    "measure",
+    "measurer_of",
+    "read",
+    "run",
+    "settings_as_used",
+]
 
 EPILOG = """\
 examples:
@@ -71,7 +80,18 @@ def add_parser(commands):
     parser.add_argument(
         "--no-report", action="store_true", help="write no report.html and figures"
     )
+    add_measurement(parser)
+    return parser
 
+
+def add_measurement(parser):
+    """
+    Add what says how images are measured.
+
+    Parameters
+    ----------
+    parser : `argparse.ArgumentParser`
+    """
     group = parser.add_argument_group("images")
     add_selection(group)
     group.add_argument(
@@ -290,19 +310,12 @@ def measure(
     from astro_scc.config import format_config, plain_settings
     from astro_scc.measurement import versions, write_products
 
-    how = _distance(config)
-    scc = _measurer(config)
+    how = distance_of(config)
+    scc = measurer_of(config)
     # A region file that cannot be used is better known before the long part.
     region = region or config.get("region")
     inside = None if region is None else cube.region_mask(region)
-    # What was given stays as it was written.
-    config = {
-        "n_trials": 1000,
-        "seed": draw_seed(),
-        **_settings(scc),
-        **config,
-        "max_speed": config.get("max_speed", scc.speed_limit(cube)),
-    }
+    config = settings_as_used(scc, config, cube, seed=draw_seed())
     result = scc(
         cube,
         region=inside,
@@ -333,8 +346,18 @@ def measure(
     return components
 
 
-def _measurer(config):
-    """The measurement with the settings that the configuration has."""
+def measurer_of(config):
+    """
+    The measurement with the settings that the configuration has.
+
+    Parameters
+    ----------
+    config : dict
+
+    Returns
+    -------
+    `~astro_scc.StackedCrossCorrelation`
+    """
     from dataclasses import fields
 
     from astro_scc import StackedCrossCorrelation
@@ -345,15 +368,45 @@ def _measurer(config):
     )
 
 
-def _settings(scc):
-    """All settings of a measurement, as the configuration has them."""
+def settings_as_used(scc, config, cube, *, seed):
+    """
+    All settings of a measurement; what was given stays as it was written.
+
+    Parameters
+    ----------
+    scc : `~astro_scc.StackedCrossCorrelation`
+    config : dict
+    cube : `~astro_scc.EpochCube`
+    seed : int
+        Without one in the configuration.
+
+    Returns
+    -------
+    dict
+    """
     from dataclasses import fields
 
-    return {field.name: getattr(scc, field.name) for field in fields(scc)}
+    return {
+        "n_trials": 1000,
+        "seed": seed,
+        **{field.name: getattr(scc, field.name) for field in fields(scc)},
+        **config,
+        "max_speed": config.get("max_speed", scc.speed_limit(cube)),
+    }
 
 
-def _distance(config):
-    """How to turn proper motions into speeds, the options of `components_in_c`."""
+def distance_of(config):
+    """
+    How to turn proper motions into speeds, the options of `components_in_c`.
+
+    Parameters
+    ----------
+    config : dict
+
+    Returns
+    -------
+    dict
+    """
     from astro_scc.config import to_cosmology
 
     if "distance" in config:

@@ -6,14 +6,14 @@ import os
 import sys
 
 from astro_scc import __version__
-from astro_scc.cli import demo, inspect, measure, restore, simulate, track
+from astro_scc.cli import demo, inspect, measure, profile, restore, simulate, track
 from astro_scc.cli.reporter import Reporter
 
 __all__ = ["main"]
 
 # What a user gets wrong; other exceptions are mistakes of the program.
 USER_ERRORS = (ValueError, TypeError, OSError, MemoryError)
-COMMANDS = (demo, simulate, restore, inspect, measure, track)
+COMMANDS = (demo, simulate, restore, inspect, measure, profile, track)
 
 
 class Parser(argparse.ArgumentParser):

@@ -3,13 +3,16 @@
 
 import math
 
-__all__ = ["component_lines", "table_lines"]
+__all__ = ["component_lines", "profile_lines", "table_lines"]
 
 # What stands beside the numbers of each kind of component.
 REMARKS = {"moving": "", "stationary": "stationary, no discovery"}
 EXPLANATION = (
     "p_global: probability of as much at any velocity, if features share no speed or",
     "epochs have no order; the larger of the two",
+)
+PROFILE_EXPLANATION = (
+    "p_fdr: p_global adjusted for all bins, the share of false discoveries up to it",
 )
 
 
@@ -103,6 +106,42 @@ def component_lines(components):
             f"(p_global above {components.meta['settings']['level']:g})"
         )
     return lines
+
+
+def profile_lines(components):
+    """
+    The components of bins of distance as a table to read.
+
+    Parameters
+    ----------
+    components : `~astropy.table.QTable`
+        See `~astro_scc.profiles.Profile.components`.
+
+    Returns
+    -------
+    list of str
+    """
+    in_c = "beta_app" in components.colnames
+    unit = components["pm_parallel"].unit
+    head = ["distance (mas)", f"along the jet ({unit})"]
+    head += ["speed (c)"] if in_c else []
+    head += ["p_global", "p_fdr", "SSPs", ""]
+    rows = []
+    for row in components:
+        if row["kind"] == "uncertain" and not row["main"]:
+            continue
+        cells = [
+            f"{row['r_min'].value:g} to {row['r_max'].value:g}",
+            with_error(row["pm_parallel"].value, row["pm_parallel_err"].value),
+        ]
+        if in_c:
+            cells.append(with_error(row["beta_app"], row["beta_app_err"]))
+        cells += [f"{row['p_global']:.2g}", f"{row['p_fdr']:.2g}", str(row["n_ssp"])]
+        rows.append([*cells, {"uncertain": "may be chance"}.get(
+            str(row["kind"]), REMARKS.get(str(row["kind"]), ""))])  # fmt: skip
+    if not rows:
+        return ["No velocity could be tested in any bin."]
+    return [*table_lines(head, rows), *PROFILE_EXPLANATION]
 
 
 def _found_lines(components, kinds):

@@ -148,6 +148,20 @@ def _baseline(value):
     return times
 
 
+def _bins(value):
+    import astropy.units as u
+
+    wanted = "must be increasing distances, such as '0.5 1.5 2.5 mas'"
+    edges = _quantities(value, u.mas, wanted)
+    if not (edges[0] >= 0 and all(edges[1:] > edges[:-1])):
+        raise ValueError(wanted)
+    return edges
+
+
+def _window(value):
+    return _quantity(value, "an angle", "2 mas")
+
+
 def _scales(value):
     import astropy.units as u
 
@@ -205,6 +219,8 @@ SETTINGS = {
     "redshift": _positive,
     "cosmology": _cosmology,
     "distance": _distance,
+    "bins": _bins,
+    "window": _window,
 }
 
 

@@ -3,6 +3,11 @@
 
 from astro_scc.visualization.images import plot_epoch, plot_epochs
 from astro_scc.visualization.members import plot_members
+from astro_scc.visualization.profiles import (
+    plot_position_angles,
+    plot_profile,
+    plot_scale_maps,
+)
 from astro_scc.visualization.significance import (
     plot_map_and_significance,
     plot_significance,
@@ -21,6 +26,9 @@ __all__ = [
     "plot_intervals",
     "plot_map_and_significance",
     "plot_members",
+    "plot_position_angles",
+    "plot_profile",
+    "plot_scale_maps",
     "plot_separation",
     "plot_significance",
     "plot_track_profile",

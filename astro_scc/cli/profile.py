@@ -1,0 +1,136 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""``astro-scc profile``: velocities in bins of distance from the core."""
+
+from pathlib import Path
+
+from astro_scc.cli.arguments import add_output, draw_seed, settings_of
+from astro_scc.cli.measure import (
+    add_measurement,
+    distance_of,
+    measurer_of,
+    read,
+    settings_as_used,
+)
+from astro_scc.cli.summary import profile_lines
+
+__all__ = ["add_parser", "run"]
+
+EPILOG = """\
+examples:
+  astro-scc profile 3c120/*.fits -o out --align core --bins "0.5 1.5 2.5 3.5 mas" \\
+      --position-angle "-112 deg" --max-speed "5 mas/yr" --redshift 0.033
+  astro-scc profile m87/*.fits -o out --bins "1 2 4 8 mas" --position-angle ridge \\
+      --distance "16.7 Mpc"
+  astro-scc profile *.fits -o out --bins "1 2 3 4 5 mas" --window "2 mas"
+
+Matches are made once, for all images; each bin is a stack of those of its patterns.
+The folder gets profile.ecsv, a row for each bin and component with p_fdr, which is
+adjusted for all bins; profile.png, velocity_maps.png and position_angles.png; and
+config.toml.  With --position-angle ridge, distances are along the ridge line.
+"""
+REMARKS = (
+    "What determined this profile.  To do it again, in the folder it was done in,",
+    "with the path of this file: astro-scc profile --config FILE -o FOLDER",
+)
+PRODUCTS = (
+    "profile.ecsv",
+    "profile.png",
+    "velocity_maps.png",
+    "position_angles.png",
+    "config.toml",
+)
+
+
+def add_parser(commands):
+    """Add the command to the program's parser."""
+    parser = commands.add_parser(
+        "profile",
+        help="measure the velocities in bins of distance from the core",
+        description="Measure the velocities in bins of distance from the core.",
+        epilog=EPILOG,
+    )
+    parser.add_argument(
+        "epochs",
+        metavar="EPOCH.fits",
+        nargs="*",
+        help="one image a date, or a file that EpochCube.write made",
+    )
+    add_output(parser, what="the table and figures of the profile")
+    parser.add_argument("--config", metavar="FILE.toml", help="read settings from here")
+    group = parser.add_argument_group("distances")
+    group.add_argument(
+        "--bins",
+        metavar='"0.5 1.5 2.5 mas"',
+        help="limits of the bins, distances from the core; needed here or in --config",
+    )
+    group.add_argument(
+        "--window",
+        metavar='"2 mas"',
+        help="windows of this width about each of the --bins, instead of bins between",
+    )
+    add_measurement(parser)
+    return parser
+
+
+def run(args, reporter):
+    """
+    Measure a profile, as the arguments say.
+
+    Parameters
+    ----------
+    args : `argparse.Namespace`
+    reporter : `~astro_scc.cli.reporter.Reporter`
+    """
+    from astro_scc.measurement import product_folder
+    from astro_scc.profiles import bins_of
+
+    config = settings_of(args, reporter)
+    if not config.get("epochs"):
+        raise ValueError("no epochs were given; name the FITS files, or a --config")
+    if "bins" not in config:
+        raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
+    if args.workers < 1:
+        raise ValueError(f"--workers must be at least 1, got {args.workers}")
+    bins_of(config["bins"], window=config.get("window"))
+    with product_folder(
+        args.output, overwrite=args.overwrite, stale=PRODUCTS
+    ) as folder:
+        cube, config, _ = read(config, reporter)
+        components = _measure(cube, config, folder, reporter, args.workers)
+    for line in profile_lines(components):
+        reporter.say(line)
+    reporter.say(f"\nProfile: {Path(args.output) / 'profile.ecsv'}")
+
+
+def _measure(cube, config, folder, reporter, n_workers):
+    from astro_scc.config import format_config, plain_settings
+    from astro_scc.measurement import versions
+    from astro_scc.profiles import measure_profile, write_profile
+
+    scc = measurer_of(config)
+    how = distance_of(config)
+    region = config.get("region")
+    inside = None if region is None else cube.region_mask(region)
+    config = settings_as_used(scc, config, cube, seed=draw_seed())
+    matched = scc.match(
+        cube, region=inside, n_workers=n_workers, progress_bar=reporter.progress
+    )
+    ridge = None
+    if scc.position_angle == "ridge":
+        _, ridge = scc.displacements(matched)
+    profile = measure_profile(
+        scc,
+        matched,
+        config["bins"],
+        window=config.get("window"),
+        ridge=ridge,
+        n_trials=config["n_trials"],
+        rng=config["seed"],
+        progress_bar=reporter.progress,
+    )
+    components = profile.components_in_c(**how) if how else profile.components
+    text = format_config(config, versions=versions(), remarks=REMARKS)
+    write_profile(
+        profile, components, folder, configuration=plain_settings(config), text=text
+    )
+    return components

@@ -1,0 +1,86 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""``astro-scc profile``, from files to tables, and what users get wrong."""
+
+import astropy.units as u
+import pytest
+from astropy.table import QTable
+
+from astro_scc.cli import main
+from astro_scc.simulation import JetSimulation, Stream
+
+
+@pytest.fixture(scope="module")
+def cube_file(tmp_path_factory):
+    flow = Stream("flow", dx=8.0, sigma=3.0, density=0.4)
+    cube = JetSimulation([flow], n_epochs=6).run(rng=2).cube
+    path = tmp_path_factory.mktemp("epochs") / "cube.fits"
+    cube.write(path)
+    return str(path)
+
+
+OPTIONS = ["--position-angle", "270 deg", "--max-speed", "20 mas/yr", "--scales", "2",
+           "--n-trials", "25"]  # fmt: skip
+
+
+def test_profile(cube_file, tmp_path, capsys):
+    out = tmp_path / "out"
+    command = ["profile", cube_file, "-o", str(out), "--bins", "0 10 20 mas",
+               "--redshift", "0.1", "--seed", "1", *OPTIONS]  # fmt: skip
+    assert main(command) == 0
+    text = capsys.readouterr().out
+    assert "distance (mas)" in text
+    assert "p_fdr" in text
+    names = sorted(path.name for path in out.iterdir())
+    assert names == [
+        "config.toml", "position_angles.png", "profile.ecsv", "profile.png",
+        "velocity_maps.png",
+    ]  # fmt: skip
+    table = QTable.read(out / "profile.ecsv", format="ascii.ecsv")
+    assert table.colnames[:3] == ["r_min", "r_max", "r_mid"]
+    assert {"p_fdr", "beta_app"} <= set(table.colnames)
+    # The configuration does it again, to the bit.
+    again = tmp_path / "again"
+    config = str(out / "config.toml")
+    assert main(["profile", "--config", config, "-o", str(again), "--quiet"]) == 0
+    first, second = ((p / "profile.ecsv").read_text() for p in (out, again))
+    assert first == second
+
+
+@pytest.mark.parametrize(
+    ("bins", "message"),
+    [
+        (None, "--bins is missing"),
+        ("2 1 mas", "must be increasing distances"),
+        ("1 2 s", "must be increasing distances"),
+        ("1 mas", "2 distance"),
+    ],
+)
+def test_bins_that_cannot_be(cube_file, tmp_path, capsys, bins, message):
+    out = tmp_path / "out"
+    command = ["profile", cube_file, "-o", str(out), *OPTIONS]
+    command += [] if bins is None else ["--bins", bins]
+    assert main(command) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert len(error.strip().splitlines()) == 1
+    assert not out.exists()
+
+
+def test_no_epochs_and_no_workers(cube_file, tmp_path, capsys):
+    out = str(tmp_path / "out")
+    assert main(["profile", "-o", out, "--bins", "1 2 mas"]) == 2
+    assert "no epochs were given" in capsys.readouterr().err
+    wrong = ["profile", cube_file, "-o", out, "--bins", "1 2 mas", "--workers", "0"]
+    assert main(wrong) == 2
+    assert "--workers must be at least 1" in capsys.readouterr().err
+
+
+def test_along_the_ridge_with_windows(cube_file, tmp_path):
+    out = tmp_path / "out"
+    command = ["profile", cube_file, "-o", str(out), "--bins", "8 14 mas", "--quiet",
+               "--window", "10 mas", *OPTIONS]  # fmt: skip
+    command[command.index("270 deg")] = "ridge"
+    assert main(command) == 0
+    table = QTable.read(out / "profile.ecsv", format="ascii.ecsv")
+    assert table.meta["along"] == "ridge"
+    assert set(table["r_max"].to_value(u.mas)) <= {13.0, 19.0}
