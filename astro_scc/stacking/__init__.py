@@ -1,7 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Stacking: matches as a map of velocities, its maxima and what they are worth."""
 
-from astro_scc.stacking.acceleration import Acceleration, fit_acceleration, flow_speed
+from astro_scc.stacking.acceleration import (
+    Acceleration,
+    fit_acceleration,
+    flow_blocks,
+    flow_speed,
+)
 from astro_scc.stacking.components import (
     Component,
     component_near,
@@ -12,6 +17,7 @@ from astro_scc.stacking.contrast import Contrast
 from astro_scc.stacking.displacements import Displacements
 from astro_scc.stacking.features import count_features
 from astro_scc.stacking.grid import VelocityGrid
+from astro_scc.stacking.groups import GroupSpeeds, compare_groups, paired_p_value
 from astro_scc.stacking.jitter import JitteredVelocity, jitter_positions
 from astro_scc.stacking.lags import LagTest, lag_test
 from astro_scc.stacking.nulls import NULLS, NullTest, ScrambleNull, ShuffleNull
@@ -32,6 +38,7 @@ __all__ = [
     "DatePairs",
     "Displacements",
     "Finding",
+    "GroupSpeeds",
     "JitteredVelocity",
     "LagTest",
     "NullTest",
@@ -43,6 +50,7 @@ __all__ = [
     "VelocityGrid",
     "Witnesses",
     "baseline_pairs",
+    "compare_groups",
     "component_near",
     "consecutive_pairs",
     "count_features",
@@ -52,10 +60,12 @@ __all__ = [
     "find_witnesses",
     "fit_acceleration",
     "fit_gaussian",
+    "flow_blocks",
     "flow_speed",
     "gaussian_sum",
     "jitter_positions",
     "lag_test",
+    "paired_p_value",
     "random_orders",
     "shuffle_epochs",
     "stack",

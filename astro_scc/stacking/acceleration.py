@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-__all__ = ["Acceleration", "fit_acceleration", "flow_speed"]
+__all__ = ["Acceleration", "fit_acceleration", "flow_blocks", "flow_speed"]
 
 #: Spacing of speeds, and of distances, in standard errors of a sighting.
 STEP = 0.25
