@@ -46,6 +46,17 @@ SCALES = (1, 2, 3, 4)
 BEAM = 6.0
 KAPPA = 0.6
 BATCH = 10
+#: Columns of the table of the whole of a measurement.
+WHOLE = [
+    "windows",
+    "SSPs an epoch",
+    "matches, millions",
+    "match: CPU s",
+    "stack: CPU s",
+    "wall clock, s",
+    "largest memory, GB",
+    "others at work",
+]
 
 
 def simulate(n_epochs, shape=(512, 512), rng=1):
@@ -253,9 +264,8 @@ def _largest_error(epochs, images, reach, n=200):
 def workers_part(runs):
     """Wall clock of the correlation by one process and by two."""
     decompose = Decomposer(scales=SCALES)
-    epochs = [decompose(image) for image in simulate(69).cube.data]
-    pairs = all_pairs(69)
-    pairs = pairs[pairs[:, 0] < 8]
+    epochs = [decompose(image) for image in simulate(24).cube.data]
+    pairs = all_pairs(24)
     spent = np.empty((runs, 2))
     for row in spent:
         for k in range(2):
@@ -364,21 +374,7 @@ def whole_part(reaches, n_epochs, n_trials, n_workers):
             text=True,
         )
         rows.append(done.stdout.split("|"))
-        print(done.stdout, flush=True)
-    write_table(
-        "scaling_whole",
-        [
-            "windows",
-            "SSPs an epoch",
-            "matches, millions",
-            "match: CPU s",
-            "stack: CPU s",
-            "wall clock, s",
-            "largest memory, GB",
-            "others at work",
-        ],
-        rows,
-    )
+        write_table("scaling_whole", WHOLE, rows)
 
 
 def whole(reach, n_epochs, n_trials, n_workers):
