@@ -342,7 +342,10 @@ class _Campaign:
             level=self.level,
         )
         result = scc(jet.cube, n_trials=n_trials, rng=trial_rng)
-        moving = result.components[result.components["kind"] == "moving"]
+        # Velocities without a bounded error have covariances that are infinite.
+        with np.errstate(invalid="ignore"):
+            table = result.components
+        moving = table[table["kind"] == "moving"]
         along = moving["pm_parallel"].to_value(PM_UNIT)
         across = moving["pm_transverse"].to_value(PM_UNIT)
         tolerance = TOLERANCE * self.width / pair
