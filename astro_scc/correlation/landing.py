@@ -41,17 +41,29 @@ def landing_ssps(matches, ssps):
     [1, 0]
     """
     landed = np.full(len(matches), -1)
-    y = ssps.y[matches.ssp] + matches.dy
-    x = ssps.x[matches.ssp] + matches.dx
-    scale = ssps.scale[matches.ssp]
-    for value in np.unique(scale):
-        for epoch in np.unique(matches.target[scale == value]):
-            there = np.flatnonzero((ssps.epoch == epoch) & (ssps.scale == value))
-            if len(there) == 0:
-                continue
-            k = np.flatnonzero((scale == value) & (matches.target == epoch))
-            tree = cKDTree(np.stack([ssps.y[there], ssps.x[there]], axis=1))
-            distance, nearest = tree.query(np.stack([y[k], x[k]], axis=1))
-            near = distance <= scale_size(value)
-            landed[k[near]] = there[nearest[near]]
+    if len(matches) == 0:
+        return landed
+    scales, level = np.unique(ssps.scale, return_inverse=True)
+    n = max(int(ssps.epoch.max()), int(matches.target.max())) + 1
+    # Matches and SSPs by scale and epoch, each sorted once.
+    order, ends = _grouped(level[matches.ssp] * n + matches.target, len(scales) * n)
+    there, starts = _grouped(level * n + ssps.epoch, len(scales) * n)
+    for group in np.flatnonzero((np.diff(ends) > 0) & (np.diff(starts) > 0)):
+        k = order[ends[group] : ends[group + 1]]
+        own = there[starts[group] : starts[group + 1]]
+        y = ssps.y[matches.ssp[k]] + matches.dy[k]
+        x = ssps.x[matches.ssp[k]] + matches.dx[k]
+        tree = cKDTree(np.stack([ssps.y[own], ssps.x[own]], axis=1))
+        distance, nearest = tree.query(np.stack([y, x], axis=1))
+        near = distance <= scale_size(scales[group // n])
+        landed[k[near]] = own[nearest[near]]
     return landed
+
+
+def _grouped(number, n):
+    """Indices by group number, and where each of n groups begins."""
+    if n < 2**15:
+        # Small integers are sorted without comparisons.
+        number = number.astype(np.int16)
+    order = np.argsort(number, kind="stable")
+    return order, np.searchsorted(number[order], np.arange(n + 1))
