@@ -15,7 +15,7 @@ def best_total(row, column, weight):
     """Largest total weight, by trying every choice."""
     if len(row) == 0:
         return 0.0
-    rest = [k for k in range(1, len(row))]
+    rest = list(range(1, len(row)))
     without = best_total(row[rest], column[rest], weight[rest])
     free = [k for k in rest if row[k] != row[0] and column[k] != column[0]]
     with_it = weight[0] + best_total(row[free], column[free], weight[free])
@@ -70,6 +70,6 @@ def test_fifty_features_in_one_group_take_less_than_a_second():
 
 def test_groups_are_what_pairs_connect():
     row, column = np.array([3, 3, 0, 9, 5]), np.array([1, 2, 2, 7, 8])
-    assert groups_of(row, column).tolist() == [0, 0, 0, 1, 2] or sorted(
-        np.unique(groups_of(row, column), return_counts=True)[1]
-    ) == [1, 1, 3]
+    found = groups_of(row, column)
+    assert len({found[0], found[1], found[2]}) == 1
+    assert len(set(found.tolist())) == 3

@@ -11,8 +11,9 @@ from astro_scc.tracking import Candidates, Evidence, chance_density, parents
 def candidates_of(ssps, pairs, coefficient=1.0):
     source, target = np.array(pairs, dtype=int).reshape(-1, 2).T
     step = ssps.epoch[target] - ssps.epoch[source]
+    dy, dx = (v[target] - v[source] for v in (ssps.y, ssps.x))
     return Candidates(
-        source, target, ssps.y[target] - ssps.y[source], ssps.x[target] - ssps.x[source],
+        source, target, dy, dx,
         step.astype(float), step - 1, np.broadcast_to(coefficient, len(source)),
     )  # fmt: skip
 

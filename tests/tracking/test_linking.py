@@ -39,7 +39,8 @@ def test_streams_of_two_speeds_are_told_apart(catalogue, seed):
     links = link(everything(ssps), ssps)
     assert len(links) == 12 * 5
     assert np.array_equal(feature[links.source], feature[links.target])
-    assert np.all(links.gap == 0) and set(links.kind) == {"link"}
+    assert np.all(links.gap == 0)
+    assert set(links.kind) == {"link"}
 
 
 def test_a_feature_that_is_missing_at_a_date_is_taken_up_again(catalogue):
@@ -68,7 +69,8 @@ def test_images_in_another_order(catalogue):
 def test_one_pattern_follows_the_larger_one_that_it_lies_in(catalogue):
     # Two equal partners: only the larger pattern says which.
     ssps = catalogue(
-        [[0, 50, 50, 1], [1, 50, 42, 1], [1, 50, 58, 1], [0, 50, 51, 2], [1, 50, 59, 2]],
+        [[0, 50, 50, 1], [1, 50, 42, 1], [1, 50, 58, 1],
+         [0, 50, 51, 2], [1, 50, 59, 2]],
         scale=[1, 1, 1, 2, 2],
     )  # fmt: skip
     parent = np.array([3, -1, 4, -1, -1])
