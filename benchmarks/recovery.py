@@ -1,0 +1,208 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+# ruff: noqa: E402
+"""
+What is found of motion that was put in: the tables and the figure of the documentation.
+
+    python benchmarks/recovery.py ../shared/data [--parts simulated real plan]
+
+``simulated`` puts a second stream into a simulated jet that has one, ``real`` puts
+features into ten epochs of the quasar 0003+380, ``plan`` asks how many epochs a jet of
+two speeds needs.
+"""
+
+import argparse
+import os
+import time
+from pathlib import Path
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
+import astropy.units as u
+import numpy as np
+from common import PM_UNIT, RESULTS, write_table
+from matplotlib.figure import Figure
+from real_images import MAX_SPEED, POSITION_ANGLE, SCALES, SOURCE, read
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.measurement.plan import mean_fwhm
+from astro_scc.recovery import completeness, plan
+from astro_scc.simulation import JetSimulation, Stream
+
+HEADER = ["speed (mas/yr)", "peak / noise", "found", "of", "fraction", "95% interval",
+          "bias", "scatter", "coverage"]  # fmt: skip
+PLAN_HEADER = ["epochs", "interval", "total", "slow, fast (beams)", "baseline", "limit",
+               "jets", "slow found", "fast found", "both", "95% interval"]  # fmt: skip
+COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00")
+#: Half of the width of the jet of 0003+380, and how far it is seen, in mas.
+HALF_WIDTH, NEAREST, FARTHEST = 1.0, 1.0, 6.0
+
+
+def main():
+    """Make what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument("folder", type=Path, help="of all test data")
+    parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=list(PARTS))
+    parser.add_argument("--n-injections", type=int, default=10)
+    parser.add_argument("--n-jets", type=int, default=6)
+    parser.add_argument("--n-trials", type=int, default=100)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=1)
+    args = parser.parse_args()
+    for name in args.parts:
+        start = time.perf_counter()
+        print(f"{name}:")
+        PARTS[name](args)
+        print(f"({time.perf_counter() - start:.0f} s)\n", flush=True)
+
+
+def simulated(args):
+    """A second stream in a jet that has one of 6.1 mas/yr."""
+    sheath = Stream("sheath", dx=5.0, density=0.6, half_width=12.0, jitter=1.0)
+    cube = JetSimulation(
+        [sheath], n_epochs=8, shape=(64, 192), extent=(15, 175), axis=32.0, noise=0.01
+    ).run(rng=args.seed).cube  # fmt: skip
+    scc = StackedCrossCorrelation(
+        scales=[1, 2], max_speed=36 * PM_UNIT, position_angle=270 * u.deg
+    )
+    table = completeness(
+        cube, scc, speeds=[3, 6, 12, 24] * PM_UNIT,
+        fluxes=[3, 5, 10, 30, 100, 300], n_features=8, **common(args),
+    )  # fmt: skip
+    report("recovery_simulated", table)
+    beam = mean_fwhm(cube, 1) / np.median(np.diff(cube.years.value))
+    draw(table, beam).savefig(RESULTS / "recovery.png", dpi=150)
+
+
+def real(args):
+    """Features in the jet of 0003+380, beyond what the beam does not resolve."""
+    cube = read(args.folder / SOURCE)
+    east, north = cube.pixel_to_offset(*np.meshgrid(*map(np.arange, cube.shape[:0:-1])))
+    turn = np.radians(POSITION_ANGLE)
+    along = (east * np.sin(turn) + north * np.cos(turn)).to_value(u.mas)
+    across = (east * np.cos(turn) - north * np.sin(turn)).to_value(u.mas)
+    region = (np.abs(across) <= HALF_WIDTH) & (along >= NEAREST) & (along <= FARTHEST)
+    scc = StackedCrossCorrelation(
+        scales=SCALES,
+        max_speed=MAX_SPEED * PM_UNIT,
+        position_angle=POSITION_ANGLE * u.deg,
+    )
+    table = completeness(
+        cube, scc, speeds=[0.1, 0.3, 0.6] * PM_UNIT,
+        fluxes=[5, 10, 30, 100], region=region, n_features=4, **common(args),
+    )  # fmt: skip
+    report("recovery_real", table)
+
+
+def campaigns(args):
+    """Epochs that tell 0.3 from 1.2 mas/yr with a beam of 0.8 mas."""
+    table = plan(
+        speeds=[0.3, 1.2] * PM_UNIT, beam=0.8 * u.mas, n_epochs=[4, 6, 10],
+        intervals=[1, 6, 12] * u.yr / 12, wanted=0.8, n_jets=args.n_jets,
+        n_trials=args.n_trials, rng=args.seed, n_workers=args.workers,
+    )  # fmt: skip
+    rows = []
+    for row in table:
+        done = row["n_jets"] > 0
+        shares = [f"{row[f'fraction_{name}']:.2f}" if done else ""
+                  for name in ("slow", "fast", "both")]  # fmt: skip
+        limits = row["fraction_both_low"], row["fraction_both_high"]
+        rows.append(
+            [
+                row["n_epochs"],
+                f"{row['interval'].value * 12:.0f} months",
+                f"{row['total_time'].value:.1f} yr",
+                f"{row['motion_slow']:.2f}, {row['motion_fast']:.2f}",
+                f"{row['baseline'].value:.2f} yr",
+                row["limit"],
+                row["n_jets"],
+                *shares,
+                interval(*limits) if done else "",
+            ]
+        )
+    write_table("recovery_plan", PLAN_HEADER, rows)
+    print("smallest with both in 0.8 of jets:", table.meta["smallest"])
+
+
+PARTS = {"simulated": simulated, "real": real, "plan": campaigns}
+
+
+def common(args):
+    """Arguments of every table."""
+    return {
+        "n_injections": args.n_injections,
+        "n_trials": args.n_trials,
+        "rng": args.seed,
+        "n_workers": args.workers,
+    }
+
+
+def interval(low, high):
+    """An interval as text."""
+    return f"{low:.2f} to {high:.2f}"
+
+
+def number(value, form):
+    """A number as text, nothing if it is masked."""
+    if np.any(getattr(value, "mask", False)):
+        return ""
+    return form.format(float(u.Quantity(getattr(value, "unmasked", value)).value))
+
+
+def report(name, table):
+    """Print a table of completeness and write it for the documentation."""
+    own = table.meta["own_velocities"].to_value(PM_UNIT)
+    print("components of the epochs:", np.round(own, 3).tolist(), "mas/yr")
+    print(f"tolerance {table.meta['tolerance']:.3g}")
+    rows = [
+        [
+            f"{row['speed'].value:g}" + (" (own)" if row["own"] else ""),
+            f"{row['snr']:.0f}",
+            row["n_found"],
+            row["n_injected"],
+            f"{row['fraction']:.2f}",
+            interval(row["fraction_low"], row["fraction_high"]),
+            number(row["bias"], "{:.3f}")
+            + (" ± " + number(row["bias_err"], "{:.3f}") if row["n_found"] > 1 else ""),
+            number(row["scatter"], "{:.3f}"),
+            number(row["coverage"], "{:.2f}"),
+        ]
+        for row in table
+    ]
+    write_table(name, HEADER, rows)
+
+
+def draw(table, beam):
+    """Fraction found and bias against flux, a line for each speed."""
+    figure = Figure(figsize=(8, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2, sharex=True)
+    speeds = np.unique(table["speed"].value)
+    for k, (speed, color) in enumerate(zip(speeds, COLORS, strict=True)):
+        rows = table[table["speed"].value == speed]
+        # Beside one another, not over one another.
+        snr = np.asarray(rows["snr"]) * 1.06 ** (k - 1.5)
+        fraction = np.asarray(rows["fraction"])
+        label = f"{speed:g} mas/yr" + (", as the jet has" if rows["own"][0] else "")
+        error = [fraction - rows["fraction_low"], rows["fraction_high"] - fraction]
+        left.errorbar(snr, fraction, error, fmt="o-", color=color, label=label, ms=4)
+        known = np.asarray(rows["n_found"]) > 1
+        bias, error = (
+            np.ma.filled(getattr(rows[name], "unmasked", rows[name]).value, np.nan)[
+                known
+            ]
+            for name in ("bias", "bias_err")
+        )
+        right.errorbar(
+            snr[known], bias / beam, error / beam, fmt="o-", color=color, ms=4
+        )
+    left.set(xscale="log", ylim=(-0.03, 1.03), ylabel="Fraction found")
+    right.axhline(0, color="0.6", lw=1, zorder=0)
+    right.set(ylabel="Bias (beams per interval)")
+    for ax in (left, right):
+        ax.set_xlabel("Peak of the features / noise")
+    figure.legend(loc="outside upper center", ncols=4, fontsize="small", frameon=False)
+    return figure
+
+
+if __name__ == "__main__":
+    main()
