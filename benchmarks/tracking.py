@@ -16,8 +16,8 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
-from astropy.table import Table
-from common import write_table
+from astropy.table import QTable, Table
+from common import RESULTS, write_table
 
 from astro_scc import Beam, EpochCube
 from astro_scc.decomposition import Decomposer
@@ -46,12 +46,14 @@ def main():
     """Print the tables and write them to ``results``."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument("folder", type=Path, help="of the data")
-    parser.add_argument("--only", choices=("links", "mojave", "cost"))
+    parser.add_argument("--only", choices=("links", "mojave", "profile", "cost"))
     args = parser.parse_args()
     if args.only in (None, "links"):
         links(args.folder / "paper_test" / "two_fluid_dense")
     if args.only in (None, "mojave"):
         mojave(args.folder / "mojave_xviii")
+    if args.only in (None, "profile"):
+        profile(args.folder / "mojave_xviii")
     if args.only in (None, "cost"):
         cost()
 
@@ -279,6 +281,54 @@ def beside(tracking, components, fit):
         "vector": np.sqrt(np.mean((apart / total) ** 2)),
         "relative": abs(speed / mu - 1) if mu else 0.0,
     }
+
+
+def profile(folder):
+    """Speed against distance in 3C 120, by tracks, beside the stack of mojave.py."""
+    from astro_scc.kinematics import apparent_speed, paper_cosmology
+    from astro_scc.visualization import plot_track_profile
+
+    table, beam, speed = SOURCES["3C 120"]
+    cube = restore(
+        read_components(folder / f"{table}.ecsv").select(before="2011-01-01"),
+        beam=beam, pixel_scale=0.1 * u.mas, noise=0.3 * u.mJy / u.beam, rng=1,
+    )  # fmt: skip
+    tracker = FeatureTracker(max_speed=speed * PM_UNIT)
+    tracking = tracker(cube, decomposed(cube, (1, 2, 3, 4)))
+    found = tracking.profile(np.arange(1.0, 11.0) * u.mas)
+    per_pm = float(
+        apparent_speed(1 * PM_UNIT, redshift=0.033, cosmology=paper_cosmology())
+    )
+    rows = [
+        [f"{row['r'].value:g}", int(row["n_tracks"]),
+         f"{row['speed'].value:.2f} ± {row['speed_err'].value:.2f}",
+         f"{per_pm * row['speed'].value:.1f} ± {per_pm * row['speed_err'].value:.1f}"]
+        for row in found
+    ]  # fmt: skip
+    write_table(
+        "tracking_profile", ["distance (mas)", "tracks", "mas/yr", "in c"], rows
+    )
+    figure = plot_track_profile(found, stack=stack_of_120(), beta_per_pm=per_pm)
+    figure.savefig(RESULTS / "tracking_profile.png", dpi=110)
+
+
+def stack_of_120():
+    """What mojave.py wrote of 3C 120; None if it has not run."""
+    path = RESULTS / "mojave.csv"
+    if not path.exists():
+        return None
+    table = Table.read(path, format="ascii.csv")
+    table = table[table["jet"] == "3C 120"]
+    ends = np.array(
+        [[float(e) for e in d.split(" to ")] for d in table["distance (mas)"]]
+    )
+    speeds = [s.split(" ± ") for s in table["speed (mas/yr)"]]
+    value, error = np.array([[float(s[0]), float((s + ["0"])[1])] for s in speeds]).T
+    return QTable(
+        {"r_min": ends[:, 0] * u.mas, "r_max": ends[:, 1] * u.mas,
+         "r_mid": ends.mean(axis=1) * u.mas, "pm_parallel": value * PM_UNIT,
+         "pm_parallel_err": error * PM_UNIT}
+    )  # fmt: skip
 
 
 # -- cost --------------------------------------------------------------------------

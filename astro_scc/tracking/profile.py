@@ -8,7 +8,9 @@ from astro_scc.tracking.fits import fit_motion
 __all__ = ["average_with_scatter", "track_profile"]
 
 
-def track_profile(time, distance, error, track, radii, *, half_width, min_epochs=3):
+def track_profile(
+    time, distance, error, track, radii, *, half_width, min_epochs=3, scale=None
+):
     """
     Mean radial speed of the features near each distance.
 
@@ -25,6 +27,10 @@ def track_profile(time, distance, error, track, radii, *, half_width, min_epochs
     half_width : float
     min_epochs : int, optional
         Tracks with fewer features there do not count.
+    scale : array_like, shape (n,), optional
+        Of the features.  One feature makes tracks on several scales, which
+        are no independent witnesses: errors grow by the root of the number
+        of scales that count.
 
     Returns
     -------
@@ -50,18 +56,21 @@ def track_profile(time, distance, error, track, radii, *, half_width, min_epochs
     speed, speed_err = np.zeros((2, len(radii)))
     n_tracks = np.zeros(len(radii), dtype=int)
     for k, radius in enumerate(radii):
-        slopes, errors = [], []
+        slopes, errors, scales = [], [], set()
         near = np.abs(distance - radius) <= half_width
         for number in np.unique(track[near]):
             own = np.flatnonzero(near & (track == number))
             if len(np.unique(time[own])) < max(min_epochs, 2):
                 continue
             fit = fit_motion(time[own], distance[None, own], error[None, own])
+            if scale is not None:
+                scales.add(float(scale[own[0]]))
             slopes.append(fit.coefficients[0, 1])
             errors.append(fit.errors[0, 1])
         n_tracks[k] = len(slopes)
         if slopes:
-            speed[k], speed_err[k] = average_with_scatter(slopes, errors)
+            speed[k], mean_err = average_with_scatter(slopes, errors)
+            speed_err[k] = mean_err * np.sqrt(len(scales) or 1)
     return speed, speed_err, n_tracks
 
 

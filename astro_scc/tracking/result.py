@@ -232,6 +232,7 @@ class Tracking:
             radii.value,
             half_width=u.Quantity(half_width).to_value(u.mas),
             min_epochs=self.settings["min_epochs"],
+            scale=self.ssps.scale[own],
         )
         use = n_tracks > 0
         table = QTable(

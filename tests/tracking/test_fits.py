@@ -179,6 +179,15 @@ def test_tracks_with_few_features_there_do_not_count():
     assert track_profile(*args, half_width=1.0, min_epochs=3)[2].tolist() == [1]
 
 
+def test_the_same_feature_on_two_scales_is_one_witness():
+    time = np.tile(np.arange(10.0), 2)
+    track = np.repeat([0, 1], 10)
+    args = time, time, np.full(20, 0.1), track, [5.0]
+    one = track_profile(*args, half_width=9.0)[1]
+    two = track_profile(*args, half_width=9.0, scale=track + 1.0)[1]
+    assert two == pytest.approx(one * np.sqrt(2))
+
+
 def test_averages_with_and_without_scatter():
     mean, error = average_with_scatter([1.0, 1.1, 0.9], [1.0, 1.0, 1.0])
     assert (mean, error) == pytest.approx((1.0, 3**-0.5))
