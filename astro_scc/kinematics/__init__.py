@@ -12,6 +12,7 @@ from astro_scc.kinematics.cosmology import (
     viewing_angle,
 )
 from astro_scc.kinematics.expansion import ExpansionFrame
+from astro_scc.kinematics.flow import intrinsic_table, two_sided_jet, two_sided_ratio
 from astro_scc.kinematics.frames import (
     PositionAngleFrame,
     RadialFrame,
@@ -37,10 +38,13 @@ __all__ = [
     "find_ridge_line",
     "fit_position_angle",
     "frame_displacements",
+    "intrinsic_table",
     "limb_masks",
     "lorentz_factor",
     "maximum_viewing_angle",
     "minimum_lorentz_factor",
     "paper_cosmology",
+    "two_sided_jet",
+    "two_sided_ratio",
     "viewing_angle",
 ]

@@ -109,10 +109,8 @@ def compare_positions(
     is that of a permutation: SSPs are gathered into lengths of the flow of
     two beams, and in each the names of the two groups are kept or swapped.
 
-    Groups of scales differ in place even in a jet that has no layers: what
-    blends on a large scale has its centroid nearer to the middle.  A small
-    probability is a sign of layers only if it is smaller than in simulated
-    jets without any.
+    Groups of scales can differ in place even in a jet that has no layers,
+    because what is apart on a small scale is one pattern on a large one.
     """
     check_groups(groups)
     part = select_ssps(matched, r_min=r_min, r_max=r_max)

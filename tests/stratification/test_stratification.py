@@ -64,9 +64,6 @@ def test_scales_of_one_flow_have_one_direction(scc, matched):
     table = compare_positions(scc, matched, groups, speed=7 * PM, n_trials=99, rng=1)
     assert table["quantity"].tolist() == ["position angle", "offset", "from the middle"]
     assert table["p_paired"][0] > 0.01
-    # Features blend on large scales, whose centroids are nearer to the middle.
-    last = table[2]
-    assert last["second_median"] < last["first_median"]
 
 
 def test_limbs_differ_in_place(scc, matched, limbs):
