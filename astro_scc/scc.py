@@ -25,6 +25,7 @@ from astro_scc.measurement.plan import (
 from astro_scc.measurement.stacking import NAMED_FRAMES
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
+from astro_scc.stacking import NULL_HYPOTHESES
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
@@ -64,6 +65,14 @@ class StackedCrossCorrelation:
         ``kernel`` and the rest of `~astro_scc.decomposition.Decomposer`.
     level : float, optional
         Velocities whose ``p_global`` is at most this are components.
+    nulls : sequence of str, optional
+        The null hypotheses that a component must be told from, names of
+        `astro_scc.stacking.NULL_HYPOTHESES`: "scramble", and one of
+        "shuffle", "blocks" and "reversal".
+    alignment_error : `~astropy.units.Quantity`, optional
+        Standard error, on either axis, of how epochs are laid on one
+        another: one, or one an epoch.  By default what `EpochCube.align`
+        found it to be.
     small_displacement_correction : bool, optional
         Shift the shuffled images by a fifth of the beam (paper, Sect. 2.3).
 
@@ -100,6 +109,8 @@ class StackedCrossCorrelation:
     segmentation: float = 3.0
     noise: str = "plane"
     level: float = 0.05
+    nulls: tuple = ("scramble", "shuffle")
+    alignment_error: u.Quantity | None = None
     small_displacement_correction: bool = False
 
     def __post_init__(self):
@@ -130,6 +141,22 @@ class StackedCrossCorrelation:
                     f"position_angle must be one finite angle, got {angle}"
                 )
             object.__setattr__(self, "position_angle", angle)
+        if isinstance(self.nulls, str):
+            object.__setattr__(self, "nulls", (self.nulls,))
+        unknown = [name for name in self.nulls if name not in NULL_HYPOTHESES]
+        if unknown or not self.nulls:
+            raise ValueError(
+                f"nulls must be of {', '.join(NULL_HYPOTHESES)}, "
+                f"got {', '.join(map(repr, unknown)) or 'none'}"
+            )
+        object.__setattr__(self, "nulls", tuple(self.nulls))
+        if self.alignment_error is not None:
+            error = _in_unit("alignment_error", self.alignment_error, u.mas)
+            if error.ndim > 1 or not np.all((error >= 0) & np.isfinite(error)):
+                raise ValueError(
+                    f"alignment_error must be zero or positive angles, got {error}"
+                )
+            object.__setattr__(self, "alignment_error", error)
         if not 0 < self.level < 1:
             raise ValueError(f"level must be between 0 and 1, got {self.level}")
         if not 0 < self.kernel < 5:
@@ -291,6 +318,8 @@ class StackedCrossCorrelation:
                 position_angle=self.position_angle,
                 kernel=self.kernel,
                 level=self.level,
+                nulls=self.nulls,
+                alignment_error=self.alignment_error,
                 small_displacement_correction=self.small_displacement_correction,
                 n_trials=n_trials,
                 rng=rng,

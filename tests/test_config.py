@@ -21,7 +21,8 @@ from astro_scc.config import (
     to_cosmology,
     to_time,
 )
-from astro_scc.config.settings import SETTINGS
+from astro_scc.config.settings import NULLS, SETTINGS
+from astro_scc.stacking import NULL_HYPOTHESES
 
 FULL = {
     "epochs": ["a.fits", "b c.fits"],
@@ -43,13 +44,21 @@ FULL = {
     "segmentation": 3.0,
     "noise": "local",
     "level": 0.05,
+    "nulls": "scramble, reversal",
+    "alignment_error": "0.02 mas",
     "small_displacement_correction": False,
     "n_trials": 1000,
     "seed": 2**63 - 1,
     "redshift": 0.158,
     "cosmology": "H0=71,Om0=0.27",
     "distance": "16.7 Mpc",
+    "bins": "0.5 1.5 2.5 mas",
+    "window": "1 mas",
 }
+
+
+def test_the_nulls_of_the_configuration_are_those_of_the_search():
+    assert set(NULLS) == set(NULL_HYPOTHESES)
 
 
 def same(a, b):

@@ -148,6 +148,22 @@ def _baseline(value):
     return times
 
 
+def _nulls(value):
+    names = re.split(r"[\s,]+", value.strip()) if isinstance(value, str) else value
+    if not isinstance(names, list | tuple) or not set(names) <= set(NULLS):
+        raise ValueError(f"must be of {', '.join(NULLS)}")
+    return tuple(names)
+
+
+def _alignment_error(value):
+    import astropy.units as u
+
+    if isinstance(value, str):
+        return _quantity(value, "an angle", "0.02 mas")
+    wanted = "must be an angle or a list of them, such as '0.02 mas'"
+    return _quantities(value, u.mas, wanted)
+
+
 def _bins(value):
     import astropy.units as u
 
@@ -192,6 +208,8 @@ def _date(value):
     return text.strip()
 
 
+#: Null hypotheses, as `astro_scc.stacking.NULL_HYPOTHESES` names them.
+NULLS = ("scramble", "shuffle", "blocks", "reversal", "paper")
 #: Name of each setting, and the function that makes its value.
 SETTINGS = {
     "epochs": _paths,
@@ -213,6 +231,8 @@ SETTINGS = {
     "segmentation": _positive,
     "noise": _choice("plane", "local", "propagated"),
     "level": _positive,
+    "nulls": _nulls,
+    "alignment_error": _alignment_error,
     "small_displacement_correction": _boolean,
     "n_trials": _integer(2, 10**9),
     "seed": _integer(0, _LARGEST_SEED),

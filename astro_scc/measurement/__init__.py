@@ -18,10 +18,13 @@ from astro_scc.measurement.result import MatchedEpochs, SCCResult
 from astro_scc.measurement.selection import select_ssps, ssp_distances
 from astro_scc.measurement.stacking import stack_matches, velocity_frame
 from astro_scc.measurement.tables import component_table, ssp_table, versions
+from astro_scc.measurement.velocity_error import VelocityError, alignment_errors
 
 __all__ = [
     "MatchedEpochs",
     "SCCResult",
+    "VelocityError",
+    "alignment_errors",
     "angular_displacements",
     "beam_fwhm",
     "component_table",

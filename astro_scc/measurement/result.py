@@ -14,6 +14,7 @@ from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube
 from astro_scc.measurement.tables import component_table, ssp_table
+from astro_scc.measurement.velocity_error import VelocityError
 from astro_scc.stacking import (
     Component,
     DatePairs,
@@ -85,8 +86,8 @@ class SCCResult:
         Of the stack, one at each velocity that was tested.
     findings : tuple of `~astro_scc.stacking.Finding`
         The velocities that were tested, strongest first.
-    errors : tuple of `~numpy.ndarray`, shape (2, 2)
-        Covariance of each velocity, of the scatter of its features.
+    error_parts : tuple of `VelocityError`
+        Of what the covariance of each velocity is made.
     jitters : tuple of `~astro_scc.stacking.JitteredVelocity`
         The paper's uncertainty: SSPs shifted by their position errors.
     meta : dict
@@ -104,12 +105,17 @@ class SCCResult:
     shuffled: ShuffledStacks
     maxima: tuple[Component, ...]
     findings: tuple[Finding, ...]
-    errors: tuple[np.ndarray, ...]
+    error_parts: tuple[VelocityError, ...]
     jitters: tuple[JitteredVelocity, ...]
     meta: dict = field(default_factory=dict)
 
     def __repr__(self):
         return f"<SCCResult: {len(self.maxima)} components of {self.matched.cube!r}>"
+
+    @property
+    def errors(self):
+        """Covariance of each velocity, as it is quoted."""
+        return tuple(parts.total for parts in self.error_parts)
 
     @property
     def cube(self):
@@ -274,6 +280,10 @@ class SCCResult:
         shifted = _vectors(velocity, _covariance(jitter), *where)["pm_err"]
         # Without a maximum in the trials the paper's error is not bounded.
         row["pm_err_jitter"] = shifted if np.isfinite(shifted) else np.inf
+        parts = self.error_parts[number - 1]
+        for name in ("alignment", "epochs"):
+            of_speed = _vectors(velocity, getattr(parts, name), *where)["pm_err"]
+            row[f"pm_err_{name}"] = of_speed if np.isfinite(of_speed) else np.inf
         return row
 
     @staticmethod
@@ -304,6 +314,11 @@ def _covariance(jitter):
 
 def _vectors(velocity, covariance, frame, position_angle):
     """Components of a velocity and their errors, on the sky and to the jet."""
+    if not np.all(np.isfinite(covariance)):
+        row = _vectors(velocity, np.zeros((2, 2)), frame, position_angle)
+        row.update(dict.fromkeys([n for n in row if n.endswith("_err")], np.inf))
+        row["pm_pa_err"] = 180.0 if frame.uniform else np.nan
+        return row
     if frame.uniform:
         to_sky = np.linalg.inv(frame.matrix(0.0, 0.0))
         sky, sky_covariance = to_sky @ velocity, to_sky @ covariance @ to_sky.T

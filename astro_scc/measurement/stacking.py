@@ -20,10 +20,14 @@ from astro_scc.measurement.errors import angular_displacements
 from astro_scc.measurement.plan import flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
 from astro_scc.measurement.tables import versions
+from astro_scc.measurement.velocity_error import VelocityError, alignment_errors
 from astro_scc.progress import progress
 from astro_scc.stacking import (
+    NULL_HYPOTHESES,
     PairMaps,
+    alignment_scatter,
     component_near,
+    epoch_scatter,
     feature_scatter,
     find_velocities,
     jitter_positions,
@@ -48,6 +52,8 @@ def stack_matches(
     position_angle=None,
     kernel=0.2,
     level=0.05,
+    nulls=("scramble", "shuffle"),
+    alignment_error=None,
     small_displacement_correction=False,
     n_trials=1000,
     rng=None,
@@ -71,6 +77,10 @@ def stack_matches(
         Smallest standard error of a displacement, in beams.
     level : float
         Largest ``p_global`` of a component.
+    nulls : sequence of str
+        Names of `astro_scc.stacking.NULL_HYPOTHESES`.
+    alignment_error : `~astropy.units.Quantity`, optional
+        See `alignment_errors`.
     small_displacement_correction : bool
         Shift the shuffled images of the z-score by a fifth of the beam.
     n_trials : int
@@ -123,9 +133,11 @@ def stack_matches(
             n_trials=n_trials,
             level=level,
             rng=search_rng,
+            nulls=[NULL_HYPOTHESES[name] for name in nulls],
             progress=done,
         )
     box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
+    misaligned = alignment_errors(cube, alignment_error)
     maxima, jitters, errors = [], [], []
     for finding, own in zip(findings, error_rng.spawn(len(findings)), strict=True):
         # What earlier components explain would pull at the maximum.
@@ -134,7 +146,14 @@ def stack_matches(
             stack(rest, pairs, grid), grid, box, finding.v1, finding.v2
         )
         jitters.append(jitter_positions(rest, pairs, peak, box, n_trials, rng=own))
-        errors.append(feature_scatter(rest, pairs, finding.group, peak, grid))
+        where = pairs, peak, grid
+        errors.append(
+            VelocityError(
+                features=feature_scatter(rest, pairs, finding.group, peak, grid),
+                alignment=alignment_scatter(rest, *where, misaligned),
+                epochs=epoch_scatter(rest, *where),
+            )
+        )
         maxima.append(replace(peak, coefficient=float(scc[peak.row, peak.column])))
     return SCCResult(
         matched=matched,
@@ -148,7 +167,7 @@ def stack_matches(
         shuffled=shuffled,
         findings=tuple(findings),
         maxima=tuple(maxima),
-        errors=tuple(errors),
+        error_parts=tuple(errors),
         jitters=tuple(jitters),
         meta={
             "settings": {**(settings or {}), "level": level},

@@ -31,6 +31,8 @@ DESCRIPTIONS = {
     "n_features": "number of different features that the SSPs are of, at least",
     "p_smallest": "smallest p_global that trials and number of epochs allow",
     "pm_err_jitter": "standard error of pm from shifted SSPs (paper)",
+    "pm_err_alignment": "part of pm_err by the alignment of the epochs",
+    "pm_err_epochs": "standard error of pm from leaving out epochs in turn",
     "n_ssp": "SSPs with a match at the component's velocity",
     "n_pairs": "pairs of epochs with a match at the component's velocity",
 }
@@ -127,7 +129,8 @@ def component_table(rows, *, meta=None):
                  "pm_transverse"):  # fmt: skip
         unit = u.deg if name == "pm_pa" else PM_UNIT
         units[name] = units[f"{name}_err"] = unit
-    units["pm_err_jitter"] = PM_UNIT
+    for name in ("jitter", "alignment", "epochs"):
+        units[f"pm_err_{name}"] = PM_UNIT
     names = [
         "component",
         "kind",

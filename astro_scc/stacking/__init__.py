@@ -15,15 +15,30 @@ from astro_scc.stacking.components import (
 )
 from astro_scc.stacking.contrast import Contrast
 from astro_scc.stacking.displacements import Displacements
+from astro_scc.stacking.expansion import Expansion, fit_expansion
 from astro_scc.stacking.features import count_features
 from astro_scc.stacking.grid import VelocityGrid
 from astro_scc.stacking.groups import GroupSpeeds, compare_groups, paired_p_value
 from astro_scc.stacking.jitter import JitteredVelocity, jitter_positions
 from astro_scc.stacking.lags import LagTest, lag_test
-from astro_scc.stacking.nulls import NULLS, NullTest, ScrambleNull, ShuffleNull
+from astro_scc.stacking.misalignment import alignment_scatter
+from astro_scc.stacking.nulls import (
+    NULL_HYPOTHESES,
+    NULLS,
+    NullTest,
+    Scene,
+    ScrambleNull,
+    ShuffleNull,
+)
+from astro_scc.stacking.orders import (
+    AllOrders,
+    BlockOrders,
+    ReversedBlocks,
+    WithoutSuccessors,
+)
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.pairs import DatePairs, baseline_pairs, consecutive_pairs
-from astro_scc.stacking.scatter import feature_scatter
+from astro_scc.stacking.scatter import epoch_scatter, feature_scatter
 from astro_scc.stacking.shuffle import ShuffledStacks, random_orders, shuffle_epochs
 from astro_scc.stacking.sightings import Sightings
 from astro_scc.stacking.significance import Finding, find_velocities
@@ -32,33 +47,43 @@ from astro_scc.stacking.witnesses import Witnesses, find_witnesses
 
 __all__ = [
     "NULLS",
+    "NULL_HYPOTHESES",
+    "AllOrders",
+    "BlockOrders",
     "Acceleration",
     "Component",
     "Contrast",
     "DatePairs",
     "Displacements",
+    "Expansion",
     "Finding",
     "GroupSpeeds",
     "JitteredVelocity",
     "LagTest",
     "NullTest",
     "PairMaps",
+    "ReversedBlocks",
+    "Scene",
     "ScrambleNull",
     "ShuffleNull",
     "ShuffledStacks",
     "Sightings",
     "VelocityGrid",
+    "WithoutSuccessors",
     "Witnesses",
+    "alignment_scatter",
     "baseline_pairs",
     "compare_groups",
     "component_near",
     "consecutive_pairs",
     "count_features",
+    "epoch_scatter",
     "feature_scatter",
     "find_components",
     "find_velocities",
     "find_witnesses",
     "fit_acceleration",
+    "fit_expansion",
     "fit_gaussian",
     "flow_blocks",
     "flow_speed",

@@ -1,21 +1,32 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Null hypotheses: what a velocity component must be told from."""
 
-import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from astro_scc.stacking.contrast import DIRECTIONS, Contrast
 from astro_scc.stacking.displacements import Displacements
 from astro_scc.stacking.grid import VelocityGrid
+from astro_scc.stacking.orders import (
+    AllOrders,
+    BlockOrders,
+    ReversedBlocks,
+    WithoutSuccessors,
+)
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.pairs import DatePairs
-from astro_scc.stacking.shuffle import random_orders
 from astro_scc.stacking.witnesses import Witnesses
 
-__all__ = ["NULLS", "NullTest", "Scene", "ScrambleNull", "ShuffleNull"]
+__all__ = [
+    "NULLS",
+    "NULL_HYPOTHESES",
+    "NullTest",
+    "Scene",
+    "ScrambleNull",
+    "ShuffleNull",
+]
 
 #: Witnesses are scrambled by up to this many standard errors.
 SCRAMBLE_REACH = 4.0
@@ -107,9 +118,9 @@ class ScrambleNull:
     shifted along it by a random amount, up to four standard errors either
     way, which keeps the density of witnesses but for a peak as narrow as
     their errors.  ``p = (b + 1) / (n + 1)``, b the number of trials whose
-    largest contrast along that direction is at least the observed one; the
-    largest of the four is taken, because a ridge is destroyed by shifts
-    across it and yet no component.  A test that ``b`` has reached 30 in
+    largest contrast along that direction is at least the observed one along
+    it; the largest of the four is taken, because a ridge is destroyed by
+    shifts across it and yet no component.  A test that ``b`` has reached 30 in
     ends (Besag & Clifford 1991, Biometrika 78, 301).
     """
 
@@ -129,10 +140,9 @@ class ScrambleNull:
         -------
         `NullTest`
         """
-        # Smallest observed contrast of all directions: one number for all.
-        observed = scene.observed[:, scene.row, scene.column].min()
+        observed = scene.observed[:, scene.row, scene.column]
         tests = [
-            self._along(scene, u, observed, n_trials, rng)
+            self._along(scene, u, observed[u], n_trials, rng)
             for u in range(len(DIRECTIONS))
         ]
         worst = max(tests, key=lambda t: t.p_global)
@@ -169,53 +179,28 @@ class ShuffleNull:
     """
     The epochs have no order: nothing moves.
 
-    All permutations of the epochs over the dates, the observed one among
-    them, are equally likely.  The statistic is the excess of the stack, of
-    both directions of each pair, over its mean in all permutations drawn,
-    the observed one included; at the velocity, against the largest of each
-    permutation at velocities other than rest.  It is not divided by the
-    spread of the permutations, which would hand the maximum to velocities
-    at which hardly anything matches.  With few epochs all permutations are
-    gone through; a reversed order is the same motion backwards, so no
-    probability is below 2 / N!.
+    Some orders of the epochs over the dates, the observed one among them,
+    are equally likely.  The statistic is the excess of the stack, of both
+    directions of each pair, over its mean in all orders drawn, the observed
+    one included; at the velocity, against the largest of each order at
+    velocities other than rest.  It is not divided by the spread of the
+    orders, which would hand the maximum to velocities at which hardly
+    anything matches.  Where there are few orders all are gone through, and
+    no probability is below one over their number.
 
     Parameters
     ----------
-    successors : bool, optional
-        False leaves out permutations in which an epoch is followed by its
-        true successor: the variant of the authors' program, kept for
-        comparison.  Its probabilities are too small.
+    orders : optional
+        Which orders are equally likely: `AllOrders`, `BlockOrders`,
+        `ReversedBlocks`, or `WithoutSuccessors` for comparison.
     """
 
-    successors: bool = True
+    orders: object = field(default_factory=AllOrders)
 
     @property
     def name(self):
         """Name of the strategy."""
-        return "shuffle" if self.successors else "paper"
-
-    def orders(self, n_epochs, n_trials, rng):
-        """
-        The orders to try, the observed one not among them.
-
-        Parameters
-        ----------
-        n_epochs, n_trials : int
-        rng : `~numpy.random.Generator`
-
-        Returns
-        -------
-        `~numpy.ndarray` of int, shape (n, n_epochs)
-            All orders if there are no more than ``n_trials``.
-        """
-        if math.factorial(min(n_epochs, 20)) <= n_trials + 1:
-            orders = np.array(list(itertools.permutations(range(n_epochs))))[1:]
-        else:
-            orders = random_orders(n_epochs, n_trials, rng)
-        if not self.successors:
-            follows = (np.diff(orders, axis=1) == 1).any(axis=1)
-            orders = orders[~follows]
-        return orders
+        return self.orders.name
 
     def test(self, scene, n_trials, rng):
         """
@@ -232,9 +217,9 @@ class ShuffleNull:
         `NullTest`
         """
         pairs, grid = scene.pairs, scene.grid
-        orders = self.orders(pairs.n_dates, n_trials, rng)
-        smallest = 2 / math.factorial(min(pairs.n_dates, 20))
-        smallest = max(smallest, 1 / (len(orders) + 1))
+        orders = self.orders.draw(pairs.n_dates, n_trials, rng)
+        smallest = max(1 / self.orders.number(pairs.n_dates), 1 / (len(orders) + 1))
+        smallest = min(smallest, 1.0)
         if len(scene.displacements) == 0 or len(orders) == 0:
             return NullTest(1.0, 1.0, len(orders), 1.0)
         maps = PairMaps.of(scene.displacements, grid.v_max, pairs.interval.max())
@@ -295,3 +280,13 @@ def _at_rest(scene):
 
 #: The null hypotheses that a component's ``p_global`` is the largest of.
 NULLS = (ScrambleNull(), ShuffleNull())
+#: All that there are, by name.
+NULL_HYPOTHESES = {
+    null.name: null
+    for null in (
+        *NULLS,
+        ShuffleNull(BlockOrders()),
+        ShuffleNull(ReversedBlocks()),
+        ShuffleNull(WithoutSuccessors()),
+    )
+}

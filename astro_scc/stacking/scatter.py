@@ -1,15 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The uncertainty of a velocity from the scatter of the features that have it."""
+"""The uncertainty of a velocity from the scatter of its features, or its epochs."""
 
 import numpy as np
 
-from astro_scc.stacking.components import fit_gaussian
+from astro_scc.stacking.refit import Refit
 from astro_scc.stacking.stack import velocities
 
-__all__ = ["feature_scatter"]
-
-#: Matches further than this many standard errors from the box add nothing.
-NEAR = 5.0
+__all__ = ["epoch_scatter", "feature_scatter"]
 
 
 def feature_scatter(displacements, pairs, group, component, grid):
@@ -64,47 +61,73 @@ def feature_scatter(displacements, pairs, group, component, grid):
     >>> np.sqrt(np.diag(covariance)).round(2)
     array([0.01, 0.01])
     """
-    index, x, y, sx, sy, weight = velocities(displacements, pairs)
-    if not component.fitted or len(index) == 0:
-        return _own_errors(x - component.v1, y - component.v2, sx, sy)
-    columns, rows, used = component.points
-    v1, v2 = grid.v1[columns], grid.v2[rows]
-    near = (
-        (x >= v1[0] - NEAR * sx)
-        & (x <= v1[-1] + NEAR * sx)
-        & (y >= v2[0] - NEAR * sy)
-        & (y <= v2[-1] + NEAR * sy)
-    )
-    index, x, y, sx, sy, weight = (a[near] for a in (index, x, y, sx, sy, weight))
-    owner = np.asarray(group)[index]
+    near = Refit.of(displacements, pairs, component, grid)
+    if near is None:
+        return _own_errors(displacements, pairs, component)
+    owner = np.asarray(group)[near.index]
     owner = np.where(owner < 0, -1 - np.arange(len(owner)), owner)
-    features, owner = np.unique(owner, return_inverse=True)
-    profile1 = np.exp(-0.5 * ((v1 - x[:, None]) / sx[:, None]) ** 2)
-    profile2 = np.exp(-0.5 * ((v2 - y[:, None]) / sy[:, None]) ** 2)
-    total = (profile2 * weight[:, None]).T @ profile1
-    n = len(features)
-    if n < 2:
-        return _own_errors(x - component.v1, y - component.v2, sx, sy)
-    without, lost = [], 0
-    for feature in range(n):
-        of = owner == feature
-        part = (profile2[of] * weight[of, None]).T @ profile1[of]
-        fit = fit_gaussian(np.where(used, total - part, 0.0), v1, v2)
-        # Without a feature that holds most of it the maximum may be lost:
-        # all that is known then is that it was in the box.
-        if fit is None:
-            lost += 1
-        else:
-            without.append(np.clip(fit[:2], (v1[0], v2[0]), (v1[-1], v2[-1])))
-    half = 0.5 * np.array([v1[-1] - v1[0], v2[-1] - v2[0]])
-    squares = lost * np.diag(half**2)
-    if without:
-        apart = np.array(without) - np.mean(without, axis=0)
-        squares += apart.T @ apart
-    return (n - 1) / n * squares
+    features = np.unique(owner)
+    if len(features) < 2:
+        return _own_errors(displacements, pairs, component)
+    return near.jackknife([owner == feature for feature in features])
 
 
-def _own_errors(x, y, sx, sy):
+def epoch_scatter(displacements, pairs, component, grid):
+    """
+    Covariance of a fitted velocity, its epochs being independent.
+
+    The jackknife of `feature_scatter` with each epoch left out in turn, and
+    all its pairs with it.  Where what differs from epoch to epoch is the
+    epoch's own, as its alignment, calibration and beam are, this is the
+    error; where it is the match's own it is too large, by up to the square
+    root of two, as a match goes with either of its epochs.
+
+    Parameters
+    ----------
+    displacements : `~astro_scc.stacking.Displacements`
+    pairs : `~astro_scc.stacking.DatePairs`
+    component : `~astro_scc.stacking.Component`
+    grid : `~astro_scc.stacking.VelocityGrid`
+        That the component was found on.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (2, 2)
+        Infinite with fewer than three epochs, or if no Gaussian was fitted:
+        there is nothing to leave out.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import (
+    ...     Displacements, VelocityGrid, component_near, consecutive_pairs,
+    ...     epoch_scatter, stack)
+    >>> epoch, one = np.repeat(np.arange(4), 9), np.ones(36)
+    >>> d = Displacements(
+    ...     d1=3 + np.repeat([-0.1, 0.1, -0.1, 0.1], 9), d2=0 * one, s1=one, s2=one,
+    ...     weight=one, reference=epoch, target=epoch + 1, ssp=np.arange(36),
+    ...     target_ssp=np.arange(36), n_ssps=np.full(5, 9))
+    >>> pairs, grid = consecutive_pairs(np.arange(5.0)), VelocityGrid.covering(6, 0.25)
+    >>> peak = component_near(stack(d, pairs, grid), grid, (5, 5), 3, 0)
+    >>> covariance = epoch_scatter(d, pairs, peak, grid)
+    >>> np.sqrt(np.diag(covariance)).round(2)
+    array([0.04, 0.  ])
+    """
+    near = Refit.of(displacements, pairs, component, grid)
+    unknown = np.diag([np.inf, np.inf])
+    if near is None:
+        return unknown
+    reference = displacements.reference[near.index]
+    target = displacements.target[near.index]
+    epochs = np.union1d(reference, target)
+    if len(epochs) < 3:
+        return unknown
+    return near.jackknife([(reference == k) | (target == k) for k in epochs])
+
+
+def _own_errors(displacements, pairs, component):
+    _, x, y, sx, sy, _ = velocities(displacements, pairs)
+    x, y = x - component.v1, y - component.v2
     near = np.hypot(x / sx, y / sy) <= 1.5
     if not near.any():
         near = np.ones(len(x), dtype=bool)

@@ -211,7 +211,11 @@ def _test(scene, seen, group, nulls, n_trials, level, rng):
     else:
         kind, counted = "uncertain", everything
     worst = max(counted, key=lambda t: t.p_global)
-    p_local, p_global, error = max(t.p_local for t in counted), worst.p_global, worst.error
+    p_local, p_global, error = (
+        max(t.p_local for t in counted),
+        worst.p_global,
+        worst.error,
+    )
     if kind == "moving" and n_features < FEWEST_FEATURES:
         # What one feature does at many dates says nothing of others.
         kind, p_local, p_global, error = "uncertain", 1.0, 1.0, 0.0

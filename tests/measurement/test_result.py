@@ -354,3 +354,12 @@ def test_matched_epochs_say_what_they_hold(matched):
         f"<MatchedEpochs: 6 epochs, {len(matched.ssps)} SSPs, "
         f"{len(matched.matches)} matches>"
     )
+
+
+def test_errors_that_are_not_bounded_are_infinite_and_never_nan():
+    unknown = np.diag([np.inf, np.inf])
+    row = _vectors(np.array([3.0, 4.0]), unknown, SkyFrame(), 65 * u.deg)
+    assert row["pm"] == pytest.approx(5.0)
+    assert row["pm_pa_err"] == 180.0
+    assert all(np.isinf(row[f"{name}_err"]) for name in ("pm", "pm_dec"))
+    assert not any(np.isnan(value) for value in row.values())

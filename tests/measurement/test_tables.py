@@ -37,6 +37,7 @@ CONTRACT = [
 
 def row(number):
     names = [*CONTRACT, *(f"{name}_err" for name in MOTIONS)]
+    names += ["pm_err_alignment", "pm_err_epochs"]
     return {**dict.fromkeys(names, number), "kind": "uncertain"}
 
 

@@ -137,7 +137,9 @@ def test_sums_are_those_of_the_groups():
         q = own.weight
         n_dates = len(set(own.first))
         assert w.n_dates[g] == n_dates
-        assert w.weight[g] == pytest.approx(q.mean() * min(n_dates, 9) ** 1.5)
+        assert w.weight[g] == pytest.approx(
+            q.mean() * min(n_dates, 9) ** 1.5 * (len(own) / n_dates) ** 0.5
+        )
         for name in ("v1", "v2", "s1", "s2"):
             mean = np.average(getattr(own, name), weights=q)
             assert getattr(w, name)[g] == pytest.approx(mean)
@@ -150,7 +152,7 @@ def test_one_feature_on_three_scales_in_nine_pairs_is_one_witness():
     w = find_witnesses(s)
     assert len(w) == 1
     assert w.n_dates[0] == 9
-    assert w.weight[0] == pytest.approx(27 * s.weight.mean())
+    assert w.weight[0] == pytest.approx(27 * 6**0.5 * s.weight.mean())
     assert w.v1[0] == pytest.approx(2.0, abs=0.05)
 
 
