@@ -314,7 +314,7 @@ def _covariance(jitter):
 
 def _vectors(velocity, covariance, frame, position_angle):
     """Components of a velocity and their errors, on the sky and to the jet."""
-    if not np.all(np.isfinite(covariance)):
+    if np.any(np.isinf(covariance)):
         row = _vectors(velocity, np.zeros((2, 2)), frame, position_angle)
         row.update(dict.fromkeys([n for n in row if n.endswith("_err")], np.inf))
         row["pm_pa_err"] = 180.0 if frame.uniform else np.nan
