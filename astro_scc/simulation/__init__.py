@@ -10,14 +10,17 @@ from astro_scc.simulation.presets import (
     simulate_two_fluid,
     simulate_unrelated,
 )
+from astro_scc.simulation.shells import SimulatedShell, simulate_shell
 from astro_scc.simulation.streams import Stream
 
 __all__ = [
     "JetSimulation",
     "SimulatedJet",
+    "SimulatedShell",
     "Stream",
     "simulate_ballistic",
     "simulate_random_velocity",
+    "simulate_shell",
     "simulate_static",
     "simulate_two_fluid",
     "simulate_unrelated",
