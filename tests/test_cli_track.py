@@ -10,7 +10,8 @@ from astro_scc.cli.track import PRODUCTS
 from astro_scc.simulation import simulate_two_fluid, write_simulation
 
 QUICK = ["--scales", "2", "--position-angle", "-90 deg", "--along", "-6 36 mas/yr",
-         "--across", "-12 12 mas/yr", "--n-trials", "2", "--seed", "1"]  # fmt: skip
+         "--across", "-12 12 mas/yr", "--n-trials", "2", "--seed", "1",
+         "--max-gap", "0"]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

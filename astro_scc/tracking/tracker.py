@@ -26,7 +26,8 @@ BEAMS_PER_INTERVAL = 4.0
 #: Displacements may pass the limits by so many tolerances.
 MARGIN = 2.0
 #: Windows are as large as these numbers of pixels, so that few sizes are needed.
-WINDOWS = (8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 1024)
+WINDOWS = (8, 12, 16, 20, 24, 32, 40, 48, 56, 64, 72, 80, 96, 112, 128, 160, 192, 224,
+           256, 320, 384, 448, 512, 768, 1024)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

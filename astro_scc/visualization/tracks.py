@@ -70,8 +70,8 @@ def plot_separation(tracking, *, figure=None, unit=None, min_epochs=None):
     >>> decompositions = [Decomposer(scales=[1, 2])(image) for image in cube.data]
     >>> tracking = FeatureTracker(max_speed=36 * u.mas / u.yr)(cube, decompositions)
     >>> figure = plot_separation(tracking)
-    >>> figure.axes[0].get_ylabel()
-    'Distance from the core (mas)'
+    >>> figure.axes[-1].get_xlabel()
+    'Year'
     """
     numbers = _shown(tracking, min_epochs)
     scales = _scales(tracking)
@@ -97,7 +97,8 @@ def plot_separation(tracking, *, figure=None, unit=None, min_epochs=None):
             )  # fmt: skip
             _draw_fits(ax, tracking, number, time, start, factor)
         _name_panel(ax, tracking.cube, scale, unit, len(own))
-        ax.set_ylim(bottom=0)
+        # Room for the name above the features.
+        ax.set_ylim(0, 1.15 * factor * tracked.max(initial=0.0) or 1.0)
         ax.set_ylabel(f"Distance from the core ({unit_name(unit)})")
     margin = 0.03 * (np.ptp(years) or 1.0)
     axes[-1, 0].set_xlim(start - margin, start + years[-1] + margin)

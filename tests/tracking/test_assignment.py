@@ -27,7 +27,7 @@ pairs = st.lists(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(pairs)
 def test_it_is_the_best_choice_and_one_to_one(found):
     row, column, weight = (np.array(v, dtype=int) for v in zip(*found, strict=True)
