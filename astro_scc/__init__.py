@@ -23,8 +23,14 @@ _FOLDERS = frozenset(
         "epochs",
         "kinematics",
         "measurement",
+        "profiles",
+        "recovery",
+        "shells",
         "simulation",
         "stacking",
+        "stratification",
+        "survey",
+        "tracking",
         "visualization",
     }
 )

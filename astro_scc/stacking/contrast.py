@@ -126,7 +126,10 @@ class Contrast:
             part = slice(start, start + size)
             transform = self._transform(v1[part], v2[part], weight, kind)
             for place, u in enumerate(directions):
-                product = np.einsum("tcij,cij->tij", transform, self.response[:, u])
+                if len(self.s1) == 1:
+                    product = transform[:, 0] * self.response[0, u]
+                else:
+                    product = np.einsum("tcij,cij->tij", transform, self.response[:, u])
                 result[place, part] = self._on_grid(product)
         return result
 

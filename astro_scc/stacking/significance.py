@@ -49,10 +49,12 @@ class Finding:
     n_features : int
         Different features that they are at least; what moves with fewer
         than three is uncertain, with a probability of one.
-    displacements : `~astro_scc.stacking.Displacements`
-        What earlier findings had left to be explained.
+    everything : `~astro_scc.stacking.Displacements`
+        All that was searched.
+    left : `~numpy.ndarray` of bool, shape (len(everything),)
+        The matches that earlier findings had left to be explained.
     group : `~numpy.ndarray` of int, shape (len(displacements),)
-        The witness of each match, -1 if it has none.
+        The witness of each match that was left, -1 if it has none.
     """
 
     v1: float
@@ -64,8 +66,14 @@ class Finding:
     tests: dict
     n_witnesses: int
     n_features: int
-    displacements: Displacements = field(repr=False)
+    everything: Displacements = field(repr=False)
+    left: np.ndarray = field(repr=False)
     group: np.ndarray = field(repr=False)
+
+    @property
+    def displacements(self):
+        """What earlier findings had left to be explained, a copy."""
+        return self.everything.select(self.left)
 
 
 def find_velocities(
@@ -88,7 +96,8 @@ def find_velocities(
     contrast is tested against every null hypothesis, and if it passes all
     SSPs that it explains are taken away and the search starts again, at
     velocities more than 2.5 standard errors from those found; it ends with
-    the first velocity that the scramble cannot reject.  The
+    the first velocity of three features or more that the scramble cannot
+    reject.  The
     probability is that of the strongest of what is left, so later steps
     hold given that the earlier ones are right.
 
@@ -115,7 +124,8 @@ def find_velocities(
     Returns
     -------
     list of `Finding`
-        In the order they were found; the last ones may be uncertain.
+        In the order they were found.  The last one may be uncertain, and
+        so may others be before it.
     """
     limits = _widened(displacements, v_max, pairs)
     everything = Sightings.of(displacements, pairs, years, limits)
@@ -128,7 +138,12 @@ def find_velocities(
             break
         group = np.full(len(displacements), -1)
         group[seen.match] = scene.witnesses.group
-        finding = _test(scene, seen, group[left], nulls, n_trials, level, step_rng)
+        finding = Finding(
+            **_judged(scene, seen, nulls, n_trials, level, step_rng),
+            everything=displacements,
+            left=left.copy(),
+            group=group[left],
+        )
         findings.append(finding)
         if progress is not None:
             progress(1)
@@ -137,7 +152,13 @@ def find_velocities(
         taken.append(scene.velocity)
         near = everything.near(*scene.velocity, EXPLAINED)
         left &= ~np.isin(displacements.ssp, everything.ssp[near])
-    return findings
+    return _without_rest(findings)
+
+
+def _without_rest(findings):
+    """Up to the last component, and the first one after it that is none."""
+    last = max((i for i, f in enumerate(findings) if f.kind != "uncertain"), default=-1)
+    return findings[: last + 2]
 
 
 def _rejected(finding, level):
@@ -145,8 +166,11 @@ def _rejected(finding, level):
     Whether the search ends.
 
     A velocity that only the shuffle rejects is no component, but what it
-    explains may hide one.
+    explains may hide one; and so may what one or two features do, as the
+    scramble moves them whole: in every trial they are the strongest again.
     """
+    if finding.n_features < FEWEST_FEATURES:
+        return False
     first = finding.tests.get("scramble")
     return (finding.p_global if first is None else first.p_global) > level
 
@@ -192,7 +216,8 @@ def _scene(displacements, pairs, sightings, v_max, taken):
     )
 
 
-def _test(scene, seen, group, nulls, n_trials, level, rng):
+def _judged(scene, seen, nulls, n_trials, level, rng):
+    """What a finding says of the strongest velocity of a scene."""
     v1, v2 = scene.velocity
     w = scene.witnesses
     n_features = count_features(seen, w.group, seen.near(v1, v2, EXPLAINED))
@@ -220,16 +245,14 @@ def _test(scene, seen, group, nulls, n_trials, level, rng):
         # What one feature does at many dates says nothing of others.
         kind, p_local, p_global, error = "uncertain", 1.0, 1.0, 0.0
     near = np.hypot((w.v1 - v1) / w.s1, (w.v2 - v2) / w.s2) <= EXPLAINED
-    return Finding(
-        v1=float(v1),
-        v2=float(v2),
-        kind=kind,
-        p_local=p_local,
-        p_global=p_global,
-        p_error=error,
-        tests=tests,
-        n_witnesses=int(near.sum()),
-        n_features=n_features,
-        displacements=scene.displacements,
-        group=group,
-    )
+    return {
+        "v1": float(v1),
+        "v2": float(v2),
+        "kind": kind,
+        "p_local": p_local,
+        "p_global": p_global,
+        "p_error": error,
+        "tests": tests,
+        "n_witnesses": int(near.sum()),
+        "n_features": n_features,
+    }

@@ -414,7 +414,9 @@ def test_select(jet):
     pairs = all_pairs(len(jet))
     chosen = ssps.scale == 2
     every = Correlator()(jet, pairs, 12)
+    given = chosen.copy()
     some = Correlator()(jet, pairs, 12, select=chosen)
+    np.testing.assert_array_equal(chosen, given)
     assert some.same_as(every.of_ssps(chosen))
     assert len(Correlator()(jet, pairs, 12, select=np.zeros(len(ssps), bool))) == 0
 
