@@ -10,6 +10,8 @@ __all__ = ["find_ridge_line", "fit_position_angle", "limb_masks"]
 
 #: Steps of the search in beams.
 STEP = 0.25
+#: A line that is within a beam of itself, so many beams along it before, turns back.
+APART = 3.0
 #: Points of a slice across the jet.
 SLICE = 61
 
@@ -99,7 +101,7 @@ def find_ridge_line(
     brighter than half of the slice's maximum, and the next slice lies
     across the direction of the last points.  Points are then smoothed by
     local parabolas.  It ends where the slice is no longer above the noise,
-    or at the edge of the image.
+    at the edge of the image, or where it would turn back.
 
     Parameters
     ----------
@@ -161,6 +163,12 @@ def find_ridge_line(
         if found is None or found[1] < threshold * noise:
             break
         point = found[0]
+        met = _met_again(points, point, width)
+        if met is not None:
+            # It went round the end of the jet: half of the way it is none.
+            end = (met + len(points)) // 2
+            del points[end:], snr[end:]
+            break
         points.append(point)
         snr.append(found[1] / noise)
         # The direction is that of the last beam, or slices would tumble.
@@ -229,6 +237,15 @@ def limb_masks(cube, ridge, half_width):
 def _normal_points_south(ridge):
     angle = ridge.position_angle(ridge.distances).to_value(u.rad)
     return bool(np.mean(-np.sin(angle)) < 0)
+
+
+def _met_again(points, point, width):
+    """An earlier point of a line that a new one is within a beam of, or None."""
+    earlier = np.array(points[: -round(APART / STEP)])
+    if len(earlier) == 0:
+        return None
+    away = np.hypot(*(earlier - point).T)
+    return int(away.argmin()) if away.min() < width else None
 
 
 def _slice_point(cube, image, guess, direction, half):

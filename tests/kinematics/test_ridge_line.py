@@ -214,3 +214,12 @@ def test_no_beam():
     line = find_ridge_line(bare, position_angle=270 * u.deg, half_width=1.5 * u.mas,
                            smoothing=1 * u.mas)  # fmt: skip
     assert line.length.value > 8
+
+
+def test_does_not_go_round_the_end():
+    # With long slices the line would follow the rounded end of the jet back.
+    cube = bent_images(noise=1e-5)
+    line = find_ridge_line(cube, position_angle=270 * u.deg, half_width=2 * u.mas)
+    assert line.length.value < 14
+    angle = line.position_angle(line.distances).value
+    assert np.all((angle > 240) & (angle <= 360))
