@@ -29,7 +29,6 @@ _FOLDERS = frozenset(
         "simulation",
         "stacking",
         "stratification",
-        "survey",
         "tracking",
         "visualization",
     }

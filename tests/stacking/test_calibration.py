@@ -10,7 +10,7 @@ from scipy.stats import binom
 
 from astro_scc.stacking import consecutive_pairs, find_velocities
 
-from .test_significance import V_MAX, YEARS, S, matches, streams
+from .test_significance import V_MAX, YEARS, S, matches, streams  # noqa: TID252
 
 LEVEL = 0.05
 
