@@ -7,10 +7,13 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.correlation import Correlator, all_pairs
+from astro_scc.correlation.workers import workers_of
 from astro_scc.decomposition import Decomposer
 from astro_scc.measurement import (
+    MatchCache,
     MatchedEpochs,
     angular_displacements,
+    match_provenance,
     stack_matches,
     velocity_frame,
 )
@@ -22,6 +25,7 @@ from astro_scc.measurement.plan import (
     search_reach,
     ssps_inside,
 )
+from astro_scc.measurement.provenance import selection_digest
 from astro_scc.measurement.stacking import NAMED_FRAMES
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
@@ -245,7 +249,7 @@ class StackedCrossCorrelation:
     def _fwhm(self, cube):
         return mean_fwhm(cube, max(self.scale_numbers(cube)))
 
-    def match(self, cube, *, region=None, n_workers=1, progress_bar=False):
+    def match(self, cube, *, region=None, n_workers=1, cache=None, progress_bar=False):
         """
         Decompose the epochs and correlate their SSPs.
 
@@ -258,31 +262,58 @@ class StackedCrossCorrelation:
         region : optional
             Anything that ``cube.region_mask`` takes.  SSPs whose centroid
             lies inside are correlated.
-        n_workers : int, optional
+        n_workers : int, str or `dask.distributed.Client`, optional
+            Number of processes, or a Dask scheduler, by its address or a
+            client of it.  The numbers do not depend on it.
+        cache : path, optional
+            A FITS file, or a folder, where matches are kept.  Those of the
+            same images, settings and versions are read instead of made, those
+            of others are not used; what an interrupted call did is there for
+            the next one.
         progress_bar : bool, optional
             Show the progress on standard error.
 
         Returns
         -------
         `~astro_scc.measurement.MatchedEpochs`
+
+        Warns
+        -----
+        `~astro_scc.exceptions.MeasurementWarning`
+            If the file ``cache`` is there and cannot be used.
         """
         pairs = self.date_pairs(cube)
         reach = search_reach(
             cube, pairs, self.speed_limit(cube).value, self._fwhm(cube), self.kernel
         )
+        inside = None if region is None else cube.region_mask(region)
         decomposer = self._decomposer(self.scale_numbers(cube))
-        decompositions = decompose_epochs(cube, decomposer)
-        ssps, select = ssps_inside(decompositions, cube, region)
-        with progress(len(cube), "Correlating", show=progress_bar) as done:
-            matches = self._correlator()(
-                decompositions,
-                all_pairs(len(cube)),
-                reach,
-                select=select,
-                n_workers=n_workers,
-                progress=done,
-            )
-        return MatchedEpochs(cube, decompositions, ssps, select, matches)
+        correlator = self._correlator()
+        provenance = match_provenance(cube, decomposer, correlator, reach, inside)
+        blocks = None
+        if cache is not None:
+            cache = MatchCache(cache, provenance)
+            if (matched := cache.load(cube)) is not None:
+                return matched
+            blocks = cache.blocks()
+        with workers_of(n_workers) as workers:
+            decompositions = decompose_epochs(cube, decomposer, n_workers=workers)
+            ssps, select = ssps_inside(decompositions, cube, inside)
+            with progress(len(cube), "Correlating", show=progress_bar) as done:
+                matches = correlator(
+                    decompositions,
+                    all_pairs(len(cube)),
+                    reach,
+                    select=select,
+                    n_workers=workers,
+                    progress=done,
+                    done=blocks,
+                )
+        provenance["selected"] = selection_digest(select)
+        matched = MatchedEpochs(cube, decompositions, ssps, select, matches, provenance)
+        if cache is not None:
+            cache.store(matched)
+        return matched
 
     def stack(self, matched, *, n_trials=1000, rng=None, progress_bar=False):
         """
@@ -360,6 +391,7 @@ class StackedCrossCorrelation:
         n_trials=1000,
         rng=None,
         n_workers=1,
+        cache=None,
         progress_bar=False,
     ):
         """
@@ -375,7 +407,8 @@ class StackedCrossCorrelation:
             Number of shuffled orders and of position trials.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
-        n_workers : int, optional
+        n_workers, cache
+            See `match`.
         progress_bar : bool, optional
 
         Returns
@@ -389,7 +422,11 @@ class StackedCrossCorrelation:
             images.
         """
         matched = self.match(
-            cube, region=region, n_workers=n_workers, progress_bar=progress_bar
+            cube,
+            region=region,
+            n_workers=n_workers,
+            cache=cache,
+            progress_bar=progress_bar,
         )
         return self.stack(
             matched, n_trials=n_trials, rng=rng, progress_bar=progress_bar

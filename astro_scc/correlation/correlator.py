@@ -97,6 +97,7 @@ class Correlator:
         select=None,
         n_workers=1,
         progress=None,
+        done=None,
     ):
         """
         Find the matches of SSPs for ordered pairs of epochs.
@@ -111,12 +112,16 @@ class Correlator:
             Largest displacement in pixels, of (y, x) if two.
         select : array_like of bool, optional
             Which SSPs of the catalogue of all epochs to correlate.
-        n_workers : int, optional
-            Number of processes.  With more than one, a script needs
+        n_workers : int, str or `dask.distributed.Client`, optional
+            Number of processes, or a Dask scheduler, by its address or a
+            client of it.  With more than one process, a script needs
             ``if __name__ == "__main__":`` where processes are spawned, see
             `multiprocessing`.
         progress : callable, optional
             Called with 1 for each reference epoch that is done.
+        done : mutable mapping of int to tuple of `~numpy.ndarray`, optional
+            What `match_block` found for `blocks` that were done before, by
+            their number; what is found is added.
 
         Returns
         -------
@@ -145,21 +150,33 @@ class Correlator:
         array([ 6.5, -6.5], dtype=float32)
         """
         pairs = _pairs_of(pairs, decompositions)
-        columns, left = [], Counter(map(tuple, np.unique(pairs, axis=0).tolist()))
-        references = Counter(first for first, _ in left)
+        columns = {}
+        references = Counter(np.unique(pairs, axis=0)[:, 0].tolist())
         begun = deque()
 
-        def begin():
-            for block in self.blocks(decompositions, pairs, reach, select=select):
-                begun.append(block.pairs[:, 0].tolist())
-                yield block
-
-        for part in in_order(match_block, begin(), n_workers):
-            columns.append(part)
-            for epoch in begun.popleft():
+        def finish(number, part, epochs):
+            columns[number] = part
+            for epoch in epochs:
                 references[epoch] -= 1
                 if references[epoch] == 0 and progress is not None:
                     progress(1)
+
+        def begin():
+            blocks = self.blocks(decompositions, pairs, reach, select=select)
+            for number, block in enumerate(blocks):
+                epochs = block.pairs[:, 0].tolist()
+                if done is not None and number in done:
+                    finish(number, done[number], epochs)
+                else:
+                    begun.append((number, epochs))
+                    yield block
+
+        for part in in_order(match_block, begin(), n_workers):
+            number, epochs = begun.popleft()
+            if done is not None:
+                done[number] = part
+            finish(number, part, epochs)
+        columns = [columns[number] for number in sorted(columns)]
         matches = Matches.from_columns(columns, pairs, _both_axes(reach), self.kappa)
         return matches.sorted()
 
@@ -197,7 +214,7 @@ class Correlator:
         if len(pairs) == 0:
             return
         patterns = Patterns.of(decompositions, ssps, np.arange(len(ssps)))
-        chosen &= np.isin(ssps.epoch, pairs[:, 0])
+        chosen = chosen & np.isin(ssps.epoch, pairs[:, 0])
         shape = decompositions[0].planes.shape
         ring = tuple(r + 1 for r in reach)
         part, work = (slice(0, 0),) * 2, np.zeros(len(decompositions))

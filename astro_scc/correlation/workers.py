@@ -1,12 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Work in several processes."""
+"""Work in several processes, of this machine or of a cluster."""
 
 import multiprocessing
 import signal
 from collections import deque
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from numbers import Integral
 
-__all__ = ["in_order"]
+from astro_scc.correlation.cluster import is_client, on_cluster, open_client
+
+__all__ = ["in_order", "workers_of"]
 
 #: Pieces that wait for each worker; bounds memory, and how long an
 #: interrupted run takes to end.
@@ -22,6 +26,48 @@ def _start():
     threadpool_limits(1)
 
 
+@contextmanager
+def workers_of(n_workers):
+    """
+    Workers for several calls of `in_order`.
+
+    Parameters
+    ----------
+    n_workers : int, str or `dask.distributed.Client`
+        Number of processes, address of a Dask scheduler, or a client of one.
+
+    Yields
+    ------
+    int or `dask.distributed.Client`
+        A client of one's own is closed at the end, one that was given is not.
+
+    Raises
+    ------
+    ValueError
+        If it is a number below 1.
+    TypeError
+        If it is none of these.
+    ImportError
+        If Dask is needed and not installed.
+    OSError
+        If the scheduler does not answer.
+    """
+    if isinstance(n_workers, str):
+        with open_client(n_workers) as client:
+            yield client
+    elif isinstance(n_workers, Integral) and not isinstance(n_workers, bool):
+        if n_workers < 1:
+            raise ValueError(f"n_workers must be at least 1, got {n_workers}")
+        yield int(n_workers)
+    elif is_client(n_workers):
+        yield n_workers
+    else:
+        raise TypeError(
+            "n_workers must be a number of processes, the address of a Dask "
+            f"scheduler or a client, got {type(n_workers).__name__}"
+        )
+
+
 def in_order(function, pieces, n_workers, *, context=None):
     """
     Apply a function to pieces of work, in this or in other processes.
@@ -32,8 +78,8 @@ def in_order(function, pieces, n_workers, *, context=None):
         Of one argument; picklable if there is more than one worker.
     pieces : iterable
         Taken as they are needed: a few for each worker are in memory.
-    n_workers : int
-        Number of processes; 1 works in this one.
+    n_workers : int, str or `dask.distributed.Client`
+        See `workers_of`; 1 works in this process.
     context : str, optional
         Start method of `multiprocessing`, or its default.
 
@@ -44,14 +90,20 @@ def in_order(function, pieces, n_workers, *, context=None):
 
     Raises
     ------
-    ValueError
-        If ``n_workers`` is below 1.
+    ValueError, TypeError, ImportError, OSError
+        See `workers_of`.
     """
-    if n_workers < 1:
-        raise ValueError(f"n_workers must be at least 1, got {n_workers}")
-    if n_workers == 1:
-        yield from map(function, pieces)
-        return
+    with workers_of(n_workers) as workers:
+        if not isinstance(workers, int):
+            for _, future in on_cluster(function, pieces, workers):
+                yield future.result()
+        elif workers == 1:
+            yield from map(function, pieces)
+        else:
+            yield from _in_processes(function, pieces, workers, context)
+
+
+def _in_processes(function, pieces, n_workers, context):
     pool = ProcessPoolExecutor(
         n_workers, multiprocessing.get_context(context), initializer=_start
     )

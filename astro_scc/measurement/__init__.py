@@ -8,12 +8,18 @@ from astro_scc.measurement.errors import (
     ssp_offsets,
 )
 from astro_scc.measurement.false_discovery import false_discovery_rate
+from astro_scc.measurement.match_files import (
+    MatchCache,
+    read_matches,
+    write_matches,
+)
 from astro_scc.measurement.products import (
     plain_cosmology,
     product_folder,
     velocity_hdus,
     write_products,
 )
+from astro_scc.measurement.provenance import match_provenance
 from astro_scc.measurement.result import MatchedEpochs, SCCResult
 from astro_scc.measurement.selection import select_ssps, ssp_distances
 from astro_scc.measurement.stacking import stack_matches, velocity_frame
@@ -21,6 +27,7 @@ from astro_scc.measurement.tables import component_table, ssp_table, versions
 from astro_scc.measurement.velocity_error import VelocityError, alignment_errors
 
 __all__ = [
+    "MatchCache",
     "MatchedEpochs",
     "SCCResult",
     "VelocityError",
@@ -29,9 +36,11 @@ __all__ = [
     "beam_fwhm",
     "component_table",
     "false_discovery_rate",
+    "match_provenance",
     "plain_cosmology",
     "position_errors",
     "product_folder",
+    "read_matches",
     "select_ssps",
     "ssp_distances",
     "ssp_offsets",
@@ -40,5 +49,6 @@ __all__ = [
     "velocity_frame",
     "velocity_hdus",
     "versions",
+    "write_matches",
     "write_products",
 ]

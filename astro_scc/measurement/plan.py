@@ -2,20 +2,24 @@
 """What a measurement of a cube comes to: scales, pairs, speeds and windows."""
 
 import warnings
+from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
 
-from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.correlation.workers import in_order
+from astro_scc.decomposition import Decomposer, SSPs, scale_size
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.errors import beam_fwhm, ssp_offsets
 from astro_scc.stacking import VelocityGrid, baseline_pairs, consecutive_pairs
 
 __all__ = [
+    "centroids_inside",
     "decompose_epochs",
     "flow_direction",
     "map_grid",
     "mean_fwhm",
+    "noise_facts",
     "pairs_of_dates",
     "scales_of_pixels",
     "search_reach",
@@ -191,9 +195,32 @@ def map_grid(displacements, pairs, limit):
     return VelocityGrid.covering(limit, steps)
 
 
-def decompose_epochs(cube, decomposer):
+def decompose_epochs(cube, decomposer, *, n_workers=1):
     """
     Decompose every epoch of a cube.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+    n_workers : int, str or `dask.distributed.Client`, optional
+        See `~astro_scc.correlation.Correlator`; the unit of work is an epoch.
+
+    Returns
+    -------
+    tuple of `~astro_scc.decomposition.Decomposition`
+    """
+    facts = noise_facts(cube, decomposer)
+    work = (
+        _Epoch(decomposer, image, cube.mask[k], *own)
+        for k, (image, own) in enumerate(zip(cube.data, facts, strict=True))
+    )
+    return tuple(in_order(_decompose, work, n_workers))
+
+
+def noise_facts(cube, decomposer):
+    """
+    What the decomposition of each epoch takes besides its image and mask.
 
     Parameters
     ----------
@@ -202,7 +229,9 @@ def decompose_epochs(cube, decomposer):
 
     Returns
     -------
-    tuple of `~astro_scc.decomposition.Decomposition`
+    list of tuple
+        The rms of the image and the covariance of its beam in pixels, or
+        None.
     """
     propagated = decomposer.noise == "propagated"
     rms = cube.noise_rms().value if propagated else [None] * len(cube)
@@ -210,9 +239,26 @@ def decompose_epochs(cube, decomposer):
     if propagated and cube.beams is not None:
         inverse = np.linalg.inv(cube.pixel_matrix.value)
         covariances = [inverse @ b.covariance.value @ inverse.T for b in cube.beams]
-    return tuple(
-        decomposer(image, mask=cube.mask[k], rms=rms[k], beam_covariance=covariances[k])
-        for k, image in enumerate(cube.data)
+    return list(zip(rms, covariances, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class _Epoch:
+    """An epoch to decompose, as a piece of work."""
+
+    decomposer: Decomposer
+    image: np.ndarray
+    mask: np.ndarray
+    rms: float | None
+    beam_covariance: np.ndarray | None
+
+
+def _decompose(epoch):
+    return epoch.decomposer(
+        epoch.image,
+        mask=epoch.mask,
+        rms=epoch.rms,
+        beam_covariance=epoch.beam_covariance,
     )
 
 
@@ -233,12 +279,30 @@ def ssps_inside(decompositions, cube, region):
     select : `~numpy.ndarray` of bool, shape (n_ssps,)
     """
     ssps = SSPs.of_epochs(decompositions)
+    return ssps, centroids_inside(ssps, cube, region)
+
+
+def centroids_inside(ssps, cube, region):
+    """
+    Which SSPs have their centroid in a region.
+
+    Parameters
+    ----------
+    ssps : `~astro_scc.decomposition.SSPs`
+    cube : `~astro_scc.epochs.EpochCube`
+    region : optional
+        Anything that ``cube.region_mask`` takes, or None for everything.
+
+    Returns
+    -------
+    `~numpy.ndarray` of bool, shape (n_ssps,)
+    """
     if region is None:
-        return ssps, np.ones(len(ssps), bool)
+        return np.ones(len(ssps), bool)
     inside = cube.region_mask(region)
     row = np.clip(np.rint(ssps.y_centroid).astype(int), 0, inside.shape[0] - 1)
     column = np.clip(np.rint(ssps.x_centroid).astype(int), 0, inside.shape[1] - 1)
-    return ssps, inside[row, column]
+    return inside[row, column]
 
 
 def flow_direction(matched):

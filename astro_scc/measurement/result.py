@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What a measurement found."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -48,19 +49,78 @@ class MatchedEpochs:
     select : `~numpy.ndarray` of bool, shape (n_ssps,)
         The SSPs of the region.
     matches : `~astro_scc.correlation.Matches`
+    provenance : dict
+        What determined the matches, see
+        `astro_scc.measurement.match_provenance`; `write` needs it.
     """
 
     cube: EpochCube
-    decompositions: tuple
+    decompositions: Sequence
     ssps: SSPs
     select: np.ndarray
     matches: Matches
+    provenance: dict = field(default_factory=dict)
 
     def __repr__(self):
         return (
             f"<MatchedEpochs: {len(self.cube)} epochs, "
             f"{int(self.select.sum())} SSPs, {len(self.matches)} matches>"
         )
+
+    @property
+    def scales(self):
+        """Numbers of the scales that were decomposed."""
+        return tuple(getattr(self.decompositions, "scales", ())) or tuple(
+            self.decompositions[0].scales
+        )
+
+    def write(self, path, *, overwrite=False):
+        """
+        Write the SSPs and their matches, see `astro_scc.measurement.write_matches`.
+
+        Parameters
+        ----------
+        path : path
+            A FITS file.
+        overwrite : bool, optional
+
+        Raises
+        ------
+        OSError
+            If the file exists and ``overwrite`` is False, or cannot be
+            written.
+        ValueError
+            If these matches have no ``provenance``.
+        """
+        from astro_scc.measurement.match_files import write_matches
+
+        write_matches(self, path, overwrite=overwrite)
+
+    @classmethod
+    def read(cls, path, cube):
+        """
+        Read what `write` wrote, see `astro_scc.measurement.read_matches`.
+
+        Parameters
+        ----------
+        path : path
+        cube : `~astro_scc.epochs.EpochCube`
+            The same that was matched; its dates may be others.
+
+        Returns
+        -------
+        `MatchedEpochs`
+
+        Raises
+        ------
+        OSError
+            If the file cannot be read, or is not of this kind.
+        ValueError
+            If it is of other images or versions.
+        """
+        from astro_scc.measurement.match_files import read_matches
+
+        return read_matches(path, cube)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.measurement.errors import ssp_offsets
-from astro_scc.measurement.plan import scales_of_pixels, ssps_inside
+from astro_scc.measurement.plan import centroids_inside, scales_of_pixels
 
 __all__ = ["select_ssps", "ssp_distances"]
 
@@ -88,8 +88,7 @@ def select_ssps(
     """
     select = matched.select.copy()
     if region is not None:
-        _, inside = ssps_inside(matched.decompositions, matched.cube, region)
-        select &= inside
+        select &= centroids_inside(matched.ssps, matched.cube, region)
     if r_min is not None or r_max is not None:
         low = 0 * u.mas if r_min is None else u.Quantity(r_min)
         high = np.inf * u.mas if r_max is None else u.Quantity(r_max)
@@ -99,7 +98,7 @@ def select_ssps(
         select &= (r >= low) & (r < high)
     if scales is not None:
         numbers = scales_of_pixels(scales, matched.cube.pixel_scale)
-        have = matched.decompositions[0].scales
+        have = matched.scales
         missing = [s for s in numbers if s not in have]
         if missing:
             what, there = (", ".join(f"{s:g}" for s in v) for v in (missing, have))

@@ -1,0 +1,339 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Matches on disk: one FITS file, and the blocks of one that is not complete."""
+
+import json
+import shutil
+import warnings
+from collections.abc import MutableMapping, Sequence
+from contextlib import suppress
+from dataclasses import fields
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from astro_scc.correlation import Matches
+from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.epochs.serialize import replace_when_complete
+from astro_scc.exceptions import MeasurementWarning
+from astro_scc.measurement.plan import decompose_epochs
+from astro_scc.measurement.provenance import (
+    digest_of,
+    image_provenance,
+    selection_digest,
+    stale_parts,
+)
+from astro_scc.measurement.result import MatchedEpochs
+from astro_scc.measurement.tables import versions
+
+__all__ = ["MatchCache", "read_matches", "write_matches"]
+
+CREATOR = "astro_scc matches"
+LAYOUT = 1
+#: Columns of the table of SSPs; its pixels are an extension of their own.
+SSP_COLUMNS = tuple(f.name for f in fields(SSPs) if f.name not in ("starts", "pixels"))
+MATCH_COLUMNS = (
+    "ssp", "target", "dy", "dx", "coefficient", "overlap", "target_snr",
+)  # fmt: skip
+#: Columns that `astro_scc.correlation.match_block` returns.
+N_COLUMNS = len(MATCH_COLUMNS)
+
+
+class Recomputed(Sequence):
+    """
+    The decompositions of epochs, made when they are asked for.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+    """
+
+    def __init__(self, cube, decomposer):
+        self.cube, self.decomposer = cube, decomposer
+
+    @property
+    def scales(self):
+        """Numbers of the scales."""
+        return self.decomposer.scales
+
+    @cached_property
+    def _made(self):
+        return decompose_epochs(self.cube, self.decomposer)
+
+    def __len__(self):
+        return len(self.cube)
+
+    def __getitem__(self, index):
+        return self._made[index]
+
+
+def write_matches(matched, path, *, overwrite=False):
+    """
+    Write the SSPs and matches of a cube as a FITS file.
+
+    Parameters
+    ----------
+    matched : `MatchedEpochs`
+    path : path
+    overwrite : bool, optional
+
+    Raises
+    ------
+    OSError
+        If the file exists and ``overwrite`` is False, or cannot be written.
+    ValueError
+        If the matches have no provenance.
+
+    Notes
+    -----
+    ``SSPS`` and ``MATCHES`` are tables, ``PIXELS`` the pixels of the SSPs,
+    ``PAIRS`` the pairs of epochs, ``PROVENANCE`` JSON.  The images are not
+    in the file, nor their wavelet planes, which are quickly made again.
+    """
+    from astropy.io import fits
+
+    if not matched.provenance:
+        raise ValueError(
+            "these matches have no provenance and cannot be written: get them from "
+            "StackedCrossCorrelation.match"
+        )
+    provenance = dict(matched.provenance)
+    if provenance.pop("selected") != selection_digest(matched.select):
+        # A part that was chosen later is of no region that can be asked for.
+        provenance["region"] = "chosen SSPs"
+    ssps, matches = matched.ssps, matched.matches
+    columns = {name: getattr(ssps, name) for name in SSP_COLUMNS}
+    columns |= {"n_pixels": ssps.n_pixels, "selected": matched.select}
+    text = np.frombuffer(json.dumps(provenance).encode("ascii"), dtype=np.uint8)
+    primary = fits.PrimaryHDU()
+    primary.header["CREATOR"] = CREATOR
+    primary.header["SCCVERS"] = LAYOUT, "version of this layout"
+    primary.header["KAPPA"] = matches.kappa, "smallest coefficient"
+    primary.header["REACHY"], primary.header["REACHX"] = matches.reach
+    hdus = fits.HDUList(
+        [
+            primary,
+            _table(columns, "SSPS"),
+            fits.ImageHDU(np.asarray(ssps.pixels, np.int32), name="PIXELS"),
+            _table({name: getattr(matches, name) for name in MATCH_COLUMNS}, "MATCHES"),
+            fits.ImageHDU(np.asarray(matches.pairs, np.int32), name="PAIRS"),
+            fits.ImageHDU(text, name="PROVENANCE"),
+        ]
+    )
+    with replace_when_complete(path, overwrite=overwrite) as part:
+        hdus.writeto(part, checksum=True)
+
+
+def _table(columns, name):
+    from astropy.io import fits
+    from astropy.table import Table
+
+    return fits.BinTableHDU(Table(columns), name=name)
+
+
+def read_matches(path, cube, *, wanted=None):
+    """
+    Read the SSPs and matches of a cube.
+
+    Parameters
+    ----------
+    path : path
+    cube : `~astro_scc.epochs.EpochCube`
+    wanted : dict, optional
+        Provenance that they must have, see `match_provenance`; by default
+        they must be of these images and of these versions.
+
+    Returns
+    -------
+    `MatchedEpochs`
+        With the dates of ``cube``.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read, or is not of this kind.
+    ValueError
+        If it is of other images, settings or versions.
+    """
+    with open(path, "rb") as file:
+        try:
+            layout, found, parts = _parts(file)
+        except Exception as error:
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise OSError(f"{path}: is no complete file of matches: {reason}") from None
+    if layout != LAYOUT:
+        raise OSError(f"{path}: of layout {layout}, read it with a newer astro_scc")
+    if wanted is None:
+        wanted = {**image_provenance(cube), "versions": versions()}
+    if stale := stale_parts(found, wanted):
+        raise ValueError(f"{path}: is of other {stale}; match the epochs again")
+    ssps, select, matches = parts
+    options = found["decomposition"]
+    decomposer = Decomposer(**{**options, "scales": tuple(options["scales"])})
+    provenance = {**found, "selected": selection_digest(select)}
+    return MatchedEpochs(
+        cube, Recomputed(cube, decomposer), ssps, select, matches, provenance
+    )
+
+
+def _parts(file):
+    """Layout, provenance, and the SSPs, selection and matches of a file."""
+    from astropy.io import fits
+
+    with warnings.catch_warnings():
+        # A checksum that is not that of the data is a warning of astropy's.
+        warnings.simplefilter("error")
+        with fits.open(file, memmap=False, checksum=True) as hdus:
+            primary = hdus[0].header
+            if primary.get("CREATOR") != CREATOR:
+                raise ValueError("it was not written as one")
+            if primary["SCCVERS"] != LAYOUT:
+                return primary["SCCVERS"], None, None
+            found = json.loads(hdus["PROVENANCE"].data.tobytes())
+            rows = hdus["SSPS"].data
+            starts = np.concatenate([[0], np.cumsum(rows["n_pixels"])]).astype(int)
+            columns = {name: _native(rows[name]) for name in SSP_COLUMNS}
+            pixels = hdus["PIXELS"].data
+            pixels = np.empty(0, np.int32) if pixels is None else _native(pixels)
+            ssps = SSPs(**columns, starts=starts, pixels=pixels)
+            select = np.array(rows["selected"], dtype=bool)
+            rows = hdus["MATCHES"].data
+            pairs = hdus["PAIRS"].data
+            matches = Matches.from_columns(
+                [tuple(_native(rows[name]) for name in MATCH_COLUMNS)],
+                np.empty((0, 2)) if pairs is None else pairs,
+                (primary["REACHY"], primary["REACHX"]),
+                primary["KAPPA"],
+            )
+    return LAYOUT, found, (ssps, select, matches)
+
+
+def _native(array):
+    array = np.asarray(array)
+    return np.array(array, dtype=array.dtype.newbyteorder("="))
+
+
+class MatchCache:
+    """
+    Where the matches of one provenance are, or the part that is done.
+
+    Parameters
+    ----------
+    path : path
+        A FITS file, or a folder for files of many provenances.
+    provenance : dict
+        See `match_provenance`.
+    """
+
+    def __init__(self, path, provenance):
+        path = Path(path)
+        if path.suffix.lower() != ".fits":
+            path = path / f"matches-{digest_of(provenance)}.fits"
+        self.path, self.provenance = path, provenance
+
+    def load(self, cube):
+        """
+        The matches, if they are there and of this provenance.
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+
+        Returns
+        -------
+        `MatchedEpochs` or None
+
+        Warns
+        -----
+        `~astro_scc.exceptions.MeasurementWarning`
+            If there is a file that cannot be used.
+        """
+        if not self.path.exists():
+            return None
+        try:
+            return read_matches(self.path, cube, wanted=self.provenance)
+        except (OSError, ValueError) as error:
+            reason = str(error).removesuffix("; match the epochs again")
+            warnings.warn(
+                f"{reason}; not used, the epochs are matched again",
+                MeasurementWarning,
+                stacklevel=4,
+            )
+        return None
+
+    def blocks(self):
+        """
+        What is done of the matches.
+
+        Returns
+        -------
+        `BlockFiles`
+        """
+        return BlockFiles(self.path.with_name(self.path.name + ".blocks"), self)
+
+    def store(self, matched):
+        """
+        Keep the matches, and their blocks no longer.
+
+        Parameters
+        ----------
+        matched : `MatchedEpochs`
+        """
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        write_matches(matched, self.path, overwrite=True)
+        self.blocks().clear()
+
+
+class BlockFiles(MutableMapping):
+    """
+    The columns of blocks of pairs of epochs, each in a file by its number.
+
+    Those of another provenance are taken away when the first is added.
+
+    Parameters
+    ----------
+    folder : path
+    cache : `MatchCache`
+    """
+
+    def __init__(self, folder, cache):
+        self.folder = Path(folder)
+        # How blocks are cut belongs to the version.
+        self.digest = digest_of(cache.provenance)
+
+    def _file(self, number):
+        return self.folder / f"{self.digest}-{number}.npz"
+
+    def __contains__(self, number):
+        return self._file(number).exists()
+
+    def __getitem__(self, number):
+        if number not in self:
+            raise KeyError(number)
+        with np.load(self._file(number), allow_pickle=False) as arrays:
+            return tuple(arrays[f"arr_{k}"] for k in range(N_COLUMNS))
+
+    def __setitem__(self, number, columns):
+        if not self.folder.is_dir():
+            self.folder.mkdir(parents=True)
+        for path in self.folder.glob("*.npz"):
+            if not path.name.startswith(self.digest):
+                path.unlink(missing_ok=True)
+        with replace_when_complete(self._file(number), overwrite=True) as part:
+            np.savez(part, *columns)
+
+    def __delitem__(self, number):
+        self._file(number).unlink()
+
+    def __iter__(self):
+        names = (path.stem for path in self.folder.glob(f"{self.digest}-*.npz"))
+        return iter(sorted(int(name.rsplit("-")[-1]) for name in names))
+
+    def __len__(self):
+        return sum(1 for _ in self)
+
+    def clear(self):
+        """Take the folder away."""
+        with suppress(FileNotFoundError):
+            shutil.rmtree(self.folder)

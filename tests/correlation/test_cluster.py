@@ -1,0 +1,143 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Work on a real Dask cluster of two processes, one of which is killed."""
+
+import builtins
+import operator
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from astro_scc.correlation import Correlator, all_pairs
+from astro_scc.correlation.cluster import on_cluster, open_client
+from astro_scc.correlation.workers import in_order, workers_of
+from astro_scc.decomposition import Decomposer
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            memory_limit=None,
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        client.wait_for_workers(2)
+        yield client
+
+
+@pytest.fixture(scope="module")
+def epochs():
+    rng = np.random.default_rng(5)
+    y, x = np.mgrid[:64, :80]
+    places = rng.uniform(8, 56, (6, 2))
+    decompose = Decomposer(scales=[1, 2])
+    return [
+        decompose(
+            sum(
+                np.exp(-((x - a - 10 - 2 * k) ** 2 + (y - b) ** 2) / 12)
+                for a, b in places
+            )
+            + rng.normal(scale=0.01, size=x.shape)
+        )
+        for k in range(5)
+    ]
+
+
+def slow_negative(value):
+    time.sleep(0.05)
+    return -value
+
+
+def test_results_come_in_order_and_as_needed(cluster):
+    taken = []
+
+    def pieces():
+        for k in range(12):
+            taken.append(k)
+            yield k
+
+    results = in_order(operator.neg, pieces(), cluster)
+    assert next(results) == 0
+    assert len(taken) < 12
+    assert list(results) == [-k for k in range(1, 12)]
+    found = {k: future.result() for k, future in on_cluster(
+        operator.neg, range(12), cluster, ordered=False)}  # fmt: skip
+    assert found == {k: -k for k in range(12)}
+
+
+def test_an_error_of_a_worker_is_raised_here(cluster):
+    with pytest.raises(ZeroDivisionError):
+        list(in_order((1).__floordiv__, [1, 0, 1], cluster))
+
+
+def test_an_address_is_as_good_as_a_client(cluster):
+    address = cluster.scheduler.address
+    assert list(in_order(operator.neg, [1, 2], address)) == [-1, -2]
+    with workers_of(cluster) as same:
+        assert same is cluster
+    assert cluster.status == "running"
+
+
+def test_a_killed_worker_changes_nothing(cluster, epochs, monkeypatch):
+    # One block for each reference epoch.
+    monkeypatch.setattr("astro_scc.correlation.correlator.BLOCK_WORK", 1)
+    pairs = all_pairs(5)
+    correlate = Correlator()
+    assert len(list(correlate.blocks(epochs, pairs, 8))) == 5
+    serial = correlate(epochs, pairs, 8)
+    assert len(serial) > 50
+    done = []
+
+    def kill(number):
+        done.append(number)
+        if len(done) == 1:
+            pids = cluster.run(os.getpid)
+            os.kill(min(pids.values()), signal.SIGKILL)
+
+    found = correlate(epochs, pairs, 8, n_workers=cluster, progress=kill)
+    assert len(done) == 5
+    assert found.same_as(serial)
+
+
+def test_a_worker_killed_at_work(cluster):
+    results = in_order(slow_negative, range(20), cluster)
+    found = [next(results)]
+    pids = cluster.run(os.getpid)
+    os.kill(max(pids.values()), signal.SIGKILL)
+    found += results
+    assert found == [-k for k in range(20)]
+
+
+def test_a_scheduler_that_is_not_there(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("astro_scc.correlation.cluster.TIMEOUT", 0.2)
+    with pytest.raises(OSError, match="tcp://127.0.0.1:9: cannot be reached"):
+        list(in_order(operator.neg, [1], "tcp://127.0.0.1:9"))
+
+
+def test_without_dask(monkeypatch):
+    original = builtins.__import__
+
+    def refuse(name, *args, **kwargs):
+        if name.split(".")[0] == "distributed":
+            raise ImportError(name)
+        return original(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(ImportError, match=r"pip install 'astro_scc\[dask\]'"):
+        with open_client("tcp://127.0.0.1:9"):
+            pass
+
+
+@pytest.mark.parametrize("n_workers", [1.5, True, None])
+def test_workers_of_no_kind(n_workers):
+    with pytest.raises(TypeError, match="n_workers must be a number of processes"):
+        list(in_order(operator.neg, [1], n_workers))

@@ -1,0 +1,259 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Matches on disk: the same when they are read, refused when they are stale."""
+
+import warnings
+from dataclasses import fields, replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.correlation.blocks import match_block
+from astro_scc.epochs import Beam
+from astro_scc.exceptions import MeasurementWarning
+from astro_scc.measurement import MatchCache, MatchedEpochs, select_ssps
+from astro_scc.simulation import simulate_two_fluid
+
+SETTINGS = {"scales": [1, 2], "max_speed": 30 * u.mas / u.yr}
+
+
+@pytest.fixture(scope="module")
+def scc():
+    return StackedCrossCorrelation(**SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return simulate_two_fluid(n_epochs=4, rng=3).cube.crop(
+        (slice(60, 190), slice(20, 240))
+    )
+
+
+@pytest.fixture(scope="module")
+def made(scc, cube):
+    return scc.match(cube)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """How many blocks were correlated."""
+    blocks = []
+
+    def count(block):
+        blocks.append(block)
+        return match_block(block)
+
+    monkeypatch.setattr("astro_scc.correlation.correlator.match_block", count)
+    # A block for each epoch.
+    monkeypatch.setattr("astro_scc.correlation.correlator.BLOCK_WORK", 1)
+    return blocks
+
+
+def same(one, other):
+    assert one.matches.same_as(other.matches)
+    for own in fields(one.ssps):
+        a, b = getattr(one.ssps, own.name), getattr(other.ssps, own.name)
+        np.testing.assert_array_equal(a, b)
+        assert a.dtype == b.dtype, own.name
+    np.testing.assert_array_equal(one.select, other.select)
+    assert one.scales == other.scales
+
+
+def test_round_trip(made, cube, tmp_path, scc):
+    made.write(tmp_path / "m.fits")
+    read = MatchedEpochs.read(tmp_path / "m.fits", cube)
+    same(made, read)
+    # Planes are made again, and the same, if somebody asks for them.
+    assert len(read.decompositions) == len(cube)
+    np.testing.assert_array_equal(
+        read.decompositions[2].planes, made.decompositions[2].planes
+    )
+    loose = replace(scc, level=0.5)
+    one, other = (loose.stack(m, n_trials=10, rng=1) for m in (made, read))
+    np.testing.assert_array_equal(one.coefficient, other.coefficient)
+    assert one.components["pm"].tolist() == other.components["pm"].tolist()
+    with pytest.raises(FileExistsError):
+        made.write(tmp_path / "m.fits")
+    made.write(tmp_path / "m.fits", overwrite=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["m.fits"]
+
+
+def test_no_ssps_at_all(scc, tmp_path):
+    flat = EpochCube.from_arrays(
+        np.ones((2, 32, 32)), ["2000-01-01", "2000-02-01"], pixel_scale=0.1 * u.mas
+    )
+    matched = replace(scc, max_speed=1 * u.mas / u.yr).match(flat)
+    matched.write(tmp_path / "m.fits")
+    same(matched, MatchedEpochs.read(tmp_path / "m.fits", flat))
+
+
+def test_dates_do_not_matter_but_images_do(made, cube, tmp_path):
+    path = tmp_path / "m.fits"
+    made.write(path)
+    later = replace(cube, times=cube.times + 1 * u.yr)
+    assert MatchedEpochs.read(path, later).cube.times[0] == later.times[0]
+    mask = cube.mask.copy()
+    mask[0, 0, 0] = True
+    data = cube.data.copy()
+    data[1, 3, 3] += 1e-9
+    wcs = cube.wcs.deepcopy()
+    wcs.wcs.crpix = wcs.wcs.crpix + 1
+    beam = Beam(2 * u.mas, 1 * u.mas)
+    for other, what in (
+        (replace(cube, data=data), "images"),
+        (replace(cube, mask=mask), "masks"),
+        (replace(cube, wcs=wcs), "coordinates"),
+        (replace(cube, beams=[beam] * len(cube)), "beams"),
+        (cube[:3], "images, masks, beams"),
+    ):
+        with pytest.raises(ValueError, match=f"m.fits: is of other {what};"):
+            MatchedEpochs.read(path, other)
+
+
+def test_other_versions_are_refused(made, cube, tmp_path, monkeypatch):
+    made.write(tmp_path / "m.fits")
+    monkeypatch.setattr(
+        "astro_scc.measurement.match_files.versions", lambda: {"astro_scc": "0"}
+    )
+    with pytest.raises(ValueError, match="is of other versions; match the epochs"):
+        MatchedEpochs.read(tmp_path / "m.fits", cube)
+
+
+def test_files_that_are_no_matches(made, cube, tmp_path):
+    path = tmp_path / "m.fits"
+    with pytest.raises(FileNotFoundError):
+        MatchedEpochs.read(path, cube)
+    path.write_text("nothing")
+    with pytest.raises(OSError, match="is no complete file of matches"):
+        MatchedEpochs.read(path, cube)
+    fits.PrimaryHDU(np.ones((3, 3))).writeto(path, overwrite=True)
+    with pytest.raises(OSError, match="it was not written as one"):
+        MatchedEpochs.read(path, cube)
+    made.write(path, overwrite=True)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(OSError, match="is no complete file"):
+        MatchedEpochs.read(path, cube)
+    # One bit, in the values of the matches.
+    spot = len(whole) * 3 // 4
+    path.write_bytes(whole[:spot] + bytes([whole[spot] ^ 1]) + whole[spot + 1 :])
+    with pytest.raises(OSError, match="hecksum"):
+        MatchedEpochs.read(path, cube)
+    path.write_bytes(whole)
+    fits.setval(path, "SCCVERS", value=99)
+    with pytest.raises(OSError, match="of layout 99|hecksum"):
+        MatchedEpochs.read(path, cube)
+
+
+def test_matches_without_provenance(made, tmp_path):
+    with pytest.raises(ValueError, match="no provenance"):
+        replace(made, provenance={}).write(tmp_path / "m.fits")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["m.fits", "folder"])
+def test_a_cache_is_used_when_only_the_stack_changes(
+    scc, cube, made, counted, tmp_path, name
+):
+    path = tmp_path / name
+    same(made, scc.match(cube, cache=path))
+    assert len(counted) == len(cube)
+    again = replace(scc, level=0.5, position_angle=90 * u.deg)
+    same(made, again.match(cube, cache=path))
+    result = again(cube, n_trials=10, rng=1, cache=path)
+    assert len(counted) == len(cube)
+    assert result.matched.matches.same_as(made.matches)
+    files = [p for p in tmp_path.rglob("*") if p.is_file()]
+    assert len(files) == 1
+
+
+def test_a_stale_cache_is_made_again(scc, cube, made, counted, tmp_path):
+    path = tmp_path / "m.fits"
+    scc.match(cube, cache=path)
+    other = replace(scc, kappa=0.7)
+    line = "m.fits: is of other settings of the correlation; not used, the epochs"
+    with pytest.warns(MeasurementWarning, match=line):
+        found = other.match(cube, cache=path)
+    assert len(counted) == 2 * len(cube)
+    same(found, other.match(cube))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        same(found, other.match(cube, cache=path))
+    inside = np.zeros(cube.shape[1:], bool)
+    inside[:, :100] = True
+    with pytest.warns(MeasurementWarning, match="other region; not used"):
+        part = other.match(cube, region=inside, cache=path)
+    assert 0 < part.select.sum() < found.select.sum()
+    path.write_text("nothing")
+    with pytest.warns(MeasurementWarning, match="is no complete file of matches"):
+        same(part, other.match(cube, region=inside, cache=path))
+
+
+def test_a_part_that_was_chosen_later_is_no_cache(scc, made, cube, tmp_path):
+    path = tmp_path / "m.fits"
+    part = select_ssps(made, scales=[1])
+    part.write(path)
+    same(part, MatchedEpochs.read(path, cube))
+    with pytest.warns(MeasurementWarning, match="other region"):
+        same(made, scc.match(cube, cache=path))
+
+
+def test_an_interrupted_run_goes_on(scc, cube, made, counted, tmp_path, monkeypatch):
+    path = tmp_path / "m.fits"
+    bad = [True]
+
+    def interrupted(block):
+        if bad and len(counted) == 2:
+            raise KeyboardInterrupt
+        counted.append(block)
+        return match_block(block)
+
+    monkeypatch.setattr("astro_scc.correlation.correlator.match_block", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        scc.match(cube, cache=path)
+    assert len(list(tmp_path.glob("m.fits.blocks/*.npz"))) == 2
+    assert not path.exists()
+    bad.clear()
+    # What others did is no part of this, and stays until this begins.
+    other = replace(scc, kappa=0.9)
+    other.match(cube, cache=tmp_path / "other.fits")
+    del counted[:]
+    counted += [None, None]
+    same(made, scc.match(cube, cache=path))
+    assert len(counted) == len(cube)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["m.fits", "other.fits"]
+
+
+def test_blocks_of_other_settings_go(made, tmp_path):
+    path = tmp_path / "m.fits"
+    columns = tuple(np.arange(3) for _ in range(7))
+    one = MatchCache(path, made.provenance).blocks()
+    one[0] = one[12] = columns
+    assert list(one) == [0, 12]
+    assert len(one) == 2
+    assert [list(c) for c in one[12]] == [list(c) for c in columns]
+    del one[0]
+    assert 0 not in one
+    with pytest.raises(KeyError):
+        one[0]
+    other = MatchCache(path, {**made.provenance, "reach": [1, 1]}).blocks()
+    assert len(other) == 0
+    other[3] = columns
+    assert list(one) == []
+    other.clear()
+    other.clear()
+    assert not list(tmp_path.iterdir())
+
+
+def test_workers_decompose_the_same(scc, cube, made):
+    same(made, scc.match(cube, n_workers=2))
+
+
+def test_noise_enters_where_it_is_used(cube):
+    scc = StackedCrossCorrelation(**SETTINGS, noise="propagated")
+    noisy = [replace(cube, noise=value * cube.unit) for value in (0.01, 0.02)]
+    one, two = (scc.match(c).provenance for c in noisy)
+    assert one["noise"] != two["noise"]
+    assert one["data"] == two["data"]
