@@ -59,6 +59,15 @@ def sparse(seed):
     return sim.simulate_ballistic(rng=seed, **options)
 
 
+def mixed(seed):
+    """A stream of five pixels an epoch among features with velocities of their own."""
+    streams = (
+        sim.Stream("sheath", dx=5.0, density=1.0, half_width=15.0, jitter=2.0),
+        sim.Stream("others", dx=(0.0, 40.0), dy=(-5.0, 5.0), half_width=12.0),
+    )
+    return sim.JetSimulation(streams).run(rng=seed)
+
+
 def two_fluid(**options):
     """A two-fluid jet with options, by seed."""
     return lambda seed: sim.simulate_two_fluid(rng=seed, **options)
@@ -71,6 +80,7 @@ KINDS = {
     "ballistic": lambda seed: sim.simulate_ballistic(rng=seed),
     "beam-change": beam_change,
     "sparse": sparse,
+    "mixed": mixed,
     "two-fluid": two_fluid(),
     "two-fluid-dense": two_fluid(dense=True),
 }
