@@ -178,13 +178,18 @@ def fit_acceleration(sightings, distance, v_max, *, a_max=None, centre=None):
     seen = [column[use] for column in (x - centre, s.v1, WIDTH * s.s1, weight)]
     start = np.array([speeds[column], accelerations[row]])
     found = _climb(start, *seen)
-    block = flow_blocks(s, x, found[0])[use]
+    block = flow_blocks(s, x, found[0])
     others = []
-    for k in np.unique(block):
-        rest = block != k
+    for k in np.unique(block[use]):
+        out = block == k
         # A block without sightings near the maximum tells nothing of it.
-        if _near(found, *(c[~rest] for c in seen)) > 0:
-            others.append(_climb(found, *(c[rest] for c in seen)))
+        if _near(found, *(c[out[use]] for c in seen)) == 0:
+            continue
+        # Without a block another maximum may be the highest.
+        rest = everything - grid.stack(s.v1, WIDTH * s.s1, weight, use & out)
+        i, j = np.unravel_index(rest.argmax(), rest.shape)
+        start = np.array([speeds[j], accelerations[i]])
+        others.append(_climb(start, *(c[~out[use]] for c in seen)))
     others = np.array(others).reshape(-1, 2)
     speed, acceleration = found
     at_edge = row in (0, len(accelerations) - 1)
