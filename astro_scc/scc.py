@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Stacked cross-correlation: the one call that ties the stages together."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 
 import astropy.units as u
 import numpy as np
@@ -175,6 +175,24 @@ class StackedCrossCorrelation:
             object.__setattr__(self, "scales", scales)
             self._decomposer(scales)
         self._correlator()
+
+    @classmethod
+    def from_settings(cls, settings):
+        """
+        The measurement that a configuration describes.
+
+        Parameters
+        ----------
+        settings : dict
+            See `astro_scc.config.read_config`; what is none of these
+            parameters is left out.
+
+        Returns
+        -------
+        `StackedCrossCorrelation`
+        """
+        names = {field.name for field in fields(cls)}
+        return cls(**{name: v for name, v in settings.items() if name in names})
 
     def _decomposer(self, scales):
         return Decomposer(

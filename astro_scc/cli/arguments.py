@@ -4,10 +4,11 @@
 __all__ = [
     "add_output",
     "add_selection",
+    "add_workers",
     "draw_seed",
     "parse_option",
-    "select_epochs",
     "settings_of",
+    "workers_of",
 ]
 
 # The cosmology of Mertens & Lobanov (2016), for a redshift without another.
@@ -182,42 +183,45 @@ def _compare_versions(written_by, args, reporter):
         )
 
 
-def select_epochs(cube, config):
+def workers_of(args):
     """
-    The epochs between two dates.
+    The workers that ``--workers`` or ``--scheduler`` name.
 
     Parameters
     ----------
-    cube : `~astro_scc.EpochCube`
-    config : dict
-        With ``after`` and ``before``, or without.
+    args : `argparse.Namespace`
 
     Returns
     -------
-    cube : `~astro_scc.EpochCube`
-    left_out : list of (str, str)
-        The other epochs, and why they are left out.
+    int or str
 
     Raises
     ------
     ValueError
-        If no epoch is left.
+        If it is no number of workers.
     """
-    from astro_scc.config import to_time
+    if args.workers < 1:
+        raise ValueError(f"--workers must be at least 1, got {args.workers}")
+    return args.workers if args.scheduler is None else args.scheduler
 
-    left_out = {}
-    for i, time in enumerate(cube.times):
-        if "after" in config and time < to_time(config["after"]):
-            left_out[i] = f"before {config['after']}"
-        if "before" in config and time >= to_time(config["before"]):
-            left_out[i] = f"not before {config['before']}"
-    if not left_out:
-        return cube, []
-    if len(left_out) == len(cube):
-        first, last = cube.times.isot[[0, -1]]
-        raise ValueError(
-            f"no epoch is left between --after and --before; they are of {first[:10]} "
-            f"to {last[:10]}"
-        )
-    keep = [i for i in range(len(cube)) if i not in left_out]
-    return cube[keep], [(cube.labels[i], why) for i, why in left_out.items()]
+
+def add_workers(group):
+    """
+    Add ``--workers`` and ``--scheduler``.
+
+    Parameters
+    ----------
+    group : argument group
+    """
+    group.add_argument(
+        "--workers",
+        metavar="N",
+        type=int,
+        default=1,
+        help="processes; the numbers do not depend on it; default 1",
+    )
+    group.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="of a Dask cluster that works instead, tcp://node1:8786",
+    )

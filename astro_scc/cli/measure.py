@@ -2,27 +2,20 @@
 """``astro-scc measure``: from images to velocities."""
 
 import argparse
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from astro_scc.cli.arguments import (
     add_output,
     add_selection,
+    add_workers,
     draw_seed,
-    select_epochs,
     settings_of,
+    workers_of,
 )
 from astro_scc.cli.summary import component_lines
 
-__all__ = [
-    "add_measurement",
-    "add_parser",
-    "distance_of",
-    "measure",
-    "measurer_of",
-    "read",
-    "run",
-    "settings_as_used",
-]
+__all__ = ["add_measurement", "add_parser", "measure", "measurer_of", "read", "run"]
 
 EPILOG = """\
 examples:
@@ -46,6 +39,9 @@ REMARKS = (
     "What determined this measurement.  To do it again, in the folder it was done in,",
     "with the path of this file: astro-scc measure --config FILE -o FOLDER",
 )
+#: Folder for what --resume keeps, in that of the products.
+WORK = ".astro_scc-work"
+SEED = "seed.txt"
 # Files of an earlier measurement that must not stand beside a new one.
 PRODUCTS = (
     "components.ecsv",
@@ -80,6 +76,13 @@ def add_parser(commands):
     parser.add_argument("--config", metavar="FILE.toml", help="read settings from here")
     parser.add_argument(
         "--no-report", action="store_true", help="write no report.html and figures"
+    )
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help=f"keep the matches in {WORK} of the folder, go on from what an "
+        "interrupted run did there, and replace what an earlier one with --resume "
+        "wrote",
     )
     add_measurement(parser)
     return parser
@@ -169,13 +172,7 @@ def add_measurement(parser):
     )
 
     group = parser.add_argument_group("running")
-    group.add_argument(
-        "--workers",
-        metavar="N",
-        type=int,
-        default=1,
-        help="threads; the numbers do not depend on it; default 1",
-    )
+    add_workers(group)
     return parser
 
 
@@ -193,11 +190,20 @@ def run(args, reporter):
     config = settings_of(args, reporter)
     if not config.get("epochs"):
         raise ValueError("no epochs were given; name the FITS files, or a --config")
-    if args.workers < 1:
-        raise ValueError(f"--workers must be at least 1, got {args.workers}")
-    with product_folder(
-        args.output, overwrite=args.overwrite, stale=PRODUCTS
-    ) as folder:
+    n_workers = workers_of(args)
+    overwrite, work = args.overwrite, None
+    if args.resume:
+        work = Path(args.output) / WORK
+        overwrite = overwrite or work.is_dir()
+        reporter.on_interrupt = (
+            "interrupted; the same command goes on from what is done"
+        )
+    with (
+        working_folder(work, args.output, overwrite=overwrite),
+        product_folder(
+            args.output, overwrite=overwrite or bool(work), stale=PRODUCTS
+        ) as folder,
+    ):
         cube, config, left_out = read(config, reporter)
         components = measure(
             cube,
@@ -206,12 +212,84 @@ def run(args, reporter):
             reporter,
             output=args.output,
             left_out=left_out,
-            n_workers=args.workers,
+            n_workers=n_workers,
             report=not args.no_report,
+            work=work,
         )
     for line in component_lines(components):
         reporter.say(line)
     reporter.say(f"\n{_where(args)}")
+
+
+@contextmanager
+def working_folder(work, output, *, overwrite):
+    """
+    Make the folder for what a resumed run needs; leave none without anything.
+
+    Parameters
+    ----------
+    work : `~pathlib.Path` or None
+        None makes nothing.
+    output : path
+        That of the products, which holds it.
+    overwrite : bool
+        Whether there may be files.
+
+    Raises
+    ------
+    OSError
+        If the folder has files that are not of an earlier run.
+    """
+    if work is None:
+        yield
+        return
+    output = Path(output)
+    if output.is_dir() and any(output.iterdir()) and not overwrite:
+        raise OSError(
+            f"{output}: exists and is not of a run with --resume; choose another "
+            "folder, or --overwrite"
+        )
+    made = [p for p in (work, *work.parents) if not p.exists()]
+    try:
+        work.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(f"{output}: cannot be made or used: {error.strerror}") from None
+    try:
+        yield
+    except BaseException:
+        # A seed alone is nothing to go on from.
+        if made and {p.name for p in work.iterdir()} <= {SEED}:
+            (work / SEED).unlink(missing_ok=True)
+            for folder in made:
+                with suppress(OSError):
+                    folder.rmdir()
+        raise
+
+
+def kept_seed(work):
+    """
+    The seed of a run that may be resumed, drawn the first time.
+
+    Parameters
+    ----------
+    work : `~pathlib.Path` or None
+        Without it, one that is not kept.
+
+    Returns
+    -------
+    int
+    """
+    if work is None:
+        return draw_seed()
+    from astro_scc.epochs.serialize import replace_when_complete
+
+    path = work / SEED
+    with suppress(OSError, ValueError):
+        return int(path.read_text(encoding="ascii"))
+    seed = draw_seed()
+    with replace_when_complete(path, overwrite=True) as part:
+        part.write_text(f"{seed}\n", encoding="ascii")
+    return seed
 
 
 def _where(args):
@@ -241,34 +319,9 @@ def read(config, reporter, *, files=None):
     left_out : list of (str, str)
         Epochs that are not in the cube, and why.
     """
-    from astro_scc import EpochCube
-    from astro_scc.epochs.assembly import find_files
+    from astro_scc.config import read_epochs
 
-    config = dict(config)
-    if files is None:
-        files = find_files(config["epochs"])
-        config["epochs"] = [str(path) for path in files]
-    align = config.setdefault("align", "none")
-    frame = "absolute" if align == "wcs" else "offset"
-    cube = EpochCube.read(files, frame=frame)
-    cube, left_out = select_epochs(cube, config)
-    config["common_beam"] = _wants_common_beam(cube, config, reporter)
-    if config["common_beam"]:
-        cube = cube.to_common_beam()
-    return cube.align(align), config, left_out
-
-
-def _wants_common_beam(cube, config, reporter):
-    wanted = config.get("common_beam")
-    if wanted is not None:
-        return wanted
-    if cube.beams is None:
-        reporter.note("the epochs have no beams and are left as they are")
-        return False
-    differ = any(beam != cube.beams[0] for beam in cube.beams)
-    if differ:
-        reporter.note("the beams differ: convolving to a common one (--no-common-beam)")
-    return differ
+    return read_epochs(config, files=files, note=reporter.note)
 
 
 def measure(
@@ -282,6 +335,7 @@ def measure(
     left_out=(),
     n_workers=1,
     report=True,
+    work=None,
 ):
     """
     Measure a cube and write the products.
@@ -300,15 +354,23 @@ def measure(
         Where the region file is now, if that is not where it will be.
     left_out : list of (str, str), optional
         Epochs that are not in the cube, and why, for the report.
-    n_workers : int, optional
+    n_workers : int or str, optional
+        See `~astro_scc.StackedCrossCorrelation.match`.
     report : bool, optional
+    work : `~pathlib.Path`, optional
+        Folder where matches and seed are kept.
 
     Returns
     -------
     `~astropy.table.QTable`
         The components.
     """
-    from astro_scc.config import format_config, plain_settings
+    from astro_scc.config import (
+        distance_of,
+        format_config,
+        plain_settings,
+        settings_as_used,
+    )
     from astro_scc.measurement import versions, write_products
 
     how = distance_of(config)
@@ -316,13 +378,14 @@ def measure(
     # A region file that cannot be used is better known before the long part.
     region = region or config.get("region")
     inside = None if region is None else cube.region_mask(region)
-    config = settings_as_used(scc, config, cube, seed=draw_seed())
+    config = settings_as_used(scc, config, cube, seed=kept_seed(work))
     result = scc(
         cube,
         region=inside,
         n_trials=config["n_trials"],
         rng=config["seed"],
         n_workers=n_workers,
+        cache=None if work is None else work / "matches.fits",
         progress_bar=reporter.progress,
     )
     components = result.components_in_c(**how) if how else result.components
@@ -359,62 +422,6 @@ def measurer_of(config):
     -------
     `~astro_scc.StackedCrossCorrelation`
     """
-    from dataclasses import fields
-
     from astro_scc import StackedCrossCorrelation
 
-    names = {field.name for field in fields(StackedCrossCorrelation)}
-    return StackedCrossCorrelation(
-        **{name: value for name, value in config.items() if name in names}
-    )
-
-
-def settings_as_used(scc, config, cube, *, seed):
-    """
-    All settings of a measurement; what was given stays as it was written.
-
-    Parameters
-    ----------
-    scc : `~astro_scc.StackedCrossCorrelation`
-    config : dict
-    cube : `~astro_scc.EpochCube`
-    seed : int
-        Without one in the configuration.
-
-    Returns
-    -------
-    dict
-    """
-    from dataclasses import fields
-
-    return {
-        "n_trials": 1000,
-        "seed": seed,
-        **{field.name: getattr(scc, field.name) for field in fields(scc)},
-        **config,
-        "max_speed": config.get("max_speed", scc.speed_limit(cube)),
-    }
-
-
-def distance_of(config):
-    """
-    How to turn proper motions into speeds, the options of `components_in_c`.
-
-    Parameters
-    ----------
-    config : dict
-
-    Returns
-    -------
-    dict
-    """
-    from astro_scc.config import to_cosmology
-
-    if "distance" in config:
-        return {"distance": config["distance"]}
-    if "redshift" in config:
-        return {
-            "redshift": config["redshift"],
-            "cosmology": to_cosmology(config["cosmology"]),
-        }
-    return {}
+    return StackedCrossCorrelation.from_settings(config)

@@ -3,14 +3,8 @@
 
 from pathlib import Path
 
-from astro_scc.cli.arguments import add_output, draw_seed, settings_of
-from astro_scc.cli.measure import (
-    add_measurement,
-    distance_of,
-    measurer_of,
-    read,
-    settings_as_used,
-)
+from astro_scc.cli.arguments import add_output, draw_seed, settings_of, workers_of
+from astro_scc.cli.measure import add_measurement, measurer_of, read
 from astro_scc.cli.summary import profile_lines
 
 __all__ = ["add_parser", "run"]
@@ -89,21 +83,25 @@ def run(args, reporter):
         raise ValueError("no epochs were given; name the FITS files, or a --config")
     if "bins" not in config:
         raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
-    if args.workers < 1:
-        raise ValueError(f"--workers must be at least 1, got {args.workers}")
+    n_workers = workers_of(args)
     bins_of(config["bins"], window=config.get("window"))
     with product_folder(
         args.output, overwrite=args.overwrite, stale=PRODUCTS
     ) as folder:
         cube, config, _ = read(config, reporter)
-        components = _measure(cube, config, folder, reporter, args.workers)
+        components = _measure(cube, config, folder, reporter, n_workers)
     for line in profile_lines(components):
         reporter.say(line)
     reporter.say(f"\nProfile: {Path(args.output) / 'profile.ecsv'}")
 
 
 def _measure(cube, config, folder, reporter, n_workers):
-    from astro_scc.config import format_config, plain_settings
+    from astro_scc.config import (
+        distance_of,
+        format_config,
+        plain_settings,
+        settings_as_used,
+    )
     from astro_scc.measurement import versions
     from astro_scc.profiles import measure_profile, write_profile
 

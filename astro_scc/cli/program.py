@@ -11,8 +11,9 @@ from astro_scc.cli.reporter import Reporter
 
 __all__ = ["main"]
 
-# What a user gets wrong; other exceptions are mistakes of the program.
-USER_ERRORS = (ValueError, TypeError, OSError, MemoryError)
+# What a user gets wrong, extras that are not installed among it; other exceptions
+# are mistakes of the program.
+USER_ERRORS = (ValueError, TypeError, OSError, MemoryError, ImportError)
 COMMANDS = (demo, simulate, restore, inspect, measure, profile, track)
 
 
@@ -90,7 +91,7 @@ def main(argv=None):
     except KeyboardInterrupt:
         if args.debug:
             raise
-        reporter.error("interrupted, nothing was written")
+        reporter.error(reporter.on_interrupt)
         return 130
     except BrokenPipeError:
         # The reader of the output has gone, as `head` does.

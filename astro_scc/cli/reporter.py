@@ -53,12 +53,15 @@ class Reporter:
         All that were issued, each once.
     progress : bool
         Whether to show progress bars.
+    on_interrupt : str
+        What is said of an interrupt.
     """
 
     def __init__(self, name, *, quiet=False):
         self.name = name
         self.quiet = quiet
         self.warnings = []
+        self.on_interrupt = "interrupted, nothing was written"
         self.progress = not quiet and sys.stderr.isatty()
 
     def say(self, text=""):

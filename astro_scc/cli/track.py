@@ -3,7 +3,14 @@
 
 import argparse
 
-from astro_scc.cli.arguments import add_output, add_selection, draw_seed, settings_of
+from astro_scc.cli.arguments import (
+    add_output,
+    add_selection,
+    add_workers,
+    draw_seed,
+    settings_of,
+    workers_of,
+)
 from astro_scc.cli.summary import table_lines
 
 __all__ = ["add_parser", "run"]
@@ -156,13 +163,7 @@ def add_parser(commands):
     )
 
     group = parser.add_argument_group("running")
-    group.add_argument(
-        "--workers",
-        metavar="N",
-        type=int,
-        default=1,
-        help="processes; the numbers do not depend on it; default 1",
-    )
+    add_workers(group)
     return parser
 
 
@@ -181,8 +182,7 @@ def run(args, reporter):
     config = settings_of(args, reporter)
     if not config.get("epochs"):
         raise ValueError("no epochs were given; name the FITS files, or a --config")
-    if args.workers < 1:
-        raise ValueError(f"--workers must be at least 1, got {args.workers}")
+    n_workers = workers_of(args)
     tracker = _tracker(args, config)
     half_width = _quantity(args, "half_width", "mas")
     stack = None if args.profile is None else _stack_profile(args.profile)
@@ -191,7 +191,7 @@ def run(args, reporter):
     ) as folder:
         cube, config, _ = read(config, reporter)
         config = {"n_trials": 20, "seed": draw_seed(), **config}
-        tracking = _track(cube, tracker, config, reporter, args.workers)
+        tracking = _track(cube, tracker, config, reporter, n_workers)
         profile = _write(tracking, config, folder, args.votable, half_width)
         if not args.no_figures:
             _draw(tracking, profile, stack, config, folder)

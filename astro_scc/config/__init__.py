@@ -7,15 +7,25 @@ Quantities are text with a unit, ``"2 mas / yr"``.
 """
 
 from astro_scc.config.files import format_config, read_config
+from astro_scc.config.measuring import (
+    distance_of,
+    read_epochs,
+    select_epochs,
+    settings_as_used,
+)
 from astro_scc.config.settings import parse_setting, plain_settings
 from astro_scc.config.text import parse_quantities, to_cosmology, to_time
 
 __all__ = [
+    "distance_of",
     "format_config",
     "parse_quantities",
     "parse_setting",
     "plain_settings",
     "read_config",
+    "read_epochs",
+    "select_epochs",
+    "settings_as_used",
     "to_cosmology",
     "to_time",
 ]

@@ -56,9 +56,13 @@ def image_provenance(cube):
         if not card.keyword.startswith(dates)
     ]
     beams = [
-        tuple(float(q.value) for q in (b.major.to("mas"), b.minor.to("mas"), b.pa.to("deg")))
+        (
+            float(b.major.to_value("mas")),
+            float(b.minor.to_value("mas")),
+            float(b.pa.to_value("deg")),
+        )
         for b in cube.beams or ()
-    ]  # fmt: skip
+    ]
     return {
         "data": _of_array(cube.data),
         "mask": _of_array(np.packbits(cube.mask)),

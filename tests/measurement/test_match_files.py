@@ -73,7 +73,7 @@ def test_round_trip(made, cube, tmp_path, scc):
     loose = replace(scc, level=0.5)
     one, other = (loose.stack(m, n_trials=10, rng=1) for m in (made, read))
     np.testing.assert_array_equal(one.coefficient, other.coefficient)
-    assert one.components["pm"].tolist() == other.components["pm"].tolist()
+    assert np.array_equal(one.components["pm"], other.components["pm"])
     with pytest.raises(FileExistsError):
         made.write(tmp_path / "m.fits")
     made.write(tmp_path / "m.fits", overwrite=True)

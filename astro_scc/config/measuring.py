@@ -1,0 +1,157 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What the settings of a measurement come to: epochs, distance, all defaults."""
+
+from dataclasses import fields
+
+__all__ = ["distance_of", "read_epochs", "select_epochs", "settings_as_used"]
+
+
+def read_epochs(config, *, files=None, note=None):
+    """
+    Read the epochs of a configuration.
+
+    Parameters
+    ----------
+    config : dict
+        See `read_config`.
+    files : list of path, optional
+        Where the epochs are now, if that is not where they will be.
+    note : callable, optional
+        Called with a line of text for what is decided here.
+
+    Returns
+    -------
+    cube : `~astro_scc.EpochCube`
+        With one beam and aligned.
+    config : dict
+        With the files and the steps that were taken.
+    left_out : list of (str, str)
+        Epochs that are not in the cube, and why.
+
+    Raises
+    ------
+    OSError, ValueError
+        If files cannot be read, or not as one cube.
+    """
+    from astro_scc.epochs import EpochCube
+    from astro_scc.epochs.assembly import find_files
+
+    config = dict(config)
+    if files is None:
+        files = find_files(config["epochs"])
+        config["epochs"] = [str(path) for path in files]
+    align = config.setdefault("align", "none")
+    frame = "absolute" if align == "wcs" else "offset"
+    cube = EpochCube.read(files, frame=frame)
+    cube, left_out = select_epochs(cube, config)
+    config["common_beam"] = _wants_common_beam(cube, config, note or _silent)
+    if config["common_beam"]:
+        cube = cube.to_common_beam()
+    return cube.align(align), config, left_out
+
+
+def _silent(text):
+    pass
+
+
+def _wants_common_beam(cube, config, note):
+    wanted = config.get("common_beam")
+    if wanted is not None:
+        return wanted
+    if cube.beams is None:
+        note("the epochs have no beams and are left as they are")
+        return False
+    differ = any(beam != cube.beams[0] for beam in cube.beams)
+    if differ:
+        note("the beams differ: convolving to a common one (--no-common-beam)")
+    return differ
+
+
+def select_epochs(cube, config):
+    """
+    The epochs between two dates.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.EpochCube`
+    config : dict
+        With ``after`` and ``before``, or without.
+
+    Returns
+    -------
+    cube : `~astro_scc.EpochCube`
+    left_out : list of (str, str)
+        The other epochs, and why they are left out.
+
+    Raises
+    ------
+    ValueError
+        If no epoch is left.
+    """
+    from astro_scc.config.text import to_time
+
+    left_out = {}
+    for i, time in enumerate(cube.times):
+        if "after" in config and time < to_time(config["after"]):
+            left_out[i] = f"before {config['after']}"
+        if "before" in config and time >= to_time(config["before"]):
+            left_out[i] = f"not before {config['before']}"
+    if not left_out:
+        return cube, []
+    if len(left_out) == len(cube):
+        first, last = cube.times.isot[[0, -1]]
+        raise ValueError(
+            f"no epoch is left between --after and --before; they are of {first[:10]} "
+            f"to {last[:10]}"
+        )
+    keep = [i for i in range(len(cube)) if i not in left_out]
+    return cube[keep], [(cube.labels[i], why) for i, why in left_out.items()]
+
+
+def settings_as_used(scc, config, cube, *, seed):
+    """
+    All settings of a measurement; what was given stays as it was written.
+
+    Parameters
+    ----------
+    scc : `~astro_scc.StackedCrossCorrelation`
+    config : dict
+    cube : `~astro_scc.EpochCube`
+    seed : int
+        Without one in the configuration.
+
+    Returns
+    -------
+    dict
+    """
+    return {
+        "n_trials": 1000,
+        "seed": seed,
+        **{field.name: getattr(scc, field.name) for field in fields(scc)},
+        **config,
+        "max_speed": config.get("max_speed", scc.speed_limit(cube)),
+    }
+
+
+def distance_of(config):
+    """
+    How to turn proper motions into speeds, the options of `components_in_c`.
+
+    Parameters
+    ----------
+    config : dict
+
+    Returns
+    -------
+    dict
+    """
+    from astro_scc.config.text import to_cosmology
+
+    if "distance" in config:
+        return {"distance": config["distance"]}
+    if "redshift" in config:
+        return {
+            "redshift": config["redshift"],
+            "cosmology": to_cosmology(config["cosmology"]),
+        }
+    return {}
