@@ -126,23 +126,7 @@ def acceleration_of_3c120(args):
     header = ["distance (mas)", "speed (c)", "p_global", "p_fdr", "kind",
               "features ± 2 mas (c)", "paper (c)"]  # fmt: skip
     write_table("profile_3c120", header, rows)
-    rows = []
-    for low, high in ((0.5, 10.5), (0.5, 7.5), (1.5, 7.5), (5.5, 10.5)):
-        found = measure_acceleration(
-            scc, matched, r_min=low * u.mas, r_max=high * u.mas
-        )
-        inner, outer = (
-            [k * plain(v, PM_UNIT) for v in found.at(r * u.mas)] for r in (low, high)
-        )
-        rows.append([
-            f"{low:g} to {high:g}",
-            measured(found.acceleration.value, found.acceleration_err.value, 3),
-            p_text(found.p_value), found.n_blocks,
-            measured(*inner, 1), measured(*outer, 1),
-        ])  # fmt: skip
-    header = ["distance (mas)", "acceleration (mas/yr^2)", "p", "blocks",
-              "inner speed (c)", "outer speed (c)"]  # fmt: skip
-    write_table("profile_3c120_acceleration", header, rows)
+    accelerations(scc, matched, k)
     rows = []
     inside = profile.main[profile.main["r_mid"] < 7.6 * u.mas]
     for what, table in (("0.5 to 10.5", profile.main), ("0.5 to 7.5", inside)):
@@ -196,6 +180,27 @@ def acceleration_of_3c120(args):
         rows.append(["0", measured(meta["offset"].value, meta["offset_err"].value),
                      f"p of no offset {p_text(meta['p_offset'])}"])  # fmt: skip
     write_table("profile_3c120_lags", ["lag (yr)", "displacement (mas)", "ratio"], rows)
+
+
+def accelerations(scc, matched, k):
+    """The stack in speed and acceleration, over stretches of 3C 120."""
+    rows = []
+    for low, high in ((0.5, 10.5), (0.5, 7.5), (1.5, 7.5), (5.5, 10.5)):
+        found = measure_acceleration(
+            scc, matched, r_min=low * u.mas, r_max=high * u.mas
+        )
+        inner, outer = (
+            [k * plain(v, PM_UNIT) for v in found.at(r * u.mas)] for r in (low, high)
+        )
+        rows.append([
+            f"{low:g} to {high:g}",
+            measured(found.acceleration.value, found.acceleration_err.value, 3),
+            p_text(found.p_value), found.n_blocks,
+            measured(*inner, 1), measured(*outer, 1),
+        ])  # fmt: skip
+    header = ["distance (mas)", "acceleration (mas/yr^2)", "p", "blocks",
+              "inner speed (c)", "outer speed (c)"]  # fmt: skip
+    write_table("profile_3c120_acceleration", header, rows)
 
 
 def figure_3c120(profile, matched, radii, speed, error, n, k):
