@@ -13,6 +13,10 @@ GROWTH = 0.5
 #: ...if their velocities differ by less than this: three standard errors of
 #: a difference, less what one feature wanders in an interval.
 VELOCITY = 2.5
+#: Carried along by the velocity of all, they may be of one feature if they
+#: are this close, times the root of half an interval and those between: a
+#: feature that wanders takes a random walk about its mean motion.
+WANDER = 2.5
 
 
 def count_features(sightings, group, near):
@@ -23,7 +27,8 @@ def count_features(sightings, group, near):
     is seen on several scales at slightly different places, falls into
     several.  Here whatever may be one feature counts once: the witness with
     most sightings takes all whose tracks run within three errors of its
-    own, and so on.
+    own, and those that a random walk of one error an interval, about the
+    mean velocity of all, may have taken there; and so on.
 
     Parameters
     ----------
@@ -68,7 +73,7 @@ def count_features(sightings, group, near):
     time, interval = mean(s.time), mean(s.interval)
     place = np.stack([mean(column) for column in s.middle.T], axis=1)
     velocity = np.stack([mean(column) for column in s.velocity.T], axis=1)
-    sigma = np.median(s.sigma)
+    sigma, common = np.median(s.sigma), s.velocity.mean(axis=0)
     free = np.ones(len(number), dtype=bool)
     features = 0
     for i in np.argsort(-number, kind="stable"):
@@ -82,8 +87,11 @@ def count_features(sightings, group, near):
         apart = np.hypot(*(here - there).T)
         faster = np.hypot(*(velocity - velocity[i]).T)
         gap = np.abs(time - time[i]) / mean_interval
-        free &= (apart > sigma * (PLACE + GROWTH * gap)) | (
-            faster > VELOCITY * sigma / mean_interval
+        same = (apart <= sigma * (PLACE + GROWTH * gap)) & (
+            faster <= VELOCITY * sigma / mean_interval
         )
-        free[i] = False
+        strayed = np.hypot(*(place - place[i] - 2 * delay * common).T)
+        same |= strayed <= WANDER * sigma * np.sqrt(0.5 + gap)
+        same[i] = True
+        free &= ~same
     return features

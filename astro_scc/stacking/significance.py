@@ -19,8 +19,11 @@ EXPLAINED = 1.5
 #: Velocities closer to a component than this are not told from it, in the
 #: same unit: half a beam an interval with the default kernel.
 RESOLVED = 2.5
-#: Fewest features whose velocity is a common one.
-FEWEST_FEATURES = 3
+#: Fewest features whose velocity is a common one: of the handful that a
+#: sparse jet has, three or four often agree by chance.
+FEWEST_FEATURES = 5
+#: Fewer features than these, the scramble moves as one.
+FEW_FEATURES = 3
 #: Fewest witnesses that can be searched.
 FEWEST = 3
 
@@ -48,7 +51,7 @@ class Finding:
         Witnesses within 1.5 standard errors.
     n_features : int
         Different features that they are at least; what moves with fewer
-        than three is uncertain, with a probability of one.
+        than five is uncertain, with a probability of one.
     everything : `~astro_scc.stacking.Displacements`
         All that was searched.
     left : `~numpy.ndarray` of bool, shape (len(everything),)
@@ -169,7 +172,7 @@ def _rejected(finding, level):
     explains may hide one; and so may what one or two features do, as the
     scramble moves them whole: in every trial they are the strongest again.
     """
-    if finding.n_features < FEWEST_FEATURES:
+    if finding.n_features < FEW_FEATURES:
         return False
     first = finding.tests.get("scramble")
     return (finding.p_global if first is None else first.p_global) > level

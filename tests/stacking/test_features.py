@@ -72,8 +72,11 @@ def test_two_scales_of_one_feature_are_one():
         # Carried along: five in a year, and half an error more for a gap of one.
         ([(0, 0), (8.4, 0)], [(5, 0)] * 2, [0.5, 1.5], 1),
         ([(0, 0), (8.6, 0)], [(5, 0)] * 2, [0.5, 1.5], 2),
-        ([(0, 0), (0, 0)], [(5, 0), (7.4, 0)], [0.5, 0.5], 1),
-        ([(0, 0), (0, 0)], [(5, 0), (7.6, 0)], [0.5, 0.5], 2),
+        ([(0, 0), (2, 0)], [(5, 0), (7.4, 0)], [0.5, 0.5], 1),
+        ([(0, 0), (2, 0)], [(5, 0), (7.6, 0)], [0.5, 0.5], 2),
+        # A walk of two intervals and a half, about the mean velocity.
+        ([(0, 0), (10, 3.9)], [(5, 2), (5, -2)], [0.5, 2.5], 1),
+        ([(0, 0), (10, 4.1)], [(5, 2), (5, -2)], [0.5, 2.5], 2),
     ],
 )
 def test_limits(place, velocity, time, expected):
