@@ -106,3 +106,27 @@ class EpochSteps:
         from astro_scc.epochs.cutout import region_mask
 
         return region_mask(self, region)
+
+    def plot(self, epoch=None, ssps=None, **kwargs):
+        """
+        Draw one epoch, or all of them.
+
+        Parameters
+        ----------
+        epoch : int, optional
+            Index of the epoch; without it, a panel each.
+        ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
+            Drawn on the images.
+        **kwargs
+            Passed to `astro_scc.visualization.plot_epoch`, or
+            `~astro_scc.visualization.plot_epochs`.
+
+        Returns
+        -------
+        `matplotlib.figure.Figure`
+        """
+        from astro_scc.visualization import plot_epoch, plot_epochs
+
+        if epoch is None:
+            return plot_epochs(self, ssps, **kwargs)
+        return plot_epoch(self, epoch, ssps, **kwargs)

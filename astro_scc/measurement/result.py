@@ -172,6 +172,11 @@ class SCCResult:
     def __repr__(self):
         return f"<SCCResult: {len(self.maxima)} components of {self.matched.cube!r}>"
 
+    def _repr_html_(self):
+        from astro_scc.measurement.notebook import result_html
+
+        return result_html(self)
+
     @property
     def errors(self):
         """Covariance of each velocity, as it is quoted."""

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Visualization: one function a figure, each a matplotlib figure of its own."""
 
+from astro_scc.visualization.animation import animate_epochs, write_animation
 from astro_scc.visualization.images import plot_epoch, plot_epochs
 from astro_scc.visualization.members import plot_members
 from astro_scc.visualization.profiles import (
@@ -21,6 +22,7 @@ from astro_scc.visualization.tracks import (
 from astro_scc.visualization.velocity import plot_velocity_map
 
 __all__ = [
+    "animate_epochs",
     "plot_epoch",
     "plot_epochs",
     "plot_intervals",
@@ -34,4 +36,5 @@ __all__ = [
     "plot_track_profile",
     "plot_tracks",
     "plot_velocity_map",
+    "write_animation",
 ]

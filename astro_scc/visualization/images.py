@@ -106,7 +106,7 @@ def plot_epoch(
     points = ssp_points(cube, ssps)
     limits = image_limits(cube, points if zoom else None)
     unit = offset_unit(longest(limits), unit)
-    figure, ax = figure_and_axes(ax, _figsize(limits))
+    figure, ax = figure_and_axes(ax, epoch_figsize(limits))
     image = np.ma.masked_array(cube.data[index], cube.mask[index])
     norm = plotting_norm(cube, image, [index], stretch, vmin, vmax)
     drawn = draw_image(ax, cube, image, norm, unit, limits)
@@ -224,7 +224,8 @@ def _masked_handle(cube, mask, limits):
     return [Patch(color=MASKED, label="masked")] if seen.any() else []
 
 
-def _figsize(limits):
+def epoch_figsize(limits):
+    """Size of a figure of one image, for a range of offsets."""
     width, height = lengths(limits)
     return WIDTH, float(np.clip(4.6 * height / width + 1.0, 2.4, 8.0))
 
