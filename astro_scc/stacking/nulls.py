@@ -95,17 +95,21 @@ class NullTest:
     n_trials : int
     smallest : float
         Smallest probability that the test can give.
+    exhaustive : bool
+        Whether the trials were all that there are, so that the probability
+        is exact.
     """
 
     p_local: float
     p_global: float
     n_trials: int
     smallest: float
+    exhaustive: bool = False
 
     @property
     def error(self):
         """Monte Carlo standard error of ``p_global``, ``sqrt(p (1 - p) / n)``."""
-        p = self.p_global
+        p = 0.0 if self.exhaustive else self.p_global
         return math.sqrt(max(p * (1 - p), 0.0) / (self.n_trials + 1))
 
 
@@ -238,6 +242,7 @@ class ShuffleNull:
             p_global=max((above + 1) / (n + 1), smallest),
             n_trials=n,
             smallest=smallest,
+            exhaustive=self.orders.exhausts(pairs.n_dates, n_trials),
         )
 
 

@@ -52,6 +52,20 @@ class AllOrders:
         """
         return _factorial(n_epochs) / 2
 
+    def exhausts(self, n_epochs, n_trials):
+        """
+        Whether so many trials go through all orders.
+
+        Parameters
+        ----------
+        n_epochs, n_trials : int
+
+        Returns
+        -------
+        bool
+        """
+        return _factorial(n_epochs) <= n_trials + 1
+
     def draw(self, n_epochs, n_trials, rng):
         """
         Orders, the observed one not among them where all are gone through.
@@ -66,7 +80,7 @@ class AllOrders:
         `~numpy.ndarray` of int, shape (n, n_epochs)
             All there are, if there are no more than ``n_trials``.
         """
-        if _factorial(n_epochs) <= n_trials + 1:
+        if self.exhausts(n_epochs, n_trials):
             return np.array(list(itertools.permutations(range(n_epochs))))[1:]
         return random_orders(n_epochs, n_trials, rng)
 
@@ -146,6 +160,20 @@ class BlockOrders:
         """
         return float(_factorial(math.ceil(n_epochs / self.length)))
 
+    def exhausts(self, n_epochs, n_trials):
+        """
+        Whether so many trials go through all orders.
+
+        Parameters
+        ----------
+        n_epochs, n_trials : int
+
+        Returns
+        -------
+        bool
+        """
+        return self.number(n_epochs) <= n_trials + 1
+
     def draw(self, n_epochs, n_trials, rng):
         """
         Orders of the blocks; see `AllOrders.draw`.
@@ -219,6 +247,20 @@ class ReversedBlocks:
         """
         return 2.0 ** self._turning(n_epochs)[1]
 
+    def exhausts(self, n_epochs, n_trials):
+        """
+        Whether so many trials go through all orders.
+
+        Parameters
+        ----------
+        n_epochs, n_trials : int
+
+        Returns
+        -------
+        bool
+        """
+        return self.number(n_epochs) <= n_trials + 1
+
     def draw(self, n_epochs, n_trials, rng):
         """
         Orders of the epochs; see `AllOrders.draw`.
@@ -233,7 +275,7 @@ class ReversedBlocks:
         `~numpy.ndarray` of int, shape (n, n_epochs)
         """
         blocks, turning = self._turning(n_epochs)
-        if 2.0**turning <= n_trials + 1:
+        if self.exhausts(n_epochs, n_trials):
             ways = list(itertools.product([False, True], repeat=turning))[1:]
             turned = np.array(ways, dtype=bool).reshape(len(ways), turning)
         else:

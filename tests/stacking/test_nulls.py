@@ -280,6 +280,8 @@ def test_no_p_is_below_two_of_all_orders(n):
     assert test.p_global == pytest.approx(test.smallest)
     assert test.p_local == pytest.approx(test.smallest)
     assert test.n_trials == math.factorial(n) - 1
+    assert test.exhaustive
+    assert test.error == 0.0
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -297,6 +299,7 @@ def test_with_fewer_trials_than_orders_p_is_bounded_by_the_trials():
     scene = shuffle_scene(d, np.arange(7.0), at=(1.0, 0.0))
     test = ShuffleNull().test(scene, 99, np.random.default_rng(0))
     assert test.smallest == test.p_global == 1 / 100
+    assert not test.exhaustive
 
 
 def test_what_stands_still_has_no_order():
@@ -408,3 +411,5 @@ def test_p_of_one_velocity_is_at_most_that_of_any(seed, null):
 def test_error_is_that_of_a_share():
     assert NullTest(0.1, 0.2, 99, 0.01).error == pytest.approx(np.sqrt(0.2 * 0.8 / 100))
     assert NullTest(1.0, 1.0, 99, 0.01).error == 0.0
+    # Of all orders there is no other draw.
+    assert NullTest(0.1, 0.2, 119, 0.01, exhaustive=True).error == 0.0
