@@ -29,6 +29,7 @@ _FOLDERS = frozenset(
         "simulation",
         "stacking",
         "stratification",
+        "survey",
         "tracking",
         "visualization",
     }

@@ -454,7 +454,7 @@ def test_a_cube_file_is_measured(jet, astro_scc, here):
         (["--scales", "big"], "--scales 'big': "),
         (["--scales", "0.01 mas"], "scale 0.01 mas is 0.1 px"),
         (["--scales", "9"], "9"),
-        (["--position-angle", "65"], "--position-angle '65': must be radial, ridge, fit or an"),
+        (["--position-angle", "65"], "'65': must be radial, ridge, fit or an angle"),
         (["--baseline", "1 yr"], "--baseline '1 yr': must be a shortest and a longest"),
         (["--baseline", "5 6 yr"], "no two epochs are 5 to 6 yr apart"),
         (["--kappa", "1.2"], "kappa must be between 0 and 1"),

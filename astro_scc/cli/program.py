@@ -6,7 +6,16 @@ import os
 import sys
 
 from astro_scc import __version__
-from astro_scc.cli import demo, inspect, measure, profile, restore, simulate, track
+from astro_scc.cli import (
+    demo,
+    inspect,
+    measure,
+    profile,
+    restore,
+    simulate,
+    survey,
+    track,
+)
 from astro_scc.cli.reporter import Reporter
 
 __all__ = ["main"]
@@ -14,7 +23,7 @@ __all__ = ["main"]
 # What a user gets wrong, extras that are not installed among it; other exceptions
 # are mistakes of the program.
 USER_ERRORS = (ValueError, TypeError, OSError, MemoryError, ImportError)
-COMMANDS = (demo, simulate, restore, inspect, measure, profile, track)
+COMMANDS = (demo, simulate, restore, inspect, measure, profile, track, survey)
 
 
 class Parser(argparse.ArgumentParser):

@@ -5,7 +5,7 @@ import warnings
 from collections import deque
 from contextlib import contextmanager
 
-__all__ = ["is_client", "on_cluster", "open_client"]
+__all__ = ["is_client", "on_cluster", "open_client", "open_local"]
 
 #: Pieces of work that wait for each thread of the cluster.
 WAITING = 2
@@ -49,20 +49,55 @@ def open_client(address):
     OSError
         If the scheduler does not answer.
     """
+    distributed = _dask()
     try:
-        from distributed import Client
-    except ImportError:
-        raise ImportError(
-            "a scheduler needs Dask: pip install 'astro_scc[dask]', or give a number "
-            "of processes"
-        ) from None
-    try:
-        client = Client(address, timeout=TIMEOUT, set_as_default=False)
+        client = distributed.Client(address, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise OSError(f"scheduler {address}: cannot be reached: {reason}") from None
     with client:
         yield client
+
+
+@contextmanager
+def open_local(n_workers):
+    """
+    A Dask cluster on this machine, for a while.
+
+    Parameters
+    ----------
+    n_workers : int
+        Number of processes, of one thread each.
+
+    Yields
+    ------
+    `dask.distributed.Client`
+
+    Raises
+    ------
+    ImportError
+        If Dask is not installed.
+    """
+    distributed = _dask()
+    with warnings.catch_warnings():
+        # That the usual port of the dashboard is taken; it gets another one.
+        warnings.filterwarnings("ignore", "Port 8787", UserWarning)
+        cluster = distributed.LocalCluster(
+            n_workers=n_workers, threads_per_worker=1, processes=True
+        )
+    with cluster, distributed.Client(cluster, set_as_default=False) as client:
+        yield client
+
+
+def _dask():
+    try:
+        import distributed
+    except ImportError:
+        raise ImportError(
+            "a scheduler needs Dask: pip install 'astro_scc[dask]', or give a number "
+            "of processes"
+        ) from None
+    return distributed
 
 
 def on_cluster(function, pieces, client, *, ordered=True):

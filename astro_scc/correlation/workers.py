@@ -3,14 +3,16 @@
 
 import multiprocessing
 import signal
+import sys
 from collections import deque
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from numbers import Integral
 
 from astro_scc.correlation.cluster import is_client, on_cluster, open_client
 
-__all__ = ["in_order", "workers_of"]
+__all__ = ["as_done", "in_order", "workers_of"]
 
 #: Pieces that wait for each worker; bounds memory, and how long an
 #: interrupted run takes to end.
@@ -117,3 +119,102 @@ def _in_processes(function, pieces, n_workers, context):
             yield waiting.popleft().result()
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def as_done(function, pieces, n_workers, *, context=None):
+    """
+    Apply a function to pieces of work, which may fail.
+
+    Parameters
+    ----------
+    function, pieces, n_workers, context
+        See `in_order`.
+
+    Yields
+    ------
+    index : int
+        Of the piece; whichever is done first comes first.
+    result : object
+        Or the `Exception` that was raised.  A piece whose process dies is done
+        once more, by itself, before it counts as failed.
+    """
+    with workers_of(n_workers) as workers:
+        if not isinstance(workers, int):
+            for index, future in on_cluster(function, pieces, workers, ordered=False):
+                yield index, _outcome(future.result)
+        elif workers == 1:
+            for index, piece in enumerate(pieces):
+                yield index, _outcome(function, piece)
+        else:
+            yield from _as_done(function, enumerate(pieces), workers, context)
+
+
+def _outcome(function, *args):
+    try:
+        return function(*args)
+    except Exception as error:
+        return error
+
+
+def _as_done(function, pieces, n_workers, context):
+    lost = []
+    while True:
+        waiting = {}
+        broken = False
+        pool = _Processes(n_workers, context)
+        try:
+            while not broken:
+                for item in pieces:
+                    try:
+                        waiting[pool.submit(function, item[1])] = item
+                    except BrokenProcessPool:
+                        lost.append(item)
+                        broken = True
+                        break
+                    if len(waiting) > WAITING * n_workers:
+                        break
+                if not waiting:
+                    break
+                for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                    item = waiting.pop(future)
+                    result = _outcome(future.result)
+                    if isinstance(result, BrokenProcessPool):
+                        lost.append(item)
+                        broken = True
+                    else:
+                        yield item[0], result
+            for future, item in waiting.items():
+                # The pool is broken: all of these are done, well or not.
+                result = _outcome(future.result)
+                if isinstance(result, BrokenProcessPool):
+                    lost.append(item)
+                else:
+                    yield item[0], result
+        finally:
+            pool.end()
+        if not broken:
+            return
+        for index, piece in lost:
+            # Alone, so that no other suffers from what it does.
+            pool = _Processes(1, context)
+            try:
+                yield index, _outcome(pool.submit(function, piece).result)
+            finally:
+                pool.end()
+        lost.clear()
+
+
+class _Processes:
+    """A pool whose processes do not outlive it, at work or not."""
+
+    def __init__(self, n_workers, context):
+        context = multiprocessing.get_context(context)
+        self.before = set(multiprocessing.active_children())
+        self.pool = ProcessPoolExecutor(n_workers, context, initializer=_start)
+        self.submit = self.pool.submit
+
+    def end(self):
+        if sys.exc_info()[0] is not None:
+            for process in set(multiprocessing.active_children()) - self.before:
+                process.terminate()
+        self.pool.shutdown(cancel_futures=True)

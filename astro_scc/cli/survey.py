@@ -1,0 +1,137 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""``astro-scc survey``: many sources, one table."""
+
+from contextlib import contextmanager
+from pathlib import Path
+
+from astro_scc.cli.arguments import add_workers, workers_of
+from astro_scc.cli.summary import table_lines
+
+__all__ = ["add_parser", "run"]
+
+EPILOG = """\
+examples:
+  astro-scc survey survey.toml -o out --workers 8
+  astro-scc survey survey.toml -o out --scheduler tcp://node1:8786
+  astro-scc survey survey.toml -o out --workers 8 --scheduler local
+
+survey.toml:
+  [defaults]
+  align = "core"
+  baseline = "0.1 yr 1.0 yr"
+  scale_groups = {fine = [1, 2], coarse = [3, 4]}
+
+  [sources."3C 273"]
+  epochs = "3c273/*.fits"
+  redshift = 0.158
+  max_speed = "2 mas/yr"
+  regions = {inner = "3c273/inner.reg", outer = "3c273/outer.reg"}
+
+Everything that may stand in a configuration of astro-scc measure may stand in
+[defaults] or with a source, but region, bins and window.  Paths are relative to the
+file.  A source that fails does not stop the others.  Run again with the same folder,
+it goes on: sources that are finished with the same settings, files and versions are
+not measured again.  The folder gets survey.ecsv, a row for each source, region, scale
+group and component with p_fdr over all of them, or with the reason why there is none;
+and in sources/ a folder for each source with the products of astro-scc measure but the
+report.
+"""
+
+
+def add_parser(commands):
+    """Add the command to the program's parser."""
+    parser = commands.add_parser(
+        "survey",
+        help="measure many sources, on one machine or a Dask cluster",
+        description="Measure the velocities of many sources and make one table.",
+        epilog=EPILOG,
+    )
+    parser.add_argument("survey", metavar="SURVEY.toml", help="what to measure")
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="DIR",
+        required=True,
+        help="folder for the table and the sources' products, new or of this survey",
+    )
+    add_workers(parser.add_argument_group("running"))
+    return parser
+
+
+def run(args, reporter):
+    """
+    Run a survey, as the arguments say.
+
+    Parameters
+    ----------
+    args : `argparse.Namespace`
+    reporter : `~astro_scc.cli.reporter.Reporter`
+
+    Raises
+    ------
+    ValueError
+        If no source could be measured.
+    """
+    from astro_scc.survey import read_survey, run_survey
+
+    n_workers = workers_of(args)
+    survey = read_survey(args.survey)
+    reporter.on_interrupt = "interrupted; the same command goes on from what is done"
+    counts = {}
+
+    def report(name, outcomes, before):
+        for outcome in outcomes:
+            counts[outcome.status] = counts.get(outcome.status, 0) + 1
+        failed = {o.message for o in outcomes if o.status == "failed"}
+        for message in sorted(failed):
+            reporter.warn(f"{name}: {message}")
+        if not failed and not reporter.progress:
+            reporter.say(f"{name}: {'finished before' if before else 'done'}")
+
+    with _cluster(n_workers, args.workers, reporter) as workers:
+        table = run_survey(
+            survey,
+            args.output,
+            n_workers=workers,
+            report=report,
+            progress_bar=reporter.progress,
+        )
+    for line in _summary(table):
+        reporter.say(line)
+    path = Path(args.output) / "survey.ecsv"
+    if set(counts) == {"failed"}:
+        raise ValueError(f"no source could be measured; {path} says why")
+    reporter.say(f"\nTable: {path}")
+
+
+@contextmanager
+def _cluster(n_workers, n_local, reporter):
+    """A number of processes, or a client whose dashboard's address is told."""
+    if isinstance(n_workers, int):
+        yield n_workers
+        return
+    from astro_scc.correlation.cluster import open_client, open_local
+
+    opened = open_local(n_local) if n_workers == "local" else open_client(n_workers)
+    with opened as client:
+        reporter.note(f"dashboard of the cluster: {client.dashboard_link}")
+        yield client
+
+
+def _summary(table):
+    """Numbers of sources, and of the components that are discoveries."""
+    import numpy as np
+
+    status = np.asarray(table["status"], dtype=str)
+    source = np.asarray(table["source"], dtype=str)
+    rows = []
+    for kind in ("measured", "empty", "failed"):
+        own = status == kind
+        rows.append([kind, str(len(np.unique(source[own]))), str(int(own.sum()))])
+    yield from table_lines(["status", "sources", "rows"], rows)
+    if "measured" in status:
+        with_p = table[status == "measured"]
+        for kind in ("moving", "stationary"):
+            found = np.asarray(with_p["kind"], dtype=str) == kind
+            small = found & (np.asarray(with_p["p_fdr"]) <= 0.05)
+            yield (f"{kind}: {int(found.sum())}, with p_fdr <= 0.05 {int(small.sum())}")

@@ -1,0 +1,414 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Surveys: read, run, interrupted, gone on with, and put in one table."""
+
+import json
+import os
+import signal
+import warnings
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+
+from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.cli import main
+from astro_scc.correlation.workers import as_done
+from astro_scc.exceptions import MeasurementWarning
+from astro_scc.measurement import false_discovery_rate
+from astro_scc.simulation import simulate_two_fluid
+from astro_scc.survey import folder_names, read_survey, run_survey
+from astro_scc.survey.source import Job, measure_source
+
+TEXT = """
+[defaults]
+scales = [2]
+max_speed = "30 mas/yr"
+n_trials = 20
+
+[sources."One/../../up"]
+epochs = "one.fits"
+redshift = 0.1
+regions = {left = "left.reg", right = "right.reg"}
+
+[sources.Two]
+epochs = "two.fits"
+scales = [1, 2]
+scale_groups = {fine = [1], coarse = [2]}
+
+[sources.Gone]
+epochs = "gone/*.fits"
+"""
+ROWS = [
+    ("One/../../up", "left", "all"),
+    ("One/../../up", "right", "all"),
+    ("Two", "all", "fine"),
+    ("Two", "all", "coarse"),
+    ("Gone", "all", "all"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A survey of two small cubes, and of one that is not there."""
+    folder = tmp_path_factory.mktemp("in")
+    for seed, name in enumerate(("one", "two")):
+        cube = simulate_two_fluid(n_epochs=4, rng=seed).cube
+        cube = cube.crop((slice(70, 186), slice(20, 170)))
+        cube.write(folder / f"{name}.fits")
+    (folder / "left.reg").write_text("image\nbox(40,58,80,116,0)\n")
+    (folder / "right.reg").write_text("image\nbox(115,58,68,116,0)\n")
+    (folder / "survey.toml").write_text(TEXT)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def serial(folder, tmp_path_factory):
+    """The survey, measured here."""
+    out = tmp_path_factory.mktemp("serial") / "out"
+    return run_survey(read_survey(folder / "survey.toml"), out), out
+
+
+def written(out):
+    """All that a survey wrote, but when."""
+    return {
+        str(path.relative_to(out)): path.read_bytes()
+        for path in sorted(out.rglob("*"))
+        if path.is_file() and path.suffix in (".ecsv", ".toml", ".fits")
+        and ".astro_scc-work" not in path.parts
+    }  # fmt: skip
+
+
+def run_main(*argv):
+    return main(["survey", *map(str, argv)])
+
+
+# -- the table ---------------------------------------------------------------------
+
+
+def test_every_source_region_and_group_has_a_row(serial):
+    table, out = serial
+    names = [tuple(map(str, row)) for row in table["source", "region", "scale_group"]]
+    assert list(dict.fromkeys(names)) == ROWS
+    status = dict(zip(names, table["status"], strict=True))
+    assert status[ROWS[-1]] == "failed"
+    assert {status[name] for name in ROWS[:4]} <= {"measured", "empty"}
+    assert "measured" in status.values()
+    gone = table[-1]
+    assert "gone/*.fits" in gone["message"]
+    assert gone["pm"].mask
+    assert gone["beta_app"] is np.ma.masked
+    measured = table[table["status"] == "measured"]
+    assert not np.any(getattr(measured["pm"], "mask", False))
+    assert np.all(np.isfinite(measured["p_fdr"]))
+    assert set(measured["message"]) == {""}
+    read = QTable.read(out / "survey.ecsv")
+    assert read.colnames == table.colnames
+    assert read["pm"].unit == u.mas / u.yr
+    assert read["status"].tolist() == table["status"].tolist()
+
+
+def test_rows_are_those_of_single_measurements(serial, folder):
+    table, _ = serial
+    cube = EpochCube.read(folder / "two.fits")
+    if any(beam != cube.beams[0] for beam in cube.beams):
+        cube = cube.to_common_beam()
+    scc = StackedCrossCorrelation(scales=[1, 2], max_speed=30 * u.mas / u.yr)
+    matched = scc.match(cube)
+    coarse = replace(matched, select=matched.select & (matched.ssps.scale == 2))
+    with warnings.catch_warnings():
+        # That four epochs are few.
+        warnings.simplefilter("ignore", MeasurementWarning)
+        single = scc.stack(coarse, n_trials=20, rng=1).components
+    rows = table[(table["source"] == "Two") & (table["scale_group"] == "coarse")]
+    np.testing.assert_array_equal(u.Quantity(rows["pm"].unmasked), single["pm"])
+
+
+def test_false_discoveries_are_those_of_all(serial):
+    table, out = serial
+    paths = sorted((out / "sources").rglob("components.ecsv"))
+    assert len(paths) == 4
+    adjusted = false_discovery_rate([QTable.read(path) for path in paths])
+    every = np.sort(np.concatenate([t["p_fdr"] for t in adjusted]))
+    own = np.ma.filled(table["p_fdr"], np.nan)
+    np.testing.assert_allclose(np.sort(own[np.isfinite(own)]), every)
+
+
+# -- names -------------------------------------------------------------------------
+
+
+def test_names_do_not_leave_the_folder(serial):
+    _, out = serial
+    inside = sorted(path.name for path in (out / "sources").iterdir())
+    assert len(inside) == 3
+    assert all(name.startswith(("One_", "Two", "Gone")) for name in inside)
+    assert sorted(p.name for p in out.parent.iterdir()) == ["out"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["..", ".", "", "/etc/passwd", "a/b", "a\\b", "~", "-rf", ".hidden", "CON", "nul.x",
+     "a\0b", "x" * 500, "Ünï", "a b", "a.", "\n", "C:"],
+)  # fmt: skip
+def test_folder_names_are_harmless(name, tmp_path):
+    (folder,) = folder_names([name]).values()
+    assert folder != name
+    assert len(folder) <= 70
+    assert folder[0].isalnum()
+    assert folder.replace("_", "").replace("-", "").replace(".", "").isalnum()
+    assert (tmp_path / folder).resolve().parent == tmp_path.resolve()
+    (tmp_path / folder).mkdir()
+
+
+def test_folder_names_differ():
+    names = ["a/b", "a_b", "a:b", "M87", "m87", "NGC+1", "0716+714"]
+    folders = folder_names(names)
+    assert len({folder.casefold() for folder in folders.values()}) == len(names)
+    assert folders["a_b"] == "a_b"
+    twins = ["a/b", folders["a/b"]]
+    assert len(set(folder_names(twins).values())) == 2
+    assert folders["0716+714"] == "0716+714"
+
+
+# -- going on ----------------------------------------------------------------------
+
+
+def test_finished_sources_are_not_measured_again(serial, folder, monkeypatch):
+    table, out = serial
+    before = written(out)
+    told = []
+    survey = read_survey(folder / "survey.toml")
+    again = run_survey(survey, out, report=lambda *args: told.append(args))
+    assert {name: old for name, _, old in told} == {
+        "One/../../up": True,
+        "Two": True,
+        "Gone": False,
+    }
+    assert written(out) == before
+    assert len(again) == len(table)
+    # The source itself says what it is finished for.
+    (state,) = (out / "sources" / "Two").glob("source.json")
+    assert json.loads(state.read_text())["source"] == "Two"
+
+
+def test_interrupted_and_started_again(serial, folder, tmp_path, capsys, monkeypatch):
+    _, reference = serial
+    out = tmp_path / "out"
+
+    def interrupted(job):
+        if job.source.name == "Two":
+            raise KeyboardInterrupt
+        return measure_source(job)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("astro_scc.survey.run.measure_source", interrupted)
+        assert run_main(folder / "survey.toml", "-o", out, "--quiet") == 130
+    assert "the same command goes on" in capsys.readouterr().err
+    assert not (out / "survey.ecsv").exists()
+    # Half-written when the machine went down.
+    (out / ".astro_scc-work" / "partial-Two-0").mkdir()
+    assert run_main(folder / "survey.toml", "-o", out) == 0
+    said = capsys.readouterr()
+    assert "One/../../up: finished before" in said.out
+    assert "Two: done" in said.out
+    assert "warning: Gone: " in said.err
+    assert written(out) == written(reference)
+    left = sorted(path.name for path in (out / ".astro_scc-work").iterdir())
+    assert [name for name in left if "partial" in name] == []
+
+
+def test_what_changed_is_measured_again(folder, tmp_path):
+    text = '[sources.Two]\nepochs = "two.fits"\nscales = [2]\nn_trials = {}\n' \
+           'max_speed = "30 mas/yr"\n'  # fmt: skip
+    (tmp_path / "two.fits").write_bytes((folder / "two.fits").read_bytes())
+    told = []
+
+    def run(trials):
+        (tmp_path / "s.toml").write_text(text.format(trials))
+        survey = read_survey(tmp_path / "s.toml")
+        run_survey(survey, tmp_path / "out", report=lambda *a: told.append(a[2]))
+
+    run(20)
+    run(20)
+    run(21)
+    os.utime(tmp_path / "two.fits", ns=(1, 1))
+    run(21)
+    assert told == [False, True, False, False]
+
+
+# -- workers -----------------------------------------------------------------------
+
+
+def killed_once(path):
+    """Die the first time, as if by the system, and work the second."""
+    if path is not None and not os.path.exists(path):
+        with open(path, "w"):
+            pass
+        os.kill(os.getpid(), signal.SIGKILL)
+    return path
+
+
+def always_killed(value):
+    if value == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if value == 3:
+        raise KeyError("three")
+    return value
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_killed_process_costs_its_piece_at_most(tmp_path):
+    pieces = [None, str(tmp_path / "mark"), None, None]
+    assert sorted(as_done(killed_once, pieces, 2)) == list(enumerate(pieces))
+    found = dict(as_done(always_killed, range(6), 2))
+    assert [found[k] for k in (0, 2, 4, 5)] == [0, 2, 4, 5]
+    assert "terminated abruptly" in str(found[1])
+    assert isinstance(found[3], KeyError)
+    assert dict(as_done(abs, [-1, "a"], 1))[0] == 1
+
+
+def test_processes_give_the_same(serial, folder, tmp_path):
+    table, reference = serial
+    survey = read_survey(folder / "survey.toml")
+    run_survey(survey, tmp_path / "out", n_workers=2)
+    assert written(tmp_path / "out") == written(reference)
+
+
+@pytest.mark.slow
+def test_a_cluster_of_which_a_worker_dies_gives_the_same(serial, folder, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    _, reference = serial
+    out = tmp_path / "out"
+    with (
+        distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            memory_limit=None,
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        pids = client.run(os.getpid)
+        killed = []
+
+        def kill(name, outcomes, before):
+            # With the first source done, in the middle of another.
+            if not killed:
+                killed.append(min(pids.values()))
+                os.kill(killed[0], signal.SIGKILL)
+
+        run_survey(
+            read_survey(folder / "survey.toml"), out, n_workers=client, report=kill
+        )
+    assert killed
+    assert written(out) == written(reference)
+
+
+# -- what a user gets wrong --------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("a = [", "is not a TOML file"),
+        ("", "names no source"),
+        ("sources = 3", "sources must be a table"),
+        ("[other]", "unknown key 'other'"),
+        ("[sources]\nA = 3", "sources.A must be a table"),
+        ("[sources.A]", "sources.A has no epochs"),
+        ("[sources.A]\nepochs = 3", "epochs = 3 must be a list"),
+        ("[sources.A]\nepochs = 'a'\nregion = 'b'", "region is no setting of a survey"),
+        ("[sources.A]\nepochs = 'a'\nregions = {b = 3}", "regions.b must be the path"),
+        ("[sources.A]\nepochs = 'a'\nregions = 'b'", "regions must be a table"),
+        ("[sources.A]\nepochs = 'a'\nscale_groups = {b = 'c'}", "scale_groups.b = 'c'"),
+        ("[sources.A]\nepochs = 'a'\nmax_speed = '2 mas'", "max_speed = '2 mas' must"),
+        (
+            "[sources.A]\nepochs = 'a'\nscale_groups = {b = [1], c = '0.2 mas'}",
+            "must be all numbers or all angles",
+        ),
+        (
+            "[sources.A]\nepochs = 'a'\ndistance = '3 Mpc'\nredshift = 0.1",
+            "distance needs neither redshift nor cosmology",
+        ),
+    ],
+)
+def test_files_that_make_no_sense(tmp_path, monkeypatch, capsys, text, reason):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.toml").write_text(text)
+    assert run_main("s.toml", "-o", "out") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("astro-scc survey: error: s.toml: ")
+    assert reason in line
+    assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
+
+
+def test_defaults_and_what_replaces_them(tmp_path):
+    (tmp_path / "s.toml").write_text(
+        "[defaults]\nredshift = 0.1\ncosmology = 'Planck18'\nalign = 't.csv'\n"
+        "[sources.A]\nepochs = ['a*', '/b']\ndistance = '3 Mpc'\n"
+        "[sources.B]\nepochs = 'b'\nscale_groups = {x = '0.2 mas', y = '0.1,0.4 mas'}\n"
+        "[sources.C]\nepochs = 'c'\nalign = 'core'\nscale_groups = {x = [3, 1]}\n"
+    )
+    a, b, c = read_survey(tmp_path / "s.toml").sources
+    assert a.config["distance"] == 3 * u.Mpc
+    assert not {"redshift", "cosmology"} & set(a.config)
+    assert a.config["epochs"] == [str(tmp_path / "a*"), "/b"]
+    assert a.config["align"] == str(tmp_path / "t.csv")
+    assert b.config["cosmology"] == "Planck18"
+    assert b.config["scales"].to_value(u.mas).tolist() == [0.1, 0.2, 0.4]
+    assert c.config["scales"] == (1, 3)
+    assert c.config["align"] == "core"
+
+
+def test_folders_of_others_are_refused(folder, tmp_path, capsys):
+    (tmp_path / "mine.txt").write_text("keep")
+    assert run_main(folder / "survey.toml", "-o", tmp_path) == 2
+    assert "exists and is not of a survey" in capsys.readouterr().err
+    assert run_main(folder / "survey.toml", "-o", tmp_path / "mine.txt") == 2
+    assert "mine.txt: cannot be made or used" in capsys.readouterr().err
+    assert run_main(folder / "survey.toml", "-o", "x", "--workers", "0") == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_when_nothing_could_be_measured(tmp_path, capsys):
+    (tmp_path / "s.toml").write_text("[sources.A]\nepochs = 'no.fits'\n")
+    assert run_main(tmp_path / "s.toml", "-o", tmp_path / "out") == 2
+    assert "no source could be measured" in capsys.readouterr().err
+    table = QTable.read(tmp_path / "out" / "survey.ecsv")
+    assert table["status"].tolist() == ["failed"]
+    assert "p_fdr" in table.colnames
+    assert "beta_app" not in table.colnames
+
+
+def test_a_mistake_of_the_program_is_a_failed_source(folder, tmp_path, monkeypatch):
+    def wrong(*args, **kwargs):
+        raise AssertionError("odd")
+
+    monkeypatch.setattr("astro_scc.survey.source.write_products", wrong)
+    source = read_survey(folder / "survey.toml").sources[1]
+    outcomes = measure_source(Job(source, str(tmp_path)))
+    assert {(o.status, o.message) for o in outcomes} == {
+        ("failed", "AssertionError: odd")
+    }
+    text = (tmp_path / "sources" / "Two" / "error.txt").read_text()
+    assert "AssertionError: odd" in text
+
+
+def test_a_region_that_is_wrong_costs_itself_only(folder, tmp_path):
+    source = read_survey(folder / "survey.toml").sources[0]
+    regions = {"no": str(folder / "no.reg"), **source.regions}
+    outcomes = measure_source(Job(replace(source, regions=regions), str(tmp_path)))
+    assert outcomes[0].status == "failed"
+    assert "no.reg" in outcomes[0].message
+    assert {o.status for o in outcomes[1:]} <= {"measured", "empty"}
+
+
+@pytest.mark.slow
+def test_a_cluster_here_tells_its_dashboard(tmp_path, capsys):
+    pytest.importorskip("distributed")
+    (tmp_path / "s.toml").write_text("[sources.A]\nepochs = 'no.fits'\n")
+    argv = ("-o", tmp_path / "out", "--scheduler", "local")
+    assert run_main(tmp_path / "s.toml", *argv) == 2
+    assert "note: dashboard of the cluster: http://" in capsys.readouterr().err
