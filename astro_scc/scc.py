@@ -172,6 +172,7 @@ class StackedCrossCorrelation:
             self._decomposer((1,))
         else:
             scales = tuple(float(s) for s in np.atleast_1d(self.scales))
+            _check_different(scales)
             object.__setattr__(self, "scales", scales)
             self._decomposer(scales)
         self._correlator()
@@ -223,9 +224,12 @@ class StackedCrossCorrelation:
         Raises
         ------
         ValueError
-            If an angle is not within 20% of a scale's size.
+            If an angle is not within 20% of a scale's size, or two are of the
+            same scale.
         """
-        return scales_of_pixels(self.scales, cube.pixel_scale)
+        numbers = scales_of_pixels(self.scales, cube.pixel_scale)
+        _check_different(numbers)
+        return numbers
 
     def date_pairs(self, cube):
         """
@@ -495,6 +499,14 @@ def measure_velocities(
     return scc(
         cube, region=region, n_trials=n_trials, rng=rng, n_workers=n_workers
     ).components
+
+
+def _check_different(scales):
+    if len(set(scales)) < len(scales):
+        raise ValueError(
+            f"scales must differ, got {', '.join(f'{s:g}' for s in scales)}: leave out "
+            "what is there twice"
+        )
 
 
 def _in_unit(name, value, unit):

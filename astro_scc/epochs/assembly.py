@@ -15,7 +15,7 @@ from astropy.wcs import WCS
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.consistency import find_odd, find_same_dates, looks_like_mask
 from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.fits import read_image
+from astro_scc.epochs.fits import check_ordinary, read_image
 from astro_scc.epochs.gridding import FRAMES, lay_on_one_grid
 from astro_scc.epochs.headers import header_beam, header_facts, observing_time
 from astro_scc.epochs.keywords import get
@@ -72,6 +72,8 @@ def find_files(paths, *, missing_ok=False):
     TypeError
         If something is not a path.
     """
+    from astro_scc.epochs.interchange.casa import is_casa_image
+
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
     try:
@@ -85,10 +87,11 @@ def find_files(paths, *, missing_ok=False):
         if not isinstance(name, str):
             raise TypeError(f"paths must be text, got {name!r}")
         if os.path.exists(name):
+            check_ordinary(name)
             found.append(name)
         elif glob.has_magic(name):
             matches = sorted(p for p in glob.glob(name, recursive=True))
-            found += [match for match in matches if not os.path.isdir(match)]
+            found += [m for m in matches if not os.path.isdir(m) or is_casa_image(m)]
             if not matches:
                 raise FileNotFoundError(f"{name}: no file matches this pattern")
         elif missing_ok:
@@ -102,6 +105,7 @@ def find_files(paths, *, missing_ok=False):
 
 def cube_from_files(paths, *, frame, times, beams, hdu, check):
     """See `EpochCube.read`."""
+    from astro_scc.epochs.interchange import is_hdf5, read_movie
     from astro_scc.epochs.serialize import is_cube_file, read_cube
 
     _check_frame(frame)
@@ -110,6 +114,10 @@ def cube_from_files(paths, *, frame, times, beams, hdu, check):
         if times is not None or beams is not None or hdu is not None:
             raise ValueError(f"{files[0]}: an EpochCube; it has its dates and beams")
         return read_cube(files[0])
+    if len(files) == 1 and is_hdf5(files[0]):
+        if times is not None or hdu is not None:
+            raise ValueError(f"{files[0]}: a movie; it has its dates, and no extension")
+        return read_movie(files[0], beams=beams)
     times, beams = _given(times, beams, len(files))
     names = [path.name for path in files]
     if len(set(names)) < len(names):
@@ -125,7 +133,7 @@ def cube_from_files(paths, *, frame, times, beams, hdu, check):
         if check and looks_like_mask(image.data):
             raise ValueError(
                 f"{path}: has no more than two different values, it seems to be a "
-                "mask; leave it out (or read with check=False)"
+                "mask; leave it out (in Python, check=False reads it)"
             )
         planes.append(_plane(image, str(path), time, beam))
         planes[-1].label = name
@@ -141,7 +149,7 @@ def cube_from_images(images, *, times, beams, frame, check):
     times, beams = _given(times, beams, len(images))
     planes = []
     for i, (image, time, beam) in enumerate(zip(images, times, beams, strict=True)):
-        plane = _plane(image, f"image {i}", time, beam)
+        plane = _plane(as_image(image, f"image {i}"), f"image {i}", time, beam)
         plane.label = get(image.meta, "LABEL", kind=str)
         planes.append(plane)
     return _assemble(planes, frame, check, f"{len(images)} images")
@@ -225,7 +233,10 @@ def _plane(image, name, time, beam):
         wcs = as_celestial(image.wcs)
         time = observing_time(image.meta) if time is None else time
         if time is None:
-            raise ValueError("no date of observation (DATE-OBS, MJD-OBS); give times=")
+            raise ValueError(
+                "no date of observation (DATE-OBS, MJD-OBS); write DATE-OBS to its "
+                "header, or give times= in Python"
+            )
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: {error}") from None
     if beam is None:
@@ -307,7 +318,8 @@ def _refuse_odd(planes):
     for i, what, fatal in odd:
         if fatal:
             raise ValueError(
-                f"{planes[i].name}: {what}; leave it out (or read with check=False)"
+                f"{planes[i].name}: {what}; leave it out (in Python, check=False "
+                "reads it)"
             )
         _warn(f"{planes[i].name}: {what}; leave it out if it is another object")
 
@@ -322,7 +334,8 @@ def _warn_of_distances(planes):
         _warn(
             f"{first.name} and {planes[k].name}: their reference pixels are "
             f"{distance[k] * 3600:.4g} arcsec apart on the sky and are laid on one "
-            "another; use frame='absolute' where the coordinates are to be trusted"
+            "another; use frame='absolute' (--align wcs) where the coordinates are "
+            "to be trusted"
         )
 
 
@@ -331,7 +344,8 @@ def _all_or_none(planes):
     if missing and len(missing) < len(planes):
         _warn(
             f"{_some(missing)}: no beam where other epochs have one, so the cube has "
-            "none; give beams= to supply them"
+            "none; write BMAJ, BMIN and BPA in degrees to its header, or give beams= "
+            "in Python"
         )
     return None if missing else [plane.beam for plane in planes]
 

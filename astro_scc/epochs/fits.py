@@ -9,7 +9,7 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 from astropy.io import fits, registry
-from astropy.nddata import CCDData
+from astropy.nddata import CCDData, NDData
 
 from astro_scc.epochs.headers import (
     axis_kind,
@@ -20,7 +20,7 @@ from astro_scc.epochs.headers import (
 from astro_scc.epochs.keywords import get, parse_unit
 from astro_scc.exceptions import EpochWarning
 
-__all__ = ["read_image", "read_vlbi_fits"]
+__all__ = ["as_image", "read_image", "read_vlbi_fits"]
 
 # What the files of EpochCube.write are known by.
 CUBE_CREATOR = "astro_scc EpochCube"
@@ -71,7 +71,7 @@ def read_vlbi_fits(path, hdu=None):
 
     Examples
     --------
-    >>> from astropy.nddata import CCDData
+    >>> from astropy.nddata import CCDData, NDData
     >>> import astro_scc.epochs
     >>> image = CCDData.read("../shared/data/0003+380/0003+380.u.2006_03_09.fits",
     ...                      format="vlbi-fits")
@@ -98,17 +98,74 @@ def read_image(path, hdu=None):
     image : `~astropy.nddata.CCDData`
     notes : list of str
     """
+    from astro_scc.epochs.interchange.casa import is_casa_image, read_casa_image
+
     path = Path(os.fspath(path))
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     if path.is_dir():
         raise IsADirectoryError(f"{path}: is a directory; give {path}/*.fits")
+    check_ordinary(path)
     try:
         return _open(path, hdu)
     except _ContentError as error:
         raise ValueError(f"{path}: {error}") from None
     except _NoImageError as error:
         raise OSError(f"{path}: {error}") from None
+
+
+def check_ordinary(path):
+    """
+    Refuse what is neither file nor directory, which may be read without end.
+
+    Parameters
+    ----------
+    path : str or path-like
+
+    Raises
+    ------
+    OSError
+        For pipes, sockets and devices.
+    """
+    path = Path(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OSError(f"{path}: is no ordinary file; give the name of a FITS file")
+
+
+def as_image(image, name):
+    """
+    An image of another package as NDData.
+
+    Parameters
+    ----------
+    image : `~astropy.nddata.NDData`, or an object with an ``hdu``
+        A `spectral_cube.Projection`, or a SpectralCube of one channel.
+    name : str
+        What it is called in messages.
+
+    Returns
+    -------
+    `~astropy.nddata.NDData`
+
+    Raises
+    ------
+    ValueError
+        If it has more than one plane, or no celestial coordinates.
+    TypeError
+        If it is of another kind.
+    """
+    if isinstance(image, NDData):
+        return image
+    hdu = getattr(image, "hdu", None)
+    if not getattr(hdu, "is_image", False):
+        raise TypeError(
+            f"{name}: is a {type(image).__name__}; give NDData, such as CCDData, or "
+            "images of spectral-cube"
+        )
+    try:
+        return _image(fits.HDUList([hdu]), None, Path(name))[0]
+    except (_ContentError, _NoImageError) as error:
+        raise ValueError(f"{name}: {error}") from None
 
 
 class _ContentError(Exception):

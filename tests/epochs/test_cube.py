@@ -715,7 +715,7 @@ def test_files_of_something_else_are_named(make_fits, changes, message):
     with pytest.raises(ValueError, match=message) as caught:
         EpochCube.read(paths)
     assert str(caught.value).startswith(str(paths[1]))
-    assert str(caught.value).endswith("leave it out (or read with check=False)")
+    assert str(caught.value).endswith("leave it out (in Python, check=False reads it)")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", EpochWarning)
         assert len(EpochCube.read(paths, check=False)) == 4
