@@ -29,6 +29,8 @@ class RidgeLine:
         Points in the order of the flow, offsets from the reference pixel.
     error : `~astropy.units.Quantity`, shape (n,), optional
         Standard errors of the points across the line.
+    meta : dict, optional
+        Facts that go into a table.
 
     Raises
     ------

@@ -83,7 +83,7 @@ def measure_acceleration(
     Stack the matches of a stretch of jet in speed and acceleration.
 
     The matches are those of the pairs of epochs of ``scc``, at their own
-    intervals: `baseline` may hold several lengths.
+    intervals: ``baseline`` may hold several lengths.
 
     Parameters
     ----------
