@@ -15,7 +15,7 @@ from astropy.wcs import WCS
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.consistency import find_odd, find_same_dates, looks_like_mask
 from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.fits import check_ordinary, read_image
+from astro_scc.epochs.fits import as_image, check_ordinary, read_image
 from astro_scc.epochs.gridding import FRAMES, lay_on_one_grid
 from astro_scc.epochs.headers import header_beam, header_facts, observing_time
 from astro_scc.epochs.keywords import get

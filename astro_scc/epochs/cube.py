@@ -137,6 +137,9 @@ class EpochCube(OffsetGrid, EpochSteps):
         """
         Read FITS images, one an epoch, or a file that `write` made.
 
+        CASA images and HDF5 movies of eht-imaging are read too, where the
+        packages for them are installed.
+
         Images of one grid are stacked, with their reference pixels on one
         another.  Others are resampled onto one grid, with a warning: that
         of the finest pixels, as large as what all of them cover.  An image
@@ -196,6 +199,7 @@ class EpochCube(OffsetGrid, EpochSteps):
         Parameters
         ----------
         images : sequence of `~astropy.nddata.NDData`
+            Or what has an ``hdu``, such as the images of spectral-cube.
         times : `~astropy.time.Time` or sequence, optional
             By default from the ``meta`` of each image, as in a FITS header.
         beams : beam or sequence of beams, optional
@@ -232,6 +236,25 @@ class EpochCube(OffsetGrid, EpochSteps):
         from astro_scc.epochs.assembly import cube_from_ndcube
 
         return cube_from_ndcube(ndcube, times=times, beams=beams)
+
+    @classmethod
+    def from_xarray(cls, source, **kwargs):
+        """
+        From xarray, see `~astro_scc.epochs.interchange.from_xarray`.
+
+        Parameters
+        ----------
+        source : `xarray.Dataset` or `xarray.DataArray`
+        **kwargs
+            ``times``, ``pixel_scale``, ``unit`` and ``beams`` where it has none.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        from astro_scc.epochs.interchange import from_xarray
+
+        return from_xarray(source, **kwargs)
 
     @classmethod
     def from_arrays(

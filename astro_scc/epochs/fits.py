@@ -71,7 +71,7 @@ def read_vlbi_fits(path, hdu=None):
 
     Examples
     --------
-    >>> from astropy.nddata import CCDData, NDData
+    >>> from astropy.nddata import CCDData
     >>> import astro_scc.epochs
     >>> image = CCDData.read("../shared/data/0003+380/0003+380.u.2006_03_09.fits",
     ...                      format="vlbi-fits")
@@ -103,11 +103,12 @@ def read_image(path, hdu=None):
     path = Path(os.fspath(path))
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
-    if path.is_dir():
+    casa = is_casa_image(path)
+    if path.is_dir() and not casa:
         raise IsADirectoryError(f"{path}: is a directory; give {path}/*.fits")
     check_ordinary(path)
     try:
-        return _open(path, hdu)
+        return _image(read_casa_image(path), hdu, path) if casa else _open(path, hdu)
     except _ContentError as error:
         raise ValueError(f"{path}: {error}") from None
     except _NoImageError as error:

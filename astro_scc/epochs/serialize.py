@@ -17,7 +17,16 @@ from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.fits import CUBE_CREATOR
 
-__all__ = ["is_cube_file", "read_cube", "replace_when_complete", "write_cube"]
+__all__ = [
+    "is_cube_file",
+    "pack_facts",
+    "pack_wcs",
+    "read_cube",
+    "replace_when_complete",
+    "unpack_facts",
+    "unpack_wcs",
+    "write_cube",
+]
 
 VERSION = 1
 NUMBERS = ("crval", "crpix", "cdelt", "pc")
@@ -87,8 +96,8 @@ def write_cube(cube, path, *, overwrite=False):
         "time_scale": cube.times.scale,
         "time_format": cube.times.format,
         "labels": list(cube.labels),
-        "wcs": _pack_wcs(cube.wcs),
-        "epoch_wcs": cube.epoch_wcs and [_pack_wcs(w) for w in cube.epoch_wcs],
+        "wcs": pack_wcs(cube.wcs),
+        "epoch_wcs": cube.epoch_wcs and [pack_wcs(w) for w in cube.epoch_wcs],
         "epoch_meta": [_plain(facts) for facts in cube.epoch_meta],
         "meta": _plain(cube.meta),
     }
@@ -185,19 +194,19 @@ def _unpack(hdus):
     return EpochCube(
         data=hdus["DATA"].data.astype(np.float64),
         times=times,
-        wcs=_unpack_wcs(rest["wcs"]),
+        wcs=unpack_wcs(rest["wcs"]),
         unit=unit,
         mask=hdus["MASK"].data.astype(bool),
         beams=beams,
         noise=table["NOISE"].astype(float) * unit if "NOISE" in names else None,
         labels=rest["labels"],
-        epoch_wcs=rest["epoch_wcs"] and [_unpack_wcs(w) for w in rest["epoch_wcs"]],
+        epoch_wcs=rest["epoch_wcs"] and [unpack_wcs(w) for w in rest["epoch_wcs"]],
         epoch_meta=rest["epoch_meta"],
         meta=rest["meta"],
     )
 
 
-def _pack_wcs(wcs):
+def pack_wcs(wcs):
     """Header text, and the numbers that a header would round to 12 digits."""
     scaled = wcs.deepcopy()
     matrix = scaled.pixel_scale_matrix
@@ -217,7 +226,8 @@ def _pack_wcs(wcs):
     }
 
 
-def _unpack_wcs(packed):
+def unpack_wcs(packed):
+    """The WCS that `pack_wcs` packed, to the last digit."""
     header = fits.Header.fromstring(packed["header"])
     for keyword in ("DATE-OBS", "MJD-OBS", "DATEREF", "MJDREF"):
         header.remove(keyword, ignore_missing=True)
@@ -228,6 +238,18 @@ def _unpack_wcs(packed):
     if packed["shape"]:
         wcs.array_shape = packed["shape"]
     return wcs
+
+
+def pack_facts(facts):
+    """A dictionary as text in which astropy's objects keep their types."""
+    return _dump(_plain(facts))
+
+
+def unpack_facts(text):
+    """The dictionary of such a text."""
+    from astropy.io.misc import yaml
+
+    return yaml.load(str(text))
 
 
 def _plain(value):

@@ -107,6 +107,30 @@ class EpochSteps:
 
         return region_mask(self, region)
 
+    def to_xarray(self):
+        """
+        As `xarray.Dataset`, see `~astro_scc.epochs.interchange.to_xarray`.
+
+        Returns
+        -------
+        `xarray.Dataset`
+        """
+        from astro_scc.epochs.interchange import to_xarray
+
+        return to_xarray(self)
+
+    def to_ndcube(self):
+        """
+        As NDCube, see `~astro_scc.epochs.interchange.to_ndcube`.
+
+        Returns
+        -------
+        `ndcube.NDCube`
+        """
+        from astro_scc.epochs.interchange import to_ndcube
+
+        return to_ndcube(self)
+
     def plot(self, epoch=None, ssps=None, **kwargs):
         """
         Draw one epoch, or all of them.

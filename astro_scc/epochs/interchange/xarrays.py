@@ -1,0 +1,259 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""A cube as xarray Dataset, and back; images that others keep in xarray."""
+
+import astropy.units as u
+import numpy as np
+from astropy.time import Time
+
+from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.interchange.optional import optional
+from astro_scc.epochs.resampling import moved_wcs
+from astro_scc.epochs.restoring import offset_wcs
+from astro_scc.epochs.serialize import pack_facts, pack_wcs, unpack_facts, unpack_wcs
+
+__all__ = ["from_xarray", "to_xarray"]
+
+#: What the images are called.
+NAME = "brightness"
+#: Names of axes, those to the east and those to the north.
+EAST = ("x", "east", "ra", "right_ascension", "lon", "longitude", "hpln")
+NORTH = ("y", "north", "dec", "declination", "lat", "latitude", "hplt")
+
+
+def to_xarray(cube):
+    """
+    A cube as `xarray.Dataset`.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    `xarray.Dataset`
+        ``brightness`` and ``mask`` over (time, y, x), and where the cube
+        has them ``noise``, ``beam_major``, ``beam_minor`` and ``beam_pa``
+        over time, each with ``units``.  Coordinates are ``time`` (UTC),
+        ``label``, the pixels ``x`` and ``y`` and the offsets ``east`` and
+        ``north`` in mas.  Attributes are text, as netCDF needs them.
+
+    Raises
+    ------
+    ImportError
+        If xarray is not installed.
+    """
+    xarray = optional("xarray", "to_xarray", "xarray")
+    _, ny, nx = cube.shape
+    images = ("time", "y", "x")
+    unit = cube.unit.to_string()
+    variables = {
+        NAME: (images, cube.data.copy(), {"units": unit}),
+        "mask": (images, cube.mask.copy(), {"long_name": "bad pixels"}),
+    }
+    if cube.noise is not None:
+        variables["noise"] = "time", cube.noise.value, {"units": unit}
+    for name, part in (("major", u.mas), ("minor", u.mas), ("pa", u.deg)):
+        if cube.beams is not None:
+            values = [getattr(beam, name).to_value(part) for beam in cube.beams]
+            variables[f"beam_{name}"] = "time", values, {"units": str(part)}
+    east, north = (offset.to_value(u.mas) for offset in cube.offsets())
+    matrix = cube.pixel_matrix.value
+    if np.allclose(matrix, np.diag(np.diag(matrix)), atol=1e-9 * np.abs(matrix).max()):
+        east, north = ("x", east[0]), ("y", north[:, 0])
+    else:
+        east, north = (("y", "x"), east), (("y", "x"), north)
+    coordinates = {
+        "time": cube.times.utc.to_value("datetime64").astype("datetime64[ns]"),
+        "label": ("time", list(cube.labels)),
+        "y": np.arange(ny),
+        "x": np.arange(nx),
+        "east": (*east, {"units": "mas"}),
+        "north": (*north, {"units": "mas"}),
+        "facts": ("time", [pack_facts(facts) for facts in cube.epoch_meta]),
+    }
+    if cube.epoch_wcs:
+        wcs = [pack_facts(pack_wcs(w)) for w in cube.epoch_wcs]
+        coordinates["own_wcs"] = "time", wcs
+    attributes = {
+        "title": str(cube.meta.get("object", "")),
+        "time_scale": cube.times.scale,
+        "time_format": cube.times.format,
+        "wcs": pack_facts(pack_wcs(cube.wcs)),
+        "meta": pack_facts(cube.meta),
+    }
+    return xarray.Dataset(variables, coordinates, attributes)
+
+
+def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
+    """
+    A cube from `to_xarray`, or from images with dates and offsets.
+
+    Parameters
+    ----------
+    source : `xarray.Dataset` or `xarray.DataArray`
+        What `to_xarray` made, also when epochs or a window of pixels have
+        been selected since; or three axes, one of them the dates, the
+        others named ``x`` and ``y``, ``east`` and ``north``, ``ra`` and
+        ``dec`` or ``lon`` and ``lat``.  A Dataset must have one such
+        array.
+    times : `~astropy.time.Time` or sequence, optional
+        By default the coordinate of type ``datetime64``, taken as UTC.
+    pixel_scale : `~astropy.units.Quantity`, optional
+        By default from the coordinates, which must be even, with an angle
+        as the attribute ``units``.
+    unit : `~astropy.units.Unit`, optional
+        By default the attribute ``units``.
+    beams : beam or sequence of beams, optional
+
+    Returns
+    -------
+    `~astro_scc.epochs.EpochCube`
+        The origin is where the coordinates are 0 if that is in the image,
+        otherwise its centre.
+
+    Raises
+    ------
+    ValueError
+        If axes, dates or the size of the pixels cannot be found, or the
+        coordinates are uneven.
+    TypeError
+        If it is of another kind.
+    """
+    if not hasattr(source, "dims") or not hasattr(source, "coords"):
+        raise TypeError(
+            f"from_xarray takes a Dataset or a DataArray, got {type(source).__name__}"
+        )
+    if NAME in getattr(source, "data_vars", ()) and {"wcs", "meta"} <= set(
+        source.attrs
+    ):
+        given = times, pixel_scale, unit, beams
+        if any(value is not None for value in given):
+            raise ValueError("what to_xarray made has its dates, pixels, unit, beams")
+        return _own(source)
+    array = _images(source)
+    date, north, east = _axes(array)
+    array = array.transpose(date, north, east)
+    if times is None:
+        times = _dates(array, date)
+    if unit is None:
+        unit = u.Unit(array.attrs.get("units", ""))
+    x, y = (_steps(array, axis, pixel_scale) for axis in (east, north))
+    if not np.isclose(abs(x.step), abs(y.step), rtol=1e-6):
+        raise ValueError(
+            f"pixels are {abs(x.step):.6g} by {abs(y.step):.6g} mas; resample the "
+            "images to square ones"
+        )
+    wcs = offset_wcs(abs(x.step) * u.mas, (x.origin, y.origin))
+    # Coordinates that have no direction run as on the sky, east to the left.
+    wcs.wcs.cdelt = (x.step or 1) / 3.6e6, y.step / 3.6e6
+    wcs.wcs.set()
+    return EpochCube(
+        data=np.asarray(array.values, dtype=float),
+        times=times,
+        wcs=wcs,
+        unit=unit,
+        beams=beams,
+        meta={"history": [f"{array.sizes[date]} epochs from xarray"]},
+    )
+
+
+def _own(source):
+    images = source[NAME].transpose("time", "y", "x")
+    shift = []
+    for axis in ("x", "y"):
+        pixels = np.asarray(source[axis].values)
+        if np.any(np.diff(pixels) != 1):
+            raise ValueError(
+                f"pixels {axis} of the Dataset are not one after the other; select "
+                "windows, and resample the cube with reproject_to()"
+            )
+        shift.append(-int(pixels[0]))
+    attributes = source.attrs
+    times = Time(source["time"].values, scale="utc", format="datetime64")
+    times = getattr(times, attributes["time_scale"])
+    times.format = attributes["time_format"]
+    beams = None
+    if "beam_major" in source:
+        parts = [source[f"beam_{n}"].values for n in ("major", "minor", "pa")]
+        rows = np.transpose(parts)
+        beams = [Beam(a * u.mas, b * u.mas, p * u.deg) for a, b, p in rows]
+    unit = u.Unit(images.attrs.get("units", ""))
+    own = source["own_wcs"].values if "own_wcs" in source.coords else ()
+    return EpochCube(
+        data=np.array(images.values, dtype=float),
+        times=times,
+        wcs=moved_wcs(unpack_wcs(unpack_facts(attributes["wcs"])), shift),
+        unit=unit,
+        mask=np.array(source["mask"].transpose("time", "y", "x").values, dtype=bool),
+        beams=beams,
+        noise=source["noise"].values * unit if "noise" in source else None,
+        labels=[str(label) for label in source["label"].values],
+        epoch_wcs=[moved_wcs(unpack_wcs(unpack_facts(w)), shift) for w in own] or None,
+        epoch_meta=[unpack_facts(facts) for facts in source["facts"].values],
+        meta=unpack_facts(attributes["meta"]),
+    )
+
+
+def _images(source):
+    """The array of three axes."""
+    if not hasattr(source, "data_vars"):
+        arrays = [source]
+    else:
+        arrays = list(source.data_vars.values())
+    arrays = [array for array in arrays if array.ndim == 3]
+    if len(arrays) != 1:
+        raise ValueError(
+            f"one array of three axes is needed, there are {len(arrays)}; select it "
+            "by its name"
+        )
+    return arrays[0]
+
+
+def _axes(array):
+    """Names of the axes of date, north and east."""
+    found = []
+    for names, what in ((NORTH, "y"), (EAST, "x")):
+        axes = [axis for axis in array.dims if str(axis).lower() in names]
+        if len(axes) != 1:
+            raise ValueError(
+                f"no axis of {', '.join(map(str, array.dims))} is named {what}; "
+                f"rename() the axes to time, y, x"
+            )
+        found += axes
+    return ({*array.dims} - {*found}).pop(), *found
+
+
+def _dates(array, axis):
+    values = array[axis].values if axis in array.coords else np.empty(0)
+    if not np.issubdtype(values.dtype, np.datetime64):
+        raise ValueError(f"axis {axis} has no dates of type datetime64; give times=")
+    return Time(values, scale="utc", format="datetime64")
+
+
+class _steps:
+    """Step of the pixels of an axis in mas, and the pixel that is the origin."""
+
+    def __init__(self, array, axis, pixel_scale):
+        n = array.sizes[axis]
+        self.origin = (n - 1) / 2
+        sign = -1 if str(axis).lower() in EAST else 1
+        if pixel_scale is not None:
+            self.step = sign * u.Quantity(pixel_scale).to_value(u.mas)
+            return
+        try:
+            coordinate = array.coords[axis]
+            angle = u.Unit(coordinate.attrs["units"]).to(u.mas)
+        except (KeyError, ValueError, TypeError):
+            raise ValueError(
+                f"axis {axis} has no coordinate with an angle as its attribute units; "
+                "give pixel_scale="
+            ) from None
+        values = np.asarray(coordinate.values, dtype=float) * angle
+        steps = np.diff(values)
+        self.step = float(steps.mean()) if n > 1 else 0.0
+        if n < 2 or np.any(np.abs(steps - self.step) > 1e-3 * abs(self.step)):
+            raise ValueError(f"coordinate {axis} is uneven; resample the images")
+        zero = -values[0] / self.step
+        if -0.5 <= zero <= n - 0.5:
+            self.origin = float(zero)
