@@ -80,6 +80,7 @@ def run(args, reporter):
     counts = {}
 
     def report(name, outcomes, before):
+        name = name if name.isprintable() else ascii(name)
         for outcome in outcomes:
             counts[outcome.status] = counts.get(outcome.status, 0) + 1
         failed = {o.message for o in outcomes if o.status == "failed"}

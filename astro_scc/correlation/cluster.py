@@ -83,7 +83,10 @@ def open_local(n_workers):
         # That the usual port of the dashboard is taken; it gets another one.
         warnings.filterwarnings("ignore", "Port 8787", UserWarning)
         cluster = distributed.LocalCluster(
-            n_workers=n_workers, threads_per_worker=1, processes=True
+            n_workers=n_workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=None,
         )
     with cluster, distributed.Client(cluster, set_as_default=False) as client:
         yield client

@@ -153,7 +153,10 @@ def read_survey(path):
     try:
         text = path.read_text(encoding="utf-8")
         values = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise ValueError(f"{path}: is not a TOML file: nested too deep") from None
+    except ValueError as error:
+        # Of the encoding, of TOML, of numbers with thousands of digits.
         raise ValueError(f"{path}: is not a TOML file: {error}") from None
     unknown = set(values) - {"defaults", "sources"}
     if unknown:

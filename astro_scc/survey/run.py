@@ -13,9 +13,9 @@ from astro_scc.survey.source import (
     WORK,
     Job,
     Outcome,
-    _line,
     finished_outcomes,
     measure_source,
+    one_line,
 )
 from astro_scc.survey.table import survey_table
 
@@ -79,7 +79,7 @@ def run_survey(survey, output, *, n_workers=1, report=None, progress_bar=False):
                 # Of the worker, not of the measurement: it died, or its disk is full.
                 source = jobs[left[i]].source
                 outcomes = [
-                    Outcome(source.name, *names, "failed", _line(outcomes))
+                    Outcome(source.name, *names, "failed", one_line(outcomes))
                     for names in source.parts
                 ]
             finish(left[i], outcomes, False)

@@ -22,7 +22,7 @@ from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.survey.names import folder_names
 from astro_scc.survey.plan import SEED, Source
 
-__all__ = ["Job", "Outcome", "finished_outcomes", "measure_source"]
+__all__ = ["Job", "Outcome", "finished_outcomes", "measure_source", "one_line"]
 
 #: Folders of a survey.
 SOURCES, WORK = "sources", ".astro_scc-work"
@@ -135,21 +135,33 @@ def measure_source(job):
         except Exception as error:
             (part / "error.txt").write_text(traceback.format_exc(), encoding="utf-8")
             outcomes = [
-                Outcome(source.name, *names, "failed", _line(error))
+                Outcome(source.name, *names, "failed", one_line(error))
                 for names in source.parts
             ]
     state = {
         "key": key,
         "source": source.name,
         "outcomes": [asdict(outcome) for outcome in outcomes],
-        "warnings": sorted({_line(warning.message) for warning in said}),
+        "warnings": sorted({one_line(warning.message) for warning in said}),
     }
     (part / STATE).write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
     _replace(part, final)
     return outcomes
 
 
-def _line(error):
+def one_line(error):
+    """
+    An error or a warning as one line.
+
+    Parameters
+    ----------
+    error : Exception
+
+    Returns
+    -------
+    str
+        With the name of its class, unless the text says enough.
+    """
     text = str(error)
     if isinstance(error, OSError) and error.strerror and error.filename is not None:
         text = f"{error.filename}: {error.strerror}"
@@ -177,7 +189,7 @@ def _measure(source, output, part):
         try:
             masks[name] = None if path is None else cube.region_mask(path)
         except (ValueError, OSError) as error:
-            failed[name] = _line(error)
+            failed[name] = one_line(error)
     matched = None
     if masks:
         matched = scc.match(
@@ -206,7 +218,7 @@ def _measure(source, output, part):
                 shutil.rmtree(part / folder)
                 with open(part / "error.txt", "a", encoding="utf-8") as file:
                     file.write(f"{region}, {group}:\n{traceback.format_exc()}\n")
-                outcome = replace(outcome, message=_line(error))
+                outcome = replace(outcome, message=one_line(error))
             else:
                 where = Path(SOURCES, source.folder, folder).as_posix()
                 outcome = replace(outcome, status=status, message=message, folder=where)

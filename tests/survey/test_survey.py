@@ -313,6 +313,7 @@ def test_a_cluster_of_which_a_worker_dies_gives_the_same(serial, folder, tmp_pat
     ("text", "reason"),
     [
         ("a = [", "is not a TOML file"),
+        ("a = " + "[" * 5000, "is not a TOML file: nested too deep"),
         ("", "names no source"),
         ("sources = 3", "sources must be a table"),
         ("[other]", "unknown key 'other'"),
