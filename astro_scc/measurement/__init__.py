@@ -13,6 +13,11 @@ from astro_scc.measurement.match_files import (
     read_matches,
     write_matches,
 )
+from astro_scc.measurement.patterns import (
+    ssp_regions,
+    ssp_segmentation,
+    write_ssp_regions,
+)
 from astro_scc.measurement.products import (
     plain_cosmology,
     product_folder,
@@ -25,6 +30,7 @@ from astro_scc.measurement.selection import select_ssps, ssp_distances
 from astro_scc.measurement.stacking import stack_matches, velocity_frame
 from astro_scc.measurement.tables import component_table, ssp_table, versions
 from astro_scc.measurement.velocity_error import VelocityError, alignment_errors
+from astro_scc.measurement.votable import write_votable
 
 __all__ = [
     "MatchCache",
@@ -44,6 +50,8 @@ __all__ = [
     "select_ssps",
     "ssp_distances",
     "ssp_offsets",
+    "ssp_regions",
+    "ssp_segmentation",
     "ssp_table",
     "stack_matches",
     "velocity_frame",
@@ -51,4 +59,6 @@ __all__ = [
     "versions",
     "write_matches",
     "write_products",
+    "write_ssp_regions",
+    "write_votable",
 ]

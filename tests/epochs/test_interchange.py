@@ -210,6 +210,8 @@ def test_spectral_cube_images():
     assert made.unit == u.Jy / u.beam
     assert made.beams[0].major.to_value(u.deg) == pytest.approx(3e-7)
     assert made.reference_pixel == (4, 3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         with pytest.raises(ValueError, match="image 0: has 2 planes"):
             EpochCube.from_ccddata([cube], times=DATES[:1])
 

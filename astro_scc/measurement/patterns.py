@@ -1,0 +1,201 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""SSPs as regions on the sky and as segmentation images."""
+
+import operator
+import os
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.epochs.serialize import replace_when_complete
+
+__all__ = ["ssp_regions", "ssp_segmentation", "write_ssp_regions"]
+
+#: One colour a scale, which DS9 knows.
+COLORS = ("cyan", "orange", "green", "magenta", "yellow", "red")
+#: Digits after the point, of degrees and of arcsec: below a nanoarcsecond.
+DIGITS = 13
+
+
+def ssp_regions(ssps, cube, epoch, *, scales=None, shape="outline", frame="cube"):
+    """
+    The SSPs of an epoch as regions on the sky.
+
+    Parameters
+    ----------
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs, such as ``result.matched.ssps``.
+    cube : `~astro_scc.epochs.EpochCube`
+    epoch : int
+        Index of the epoch.
+    scales : sequence of float, optional
+        By default all scales.
+    shape : {"outline", "circle"}
+        Polygons around the centres of the pixels of each SSP (holes are
+        not cut out), or circles about the maxima, as wide as the scale.
+    frame : {"cube", "epoch"}
+        The coordinates of the cube, as in the files of
+        `~astro_scc.epochs.write_epochs`, or those that the epoch's own file
+        gives to these pixels.  They differ where epochs are aligned by
+        their core, and in most VLBI images.
+
+    Returns
+    -------
+    `regions.Regions`
+        Of `~regions.PolygonSkyRegion` or `~regions.CircleSkyRegion`; the
+        text of each is its number in ``ssps``, its colour that of the scale.
+
+    Raises
+    ------
+    IndexError
+        If there is no such epoch.
+    ValueError
+        If the shape or the frame is unknown, or the cube does not know the
+        coordinates of the epoch's own file.
+
+    Examples
+    --------
+    >>> from astro_scc.decomposition import Decomposer, SSPs
+    >>> from astro_scc.measurement import ssp_regions
+    >>> from astro_scc.simulation import simulate_static
+    >>> cube = simulate_static(n_epochs=2, rng=1).cube
+    >>> ssps = SSPs.of_epochs([Decomposer(scales=[2])(image) for image in cube.data])
+    >>> found = ssp_regions(ssps, cube, 0)
+    >>> len(found) == sum(ssps.epoch == 0), found[0].meta["text"]
+    (True, '0')
+    """
+    from regions import Regions
+
+    if shape not in ("outline", "circle"):
+        raise ValueError(f"shape must be 'outline' or 'circle', got {shape!r}")
+    wcs = _wcs(cube, epoch, frame)
+    make = _outline if shape == "outline" else _circle
+    colors = {s: COLORS[k % len(COLORS)] for k, s in enumerate(np.unique(ssps.scale))}
+    found = Regions([])
+    for index in _chosen(ssps, cube, epoch, scales):
+        region = make(ssps, index, cube, wcs)
+        region.meta["text"] = str(index)
+        region.visual["color"] = colors[ssps.scale[index]]
+        found.append(region)
+    return found
+
+
+def write_ssp_regions(ssps, cube, epoch, path, *, overwrite=False, **options):
+    """
+    Write the SSPs of an epoch for DS9, CARTA or any reader of its regions.
+
+    Parameters
+    ----------
+    ssps, cube, epoch
+        As in `ssp_regions`.
+    path : path
+        A file, commonly ``.reg``.
+    overwrite : bool, optional
+    **options
+        ``scales``, ``shape`` and ``frame`` of `ssp_regions`.
+
+    Returns
+    -------
+    int
+        The number of regions.
+
+    Raises
+    ------
+    OSError
+        If the file exists and ``overwrite`` is False, or cannot be written.
+
+    Notes
+    -----
+    Regions need many digits at the scale of mas, which the writers of
+    `regions` have to be told: positions and sizes are right to a
+    nanoarcsecond.
+    """
+    from regions import Regions
+
+    found = ssp_regions(ssps, cube, epoch, **options)
+    # Of no region at all, regions writes nothing.
+    text = "# Region file format: DS9 version 4.1\nglobal color=green\nicrs\n"
+    if len(found):
+        text = Regions(found).serialize(format="ds9", precision=DIGITS)
+    with replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
+        part.write_text(text, encoding="ascii")
+    return len(found)
+
+
+def ssp_segmentation(ssps, cube, epoch, scale):
+    """
+    The SSPs of one scale of an epoch as segmentation image of photutils.
+
+    Parameters
+    ----------
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+    cube : `~astro_scc.epochs.EpochCube`
+    epoch : int
+        Index of the epoch.
+    scale : float
+
+    Returns
+    -------
+    `photutils.segmentation.SegmentationImage`
+        Labels are 1 + the number in ``ssps``, and so in the column ``ssp``
+        of the tables.
+
+    Raises
+    ------
+    IndexError
+        If there is no such epoch.
+    """
+    from photutils.segmentation import SegmentationImage
+
+    labels = np.zeros(cube.shape[1:], dtype=np.int32)
+    for index in _chosen(ssps, cube, epoch, [scale]):
+        labels.flat[ssps.pixels_of(index)] = index + 1
+    return SegmentationImage(labels)
+
+
+def _chosen(ssps, cube, epoch, scales):
+    index = operator.index(epoch)
+    if not -len(cube) <= index < len(cube):
+        raise IndexError(f"epoch {index} of a cube with {len(cube)} epochs")
+    here = ssps.epoch == index % len(cube)
+    if scales is not None:
+        here &= np.isin(ssps.scale, list(scales))
+    return np.flatnonzero(here)
+
+
+def _wcs(cube, epoch, frame):
+    if frame == "cube":
+        return cube.wcs
+    if frame != "epoch":
+        raise ValueError(f"frame must be 'cube' or 'epoch', got {frame!r}")
+    if cube.epoch_wcs is None:
+        raise ValueError(
+            "the cube was not read from files, so there is no frame 'epoch'"
+        )
+    return cube.epoch_wcs[epoch]
+
+
+def _outline(ssps, index, cube, wcs):
+    from regions import PolygonSkyRegion
+    from skimage.measure import find_contours
+
+    _, _, nx = cube.shape
+    y0, x0, y1, x1 = ssps.bbox[index]
+    row, column = np.divmod(ssps.pixels_of(index), nx)
+    inside = np.zeros((y1 - y0 + 2, x1 - x0 + 2))
+    inside[row - y0 + 1, column - x0 + 1] = 1
+    contours = find_contours(inside, 0.5, fully_connected="high")
+    # The longest is the outer one; the others go round holes.
+    y, x = max(contours, key=len)[:-1].T
+    return PolygonSkyRegion(wcs.pixel_to_world(x + x0 - 1, y + y0 - 1))
+
+
+def _circle(ssps, index, cube, wcs):
+    from regions import CircleSkyRegion
+
+    from astro_scc.decomposition import scale_size
+
+    size = scale_size(ssps.scale[index]) * cube.pixel_scale
+    centre = wcs.pixel_to_world(ssps.x[index], ssps.y[index])
+    return CircleSkyRegion(centre, (size / 2).to(u.arcsec))

@@ -1,0 +1,144 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""SSPs as regions and as segmentation images."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from regions import Regions
+
+from astro_scc import EpochCube
+from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.measurement import ssp_regions, ssp_segmentation, write_ssp_regions
+from astro_scc.simulation import simulate_static
+
+
+def pixels_inside(region, cube):
+    mask = region.to_pixel(cube.wcs).to_mask(mode="center")
+    return np.flatnonzero(mask.to_image(cube.shape[1:]) > 0)
+
+
+def indices(ssps, epoch, scale):
+    return np.flatnonzero((ssps.epoch == epoch) & (ssps.scale == scale))
+
+
+def test_outlines_hold_the_pixels(matched, tmp_path):
+    ssps, cube = matched.ssps, matched.cube
+    path = tmp_path / "ssps.reg"
+    here = indices(ssps, 2, 1)
+    assert write_ssp_regions(ssps, cube, 2, path, scales=[1]) == len(here)
+    read = Regions.read(path, format="ds9")
+    assert len(read) == len(here) > 3
+    for index, region in zip(here, read, strict=True):
+        assert region.meta["text"] in (str(index), index)
+        assert np.array_equal(
+            pixels_inside(region, cube), np.sort(ssps.pixels_of(index))
+        )
+
+
+def one_ssp(pixels):
+    """An SSP of these pixels in an image of 9 x 9, 0.05 uas wide each."""
+    pixels = np.array(sorted(pixels))
+    row, column = np.divmod(pixels, 9)
+    ones = np.ones(1)
+    ssp = SSPs(
+        scale=ones, y=ones, x=ones, y_centroid=ones, x_centroid=ones, peak=ones,
+        flux=ones, snr=ones,
+        bbox=np.array([[row.min(), column.min(), row.max() + 1, column.max() + 1]]),
+        starts=np.array([0, len(pixels)]), pixels=pixels, epoch=np.zeros(1, int),
+    )  # fmt: skip
+    cube = EpochCube.from_arrays(
+        np.ones((1, 9, 9)), ["2000-01-01"], pixel_scale=5e-5 * u.mas
+    )
+    return ssp, cube
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.sampled_from([(0, 1), (1, 0), (0, -1), (-1, 0)]), max_size=12))
+def test_any_shape_without_holes(steps):
+    at, seen = [4, 4], {(4, 4)}
+    for step in steps:
+        at = [min(max(a + s, 0), 8) for a, s in zip(at, step, strict=True)]
+        seen.add(tuple(at))
+    inside = np.zeros((9, 9), bool)
+    inside[tuple(np.transpose(list(seen)))] = True
+    from scipy.ndimage import binary_fill_holes
+
+    inside = binary_fill_holes(inside)
+    ssp, cube = one_ssp(np.flatnonzero(inside))
+    (region,) = ssp_regions(ssp, cube, 0)
+    assert np.array_equal(pixels_inside(region, cube), np.flatnonzero(inside))
+
+
+def test_circles(matched, tmp_path):
+    ssps, cube = matched.ssps, matched.cube
+    path = tmp_path / "ssps.reg"
+    write_ssp_regions(ssps, cube, 1, path, scales=[2], shape="circle")
+    here = indices(ssps, 1, 2)
+    read = Regions.read(path, format="ds9")
+    size = scale_size(2) * cube.pixel_scale
+    for index, region in zip(here, read, strict=True):
+        pixel = region.to_pixel(cube.wcs)
+        assert pixel.center.x == pytest.approx(ssps.x[index], abs=1e-4)
+        assert pixel.center.y == pytest.approx(ssps.y[index], abs=1e-4)
+        assert region.radius.to_value(u.mas) == pytest.approx(size.value / 2, rel=1e-4)
+
+
+def test_scales_have_colours(matched):
+    regions = ssp_regions(matched.ssps, matched.cube, 0)
+    by_scale = {}
+    for region in regions:
+        scale = matched.ssps.scale[int(region.meta["text"])]
+        by_scale.setdefault(scale, set()).add(region.visual["color"])
+    assert by_scale == {1.0: {"cyan"}, 2.0: {"orange"}}
+
+
+def test_frame_of_the_file(matched):
+    cube = matched.cube
+    moved = cube.wcs.deepcopy()
+    moved.wcs.crval = moved.wcs.crval + [0, 1e-7]
+    moved.wcs.set()
+    own = replace(cube, epoch_wcs=[cube.wcs, moved, *[cube.wcs] * (len(cube) - 2)])
+    (one, *_), (other, *_) = (
+        ssp_regions(matched.ssps, own, 1, frame=frame) for frame in ("cube", "epoch")
+    )
+    assert np.allclose((other.vertices.dec - one.vertices.dec).deg, 1e-7, atol=1e-12)
+    with pytest.raises(ValueError, match="the cube was not read from files"):
+        ssp_regions(matched.ssps, replace(cube, epoch_wcs=None), 1, frame="epoch")
+
+
+def test_none_at_all(matched, tmp_path):
+    path = tmp_path / "ssps.reg"
+    assert write_ssp_regions(SSPs.empty(), matched.cube, 0, path) == 0
+    assert len(Regions.read(path, format="ds9")) == 0
+    assert ssp_segmentation(SSPs.empty(), matched.cube, 0, 1).n_labels == 0
+
+
+def test_segmentation(matched):
+    image = ssp_segmentation(matched.ssps, matched.cube, -1, 2)
+    last = len(matched.cube) - 1
+    expected = matched.decompositions[last].segmentation(2)
+    assert np.array_equal(image.data > 0, expected > 0)
+    here = indices(matched.ssps, last, 2)
+    assert np.array_equal(image.labels, here + 1)
+    assert np.array_equal(image.areas, matched.ssps.n_pixels[here])
+
+
+def test_what_is_refused(matched, tmp_path):
+    cube = simulate_static(n_epochs=2, rng=1).cube
+    empty = SSPs.empty()
+    with pytest.raises(ValueError, match="shape must be"):
+        ssp_regions(empty, cube, 0, shape="square")
+    with pytest.raises(ValueError, match="frame must be"):
+        ssp_regions(empty, cube, 0, frame="sky")
+    for make in (ssp_regions, lambda *args: ssp_segmentation(*args, 1)):
+        with pytest.raises(IndexError, match="epoch 2 of a cube with 2 epochs"):
+            make(empty, cube, 2)
+    path = tmp_path / "ssps.reg"
+    path.write_text("mine")
+    with pytest.raises(OSError, match=r"ssps\.reg: exists"):
+        write_ssp_regions(empty, cube, 0, path)
+    assert path.read_text() == "mine"

@@ -1,0 +1,55 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Tables as VOTable."""
+
+import warnings
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io.votable import parse, validate
+from astropy.table import QTable
+from astropy.time import Time
+
+from astro_scc.measurement import component_table, write_votable
+
+
+def test_components_and_ssps(sky_result, tmp_path):
+    for name, table in (("c", sky_result.components), ("s", sky_result.ssps)):
+        path = tmp_path / f"{name}.vot"
+        write_votable(table, path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            read = QTable.read(path, format="votable")
+        assert read.colnames == table.colnames
+        for column in table.colnames:
+            one, other = table[column], read[column]
+            assert getattr(one, "unit", None) == getattr(other, "unit", None)
+            assert np.all(np.asarray(one) == np.asarray(other))
+            assert (other.info.description or "") == (one.info.description or "")
+
+
+def test_empty_and_meta(tmp_path):
+    path = tmp_path / "a.vot"
+    meta = {"seed": 1, "level": 0.05, "done": True, "note": "two words", "settings": {}}
+    write_votable(component_table([], meta=meta), path)
+    votable = parse(path).get_first_table()
+    params = {param.name: param.value for param in votable.params}
+    assert params == {"seed": 1, "level": 0.05, "done": True, "note": "two words"}
+    assert votable.get_field_by_id_or_name("pm").unit == u.mas / u.yr
+    with pytest.raises(OSError, match=r"a\.vot: exists"):
+        write_votable(component_table([]), path)
+
+
+def test_dates_and_short_numbers(tmp_path):
+    path = tmp_path / "a.vot"
+    table = QTable({"date": Time(["2000-01-01"]), "sign": np.array([-1], np.int8)})
+    write_votable(table, path)
+    read = QTable.read(path)
+    assert read["date"][0] == "2000-01-01T00:00:00.000"
+    assert read["sign"][0] == -1
+
+
+def test_validates(sky_result, tmp_path, capsys):
+    path = tmp_path / "a.vot"
+    write_votable(sky_result.components, path)
+    assert validate(path), capsys.readouterr().out
