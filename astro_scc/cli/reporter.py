@@ -36,6 +36,12 @@ def one_line(error):
     return " ".join(text.split()) or type(error).__name__
 
 
+def _print(text, file):
+    # What a terminal has no letters for is no error of the measurement.
+    encoding = getattr(file, "encoding", None) or "utf-8"
+    print(text.encode(encoding, "backslashreplace").decode(encoding), file=file)
+
+
 class Reporter:
     """
     Messages of a command: results to standard output, the rest to error.
@@ -67,12 +73,12 @@ class Reporter:
     def say(self, text=""):
         """Print a result."""
         if not self.quiet:
-            print(text)
+            _print(text, sys.stdout)
 
     def note(self, text):
         """Print what was decided or left out."""
         if not self.quiet:
-            print(f"note: {text}", file=sys.stderr)
+            _print(f"note: {text}", sys.stderr)
 
     def warn(self, text):
         """Print and keep a warning, the first time."""
@@ -80,11 +86,11 @@ class Reporter:
         if text not in self.warnings:
             self.warnings.append(text)
             if not self.quiet:
-                print(f"warning: {text}", file=sys.stderr)
+                _print(f"warning: {text}", sys.stderr)
 
     def error(self, error):
         """Print an error."""
-        print(f"{self.name}: error: {one_line(error)}", file=sys.stderr)
+        _print(f"{self.name}: error: {one_line(error)}", sys.stderr)
 
     @contextmanager
     def warnings_as_lines(self):

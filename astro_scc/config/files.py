@@ -43,7 +43,10 @@ def read_config(path):
     path = Path(path)
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise ValueError(f"{path}: is not a TOML file: nested too deep") from None
+    except ValueError as error:
+        # Of the encoding, of TOML, of numbers with thousands of digits.
         raise ValueError(f"{path}: is not a TOML file: {error}") from None
     versions = values.pop("versions", {})
     if not isinstance(versions, dict):
@@ -58,8 +61,13 @@ def read_config(path):
         try:
             settings[name] = parse_setting(name, value)
         except ValueError as error:
-            raise ValueError(f"{path}: {name} = {value!r} {error}") from None
+            raise ValueError(f"{path}: {name} = {_short(value)} {error}") from None
     return settings, versions
+
+
+def _short(value):
+    text = repr(value)
+    return text if len(text) < 80 else f"{text[:70]}..."
 
 
 def _nearest(name):

@@ -14,6 +14,8 @@ from astro_scc.config.text import (
 
 __all__ = ["SETTINGS", "parse_setting", "plain_settings"]
 
+#: Redshift of the microwave background, beyond which nothing is seen.
+LAST_SCATTERING = 1090
 # FITS and TOML keep integers of 64 bits.
 _LARGEST_SEED = 2**63 - 1
 
@@ -50,6 +52,8 @@ def _number(value):
         number = float(value)
     except (TypeError, ValueError):
         raise ValueError("must be a number") from None
+    except OverflowError:
+        number = float("inf")
     if not abs(number) < float("inf"):
         raise ValueError("must be a finite number")
     return number
@@ -59,6 +63,13 @@ def _positive(value):
     number = _number(value)
     if not number > 0:
         raise ValueError("must be above 0")
+    return number
+
+
+def _redshift(value):
+    number = _positive(value)
+    if not number < LAST_SCATTERING:
+        raise ValueError(f"must be below {LAST_SCATTERING}")
     return number
 
 
@@ -186,6 +197,8 @@ def _scales(value):
         value = [word for word in re.split(r"[\s,]+", value.strip()) if word]
     elif not isinstance(value, list | tuple):
         value = [value]
+    if not value:
+        raise ValueError(wanted)
     try:
         return tuple(_number(item) for item in value)
     except ValueError:
@@ -236,7 +249,7 @@ SETTINGS = {
     "small_displacement_correction": _boolean,
     "n_trials": _integer(2, 10**9),
     "seed": _integer(0, _LARGEST_SEED),
-    "redshift": _positive,
+    "redshift": _redshift,
     "cosmology": _cosmology,
     "distance": _distance,
     "bins": _bins,

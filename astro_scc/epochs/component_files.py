@@ -11,6 +11,7 @@ from astropy.time import Time
 from astro_scc.epochs.component_models import read_aips, read_difmap
 from astro_scc.epochs.component_tables import read_ecsv, read_mrt, row_date
 from astro_scc.epochs.components import CORE, ComponentList
+from astro_scc.epochs.fits import check_ordinary
 from astro_scc.exceptions import EpochWarning
 
 __all__ = ["read_components"]
@@ -97,6 +98,8 @@ def read_components(paths, *, format=None, source=None, origin=None, dates=None)
     paths = [Path(p) for p in paths]
     if not paths:
         raise ValueError("no component files were given")
+    for path in paths:
+        check_ordinary(path)
     if origin not in (None, "core", "map"):
         raise ValueError(f"origin must be 'core' or 'map', got {origin!r}")
     if format is not None and format not in READERS:

@@ -130,7 +130,7 @@ def check_ordinary(path):
     """
     path = Path(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise OSError(f"{path}: is no ordinary file; give the name of a FITS file")
+        raise OSError(f"{path}: is no ordinary file; give the name of one")
 
 
 def as_image(image, name):

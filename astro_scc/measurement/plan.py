@@ -30,6 +30,10 @@ __all__ = [
 SCALE_TOLERANCE = 0.2
 #: Largest scale number that an angle can name.
 LARGEST_SCALE = 12
+#: Displacements below this part of a pixel are none.
+LEAST_MOTION = 0.01
+#: Largest displacement in the shortest interval, in diagonals of the image.
+MOST_MOTION = 10
 #: Spacing of the velocity grid in units of the narrowest kernel.
 GRID_STEP = 0.5
 #: Matches beyond the largest speed are background for it, up to so many
@@ -152,12 +156,30 @@ def search_reach(cube, pairs, speed, fwhm, kernel):
     -------
     tuple of int
         Along (y, x).
+
+    Raises
+    ------
+    ValueError
+        If the largest speed is far out of the image in any interval, or
+        moves nothing in any.
     """
-    longest = pairs.interval.max()
+    longest, shortest = pairs.interval.max(), pairs.interval.min()
     farthest = speed * longest
     # Pixels may not be square: (x, y) sides.
     side = np.hypot(*cube.pixel_matrix.value)
     limit = np.array(cube.shape[1:]) - 1
+    if speed * shortest > MOST_MOTION * np.hypot(*(side * cube.shape[:0:-1])):
+        raise ValueError(
+            f"max_speed moves {speed * shortest:.3g} mas in the shortest interval "
+            f"({shortest:.3g} yr), more than {MOST_MOTION} times the image: give a "
+            "smaller one"
+        )
+    if farthest < LEAST_MOTION * side.min():
+        raise ValueError(
+            f"max_speed moves {farthest:.3g} mas in the longest interval "
+            f"({longest:.3g} yr), less than {LEAST_MOTION:g} of a pixel: give a "
+            "larger one, or a baseline with longer intervals"
+        )
     if np.any(farthest / side > limit.max() // 2):
         warnings.warn(
             f"the largest speed moves {farthest:.3g} mas in the longest interval "

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """A measurement as files: tables, maps and the settings that lead to them."""
 
+import errno
 import os
 import secrets
 import shutil
@@ -13,6 +14,8 @@ from astropy.io import fits
 
 __all__ = ["plain_cosmology", "product_folder", "velocity_hdus", "write_products"]
 
+# Of the disk, which do not always come with the name of a file.
+DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
 MAPS = (("coefficient", "COEFFICIENT"), ("z_score", "ZSCORE"))
 
 
@@ -76,9 +79,14 @@ def product_folder(path, *, overwrite=False, stale=()):
             _move(folder, target, stale)
         else:
             folder.rename(target)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
         _remove(made)
+        if isinstance(error, OSError) and error.errno in DISK_ERRORS:
+            raise OSError(
+                f"{path}: cannot be written: {error.strerror}; make room there or "
+                "choose another folder"
+            ) from None
         raise
 
 

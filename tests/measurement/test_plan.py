@@ -177,6 +177,15 @@ def test_windows_end_with_the_image_and_warn():
         search_reach(cube, pairs, 2.85, 1.0, 0.2)
 
 
+def test_speeds_far_beyond_the_image_or_below_any_motion_are_refused():
+    cube = cube_of((0, YEAR), shape=(40, 60))
+    pairs = pairs_of_dates(cube, None)
+    with pytest.raises(ValueError, match=r"max_speed moves 1e\+09 mas in the shortest"):
+        search_reach(cube, pairs, 1e9, 1.0, 0.2)
+    with pytest.raises(ValueError, match=r"1e-09 mas .* less than 0.01 of a pixel: gi"):
+        search_reach(cube, pairs, 1e-9, 1.0, 0.2)
+
+
 def test_the_grid_is_half_the_narrowest_kernel(matched, sky_result):
     d, pairs = sky_result.displacements, sky_result.pairs
     grid = map_grid(d, pairs, 30.0)
