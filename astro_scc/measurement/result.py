@@ -25,6 +25,7 @@ from astro_scc.stacking import (
     ShuffledStacks,
     VelocityGrid,
 )
+from astro_scc.stacking.significance import RESOLVED
 from astro_scc.stacking.stack import velocities
 
 __all__ = ["MatchedEpochs", "SCCResult"]
@@ -326,7 +327,7 @@ class SCCResult:
         d = self.displacements
         row = {
             "component": number,
-            "kind": self._kind(finding, peak, self.errors[number - 1]),
+            "kind": self._kind(finding, peak, self.errors[number - 1], self._kernel),
             "coefficient": peak.coefficient,
             "z_score": float(self.z_score[peak.row, peak.column]),
             "p_local": finding.p_local,
@@ -352,12 +353,20 @@ class SCCResult:
         return row
 
     @staticmethod
-    def _kind(finding, peak, covariance):
+    def _kind(finding, peak, covariance, kernel):
+        """The kind, of what is not told from rest if its errors are small too."""
         velocity = np.array([peak.v1, peak.v2])
         if finding.kind == "moving" and np.all(np.isfinite(covariance)):
-            if velocity @ np.linalg.pinv(covariance) @ velocity < STATIONARY:
+            within = velocity @ np.linalg.pinv(covariance) @ velocity < STATIONARY
+            if within and np.hypot(*(velocity / kernel)) <= RESOLVED:
                 return "stationary"
         return finding.kind
+
+    @cached_property
+    def _kernel(self):
+        """Median standard error of a match's velocity, along both axes."""
+        _, _, _, s1, s2, _ = velocities(self.displacements, self.pairs)
+        return np.array([np.median(s1), np.median(s2)]) if len(s1) else np.ones(2)
 
 
 def _smallest(finding):

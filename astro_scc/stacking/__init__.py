@@ -17,7 +17,6 @@ from astro_scc.stacking.contrast import Contrast
 from astro_scc.stacking.displacements import Displacements
 from astro_scc.stacking.expansion import Expansion, fit_expansion
 from astro_scc.stacking.features import count_features
-from astro_scc.stacking.expansion import Expansion, fit_expansion
 from astro_scc.stacking.grid import VelocityGrid
 from astro_scc.stacking.groups import GroupSpeeds, compare_groups, paired_p_value
 from astro_scc.stacking.jitter import JitteredVelocity, jitter_positions

@@ -232,6 +232,9 @@ def test_a_papers_error_that_is_not_known_is_not_bounded(sky_result):
         # Within the ellipse of 95% in two dimensions, 2.45 standard errors.
         ("moving", 2.4, 1.0, "stationary"),
         ("moving", 2.5, 1.0, "moving"),
+        # Further than half a beam an interval from rest, the order of the
+        # epochs says that it moves, however badly its speed is known.
+        ("moving", 2.6, 5.0, "moving"),
         ("moving", -2.4, 1.0, "stationary"),
         ("moving", 2.4, np.inf, "moving"),
         ("moving", 0.0, 0.0, "stationary"),
@@ -243,7 +246,8 @@ def test_a_papers_error_that_is_not_known_is_not_bounded(sky_result):
 def test_what_does_not_move_within_its_errors_is_stationary(found, v1, err, kind):
     peak = SimpleNamespace(v1=v1, v2=0.0)
     covariance = np.diag([err**2, 0.01])
-    assert SCCResult._kind(SimpleNamespace(kind=found), peak, covariance) == kind
+    finding, kernel = SimpleNamespace(kind=found), np.ones(2)
+    assert SCCResult._kind(finding, peak, covariance, kernel) == kind
 
 
 def test_the_smallest_probability_is_that_of_the_tests_that_count():
