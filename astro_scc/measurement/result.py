@@ -386,6 +386,11 @@ def _covariance(jitter):
     )
 
 
+def _root(variance):
+    # That of errors along a line only is zero across it, but for rounding.
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
 def _vectors(velocity, covariance, frame, position_angle):
     """Components of a velocity and their errors, on the sky and to the jet."""
     if np.any(np.isinf(covariance)):
@@ -406,19 +411,19 @@ def _vectors(velocity, covariance, frame, position_angle):
     speed = float(np.hypot(*along))
     unit = along / speed if speed > 0 else np.array([1.0, 0.0])
     across = np.array([-unit[1], unit[0]])
-    speed_err = np.sqrt(unit @ along_covariance @ unit)
+    speed_err = _root(unit @ along_covariance @ unit)
     pa_err = np.pi
     if not frame.uniform:
         pa_err = np.nan
     elif speed > 0:
         # No direction is more than half a turn off.
-        across_err = np.sqrt(across @ along_covariance @ across)
+        across_err = _root(across @ along_covariance @ across)
         pa_err = np.minimum(across_err, np.pi * speed) / speed
     names = ("pm_ra_cosdec", "pm_dec", "pm_parallel", "pm_transverse")
     row = dict(zip(names, map(float, (*sky, *along)), strict=True))
     variances = (*np.diag(sky_covariance), *np.diag(along_covariance))
     for name, variance in zip(names, variances, strict=True):
-        row[f"{name}_err"] = float(np.sqrt(variance))
+        row[f"{name}_err"] = float(_root(variance))
     row["pm"], row["pm_err"] = speed, float(speed_err)
     row["pm_pa"] = float(np.degrees(np.arctan2(*sky)) % 360)
     row["pm_pa_err"] = float(np.degrees(pa_err))

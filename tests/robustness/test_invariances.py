@@ -1,0 +1,155 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What must not change a velocity, or change it in a known way."""
+
+import warnings
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.time import Time
+from hypothesis import HealthCheck, Phase, example, given, settings
+from hypothesis import strategies as st
+
+from astro_scc import EpochCube, StackedCrossCorrelation
+
+# Every example is a measurement of its own.
+few = settings(
+    max_examples=3,
+    deadline=None,
+    phases=(Phase.explicit, Phase.generate),
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+SHAPE = (40, 48)
+STEP = (1.6, -0.7)
+YEAR = 365.25
+PIXEL = 0.1 * u.mas
+TIMES = Time(2451910.5 + 30.0 * np.arange(5), format="jd", scale="tai")
+
+
+def images(step=STEP, *, shape=SHAPE, corner=(0, 0), n=5):
+    """A jet whose features all move by ``step`` (x, y) pixels an epoch, with noise."""
+    # One field of noise an epoch, from which every window is cut.
+    y, x = np.mgrid[-60:100, -60:110]
+    found = []
+    for i in range(n):
+        data = np.random.default_rng(i).normal(0, 1e-3, x.shape)
+        for north, west, peak, width in ((22, 14, 1, 1.8), (16, 26, 0.6, 1.6)):
+            r2 = (x - west - step[0] * i) ** 2 + (y - north - step[1] * i) ** 2
+            data += peak * np.exp(-r2 / 2 / width**2)
+        top, left = corner[0] + 60, corner[1] + 60
+        found.append(data[top : top + shape[0], left : left + shape[1]])
+    return np.array(found)
+
+
+def velocity(data, *, times=TIMES, pixel=PIXEL, mask=None, speed=5, unit=None):
+    """Of the strongest component: east, north and error, in mas/yr."""
+    cube = EpochCube.from_arrays(
+        data, times=times, pixel_scale=pixel, mask=mask, unit=unit
+    )
+    return of_cube(cube, speed)
+
+
+def of_cube(cube, speed=5):
+    scc = StackedCrossCorrelation(scales=[1, 2], max_speed=speed * u.mas / u.yr)
+    with warnings.catch_warnings():
+        # Two trials are none, but velocities do not depend on them.
+        warnings.filterwarnings("ignore", message="2 trials allow no p_global")
+        table = scc(cube, n_trials=2, rng=1).components
+    row = table[0]
+    error = np.hypot(row["pm_ra_cosdec_err"], row["pm_dec_err"])
+    return np.array([row[k].value for k in ("pm_ra_cosdec", "pm_dec")]), error.value
+
+
+@pytest.fixture(scope="module")
+def usual():
+    return velocity(images())
+
+
+def true_velocity(step=STEP, days=30.0, pixel=0.1):
+    return np.array([-step[0], step[1]]) * pixel / days * YEAR
+
+
+@few
+@given(st.floats(-9, 9), st.floats(-1e3, 1e3))
+def test_intensities_may_be_scaled_and_offset(usual, exponent, offset):
+    data = (images() + offset) * 10**exponent
+    assert velocity(data)[0] == pytest.approx(usual[0], abs=1e-3)
+
+
+@few
+@given(st.integers(-6, 6), st.integers(-8, 8))
+def test_a_common_shift_moves_nothing(usual, down, left):
+    found, error = velocity(images(corner=(down, left)))
+    assert np.hypot(*(found - usual[0])) < 3 * np.hypot(error, usual[1])
+
+
+@few
+@given(st.integers(1, 3))
+def test_turning_all_epochs_turns_velocities(usual, quarters):
+    data = np.rot90(images(), quarters, axes=(1, 2))
+    east, north = usual[0]
+    for _ in range(quarters):
+        # rot90 turns rows, which are counted upwards, clockwise.
+        east, north = -north, east
+    assert velocity(data)[0] == pytest.approx([east, north], abs=1e-3)
+
+
+def test_reversing_time_changes_the_sign(usual):
+    found, error = velocity(images()[::-1])
+    assert np.hypot(*(found + usual[0])) < 3 * np.hypot(error, usual[1])
+
+
+@few
+@given(st.permutations(range(5)))
+def test_the_order_of_epochs_is_that_of_their_dates(usual, order):
+    order = list(order)
+    found, _ = velocity(images()[order], times=TIMES[order])
+    assert np.array_equal(found, usual[0])
+
+
+@few
+@given(
+    st.tuples(*[st.integers(0, 9)] * 4),
+    st.sampled_from([0.0, np.nan]),
+)
+def test_empty_margins_change_nothing(usual, widths, value):
+    below, above, left, right = widths
+    data = np.pad(
+        images(), ((0, 0), (below, above), (left, right)), constant_values=value
+    )
+    found, error = velocity(data)
+    assert np.hypot(*(found - usual[0])) < 3 * np.hypot(error, usual[1])
+
+
+@few
+@example(0.5, 0.5)
+@given(st.floats(-2.5, 2.5), st.floats(-1.5, 1.5))
+def test_any_shift_comes_back_within_its_error(x, y):
+    found, error = velocity(images((x, y)))
+    # What is left where there is no noise: a hundredth of a pixel.
+    error = np.hypot(error, 0.01 * 0.1 / 30 * YEAR)
+    assert np.hypot(*(found - true_velocity((x, y)))) < 4 * error
+
+
+@few
+@given(st.floats(-3, 9), st.sampled_from([u.deg, u.arcsec, u.mas, u.uas]))
+def test_velocities_scale_with_pixels_in_any_unit(usual, exponent, unit):
+    factor = 10**exponent
+    pixel = (PIXEL * factor).to(unit)
+    found, _ = velocity(images(), pixel=pixel, speed=5 * factor)
+    assert found / factor == pytest.approx(usual[0], rel=1e-3, abs=1e-3)
+
+
+@few
+@given(st.floats(-3, 3))
+def test_velocities_scale_with_time(usual, exponent):
+    factor = 10**exponent
+    times = TIMES[0] + (TIMES - TIMES[0]) * factor
+    found, _ = velocity(images(), times=times, speed=5 / factor)
+    assert found * factor == pytest.approx(usual[0], rel=1e-3, abs=1e-3)
+
+
+@few
+@given(st.sampled_from(["Jy/beam", "mJy/beam", "ct", "K", "MJy/sr", ""]))
+def test_the_unit_of_the_image_is_no_matter(usual, unit):
+    assert np.array_equal(velocity(images(), unit=u.Unit(unit))[0], usual[0])
