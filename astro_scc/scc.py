@@ -26,10 +26,9 @@ from astro_scc.measurement.plan import (
     ssps_inside,
 )
 from astro_scc.measurement.provenance import selection_digest
-from astro_scc.measurement.stacking import NAMED_FRAMES
+from astro_scc.measurement.requirements import REQUIREMENTS, different_scales
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
-from astro_scc.stacking import NULL_HYPOTHESES
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
@@ -118,63 +117,10 @@ class StackedCrossCorrelation:
     small_displacement_correction: bool = False
 
     def __post_init__(self):
-        if self.max_speed is not None:
-            speed = _in_unit("max_speed", self.max_speed, PM_UNIT)
-            if not (speed.isscalar and 0 < speed.value < np.inf):
-                raise ValueError(f"max_speed must be one positive speed, got {speed}")
-            object.__setattr__(self, "max_speed", speed)
-        if self.baseline is not None:
-            baseline = _in_unit("baseline", self.baseline, u.yr)
-            if baseline.shape != (2,) or not 0 <= baseline[0] <= baseline[1]:
-                raise ValueError(
-                    f"baseline must be a shortest and a longest time, got {baseline}"
-                )
-            object.__setattr__(self, "baseline", baseline)
-        if isinstance(self.position_angle, str):
-            if self.position_angle not in NAMED_FRAMES:
-                raise ValueError(
-                    "position_angle must be an angle, 'radial', 'ridge' or 'fit', "
-                    f"got {self.position_angle!r}"
-                )
-        elif not (
-            self.position_angle is None or hasattr(self.position_angle, "matrix")
-        ):
-            angle = _in_unit("position_angle", self.position_angle, u.deg)
-            if not (angle.isscalar and np.isfinite(angle)):
-                raise ValueError(
-                    f"position_angle must be one finite angle, got {angle}"
-                )
-            object.__setattr__(self, "position_angle", angle)
-        if isinstance(self.nulls, str):
-            object.__setattr__(self, "nulls", (self.nulls,))
-        unknown = [name for name in self.nulls if name not in NULL_HYPOTHESES]
-        if unknown or not self.nulls:
-            raise ValueError(
-                f"nulls must be of {', '.join(NULL_HYPOTHESES)}, "
-                f"got {', '.join(map(repr, unknown)) or 'none'}"
-            )
-        object.__setattr__(self, "nulls", tuple(self.nulls))
-        if self.alignment_error is not None:
-            error = _in_unit("alignment_error", self.alignment_error, u.mas)
-            if error.ndim > 1 or not np.all((error >= 0) & np.isfinite(error)):
-                raise ValueError(
-                    f"alignment_error must be zero or positive angles, got {error}"
-                )
-            object.__setattr__(self, "alignment_error", error)
-        if not 0 < self.level < 1:
-            raise ValueError(f"level must be between 0 and 1, got {self.level}")
-        if not 0 < self.kernel < 5:
-            raise ValueError(f"kernel must be a part of the beam, got {self.kernel}")
-        if isinstance(self.scales, u.Quantity):
-            sizes = _in_unit("scales", self.scales, u.mas).value
-            if np.size(sizes) == 0 or not np.all((sizes > 0) & np.isfinite(sizes)):
-                raise ValueError(f"scales must be positive angles, got {self.scales}")
-            self._decomposer((1,))
-        else:
-            scales = tuple(float(s) for s in np.atleast_1d(self.scales))
-            _check_different(scales)
-            object.__setattr__(self, "scales", scales)
-            self._decomposer(scales)
+        for name, require in REQUIREMENTS.items():
+            object.__setattr__(self, name, require(getattr(self, name)))
+        # Their own settings are checked where they are used.
+        self._decomposer((1,) if isinstance(self.scales, u.Quantity) else self.scales)
         self._correlator()
 
     @classmethod
@@ -227,9 +173,7 @@ class StackedCrossCorrelation:
             If an angle is not within 20% of a scale's size, or two are of the
             same scale.
         """
-        numbers = scales_of_pixels(self.scales, cube.pixel_scale)
-        _check_different(numbers)
-        return numbers
+        return different_scales(scales_of_pixels(self.scales, cube.pixel_scale))
 
     def date_pairs(self, cube):
         """
@@ -499,20 +443,3 @@ def measure_velocities(
     return scc(
         cube, region=region, n_trials=n_trials, rng=rng, n_workers=n_workers
     ).components
-
-
-def _check_different(scales):
-    if len(set(scales)) < len(scales):
-        raise ValueError(
-            f"scales must differ, got {', '.join(f'{s:g}' for s in scales)}: leave out "
-            "what is there twice"
-        )
-
-
-def _in_unit(name, value, unit):
-    try:
-        return u.Quantity(value).to(unit)
-    except u.UnitConversionError:
-        raise u.UnitConversionError(
-            f"{name} must be in a unit like {unit}, got {value}"
-        ) from None
