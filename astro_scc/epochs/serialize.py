@@ -82,7 +82,7 @@ def write_cube(cube, path, *, overwrite=False):
     from astropy.table import Table
 
     table = Table()
-    table["DATE-OBS"] = [value[:23] for value in cube.times.isot]
+    table["DATE_OBS"] = [value[:23] for value in cube.times.isot]
     table["JD1"] = cube.times.jd1
     table["JD2"] = cube.times.jd2
     if cube.beams is not None:

@@ -61,7 +61,7 @@ def ssp_regions(ssps, cube, epoch, *, scales=None, shape="outline", frame="cube"
     >>> cube = simulate_static(n_epochs=2, rng=1).cube
     >>> ssps = SSPs.of_epochs([Decomposer(scales=[2])(image) for image in cube.data])
     >>> found = ssp_regions(ssps, cube, 0)
-    >>> len(found) == sum(ssps.epoch == 0), found[0].meta["text"]
+    >>> len(found) == (ssps.epoch == 0).sum().item(), found[0].meta["text"]
     (True, '0')
     """
     from regions import Regions
