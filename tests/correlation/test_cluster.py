@@ -73,6 +73,10 @@ def test_results_come_in_order_and_as_needed(cluster):
     assert found == {k: -k for k in range(12)}
 
 
+def test_large_pieces_are_no_matter_for_a_warning(cluster):
+    assert list(in_order(np.sum, [np.ones(2_000_000)], cluster)) == [2e6]
+
+
 def test_an_error_of_a_worker_is_raised_here(cluster):
     with pytest.raises(ZeroDivisionError):
         list(in_order((1).__floordiv__, [1, 0, 1], cluster))
