@@ -88,6 +88,7 @@ def animate_epochs(
     'jet.gif'
     """
     from matplotlib.animation import FuncAnimation
+    from matplotlib.lines import Line2D
 
     if trail < 0:
         raise ValueError(f"trail must be at least 0, got {trail}")
@@ -106,6 +107,9 @@ def animate_epochs(
     add_colorbar(ax, picture, brightness_label(cube.unit), ticks_of(norm))
     # Laid out with a title and a legend, the same in all frames.
     handles = [] if points is None else draw_ssps(ax, cube, ssps, points, -1, unit)
+    if handles and trail:
+        dot = {"linestyle": "", "marker": "o", "markersize": 2.5, "color": ORANGE}
+        handles.append(Line2D([], [], label="before", **dot))
     if handles:
         ax.legend(
             handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=9,
