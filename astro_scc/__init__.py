@@ -30,6 +30,7 @@ _FOLDERS = frozenset(
         "stacking",
         "stratification",
         "survey",
+        "survey",
         "tracking",
         "visualization",
     }
