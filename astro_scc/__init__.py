@@ -30,7 +30,6 @@ _FOLDERS = frozenset(
         "stacking",
         "stratification",
         "survey",
-        "survey",
         "tracking",
         "visualization",
     }
