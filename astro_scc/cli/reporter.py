@@ -37,7 +37,11 @@ def one_line(error):
 
 
 def _print(text, file):
-    # What a terminal has no letters for is no error of the measurement.
+    # Names from files may have codes in them that steer the terminal, or letters
+    # that it has not.
+    text = "".join(
+        c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text
+    )
     encoding = getattr(file, "encoding", None) or "utf-8"
     print(text.encode(encoding, "backslashreplace").decode(encoding), file=file)
 

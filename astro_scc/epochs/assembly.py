@@ -258,7 +258,7 @@ def _plane(image, name, time, beam):
 
 def _assemble(planes, frame, check, source):
     """A cube of images that are each on their own grid."""
-    times = Time([plane.time for plane in planes])
+    times = as_times([plane.time for plane in planes], len(planes))
     order = np.argsort((times - times[0]).jd, kind="stable")
     planes, times = [planes[i] for i in order], times[order]
     for i, k in find_same_dates(times):

@@ -12,6 +12,7 @@ from astro_scc.epochs.component_models import read_aips, read_difmap
 from astro_scc.epochs.component_tables import read_ecsv, read_mrt, row_date
 from astro_scc.epochs.components import CORE, ComponentList
 from astro_scc.epochs.fits import check_ordinary
+from astro_scc.epochs.validation import as_times
 from astro_scc.exceptions import EpochWarning
 
 __all__ = ["read_components"]
@@ -140,7 +141,7 @@ def _build(path, columns, relative, origin, meta):
     """Component list of one file; ``relative``: positions refer to the core."""
     dates = np.asarray(columns.pop("date"))
     days, epoch = np.unique(dates, return_inverse=True)
-    times = Time(days, format="isot", scale="utc")
+    times = as_times(list(days), len(days))
     east, north = columns["east"], columns["north"]
     core = columns.get("feature", np.full(len(dates), -1)) == CORE
     for i, day in enumerate(days):

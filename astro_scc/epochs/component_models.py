@@ -2,11 +2,14 @@
 """Component lists in difmap models and in AIPS CC tables."""
 
 import re
+import warnings
+from contextlib import suppress
 
 import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.component_tables import require_finite, row_date
+from astro_scc.epochs.fits import open_fits
 from astro_scc.epochs.headers import header_facts
 
 __all__ = ["read_aips", "read_difmap"]
@@ -107,30 +110,56 @@ def _check_type(code, where):
         )
 
 
-def read_aips(path, *, source, date):
-    from astropy.io import fits
+class _NoTableError(Exception):
+    """The file is FITS, but has no CLEAN components."""
 
-    try:
-        with fits.open(path) as hdus:
-            header = hdus[0].header
-            tables = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
-            if not tables:
-                raise ValueError(
-                    f"{path}: no AIPS CC table in the file; it cannot be restored"
-                )
-            hdu = max(tables, key=lambda h: h.ver)
-            units = {
-                hdu.header.get(f"TTYPE{i}", "").strip(): hdu.header.get(
-                    f"TUNIT{i}", ""
-                ).strip()
-                for i in range(1, hdu.header["TFIELDS"] + 1)
-            }
-            data = {
-                name.strip(): np.array(hdu.data[name], dtype=float).ravel()
-                for name in hdu.data.names
-            }
-    except OSError as error:
-        raise OSError(f"{path}: not a readable FITS file: {error}") from None
+
+def _aips_columns(path):
+    """The header of the image, and the columns and units of the components."""
+    with warnings.catch_warnings():
+        # AIPS files break small rules of the standard throughout.
+        warnings.simplefilter("ignore")
+        try:
+            # astropy.io.fits forgets to close files that it fails to open.
+            with path.open("rb") as file, open_fits(file) as hdus:
+                return _columns(hdus)
+        except _NoTableError:
+            raise ValueError(
+                f"{path}: no AIPS CC table in the file; it cannot be restored"
+            ) from None
+        except Exception as error:
+            # A damaged file can fail anywhere inside astropy.io.fits.
+            reason = str(error).strip().splitlines() or [type(error).__name__]
+            raise OSError(f"{path}: not a readable FITS file: {reason[0]}") from None
+
+
+def _columns(hdus):
+    from astropy.io.fits import VerifyError
+
+    tables = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
+    if not tables:
+        raise _NoTableError
+    hdu = max(tables, key=lambda h: h.ver)
+    units = {
+        str(hdu.header.get(f"TTYPE{i}", "")).strip(): str(
+            hdu.header.get(f"TUNIT{i}", "")
+        ).strip()
+        for i in range(1, hdu.header["TFIELDS"] + 1)
+    }
+    data = {
+        name.strip(): np.array(hdu.data[name], dtype=float).ravel()
+        for name in hdu.data.names
+    }
+    header = {}
+    for card in hdus[0].header.cards:
+        # Cards are parsed at first use, where broken ones raise.
+        with suppress(ValueError, VerifyError):
+            header.setdefault(card.keyword, card.value)
+    return header, data, units
+
+
+def read_aips(path, *, source, date):
+    header, data, units = _aips_columns(path)
     missing = {"FLUX", "DELTAX", "DELTAY"} - data.keys()
     if missing:
         raise ValueError(

@@ -2,6 +2,7 @@
 """Component lists in ECSV and in the machine-readable tables of AAS and CDS."""
 
 import re
+import warnings
 from datetime import datetime
 
 import astropy.units as u
@@ -254,6 +255,13 @@ def row_date(text, where):
     if isinstance(text, Time):
         return text.utc.isot
     text = str(text).strip().replace("_", "-")
+    with warnings.catch_warnings():
+        # ERFA calls dates dubious for which leap seconds are unknown.
+        warnings.simplefilter("ignore")
+        return _row_date(text, where)
+
+
+def _row_date(text, where):
     try:
         if re.fullmatch(r"\d{4}\.\d{2,3}|\d{4}\.\d{5,}", text):
             return Time(float(text), format="decimalyear", scale="utc").isot

@@ -119,6 +119,11 @@ def _combine(cube, items, name):
                 f"{name}: a {type(item).__name__} has no inside; "
                 "use circles, ellipses, rectangles or polygons"
             ) from None
+        except OverflowError:
+            raise ValueError(
+                f"{name}: a {type(item).__name__} of a size or place without end; "
+                "correct its numbers"
+            ) from None
         # Masks ignore "include", and are None outside the image.
         wanted = bool(item.meta.get("include", True))
         only_excluded &= not wanted

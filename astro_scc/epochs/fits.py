@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """One FITS image of VLBI, CASA, HST and others as CCDData."""
 
+import gzip
+import mmap
 import os
 import re
 import warnings
@@ -24,6 +26,7 @@ __all__ = ["as_image", "read_image", "read_vlbi_fits"]
 
 # What the files of EpochCube.write are known by.
 CUBE_CREATOR = "astro_scc EpochCube"
+_AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 # What describes the array and its axes in the file, which the CCDData says
 # itself, in two dimensions.
 _STRUCTURE = re.compile(
@@ -173,7 +176,7 @@ class _ContentError(Exception):
     """The file is FITS, but the image in it is not what is needed."""
 
 
-class _NoImageError(Exception):
+class _NoImageError(OSError):
     """The file is not FITS, is broken, or holds no image."""
 
 
@@ -183,10 +186,8 @@ def _open(path, hdu):
         warnings.simplefilter("ignore")
         try:
             # astropy.io.fits forgets to close files that it fails to open.
-            with path.open("rb") as file:
-                _check_axes(file)
-                with fits.open(file) as hdus:
-                    return _image(hdus, hdu, path)
+            with path.open("rb") as file, open_fits(file) as hdus:
+                return _image(hdus, hdu, path)
         except (_ContentError, _NoImageError):
             raise
         except Exception as error:
@@ -194,12 +195,44 @@ def _open(path, hdu):
             raise _broken(error) from None
 
 
-def _check_axes(file):
-    """The standard has up to 999 axes; astropy counts to any damaged number."""
-    naxis = re.search(rb"NAXIS   = *(\d+)", file.read(2880))
+def open_fits(file, **options):
+    """
+    Open a FITS file that may be damaged.
+
+    The standard has up to 999 axes; astropy counts to any number that a header
+    claims, for years.
+
+    Parameters
+    ----------
+    file : binary file
+    **options
+        Of `astropy.io.fits.open`.
+
+    Returns
+    -------
+    `~astropy.io.fits.HDUList`
+
+    Raises
+    ------
+    OSError
+        If a header claims to have more axes, and all that astropy raises.
+    """
+    found = _AXES.search(_content(file))
+    if found:
+        raise _NoImageError(f"is broken, it claims to have {found[1].decode()} axes")
     file.seek(0)
-    if naxis and int(naxis[1]) > 999:
-        raise _NoImageError(f"is broken, it claims to have {naxis[1].decode()} axes")
+    return fits.open(file, **options)
+
+
+def _content(file):
+    """Where headers may be: all of a file, the beginning of a compressed one."""
+    if file.read(2) == b"\x1f\x8b":
+        file.seek(0)
+        with gzip.open(file) as whole:
+            return whole.read(2880)
+    if file.seek(0, os.SEEK_END) == 0:
+        return b""
+    return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
 
 def _broken(error):

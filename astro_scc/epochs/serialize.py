@@ -15,7 +15,7 @@ from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.fits import CUBE_CREATOR
+from astro_scc.epochs.fits import CUBE_CREATOR, open_fits
 
 __all__ = [
     "is_cube_file",
@@ -136,7 +136,7 @@ def is_cube_file(path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            with open(path, "rb") as file, fits.open(file) as hdus:
+            with open(path, "rb") as file, open_fits(file) as hdus:
                 return hdus[0].header.get("CREATOR") == CUBE_CREATOR
         except Exception:
             # What is wrong with it, reading it as an image will say.
@@ -163,7 +163,7 @@ def read_cube(path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            with open(path, "rb") as file, fits.open(file, memmap=False) as hdus:
+            with open(path, "rb") as file, open_fits(file, memmap=False) as hdus:
                 version = hdus[0].header["SCCVERS"]
                 if version == VERSION:
                     return _unpack(hdus)

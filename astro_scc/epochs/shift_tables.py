@@ -121,9 +121,11 @@ def _read(table):
         text = path.read_text(encoding="utf-8")
         kind = "ascii.ecsv" if text.startswith("# %ECSV") else "ascii.csv"
         return str(path), Table.read(text.splitlines(), format=kind)
-    except ValueError as error:
-        # Astropy's messages for tables run over many lines.
-        first = str(error).strip().splitlines()[0]
+    except OSError:
+        raise
+    except Exception as error:
+        # Astropy's readers of tables raise all sorts, in many lines.
+        first = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise ValueError(f"{path}: is neither CSV nor ECSV ({first})") from error
 
 

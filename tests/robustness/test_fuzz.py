@@ -1,0 +1,136 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Readers of damaged files, see ``tools/fuzz.py``."""
+
+import gzip
+import re
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from astro_scc.epochs import EpochCube, read_components
+from astro_scc.epochs.shift_tables import offsets_from_table
+
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="limits of time and memory are of Linux"
+)
+
+
+def test_sound_files_are_read(fuzz, tmp_path):
+    for suffix, content, reader in fuzz.sources(tmp_path).values():
+        path = tmp_path / f"sound{suffix}"
+        path.write_bytes(content)
+        assert fuzz.read(path, reader) == "read"
+
+
+def test_damaged_files_are_read_or_refused(fuzz):
+    with fuzz.limits():
+        counts, faults = fuzz.fuzz(270, seed=2, seconds=8)
+    assert faults == []
+    # The damage is neither harmless nor the end of everything.
+    whole = counts.total()
+    assert 0.05 * whole < sum(n for (_, what), n in counts.items() if what == "read")
+
+
+def test_damage_is_the_same_again(fuzz):
+    content = b"SIMPLE  =                    T" + b" " * 2850
+    one, other = (fuzz.damage(content, np.random.default_rng([1, 2])) for _ in "ab")
+    assert one == other
+    for k in range(300):
+        # Whatever is left of a file can be damaged further.
+        fuzz.damage(b"a = 1", np.random.default_rng(k))
+        fuzz.damage(content, np.random.default_rng(k))
+
+
+def test_what_is_wrong_is_seen(fuzz, tmp_path, monkeypatch):
+    def crash(path):
+        raise KeyError("NAXIS")
+
+    def lines(path):
+        raise ValueError("one\ntwo")
+
+    def endless(path):
+        time.sleep(60)
+
+    monkeypatch.setattr(fuzz, "TIME", 0.05)
+    assert fuzz.read(tmp_path, crash).startswith("KeyError: 'NAXIS' (test_fuzz.py:")
+    assert fuzz.read(tmp_path, lines).startswith("of lines: ")
+    assert fuzz.read(tmp_path, endless).startswith("TooLongError")
+    with fuzz.limits(2**27):
+        found = fuzz.read(tmp_path, lambda path: np.ones(2**28))
+    assert found.startswith("_ArrayMemoryError") or found.startswith("MemoryError")
+
+
+# -- what was found ------------------------------------------------------------------
+
+
+def test_a_header_of_ecsv_without_names(tmp_path):
+    path = tmp_path / "cores.ecsv"
+    path.write_text("# %ECSV 1.0\n# ---\n# datatype:\n# - {nam: epoch}\nepoch\n1\n")
+    with pytest.raises(ValueError, match=r"cores.ecsv: is neither CSV nor ECSV"):
+        offsets_from_table(path, None, [])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (b"NAXIS1  ", b"NOXIS1  ", "cc.fits: not a readable FITS file: "),
+        (b"AIPS CC", b"AIPS \xffC", "cc.fits: no AIPS CC table in the file"),
+        (
+            b"'2001-01-01'",
+            b"'2001-01-01 ",
+            "cc.fits: no DATE-OBS in the header",
+        ),
+    ],
+)
+def test_broken_cards_of_clean_components(fuzz, tmp_path, old, new, message):
+    content = fuzz.sources(tmp_path)["AIPS components"][1]
+    path = tmp_path / "cc.fits"
+    path.write_bytes(content.replace(old, new))
+    with pytest.raises((OSError, ValueError), match=message):
+        read_components(path)
+
+
+def test_padding_of_clean_components_is_no_loss(fuzz, tmp_path):
+    path = tmp_path / "cc.fits"
+    path.write_bytes(fuzz.sources(tmp_path)["AIPS components"][1] + b"\0" * 100)
+    assert len(read_components(path).flux) == 2
+
+
+def test_a_date_for_which_no_leap_seconds_are_known(inputs, tmp_path):
+    paths = inputs.series(
+        tmp_path, lambda i: {"DATE_OBS": "2991-03-01"} if i == 2 else {}, n=3
+    )
+    assert EpochCube.read(paths).times[2].isot.startswith("2991-03-01T00:00")
+
+
+def test_axes_without_end_in_any_header(fuzz, inputs, tmp_path):
+    """Astropy would count to their number."""
+    sound = fuzz.sources(tmp_path)
+    axes = b"NAXIS   = 99999999999999999999"
+    for kind in ("image", "cube", "AIPS components"):
+        suffix, content, reader = sound[kind]
+        for match in re.finditer(rb"NAXIS   = {20}\d", content):
+            path = tmp_path / f"bad{suffix}"
+            path.write_bytes(content[: match.start()] + axes + content[match.end() :])
+            assert fuzz.read(path, reader) == "refused"
+    packed = tmp_path / "bad.fits.gz"
+    image = sound["image"][1]
+    packed.write_bytes(gzip.compress(re.sub(rb"NAXIS   = {20}\d", axes, image)))
+    with pytest.raises(OSError, match="bad.fits.gz: is broken, it claims to have 9999"):
+        EpochCube.read(packed)
+
+
+def test_a_region_without_end(fuzz, inputs, tmp_path):
+    cube = EpochCube.read(inputs.series(tmp_path, n=2))
+    path = tmp_path / "r.reg"
+    path.write_text("image\ncircle(6,4,1e400)\n")
+    with pytest.raises(ValueError, match="r.reg: a CirclePixelRegion of a size or pl"):
+        cube.region_mask(path)
+
+
+def test_a_far_date_of_components(fuzz, tmp_path):
+    path = tmp_path / "c.ecsv"
+    path.write_bytes(fuzz.COMPONENTS.replace(b"2002-01-01", b"2992-01-01"))
+    assert read_components(path).times[1].isot.startswith("2992-01-01")

@@ -1,0 +1,130 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Measurements that are stopped at any moment."""
+
+import os
+import random
+import signal
+import sys
+import time
+import warnings
+
+import pytest
+
+from astro_scc.cli import main
+from astro_scc.cli.measure import PRODUCTS
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "fork"), reason="the system has no processes of this kind"
+)
+TABLES = PRODUCTS[:4]
+
+
+def start(argv, log):
+    """A process of its own that runs the command, and its number."""
+    with warnings.catch_warnings():
+        # Of threads, which the libraries of arrays may have.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child = os.fork()
+    if child:
+        return child
+    status = 70
+    try:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        sys.stdout = sys.stderr = log.open("a", encoding="utf-8")
+        status = main(argv)
+        sys.stdout.close()
+    finally:
+        os._exit(status)
+
+
+def stop(child, after, how):
+    """Send a signal after some seconds; how the process ended."""
+    time.sleep(after)
+    os.kill(child, how)
+    _, status = os.waitpid(child, 0)
+    return os.waitstatus_to_exitcode(status)
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.fixture
+def usual(inputs, epochs, tmp_path):
+    """The arguments without the folder, the products, and the seconds they take."""
+    argv = ["measure", *map(str, epochs), *inputs.QUICK, "--no-report", "-o"]
+    begin = time.monotonic()
+    assert main([*argv, str(tmp_path / "usual")]) == 0
+    seconds = time.monotonic() - begin
+    return argv, contents(tmp_path / "usual"), seconds
+
+
+def check_interrupts(usual, tmp_path, how, n, seed):
+    argv, expected, seconds = usual
+    out, log = tmp_path / "here" / "out", tmp_path / "log"
+    rng = random.Random(seed)
+    ends = []
+    for _ in range(n):
+        child = start([*argv, str(out), "--overwrite"], log)
+        ends.append(stop(child, rng.uniform(0, 1.1 * seconds), how))
+        # All of it, or nothing.
+        assert not out.exists() or contents(out) == expected
+        if how == signal.SIGINT and not out.exists():
+            assert not out.parent.exists()
+    assert main([*argv, str(out), "--overwrite"]) == 0
+    assert contents(out) == expected
+    return set(ends), log.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_interrupt_leaves_nothing(usual, tmp_path, seed):
+    ends, said = check_interrupts(usual, tmp_path, signal.SIGINT, 3, seed)
+    # 70: before the command began.
+    assert ends <= {0, 130, 70, -signal.SIGINT}
+    assert "Traceback" not in said
+    for line in said.splitlines():
+        if "error" in line:
+            assert line == "astro-scc measure: error: interrupted, nothing was written"
+
+
+def test_a_kill_leaves_nothing_that_looks_complete(usual, tmp_path):
+    ends, _ = check_interrupts(usual, tmp_path, signal.SIGKILL, 4, 3)
+    assert ends <= {0, -signal.SIGKILL}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_ten_moments(usual, tmp_path, how):
+    check_interrupts(usual, tmp_path, how, 10, 4)
+
+
+@pytest.mark.parametrize("moment", range(4))
+def test_a_kill_while_products_are_moved(usual, tmp_path, monkeypatch, moment):
+    """Into a folder that has some already, they go one by one."""
+    argv, expected, _ = usual
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    real, left = os.replace, [moment]
+
+    def replace(old, new):
+        if left[0] == 0:
+            os._exit(9)
+        left[0] -= 1
+        real(old, new)
+
+    monkeypatch.setattr("astro_scc.measurement.products.os.replace", replace)
+    child = start([*argv, str(out), "--overwrite"], tmp_path / "log")
+    _, status = os.waitpid(child, 0)
+    monkeypatch.undo()
+    assert os.waitstatus_to_exitcode(status) == 9
+    # Each file is whole.
+    for path in out.glob("[!.]*"):
+        assert path.read_bytes() == {**expected, "notes.txt": b"mine"}[path.name]
+    assert main([*argv, str(out), "--overwrite"]) == 0
+    found = {n: c for n, c in contents_of_files(out).items() if n != "notes.txt"}
+    assert found == expected
+
+
+def contents_of_files(folder):
+    return {path.name: path.read_bytes() for path in folder.glob("[!.]*")}

@@ -1,0 +1,131 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Files of strangers: names in them are data, and nothing in them is run."""
+
+import ast
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+import astro_scc
+from astro_scc.cli import main
+from astro_scc.cli.reporter import Reporter
+from astro_scc.epochs import EpochCube, write_epochs
+from astro_scc.epochs.shift_tables import offsets_from_table
+from astro_scc.survey import folder_names
+
+HOSTILE = (
+    "../../evil", "/etc/passwd", "..", ".", "a/../../b", "CON", "x\\..\\y", "$HOME",
+    "`id`", "%00", "~root", "<script>alert(1)</script>", "{{7*7}}", "-rf",
+)  # fmt: skip
+SOURCES = sorted(Path(astro_scc.__file__).parent.rglob("*.py"))
+RUNS = {"eval", "exec", "compile", "__import__", "system", "popen", "Popen", "execv"}
+MODULES = {"pickle", "cPickle", "dill", "shelve", "marshal", "subprocess", "ctypes"}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_objects_name_files_of_their_folder_only(inputs, tmp_path, name):
+    folder = tmp_path / "a" / "b" / "out"
+    cube = EpochCube.read(inputs.series(_made(tmp_path / "in"), n=2))
+    before = set(tmp_path.rglob("*"))
+    for prefix in (None, name):
+        cube.meta["object"] = name
+        for path in write_epochs(cube, folder, prefix=prefix, overwrite=True):
+            assert path.parent == folder
+            assert re.fullmatch(r"[\w+.-]+", path.name)
+            assert path.is_file()
+    for path in set(tmp_path.rglob("*")) - before:
+        assert folder in (path, *path.parents) or path in folder.parents
+
+
+def _made(folder):
+    folder.mkdir()
+    return folder
+
+
+def test_sources_of_a_survey_name_folders_of_it_only():
+    found = folder_names([*HOSTILE, "a" * 5000, "\0", "ä", "A", "a"])
+    assert len({name.casefold() for name in found.values()}) == len(found)
+    for name in found.values():
+        assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9+._-]{0,80}", name)
+
+
+def test_nothing_is_written_beside_the_products(inputs, tmp_path, capsys):
+    """With every name that a header has, and a page that runs nothing of them."""
+    paths = inputs.series(
+        _made(tmp_path / "in"),
+        lambda i: dict.fromkeys(
+            ("OBJECT", "TELESCOP", "OBSERVER", "FILTER", "LABEL"),
+            "../<script>alert(1)</script>{{7*7}}",
+        ),
+    )
+    before = set(tmp_path.rglob("*"))
+    argv = ["measure", *map(str, paths), "-o", str(tmp_path / "out"), *inputs.QUICK]
+    assert main(argv) == 0
+    out = tmp_path / "out"
+    assert all(out in (p, *p.parents) for p in set(tmp_path.rglob("*")) - before)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "../&lt;script&gt;alert(1)&lt;/script&gt;{{7*7}}" in page
+    assert "<script" not in page
+
+
+def test_a_link_among_the_products_is_replaced_not_followed(inputs, epochs, tmp_path):
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    out = _made(tmp_path / "out")
+    (out / "components.ecsv").symlink_to(mine)
+    argv = ["measure", *map(str, epochs), "-o", str(out), *inputs.QUICK]
+    assert main([*argv, "--no-report", "--overwrite"]) == 0
+    assert mine.read_text() == "mine"
+    assert not (out / "components.ecsv").is_symlink()
+
+
+@pytest.mark.parametrize(
+    "code", ["!!python/object/apply:os.mkdir [{path}]", "!!python/name:os.system"]
+)
+def test_yaml_in_files_makes_no_objects(inputs, tmp_path, code):
+    bad = code.format(path=tmp_path / "made")
+    cube = EpochCube.read(inputs.series(tmp_path, n=2))
+    cube.write(tmp_path / "cube.fits")
+    with fits.open(tmp_path / "cube.fits") as hdus:
+        text = f"unit: {bad}\n".encode()
+        hdus["META"] = fits.ImageHDU(np.frombuffer(text, np.uint8), name="META")
+        hdus.writeto(tmp_path / "bad.fits")
+    with pytest.raises(OSError, match=r"bad.fits: is a damaged EpochCube file: "):
+        EpochCube.read(tmp_path / "bad.fits")
+    (tmp_path / "t.ecsv").write_text(
+        f"# %ECSV 1.0\n# ---\n# datatype:\n# - {{name: epoch, datatype: string}}\n"
+        f"# meta: {{a: {bad}}}\nepoch\n2001-01-01\n"
+    )
+    with pytest.raises(ValueError, match=r"t.ecsv: is neither CSV nor ECSV"):
+        offsets_from_table(tmp_path / "t.ecsv", None, [])
+    assert not (tmp_path / "made").exists()
+
+
+def test_codes_for_the_terminal_are_letters(capsys):
+    reporter = Reporter("astro-scc test")
+    reporter.say("a\x1b[2Jb\x07\n\tc")
+    reporter.warn("\x9b31m")
+    reporter.error("\x1b]0;title")
+    out, err = capsys.readouterr()
+    assert out == "a\\x1b[2Jb\\x07\n\tc\n"
+    assert err == "warning: \\x9b31m\nastro-scc test: error: \\x1b]0;title\n"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.stem)
+def test_no_code_runs_other_code(path):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call):
+            name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            own = getattr(getattr(node.func, "value", None), "id", "") == "re"
+            assert own or name not in RUNS, f"{path}:{node.lineno}"
+            for keyword in node.keywords:
+                if keyword.arg in ("allow_pickle", "shell"):
+                    assert getattr(keyword.value, "value", None) is False
+        names = [alias.name for alias in getattr(node, "names", []) if alias.name]
+        if isinstance(node, ast.ImportFrom):
+            names = [node.module or ""]
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            assert not {name.split(".")[0] for name in names} & MODULES, path
