@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
+from astropy.nddata import NDData
 from astropy.time import Time
 from astropy.wcs import WCS
 
@@ -93,6 +94,13 @@ class TestXarray:
         assert dict(dataset.sizes) == {"time": 3, "y": 8, "x": 12}
         assert all(isinstance(value, str) for value in dataset.attrs.values())
         assert_same(cube, EpochCube.from_xarray(dataset))
+
+    def test_netcdf(self, tmp_path):
+        pytest.importorskip("h5netcdf")
+        cube = full_cube()
+        cube.to_xarray().to_netcdf(tmp_path / "cube.nc", engine="h5netcdf")
+        with self.xarray.open_dataset(tmp_path / "cube.nc", engine="h5netcdf") as read:
+            assert_same(cube, from_xarray(read))
 
     def test_what_it_says(self):
         dataset = make_cube().to_xarray()
@@ -390,13 +398,22 @@ def test_hst_files(tmp_path):
 
 
 def test_solar_files_and_maps(tmp_path):
-    paths = []
+    paths, maps = [], []
     for i in range(3):
         date = f"2013-11-16T20:59:{13 + 12 * i:02d}.390Z"
         header = fits.Header({**SUN, "DATE-OBS": date})
         paths.append(tmp_path / f"aia_{i}.fits")
         fits.PrimaryHDU(image_of(i).astype(np.float32), header).writeto(paths[-1])
+        # As maps of SunPy are: NDData whose meta has keys in lower case.
+        meta = {key.lower(): value for key, value in header.items()}
+        maps.append(
+            NDData(image_of(i), unit=u.DN, wcs=WCS(fits.Header(SUN)), meta=meta)
+        )
     cube = EpochCube.read(paths)
+    of_maps = EpochCube.from_ccddata(maps)
+    assert np.allclose(of_maps.data, cube.data)
+    assert np.all(of_maps.times == cube.times)
+    assert np.allclose(of_maps.pixel_matrix, cube.pixel_matrix)
     assert cube.beams is None
     assert cube.unit == u.DN
     assert np.diff(cube.times.unix) == pytest.approx([12, 12])

@@ -14,6 +14,7 @@ from astro_scc.epochs.interchange.optional import optional
 from astro_scc.epochs.restoring import offset_wcs
 
 __all__ = ["is_hdf5", "read_movie"]
+__doctest_requires__ = {"read_movie": ["h5py"]}
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
@@ -63,6 +64,19 @@ def read_movie(path, *, beams=None):
     the north and the first column in the east, ``times`` hours UTC after
     the day ``mjd``.  That and ``psize`` (rad), ``ra`` (h), ``dec`` (deg),
     ``rf`` (Hz) and ``source`` are attributes of ``header``.
+
+    Examples
+    --------
+    >>> import h5py
+    >>> import numpy as np
+    >>> from astro_scc.epochs.interchange import read_movie
+    >>> with h5py.File("movie.hdf5", "w") as file:
+    ...     file["I"], file["times"] = np.ones((2, 20, 20)), [0.5, 1.5]
+    ...     header = file.create_dataset("header", (0,), dtype="S10")
+    ...     header.attrs.update({"mjd": "57850", "psize": "9.7e-12", "ra": "17.76",
+    ...                          "dec": "-28.99"})
+    >>> read_movie("movie.hdf5").times.isot[0]
+    '2017-04-07T00:30:00.000'
     """
     path = Path(os.fspath(path))
     try:

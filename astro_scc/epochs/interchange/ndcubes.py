@@ -7,6 +7,7 @@ from astropy.wcs import WCS
 from astro_scc.epochs.interchange.optional import optional
 
 __all__ = ["to_ndcube"]
+__doctest_requires__ = {"to_ndcube": ["ndcube"]}
 
 
 def to_ndcube(cube):
@@ -27,6 +28,13 @@ def to_ndcube(cube):
     ------
     ImportError
         If ndcube is not installed.
+
+    Examples
+    --------
+    >>> from astro_scc.epochs.interchange import to_ndcube
+    >>> from astro_scc.simulation import simulate_static
+    >>> to_ndcube(simulate_static(n_epochs=2, rng=1).cube).shape
+    (2, 128, 256)
     """
     ndcube = optional("ndcube", "to_ndcube", "ndcube")
     made = ndcube.NDCube(

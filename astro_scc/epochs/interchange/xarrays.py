@@ -13,6 +13,7 @@ from astro_scc.epochs.restoring import offset_wcs
 from astro_scc.epochs.serialize import pack_facts, pack_wcs, unpack_facts, unpack_wcs
 
 __all__ = ["from_xarray", "to_xarray"]
+__doctest_requires__ = {("from_xarray", "to_xarray"): ["xarray"]}
 
 #: What the images are called.
 NAME = "brightness"
@@ -42,6 +43,14 @@ def to_xarray(cube):
     ------
     ImportError
         If xarray is not installed.
+
+    Examples
+    --------
+    >>> from astro_scc.epochs.interchange import to_xarray
+    >>> from astro_scc.simulation import simulate_static
+    >>> dataset = to_xarray(simulate_static(n_epochs=2, rng=1).cube)
+    >>> list(dataset.data_vars)
+    ['brightness', 'mask', 'noise', 'beam_major', 'beam_minor', 'beam_pa']
     """
     xarray = optional("xarray", "to_xarray", "xarray")
     _, ny, nx = cube.shape
@@ -119,6 +128,16 @@ def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
         coordinates are uneven.
     TypeError
         If it is of another kind.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> import xarray
+    >>> from astro_scc.epochs.interchange import from_xarray
+    >>> array = xarray.DataArray(np.ones((2, 20, 30)), dims=("time", "y", "x"))
+    >>> from_xarray(array, times=["2000-01-01", "2001-01-01"], pixel_scale=25 * u.mas)
+    <EpochCube 2 epochs 2000-01-01 to 2001-01-01, 30 x 20 pixels of 25 mas>
     """
     if not hasattr(source, "dims") or not hasattr(source, "coords"):
         raise TypeError(
