@@ -123,6 +123,19 @@ class StackedCrossCorrelation:
         self._decomposer((1,) if isinstance(self.scales, u.Quantity) else self.scales)
         self._correlator()
 
+    def __eq__(self, other):
+        """Whether all settings are the same; quantities in any unit."""
+        if other.__class__ is not self.__class__:
+            return NotImplemented
+        return self._key() == other._key()
+
+    def __hash__(self):
+        """Of all settings."""
+        return hash(self._key())
+
+    def _key(self):
+        return tuple(_comparable(getattr(self, field.name)) for field in fields(self))
+
     @classmethod
     def from_settings(cls, settings):
         """
@@ -409,6 +422,13 @@ class StackedCrossCorrelation:
         return {
             k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()
         }
+
+
+def _comparable(value):
+    # Quantities compare element by element and cannot be hashed.
+    if isinstance(value, u.Quantity):
+        return value.shape, tuple(value.si.value.flat), str(value.si.unit)
+    return value
 
 
 def measure_velocities(

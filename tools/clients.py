@@ -2,13 +2,14 @@
 """
 Drive the programs that people open our files with, and look at what they say.
 
-    python tools/clients.py OUT [--only stilts fitsverify ds9 chromium]
+    python tools/clients.py OUT [--only stilts fitsverify ds9 chromium] [--pages HTML...]
 
 measures a small simulated jet into the folder OUT and hands every product to the
 program that is meant to read it: STILTS reads all tables and must find the units
 that astropy finds, fitsverify must accept every FITS file, DS9 (under Xvfb) opens
 an epoch with the regions of its SSPs, Chromium lays the report out wide and narrow
-and nothing may stick out.  Screenshots are left in OUT to be looked at.  A program
+and nothing may stick out, nor out of other pages that are given, such as those of the
+documentation.  Screenshots are left in OUT to be looked at.  A program
 that is not installed is skipped with a message; on Debian they are
 
     apt install stilts fitsverify saods9 xvfb imagemagick chromium
@@ -27,13 +28,17 @@ import shutil
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import astropy.units as u
 from astropy.table import QTable
 
 WIDTHS = (1280, 768, 360)
+CHROMIUM = (
+    *("chromium", "--headless", "--no-sandbox", "--disable-gpu"),
+    *("--allow-file-access-from-files", "--virtual-time-budget=5000"),
+)
 #: The epoch that is opened with its regions.
 EPOCH = 2
 
@@ -42,17 +47,19 @@ def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument("out", type=Path, help="folder for products and screenshots")
     parser.add_argument("--only", nargs="+", choices=CLIENTS, default=list(CLIENTS))
+    parser.add_argument("--pages", nargs="+", type=Path, default=[], metavar="HTML")
     args = parser.parse_args(argv)
     args.out.mkdir(parents=True, exist_ok=True)
     make_products(args.out)
     failed = False
     for name in args.only:
         programs, check = CLIENTS[name]
+        more = [args.pages] if name == "chromium" else []
         missing = [program for program in programs if shutil.which(program) is None]
         if missing:
             print(f"{name}: skipped, {' and '.join(missing)} not installed")
             continue
-        for subject, problem, *note in check(args.out):
+        for subject, problem, *note in check(args.out, *more):
             print(f"{name}: {subject}: {problem or ''.join(note) or 'fine'}")
             failed |= bool(problem)
     return int(failed)
@@ -186,56 +193,63 @@ def photograph(command, picture, wait=15):
     return "" if picture.is_file() else f"no picture: {text[-300:]}"
 
 
-def check_chromium(out):
-    """The report wide and narrow: nothing is wider than the page."""
-    report = (out / "report.html").resolve()
-    frames = "".join(
-        f'<iframe id="w{w}" width="{w}" height="900" '
-        f'src="{html.escape(report.as_uri())}"></iframe>'
-        for w in WIDTHS
-    )
-    # Windows of Chromium cannot be made narrow, frames can.
-    script = """
+def check_chromium(out, pages=()):
+    """The report, and other pages, wide and narrow: nothing is wider than the page."""
+    report = out / "report.html"
+    for page in (report, *pages):
+        widths = page_widths(page, out)
+        if widths is None:
+            yield page.name, "did not open"
+            continue
+        for width, (scroll, client, tags) in widths.items():
+            wide = f"is {scroll} px wide in {client} ({', '.join(tags)})"
+            yield f"{page.name} at {width} px", wide if scroll > client else ""
+    for width in WIDTHS:
+        picture = (out / f"report_{width}.png").resolve()
+        with wrapper(out, frame(report, width, 2400)) as page:
+            size = f"--window-size={width + 20},2420"
+            run(*CHROMIUM, f"--screenshot={picture}", size, page)
+        yield f"look at {picture.name}", "" if picture.is_file() else "no picture"
+
+
+def page_widths(page, out):
+    """Width of a page that is laid out in frames, and what sticks out of them."""
+    script = """<script>
     window.onload = () => {
       const seen = {};
       for (const frame of document.querySelectorAll("iframe")) {
         const page = frame.contentDocument.documentElement;
-        const wide = [...page.querySelectorAll("body *")].filter(
+        const out = [...page.querySelectorAll("body *")].filter(
           e => e.getBoundingClientRect().right > page.clientWidth + 1);
         seen[frame.width] = [page.scrollWidth, page.clientWidth,
-                             wide.slice(0, 3).map(e => e.tagName)];
+                             out.slice(0, 3).map(e => e.tagName)];
       }
       document.getElementById("seen").textContent = JSON.stringify(seen);
     };
-    """
-    wrapper = out / "frames.html"
-    wrapper.write_text(
-        f"<!doctype html><pre id='seen'></pre>{frames}<script>{script}</script>"
+    </script><pre id="seen"></pre>"""
+    frames = "".join(frame(page, width, 900) for width in WIDTHS)
+    with wrapper(out, script + frames) as url:
+        text, _ = run(*CHROMIUM, "--dump-dom", url)
+    seen = re.search(r'<pre id="seen">(.+?)</pre>', text, flags=re.DOTALL)
+    return json.loads(html.unescape(seen[1])) if seen else None
+
+
+def frame(page, width, height):
+    """Windows of Chromium cannot be made narrow, frames can."""
+    url = html.escape(Path(page).resolve().as_uri())
+    style = "border:0"
+    return (
+        f'<iframe width={width} height={height} style="{style}" src="{url}"></iframe>'
     )
-    chromium = (
-        *("chromium", "--headless", "--no-sandbox", "--disable-gpu"),
-        *("--allow-file-access-from-files", "--virtual-time-budget=5000"),
-    )
-    text, _ = run(*chromium, "--dump-dom", wrapper.resolve().as_uri())
-    seen = re.search(r'<pre id="seen">(.*?)</pre>', text, flags=re.DOTALL)
-    if not seen or not seen[1]:
-        yield "report.html", f"did not open: {text[-300:]}"
-        return
-    for width, (scroll, client, tags) in json.loads(html.unescape(seen[1])).items():
-        wide = f"is {scroll} px wide in {client} ({', '.join(tags)})"
-        yield f"report.html at {width} px", wide if scroll > client else ""
-    for width in WIDTHS:
-        picture = (out / f"report_{width}.png").resolve()
-        page = out / f"frame_{width}.html"
-        page.write_text(
-            "<!doctype html><body style='margin:0'>"
-            f'<iframe width="{width}" height="2400" style="border:0" '
-            f'src="{html.escape(report.as_uri())}"></iframe>'
-        )
-        run(*chromium, f"--screenshot={picture}", f"--window-size={width + 20},2420",
-            page.resolve().as_uri())  # fmt: skip
-        page.unlink()
-    wrapper.unlink()
+
+
+@contextmanager
+def wrapper(out, body):
+    """Address of a page that is there for a moment."""
+    page = (out / "frames.html").resolve()
+    page.write_text(f"<!doctype html><body style='margin:0'>{body}", encoding="utf-8")
+    yield page.as_uri()
+    page.unlink()
 
 
 CLIENTS = {

@@ -5,9 +5,9 @@ What a user of the command line gets for inputs as archives and mistakes make th
 Each case makes its files, five epochs of a small jet whose features all move 2 pixels
 west an epoch, and measures them::
 
-    python tools/inputs.py
+    python tools/inputs.py --table benchmarks/results/inputs.csv
 
-prints the answers and writes ``benchmarks/results/inputs.csv``.  The tests in
+prints the answers, and writes them with ``--table FILE.csv``.  The tests in
 ``tests/robustness`` hold every case to what it says it gets.
 """
 

@@ -14,6 +14,7 @@ from astropy.wcs import WCS
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube
+from astro_scc.measurement.products import plain_cosmology
 from astro_scc.measurement.tables import component_table, ssp_table
 from astro_scc.measurement.velocity_error import VelocityError
 from astro_scc.stacking import (
@@ -223,7 +224,9 @@ class SCCResult:
         -------
         `~astropy.table.QTable`
             `components` with the columns ``beta_app`` and ``beta_app_err``,
-            the speed ``pm`` in units of c.
+            the speed ``pm`` in units of c.  The cosmology is in its meta as a
+            dictionary, from which ``Cosmology.from_format(...,
+            format="mapping")`` makes it again.
 
         Raises
         ------
@@ -240,6 +243,8 @@ class SCCResult:
                 u.Quantity(speed).to_value(u.dimensionless_unscaled),
                 description=f"{name} in units of c",
             )
+        if cosmology is not None:
+            how["cosmology"] = plain_cosmology(cosmology)
         table.meta.update({k: v for k, v in how.items() if v is not None})
         return table
 
