@@ -2,15 +2,15 @@
 """
 Drive the programs that people open our files with, and look at what they say.
 
-    python tools/clients.py OUT [--only stilts fitsverify ds9 chromium] [--pages HTML...]
+    python tools/clients.py OUT [--only stilts fitsverify ds9 chromium] [--pages HTML]
 
 measures a small simulated jet into the folder OUT and hands every product to the
 program that is meant to read it: STILTS reads all tables and must find the units
 that astropy finds, fitsverify must accept every FITS file, DS9 (under Xvfb) opens
-an epoch with the regions of its SSPs, Chromium lays the report out wide and narrow
-and nothing may stick out, nor out of other pages that are given, such as those of the
-documentation.  Screenshots are left in OUT to be looked at.  A program
-that is not installed is skipped with a message; on Debian they are
+an epoch with the regions of its SSPs, Chromium lays the report out wide and narrow,
+and other pages that are given, such as those of the documentation, and nothing may
+stick out.  Screenshots are left in OUT to be looked at.  A program that is not
+installed is skipped with a message; on Debian they are
 
     apt install stilts fitsverify saods9 xvfb imagemagick chromium
 

@@ -75,8 +75,8 @@ def read_movie(path, *, beams=None):
     ...     header = file.create_dataset("header", (0,), dtype="S10")
     ...     header.attrs.update({"mjd": "57850", "psize": "9.7e-12", "ra": "17.76",
     ...                          "dec": "-28.99"})
-    >>> read_movie("movie.hdf5").times.isot[0]
-    '2017-04-07T00:30:00.000'
+    >>> print(read_movie("movie.hdf5").times[0].isot)
+    2017-04-07T00:30:00.000
     """
     path = Path(os.fspath(path))
     try:
