@@ -592,7 +592,9 @@ def main():
         wrong = faults(found, one)
         mark = f"FAULT ({', '.join(wrong)}) " if wrong else ""
         print(f"{mark}{one.name}: {found.answer}", flush=True)
-        rows.append([one.name, found.status, found.answer])
+        # The page that shows the table reads it as text with markup.
+        answer = re.sub(r"([*`|\\])", r"\\\1", found.answer)
+        rows.append([one.name, found.status, answer])
     if args.table:
         with args.table.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
