@@ -186,7 +186,7 @@ def words_of(result, components, folder, **kwargs):
 
 
 def test_no_component_is_an_answer_too(result, tmp_path):
-    empty = replace(result, maxima=(), findings=(), errors=(), jitters=())
+    empty = replace(result, maxima=(), findings=(), error_parts=(), jitters=())
     words = words_of(empty, empty.components, tmp_path)
     assert "No speed stands out." in words
     assert "None: too few patterns have matches to test a velocity." in words

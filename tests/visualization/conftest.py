@@ -42,7 +42,7 @@ def result(results):
 @pytest.fixture(scope="session")
 def empty(result):
     """A result without components."""
-    return replace(result, maxima=(), findings=(), errors=(), jitters=())
+    return replace(result, maxima=(), findings=(), error_parts=(), jitters=())
 
 
 @pytest.fixture(scope="session")

@@ -168,7 +168,7 @@ def test_the_slice_of_a_map_on_the_sky_is_along_the_position_angle(angle, result
     across = grid.v1 * np.cos(theta) - grid.v2[:, None] * np.sin(theta)
     turned = replace(
         sky, z_score=along + 0.1 * across, position_angle=angle * u.deg, maxima=(),
-        findings=(), errors=(), jitters=(),
+        findings=(), error_parts=(), jitters=(),
     )  # fmt: skip
     ax = plot_significance(turned).axes[0]
     (line,) = (x for x in ax.lines if x.get_label() == "at zero transverse speed")
