@@ -16,6 +16,7 @@ import numpy as np
 from astropy.stats import binom_conf_interval
 from astropy.table import Table
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from run import KINDS
 
 RESULTS = Path(__file__).parent / "results"
@@ -190,6 +191,10 @@ def draw():
         xlabel="p_global of a moving component",
         ylabel="Share of jets with one at most this",
     )  # fmt: skip
+    ticks = [0.002, 0.005, 0.01, 0.02, 0.05]
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+        axis.set_minor_formatter(NullFormatter())
     ax.legend(loc="upper left", fontsize=8)
     return figure
 
