@@ -69,6 +69,8 @@ COLUMNS = (
     ("pm_dec", "north ({unit})", 3),
     ("coefficient", "coefficient", 3),
     ("pm_err_jitter", "paper's error of the speed ({unit})", 3),
+    ("pm_err_alignment", "error by alignment ({unit})", 3),
+    ("pm_err_epochs", "error by epochs ({unit})", 3),
     ("p_local", "p_local", 3),
     ("p_smallest", "smallest p_global", 3),
 )

@@ -19,8 +19,26 @@ def _factorial(n):
     return math.factorial(min(n, MOST))
 
 
+class _Orders:
+    """What all sets of orders have."""
+
+    def exhausts(self, n_epochs, n_trials):
+        """
+        Whether so many trials go through all orders.
+
+        Parameters
+        ----------
+        n_epochs, n_trials : int
+
+        Returns
+        -------
+        bool
+        """
+        return self.number(n_epochs) <= n_trials + 1
+
+
 @dataclass(frozen=True)
-class AllOrders:
+class AllOrders(_Orders):
     """
     Every permutation of the epochs.
 
@@ -54,7 +72,7 @@ class AllOrders:
 
     def exhausts(self, n_epochs, n_trials):
         """
-        Whether so many trials go through all orders.
+        Whether so many trials go through all orders, reversed ones too.
 
         Parameters
         ----------
@@ -114,7 +132,7 @@ class WithoutSuccessors(AllOrders):
 
 
 @dataclass(frozen=True)
-class BlockOrders:
+class BlockOrders(_Orders):
     """
     Blocks of epochs in any order, each as it is.
 
@@ -160,20 +178,6 @@ class BlockOrders:
         """
         return float(_factorial(math.ceil(n_epochs / self.length)))
 
-    def exhausts(self, n_epochs, n_trials):
-        """
-        Whether so many trials go through all orders.
-
-        Parameters
-        ----------
-        n_epochs, n_trials : int
-
-        Returns
-        -------
-        bool
-        """
-        return self.number(n_epochs) <= n_trials + 1
-
     def draw(self, n_epochs, n_trials, rng):
         """
         Orders of the blocks; see `AllOrders.draw`.
@@ -196,7 +200,7 @@ class BlockOrders:
 
 
 @dataclass(frozen=True)
-class ReversedBlocks:
+class ReversedBlocks(_Orders):
     """
     Blocks of epochs in their places, each forwards or backwards.
 
@@ -246,20 +250,6 @@ class ReversedBlocks:
         float
         """
         return 2.0 ** self._turning(n_epochs)[1]
-
-    def exhausts(self, n_epochs, n_trials):
-        """
-        Whether so many trials go through all orders.
-
-        Parameters
-        ----------
-        n_epochs, n_trials : int
-
-        Returns
-        -------
-        bool
-        """
-        return self.number(n_epochs) <= n_trials + 1
 
     def draw(self, n_epochs, n_trials, rng):
         """

@@ -172,6 +172,20 @@ def errors():
     return Table(rows=rows, names=names)
 
 
+def to_read(table):
+    """The same with each interval beside its share, for a page."""
+    table = table.copy()
+    shares = {"low": "share" if "share" in table.colnames else "coverage"}
+    shares |= {f"{name}_low": name for name in ("slow", "fast", "third")}
+    for low in shares.keys() & set(table.colnames):
+        share, high = shares[low], low.removesuffix("low") + "high"
+        table[share] = [
+            f"{row[share]:.3f} [{row[low]:.3f}, {row[high]:.3f}]" for row in table
+        ]
+        table.remove_columns([low, high])
+    return table
+
+
 def draw():
     """Share of null jets below a probability, against the probability."""
     figure = Figure(figsize=(6, 4.5), layout="constrained")
@@ -207,7 +221,7 @@ def main():
         ("errors", errors()),
     ):
         table.write(RESULTS / f"{name}.ecsv", overwrite=True)
-        table.write(RESULTS / f"{name}_table.csv", overwrite=True)
+        to_read(table).write(RESULTS / f"{name}_table.csv", overwrite=True)
         print(name)
         table.pprint(max_lines=-1, max_width=-1)
     draw().savefig(RESULTS / "calibration.png", dpi=150)
