@@ -257,6 +257,9 @@ def _image(hdus, which, path):
     bad = ~np.isfinite(data)
     if bad.all():
         raise _ContentError("no valid pixel, all are NaN; leave this file out")
+    bad |= _without_weight(hdus, hdu, data.shape)
+    if bad.all():
+        raise _ContentError("no valid pixel, WHT is 0 everywhere; leave this file out")
     try:
         wcs = celestial_wcs(header, fobj=hdus)
     except ValueError as error:
@@ -278,6 +281,15 @@ def _image(hdus, which, path):
         meta["BPA"] = beam.pa.to_value(u.deg)
     mask = bad if bad.any() else None
     return CCDData(data, unit=unit, mask=mask, wcs=wcs, meta=meta), notes
+
+
+def _without_weight(hdus, image, shape):
+    """Where a drizzled image, as of HST, has no exposure: weights of nought."""
+    for hdu in hdus:
+        if hdu is not image and hdu.name == "WHT" and hdu.is_image:
+            if hdu.shape == shape:
+                return hdu.data == 0
+    return np.zeros(shape, dtype=bool)
 
 
 def _find(hdus, which):

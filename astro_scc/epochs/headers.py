@@ -198,10 +198,20 @@ def header_facts(header):
         or get(
             header, "FREQ", "FREQUENCY", "OBSFREQ", "RESTFRQ", "RESTFREQ", kind=float
         ),
-        "filter": get(header, "FILTER", kind=str),
+        "filter": get(header, "FILTER", kind=str) or _wheels(header),
         "stokes": _stokes(header),
     }
     return {key: value for key, value in facts.items() if value is not None}
+
+
+def _wheels(header):
+    """What two filter wheels of HST have in the way of the light."""
+    for keyword in ("FILTER", "FILTNAM"):
+        names = (get(header, f"{keyword}{wheel}", kind=str) or "" for wheel in (1, 2))
+        found = [name for name in names if name and not name.startswith("CLEAR")]
+        if found:
+            return " + ".join(found)
+    return None
 
 
 def _stokes(header):

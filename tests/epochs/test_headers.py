@@ -218,6 +218,10 @@ def test_facts(aips_header):
         "frequency": 1e9,
         "stokes": "Q",
     }
+    assert header_facts({"FILTER1": "F502N", "FILTER2": "POL0V"}) == {
+        "filter": "F502N + POL0V"
+    }
+    assert header_facts({"FILTNAM1": "F606W"}) == {"filter": "F606W"}
     shifted = aips_header(CRPIX3=2.0, CRVAL4=-9.0)
     assert header_facts(shifted)["frequency"] == 15.4e9 - 64e6
     assert "stokes" not in header_facts(shifted)
