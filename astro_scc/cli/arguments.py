@@ -1,40 +1,39 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Arguments that several commands have, and what becomes of them."""
+"""Arguments that several commands have, each written once."""
+
+import argparse
 
 __all__ = [
+    "add_config",
+    "add_distance",
+    "add_epochs",
+    "add_images",
     "add_output",
+    "add_overwrite",
+    "add_patterns",
     "add_selection",
+    "add_trials",
+    "add_votable",
     "add_workers",
-    "draw_seed",
-    "parse_option",
-    "settings_of",
-    "workers_of",
 ]
 
-# The cosmology of Mertens & Lobanov (2016), for a redshift without another.
-COSMOLOGY = "H0=71,Om0=0.27"
-#: Options of `measure` that are settings of its configuration.
-OPTIONS = (
-    "epochs",
-    "after",
-    "before",
-    "align",
-    "common_beam",
-    "region",
-    "scales",
-    "max_speed",
-    "position_angle",
-    "baseline",
-    "kernel",
-    "kappa",
-    "n_trials",
-    "seed",
-    "redshift",
-    "cosmology",
-    "distance",
-    "bins",
-    "window",
-)
+
+def add_epochs(parser, *, nargs="*"):
+    """
+    Add the files of the epochs.
+
+    Parameters
+    ----------
+    parser : `argparse.ArgumentParser`
+    nargs : {"*", "+"}, optional
+        With "*" a configuration may name them.
+    """
+    parser.add_argument(
+        "epochs",
+        metavar="EPOCH.fits",
+        nargs=nargs,
+        help="one image a date, or a file that EpochCube.write made",
+    )
 
 
 def add_output(parser, *, what, required=True, default=None):
@@ -75,144 +74,159 @@ def add_overwrite(parser):
     )
 
 
-def add_selection(parser):
+def add_config(parser):
     """
-    Add ``--after`` and ``--before``.
+    Add ``--config``.
 
     Parameters
     ----------
     parser : `argparse.ArgumentParser`
     """
+    parser.add_argument("--config", metavar="FILE.toml", help="read settings from here")
+
+
+def add_votable(parser, files):
+    """
+    Add ``--votable``.
+
+    Parameters
+    ----------
+    parser : `argparse.ArgumentParser`
+    files : str
+        That are written.
+    """
     parser.add_argument(
-        "--after", metavar="DATE", help="take epochs of this date, 2006-03-09, or later"
+        "--votable",
+        action="store_true",
+        help=f"write {files} too, for TOPCAT, STILTS and Aladin",
     )
-    parser.add_argument("--before", metavar="DATE", help="take epochs before this date")
 
 
-def parse_option(name, value):
+def add_selection(group):
     """
-    The value of an option that is also a setting.
-
-    Parameters
-    ----------
-    name : str
-        Of the setting.
-    value
-        As given.
-
-    Returns
-    -------
-    object
-
-    Raises
-    ------
-    ValueError
-        If it makes no sense; the message names the option.
-    """
-    from astro_scc.config import parse_setting
-
-    try:
-        return parse_setting(name, value)
-    except ValueError as error:
-        option = name.replace("_", "-")
-        raise ValueError(f"--{option} {value!r}: {error}") from None
-
-
-def draw_seed():
-    """A seed that nobody chose, short enough to be typed."""
-    import secrets
-
-    return secrets.randbelow(2**31)
-
-
-def settings_of(args, reporter):
-    """
-    The settings of the configuration file and of the command line over it.
-
-    Parameters
-    ----------
-    args : `argparse.Namespace`
-    reporter : `~astro_scc.cli.reporter.Reporter`
-
-    Returns
-    -------
-    dict
-        Those that were given, see `astro_scc.config`.
-
-    Raises
-    ------
-    ValueError
-        If one makes no sense, or some do not go together.
-    """
-    from astro_scc.config import read_config
-
-    config, written_by = read_config(args.config) if args.config else ({}, {})
-    _compare_versions(written_by, args, reporter)
-    given = {
-        name: parse_option(name, value)
-        for name in OPTIONS
-        if (value := getattr(args, name, None)) not in (None, [])
-    }
-    # One kind of distance on the command line replaces the other in the file.
-    if "distance" in given:
-        config = {k: v for k, v in config.items() if k not in ("redshift", "cosmology")}
-    elif "redshift" in given:
-        config.pop("distance", None)
-    config |= given
-    if "distance" in config and ("redshift" in config or "cosmology" in config):
-        raise ValueError("--distance needs neither --redshift nor --cosmology")
-    if "cosmology" in config and "redshift" not in config:
-        raise ValueError("--cosmology needs a --redshift")
-    if "redshift" in config:
-        config.setdefault("cosmology", COSMOLOGY)
-    return config
-
-
-def _compare_versions(written_by, args, reporter):
-    from astro_scc.measurement import versions
-
-    now = versions()
-    other = [
-        f"{name} {version} (here {now.get(name, 'none')})"
-        for name, version in written_by.items()
-        if now.get(name) != version
-    ]
-    if other:
-        reporter.note(
-            f"{args.config} was written with {', '.join(other)}: numbers may differ"
-        )
-
-
-def workers_of(args):
-    """
-    The workers that ``--workers`` or ``--scheduler`` name.
-
-    Parameters
-    ----------
-    args : `argparse.Namespace`
-
-    Returns
-    -------
-    int or str
-
-    Raises
-    ------
-    ValueError
-        If it is no number of workers.
-    """
-    if args.workers < 1:
-        raise ValueError(f"--workers must be at least 1, got {args.workers}")
-    return args.workers if args.scheduler is None else args.scheduler
-
-
-def add_workers(group):
-    """
-    Add ``--workers`` and ``--scheduler``.
+    Add ``--after`` and ``--before``.
 
     Parameters
     ----------
     group : argument group
     """
+    group.add_argument(
+        "--after", metavar="DATE", help="take epochs of this date, 2006-03-09, or later"
+    )
+    group.add_argument("--before", metavar="DATE", help="take epochs before this date")
+
+
+def add_images(parser, *, verb):
+    """
+    Add the group of options that say which images, and how they are prepared.
+
+    Parameters
+    ----------
+    parser : `argparse.ArgumentParser`
+    verb : str
+        What is done with patterns inside the region.
+    """
+    group = parser.add_argument_group("images")
+    add_selection(group)
+    group.add_argument(
+        "--align",
+        metavar="none|core|correlate|wcs|TABLE",
+        help="lay the epochs on their reference pixels (none, the default), on the "
+        "core that is fitted in each, on one another by correlation, on their "
+        "absolute coordinates (wcs; not for VLBI), or by a table (CSV or ECSV) of "
+        "dates and offsets of the core",
+    )
+    group.add_argument(
+        "--common-beam",
+        action=argparse.BooleanOptionalAction,
+        help="convolve to the smallest beam that contains all; the default where "
+        "beams differ",
+    )
+    group.add_argument(
+        "--region",
+        metavar="FILE.reg",
+        help=f"{verb} patterns inside a DS9 or CRTF region only",
+    )
+
+
+def add_patterns(group, *, kappa):
+    """
+    Add ``--scales``, ``--max-speed`` and ``--kappa``.
+
+    Parameters
+    ----------
+    group : argument group
+    kappa : float
+        Smallest correlation without the option.
+    """
+    group.add_argument(
+        "--scales",
+        metavar="1,2,3",
+        help='wavelet scales by number (j is 2^j pixels) or angle, "0.2 mas, 0.4 mas"; '
+        "default 1,2,3,4",
+    )
+    group.add_argument(
+        "--max-speed",
+        metavar='"2 mas/yr"',
+        help="largest proper motion; default four beams in the median interval",
+    )
+    group.add_argument(
+        "--kappa",
+        metavar=f"{kappa:g}",
+        help=f"smallest correlation of a match; default {kappa:g}",
+    )
+
+
+def add_trials(group, *, number, what):
+    """
+    Add ``--n-trials`` and ``--seed``.
+
+    Parameters
+    ----------
+    group : argument group
+    number : int
+        Without the option.
+    what : str
+        That is tried.
+    """
+    group.add_argument(
+        "--n-trials", metavar=f"{number}", help=f"{what}; default {number}"
+    )
+    group.add_argument(
+        "--seed", metavar="N", help="of the trials; drawn and written down by default"
+    )
+
+
+def add_distance(parser):
+    """
+    Add the group of options that turn proper motions into speeds.
+
+    Parameters
+    ----------
+    parser : `argparse.ArgumentParser`
+    """
+    group = parser.add_argument_group("speeds in units of c")
+    group.add_argument("--redshift", metavar="Z", help="of the object")
+    group.add_argument(
+        "--cosmology",
+        metavar='NAME|"H0=71,Om0=0.27"',
+        help="for the redshift, as Planck18 or by parameters; default H0=71,Om0=0.27 "
+        "(Mertens & Lobanov 2016)",
+    )
+    group.add_argument(
+        "--distance", metavar='"16.7 Mpc"', help="of a near object, without a redshift"
+    )
+
+
+def add_workers(parser):
+    """
+    Add the group of options that say who works.
+
+    Parameters
+    ----------
+    parser : `argparse.ArgumentParser`
+    """
+    group = parser.add_argument_group("running")
     group.add_argument(
         "--workers",
         metavar="N",

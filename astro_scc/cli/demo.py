@@ -41,7 +41,7 @@ def run(args, reporter):
     args : `argparse.Namespace`
     reporter : `~astro_scc.cli.reporter.Reporter`
     """
-    from astro_scc.config import parse_setting
+    from astro_scc.config import parse_setting, read_epochs
     from astro_scc.measurement import product_folder
     from astro_scc.simulation import write_simulation
 
@@ -60,7 +60,7 @@ def run(args, reporter):
             "seed": SEED,
         }
         config = {name: parse_setting(name, v) for name, v in settings.items()}
-        cube, config, _ = measure.read(config, reporter, files=files)
+        cube, config, _ = read_epochs(config, files=files, note=reporter.note)
         config["region"] = str(output / "region.reg")
         components = measure.measure(
             cube,

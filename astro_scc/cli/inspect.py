@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """``astro-scc inspect``: what files hold, before anything is measured."""
 
+from astro_scc.cli.arguments import add_epochs
 from astro_scc.cli.summary import table_lines
 
 __all__ = ["add_parser", "run"]
@@ -18,12 +19,7 @@ def add_parser(commands):
         "allow to be\nmeasured.  Nothing is measured and nothing is written.",
         epilog="example:\n  astro-scc inspect 3c273/*.fits",
     )
-    parser.add_argument(
-        "epochs",
-        metavar="EPOCH.fits",
-        nargs="+",
-        help="one image a date, or a file that EpochCube.write made",
-    )
+    add_epochs(parser, nargs="+")
     return parser
 
 

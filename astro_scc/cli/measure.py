@@ -1,21 +1,23 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """``astro-scc measure``: from images to velocities."""
 
-import argparse
-from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from astro_scc.cli.arguments import (
+    add_config,
+    add_distance,
+    add_epochs,
+    add_images,
     add_output,
-    add_selection,
+    add_patterns,
+    add_trials,
     add_workers,
-    draw_seed,
-    settings_of,
-    workers_of,
 )
+from astro_scc.cli.resuming import WORK, kept_seed, working_folder
+from astro_scc.cli.settings import settings_of, workers_of
 from astro_scc.cli.summary import component_lines
 
-__all__ = ["add_measurement", "add_parser", "measure", "measurer_of", "read", "run"]
+__all__ = ["add_measurement", "add_parser", "measure", "run"]
 
 EPILOG = """\
 examples:
@@ -39,9 +41,6 @@ REMARKS = (
     "What determined this measurement.  To do it again, in the folder it was done in,",
     "with the path of this file: astro-scc measure --config FILE -o FOLDER",
 )
-#: Folder for what --resume keeps, in that of the products.
-WORK = ".astro_scc-work"
-SEED = "seed.txt"
 # Files of an earlier measurement that must not stand beside a new one.
 PRODUCTS = (
     "components.ecsv",
@@ -66,14 +65,9 @@ def add_parser(commands):
         "dates.",
         epilog=EPILOG,
     )
-    parser.add_argument(
-        "epochs",
-        metavar="EPOCH.fits",
-        nargs="*",
-        help="one image a date, or a file that EpochCube.write made",
-    )
+    add_epochs(parser)
     add_output(parser, what="tables, maps and report")
-    parser.add_argument("--config", metavar="FILE.toml", help="read settings from here")
+    add_config(parser)
     parser.add_argument(
         "--no-report", action="store_true", help="write no report.html and figures"
     )
@@ -96,40 +90,9 @@ def add_measurement(parser):
     ----------
     parser : `argparse.ArgumentParser`
     """
-    group = parser.add_argument_group("images")
-    add_selection(group)
-    group.add_argument(
-        "--align",
-        metavar="none|core|correlate|wcs|TABLE",
-        help="lay the epochs on their reference pixels (none, the default), on the "
-        "core that is fitted in each, on one another by correlation, on their "
-        "absolute coordinates (wcs; not for VLBI), or by a table (CSV or ECSV) of "
-        "dates and offsets of the core",
-    )
-    group.add_argument(
-        "--common-beam",
-        action=argparse.BooleanOptionalAction,
-        help="convolve to the smallest beam that contains all; the default where "
-        "beams differ",
-    )
-    group.add_argument(
-        "--region",
-        metavar="FILE.reg",
-        help="measure patterns inside a DS9 or CRTF region only",
-    )
-
+    add_images(parser, verb="measure")
     group = parser.add_argument_group("measurement")
-    group.add_argument(
-        "--scales",
-        metavar="1,2,3",
-        help='wavelet scales by number (j is 2^j pixels) or angle, "0.2 mas, 0.4 mas"; '
-        "default 1,2,3,4",
-    )
-    group.add_argument(
-        "--max-speed",
-        metavar='"2 mas/yr"',
-        help="largest proper motion; default four beams in the median interval",
-    )
+    add_patterns(group, kappa=0.6)
     group.add_argument(
         "--position-angle",
         metavar='"65 deg"|fit|ridge|radial',
@@ -147,33 +110,9 @@ def add_measurement(parser):
         metavar="0.2",
         help="smallest error of a displacement, in beams; default 0.2",
     )
-    group.add_argument(
-        "--kappa", metavar="0.6", help="smallest correlation of a match; default 0.6"
-    )
-    group.add_argument(
-        "--n-trials",
-        metavar="1000",
-        help="trials of the significance and of the errors; default 1000",
-    )
-    group.add_argument(
-        "--seed", metavar="N", help="of the trials; drawn and written down by default"
-    )
-
-    group = parser.add_argument_group("speeds in units of c")
-    group.add_argument("--redshift", metavar="Z", help="of the object")
-    group.add_argument(
-        "--cosmology",
-        metavar='NAME|"H0=71,Om0=0.27"',
-        help="for the redshift, as Planck18 or by parameters; default H0=71,Om0=0.27 "
-        "(Mertens & Lobanov 2016)",
-    )
-    group.add_argument(
-        "--distance", metavar='"16.7 Mpc"', help="of a near object, without a redshift"
-    )
-
-    group = parser.add_argument_group("running")
-    add_workers(group)
-    return parser
+    add_trials(group, number=1000, what="trials of the significance and of the errors")
+    add_distance(parser)
+    add_workers(parser)
 
 
 def run(args, reporter):
@@ -185,6 +124,7 @@ def run(args, reporter):
     args : `argparse.Namespace`
     reporter : `~astro_scc.cli.reporter.Reporter`
     """
+    from astro_scc.config import read_epochs
     from astro_scc.measurement import product_folder
 
     config = settings_of(args, reporter)
@@ -204,7 +144,7 @@ def run(args, reporter):
             args.output, overwrite=overwrite or bool(work), stale=PRODUCTS
         ) as folder,
     ):
-        cube, config, left_out = read(config, reporter)
+        cube, config, left_out = read_epochs(config, note=reporter.note)
         components = measure(
             cube,
             config,
@@ -221,107 +161,10 @@ def run(args, reporter):
     reporter.say(f"\n{_where(args)}")
 
 
-@contextmanager
-def working_folder(work, output, *, overwrite):
-    """
-    Make the folder for what a resumed run needs; leave none without anything.
-
-    Parameters
-    ----------
-    work : `~pathlib.Path` or None
-        None makes nothing.
-    output : path
-        That of the products, which holds it.
-    overwrite : bool
-        Whether there may be files.
-
-    Raises
-    ------
-    OSError
-        If the folder has files that are not of an earlier run.
-    """
-    if work is None:
-        yield
-        return
-    output = Path(output)
-    if output.is_dir() and any(output.iterdir()) and not overwrite:
-        raise OSError(
-            f"{output}: exists and is not of a run with --resume; choose another "
-            "folder, or --overwrite"
-        )
-    made = [p for p in (work, *work.parents) if not p.exists()]
-    try:
-        work.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OSError(f"{output}: cannot be made or used: {error.strerror}") from None
-    try:
-        yield
-    except BaseException:
-        # A seed alone is nothing to go on from.
-        if made and {p.name for p in work.iterdir()} <= {SEED}:
-            (work / SEED).unlink(missing_ok=True)
-            for folder in made:
-                with suppress(OSError):
-                    folder.rmdir()
-        raise
-
-
-def kept_seed(work):
-    """
-    The seed of a run that may be resumed, drawn the first time.
-
-    Parameters
-    ----------
-    work : `~pathlib.Path` or None
-        Without it, one that is not kept.
-
-    Returns
-    -------
-    int
-    """
-    if work is None:
-        return draw_seed()
-    from astro_scc.epochs.serialize import replace_when_complete
-
-    path = work / SEED
-    with suppress(OSError, ValueError):
-        return int(path.read_text(encoding="ascii"))
-    seed = draw_seed()
-    with replace_when_complete(path, overwrite=True) as part:
-        part.write_text(f"{seed}\n", encoding="ascii")
-    return seed
-
-
 def _where(args):
     if args.no_report:
         return f"Tables and maps: {Path(args.output)}"
     return f"Report: {Path(args.output) / 'report.html'}"
-
-
-def read(config, reporter, *, files=None):
-    """
-    Read the epochs of a configuration.
-
-    Parameters
-    ----------
-    config : dict
-        See `astro_scc.config`.
-    reporter : `~astro_scc.cli.reporter.Reporter`
-    files : list of path, optional
-        Where the epochs are now, if that is not where they will be.
-
-    Returns
-    -------
-    cube : `~astro_scc.EpochCube`
-        With one beam and aligned.
-    config : dict
-        With the files and the steps that were taken.
-    left_out : list of (str, str)
-        Epochs that are not in the cube, and why.
-    """
-    from astro_scc.config import read_epochs
-
-    return read_epochs(config, files=files, note=reporter.note)
 
 
 def measure(
@@ -365,6 +208,7 @@ def measure(
     `~astropy.table.QTable`
         The components.
     """
+    from astro_scc import StackedCrossCorrelation
     from astro_scc.config import (
         distance_of,
         format_config,
@@ -374,7 +218,7 @@ def measure(
     from astro_scc.measurement import versions, write_products
 
     how = distance_of(config)
-    scc = measurer_of(config)
+    scc = StackedCrossCorrelation.from_settings(config)
     # A region file that cannot be used is better known before the long part.
     region = region or config.get("region")
     inside = None if region is None else cube.region_mask(region)
@@ -408,20 +252,3 @@ def measure(
             config_text=text,
         )
     return components
-
-
-def measurer_of(config):
-    """
-    The measurement with the settings that the configuration has.
-
-    Parameters
-    ----------
-    config : dict
-
-    Returns
-    -------
-    `~astro_scc.StackedCrossCorrelation`
-    """
-    from astro_scc import StackedCrossCorrelation
-
-    return StackedCrossCorrelation.from_settings(config)

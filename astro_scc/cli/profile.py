@@ -3,8 +3,9 @@
 
 from pathlib import Path
 
-from astro_scc.cli.arguments import add_output, draw_seed, settings_of, workers_of
-from astro_scc.cli.measure import add_measurement, measurer_of, read
+from astro_scc.cli.arguments import add_config, add_epochs, add_output
+from astro_scc.cli.measure import add_measurement
+from astro_scc.cli.settings import draw_seed, settings_of, workers_of
 from astro_scc.cli.summary import profile_lines
 
 __all__ = ["add_parser", "run"]
@@ -43,14 +44,9 @@ def add_parser(commands):
         description="Measure the velocities in bins of distance from the core.",
         epilog=EPILOG,
     )
-    parser.add_argument(
-        "epochs",
-        metavar="EPOCH.fits",
-        nargs="*",
-        help="one image a date, or a file that EpochCube.write made",
-    )
+    add_epochs(parser)
     add_output(parser, what="the table and figures of the profile")
-    parser.add_argument("--config", metavar="FILE.toml", help="read settings from here")
+    add_config(parser)
     group = parser.add_argument_group("distances")
     group.add_argument(
         "--bins",
@@ -75,6 +71,7 @@ def run(args, reporter):
     args : `argparse.Namespace`
     reporter : `~astro_scc.cli.reporter.Reporter`
     """
+    from astro_scc.config import read_epochs
     from astro_scc.measurement import product_folder
     from astro_scc.profiles import bins_of
 
@@ -88,7 +85,7 @@ def run(args, reporter):
     with product_folder(
         args.output, overwrite=args.overwrite, stale=PRODUCTS
     ) as folder:
-        cube, config, _ = read(config, reporter)
+        cube, config, _ = read_epochs(config, note=reporter.note)
         components = _measure(cube, config, folder, reporter, n_workers)
     for line in profile_lines(components):
         reporter.say(line)
@@ -96,6 +93,7 @@ def run(args, reporter):
 
 
 def _measure(cube, config, folder, reporter, n_workers):
+    from astro_scc import StackedCrossCorrelation
     from astro_scc.config import (
         distance_of,
         format_config,
@@ -105,7 +103,7 @@ def _measure(cube, config, folder, reporter, n_workers):
     from astro_scc.measurement import versions
     from astro_scc.profiles import measure_profile, write_profile
 
-    scc = measurer_of(config)
+    scc = StackedCrossCorrelation.from_settings(config)
     how = distance_of(config)
     region = config.get("region")
     inside = None if region is None else cube.region_mask(region)

@@ -3,12 +3,8 @@
 
 from pathlib import Path
 
-from astro_scc.cli.arguments import (
-    add_output,
-    add_selection,
-    draw_seed,
-    parse_option,
-)
+from astro_scc.cli.arguments import add_output, add_selection
+from astro_scc.cli.settings import draw_seed, parse_option
 
 __all__ = ["add_parser", "run"]
 

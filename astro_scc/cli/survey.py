@@ -4,7 +4,8 @@
 from contextlib import contextmanager
 from pathlib import Path
 
-from astro_scc.cli.arguments import add_workers, workers_of
+from astro_scc.cli.arguments import add_workers
+from astro_scc.cli.settings import workers_of
 from astro_scc.cli.summary import table_lines
 
 __all__ = ["add_parser", "run"]
@@ -54,7 +55,7 @@ def add_parser(commands):
         required=True,
         help="folder for the table and the sources' products, new or of this survey",
     )
-    add_workers(parser.add_argument_group("running"))
+    add_workers(parser)
     return parser
 
 

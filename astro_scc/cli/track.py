@@ -1,16 +1,18 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """``astro-scc track``: from images to features followed from epoch to epoch."""
 
-import argparse
-
 from astro_scc.cli.arguments import (
+    add_config,
+    add_distance,
+    add_epochs,
+    add_images,
     add_output,
-    add_selection,
+    add_patterns,
+    add_trials,
+    add_votable,
     add_workers,
-    draw_seed,
-    settings_of,
-    workers_of,
 )
+from astro_scc.cli.settings import draw_seed, settings_of, workers_of
 from astro_scc.cli.summary import table_lines
 
 __all__ = ["add_parser", "run"]
@@ -39,9 +41,7 @@ PRODUCTS = (
 )
 #: Settings of a measurement that tracking has no use for.
 UNUSED = dict.fromkeys(("baseline", "kernel"))
-DPI = 130
-#: Points of the profile.
-N_RADII = 20
+N_TRIALS = 20
 
 
 def add_parser(commands):
@@ -53,49 +53,22 @@ def add_parser(commands):
         epilog=EPILOG,
     )
     parser.set_defaults(**UNUSED)
-    parser.add_argument(
-        "epochs", nargs="*", metavar="EPOCH.fits", help="images, one an epoch"
-    )
+    add_epochs(parser)
     add_output(parser, what="the tables and figures")
-    parser.add_argument("--config", metavar="FILE.toml", help="read settings from here")
+    add_config(parser)
     parser.add_argument(
         "--no-figures", action="store_true", help="write the tables alone"
     )
-    parser.add_argument(
-        "--votable", action="store_true", help="write features.vot and tracks.vot too"
-    )
+    add_votable(parser, "features.vot and tracks.vot")
+    add_images(parser, verb="track")
+    _add_tracking(parser.add_argument_group("tracking"))
+    add_distance(parser)
+    add_workers(parser)
+    return parser
 
-    group = parser.add_argument_group("images")
-    add_selection(group)
-    group.add_argument(
-        "--align",
-        metavar="none|core|correlate|wcs|TABLE",
-        help="how epochs are laid on one another, as for astro-scc measure",
-    )
-    group.add_argument(
-        "--common-beam",
-        action=argparse.BooleanOptionalAction,
-        help="convolve to the smallest beam that contains all; the default where "
-        "beams differ",
-    )
-    group.add_argument(
-        "--region",
-        metavar="FILE.reg",
-        help="track patterns inside a DS9 or CRTF region only",
-    )
 
-    group = parser.add_argument_group("tracking")
-    group.add_argument(
-        "--scales",
-        metavar="1,2,3",
-        help='wavelet scales by number (j is 2^j pixels) or angle, "0.2 mas, 0.4 mas"; '
-        "default 1,2,3,4",
-    )
-    group.add_argument(
-        "--max-speed",
-        metavar='"2 mas/yr"',
-        help="largest proper motion; default four beams in the median interval",
-    )
+def _add_tracking(group):
+    add_patterns(group, kappa=0.5)
     group.add_argument(
         "--position-angle",
         metavar='"65 deg"|radial',
@@ -127,17 +100,10 @@ def add_parser(commands):
         metavar="3",
         help="epochs that make a track at least; default 3",
     )
-    group.add_argument(
-        "--kappa", metavar="0.5", help="smallest correlation of a match; default 0.5"
-    )
-    group.add_argument(
-        "--n-trials",
-        metavar="20",
-        help="shuffled orders that are linked too, to see what chance gives, at "
-        "least 2; default 20",
-    )
-    group.add_argument(
-        "--seed", metavar="N", help="of the trials; drawn and written down by default"
+    add_trials(
+        group,
+        number=N_TRIALS,
+        what="shuffled orders that are linked too, at least 2, to see chance at work",
     )
     group.add_argument(
         "--half-width",
@@ -151,21 +117,6 @@ def add_parser(commands):
         help="profile of the stack, as of astro-scc profile, for the figure",
     )
 
-    group = parser.add_argument_group("speeds in units of c")
-    group.add_argument("--redshift", metavar="Z", help="of the object")
-    group.add_argument(
-        "--cosmology",
-        metavar='NAME|"H0=71,Om0=0.27"',
-        help="for the redshift; default H0=71,Om0=0.27 (Mertens & Lobanov 2016)",
-    )
-    group.add_argument(
-        "--distance", metavar='"16.7 Mpc"', help="of a near object, without a redshift"
-    )
-
-    group = parser.add_argument_group("running")
-    add_workers(group)
-    return parser
-
 
 def run(args, reporter):
     """
@@ -176,7 +127,8 @@ def run(args, reporter):
     args : `argparse.Namespace`
     reporter : `~astro_scc.cli.reporter.Reporter`
     """
-    from astro_scc.cli.measure import read
+    from astro_scc.cli.track_products import draw_tracks, write_tracks
+    from astro_scc.config import read_epochs
     from astro_scc.measurement import product_folder
 
     config = settings_of(args, reporter)
@@ -189,12 +141,14 @@ def run(args, reporter):
     with product_folder(
         args.output, overwrite=args.overwrite, stale=PRODUCTS
     ) as folder:
-        cube, config, _ = read(config, reporter)
-        config = {"n_trials": 20, "seed": draw_seed(), **config}
+        cube, config, _ = read_epochs(config, note=reporter.note)
+        config = {"n_trials": N_TRIALS, "seed": draw_seed(), **config}
         tracking = _track(cube, tracker, config, reporter, n_workers)
-        profile = _write(tracking, config, folder, args.votable, half_width)
+        profile = write_tracks(
+            tracking, config, folder, half_width=half_width, votable=args.votable
+        )
         if not args.no_figures:
-            _draw(tracking, profile, stack, config, folder)
+            draw_tracks(tracking, profile, config, folder, stack=stack)
     for line in _summary(tracking):
         reporter.say(line)
     reporter.say(f"\nTables{'' if args.no_figures else ' and figures'}: {args.output}")
@@ -299,93 +253,6 @@ def _track(cube, tracker, config, reporter, n_workers):
         n_workers=n_workers,
         progress_bar=reporter.progress,
     )
-
-
-def _write(tracking, config, folder, votable, half_width):
-    """Write the tables; the profile."""
-    import astropy.units as u
-    import numpy as np
-    from astropy.table import QTable
-
-    from astro_scc.config import plain_settings
-    from astro_scc.measurement import versions
-    from astro_scc.tracking import plain_table
-
-    how = _distance(config)
-    tracks = tracking.tracks_in_c(**how) if how else tracking.tracks
-    longest = tracks["r"].to_value(u.mas).max(initial=0.0) * u.mas
-    if half_width is None:
-        half_width = min(2 * u.mas, longest / 5) if longest > 0 else 2 * u.mas
-    radii = np.linspace(0, 1, N_RADII + 1)[1:] * longest
-    profile = (
-        tracking.profile(radii, half_width=half_width)
-        if longest > 0
-        else tracking.profile([] * u.mas, half_width=half_width)
-    )
-    meta = {
-        "configuration": plain_settings(config),
-        **{k: _plain(v) for k, v in {**tracks.meta, **profile.meta}.items()},
-        "versions": versions(),
-    }
-    tables = {
-        "features": tracking.features,
-        "tracks": tracks,
-        "track_profile": profile,
-    }
-    for name, table in tables.items():
-        table = QTable(table, copy=False)
-        table.meta = meta
-        table.write(folder / f"{name}.ecsv", format="ascii.ecsv", overwrite=True)
-        if votable and name != "track_profile":
-            plain = plain_table(table)
-            plain.write(folder / f"{name}.vot", format="votable", overwrite=True)
-    return profile
-
-
-def _plain(value):
-    """What ECSV readers understand without astropy's classes."""
-    from astro_scc.measurement import plain_cosmology
-
-    if hasattr(value, "unit"):
-        return str(value) if value.isscalar else [str(v) for v in value]
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if hasattr(value, "to_format"):
-        return plain_cosmology(value)
-    return value
-
-
-def _distance(config):
-    """How to turn proper motions into speeds."""
-    from astro_scc.config import to_cosmology
-
-    if "distance" in config:
-        return {"distance": config["distance"]}
-    if "redshift" in config:
-        cosmology = to_cosmology(config["cosmology"])
-        return {"redshift": config["redshift"], "cosmology": cosmology}
-    return {}
-
-
-def _draw(tracking, profile, stack, config, folder):
-    import astropy.units as u
-
-    from astro_scc.kinematics import apparent_speed
-    from astro_scc.visualization import (
-        plot_separation,
-        plot_track_profile,
-        plot_tracks,
-    )
-
-    how = _distance(config)
-    per_pm = float(apparent_speed(1 * u.mas / u.yr, **how)) if how else None
-    figures = {
-        "separation": plot_separation(tracking),
-        "tracks": plot_tracks(tracking),
-        "track_profile": plot_track_profile(profile, stack=stack, beta_per_pm=per_pm),
-    }
-    for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={"Software": None})
 
 
 def _summary(tracking):
