@@ -4,7 +4,7 @@
 import os
 
 import numpy as np
-from astropy.table import Column, Table
+from astropy.table import Column, MaskedColumn, Table
 from astropy.time import Time
 
 from astro_scc.epochs.serialize import replace_when_complete
@@ -67,10 +67,13 @@ def write_votable(table, path, *, overwrite=False):
 def _column(values):
     if isinstance(values, Time):
         return Column(values.isot, description=values.info.description)
-    column = Column(
-        getattr(values, "value", values),
+    plain = getattr(values, "value", values)
+    masked = {"mask": values.mask} if hasattr(values, "mask") else {}
+    column = (MaskedColumn if masked else Column)(
+        getattr(plain, "unmasked", plain),
         unit=getattr(values, "unit", None),
         description=values.info.description,
+        **masked,
     )
     # VOTable has no type for numbers of 8 bits with a sign, nor of 128 bits.
     if column.dtype == np.int8:

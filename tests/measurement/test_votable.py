@@ -7,8 +7,9 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io.votable import parse, validate
-from astropy.table import QTable
+from astropy.table import MaskedColumn, QTable
 from astropy.time import Time
+from astropy.utils.masked import Masked
 
 from astro_scc.measurement import component_table, write_votable
 
@@ -47,6 +48,17 @@ def test_dates_and_short_numbers(tmp_path):
     read = QTable.read(path)
     assert read["date"][0] == "2000-01-01T00:00:00.000"
     assert read["sign"][0] == -1
+
+
+def test_what_a_row_has_not_stays_masked(tmp_path):
+    path = tmp_path / "a.vot"
+    epoch = Masked([1.5, 2.5] * u.yr, mask=[True, False])
+    share = MaskedColumn([0.5, 0.25], mask=[False, True])
+    write_votable(QTable({"t_ej": epoch, "share": share}), path)
+    read = QTable.read(path)
+    assert read["t_ej"].mask.tolist() == [True, False]
+    assert read["t_ej"][1] == 2.5 * u.yr
+    assert read["share"].mask.tolist() == [False, True]
 
 
 def test_validates(sky_result, tmp_path, capsys):
