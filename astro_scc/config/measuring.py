@@ -91,7 +91,8 @@ def select_epochs(cube, config):
     from astro_scc.config.text import to_time
 
     left_out = {}
-    for i, time in enumerate(cube.times):
+    # In atomic time, as far dates are.
+    for i, time in enumerate(cube.times.tai):
         if "after" in config and time < to_time(config["after"]):
             left_out[i] = f"before {config['after']}"
         if "before" in config and time >= to_time(config["before"]):

@@ -2,6 +2,7 @@
 """Quantities, cosmologies and dates as people write them."""
 
 import re
+import warnings
 
 __all__ = ["NUMBER", "parse_quantities", "parse_unit", "to_cosmology", "to_time"]
 
@@ -154,9 +155,16 @@ def to_time(text):
     """
     from astropy.time import Time
 
-    try:
-        if re.fullmatch(r"\d{4}(\.\d*)?", text.strip()):
-            return Time(float(text), format="jyear", scale="utc")
-        return Time(text.strip(), scale="utc")
-    except ValueError:
-        raise ValueError("is no date such as 2011-01-01") from None
+    with warnings.catch_warnings(record=True) as dubious:
+        # ERFA calls dates dubious for which leap seconds are unknown; in atomic
+        # time they can be compared.
+        warnings.simplefilter("always")
+        try:
+            if re.fullmatch(r"\d{4}(\.\d*)?", text.strip()):
+                time = Time(float(text), format="jyear", scale="utc")
+            else:
+                time = Time(text.strip(), scale="utc")
+        except ValueError:
+            raise ValueError("is no date such as 2011-01-01") from None
+        atomic = time.tai
+    return atomic if dubious else time

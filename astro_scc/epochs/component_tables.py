@@ -180,6 +180,8 @@ def _numbers(table, name, unit, path):
     except (TypeError, ValueError):
         raise ValueError(f"{path}: column {name!r} is not numeric") from None
     values = np.array(values, dtype=float)
+    for i in np.flatnonzero(np.isinf(values)):
+        raise ValueError(f"{path}, row {i + 1}: {name} is infinite")
     if unit is None:
         return values
     if column.unit is None:

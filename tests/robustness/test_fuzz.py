@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 
+from astro_scc.config import read_config, select_epochs
 from astro_scc.epochs import EpochCube, read_components
 from astro_scc.epochs.shift_tables import offsets_from_table
 
@@ -134,3 +135,26 @@ def test_a_far_date_of_components(fuzz, tmp_path):
     path = tmp_path / "c.ecsv"
     path.write_bytes(fuzz.COMPONENTS.replace(b"2002-01-01", b"2992-01-01"))
     assert read_components(path).times[1].isot.startswith("2992-01-01")
+
+
+@pytest.mark.parametrize("column", ["position_angle", "major_fwhm", "axial_ratio"])
+@pytest.mark.parametrize("number", ["inf", "-inf", "1e999"])
+def test_infinite_numbers_of_components(fuzz, tmp_path, column, number):
+    lines = fuzz.COMPONENTS.decode().splitlines()
+    head = lines.index(next(line for line in lines if line.startswith("epoch ")))
+    cells = lines[head + 2].split()
+    cells[lines[head].split().index(column)] = number
+    lines[head + 2] = " ".join(cells)
+    path = tmp_path / "c.ecsv"
+    path.write_text("\n".join(lines))
+    with pytest.raises(ValueError, match=f"c.ecsv, row 2: {column} is infinite"):
+        read_components(path)
+
+
+def test_epochs_before_a_far_date(inputs, tmp_path):
+    cube = EpochCube.read(inputs.series(tmp_path, n=2))
+    assert len(select_epochs(cube, {"before": "2991-03-01"})[0]) == 2
+    assert len(select_epochs(cube, {"after": "1021", "before": "2991.5"})[0]) == 2
+    path = tmp_path / "c.toml"
+    path.write_text("after = 2081-01-01\n")
+    assert read_config(path)[0] == {"after": "2081-01-01"}
