@@ -25,6 +25,7 @@ _FOLDERS = frozenset(
         "measurement",
         "profiles",
         "recovery",
+        "report",
         "shells",
         "simulation",
         "stacking",

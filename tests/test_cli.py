@@ -436,7 +436,7 @@ def test_overwriting_leaves_nothing_of_the_old_measurement(jet, astro_scc, here)
 
 
 def test_the_report_writes_what_is_known_to_be_stale():
-    from astro_scc.report import CAPTIONS
+    from astro_scc.report.figures import CAPTIONS
 
     assert set(PRODUCTS[5:]) == {f"{name}.png" for name in CAPTIONS}
 

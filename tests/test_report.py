@@ -12,9 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc import StackedCrossCorrelation, report
+from astro_scc import StackedCrossCorrelation
 from astro_scc.kinematics import paper_cosmology
-from astro_scc.report import with_error, write_report
+from astro_scc.report import write_report
+from astro_scc.report.answer import headline
+from astro_scc.report.figures import Picture
+from astro_scc.report.words import with_error
 from astro_scc.simulation import simulate_two_fluid
 
 HOSTILE = "<script>alert('1')</script> & \"more\""
@@ -95,19 +98,45 @@ def page(folder):
 @pytest.fixture
 def quick(monkeypatch):
     """Reports without the time that figures take."""
-    monkeypatch.setattr(report, "_pictures", lambda *args: {"velocity_map": b"PNG"})
+    picture = Picture("velocity_map", b"PNG", "a map")
+    monkeypatch.setattr("astro_scc.report.page.draw_pictures", lambda *_: [picture])
 
 
 def test_the_page_stands_alone(page, folder):
     assert not page.all("script")
     assert not page.all("link")
-    assert [img["alt"] for img in page.all("img")]
     for img in page.all("img"):
         head, data = img["src"].split(",")
         assert head == "data:image/png;base64"
         assert base64.b64decode(data).startswith(b"\x89PNG")
     text = (folder / "report.html").read_text(encoding="utf-8")
     assert not re.search(r"(src|href)=\"?(http|//)|url\(|@import", text)
+
+
+def test_who_cannot_see_it_hears_what_the_figures_show(page):
+    alts = [img["alt"] for img in page.all("img")]
+    assert alts[0] == (
+        "Map of the stacked correlation over the velocities parallel and transverse, "
+        "3 components marked"
+    )
+    assert alts[3] == "Images of 5 epochs with circles about their patterns"
+    assert len(set(alts)) == len(FIGURES)
+    assert page.all("html") == [{"lang": "en"}]
+    assert all(th["scope"] == "col" for th in page.all("th"))
+
+
+def test_it_fits_narrow_screens_and_paper(page, folder):
+    assert {"name": "viewport", "content": "width=device-width, initial-scale=1"} in (
+        page.all("meta")
+    )
+    style = (folder / "report.html").read_text(encoding="utf-8").split("</style>")[0]
+    screen, paper = style.split("@media print")
+    # What is wider than the screen scrolls by itself; on paper nothing can.
+    assert ".wide { overflow-x: auto; }" in screen
+    assert "figure img { display: block; width: 100%;" in screen
+    assert ".wide { overflow: visible; }" in paper
+    assert "break-inside: avoid" in paper
+    assert page.all("div").count({"class": "wide"}) == len(page.all("table")) == 3
 
 
 def test_the_figures_are_beside_it(page, folder):
@@ -252,7 +281,7 @@ def test_small_probabilities_are_not_rounded_to_nothing(result, tmp_path, quick)
 
 
 @pytest.mark.parametrize(
-    ("kinds", "headline"),
+    ("kinds", "words"),
     [
         ([], "No speed stands out."),
         (["uncertain"], "No speed stands out from chance."),
@@ -266,8 +295,8 @@ def test_small_probabilities_are_not_rounded_to_nothing(result, tmp_path, quick)
         ),
     ],
 )
-def test_headlines(kinds, headline):
-    assert report._headline(kinds) == headline
+def test_headlines(kinds, words):
+    assert headline(kinds) == words
 
 
 def test_a_radial_speed_is_outward_or_inward(result, tmp_path, quick):

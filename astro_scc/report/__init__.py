@@ -1,0 +1,6 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Report: a measurement as one page to read, print and send."""
+
+from astro_scc.report.page import write_report
+
+__all__ = ["write_report"]

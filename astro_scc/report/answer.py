@@ -1,0 +1,161 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What a measurement found and how sure that is, in sentences."""
+
+import math
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.report.words import (
+    listed,
+    number_word,
+    plain_value,
+    plural,
+    row_text,
+    unit_text,
+    with_error,
+)
+
+__all__ = ["answers", "chances", "edge_remarks", "facts", "headline"]
+
+
+def headline(kinds):
+    moving, standing = kinds.count("moving"), kinds.count("stationary")
+    if moving:
+        text = f"{number_word(moving).capitalize()} {plural(moving, 'speed')} "
+        text += "stand out" if moving > 1 else "stands out"
+        beside = ", beside what does not move within its errors" if standing else ""
+        return f"{text}{beside}."
+    if standing:
+        return "No speed stands out: what patterns share does not move."
+    return "No speed stands out" + (" from chance." if kinds else ".")
+
+
+def answers(components, kinds):
+    """One sentence in two parts for each component that was found."""
+    answers = []
+    for row, kind in zip(components, kinds, strict=True):
+        if kind == "uncertain":
+            continue
+        speed = f"{row_text(row, 'pm')} {unit_text(components['pm'].unit)}"
+        if "beta_app" in components.colnames:
+            speed += f" = {row_text(row, 'beta_app')} c"
+        angle, error = plain_value(row["pm_pa"]), plain_value(row["pm_pa_err"])
+        if kind == "stationary":
+            more = "stationary: no motion within the errors"
+        elif math.isfinite(angle):
+            more = f"towards position angle {with_error(angle, max(error, 1))} deg"
+        else:
+            more = "outward" if plain_value(row["pm_parallel"]) > 0 else "inward"
+        if "p_global" in components.colnames:
+            more += f"; p_global {plain_value(row['p_global']):.2g}"
+        more += (
+            f"; {int(row['n_ssp'])} SSPs in {int(row['n_pairs'])} "
+            f"{plural(int(row['n_pairs']), 'pair')} of epochs"
+        )
+        answers.append((int(row["component"]), speed, more))
+    return answers
+
+
+def chances(result, components, kinds):
+    """Sentences on how sure the answer is."""
+    if not len(components) or "p_global" not in components.colnames:
+        return []
+    level = result.meta["settings"]["level"]
+    n_trials = result.meta["n_trials"]
+    said = [
+        "p_global is the probability that a jet whose features move but share no "
+        "speed (scramble), or whose epochs have no order (shuffle), shows as much at "
+        "any velocity: the larger of the two; "
+        f"{n_trials} trials show none below {1 / (n_trials + 1):.2g}."
+    ]
+    said += _limits(result, components, kinds, level)
+    who, more = _numbers(components, kinds, "stationary")
+    if who:
+        said.append(
+            f"{who} of the table, stationary, {'do' if more else 'does'} not move "
+            f"within {'their' if more else 'its'} errors: no discovery of a speed."
+        )
+    who, _ = _numbers(components, kinds, "uncertain")
+    if who:
+        said.append(
+            f"{who} of the table, with p_global above {level:g}, may be chance."
+        )
+    return said
+
+
+def _limits(result, components, kinds, level):
+    """Whether epochs or trials are too few for anything to be significant."""
+    smallest = [
+        plain_value(row["p_smallest"])
+        for row, kind in zip(components, kinds, strict=True)
+        if kind != "stationary" and "p_smallest" in components.colnames
+    ]
+    worst = max(smallest, default=0.0)
+    if worst <= level:
+        return []
+    n = len(result.cube)
+    said = f"cannot be below {worst:.2g}"
+    if worst <= 2 / math.factorial(min(n, 20)):
+        return [
+            f"With {n} epochs p_global {said} (2/N!): with so few no component that "
+            "moves can be significant; measure more epochs."
+        ]
+    return [
+        f"With {result.meta['n_trials']} trials p_global {said}: with so few no "
+        "component can be significant; measure with more."
+    ]
+
+
+def _numbers(components, kinds, kind):
+    """The components of a kind as text, and whether they are several."""
+    numbers = [
+        str(int(number))
+        for number, own in zip(components["component"], kinds, strict=True)
+        if own == kind
+    ]
+    if not numbers:
+        return "", False
+    return f"{plural(len(numbers), 'Component')} {listed(numbers)}", len(numbers) > 1
+
+
+def edge_remarks(result, components, kinds):
+    """What to do about components that were found where the map ends."""
+    if not len(components):
+        return []
+    columns = ("pm_parallel", "pm_transverse")
+    if tuple(result.frame.axis_names) == ("east", "north"):
+        columns = ("pm_ra_cosdec", "pm_dec")
+    near = np.zeros(len(components), bool)
+    found = [kind != "uncertain" for kind in kinds]
+    for name, end, step in zip(
+        columns, result.grid.v_max, result.grid.step, strict=True
+    ):
+        speed = np.abs(u.Quantity(components[name]).to_value(u.mas / u.yr))
+        near |= speed > end - 2 * step
+    numbers = [str(int(n)) for n in np.asarray(components["component"])[near & found]]
+    if not numbers:
+        return []
+    which = f"{plural(len(numbers), 'Component')} {listed(numbers)}"
+    verb = "is" if len(numbers) == 1 else "are"
+    return [
+        f"{which} {verb} at the edge of the velocity map, where maxima are cut off: "
+        "measure with a larger max_speed before you believe "
+        + ("it." if len(numbers) == 1 else "them.")
+    ]
+
+
+def facts(result):
+    cube = result.cube
+    dates = cube.times.strftime("%Y-%m-%d")
+    used = result.ssps
+    if "in_region" in used.colnames:
+        used = used[np.asarray(used["in_region"], bool)]
+    scales = np.unique(np.asarray(result.ssps["scale"], dtype=float))
+    n = len(result.pairs)
+    return [
+        f"{len(cube)} epochs, {dates[0]} to {dates[-1]}",
+        f"{n} {plural(n, 'pair')} of epochs compared",
+        f"{len(used)} significant structural patterns (SSPs) on "
+        f"{len(scales)} {plural(len(scales), 'scale')}",
+    ]

@@ -1,0 +1,125 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Components, epochs and settings as rows of text."""
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.report.words import listed, plain_value, row_text, unit_text
+
+__all__ = ["component_rows", "epoch_rows", "setting_rows"]
+
+#: Columns of the page: name, heading with {unit}, decimals where there is no error.
+COLUMNS = (
+    ("component", "No.", 0),
+    ("kind", "kind", 0),
+    ("pm", "speed ({unit})", 3),
+    ("beta_app", "speed (c)", 3),
+    ("pm_pa", "PA ({unit})", 0),
+    ("p_global", "p_global", 3),
+    ("z_score", "z", 1),
+    ("n_ssp", "SSPs", 0),
+    ("n_pairs", "pairs", 0),
+    ("n_features", "features", 0),
+    ("pm_parallel", "along ({unit})", 3),
+    ("pm_transverse", "across ({unit})", 3),
+    ("pm_ra_cosdec", "east ({unit})", 3),
+    ("pm_dec", "north ({unit})", 3),
+    ("coefficient", "coefficient", 3),
+    ("pm_err_jitter", "paper's error of the speed ({unit})", 3),
+    ("pm_err_alignment", "error by alignment ({unit})", 3),
+    ("pm_err_epochs", "error by epochs ({unit})", 3),
+    ("p_local", "p_local", 3),
+    ("p_smallest", "smallest p_global", 3),
+)
+
+
+def component_rows(components, kinds):
+    """Head, rows and explanations of the table of components."""
+    known = [column for column in COLUMNS if column[0] in components.colnames]
+    taken = {name for name, *_ in COLUMNS}
+    taken |= {f"{name}_err" for name in taken}
+    known += [
+        (name, name, 3)
+        for name in components.colnames
+        if name not in taken and components[name].ndim == 1
+    ]
+    head, notes = [], []
+    for name, heading, _ in known:
+        column = components[name]
+        heading = heading.format(unit=unit_text(getattr(column, "unit", None)))
+        head.append(heading)
+        if column.info.description:
+            notes.append((heading, column.info.description))
+    rows = [
+        (kind, [_cell(components, row, name, digits) for name, _, digits in known])
+        for row, kind in zip(components, kinds, strict=True)
+    ]
+    return {"head": head, "rows": rows, "notes": notes}
+
+
+def _cell(components, row, name, digits):
+    value = plain_value(row[name])
+    if isinstance(value, str):
+        return value
+    if f"{name}_err" in components.colnames:
+        return row_text(row, name)
+    # A probability may be small, but is never rounded to nothing.
+    return f"{value:.2g}" if name.startswith("p_") else f"{value:.{digits}f}"
+
+
+def epoch_rows(result):
+    table = result.cube.epochs
+    counts = np.bincount(
+        np.asarray(result.ssps["epoch"], dtype=int), minlength=len(result.cube)
+    )
+    days = [date.strftime("%Y-%m-%d") for date in table["date"]]
+    times = [date.strftime("%Y-%m-%d %H:%M") for date in table["date"]]
+    head = ["Date"]
+    columns = [days if len(set(days)) == len(days) else times]
+    labels = [str(label) for label in table["label"]]
+    if labels != days:
+        head.insert(0, "Epoch")
+        columns.insert(0, labels)
+    if "major" in table.colnames:
+        head.append("Beam (mas, deg)")
+        columns.append(
+            [
+                f"{row['major'].to_value(u.mas):.3g} x "
+                f"{row['minor'].to_value(u.mas):.3g} at {row['pa'].to_value(u.deg):.0f}"
+                for row in table
+            ]
+        )
+    noise = u.Quantity(table["noise"])
+    unit = unit_text(noise.unit)
+    head.append(f"Noise ({unit})" if unit else "Noise")
+    columns.append([f"{value:.2g}" for value in noise.value])
+    head.append("SSPs")
+    columns.append([str(count) for count in counts])
+    return {"head": head, "rows": list(zip(*columns, strict=True))}
+
+
+def setting_rows(result, components):
+    """Settings as pairs of name and text."""
+    meta = {**result.meta, **components.meta}
+    pairs = dict(meta.pop("settings", {}))
+    for name in ("versions", "history", "configuration"):
+        meta.pop(name, None)
+    pairs.update(meta)
+    return [
+        (str(name).replace("_", " "), _text(value)) for name, value in pairs.items()
+    ]
+
+
+def _text(value):
+    if value is None:
+        return "not given"
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, u.Quantity):
+        unit = unit_text(value.unit)
+        return f"{listed([f'{v:.6g}' for v in np.atleast_1d(value.value)])} {unit}"
+    if isinstance(value, list | tuple):
+        return ", ".join(_text(v) for v in value)
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return " ".join(str(value).split())
