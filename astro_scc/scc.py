@@ -17,8 +17,8 @@ from astro_scc.measurement import (
     stack_matches,
     velocity_frame,
 )
+from astro_scc.measurement.decomposing import LazyDecompositions, decompose_epochs
 from astro_scc.measurement.plan import (
-    decompose_epochs,
     mean_fwhm,
     pairs_of_dates,
     scales_of_pixels,
@@ -289,7 +289,9 @@ class StackedCrossCorrelation:
                     done=blocks,
                 )
         provenance["selected"] = selection_digest(select)
-        matched = MatchedEpochs(cube, decompositions, ssps, select, matches, provenance)
+        # Stacks need no planes, which are larger than all that they need.
+        lazy = LazyDecompositions(cube, decomposer)
+        matched = MatchedEpochs(cube, lazy, ssps, select, matches, provenance)
         if cache is not None:
             cache.store(matched)
         return matched

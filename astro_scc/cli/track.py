@@ -230,11 +230,8 @@ def _stack_profile(path):
 
 def _track(cube, tracker, config, reporter, n_workers):
     from astro_scc.decomposition import Decomposer
-    from astro_scc.measurement.plan import (
-        decompose_epochs,
-        scales_of_pixels,
-        ssps_inside,
-    )
+    from astro_scc.measurement.decomposing import decompose_epochs
+    from astro_scc.measurement.plan import scales_of_pixels, ssps_inside
 
     names = {"wavelet": "kernel", "detection": "detection", "noise": "noise",
              "segmentation": "segmentation"}  # fmt: skip

@@ -51,8 +51,8 @@ def source_free(plane, scale, *, mask=None):
     values = values[values > 0]
     if values.size == 0:
         return valid, 0.0
-    everything = MAD_TO_SIGMA * float(np.median(values))
-    faintest = DECILE_TO_SIGMA * float(np.quantile(values, 0.1))
+    faintest, everything = np.quantile(values, [0.1, 0.5]).tolist()
+    faintest, everything = DECILE_TO_SIGMA * faintest, MAD_TO_SIGMA * everything
     for start in (min(faintest, everything), everything):
         free, sigma = _without_source(plane, scale_size(scale), valid, start)
         if free is not valid:
@@ -63,8 +63,20 @@ def source_free(plane, scale, *, mask=None):
 def _away_from_source(plane, radius, valid, sigma):
     """Pixels further than a radius from those beyond 5 sigma."""
     sky = (np.abs(plane) <= SOURCE_SNR * sigma) | ~valid
+    away = np.ones(plane.shape, dtype=bool)
+    near = tuple(_stretch(~sky.all(axis=axis), int(np.ceil(radius))) for axis in (1, 0))
     # Distances are undefined without any source.
-    return sky if sky.all() else ndimage.distance_transform_edt(sky) > radius
+    if near[0].stop:
+        away[near] = ndimage.distance_transform_edt(sky[near]) > radius
+    return away
+
+
+def _stretch(some, margin):
+    """From the first to the last that is true, and a margin."""
+    at = np.flatnonzero(some)
+    if len(at) == 0:
+        return slice(0, 0)
+    return slice(max(int(at[0]) - margin, 0), int(at[-1]) + margin + 1)
 
 
 def _without_source(plane, radius, valid, sigma):

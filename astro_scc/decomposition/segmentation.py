@@ -81,6 +81,10 @@ def check_thresholds(detection, segmentation):
 
 def _beside_outside(valid):
     """Pixels that touch the outside: the image's edge, or what is missing there."""
+    if valid.all():
+        edge = np.ones(valid.shape, dtype=bool)
+        edge[1:-1, 1:-1] = False
+        return edge
     outside, _ = ndimage.label(np.pad(~valid, 1, constant_values=True))
     return ndimage.binary_dilation(outside == outside[0, 0], np.ones((3, 3)))[
         1:-1, 1:-1

@@ -4,10 +4,9 @@
 import json
 import shutil
 import warnings
-from collections.abc import MutableMapping, Sequence
+from collections.abc import MutableMapping
 from contextlib import suppress
 from dataclasses import fields
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from astro_scc.correlation import Matches
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.epochs.serialize import replace_when_complete
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.plan import decompose_epochs
+from astro_scc.measurement.decomposing import LazyDecompositions
 from astro_scc.measurement.provenance import (
     digest_of,
     image_provenance,
@@ -37,35 +36,6 @@ MATCH_COLUMNS = (
 )  # fmt: skip
 #: Columns that `astro_scc.correlation.match_block` returns.
 N_COLUMNS = len(MATCH_COLUMNS)
-
-
-class Recomputed(Sequence):
-    """
-    The decompositions of epochs, made when they are asked for.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    decomposer : `~astro_scc.decomposition.Decomposer`
-    """
-
-    def __init__(self, cube, decomposer):
-        self.cube, self.decomposer = cube, decomposer
-
-    @property
-    def scales(self):
-        """Numbers of the scales."""
-        return self.decomposer.scales
-
-    @cached_property
-    def _made(self):
-        return decompose_epochs(self.cube, self.decomposer)
-
-    def __len__(self):
-        return len(self.cube)
-
-    def __getitem__(self, index):
-        return self._made[index]
 
 
 def write_matches(matched, path, *, overwrite=False):
@@ -173,7 +143,7 @@ def read_matches(path, cube, *, wanted=None):
     decomposer = Decomposer(**{**options, "scales": tuple(options["scales"])})
     provenance = {**found, "selected": selection_digest(select)}
     return MatchedEpochs(
-        cube, Recomputed(cube, decomposer), ssps, select, matches, provenance
+        cube, LazyDecompositions(cube, decomposer), ssps, select, matches, provenance
     )
 
 

@@ -2,24 +2,20 @@
 """What a measurement of a cube comes to: scales, pairs, speeds and windows."""
 
 import warnings
-from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
 
-from astro_scc.correlation.workers import in_order
-from astro_scc.decomposition import Decomposer, SSPs, scale_size
+from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.errors import beam_fwhm, ssp_offsets
 from astro_scc.stacking import VelocityGrid, baseline_pairs, consecutive_pairs
 
 __all__ = [
     "centroids_inside",
-    "decompose_epochs",
     "flow_direction",
     "map_grid",
     "mean_fwhm",
-    "noise_facts",
     "pairs_of_dates",
     "scales_of_pixels",
     "search_reach",
@@ -215,73 +211,6 @@ def map_grid(displacements, pairs, limit):
     ]
     steps = [step if np.isfinite(step) else limit / 20 for step in steps]
     return VelocityGrid.covering(limit, steps)
-
-
-def decompose_epochs(cube, decomposer, *, n_workers=1):
-    """
-    Decompose every epoch of a cube.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    decomposer : `~astro_scc.decomposition.Decomposer`
-    n_workers : int, str or `dask.distributed.Client`, optional
-        See `~astro_scc.correlation.Correlator`; the unit of work is an epoch.
-
-    Returns
-    -------
-    tuple of `~astro_scc.decomposition.Decomposition`
-    """
-    facts = noise_facts(cube, decomposer)
-    work = (
-        _Epoch(decomposer, image, cube.mask[k], *own)
-        for k, (image, own) in enumerate(zip(cube.data, facts, strict=True))
-    )
-    return tuple(in_order(_decompose, work, n_workers))
-
-
-def noise_facts(cube, decomposer):
-    """
-    What the decomposition of each epoch takes besides its image and mask.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    decomposer : `~astro_scc.decomposition.Decomposer`
-
-    Returns
-    -------
-    list of tuple
-        The rms of the image and the covariance of its beam in pixels, or
-        None.
-    """
-    propagated = decomposer.noise == "propagated"
-    rms = cube.noise_rms().value if propagated else [None] * len(cube)
-    covariances = [None] * len(cube)
-    if propagated and cube.beams is not None:
-        inverse = np.linalg.inv(cube.pixel_matrix.value)
-        covariances = [inverse @ b.covariance.value @ inverse.T for b in cube.beams]
-    return list(zip(rms, covariances, strict=True))
-
-
-@dataclass(frozen=True, eq=False)
-class _Epoch:
-    """An epoch to decompose, as a piece of work."""
-
-    decomposer: Decomposer
-    image: np.ndarray
-    mask: np.ndarray
-    rms: float | None
-    beam_covariance: np.ndarray | None
-
-
-def _decompose(epoch):
-    return epoch.decomposer(
-        epoch.image,
-        mask=epoch.mask,
-        rms=epoch.rms,
-        beam_covariance=epoch.beam_covariance,
-    )
 
 
 def ssps_inside(decompositions, cube, region):

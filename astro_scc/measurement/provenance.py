@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from astro_scc.measurement.plan import noise_facts
+from astro_scc.measurement.decomposing import noise_facts
 from astro_scc.measurement.tables import versions
 
 __all__ = [

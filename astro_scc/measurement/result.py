@@ -45,7 +45,8 @@ class MatchedEpochs:
     Attributes
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    decompositions : tuple of `~astro_scc.decomposition.Decomposition`
+    decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+        Made again when they are asked for.
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
     select : `~numpy.ndarray` of bool, shape (n_ssps,)

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from astro_scc import Beam, EpochCube
 from astro_scc.decomposition import Decomposer, scale_size
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.measurement.decomposing import decompose_epochs
 from astro_scc.measurement.plan import (
-    decompose_epochs,
     flow_direction,
     map_grid,
     mean_fwhm,
