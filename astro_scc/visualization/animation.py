@@ -103,7 +103,7 @@ def animate_epochs(
     norm = plotting_norm(cube, images, stretch=stretch)
     figure, ax = figure_and_axes(ax, epoch_figsize(limits))
     picture = draw_image(ax, cube, images[shown[0]], norm, unit, limits)
-    label_offsets(ax, unit)
+    label_offsets(ax, cube, unit)
     add_colorbar(ax, picture, brightness_label(cube.unit), ticks_of(norm))
     # Laid out with a title and a legend, the same in all frames.
     handles = [] if points is None else draw_ssps(ax, cube, ssps, points, -1, unit)

@@ -4,7 +4,13 @@
 import astropy.units as u
 import numpy as np
 
-from astro_scc.visualization.style import BLACK, HEIGHT, WIDTH, unit_name
+from astro_scc.visualization.style import (
+    BLACK,
+    HEIGHT,
+    WIDTH,
+    first_axis,
+    unit_name,
+)
 
 __all__ = []
 
@@ -33,7 +39,8 @@ def draw_image(ax, cube, values, norm, unit, limits):
         transform=Affine2D(to_offset) + ax.transData,
     )
     (east0, east1), (north0, north1) = (limits * u.mas).to_value(unit)
-    ax.set_xlim(east1, east0)
+    _, to_the_left = first_axis(cube)
+    ax.set_xlim((east1, east0) if to_the_left else (east0, east1))
     ax.set_ylim(north0, north1)
     ax.set_aspect("equal")
     return drawn
@@ -62,15 +69,21 @@ def draw_beam(ax, beam, unit, limits):
     return ax.add_patch(ellipse)
 
 
-def label_offsets(ax, unit):
+def label_offsets(ax, cube, unit):
     """Name the two axes of an image."""
-    ax.set_xlabel(f"Offset to the east ({unit_name(unit)})")
+    ax.set_xlabel(f"Offset to {_direction(cube)} ({unit_name(unit)})")
     ax.set_ylabel(f"Offset to the north ({unit_name(unit)})")
 
 
-def label_panels(figure, unit):
+def _direction(cube):
+    name, _ = first_axis(cube)
+    return name if " " in name else f"the {name}"
+
+
+def label_panels(figure, cube, unit):
     """Name the axes that all panels share."""
-    figure.supxlabel(f"Offset to the east ({unit_name(unit)})", fontsize="medium")
+    label = f"Offset to {_direction(cube)} ({unit_name(unit)})"
+    figure.supxlabel(label, fontsize="medium")
     figure.supylabel(f"Offset to the north ({unit_name(unit)})", fontsize="medium")
 
 

@@ -115,7 +115,7 @@ def plot_epoch(
     handles = _masked_handle(cube, image.mask, limits)
     if points is not None:
         handles = draw_ssps(ax, cube, ssps, points, index, unit) + handles
-    label_offsets(ax, unit)
+    label_offsets(ax, cube, unit)
     # The legend is a line between the axes and the title.
     ax.set_title(date_of(cube, index), pad=22.0 if handles else None)
     if handles:
@@ -203,7 +203,7 @@ def plot_epochs(
     for k in range(len(chosen) - columns, len(chosen)):
         # Shared axes hide their ticks all but in the last row.
         grid.flat[max(k, 0)].tick_params(labelbottom=True)
-    label_panels(figure, unit)
+    label_panels(figure, cube, unit)
     label = brightness_label(cube.unit)
     bar = figure.colorbar(drawn, ax=list(grid.flat), label=label, pad=0.02, aspect=40)
     set_ticks(bar, ticks_of(norm))

@@ -17,11 +17,13 @@ from astro_scc.visualization.drawing import (
 from astro_scc.visualization.patterns import ssp_points
 from astro_scc.visualization.style import (
     BLUE,
+    PM_UNIT,
     VERMILLION,
     component_kinds,
     new_figure,
     offset_unit,
     outline,
+    speed_unit,
     unit_name,
 )
 
@@ -105,7 +107,7 @@ def plot_members(
         _draw_members(ax, result, number, kind, points, unit)
     for ax in axes[len(panels) :]:
         ax.set_axis_off() if panels else ax.set_title("no component")
-    label_panels(figure, unit)
+    label_panels(figure, cube, unit)
     return figure
 
 
@@ -138,6 +140,7 @@ def _draw_members(ax, result, number, kind, points, unit):
     )
     n_ssp = len(np.unique(owner))
     speed = result.components["pm"][number - 1]
+    speed = speed.to(speed_unit(speed.to_value(PM_UNIT)))
     ax.text(
         0.02,
         0.95,

@@ -60,6 +60,8 @@ def offset_unit(span, unit=None):
 def speed_unit(fastest, unit=None):
     """The unit in which proper motions up to so many mas/yr are easily read."""
     if unit is None:
+        if (fastest * PM_UNIT).to_value(u.arcsec / u.h) >= 0.3:
+            return u.arcsec / u.h
         return u.arcsec / u.yr if fastest >= 3000 else PM_UNIT
     unit = u.Unit(unit)
     if not unit.is_equivalent(PM_UNIT):
@@ -67,6 +69,18 @@ def speed_unit(fastest, unit=None):
             f"unit must be an angle over a time, such as 'mas/yr', got {unit}"
         )
     return unit
+
+
+def first_axis(cube):
+    """
+    Where longitude grows: its name, and whether that is to the left.
+
+    On the sky to the east, which is to the left; in coordinates of the Sun to
+    the west, which is to the right.
+    """
+    if str(cube.wcs.wcs.ctype[0])[:4] in ("HPLN", "HGLN", "CRLN"):
+        return "solar west", False
+    return "east", True
 
 
 def unit_name(unit):

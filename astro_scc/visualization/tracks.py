@@ -206,7 +206,7 @@ def plot_tracks(tracking, *, figure=None, unit=None, min_epochs=None):
         _name_panel(ax, cube, scale, unit, len(own))
     for ax in axes[len(scales) :]:
         ax.set_axis_off()
-    label_panels(figure, unit)
+    label_panels(figure, cube, unit)
     return figure
 
 

@@ -11,6 +11,7 @@ from astro_scc.visualization.style import (
     add_colorbar,
     component_kinds,
     figure_and_axes,
+    first_axis,
     outline,
     speed_unit,
     unit_name,
@@ -20,6 +21,7 @@ __all__ = ["plot_velocity_map"]
 
 AXIS_LABELS = {
     "east": "Proper motion to the east",
+    "solar west": "Proper motion to solar west",
     "north": "Proper motion to the north",
     "parallel": "Proper motion parallel to the jet",
     "transverse": "Transverse proper motion",
@@ -74,7 +76,8 @@ def plot_velocity_map(
     which : {"coefficient", "z_score"}
         The map that is drawn.
     unit : `~astropy.units.Unit`, optional
-        Of the axes, by default mas/yr, or arcsec/yr for large speeds.
+        Of the axes, by default mas/yr, or arcsec/yr or arcsec/h for large
+        speeds.
     beta_per_pm : float, optional
         Apparent speed, in units of c, of a proper motion of 1 mas/yr; draws
         a second axis.
@@ -125,6 +128,8 @@ def plot_velocity_map(
 def axis_label(result, axis, unit):
     """Label of an axis of velocities."""
     name = result.frame.axis_names[axis]
+    if name == "east":
+        name, _ = first_axis(result.cube)
     return f"{AXIS_LABELS.get(name, f'Proper motion, {name}')} ({unit_name(unit)})"
 
 
@@ -156,7 +161,8 @@ def _draw_map(ax, result, which, unit):
     ax.axhline(0, color="white", linewidth=0.6, alpha=0.6)
     ax.axvline(0, color="white", linewidth=0.6, alpha=0.6)
     ax.set_aspect("equal")
-    ax.set_xlim((right, left) if on_sky(result) else (left, right))
+    to_the_left = on_sky(result) and first_axis(result.cube)[1]
+    ax.set_xlim((right, left) if to_the_left else (left, right))
     ax.set_ylim(bottom, top)
     ax.set_xlabel(axis_label(result, 0, unit))
     ax.set_ylabel(axis_label(result, 1, unit))
@@ -223,8 +229,8 @@ def _draw_jet(ax, result, corner):
     """An arrow in a corner of the axes in the jet's direction."""
     if on_sky(result):
         angle = u.Quantity(result.position_angle).to_value(u.rad)
-        # East is to the left.
-        direction = np.array([-np.sin(angle), np.cos(angle)])
+        side = -1 if first_axis(result.cube)[1] else 1
+        direction = np.array([side * np.sin(angle), np.cos(angle)])
     else:
         direction = np.array([1.0, 0.0])
     name = "outward" if result.frame.axis_names[0] == "radial" else "jet"
