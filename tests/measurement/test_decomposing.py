@@ -13,7 +13,8 @@ def test_lazy_decompositions_are_those_of_the_epochs(noise):
     decomposer = Decomposer(scales=[1, 2], noise=noise)
     lazy = LazyDecompositions(cube, decomposer)
     whole = decompose_epochs(cube, decomposer)
-    assert len(lazy) == 3 and lazy.scales == (1.0, 2.0)
+    assert len(lazy) == 3
+    assert lazy.scales == (1.0, 2.0)
     for one, other in zip(lazy, whole, strict=True):
         np.testing.assert_array_equal(one.planes, other.planes)
         np.testing.assert_array_equal(one.ssps.y, other.ssps.y)
