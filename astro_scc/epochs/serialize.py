@@ -2,7 +2,6 @@
 """An `EpochCube` as one FITS file."""
 
 import os
-import tempfile
 import warnings
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from astropy.wcs import WCS
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.fits import CUBE_CREATOR, open_fits
+from astro_scc.epochs.partial import partial_folder
 
 __all__ = [
     "is_cube_file",
@@ -61,8 +61,8 @@ def replace_when_complete(path, *, overwrite=False):
         raise FileExistsError(f"{path}: exists; pass overwrite=True to replace it")
     if not path.parent.is_dir():
         raise FileNotFoundError(f"{path}: its folder {path.parent} does not exist")
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".astro_scc-") as folder:
-        part = Path(folder) / path.name
+    with partial_folder(path.parent, ".astro_scc-") as folder:
+        part = folder / path.name
         yield part
         os.replace(part, path)
 

@@ -3,6 +3,7 @@
 
 import os
 import re
+import warnings
 from pathlib import Path
 
 import astropy.units as u
@@ -147,8 +148,13 @@ def _dates(table, name):
     if kind is None and column.dtype.kind in "fi":
         kind = "jyear"
     try:
-        values = np.asarray(column)
-        return Time(values.astype(float if kind else str), format=kind, scale="utc")
+        values = np.asarray(column).astype(float if kind else str)
+        with warnings.catch_warnings(record=True) as dubious:
+            # ERFA calls dates dubious for which leap seconds are unknown.
+            warnings.simplefilter("always")
+            times = Time(values, format=kind, scale="utc")
+            atomic = times.tai
+        return atomic if dubious else times
     except ValueError as error:
         raise ValueError(
             f"{name}: the dates in column {columns[0]!r} are not understood "

@@ -3,14 +3,16 @@
 
 import errno
 import os
-import secrets
-import shutil
-from contextlib import contextmanager, suppress
+import warnings
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
+
+from astro_scc.epochs.partial import partial_folder, remove_left
+from astro_scc.exceptions import MeasurementWarning
 
 __all__ = ["plain_cosmology", "product_folder", "velocity_hdus", "write_products"]
 
@@ -45,6 +47,12 @@ def product_folder(path, *, overwrite=False, stale=()):
         If the folder has files and ``overwrite`` is False, is a file, or
         cannot be written to.
 
+    Warns
+    -----
+    `~astro_scc.exceptions.MeasurementWarning`
+        If there is a folder of another run for the same products that may
+        not be done.  What killed runs left on this machine is taken away.
+
     Examples
     --------
     >>> from pathlib import Path
@@ -59,35 +67,46 @@ def product_folder(path, *, overwrite=False, stale=()):
     if target.exists() and not exists:
         raise OSError(f"{path}: is a file; choose another folder")
     made = [parent for parent in target.absolute().parents if not parent.exists()]
-    name = f"partial-{os.getpid()}-{secrets.token_hex(4)}"
     # On the disk of the target, so that things only have to be renamed.
-    folder = target / f".{name}" if exists else target.parent / f".{target.name}.{name}"
-    try:
-        filled = exists and any(target.iterdir())
-        if overwrite or not filled:
-            folder.mkdir(parents=True)
-    except OSError as error:
-        _remove(made)
-        raise OSError(f"{path}: cannot be made or used: {error.strerror}") from None
-    if filled and not overwrite:
-        raise OSError(
-            f"{path}: exists and is not empty; choose another folder, or --overwrite"
+    outside = target.parent, f".{target.name}.partial-"
+    inside = target, ".partial-"
+    for left in remove_left(*outside) + remove_left(*inside):
+        warnings.warn(
+            f"{left}: is of another run, which goes on or was killed; delete it if "
+            "nothing runs any more",
+            MeasurementWarning,
+            stacklevel=3,
         )
-    try:
-        yield folder
-        if exists:
-            _move(folder, target, stale)
-        else:
-            folder.rename(target)
-    except BaseException as error:
-        shutil.rmtree(folder, ignore_errors=True)
-        _remove(made)
-        if isinstance(error, OSError) and error.errno in DISK_ERRORS:
+    with ExitStack() as stack:
+        try:
+            filled = exists and any(target.iterdir())
+            if overwrite or not filled:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                part = partial_folder(*(inside if exists else outside))
+                folder = stack.enter_context(part)
+        except OSError as error:
+            _remove(made)
+            raise OSError(f"{path}: cannot be made or used: {error.strerror}") from None
+        if filled and not overwrite:
             raise OSError(
-                f"{path}: cannot be written: {error.strerror}; make room there or "
-                "choose another folder"
-            ) from None
-        raise
+                f"{path}: exists and is not empty; choose another folder, or "
+                "--overwrite"
+            )
+        try:
+            yield folder
+            if exists:
+                _move(folder, target, stale)
+            else:
+                folder.rename(target)
+        except BaseException as error:
+            stack.close()
+            _remove(made)
+            if isinstance(error, OSError) and error.errno in DISK_ERRORS:
+                raise OSError(
+                    f"{path}: cannot be written: {error.strerror}; make room there or "
+                    "choose another folder"
+                ) from None
+            raise
 
 
 def _remove(folders):

@@ -14,6 +14,8 @@ from astropy.table import QTable
 from astropy.wcs import WCS
 
 from astro_scc import StackedCrossCorrelation
+from astro_scc.epochs.partial import _machine
+from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import paper_cosmology
 from astro_scc.measurement import (
     plain_cosmology,
@@ -124,6 +126,34 @@ def test_overwriting_that_fails_changes_nothing(tmp_path):
         fill_in_vain(tmp_path, ValueError("no"), overwrite=True)
     assert [path.name for path in tmp_path.iterdir()] == ["one.txt"]
     assert (tmp_path / "one.txt").read_text() == "old"
+
+
+@pytest.mark.parametrize("exists", [True, False])
+def test_what_a_killed_run_left_is_taken_away(tmp_path, exists):
+    pytest.importorskip("fcntl")
+    out = tmp_path / "out"
+    end = f"{_machine()}-0123abcd"
+    left = [tmp_path / f".out.partial-{end}", tmp_path / f".other.partial-{end}"]
+    left += [out / f".partial-{end}"] * exists
+    for folder in left:
+        folder.mkdir(parents=True)
+        (folder / "half").write_text("x")
+    with product_folder(out) as folder:
+        (folder / "a.txt").write_text("a")
+    assert sorted(p.name for p in tmp_path.iterdir()) == [left[1].name, "out"]
+    assert [p.name for p in out.iterdir()] == ["a.txt"]
+
+
+def test_what_another_run_has_is_told(tmp_path):
+    pytest.importorskip("fcntl")
+    out = tmp_path / "out"
+    with product_folder(out) as first:
+        line = rf"{first}: is of another run, which goes on or was killed; delete it"
+        with pytest.warns(MeasurementWarning, match=line), product_folder(out) as other:
+            (other / "a.txt").write_text("a")
+        assert first.is_dir()
+        (out / "a.txt").unlink()
+    assert list(out.iterdir()) == []
 
 
 def test_a_file_is_no_folder(tmp_path):

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from astropy.time import Time
 
 from astro_scc.config import read_config, select_epochs
 from astro_scc.epochs import EpochCube, read_components
@@ -158,3 +159,10 @@ def test_epochs_before_a_far_date(inputs, tmp_path):
     path = tmp_path / "c.toml"
     path.write_text("after = 2081-01-01\n")
     assert read_config(path)[0] == {"after": "2081-01-01"}
+
+
+def test_a_far_date_of_offsets(fuzz, tmp_path):
+    path = tmp_path / "o.ecsv"
+    path.write_bytes(fuzz.OFFSETS.replace(b"2002-01-01", b"3002-01-09"))
+    times = Time(["2001-01-01", "3002-01-09"], scale="tai")
+    assert len(offsets_from_table(path, times, ["a", "b"])) == 2

@@ -1,0 +1,166 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Hidden folders for what is not complete, and those that a killed process left."""
+
+import hashlib
+import os
+import platform
+import re
+import secrets
+import shutil
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+__all__ = ["hold", "partial_folder", "remove_left"]
+
+#: Of names, after what they begin with: the machine and something of its own.
+_END = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}")
+
+
+@contextmanager
+def partial_folder(parent, prefix):
+    """
+    A folder of this process alone, which is gone in the end.
+
+    Parameters
+    ----------
+    parent : `~pathlib.Path`
+    prefix : str
+        What its name begins with.  Folders of such names that killed
+        processes left are taken away, see `remove_left`.
+
+    Yields
+    ------
+    `~pathlib.Path`
+        What is in it when the block ends is deleted, unless the folder has
+        another name by then.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from astro_scc.epochs.partial import partial_folder
+    >>> Path("out").mkdir()
+    >>> with partial_folder(Path("out"), ".partial-") as folder:
+    ...     _ = (folder / "a.txt").write_text("done")
+    ...     (folder / "a.txt").replace("out/a.txt").name
+    'a.txt'
+    >>> [path.name for path in Path("out").iterdir()]
+    ['a.txt']
+    """
+    remove_left(parent, prefix)
+    folder, lock = _make(parent, prefix)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _release(lock)
+
+
+def _make(parent, prefix):
+    while True:
+        folder = Path(parent) / f"{prefix}{_machine()}-{secrets.token_hex(4)}"
+        folder.mkdir()
+        with suppress(BlockingIOError):
+            lock = _lock(folder)
+            # Somebody may have taken it for left before it was locked.
+            if folder.exists():
+                return folder, lock
+            _release(lock)
+
+
+def remove_left(parent, prefix):
+    """
+    Take away the folders of `partial_folder` that killed processes left.
+
+    Only what was made on this machine and nobody holds is taken away.  A process
+    holds its folder by a lock that ends with it, however it ends; where the
+    system has no such locks nothing is taken away.
+
+    Parameters
+    ----------
+    parent : `~pathlib.Path`
+    prefix : str
+
+    Returns
+    -------
+    list of `~pathlib.Path`
+        Folders of such names that stay.
+    """
+    stay = []
+    for path in _of_names(parent, prefix):
+        with suppress(OSError), hold(path) as held:
+            if held and path.name.startswith(prefix + _machine()):
+                shutil.rmtree(path)
+        if path.exists():
+            stay.append(path)
+    return stay
+
+
+def _of_names(parent, prefix):
+    with suppress(OSError):
+        for path in sorted(Path(parent).iterdir()):
+            name = path.name
+            if (
+                name.startswith(prefix)
+                and _END.fullmatch(name.removeprefix(prefix))
+                and path.is_dir()
+                and not path.is_symlink()
+            ):
+                yield path
+
+
+def _machine():
+    """The name of this machine as eight digits."""
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+
+
+@contextmanager
+def hold(folder):
+    """
+    Hold a folder while in this context, where the system can lock folders.
+
+    Parameters
+    ----------
+    folder : path
+
+    Yields
+    ------
+    bool
+        Whether it can.
+
+    Raises
+    ------
+    BlockingIOError
+        If another process, or another part of this one, holds it.
+    """
+    lock = _lock(folder)
+    try:
+        yield lock is not None
+    finally:
+        _release(lock)
+
+
+def _lock(folder):
+    """An open file that holds the folder, or None where that is not possible."""
+    number = None
+    try:
+        import fcntl
+
+        number = os.open(folder, os.O_RDONLY)
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (ImportError, OSError) as error:
+        _release(number)
+        if isinstance(error, BlockingIOError):
+            raise
+        # Windows, and some disks of networks.
+        return None
+    return number
+
+
+def _release(number):
+    if number is not None:
+        os.close(number)
