@@ -1,0 +1,143 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What the documentation shows and no doctest runs: commands, TOML, scripts."""
+
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import astropy.units as u
+import pytest
+
+from astro_scc.cli.program import COMMANDS, build_parser
+from astro_scc.config import read_config
+from astro_scc.epochs import Beam, write_epochs
+from astro_scc.simulation import simulate_two_fluid
+from astro_scc.survey import read_survey
+
+REPOSITORY = Path(__file__).parents[1]
+PAGES = sorted(
+    [
+        *(REPOSITORY / "docs").glob("*.rst"),
+        *(REPOSITORY / "benchmarks").glob("*.rst"),
+        *REPOSITORY.glob("*.rst"),
+    ]
+)
+# A line of a literal block, or what stands in double quotes or in none.
+COMMAND = re.compile(r"^ +(?:.*&& )?(?:\.venv/bin/)?astro-scc (.+)$|`astro-scc ([^`]+)`")
+SCRIPT = re.compile(
+    r"^ +(?:\.venv/bin/)?python (\S+\.py)(.*)$|``python (\S+\.py)(.*?)``", re.MULTILINE
+)
+
+
+def unfolded(path):
+    """The text of a page, with lines that end in a backslash joined."""
+    return re.sub(r" *\\\n +", " ", path.read_text(encoding="utf-8"))
+
+
+def commands(text):
+    """The arguments of every command line in a text."""
+    for line in text.splitlines():
+        for match in COMMAND.finditer(line):
+            words = match[1] or match[2]
+            # COMMAND and dots stand for what a reader chooses.
+            if not re.search(r"\bCOMMAND\b|\.\.\.", words):
+                yield words
+
+
+SHOWN = [(page.name, words) for page in PAGES for words in commands(unfolded(page))]
+
+
+def test_commands_are_found():
+    names = {words.split()[0] for _, words in SHOWN}
+    assert {"demo", "simulate", "restore", "inspect", "measure", "profile"} <= names
+    assert ("README.rst", "demo") in SHOWN
+    assert len(SHOWN) > 20
+
+
+@pytest.mark.parametrize(("page", "words"), SHOWN)
+def test_every_command_of_the_documentation_is_understood(page, words, capsys):
+    argv = shlex.split(words)
+    bare = len(argv) == 1 and argv[0] not in ("demo", "--help", "--version")
+    if bare:
+        # The name of a command, not a line to type.
+        assert argv[0] in {module.__name__.split(".")[-1] for module in COMMANDS}
+        return
+    try:
+        args = build_parser().parse_args(argv)
+    except SystemExit as stop:
+        assert stop.code == 0, capsys.readouterr().err
+    else:
+        assert args.command == argv[0]
+
+
+@pytest.mark.parametrize("module", COMMANDS, ids=lambda m: m.__name__.split(".")[-1])
+def test_every_command_of_the_help_is_understood(module):
+    text = re.sub(r" *\\\n +", " ", getattr(module, "EPILOG", ""))
+    for words in commands(text):
+        assert build_parser().parse_args(shlex.split(words)).command
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_every_script_of_the_documentation_is_there(page):
+    for match in SCRIPT.finditer(unfolded(page)):
+        script, options = match[1] or match[3], match[2] or match[4] or ""
+        source = REPOSITORY / script
+        assert source.is_file(), script
+        for option in re.findall(r"--[a-z-]+", options):
+            assert f'"{option}"' in source.read_text(encoding="utf-8"), option
+
+
+def blocks(page, language):
+    """The code blocks of a language, without their indentation."""
+    text = page.read_text(encoding="utf-8")
+    found = re.findall(
+        rf"^\.\. code-block:: {language}\n\n((?:(?: +.*)?\n)+)", text, re.MULTILINE
+    )
+    return [re.sub(r"^ {1,4}", "", block, flags=re.MULTILINE) for block in found]
+
+
+TOML = [(page.name, text) for page in PAGES for text in blocks(page, "toml")]
+
+
+@pytest.mark.parametrize(("page", "text"), TOML)
+def test_toml_of_the_documentation_is_understood(page, text, tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_text(text, encoding="utf-8")
+    if "sources" in tomllib.loads(text):
+        assert len(read_survey(path).sources) == 2
+    else:
+        settings, *_ = read_config(path)
+        assert settings["epochs"]
+
+
+def test_toml_is_found():
+    assert {page for page, _ in TOML} == {"command_line.rst", "survey.rst"}
+
+
+def test_python_that_is_no_doctest_runs(tmp_path, monkeypatch):
+    """The lines of the README for a real jet, on a simulated one of that name."""
+    (text,) = blocks(REPOSITORY / "README.rst", "python")
+    monkeypatch.chdir(tmp_path)
+    beams = [Beam(size * u.mas, 0.8 * u.mas, 0 * u.deg) for size in (1.0, 1.1, 0.9, 1)]
+    jet = simulate_two_fluid(
+        n_epochs=4, interval=1 * u.yr, beams=beams, core=3.0, rng=1
+    )
+    write_epochs(jet.cube, "3c273")
+    names = {}
+    setting_up = (
+        "import warnings\n"
+        # Features crowd about its core, and four epochs are too few for a p-value.
+        "warnings.simplefilter('ignore')\n"
+        "import astropy.units as u\n"
+        "from astropy.cosmology import FlatLambdaCDM\n"
+        "from astro_scc import StackedCrossCorrelation\n"
+        "cosmology = FlatLambdaCDM(H0=71, Om0=0.27)\n"
+    )
+    exec(setting_up, names)
+    exec(text.replace("n_trials=1000", "n_trials=10"), names)
+    assert "pm" in names["result"].components.colnames
+
+
+def test_other_python_is_doctests():
+    assert [page.name for page in PAGES if blocks(page, "python")] == ["README.rst"]
