@@ -8,6 +8,7 @@ __all__ = [
     "add_distance",
     "add_epochs",
     "add_images",
+    "add_no_report",
     "add_output",
     "add_overwrite",
     "add_patterns",
@@ -83,6 +84,19 @@ def add_config(parser):
     parser : `argparse.ArgumentParser`
     """
     parser.add_argument("--config", metavar="FILE.toml", help="read settings from here")
+
+
+def add_no_report(parser):
+    """
+    Add ``--no-report``.
+
+    Parameters
+    ----------
+    parser : `argparse.ArgumentParser`
+    """
+    parser.add_argument(
+        "--no-report", action="store_true", help="write no report.html and figures"
+    )
 
 
 def add_votable(parser, files):

@@ -8,6 +8,7 @@ from astro_scc.cli.arguments import (
     add_distance,
     add_epochs,
     add_images,
+    add_no_report,
     add_output,
     add_patterns,
     add_trials,
@@ -68,9 +69,7 @@ def add_parser(commands):
     add_epochs(parser)
     add_output(parser, what="tables, maps and report")
     add_config(parser)
-    parser.add_argument(
-        "--no-report", action="store_true", help="write no report.html and figures"
-    )
+    add_no_report(parser)
     parser.add_argument(
         "--resume",
         action="store_true",
@@ -221,11 +220,11 @@ def measure(
     scc = StackedCrossCorrelation.from_settings(config)
     # A region file that cannot be used is better known before the long part.
     region = region or config.get("region")
-    inside = None if region is None else cube.region_mask(region)
+    cube.region_mask(region)
     config = settings_as_used(scc, config, cube, seed=kept_seed(work))
     result = scc(
         cube,
-        region=inside,
+        region=region,
         n_trials=config["n_trials"],
         rng=config["seed"],
         n_workers=n_workers,

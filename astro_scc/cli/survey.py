@@ -4,7 +4,7 @@
 from contextlib import contextmanager
 from pathlib import Path
 
-from astro_scc.cli.arguments import add_workers
+from astro_scc.cli.arguments import add_no_report, add_workers
 from astro_scc.cli.settings import workers_of
 from astro_scc.cli.summary import table_lines
 
@@ -34,8 +34,8 @@ file.  A source that fails does not stop the others.  Run again with the same fo
 it goes on: sources that are finished with the same settings, files and versions are
 not measured again.  The folder gets survey.ecsv, a row for each source, region, scale
 group and component with p_fdr over all of them, or with the reason why there is none;
-and in sources/ a folder for each source with the products of astro-scc measure but the
-report.
+and in sources/ a folder for each source with the products of astro-scc measure, a
+report among them.
 """
 
 
@@ -55,6 +55,7 @@ def add_parser(commands):
         required=True,
         help="folder for the table and the sources' products, new or of this survey",
     )
+    add_no_report(parser)
     add_workers(parser)
     return parser
 
@@ -95,6 +96,7 @@ def run(args, reporter):
             survey,
             args.output,
             n_workers=workers,
+            write_report=_report_writer(args),
             report=report,
             progress_bar=reporter.progress,
         )
@@ -104,6 +106,14 @@ def run(args, reporter):
     if set(counts) == {"failed"}:
         raise ValueError(f"no source could be measured; {path} says why")
     reporter.say(f"\nTable: {path}")
+
+
+def _report_writer(args):
+    if args.no_report:
+        return None
+    from astro_scc.report import write_report
+
+    return write_report
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from pathlib import Path
 from astro_scc.correlation.workers import as_done, workers_of
 from astro_scc.epochs.serialize import replace_when_complete
 from astro_scc.progress import progress
+from astro_scc.survey.lock import alone_in
 from astro_scc.survey.source import (
     SOURCES,
     WORK,
@@ -24,7 +25,9 @@ __all__ = ["run_survey"]
 TABLE, PLAN = "survey.ecsv", "survey.toml"
 
 
-def run_survey(survey, output, *, n_workers=1, report=None, progress_bar=False):
+def run_survey(
+    survey, output, *, n_workers=1, write_report=None, report=None, progress_bar=False
+):
     """
     Measure all sources of a survey and write one table.
 
@@ -39,6 +42,10 @@ def run_survey(survey, output, *, n_workers=1, report=None, progress_bar=False):
     n_workers : int, str or `dask.distributed.Client`, optional
         Number of processes, or a Dask scheduler, by its address or a client of
         it; the unit of work is a source.  The numbers do not depend on it.
+    write_report : callable, optional
+        Such as `astro_scc.report.write_report`, a function of a module, which
+        workers can import: called for each region and scale group with its
+        result, components and folder.
     report : callable, optional
         Called with the name of each source that is done, its list of
         `Outcome` and whether it was finished before.
@@ -52,11 +59,25 @@ def run_survey(survey, output, *, n_workers=1, report=None, progress_bar=False):
     Raises
     ------
     OSError
-        If the folder has files of others, or cannot be written to.
+        If the folder has files of others, another run is at work in it, or it
+        cannot be written to.
     """
     output = Path(output).absolute()
-    _prepare(output, survey)
-    jobs = [Job(source, str(output)) for source in survey.sources]
+    _make_folders(output)
+    with alone_in(output / WORK):
+        _clean(output)
+        with replace_when_complete(output / PLAN, overwrite=True) as part:
+            part.write_text(survey.text, encoding="utf-8")
+        jobs = [Job(source, str(output), write_report) for source in survey.sources]
+        found = _outcomes(jobs, n_workers, report, progress_bar)
+        table = survey_table([o for k in range(len(jobs)) for o in found[k]], output)
+        with replace_when_complete(output / TABLE, overwrite=True) as part:
+            table.write(part, format="ascii.ecsv")
+    return table
+
+
+def _outcomes(jobs, n_workers, report, progress_bar):
+    """What became of each job, by its place in the list."""
     found = {}
     with (
         workers_of(n_workers) as workers,
@@ -83,14 +104,10 @@ def run_survey(survey, output, *, n_workers=1, report=None, progress_bar=False):
                     for names in source.parts
                 ]
             finish(left[i], outcomes, False)
-    table = survey_table([o for k in range(len(jobs)) for o in found[k]], output)
-    with replace_when_complete(output / TABLE, overwrite=True) as part:
-        table.write(part, format="ascii.ecsv")
-    return table
+    return found
 
 
-def _prepare(output, survey):
-    """Make the folder, and take away what an interrupted run left half-written."""
+def _make_folders(output):
     if output.is_dir():
         if any(output.iterdir()) and not (output / PLAN).is_file():
             raise OSError(
@@ -101,9 +118,11 @@ def _prepare(output, survey):
         (output / WORK).mkdir(exist_ok=True)
     except OSError as error:
         raise OSError(f"{output}: cannot be made or used: {error.strerror}") from None
+
+
+def _clean(output):
+    """Take away what an interrupted run left half-written."""
     for kind in ("partial-*", "old-*"):
         for folder in (output / WORK).glob(kind):
             with suppress(OSError):
                 shutil.rmtree(folder)
-    with replace_when_complete(output / PLAN, overwrite=True) as part:
-        part.write_text(survey.text, encoding="utf-8")

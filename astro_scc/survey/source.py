@@ -7,6 +7,7 @@ import secrets
 import shutil
 import traceback
 import warnings
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from astro_scc.config import (
 from astro_scc.measurement import select_ssps, versions, write_products
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.survey.names import folder_names
-from astro_scc.survey.plan import SEED, Source
+from astro_scc.survey.plan import SEED, WHOLE, Source
 
 __all__ = ["Job", "Outcome", "finished_outcomes", "measure_source", "one_line"]
 
@@ -67,10 +68,13 @@ class Job:
     source : `Source`
     output : str
         Folder of the survey.
+    write_report : callable, optional
+        See `run_survey`.
     """
 
     source: Source
     output: str
+    write_report: Callable | None = None
 
 
 def finished_outcomes(job):
@@ -94,9 +98,10 @@ def finished_outcomes(job):
         found = [Outcome(**outcome) for outcome in state["outcomes"]]
     except (OSError, ValueError, KeyError, TypeError):
         return None
+    needed = ["components.ecsv"] + ["report.html"] * (job.write_report is not None)
     done = all(
         outcome.status != "failed"
-        and Path(job.output, outcome.folder, "components.ecsv").is_file()
+        and all(Path(job.output, outcome.folder, name).is_file() for name in needed)
         for outcome in found
     )
     return found if done else None
@@ -131,7 +136,7 @@ def measure_source(job):
         warnings.simplefilter("always")
         part.mkdir(parents=True)
         try:
-            outcomes = _measure(source, output, part)
+            outcomes = _measure(job, part, said)
         except Exception as error:
             (part / "error.txt").write_text(traceback.format_exc(), encoding="utf-8")
             outcomes = [
@@ -142,7 +147,7 @@ def measure_source(job):
         "key": key,
         "source": source.name,
         "outcomes": [asdict(outcome) for outcome in outcomes],
-        "warnings": sorted({one_line(warning.message) for warning in said}),
+        "warnings": _lines(said),
     }
     (part / STATE).write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
     _replace(part, final)
@@ -179,8 +184,9 @@ def _replace(part, final):
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _measure(source, output, part):
-    cube, config, _ = read_epochs(source.config)
+def _measure(job, part, said):
+    source, output = job.source, Path(job.output)
+    cube, config, left_out = read_epochs(source.config)
     scc = StackedCrossCorrelation.from_settings(config)
     used = settings_as_used(scc, config, cube, seed=SEED)
     scc = replace(scc, max_speed=used["max_speed"])
@@ -199,31 +205,53 @@ def _measure(source, output, part):
         )
     regions = folder_names(list(source.regions))
     groups = folder_names(list(source.scale_groups))
+    of_all = len(said)
     outcomes = []
     for region, group in source.parts:
         outcome = Outcome(source.name, region, group, "failed", failed.get(region, ""))
         if region in masks:
             folder = Path(regions[region], groups[group])
+            where = Path(SOURCES, source.folder, folder)
             (part / folder).mkdir(parents=True)
             own = {
                 **used,
                 "region": source.regions[region],
                 "scales": source.scale_groups[group] or used["scales"],
             }
+            own = {k: v for k, v in own.items() if v is not None}
+            before = len(said)
             try:
-                status, message = _stack(
-                    scc, matched, masks[region], own, part / folder
-                )
+                result, components = _stack(scc, matched, masks[region], own)
+                text = _write(result, components, part / folder, own)
+                if job.write_report is not None:
+                    job.write_report(
+                        result,
+                        components,
+                        part / folder,
+                        title=_title(source, region, group),
+                        warnings=_lines([*said[:of_all], *said[before:]]),
+                        left_out=left_out,
+                        rerun="astro-scc measure --config "
+                        f"{output / where / 'config.toml'} -o FOLDER",
+                        config_text=text,
+                    )
             except Exception as error:
                 shutil.rmtree(part / folder)
                 with open(part / "error.txt", "a", encoding="utf-8") as file:
                     file.write(f"{region}, {group}:\n{traceback.format_exc()}\n")
                 outcome = replace(outcome, message=one_line(error))
             else:
-                where = Path(SOURCES, source.folder, folder).as_posix()
-                outcome = replace(outcome, status=status, message=message, folder=where)
+                status, message = _found(result, components)
+                outcome = replace(
+                    outcome, status=status, message=message, folder=where.as_posix()
+                )
         outcomes.append(outcome)
     return outcomes
+
+
+def _lines(said):
+    """Warnings that were recorded, each once."""
+    return sorted({one_line(warning.message) for warning in said})
 
 
 def _together(masks):
@@ -235,22 +263,36 @@ def _together(masks):
     return inside
 
 
-def _stack(scc, matched, inside, config, folder):
-    """Measure one region and scale group, and write its products."""
+def _stack(scc, matched, inside, config):
+    """Measure one region and scale group; the result and its components."""
     scales = config["scales"]
     part = select_ssps(matched, region=inside, scales=scales)
     result = replace(scc, scales=scales).stack(
         part, n_trials=config["n_trials"], rng=config["seed"]
     )
     how = distance_of(config)
-    components = result.components_in_c(**how) if how else result.components
-    config = {k: v for k, v in config.items() if v is not None}
+    return result, result.components_in_c(**how) if how else result.components
+
+
+def _write(result, components, folder, config):
+    """Write the products; the configuration as text."""
     text = format_config(config, versions=versions(), remarks=REMARKS)
     write_products(
         result, components, folder, configuration=plain_settings(config), text=text
     )
+    return text
+
+
+def _found(result, components):
+    """The status of what was measured, and the reason if it is empty."""
     if len(components):
         return "measured", ""
-    if not part.select.any():
+    if not result.matched.select.any():
         return "empty", "no significant pattern here on these scales"
     return "empty", "no match that could be tested"
+
+
+def _title(source, region, group):
+    """Of a report."""
+    parts = [name for name in (region, group) if name != WHOLE]
+    return ", ".join([source.name, *parts])

@@ -3,8 +3,12 @@
 
 import json
 import os
+import platform
 import signal
+import subprocess
+import sys
 import warnings
+from contextlib import nullcontext
 from dataclasses import replace
 
 import astropy.units as u
@@ -19,6 +23,7 @@ from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.simulation import simulate_two_fluid
 from astro_scc.survey import folder_names, read_survey, run_survey
+from astro_scc.survey.lock import alone_in
 from astro_scc.survey.source import Job, measure_source
 
 TEXT = """
@@ -203,12 +208,13 @@ def test_interrupted_and_started_again(serial, folder, tmp_path, capsys, monkeyp
 
     with monkeypatch.context() as patch:
         patch.setattr("astro_scc.survey.run.measure_source", interrupted)
-        assert run_main(folder / "survey.toml", "-o", out, "--quiet") == 130
+        argv = (folder / "survey.toml", "-o", out, "--no-report")
+        assert run_main(*argv, "--quiet") == 130
     assert "the same command goes on" in capsys.readouterr().err
     assert not (out / "survey.ecsv").exists()
     # Half-written when the machine went down.
     (out / ".astro_scc-work" / "partial-Two-0").mkdir()
-    assert run_main(folder / "survey.toml", "-o", out) == 0
+    assert run_main(*argv) == 0
     said = capsys.readouterr()
     assert "One/../../up: finished before" in said.out
     assert "Two: done" in said.out
@@ -235,6 +241,113 @@ def test_what_changed_is_measured_again(folder, tmp_path):
     os.utime(tmp_path / "two.fits", ns=(1, 1))
     run(21)
     assert told == [False, True, False, False]
+
+
+# -- reports -----------------------------------------------------------------------
+
+
+def small_page(result, components, folder, *, title, **options):
+    """As a report, without the time that figures take."""
+    assert len(components) == len(result.components)
+    page = {"title": title, **options}
+    (folder / "report.html").write_text(json.dumps(page), encoding="utf-8")
+
+
+def test_every_region_and_group_has_a_report(folder, tmp_path):
+    survey = read_survey(folder / "survey.toml")
+    survey = replace(survey, sources=survey.sources[1:2])
+    out, told = tmp_path / "out", []
+
+    def run(**options):
+        run_survey(survey, out, report=lambda *a: told.append(a[2]), **options)
+
+    run()
+    assert not list(out.rglob("report.html"))
+    # Those that are finished but for it are made again, and not those that have it.
+    run(write_report=small_page, n_workers=2)
+    run(write_report=small_page)
+    run()
+    assert told == [False, False, True, True]
+    pages = [json.loads(path.read_text()) for path in sorted(out.rglob("report.html"))]
+    assert [page["title"] for page in pages] == ["Two, coarse", "Two, fine"]
+    for page in pages:
+        assert len(page["warnings"]) == len(set(page["warnings"])) > 0
+        (config,) = [word for word in page["rerun"].split() if "config.toml" in word]
+        with open(config, encoding="utf-8") as file:
+            assert file.read() == page["config_text"]
+
+
+def test_the_command_writes_reports(folder, tmp_path, capsys):
+    (tmp_path / "s.toml").write_text(
+        "[sources.Two]\nscales = [2]\nn_trials = 20\nmax_speed = '30 mas/yr'\n"
+        f"epochs = '{(folder / 'two.fits').as_posix()}'\n"
+    )
+    assert run_main(tmp_path / "s.toml", "-o", tmp_path / "out") == 0
+    page = tmp_path / "out" / "sources" / "Two" / "all" / "all" / "report.html"
+    assert "<h1>Two</h1>" in page.read_text(encoding="utf-8")
+    assert (page.parent / "velocity_map.png").is_file()
+
+
+# -- one run at a time -------------------------------------------------------------
+
+
+def test_two_runs_do_not_write_into_each_other(tmp_path, capsys):
+    (tmp_path / "s.toml").write_text("[sources.A]\nepochs = 'no.fits'\n")
+    survey, out = read_survey(tmp_path / "s.toml"), tmp_path / "out"
+    lines = []
+
+    def meanwhile(*args):
+        assert run_main(tmp_path / "s.toml", "-o", out) == 2
+        lines.append(capsys.readouterr().err)
+
+    run_survey(survey, out, report=meanwhile)
+    (line,) = lines
+    assert line == (
+        f"astro-scc survey: error: {out}: process {os.getpid()} measures a survey "
+        "here; wait for it, or choose another folder\n"
+    )
+    # The first one went on, and is over.
+    assert (out / "survey.ecsv").is_file()
+    run_survey(survey, out)
+
+
+def run_of(process, machine):
+    return json.dumps({"process": process, "machine": machine})
+
+
+def dead_process():
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
+@pytest.mark.parametrize("locks", [True, False])
+def test_a_run_that_was_killed_is_taken_over(tmp_path, monkeypatch, locks):
+    if not locks:
+        monkeypatch.setattr("astro_scc.survey.lock.hold", lambda _: nullcontext(False))
+    for text in ("", "{", "[]", run_of(dead_process(), platform.node()),
+                 run_of(os.getpid(), platform.node())):  # fmt: skip
+        (tmp_path / "running.json").write_text(text)
+        with alone_in(tmp_path):
+            (run,) = tmp_path.iterdir()
+            assert json.loads(run.read_text())["process"] == os.getpid()
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_cannot_be_asked_is_left_alone(tmp_path, monkeypatch):
+    file = tmp_path / "running.json"
+    file.write_text(run_of(1, "elsewhere"))
+    line = (
+        r"process 1 on elsewhere measures .* if it runs no more, delete .*running\.json"
+    )
+    with pytest.raises(OSError, match=line), alone_in(tmp_path):
+        pass
+    monkeypatch.setattr("astro_scc.survey.lock.hold", lambda _: nullcontext(False))
+    file.write_text(run_of(os.getppid(), platform.node()))
+    with pytest.raises(OSError, match=f"process {os.getppid()} measures"):
+        with alone_in(tmp_path):
+            pass
+    assert file.is_file()
 
 
 # -- workers -----------------------------------------------------------------------
