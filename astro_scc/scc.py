@@ -27,6 +27,7 @@ from astro_scc.measurement.plan import (
 )
 from astro_scc.measurement.provenance import selection_digest
 from astro_scc.measurement.requirements import REQUIREMENTS, different_scales
+from astro_scc.measurement.selection import warn_of_none_inside
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
 
@@ -259,7 +260,8 @@ class StackedCrossCorrelation:
         Warns
         -----
         `~astro_scc.exceptions.MeasurementWarning`
-            If the file ``cache`` is there and cannot be used.
+            If the file ``cache`` is there and cannot be used, or no SSP lies
+            in the region.
         """
         pairs = self.date_pairs(cube)
         reach = search_reach(
@@ -273,6 +275,7 @@ class StackedCrossCorrelation:
         if cache is not None:
             cache = MatchCache(cache, provenance)
             if (matched := cache.load(cube)) is not None:
+                warn_of_none_inside(matched.ssps, matched.select, region)
                 return matched
             blocks = cache.blocks()
         with workers_of(n_workers) as workers:
@@ -294,6 +297,7 @@ class StackedCrossCorrelation:
         matched = MatchedEpochs(cube, lazy, ssps, select, matches, provenance)
         if cache is not None:
             cache.store(matched)
+        warn_of_none_inside(matched.ssps, matched.select, region)
         return matched
 
     def stack(self, matched, *, n_trials=1000, rng=None, progress_bar=False):

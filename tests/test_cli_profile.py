@@ -84,3 +84,15 @@ def test_along_the_ridge_with_windows(cube_file, tmp_path):
     table = QTable.read(out / "profile.ecsv", format="ascii.ecsv")
     assert table.meta["along"] == "ridge"
     assert set(table["r_max"].to_value(u.mas)) <= {13.0, 19.0}
+
+
+def test_a_region_without_patterns(cube_file, tmp_path, capsys):
+    region = tmp_path / "r.reg"
+    region.write_text("image\ncircle(3,3,2)\n")
+    command = ["profile", cube_file, "-o", str(tmp_path / "out"), *OPTIONS]
+    assert main([*command, "--bins", "0 10 mas", "--region", str(region)]) == 2
+    said = capsys.readouterr().err.splitlines()
+    warned, refused = (line for line in said if not line.startswith("note: "))
+    assert warned.startswith(f"warning: {region}: no significant pattern has its cent")
+    assert "no SSP lies in the bins" in refused
+    assert not (tmp_path / "out").exists()

@@ -121,3 +121,11 @@ def test_no_epochs_are_refused(astro_scc):
     status, _, err = astro_scc("-o", "out")
     assert status == 2
     assert "no epochs were given" in err
+
+
+def test_a_region_without_patterns(astro_scc, jet, tmp_path):
+    (tmp_path / "r.reg").write_text("image\ncircle(3,3,2)\n")
+    status, out, err = astro_scc(*jet, "-o", "out", *QUICK, "--region", "r.reg")
+    assert status == 0
+    assert "warning: r.reg: no significant pattern has its centroid inside, " in err
+    assert len(QTable.read(tmp_path / "out" / "tracks.ecsv")) == 0

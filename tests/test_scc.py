@@ -2,6 +2,7 @@
 """The whole way from images to components, on motions that are known."""
 
 import json
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -367,6 +368,32 @@ def test_the_correction_for_small_displacements_leaves_the_stack(cube, result):
     assert np.any(found.z_score != result.z_score)
 
 
+def test_a_region_without_ssps_is_told(cube, tmp_path):
+    scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    path = tmp_path / "corner.reg"
+    path.write_text("image\ncircle(3,3,2)\n")
+    cache = tmp_path / "m.fits"
+    line = (
+        f"^{path}: no significant pattern has its centroid inside, \\d+ in the rest of "
+        "the images: check where it lies, or make it larger$"
+    )
+    for _ in "ab":
+        # The second time from the file.
+        with pytest.warns(MeasurementWarning, match=line):
+            matched = scc.match(cube, region=path, cache=cache)
+        assert not matched.select.any()
+    assert cache.exists()
+    corner = cube.region_mask(path)
+    with pytest.warns(MeasurementWarning, match="^the region: no significant pattern"):
+        scc.match(cube, region=corner)
+    flat = replace(cube, data=np.zeros(cube.shape))
+    line = "nor anywhere else: try other scales, or a lower detection"
+    with pytest.warns(MeasurementWarning, match=line):
+        scc.match(flat, region=corner)
+    # Nobody asked for a place.
+    assert len(scc.match(flat).ssps) == 0
+
+
 def test_only_ssps_of_the_region_count():
     up, down = moving((3, 0), seed=1), moving((-3, 0), seed=4)
     data = np.concatenate([up, down], axis=1)
@@ -409,8 +436,10 @@ def test_a_region_of_regions(cube):
 def test_a_region_without_ssps_has_no_components(cube):
     corner = np.zeros(cube.shape[1:], bool)
     corner[:2, :2] = True
-    found = measure(cube, region=corner)
+    with pytest.warns(MeasurementWarning, match="the region: no significant pattern"):
+        found = measure(cube, region=corner)
     assert len(found.components) == 0
+    assert found.components["pm"].unit == PM
     assert not found.ssps["in_region"].any()
 
 

@@ -456,9 +456,26 @@ refused("redshift beyond any", "--redshift '1e300': must be below 1090")(
 refused("a region outside the image", "r.reg: ")(
     _options("--region={folder}/r.reg", r_reg="image\ncircle(999,999,3)\n")
 )
-case("a region without patterns", velocity=None)(
-    _options("--region={folder}/r.reg", r_reg="image\ncircle(3,3,2)\n")
+case(
+    "a region without patterns",
+    r"warning: r.reg: no significant pattern has its .* inside, \d+ in the rest of",
+    velocity=None,
+)(_options("--region={folder}/r.reg", r_reg="image\ncircle(3,3,2)\n"))
+
+
+@case(
+    "a region, and no patterns at all",
+    "warning: r.reg: no significant pattern has its centroid inside, nor anywhere",
+    velocity=None,
 )
+def _nothing(folder):
+    (folder / "r.reg").write_text("image\ncircle(20,20,9)\n")
+    paths = series(
+        folder, lambda i: {"data": np.random.default_rng(i).uniform(0, 1, SHAPE)}
+    )
+    return [*paths, f"--region={folder}/r.reg"]
+
+
 refused("a region file that is none", "r.reg: ")(
     _options("--region={folder}/r.reg", r_reg="<html></html>")
 )

@@ -106,10 +106,10 @@ def _measure(cube, config, folder, reporter, n_workers):
     scc = StackedCrossCorrelation.from_settings(config)
     how = distance_of(config)
     region = config.get("region")
-    inside = None if region is None else cube.region_mask(region)
+    cube.region_mask(region)
     config = settings_as_used(scc, config, cube, seed=draw_seed())
     matched = scc.match(
-        cube, region=inside, n_workers=n_workers, progress_bar=reporter.progress
+        cube, region=region, n_workers=n_workers, progress_bar=reporter.progress
     )
     ridge = None
     if scc.position_angle == "ridge":

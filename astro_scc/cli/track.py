@@ -232,6 +232,7 @@ def _track(cube, tracker, config, reporter, n_workers):
     from astro_scc.decomposition import Decomposer
     from astro_scc.measurement.decomposing import decompose_epochs
     from astro_scc.measurement.plan import scales_of_pixels, ssps_inside
+    from astro_scc.measurement.selection import warn_of_none_inside
 
     names = {"wavelet": "kernel", "detection": "detection", "noise": "noise",
              "segmentation": "segmentation"}  # fmt: skip
@@ -240,7 +241,8 @@ def _track(cube, tracker, config, reporter, n_workers):
     region = config.get("region")
     inside = None if region is None else cube.region_mask(region)
     decompositions = decompose_epochs(cube, Decomposer(scales=scales, **options))
-    _, select = ssps_inside(decompositions, cube, inside)
+    ssps, select = ssps_inside(decompositions, cube, inside)
+    warn_of_none_inside(ssps, select, region)
     return tracker(
         cube,
         decompositions,

@@ -1,15 +1,18 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Parts of what was matched: the SSPs of a place and of some scales."""
 
+import os
+import warnings
 from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
 
+from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.errors import ssp_offsets
 from astro_scc.measurement.plan import centroids_inside, scales_of_pixels
 
-__all__ = ["select_ssps", "ssp_distances"]
+__all__ = ["select_ssps", "ssp_distances", "warn_of_none_inside"]
 
 
 def ssp_distances(matched, *, origin=None, ridge=None):
@@ -107,3 +110,34 @@ def select_ssps(
             )
         select &= np.isin(matched.ssps.scale, numbers)
     return replace(matched, select=select)
+
+
+def warn_of_none_inside(ssps, select, region):
+    """
+    Say so if a region was asked for that holds no SSP.
+
+    Parameters
+    ----------
+    ssps : `~astro_scc.decomposition.SSPs`
+    select : `~numpy.ndarray` of bool, shape (n_ssps,)
+        Those with their centroid in the region.
+    region : optional
+        What it was, or None for everything, of which nothing is said.
+
+    Warns
+    -----
+    `~astro_scc.exceptions.MeasurementWarning`
+    """
+    if region is None or np.any(select):
+        return
+    name = region if isinstance(region, str | os.PathLike) else "the region"
+    where = (
+        f"{len(ssps)} in the rest of the images: check where it lies, or make it larger"
+        if len(ssps)
+        else "nor anywhere else: try other scales, or a lower detection"
+    )
+    warnings.warn(
+        f"{name}: no significant pattern has its centroid inside, {where}",
+        MeasurementWarning,
+        stacklevel=3,
+    )
