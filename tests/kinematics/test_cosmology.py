@@ -64,9 +64,18 @@ def test_arrays_and_other_units():
         ({}, "either a redshift with a cosmology, or a distance"),
         ({"redshift": 0.1, "distance": 1 * u.Mpc}, "either a redshift"),
         ({"redshift": 0.1}, "a redshift needs a cosmology"),
-        ({"redshift": -0.1, "cosmology": paper_cosmology()}, "must be positive"),
-        ({"redshift": 0.0, "cosmology": paper_cosmology()}, "must be positive"),
-        ({"redshift": np.nan, "cosmology": paper_cosmology()}, "must be positive"),
+        (
+            {"redshift": -0.1, "cosmology": paper_cosmology()},
+            "the redshift must be positive",
+        ),
+        (
+            {"redshift": 0.0, "cosmology": paper_cosmology()},
+            "the redshift must be positive",
+        ),
+        (
+            {"redshift": np.nan, "cosmology": paper_cosmology()},
+            "the redshift must be positive",
+        ),
         ({"distance": 0 * u.Mpc}, "distance must be positive"),
         ({"distance": np.nan * u.Mpc}, "distance must be positive"),
         (
