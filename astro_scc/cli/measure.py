@@ -12,6 +12,7 @@ from astro_scc.cli.arguments import (
     add_output,
     add_patterns,
     add_trials,
+    add_votable,
     add_workers,
 )
 from astro_scc.cli.resuming import WORK, kept_seed, working_folder
@@ -42,7 +43,7 @@ REMARKS = (
     "What determined this measurement.  To do it again, in the folder it was done in,",
     "with the path of this file: astro-scc measure --config FILE -o FOLDER",
 )
-# Files of an earlier measurement that must not stand beside a new one.
+# What an earlier measurement left that must not stand beside a new one.
 PRODUCTS = (
     "components.ecsv",
     "ssps.ecsv",
@@ -54,6 +55,9 @@ PRODUCTS = (
     "members.png",
     "epochs.png",
     "intervals.png",
+    "components.vot",
+    "ssps.vot",
+    "ssp_regions",
 )
 
 
@@ -70,6 +74,13 @@ def add_parser(commands):
     add_output(parser, what="tables, maps and report")
     add_config(parser)
     add_no_report(parser)
+    add_votable(parser, "components.vot and ssps.vot")
+    parser.add_argument(
+        "--ds9-regions",
+        action="store_true",
+        help="write ssp_regions too, a file an epoch that DS9 and CARTA open, with "
+        "the outlines of its patterns",
+    )
     parser.add_argument(
         "--resume",
         action="store_true",
@@ -153,6 +164,8 @@ def run(args, reporter):
             left_out=left_out,
             n_workers=n_workers,
             report=not args.no_report,
+            votable=args.votable,
+            ds9_regions=args.ds9_regions,
             work=work,
         )
     for line in component_lines(components):
@@ -177,6 +190,8 @@ def measure(
     left_out=(),
     n_workers=1,
     report=True,
+    votable=False,
+    ds9_regions=False,
     work=None,
 ):
     """
@@ -198,7 +213,8 @@ def measure(
         Epochs that are not in the cube, and why, for the report.
     n_workers : int or str, optional
         See `~astro_scc.StackedCrossCorrelation.match`.
-    report : bool, optional
+    report, votable, ds9_regions : bool, optional
+        What to write beside tables, maps and settings.
     work : `~pathlib.Path`, optional
         Folder where matches and seed are kept.
 
@@ -214,7 +230,12 @@ def measure(
         plain_settings,
         settings_as_used,
     )
-    from astro_scc.measurement import versions, write_products
+    from astro_scc.measurement import (
+        versions,
+        write_epoch_regions,
+        write_products,
+        write_votables,
+    )
 
     how = distance_of(config)
     scc = StackedCrossCorrelation.from_settings(config)
@@ -236,6 +257,10 @@ def measure(
     write_products(
         result, components, folder, configuration=plain_settings(config), text=text
     )
+    if votable:
+        write_votables(result, components, folder)
+    if ds9_regions:
+        write_epoch_regions(result.matched.ssps, cube, folder)
     if report:
         from astro_scc.report import write_report
 

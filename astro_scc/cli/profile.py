@@ -3,7 +3,12 @@
 
 from pathlib import Path
 
-from astro_scc.cli.arguments import add_config, add_epochs, add_output
+from astro_scc.cli.arguments import (
+    add_config,
+    add_epochs,
+    add_output,
+    add_votable,
+)
 from astro_scc.cli.measure import add_measurement
 from astro_scc.cli.settings import draw_seed, settings_of, workers_of
 from astro_scc.cli.summary import profile_lines
@@ -33,6 +38,7 @@ PRODUCTS = (
     "velocity_maps.png",
     "position_angles.png",
     "config.toml",
+    "profile.vot",
 )
 
 
@@ -47,6 +53,7 @@ def add_parser(commands):
     add_epochs(parser)
     add_output(parser, what="the table and figures of the profile")
     add_config(parser)
+    add_votable(parser, "profile.vot")
     group = parser.add_argument_group("distances")
     group.add_argument(
         "--bins",
@@ -72,7 +79,7 @@ def run(args, reporter):
     reporter : `~astro_scc.cli.reporter.Reporter`
     """
     from astro_scc.config import read_epochs
-    from astro_scc.measurement import product_folder
+    from astro_scc.measurement import product_folder, write_votable
     from astro_scc.profiles import bins_of
 
     config = settings_of(args, reporter)
@@ -87,6 +94,8 @@ def run(args, reporter):
     ) as folder:
         cube, config, _ = read_epochs(config, note=reporter.note)
         components = _measure(cube, config, folder, reporter, n_workers)
+        if args.votable:
+            write_votable(components, folder / "profile.vot")
     for line in profile_lines(components):
         reporter.say(line)
     reporter.say(f"\nProfile: {Path(args.output) / 'profile.ecsv'}")

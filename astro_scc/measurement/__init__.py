@@ -7,6 +7,7 @@ from astro_scc.measurement.errors import (
     position_errors,
     ssp_offsets,
 )
+from astro_scc.measurement.exports import write_epoch_regions, write_votables
 from astro_scc.measurement.false_discovery import false_discovery_rate
 from astro_scc.measurement.match_files import (
     MatchCache,
@@ -57,8 +58,10 @@ __all__ = [
     "velocity_frame",
     "velocity_hdus",
     "versions",
+    "write_epoch_regions",
     "write_matches",
     "write_products",
     "write_ssp_regions",
     "write_votable",
+    "write_votables",
 ]

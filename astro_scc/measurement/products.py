@@ -3,6 +3,7 @@
 
 import errno
 import os
+import shutil
 import warnings
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -34,7 +35,8 @@ def product_folder(path, *, overwrite=False, stale=()):
         Replace the files of a folder that has some, those of the same names;
         its other files stay.
     stale : sequence of str, optional
-        Names of files that go when they are not replaced.
+        Names of files that go when they are not replaced, and of folders
+        that go as a whole.
 
     Yields
     ------
@@ -119,6 +121,9 @@ def _remove(folders):
 def _move(folder, target, stale=()):
     """Put all files of a folder into another one, and take stale ones away."""
     new = {path.name for path in folder.iterdir()}
+    for name in stale:
+        if (target / name).is_dir():
+            shutil.rmtree(target / name)
     for path in sorted(folder.iterdir()):
         if path.is_dir() and (target / path.name).is_dir():
             _move(path, target / path.name)

@@ -11,7 +11,16 @@ from astro_scc.report.tables import component_rows, epoch_rows, setting_rows
 
 __all__ = ["write_report"]
 
-PRODUCTS = ("components.ecsv", "ssps.ecsv", "scc.fits", "config.toml", "region.reg")
+#: What else may be in the folder, in this order.
+PRODUCTS = (
+    "components.ecsv",
+    "components.vot",
+    "ssps.ecsv",
+    "ssps.vot",
+    "scc.fits",
+    "config.toml",
+    "region.reg",
+)
 
 
 def write_report(

@@ -12,7 +12,12 @@ from regions import Regions
 
 from astro_scc import EpochCube
 from astro_scc.decomposition import SSPs, scale_size
-from astro_scc.measurement import ssp_regions, ssp_segmentation, write_ssp_regions
+from astro_scc.measurement import (
+    ssp_regions,
+    ssp_segmentation,
+    write_epoch_regions,
+    write_ssp_regions,
+)
 from astro_scc.simulation import simulate_static
 
 
@@ -142,3 +147,27 @@ def test_what_is_refused(matched, tmp_path):
     with pytest.raises(OSError, match=r"ssps\.reg: exists"):
         write_ssp_regions(empty, cube, 0, path)
     assert path.read_text() == "mine"
+
+
+def test_a_file_for_every_epoch(matched, tmp_path):
+    ssps, cube = matched.ssps, matched.cube
+    labels = ["jet.fits", "../../up.fits", "-", "a" * 99, *cube.labels[4:]]
+    paths = write_epoch_regions(ssps, replace(cube, labels=labels), tmp_path)
+    names = [path.name for path in paths[:4]]
+    assert names == ["00_jet.reg", "01_up.reg", "02_-.reg", f"03_{'a' * 60}.reg"]
+    assert sorted((tmp_path / "ssp_regions").iterdir()) == paths
+    for i, path in enumerate(paths):
+        index = np.flatnonzero(ssps.epoch == i)
+        read = Regions.read(path)
+        assert [int(region.meta["text"]) for region in read] == index.tolist()
+    assert write_epoch_regions(ssps, cube, tmp_path, scales=[], shape="circle")
+
+
+def test_regions_are_in_the_coordinates_of_the_files(matched, tmp_path):
+    cube = matched.cube
+    other = cube.wcs.deepcopy()
+    other.wcs.crval = [10.0, 20.0]
+    moved = replace(cube, epoch_wcs=[other] * len(cube))
+    paths = write_epoch_regions(matched.ssps, moved, tmp_path)
+    vertices = Regions.read(paths[1])[0].vertices
+    assert np.all(np.abs(vertices.dec.deg - 20) < 1e-4)
