@@ -19,6 +19,7 @@ HEAVY = (
     "dask",
     "matplotlib",
     "ndcube",
+    "numba",
     "numpy",
     "photutils",
     "radio_beam",
@@ -31,6 +32,7 @@ HEAVY = (
 SLOW = (
     "astropy.cosmology",
     "matplotlib",
+    "numba",
     "photutils",
     "radio_beam",
     "regions",

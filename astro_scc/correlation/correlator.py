@@ -3,18 +3,12 @@
 
 from collections import Counter, deque
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 
-from astro_scc.correlation.blocks import (
-    BATCH,
-    PairBlock,
-    Patterns,
-    Targets,
-    image_part,
-    match_block,
-    window_bounds,
-)
+from astro_scc.correlation.blocks import PairBlock, Patterns, Targets, match_block
+from astro_scc.correlation.canvas import BATCH, image_part, window_bounds
 from astro_scc.correlation.matches import Matches
 from astro_scc.correlation.workers import in_order
 from astro_scc.decomposition import SSPs
@@ -25,6 +19,8 @@ __all__ = ["Correlator", "all_pairs"]
 BLOCK_WORK = 2**24
 #: Bytes of target planes that a block holds.
 STACK_BYTES = 2**26
+#: Fewer windows than these are done before the loops are compiled.
+COMPILE_FROM = 100_000
 
 
 def all_pairs(n_epochs):
@@ -65,16 +61,25 @@ class Correlator:
     min_overlap : float
         Share of the SSP's pixels that must fall on existing pixels of the
         target image, for a displacement and for its eight neighbours.
+    compiled : bool, optional
+        Whether small SSPs are summed up by loops that `numba
+        <https://numba.pydata.org>`_ compiles, rather than transformed.  By
+        default that is so where numba is installed (the extra ``fast``) and
+        there are more than 100 000 windows, as compiling takes some
+        seconds.  Coefficients differ by rounding only.
 
     Raises
     ------
     ValueError
         If a setting is out of its range.
+    ImportError
+        If ``compiled`` is asked for without numba.
     """
 
     kappa: float = 0.6
     target: str = "segments"
     min_overlap: float = 0.8
+    compiled: bool | None = None
 
     def __post_init__(self):
         if not 0 < self.kappa < 1:
@@ -86,6 +91,11 @@ class Correlator:
         if not 0 < self.min_overlap <= 1:
             raise ValueError(
                 f"min_overlap must be above 0 and at most 1, got {self.min_overlap}"
+            )
+        if self.compiled and not find_spec("numba"):
+            raise ImportError(
+                "compiled loops need the package numba: "
+                "pip install 'astro_scc[fast]', or leave compiled at None"
             )
 
     def __call__(
@@ -232,6 +242,8 @@ class Correlator:
         every = np.unique(pairs[:, 1])
         every = np.array_split(every, -(-len(every) // most))
         groups = _groups(np.unique(pairs[:, 0]), work * len(every[0]), BLOCK_WORK)
+        number = np.bincount(ssps.epoch[chosen], minlength=len(decompositions))
+        compiled = self._compiles(number[pairs[:, 0]].sum())
         for references in groups:
             wanted = pairs[np.isin(pairs[:, 0], references)]
             own = patterns.select(
@@ -247,7 +259,14 @@ class Correlator:
                     part,
                     patterns if segments else None,
                 )
-                yield PairBlock(own, targets, here, reach, self.kappa, self.min_overlap)
+                yield PairBlock(
+                    own, targets, here, reach, self.kappa, self.min_overlap, compiled
+                )
+
+    def _compiles(self, n_windows):
+        if self.compiled is not None:
+            return self.compiled
+        return bool(n_windows > COMPILE_FROM) and find_spec("numba") is not None
 
 
 def _pairs_of(pairs, decompositions):

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Results as tables of quantities."""
 
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 
 import astropy.units as u
@@ -45,6 +46,7 @@ def versions():
     Returns
     -------
     dict of str
+        numba is among them where it is installed.
     """
     found = {}
     for name in ("astro_scc", "numpy", "scipy", "astropy", "scikit-image"):
@@ -52,6 +54,8 @@ def versions():
             found[name] = version(name)
         except PackageNotFoundError:
             found[name] = "unknown"
+    with suppress(PackageNotFoundError):
+        found["numba"] = version("numba")
     return found
 
 
