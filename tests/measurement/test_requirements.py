@@ -1,0 +1,48 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What a measurement refuses before it begins."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.measurement import alignment_errors
+from astro_scc.simulation import simulate_two_fluid
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "message"),
+    [
+        ("nulls", (), "nulls must be of scramble, shuffle.* got none"),
+        ("nulls", "luck", "nulls must be of scramble, shuffle.* got 'luck'"),
+        ("nulls", ("shuffle", "luck"), "got 'luck'"),
+        ("alignment_error", -1 * u.mas, "must be zero or positive angles"),
+        ("alignment_error", [1, np.nan] * u.mas, "must be zero or positive angles"),
+        ("alignment_error", np.inf * u.mas, "must be zero or positive angles"),
+        ("alignment_error", np.ones((2, 2)) * u.mas, "must be zero or positive angles"),
+    ],
+)
+def test_settings_out_of_range(setting, value, message):
+    with pytest.raises(ValueError, match=message):
+        StackedCrossCorrelation(**{setting: value})
+
+
+def test_units_of_settings():
+    with pytest.raises(
+        u.UnitConversionError, match="alignment_error must be in a unit"
+    ):
+        StackedCrossCorrelation(alignment_error=1 * u.s)
+
+
+def test_alignment_errors_of_epochs():
+    cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    np.testing.assert_array_equal(alignment_errors(cube), np.zeros((3, 2)))
+    one = alignment_errors(cube, 0.2e-3 * u.arcsec)
+    np.testing.assert_allclose(one, np.full((3, 2), 0.2))
+    each = alignment_errors(cube, [0.1, 0.0, 0.3] * u.mas)
+    np.testing.assert_allclose(each, [[0.1, 0.1], [0, 0], [0.3, 0.3]])
+    with pytest.raises(ValueError, match="must be one angle or 3, one an epoch, got 2"):
+        alignment_errors(cube, [0.1, 0.2] * u.mas)
+    for wrong in (-0.1, np.nan, np.inf):
+        with pytest.raises(ValueError, match="must be zero or positive"):
+            alignment_errors(cube, wrong * u.mas)
