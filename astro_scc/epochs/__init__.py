@@ -12,6 +12,7 @@ from astro_scc.epochs.epoch_files import write_epochs
 from astro_scc.epochs.fits import read_vlbi_fits
 from astro_scc.epochs.inspection import IntervalPlan, inspect_epochs, plan_intervals
 from astro_scc.epochs.noise import correlated_noise
+from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.epochs.reprojection import reproject_cube, shared_grid
 from astro_scc.epochs.restoring import offset_wcs, restore
 from astro_scc.epochs.smoothing import common_beam, smallest_common_beam
@@ -23,6 +24,7 @@ __all__ = [
     "EpochCube",
     "IntervalPlan",
     "align",
+    "beam_fwhm",
     "common_beam",
     "core_positions",
     "correlated_noise",
@@ -32,6 +34,7 @@ __all__ = [
     "measure_noise",
     "offset_wcs",
     "plan_intervals",
+    "position_errors",
     "read_components",
     "read_vlbi_fits",
     "region_mask",
@@ -39,5 +42,6 @@ __all__ = [
     "restore",
     "shared_grid",
     "smallest_common_beam",
+    "ssp_offsets",
     "write_epochs",
 ]

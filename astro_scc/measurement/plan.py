@@ -7,8 +7,8 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.epochs import beam_fwhm, ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.errors import beam_fwhm, ssp_offsets
 from astro_scc.stacking import VelocityGrid, baseline_pairs, consecutive_pairs
 
 __all__ = [

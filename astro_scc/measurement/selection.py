@@ -8,8 +8,8 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 
+from astro_scc.epochs import ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.errors import ssp_offsets
 from astro_scc.measurement.plan import centroids_inside, scales_of_pixels
 
 __all__ = ["select_ssps", "ssp_distances", "warn_of_none_inside"]

@@ -9,7 +9,7 @@ import numpy as np
 from astropy.table import Column, QTable
 
 from astro_scc.decomposition import scale_size
-from astro_scc.measurement.errors import beam_fwhm, position_errors, ssp_offsets
+from astro_scc.epochs import beam_fwhm, position_errors, ssp_offsets
 
 __all__ = ["PM_UNIT", "component_table", "ssp_table", "versions"]
 

@@ -25,6 +25,17 @@ class Candidates:
         Epochs between the two, 0 for consecutive ones.
     coefficient : `~numpy.ndarray`, shape (n,)
         Correlation of the source with the image of the target there.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.tracking import Candidates
+    >>> found = Candidates(
+    ...     source=np.array([0, 1]), target=np.array([2, 2]), dy=np.zeros(2),
+    ...     dx=np.array([5.0, -3.0]), interval=np.full(2, 0.1), gap=np.zeros(2, int),
+    ...     coefficient=np.array([0.95, 0.7]))
+    >>> len(found.select(found.coefficient > 0.8))
+    1
     """
 
     source: np.ndarray

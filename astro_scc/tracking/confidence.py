@@ -30,6 +30,20 @@ class LinkedShare:
     p_value : float
         Share of the orders, the observed one included, that link as many;
         NaN without trials.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.tracking import FeatureTracker
+    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    >>> decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
+    >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
+    >>> tracking = tracker(cube, decompositions)
+    >>> everything = tracking.shares[0]
+    >>> everything.scale is None, 0 < everything.share <= 1
+    (True, True)
     """
 
     scale: float | None
@@ -91,6 +105,21 @@ def linked_counts(
     -------
     `~numpy.ndarray` of int, shape (2, n_scales, n_epochs - 1)
         Linked ones, and all of them.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.tracking import FeatureTracker
+    >>> from astro_scc.tracking import linked_counts
+    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    >>> decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
+    >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
+    >>> tracking = tracker(cube, decompositions)
+    >>> linked, of = linked_counts(tracking.links, tracking.ssps, [2], 3)
+    >>> linked.shape, bool((linked <= of).all())
+    ((1, 2), True)
     """
     place = np.arange(n_epochs) if place is None else np.asarray(place)
     select = np.ones(len(ssps), bool) if select is None else np.asarray(select, bool)

@@ -5,7 +5,7 @@ import numpy as np
 
 __all__ = ["ejection_epoch", "turn_between"]
 
-#: A speed counts from so many standard errors.
+#: A speed or an acceleration counts from so many standard errors.
 SIGNIFICANT = 3.0
 #: Largest angle, with two standard errors, between motion and radius (deg).
 RADIAL = 15.0

@@ -42,6 +42,15 @@ class Evidence:
     ValueError
         If a width is not positive, ``follow`` no probability below 1, or
         ``floor`` or ``missing`` of the wrong sign.
+
+    Examples
+    --------
+    >>> from astro_scc.tracking import Evidence
+    >>> evidence = Evidence(variability=0.3)
+    >>> evidence.variability > Evidence().variability
+    True
+    >>> bool(evidence.brightness(0.0) > evidence.brightness(1.0))
+    True
     """
 
     tolerance: float = 2.0
@@ -177,6 +186,19 @@ def chance_density(ssps):
         Per square pixel: the median, over the SSPs of the scale and epoch,
         of k over the area to the k-th neighbour, k = 3 or as many as there
         are.  One SSP alone counts as one in a circle of ten scales.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.decomposition import Decomposer, SSPs
+    >>> from astro_scc.tracking import chance_density
+    >>> y, x = np.mgrid[:64, :96]
+    >>> def image(*centres):
+    ...     return sum(np.exp(-((x - x0) ** 2 + (y - 32) ** 2) / 30) for x0 in centres)
+    >>> decompose = Decomposer(scales=[2])
+    >>> ssps = SSPs.of_epochs([decompose(image(30, 60))])
+    >>> chance_density(ssps).round(5).tolist()
+    [0.00035, 0.00035]
     """
     density = np.empty(len(ssps))
     for scale in np.unique(ssps.scale):

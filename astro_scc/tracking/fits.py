@@ -34,6 +34,15 @@ class MotionFit:
         Robust standard deviation of the residuals.
     weight : `~numpy.ndarray`, shape (2, n)
         Between 0 and 1: how much each position counts.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.tracking import fit_motion
+    >>> years = np.arange(6.0)
+    >>> fit = fit_motion(years, [0.3 * years, 2 - 0.1 * years], np.full((2, 6), 0.05))
+    >>> float(fit.middle), fit.coefficients.round(2).tolist()
+    (2.5, [[0.75, 0.3], [1.75, -0.1]])
     """
 
     middle: float

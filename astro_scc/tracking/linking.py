@@ -38,6 +38,22 @@ class Links:
         Correlation of source and target.
     gain : `~numpy.ndarray`, shape (n,)
         Log-likelihood by which the link betters the tracks that it joins.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.tracking import FeatureTracker
+    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    >>> decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
+    >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
+    >>> tracking = tracker(cube, decompositions)
+    >>> links = tracking.links
+    >>> set(links.kind.tolist()) <= {"link", "merge", "split"}
+    True
+    >>> bool((links.interval > 0).all())
+    True
     """
 
     source: np.ndarray

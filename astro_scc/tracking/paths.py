@@ -17,6 +17,14 @@ class Transitions:
     ----------
     before, after : `~numpy.ndarray` of int, shape (n,)
         Candidates; the target of the first is the source of the second.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.tracking import Transitions
+    >>> found = Transitions.of(np.array([0, 1, 2]), np.array([1, 2, 3]), 4)
+    >>> found.before.tolist(), found.after.tolist()
+    ([0, 1], [1, 2])
     """
 
     before: np.ndarray
@@ -76,6 +84,16 @@ def link_gains(source, target, value, transitions, between, step, n_nodes, *, us
     Notes
     -----
     Linear in the number of transitions.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.tracking import Transitions, link_gains
+    >>> source, target = np.array([0, 1, 1]), np.array([1, 2, 3])
+    >>> steps = Transitions.of(source, target, 4)
+    >>> link_gains(source, target, np.array([2.0, 3.0, 1.0]), steps, np.zeros(2),
+    ...            np.array([0, 1, 2, 2]), 4).tolist()
+    [2.0, 3.0, 1.0]
     """
     use = np.ones(len(source), bool) if use is None else use
     before, after = transitions.before, transitions.after

@@ -9,12 +9,11 @@ import numpy as np
 from astropy.table import QTable
 
 from astro_scc.decomposition import SSPs
-from astro_scc.epochs import EpochCube
+from astro_scc.epochs import EpochCube, beam_fwhm, position_errors, ssp_offsets
 from astro_scc.tracking.chains import track_names
 from astro_scc.tracking.confidence import LinkedShare
 from astro_scc.tracking.fits import fit_motion
 from astro_scc.tracking.linking import Links
-from astro_scc.tracking.positions import position_errors, ssp_offsets
 from astro_scc.tracking.profile import track_profile
 from astro_scc.tracking.tables import (
     feature_table,
@@ -29,8 +28,6 @@ __all__ = ["Tracking"]
 POSITION_FLOOR = 0.05
 #: Tracks of so many epochs get an accelerated fit.
 ACCELERATED_EPOCHS = 10
-#: The motion of an accelerated fit counts from so many standard errors.
-SIGNIFICANT = 3.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,12 +107,19 @@ class Tracking:
     @cached_property
     def offsets(self):
         """East and north of every SSP in mas, shape (2, n_ssps)."""
-        return ssp_offsets(self.ssps, self.cube)
+        return np.stack(ssp_offsets(self.ssps, self.cube))
 
     @cached_property
     def offset_errors(self):
-        """Standard errors of the offsets in mas, shape (2, n_ssps)."""
-        return position_errors(self.ssps, self.cube, POSITION_FLOOR)
+        """
+        Standard errors of the offsets in mas, shape (2, n_ssps).
+
+        See `~astro_scc.epochs.position_errors`; the floor is that of one
+        position.
+        """
+        ssps = self.ssps
+        fwhm = beam_fwhm(self.cube, ssps.epoch, ssps.scale, np.eye(2))
+        return position_errors(ssps.snr, fwhm, np.sqrt(2) * POSITION_FLOOR).T
 
     @cached_property
     def fits(self):

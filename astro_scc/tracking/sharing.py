@@ -43,6 +43,26 @@ def company_gain(candidates, ssps, evidence):
     -----
     The work grows with the sum, over all SSPs, of the squares of the number
     of candidates for one epoch, not with the number of ways to share.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.tracking import Candidates, Evidence, company_gain
+    >>> from astro_scc.tracking import FeatureTracker
+    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    >>> decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
+    >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
+    >>> tracking = tracker(cube, decompositions)
+    >>> links, ssps = tracking.links, tracking.ssps
+    >>> candidates = Candidates(
+    ...     source=links.source, target=links.target,
+    ...     dy=ssps.y[links.target] - ssps.y[links.source],
+    ...     dx=ssps.x[links.target] - ssps.x[links.source], interval=links.interval,
+    ...     gap=links.gap, coefficient=links.coefficient)
+    >>> bool((company_gain(candidates, ssps, Evidence()) >= 0).all())
+    True
     """
     gain = np.zeros(len(candidates))
     motion = np.stack([candidates.dy, candidates.dx], axis=1)
@@ -120,6 +140,29 @@ def shared_seats(candidates, chosen, ssps, evidence):
         "link", "merge", "split", or "" for what is no link.
     gain : `~numpy.ndarray`, shape (n,)
         Worth of the seat, for merges and splits.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.tracking import Candidates, Evidence, shared_seats
+    >>> from astro_scc.tracking import FeatureTracker
+    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    >>> decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
+    >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
+    >>> tracking = tracker(cube, decompositions)
+    >>> links, ssps = tracking.links, tracking.ssps
+    >>> candidates = Candidates(
+    ...     source=links.source, target=links.target,
+    ...     dy=ssps.y[links.target] - ssps.y[links.source],
+    ...     dx=ssps.x[links.target] - ssps.x[links.source], interval=links.interval,
+    ...     gap=links.gap, coefficient=links.coefficient)
+    >>> chosen = links.kind == "link"
+    >>> kind, gain = shared_seats(candidates, chosen, ssps, Evidence())
+    >>> bool((kind[chosen] == "link").all())
+    True
     """
     kind = np.where(chosen, "link", "").astype("U5")
     gain = np.zeros(len(candidates))

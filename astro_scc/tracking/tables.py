@@ -7,13 +7,17 @@ from astropy.table import Column, MaskedColumn, QTable
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
-from astro_scc.tracking.ejection import ejection_epoch, speed_errors, turn_between
+from astro_scc.tracking.ejection import (
+    SIGNIFICANT,
+    ejection_epoch,
+    speed_errors,
+    turn_between,
+)
 
 __all__ = ["feature_table", "motion_row", "plain_table", "share_table", "track_table"]
 
 PM_UNIT = u.mas / u.yr
 PM_DOT_UNIT = u.mas / u.yr**2
-SIGNIFICANT = 3.0
 
 #: Name, unit (None for a plain column), and what it is; of the tracks.
 COLUMNS = (
