@@ -32,6 +32,17 @@ def read_epochs(config, *, files=None, note=None):
     ------
     OSError, ValueError
         If files cannot be read, or not as one cube.
+
+    Examples
+    --------
+    >>> from astro_scc.config import read_epochs
+    >>> from astro_scc.epochs import write_epochs
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> paths = write_epochs(simulate_two_fluid(n_epochs=4, rng=1).cube, "jet")
+    >>> cube, config, left_out = read_epochs(
+    ...     {"epochs": ["jet/*.fits"], "before": "2000-03-15"})
+    >>> len(cube), [name for name, why in left_out]
+    (3, ['two-fluid_03_2000-03-31.fits'])
     """
     from astro_scc.epochs import EpochCube
     from astro_scc.epochs.assembly import find_files
@@ -87,6 +98,15 @@ def select_epochs(cube, config):
     ------
     ValueError
         If no epoch is left.
+
+    Examples
+    --------
+    >>> from astro_scc.config import select_epochs
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=4, rng=1).cube
+    >>> late, left_out = select_epochs(cube, {"after": "2000-02-01"})
+    >>> len(late), len(left_out)
+    (2, 2)
     """
     from astro_scc.config.text import to_time
 
@@ -124,6 +144,18 @@ def settings_as_used(scc, config, cube, *, seed):
     Returns
     -------
     dict
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.config import settings_as_used
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    >>> used = settings_as_used(scc, {"max_speed": "36 mas/yr"}, cube, seed=1)
+    >>> used["max_speed"], used["kappa"], used["seed"]
+    ('36 mas/yr', 0.6, 1)
     """
     return {
         "n_trials": 1000,
@@ -145,6 +177,13 @@ def distance_of(config):
     Returns
     -------
     dict
+
+    Examples
+    --------
+    >>> from astro_scc.config import distance_of
+    >>> settings = {"redshift": None, "cosmology": None, "distance": "16.7 Mpc"}
+    >>> sorted(distance_of(settings))
+    ['distance']
     """
     from astro_scc.config.text import to_cosmology
 

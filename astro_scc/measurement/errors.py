@@ -33,6 +33,20 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
     `~astro_scc.stacking.Displacements`
         Without the matches of SSPs at which the frame has no axes; they
         count as SSPs without a match.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.kinematics import SkyFrame
+    >>> from astro_scc.measurement import angular_displacements
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> d = angular_displacements(matched.matches, matched.ssps, cube, SkyFrame(), 0.2)
+    >>> len(d) == len(matched.matches), bool((d.s1 >= 0.2).all())
+    (True, True)
     """
     select = np.ones(len(ssps), bool) if select is None else np.asarray(select, bool)
     matches = matches.of_ssps(select)

@@ -60,6 +60,22 @@ def write_matches(matched, path, *, overwrite=False):
     ``SSPS`` and ``MATCHES`` are tables, ``PIXELS`` the pixels of the SSPs,
     ``PAIRS`` the pairs of epochs, ``PROVENANCE`` JSON.  The images are not
     in the file, nor their wavelet planes, which are quickly made again.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.io import fits
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import write_matches
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> write_matches(matched, "matches.fits")
+    >>> with fits.open("matches.fits") as hdus:
+    ...     n = len(hdus["MATCHES"].data)
+    >>> n == len(matched.matches)
+    True
     """
     from astropy.io import fits
 
@@ -125,6 +141,20 @@ def read_matches(path, cube, *, wanted=None):
         If the file cannot be read, or is not of this kind.
     ValueError
         If it is of other images, settings or versions.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import read_matches, write_matches
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> write_matches(matched, "matches.fits")
+    >>> again = read_matches("matches.fits", cube)
+    >>> again.matches.same_as(matched.matches)
+    True
     """
     with open(path, "rb") as file:
         try:
@@ -194,6 +224,23 @@ class MatchCache:
         A FITS file, or a folder for files of many provenances.
     provenance : dict
         See `match_provenance`.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import MatchCache
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> wanted = {k: v for k, v in matched.provenance.items() if k != "selected"}
+    >>> cache = MatchCache("matches.fits", wanted)
+    >>> cache.load(cube) is None
+    True
+    >>> cache.store(matched)
+    >>> len(cache.load(cube).matches) == len(matched.matches)
+    True
     """
 
     def __init__(self, path, provenance):

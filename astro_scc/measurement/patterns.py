@@ -109,6 +109,19 @@ def write_ssp_regions(ssps, cube, epoch, path, *, overwrite=False, **options):
     Regions need many digits at the scale of mas, which the writers of
     `regions` have to be told: positions and sizes are right to a
     nanoarcsecond.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import write_ssp_regions
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> n = write_ssp_regions(matched.ssps, cube, 0, "epoch_0.reg")
+    >>> n == int((matched.ssps.epoch == 0).sum())
+    True
     """
     from regions import Regions
 
@@ -145,6 +158,19 @@ def ssp_segmentation(ssps, cube, epoch, scale):
     ------
     IndexError
         If there is no such epoch.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import ssp_segmentation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> image = ssp_segmentation(matched.ssps, cube, 0, scale=2)
+    >>> image.shape, image.n_labels == int((matched.ssps.epoch == 0).sum())
+    ((128, 256), True)
     """
     from photutils.segmentation import SegmentationImage
 

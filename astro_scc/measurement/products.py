@@ -166,6 +166,20 @@ def write_products(result, components, directory, *, configuration=None, text=No
     -----
     The files have no date of their own: the same measurement gives the same
     files, to the byte.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import write_products
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> result = scc(cube, n_trials=20, rng=1)
+    >>> Path("out").mkdir()
+    >>> [path.name for path in write_products(result, result.components, "out")]
+    ['components.ecsv', 'ssps.ecsv', 'scc.fits']
     """
     directory = Path(directory)
     paths = [directory / name for name in ("components.ecsv", "ssps.ecsv", "scc.fits")]

@@ -55,6 +55,21 @@ class MatchedEpochs:
     provenance : dict
         What determined the matches, see
         `astro_scc.measurement.match_provenance`; `write` needs it.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> int(matched.select.sum()) == len(matched.ssps)
+    True
+    >>> matched.write("matches.fits")
+    >>> again = type(matched).read("matches.fits", cube)
+    >>> len(again.matches) == len(matched.matches)
+    True
     """
 
     cube: EpochCube
@@ -155,6 +170,19 @@ class SCCResult:
         The paper's uncertainty: SSPs shifted by their position errors.
     meta : dict
         Settings, seed and versions.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> result = scc(cube, n_trials=20, rng=1)
+    >>> result.coefficient.shape == result.grid.shape
+    True
+    >>> len(result.components) == len(result.findings)
+    True
     """
 
     matched: MatchedEpochs

@@ -31,6 +31,19 @@ def ssp_distances(matched, *, origin=None, ridge=None):
     -------
     `~astropy.units.Quantity`, shape (n_ssps,)
         In mas.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import ssp_distances
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> r = ssp_distances(matched, origin=[-5, 0] * u.mas)
+    >>> r.unit, len(r) == len(matched.ssps)
+    (Unit("mas"), True)
     """
     east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True) * u.mas
     if ridge is not None:

@@ -103,6 +103,20 @@ def stack_matches(
     `~astro_scc.exceptions.MeasurementWarning`
         If the trials or the epochs are so few that no ``p_global`` can be as
         small as ``level``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import stack_matches
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> result = stack_matches(matched, scc.date_pairs(cube), speed=36.0, fwhm=1.0,
+    ...                        n_trials=20, rng=1)
+    >>> result.components["pm"].unit
+    Unit("mas / yr")
     """
     if n_trials < 2:
         raise ValueError(f"n_trials must be at least 2, got {n_trials}")
@@ -217,6 +231,19 @@ def velocity_frame(matched, position_angle):
     frame : frame of `astro_scc.kinematics`
     angle : `~astropy.units.Quantity`
         Direction of the jet.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import velocity_frame
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> frame, angle = velocity_frame(matched, 270 * u.deg)
+    >>> frame.axis_names, angle
+    (('parallel', 'transverse'), <Quantity 270. deg>)
     """
     if isinstance(position_angle, str) and position_angle == "fit":
         position_angle, _ = fit_position_angle(matched.cube)

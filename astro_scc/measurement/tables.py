@@ -47,6 +47,12 @@ def versions():
     -------
     dict of str
         numba is among them where it is installed.
+
+    Examples
+    --------
+    >>> from astro_scc.measurement import versions
+    >>> {"astro_scc", "numpy", "scipy"} <= set(versions())
+    True
     """
     found = {}
     for name in ("astro_scc", "numpy", "scipy", "astropy", "scikit-image"):
@@ -77,6 +83,19 @@ def ssp_table(ssps, cube, *, select=None):
         One row an SSP.  Positions ``east`` and ``north`` are offsets of the
         maximum from the reference pixel, with thermal errors
         ``beam / (sqrt(2) SNR)``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import ssp_table
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> table = ssp_table(matched.ssps, cube)
+    >>> len(table) == len(matched.ssps), table["east"].unit
+    (True, Unit("mas"))
     """
     n = len(ssps)
     select = np.ones(n, bool) if select is None else np.asarray(select, bool)
@@ -127,6 +146,13 @@ def component_table(rows, *, meta=None):
     -------
     `~astropy.table.QTable`
         All columns are there with their units even if there is no row.
+
+    Examples
+    --------
+    >>> from astro_scc.measurement import component_table
+    >>> empty = component_table([])
+    >>> len(empty), empty["pm"].unit
+    (0, Unit("mas / yr"))
     """
     units = {}
     for name in ("pm_ra_cosdec", "pm_dec", "pm", "pm_pa", "pm_parallel",

@@ -26,6 +26,15 @@ class VelocityError:
         Of leaving out one epoch after another
         (`~astro_scc.stacking.epoch_scatter`): it sees both, but of few
         epochs; not a part of the total.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.measurement import VelocityError
+    >>> error = VelocityError(features=0.04 * np.eye(2), alignment=0.05 * np.eye(2),
+    ...                       epochs=0.1 * np.eye(2))
+    >>> np.sqrt(np.diag(error.total)).round(2).tolist()
+    [0.3, 0.3]
     """
 
     features: np.ndarray
@@ -60,6 +69,15 @@ def alignment_errors(cube, error=None):
     ValueError
         If there are neither one nor as many as epochs, or one is negative
         or not finite.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.measurement import alignment_errors
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    >>> alignment_errors(cube, 20 * u.uas).tolist()
+    [[0.02, 0.02], [0.02, 0.02], [0.02, 0.02]]
     """
     n = len(cube)
     if error is None:

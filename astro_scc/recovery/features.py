@@ -25,6 +25,15 @@ class FeaturePaths:
         origin of a radial flow.
     inside : `~numpy.ndarray` of bool, shape (n_features, n_epochs)
         Whether the feature, without its scatter, is in the area.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.recovery import FeaturePaths
+    >>> paths = FeaturePaths(x=np.array([[10.0, 15.0]]), y=np.array([[32.0, 32.0]]),
+    ...                      inside=np.array([[True, False]]))
+    >>> int(paths.inside.sum())
+    1
     """
 
     x: np.ndarray

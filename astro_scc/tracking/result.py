@@ -50,6 +50,19 @@ class Tracking:
     n_trials : int
         Shuffled orders that were linked.
     settings : dict
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.tracking import FeatureTracker
+    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    >>> decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
+    >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
+    >>> tracking = tracker(cube, decompositions)
+    >>> len(tracking.tracks) == len(set(tracking.track.tolist()) - {-1})
+    True
     """
 
     cube: EpochCube

@@ -315,6 +315,21 @@ def plain_table(table):
     `~astropy.table.QTable`
         Coordinates become the columns ``ra`` and ``dec``, with proper
         motions beside them.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.tracking import FeatureTracker
+    >>> from astro_scc.tracking import plain_table
+    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    >>> decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
+    >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
+    >>> tracking = tracker(cube, decompositions)
+    >>> table = plain_table(tracking.features)
+    >>> "coord" in table.colnames, {"ra", "dec"} <= set(table.colnames)
+    (False, True)
     """
     from astropy.coordinates import SkyCoord
 
