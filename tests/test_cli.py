@@ -654,6 +654,43 @@ def test_inspect(jet, astro_scc, here):
     assert not list(here.iterdir())
 
 
+def test_inspect_explains_speeds(jet, astro_scc):
+    # Six epochs 30 days apart, a beam of 1 mas.
+    def rows(*argv):
+        status, out, err = astro_scc("inspect", *epochs(jet), *argv)
+        assert (status, err) == (0, "")
+        table = out.split("pairs\n")[1].splitlines()
+        return [line for line in table if line[:1].isdigit()]
+
+    rising = rows()
+    assert len(rising) == 4
+    assert rising[-1].split()[1] == "1.5"
+    (row,) = rows("--speed", "6 mas/yr")
+    motion = 6 * 30 / 365.25
+    baseline = f'"{0.3 / 6:.2g} yr {1.5 / 6:.2g} yr"'
+    assert row.split() == ["6", f"{motion:.2g}", *baseline.split(), "12"]
+    (row,) = rows("--speed", "0.01 mas/yr")
+    assert row.split()[2:] == ["too", "slow", "for", "this", "series", "0"]
+
+
+def test_the_baseline_that_inspect_gives_is_understood(jet, astro_scc, here):
+    _, out, _ = astro_scc("inspect", *epochs(jet), "--speed", "12 mas/yr")
+    baseline = re.search(r'^12 .*"(.*)"', out, flags=re.MULTILINE)[1]
+    argv = ("measure", *epochs(jet), "-o", "out", *QUICK, "--no-report")
+    assert astro_scc(*argv, "--baseline", baseline)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("speed", "line"),
+    [
+        ("fast", "--speed 'fast': must be an angle per time with a unit, such as"),
+        ("-2 mas/yr", "--speed '-2 mas/yr': must be above 0"),
+    ],
+)
+def test_speeds_that_inspect_refuses(jet, refused, speed, line):
+    assert line in refused("inspect", *epochs(jet), f"--speed={speed}")
+
+
 def test_inspect_says_what_is_wrong(series, astro_scc, here):
     paths = series([None, *[Beam(1 * u.mas, 1 * u.mas)] * 2])
     (here / "note.fits").write_text("no image")

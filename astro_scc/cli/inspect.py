@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """``astro-scc inspect``: what files hold, before anything is measured."""
 
+import math
+
 from astro_scc.cli.arguments import add_epochs
 from astro_scc.cli.summary import table_lines
 
@@ -8,6 +10,10 @@ __all__ = ["add_parser", "run"]
 
 # Cores that scatter by more than this part of the beam want an alignment.
 SCATTER = 0.05
+#: Speeds that are explained when none is given.
+N_SPEEDS = 4
+#: In years; so much intervals are wrong by that are given in days.
+DAY = 1e-3
 
 
 def add_parser(commands):
@@ -16,10 +22,18 @@ def add_parser(commands):
         "inspect",
         help="say what images hold, what is wrong and what can be measured",
         description="One line an epoch, then what is wrong, and which speeds the dates "
-        "allow to be\nmeasured.  Nothing is measured and nothing is written.",
-        epilog="example:\n  astro-scc inspect 3c273/*.fits",
+        "allow to be\nmeasured, with which pairs of epochs.  Nothing is measured and "
+        "nothing is written.",
+        epilog="examples:\n  astro-scc inspect 3c273/*.fits\n"
+        '  astro-scc inspect 3c273/*.fits --speed "0.9 mas/yr"',
     )
     add_epochs(parser, nargs="+")
+    parser.add_argument(
+        "--speed",
+        metavar='"2 mas/yr"',
+        help="say what this proper motion is between epochs, and which pairs suit it; "
+        "default some between the slowest and the fastest that can be measured well",
+    )
     return parser
 
 
@@ -34,10 +48,11 @@ def run(args, reporter):
     """
     from pathlib import Path
 
+    from astro_scc.epochs import inspect_epochs
     from astro_scc.epochs.assembly import find_files
-    from astro_scc.epochs.inspection import inspect_epochs
     from astro_scc.epochs.serialize import is_cube_file
 
+    speed = _speed(args.speed)
     files = find_files(args.epochs, missing_ok=True)
     cube, refusal = _cube(files)
     if len(files) == 1 and files[0].exists() and is_cube_file(files[0]):
@@ -70,8 +85,17 @@ def run(args, reporter):
         reporter.say(f"  {problem}")
     if cube is not None:
         reporter.say()
-        for line in [*_plan(cube), *scatter]:
+        for line in [*_plan(cube, speed), *scatter]:
             reporter.say(line)
+
+
+def _speed(text):
+    from astro_scc.config import parse_setting
+
+    try:
+        return None if text is None else parse_setting("max_speed", text)
+    except ValueError as error:
+        raise ValueError(f"--speed {text!r}: {error}") from None
 
 
 def _cube(files):
@@ -114,6 +138,7 @@ def _cores(cube):
     n = int(sum(found["blended"]))
     blended = f", blended with the jet in {n} of {len(cube)}" if n else ""
     return cores, [
+        "",
         f"The core as it is fitted scatters by {scatter:.2g} from epoch to epoch"
         f"{blended}.  Unless the",
         "images are aligned already, as restored ones are, measure with --align core "
@@ -179,11 +204,60 @@ def _beam(major, minor, pa):
     )
 
 
-def _plan(cube):
+def _plan(cube, speed):
     """What the dates allow."""
-    from astro_scc.epochs.inspection import plan_intervals
+    from astro_scc.epochs import plan_intervals
 
     try:
-        return plan_intervals(cube).lines()
+        plan = plan_intervals(cube)
     except ValueError as error:
         return [f"{error}."]
+    return [*plan.lines(), "", *_speed_lines(cube, plan, speed)]
+
+
+def _speed_lines(cube, plan, speed):
+    """How far features of some speeds move, and the pairs of epochs that suit them."""
+    import numpy as np
+
+    if speed is None:
+        slow, high = plan.slowest.value, plan.consecutive[1].value
+        speeds = np.geomspace(1.5 * slow, max(high, 2 * slow), N_SPEEDS)
+        speeds = speeds * plan.slowest.unit
+    else:
+        speeds = [speed.to(plan.slowest.unit)]
+    rows = []
+    for value in speeds:
+        cells = [f"{value.value:.2g}", f"{plan.motion(value):.2g}"]
+        try:
+            first, last = plan.baseline(value)
+        except ValueError:
+            rows.append([*cells, "too slow for this series", "0"])
+            continue
+        text = f'"{_below(first)} {_above(last)}"'
+        rows.append([*cells, text, str(_n_pairs(cube, first, last))])
+    head = [f"speed ({plan.slowest.unit})", "beams in the median interval"]
+    return table_lines([*head, "best --baseline", "pairs"], rows)
+
+
+def _below(interval):
+    """Two digits of an interval, and not more than it is."""
+    return _rounded(interval, math.floor)
+
+
+def _above(interval):
+    return _rounded(interval, math.ceil)
+
+
+def _rounded(interval, how):
+    step = 10 ** (math.floor(math.log10(interval.value)) - 1)
+    # A number that is round already has a rounding error.
+    return f"{how(round(interval.value / step, 6)) * step:.2g} {interval.unit}"
+
+
+def _n_pairs(cube, first, last):
+    import numpy as np
+
+    years = cube.years.value
+    apart = np.abs(years[:, None] - years[None, :])[np.triu_indices(len(years), 1)]
+    first, last = first.to_value("yr"), last.to_value("yr")
+    return int(np.sum((apart >= first - DAY) & (apart <= last + DAY)))

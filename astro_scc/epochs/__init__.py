@@ -10,7 +10,8 @@ from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.cutout import crop, distance_mask, region_mask
 from astro_scc.epochs.epoch_files import write_epochs
 from astro_scc.epochs.fits import read_vlbi_fits
-from astro_scc.epochs.inspection import IntervalPlan, inspect_epochs, plan_intervals
+from astro_scc.epochs.inspection import inspect_epochs
+from astro_scc.epochs.intervals import IntervalPlan, plan_intervals
 from astro_scc.epochs.noise import correlated_noise
 from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.epochs.reprojection import reproject_cube, shared_grid

@@ -1,0 +1,231 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What the dates of a series allow to be measured."""
+
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+from astropy.time import Time
+
+from astro_scc.epochs.description import readable_angle
+
+__all__ = ["IntervalPlan", "plan_intervals"]
+
+# Displacements that can be told from none, as the paper has it (Sect. 2.2),
+# and those between which pairs of epochs work best, in beams.
+SMALLEST_SHIFT = 0.2
+GOOD_SHIFTS = (0.3, 1.5)
+# Resolution of images without a beam, in pixels.
+PIXELS_RESOLVED = 3.0
+
+
+@dataclass(frozen=True)
+class IntervalPlan:
+    """
+    What the dates of a series allow to be measured.
+
+    With b the resolution (geometric mean of the beam's axes, median over
+    the epochs), T the span of the series, dt the median interval between
+    consecutive epochs and L the shorter side of the images:
+
+    - ``slowest = 0.2 b / T``: what moves less than a fifth of a beam from
+      the first to the last epoch cannot be told from what stands still.
+    - ``fastest = L / (2 dt)``: what crosses half of the image between
+      consecutive epochs is in one of them only.
+    - ``consecutive = (0.3, 1.5) b / dt``: speeds for which consecutive
+      epochs are the best pairs; slower features hardly move between them,
+      faster ones change before they can be recognised.
+
+    Attributes
+    ----------
+    n_epochs : int
+    span : `~astropy.units.Quantity`
+    shortest, median, longest : `~astropy.units.Quantity`
+        Intervals between consecutive epochs of different date.
+    resolution : `~astropy.units.Quantity`
+    slowest, fastest : `~astropy.units.Quantity`
+        ``fastest`` is None where the size of the images is not known.
+    consecutive : `~astropy.units.Quantity`, shape (2,)
+    """
+
+    n_epochs: int
+    span: u.Quantity
+    shortest: u.Quantity
+    median: u.Quantity
+    longest: u.Quantity
+    resolution: u.Quantity
+    slowest: u.Quantity
+    fastest: u.Quantity | None
+    consecutive: u.Quantity
+
+    def baseline(self, speed):
+        """
+        Intervals between epochs that suit a speed.
+
+        ``(0.3, 1.5) b / speed``, so that pairs of epochs are between a third
+        of a beam and one and a half beams of motion apart.
+
+        Parameters
+        ----------
+        speed : `~astropy.units.Quantity`
+            Expected speed, an angle per time.
+
+        Returns
+        -------
+        `~astropy.units.Quantity`, shape (2,)
+            Shortest and longest interval, for the option ``baseline``, no
+            longer than the series.
+
+        Raises
+        ------
+        ValueError
+            If the speed is not positive, or too slow for the series.
+        """
+        speed = u.Quantity(speed).to(self.slowest.unit)
+        if not speed > 0:
+            raise ValueError(f"speed must be positive, got {speed}")
+        wanted = (np.array(GOOD_SHIFTS) * self.resolution / speed).to(self.span.unit)
+        # Rounding must not refuse the slowest speed that the plan names.
+        if wanted[0] > self.span * (1 + 1e-9):
+            raise ValueError(
+                f"at {speed:.3g} nothing moves {GOOD_SHIFTS[0]} of a beam in the "
+                f"{self.span:.3g} of the series"
+            )
+        return np.minimum(wanted, self.span)
+
+    def motion(self, speed):
+        """
+        How far a feature moves between consecutive epochs.
+
+        Parameters
+        ----------
+        speed : `~astropy.units.Quantity`
+            An angle per time.
+
+        Returns
+        -------
+        float or `~numpy.ndarray`
+            In beams, at the median interval: 0.3 to 1.5 are good, see
+            `baseline` for other pairs.
+        """
+        return (u.Quantity(speed) * self.median / self.resolution).to_value(u.one)
+
+    def lines(self):
+        """
+        The plan as sentences.
+
+        Returns
+        -------
+        list of str
+        """
+        unit = self.span.unit
+        low, high = self.consecutive
+        lines = [
+            f"{self.n_epochs} epochs over {self.span:.3g}, "
+            f"{self.shortest.value:.3g} to {self.longest:.3g} apart, "
+            f"median {self.median:.3g}; resolution {readable_angle(self.resolution)}.",
+            f"Slower than {self.slowest:.2g} cannot be told from standing still"
+            + (
+                f"; faster than {self.fastest:.3g} leaves the image."
+                if self.fastest is not None
+                else "."
+            ),
+            f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}.",
+        ]
+        slow = np.sqrt(low * self.slowest)
+        if self.n_epochs > 2 and self.slowest < slow < low:
+            first, last = self.baseline(slow)
+            lines.append(
+                f"For slower features pair epochs that are further apart: at "
+                f'{slow:.2g}, --baseline "{first.value:.2g} {unit} '
+                f'{last.value:.2g} {unit}".'
+            )
+        return lines
+
+    def __str__(self):
+        return "\n".join(self.lines())
+
+
+def plan_intervals(cube, beam=None, *, extent=None):
+    """
+    What the dates of a series allow to be measured.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube` or `~astropy.time.Time`
+        At least two epochs of different date.
+    beam : beam, sequence of beams or `~astropy.units.Quantity`, optional
+        Or the resolution itself.  By default the beams of the cube, or
+        three pixels where it has none.
+    extent : `~astropy.units.Quantity`, optional
+        Shorter side of the images, by default that of the cube.
+
+    Returns
+    -------
+    `IntervalPlan`
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two dates, or dates come without a beam.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.time import Time
+    >>> from astro_scc.epochs import Beam, plan_intervals
+    >>> times = Time(["2000-01-01", "2000-07-01", "2001-01-01", "2002-01-01"])
+    >>> plan = plan_intervals(times, Beam(1 * u.mas, 0.5 * u.mas))
+    >>> plan.slowest.round(3), plan.consecutive.round(2)
+    (<Quantity 0.071 mas / yr>, <Quantity [0.42, 2.11] mas / yr>)
+    >>> plan.motion(1 * u.mas / u.yr).round(2)
+    np.float64(0.71)
+    >>> plan.baseline(1 * u.mas / u.yr).round(2)
+    <Quantity [0.21, 1.06] yr>
+    """
+    times = cube if isinstance(cube, Time) else cube.times
+    days = np.unique(np.atleast_1d((times - np.atleast_1d(times)[0]).jd))
+    if days.size < 2:
+        raise ValueError("velocities need at least two epochs of different date")
+    resolution = _resolution(cube, beam)
+    if extent is None and not isinstance(cube, Time):
+        sides = np.hypot(*cube.pixel_matrix.value) * cube.shape[:0:-1] * u.mas
+        extent = sides.min()
+    gaps = np.diff(days) * u.day
+    median = np.median(gaps)
+    span = (days[-1] - days[0]) * u.day
+    time = _time_unit(span)
+    speed = (u.mas if resolution < 0.1 * u.arcsec else u.arcsec) / time
+    return IntervalPlan(
+        n_epochs=int(np.size(times)),
+        span=span.to(time),
+        shortest=gaps.min().to(time),
+        median=median.to(time),
+        longest=gaps.max().to(time),
+        resolution=resolution.to(u.mas),
+        slowest=(SMALLEST_SHIFT * resolution / span).to(speed),
+        fastest=None if extent is None else (extent / (2 * median)).to(speed),
+        consecutive=(np.array(GOOD_SHIFTS) * resolution / median).to(speed),
+    )
+
+
+def _time_unit(span):
+    if span > 0.1 * u.yr:
+        return u.yr
+    return u.day if span > 2 * u.day else u.hour
+
+
+def _resolution(cube, beam):
+    from astro_scc.epochs.validation import as_beam
+
+    if beam is None and not isinstance(cube, Time):
+        if cube.beams is None:
+            return PIXELS_RESOLVED * cube.pixel_scale
+        beam = cube.beams
+    if beam is None:
+        raise ValueError("dates alone need a beam, or the resolution as an angle")
+    if isinstance(beam, u.Quantity) and not hasattr(beam, "major"):
+        return beam
+    beams = [beam] if hasattr(beam, "major") else beam
+    sizes = [np.sqrt(b.major * b.minor) for b in map(as_beam, beams)]
+    return np.median(u.Quantity(sizes))
