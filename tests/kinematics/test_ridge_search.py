@@ -163,9 +163,6 @@ def test_errors_of_a_line_are_those_of_its_slices():
     assert line.error[0] < 0.1 * line.error[inner].mean()
     assert line.meta["width"].to_value(u.mas) == pytest.approx(1.0)
     assert line.meta["smoothing"].to_value(u.mas) == pytest.approx(2.0)
-    # By default a slice is three beams long in all.
-    wide = find_ridge_line(cube, position_angle=270 * u.deg, half_width=1.5 * u.mas)
-    np.testing.assert_array_equal(line.north, wide.north)
 
 
 def test_a_line_that_comes_back_keeps_half_of_the_way():
@@ -181,6 +178,21 @@ def test_a_line_that_comes_back_keeps_half_of_the_way():
     # From where it is met, 3.5, to a beam before it comes there again.
     end = 6 + 2.5 * 1.5 * np.pi + 1.5
     assert line.length.value == pytest.approx(0.5 * (3.5 + end), abs=1.0)
+
+
+def test_defaults_are_in_beams():
+    t = np.linspace(0, 1.2, 300)
+    cube = along(-7 * np.sin(t), 7 * (1 - np.cos(t)), beam=0.8, reference=(30, 20))
+    line = find_ridge_line(cube, position_angle=270 * u.deg)
+    given = {"half_width": 1.2 * u.mas, "smoothing": 1.6 * u.mas, "threshold": 5}
+    same = find_ridge_line(cube, position_angle=270 * u.deg, **given)
+    np.testing.assert_allclose(line.north, same.north, atol=1e-12 * u.mas)
+    for name, value in (("half_width", 0.4 * u.mas), ("smoothing", 0.8 * u.mas)):
+        other = find_ridge_line(
+            cube, position_angle=270 * u.deg, **{**given, name: value}
+        )
+        n = min(len(other.north), len(line.north))
+        assert np.abs(other.north[:n] - line.north[:n]).max() > 1e-3 * u.mas
 
 
 def test_without_beams_four_pixels_are_the_width():

@@ -1,0 +1,127 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Errors of what follows from speeds against small differences."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+from astro_scc.kinematics import (
+    ExpansionFrame,
+    PositionAngleFrame,
+    RadialFrame,
+    RidgeLine,
+    SkyFrame,
+    beta_intrinsic,
+    intrinsic_table,
+    lorentz_factor,
+    two_sided_jet,
+    two_sided_ratio,
+)
+
+DAY = u.mas / u.day
+
+
+def test_errors_of_a_two_sided_jet_are_those_of_small_changes():
+    a, r, distance = 17.6, 9.0, 12.5 * u.kpc
+    errors = 0.04, 0.03
+    found = two_sided_jet(
+        a * DAY, r * DAY, distance, errors=[e * DAY for e in errors], rng=1
+    )
+    for name in ("beta_cos", "angle", "beta"):
+        changes = []
+        for step in ((errors[0], 0), (0, errors[1])):
+            up, down = (
+                two_sided_jet(
+                    (a + sign * step[0]) * DAY, (r + sign * step[1]) * DAY, distance
+                )[name]
+                for sign in (1, -1)
+            )
+            changes.append(0.5 * (u.Quantity(up[0]) - u.Quantity(down[0])).value)
+            # Without errors of the motions there are none.
+            assert u.Quantity(up[1]).value == pytest.approx(0, abs=1e-9)
+        error = u.Quantity(found[name][1]).value
+        assert error == pytest.approx(np.hypot(*changes), rel=0.03)
+    assert found["angle"][1].unit == u.deg
+
+
+def test_numbers_of_a_two_sided_jet():
+    found = two_sided_jet(3 * DAY, 1 * DAY, 10 * u.kpc)
+    assert found["beta_cos"][0] == pytest.approx(0.5)
+    # beta sin = 2 D mu_a mu_r / (c (mu_a + mu_r)).
+    sin = 1.5 * (DAY * 10 * u.kpc).to_value(u.rad * u.m / u.s) / 299792458
+    assert found["beta"][0] == pytest.approx(np.hypot(0.5, sin))
+    assert found["angle"][0].value == pytest.approx(np.degrees(np.arctan2(sin, 0.5)))
+    at = two_sided_jet(3 * DAY, 1 * DAY, found["beta_max_distance"])
+    assert at["beta"][0] == pytest.approx(1)
+    same = two_sided_jet(2 * DAY, 2 * DAY)
+    assert same["beta_cos"][0] == 0
+
+
+@pytest.mark.parametrize(("blobs", "power"), [(True, 3.5), (False, 2.5)])
+def test_ratio_of_brightness(blobs, power):
+    found = two_sided_ratio(0.8, 60 * u.deg, spectral_index=-0.5, blobs=blobs)
+    assert found == pytest.approx((1.4 / 0.6) ** power)
+    usual = two_sided_ratio(0.8, 60 * u.deg, blobs=blobs)
+    assert usual == pytest.approx((1.4 / 0.6) ** (power + 0.2))
+
+
+def test_limits_are_the_central_68_per_cent():
+    table = intrinsic_table([5.0, 9.0], [0.1, 0.3], n_trials=40000, rng=3)
+    for row, (beta, error) in zip(table, [(5.0, 0.1), (9.0, 0.3)], strict=True):
+        low, high = beta + np.array([-1, 1]) * 0.99446 * error
+        assert row["gamma_min_low"].value == pytest.approx(np.hypot(1, low), rel=2e-3)
+        assert row["gamma_min_high"].value == pytest.approx(np.hypot(1, high), rel=2e-3)
+        assert row["angle_max_low"].to_value(u.deg) == pytest.approx(
+            np.degrees(2 * np.arctan(1 / high)), rel=3e-3
+        )
+    assert table["beta_app_err"][1] == 0.3
+
+
+def test_limits_with_an_angle_that_is_unsure():
+    options = {"viewing_angle": 5 * u.deg, "angle_error": 0.2 * u.deg}
+    table = intrinsic_table([5.0], [0.0], **options, rng=3)
+    for name in ("gamma", "doppler"):
+        ends = [
+            intrinsic_table([5.0], [0.0], viewing_angle=angle * u.deg)[name][0].value
+            for angle in (5 - 0.99446 * 0.2, 5 + 0.99446 * 0.2)
+        ]
+        assert table[f"{name}_low"][0].value == pytest.approx(min(ends), rel=5e-3)
+        assert table[f"{name}_high"][0].value == pytest.approx(max(ends), rel=5e-3)
+    assert {name: table.meta[name] for name in options} == options
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 9])
+def test_distances_of_points(n):
+    t = np.linspace(0, 1.2, n)
+    line = RidgeLine(-10 * np.sin(t) * u.mas, 10 * (1 - np.cos(t)) * u.mas)
+    assert line.distances[0] == 0
+    assert line.distances[-1] == line.length
+    east, north = line.at(line.distances)
+    np.testing.assert_allclose(east.value, line.east.value, atol=1e-9)
+    np.testing.assert_allclose(north.value, line.north.value, atol=1e-9)
+    table = line.to_table()
+    np.testing.assert_array_equal(table["s"], line.distances)
+    np.testing.assert_array_equal(table["pa"], line.position_angle(line.distances))
+
+
+def test_uniform_is_what_has_the_same_axes_everywhere():
+    line = RidgeLine([0, -5, -9, -11] * u.mas, [0, 1, 4, 8] * u.mas)
+    frames = (
+        SkyFrame(),
+        PositionAngleFrame(40 * u.deg),
+        RadialFrame([1, 2] * u.mas),
+        ExpansionFrame([1, 2] * u.mas, 3 * u.mas),
+        line,
+    )
+    east, north = np.array([[-1.0, -8.0, 3.0], [1.0, 6.0, 5.0]])
+    for frame in frames:
+        matrix = frame.matrix(east, north)
+        assert matrix.shape == (3, 2, 2)
+        assert frame.uniform == np.allclose(matrix, matrix[0])
+    assert [frame.uniform for frame in frames] == [True, True, False, False, False]
+    assert line.axis_names == ("parallel", "transverse")
+
+
+def test_nothing_over_nothing_is_no_speed():
+    assert np.isnan(beta_intrinsic(0, 0 * u.deg))
+    assert np.isnan(lorentz_factor([1.0, -1.0, 2.0])).all()
