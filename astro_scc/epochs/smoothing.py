@@ -14,6 +14,8 @@ __all__ = ["common_beam", "gaussian_smooth", "is_per_beam", "smallest_common_bea
 # themselves within this much of their variance.
 CONTAINS = 1e-4
 EQUAL = 1e-6
+# radio_beam leaves a margin of up to half a percent of the area.
+LARGER = 1.005
 
 
 def is_per_beam(unit):
@@ -143,8 +145,9 @@ def smallest_common_beam(beams):
     Smallest beam to which every one of several beams can be convolved.
 
     `radio_beam.Beams.common_beam` finds it, the ellipse of least area
-    around all of theirs.  Where it fails, as it may for nearly equal beams,
-    the least area is searched over axis ratio and position angle.
+    around all of theirs.  Where it fails, as it may for nearly equal beams or
+    a round one and a long one, the least area is searched over axis ratio and
+    position angle.
 
     Parameters
     ----------
@@ -174,9 +177,10 @@ def smallest_common_beam(beams):
     largest = int(np.argmax(np.linalg.det(covariances)))
     if np.all(_excess(covariances[largest], covariances) <= 1 + EQUAL):
         return beams[largest]
-    found = _library_covariance(beams)
-    if found is None:
-        found = _least_covariance(covariances)
+    found, least = _library_covariance(beams), _least_covariance(covariances)
+    # For a circle and an ellipse radio_beam finds twice the area that is needed.
+    if found is None or np.linalg.det(found) > LARGER**2 * np.linalg.det(least):
+        found = least
     # What is left of rounding must not stick out.
     found = found * max(1.0, _excess(found, covariances).max() * (1 + 1e-9))
     return _beam_of(found)
@@ -189,17 +193,25 @@ def _library_covariance(beams):
     # Its tolerances are absolute, for beams of about a degree.
     scale = max(beam.major for beam in beams)
     try:
-        found = radio_beam.Beams(
+        every = radio_beam.Beams(
             major=u.Quantity([beam.major / scale for beam in beams]).value * u.deg,
             minor=u.Quantity([beam.minor / scale for beam in beams]).value * u.deg,
             pa=u.Quantity([beam.pa for beam in beams]),
-        ).common_beam()
+        )
+        # It divides by nought for some pairs, and what it finds then is too large.
+        with np.errstate(divide="raise", invalid="raise"):
+            found = every.common_beam()
         found = Beam(
             found.major.to_value(u.deg) * scale,
             found.minor.to_value(u.deg) * scale,
             found.pa,
         )
-    except (ValueError, radio_beam.utils.BeamError, np.linalg.LinAlgError):
+    except (
+        ValueError,
+        FloatingPointError,
+        radio_beam.utils.BeamError,
+        np.linalg.LinAlgError,
+    ):
         return None
     covariances = np.array([_covariance(beam) for beam in beams])
     contained = np.all(_excess(_covariance(found), covariances) <= 1 + CONTAINS)

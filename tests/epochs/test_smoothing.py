@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import radio_beam
 from astropy.wcs import WCS
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -216,6 +216,7 @@ BEAMS = st.lists(
 
 @settings(max_examples=40)
 @given(BEAMS)
+@example([beam(1.0, 1.0, 0.0), beam(2.0, 0.4375, 45.0)])
 def test_the_smallest_common_beam_contains_all(beams):
     result = smallest_common_beam(beams)
     assert all(contains(result, b, 2e-6) for b in beams)
