@@ -15,11 +15,13 @@ from astropy.wcs import WCS
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.consistency import find_odd, find_same_dates, looks_like_mask
 from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.fits import as_image, check_ordinary, read_image
+from astro_scc.epochs.cutout import crop_line
+from astro_scc.epochs.fits import as_image, check_ordinary, read_grid, read_image
 from astro_scc.epochs.gridding import FRAMES, lay_on_one_grid
 from astro_scc.epochs.headers import header_beam, header_facts, observing_time
 from astro_scc.epochs.keywords import get
 from astro_scc.epochs.validation import as_beams, as_celestial, as_times
+from astro_scc.epochs.windows import Grid, windows_of
 from astro_scc.exceptions import EpochWarning
 
 __all__ = ["cube_from_files", "cube_from_images", "cube_from_ndcube", "find_files"]
@@ -27,6 +29,8 @@ __all__ = ["cube_from_files", "cube_from_images", "cube_from_ndcube", "find_file
 # Reference pixels further apart than this part of the image are more than
 # the scatter of VLBI positions.
 FAR = 0.05
+#: Of a pixel of a cube, with its mask.
+BYTES = 9
 
 
 @dataclass
@@ -42,11 +46,12 @@ class Plane:
     beam: Beam | None
     facts: dict
     label: str | None = None
+    whole: tuple[int, int] | None = None
 
     @property
     def extent(self):
-        """Size of the image in degrees."""
-        ny, nx = self.data.shape
+        """Size of the whole image, of which this may be a part, in degrees."""
+        ny, nx = self.whole or self.data.shape
         return float(np.max(np.hypot(*self.wcs.pixel_scale_matrix) * [nx, ny]))
 
 
@@ -103,7 +108,7 @@ def find_files(paths, *, missing_ok=False):
     return [Path(name) for name in dict.fromkeys(found)]
 
 
-def cube_from_files(paths, *, frame, times, beams, hdu, check):
+def cube_from_files(paths, *, frame, times, beams, hdu, check, region=None, pad=0):
     """See `EpochCube.read`."""
     from astro_scc.epochs.interchange import is_hdf5, read_movie
     from astro_scc.epochs.serialize import is_cube_file, read_cube
@@ -113,33 +118,75 @@ def cube_from_files(paths, *, frame, times, beams, hdu, check):
     if len(files) == 1 and is_cube_file(files[0]):
         if times is not None or beams is not None or hdu is not None:
             raise ValueError(f"{files[0]}: an EpochCube; it has its dates and beams")
-        return read_cube(files[0])
+        return read_cube(files[0], region=region, pad=pad)
     if len(files) == 1 and is_hdf5(files[0]):
         if times is not None or hdu is not None:
             raise ValueError(f"{files[0]}: a movie; it has its dates, and no extension")
-        return read_movie(files[0], beams=beams)
+        movie = read_movie(files[0], beams=beams)
+        return movie if region is None else movie.crop(region, pad=pad)
     times, beams = _given(times, beams, len(files))
     names = [path.name for path in files]
     if len(set(names)) < len(names):
         names = [str(path) for path in files]
 
+    grids = windows = [None] * len(files)
+    if region is not None:
+        grids = [_grid(*item, hdu) for item in zip(files, times, strict=True)]
+        first, windows = windows_of(grids, frame, region, pad)
     planes = []
     remarks = {}
-    for path, name, time, beam in zip(files, names, times, beams, strict=True):
-        image, notes = read_image(path, hdu=hdu)
+    for path, name, time, beam, grid, window in zip(
+        files, names, times, beams, grids, windows, strict=True
+    ):
+        image, notes = read_image(path, hdu=hdu, window=window)
         for note in notes:
             if not (beam is not None and note.startswith("its beam")):
                 remarks.setdefault(note, []).append(name)
         if check and looks_like_mask(image.data):
+            where = "" if window is None else " in this region"
             raise ValueError(
-                f"{path}: has no more than two different values, it seems to be a "
-                "mask; leave it out (in Python, check=False reads it)"
+                f"{path}: has no more than two different values{where}, it seems to be "
+                "a mask; leave it out (in Python, check=False reads it)"
             )
         planes.append(_plane(image, str(path), time, beam))
         planes[-1].label = name
+        planes[-1].whole = grid and grid.shape
+        if len(planes) == 1:
+            _refuse_too_many(image.shape, len(files))
     for note, where in remarks.items():
         _warn(f"{_some(where)}: {note}")
-    return _assemble(planes, frame, check, f"{len(files)} FITS images")
+    cube = _assemble(planes, frame, check, f"{len(files)} FITS images")
+    return cube if region is None else cube.with_step(crop_line(first))
+
+
+def _grid(path, time, hdu):
+    """The pixels and the date of a file of which a part is wanted."""
+    wcs, shape, header = read_grid(path, hdu=hdu)
+    try:
+        time = _observed(header) if time is None else time
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    return Grid(str(path), wcs, shape, time)
+
+
+def _refuse_too_many(shape, n):
+    """Refuse what the machine cannot hold, before it comes to a standstill."""
+    need = n * np.prod(shape, dtype=float) * BYTES
+    have = _memory()
+    if need > have:
+        ny, nx = shape
+        raise MemoryError(
+            f"{n} images of {nx} x {ny} pixels are {need / 1e9:.3g} GB, this machine "
+            f"has {have / 1e9:.3g}; read a region of them (region=, --crop)"
+        )
+
+
+def _memory():
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        # Windows does not say.
+        return np.inf
 
 
 def cube_from_images(images, *, times, beams, frame, check):
@@ -231,12 +278,7 @@ def _plane(image, name, time, beam):
         if image.wcs is None:
             raise ValueError("it has no WCS; use EpochCube.from_arrays")
         wcs = as_celestial(image.wcs)
-        time = observing_time(image.meta) if time is None else time
-        if time is None:
-            raise ValueError(
-                "no date of observation (DATE-OBS, MJD-OBS); write DATE-OBS to its "
-                "header, or give times= in Python"
-            )
+        time = _observed(image.meta) if time is None else time
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: {error}") from None
     if beam is None:
@@ -254,6 +296,16 @@ def _plane(image, name, time, beam):
         beam=beam,
         facts=header_facts(image.meta),
     )
+
+
+def _observed(header):
+    time = observing_time(header)
+    if time is None:
+        raise ValueError(
+            "no date of observation (DATE-OBS, MJD-OBS); write DATE-OBS to its "
+            "header, or give times= in Python"
+        )
+    return time
 
 
 def _assemble(planes, frame, check, source):

@@ -132,7 +132,16 @@ class EpochCube(OffsetGrid, EpochSteps):
 
     @classmethod
     def read(
-        cls, paths, *, frame="offset", times=None, beams=None, hdu=None, check=True
+        cls,
+        paths,
+        *,
+        frame="offset",
+        times=None,
+        beams=None,
+        hdu=None,
+        check=True,
+        region=None,
+        pad=0,
     ):
         """
         Read FITS images, one an epoch, or a file that `write` made.
@@ -163,10 +172,17 @@ class EpochCube(OffsetGrid, EpochSteps):
             The extension that holds the image, by default the first image.
         check : bool
             Refuse files of another object or band, and masks.
+        region, pad : optional
+            As `~astro_scc.epochs.crop` takes them: read no more than the
+            bounding box of a region and so many pixels around it, of images
+            that are too large or too many for the memory.  Regions and slices
+            in pixels are those of the earliest epoch.
 
         Returns
         -------
         `EpochCube`
+            With a ``region`` the same as after `crop`, if all images are of one
+            grid.
 
         Raises
         ------
@@ -175,6 +191,8 @@ class EpochCube(OffsetGrid, EpochSteps):
         ValueError
             If a header lacks what is needed, or files do not belong
             together.
+        MemoryError
+            If the images are more than this machine can hold.
 
         Examples
         --------
@@ -186,7 +204,14 @@ class EpochCube(OffsetGrid, EpochSteps):
         from astro_scc.epochs.assembly import cube_from_files
 
         return cube_from_files(
-            paths, frame=frame, times=times, beams=beams, hdu=hdu, check=check
+            paths,
+            frame=frame,
+            times=times,
+            beams=beams,
+            hdu=hdu,
+            check=check,
+            region=region,
+            pad=pad,
         )
 
     @classmethod

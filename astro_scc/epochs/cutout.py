@@ -9,10 +9,10 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from astro_scc.epochs.resampling import moved_wcs
+from astro_scc.epochs.resampling import cut_wcs
 from astro_scc.exceptions import EpochWarning
 
-__all__ = ["crop", "distance_mask", "region_mask"]
+__all__ = ["box", "crop", "crop_line", "distance_mask", "refuse_pixels", "region_mask"]
 
 
 def region_mask(cube, region=None):
@@ -113,7 +113,7 @@ def _combine(cube, items, name):
     for item in items:
         pixel = item.to_pixel(cube.wcs) if isinstance(item, SkyRegion) else item
         try:
-            image = pixel.to_mask(mode="center").to_image(shape)
+            mask = pixel.to_mask(mode="center")
         except NotImplementedError:
             raise ValueError(
                 f"{name}: a {type(item).__name__} has no inside; "
@@ -124,11 +124,12 @@ def _combine(cube, items, name):
                 f"{name}: a {type(item).__name__} of a size or place without end; "
                 "correct its numbers"
             ) from None
-        # Masks ignore "include", and are None outside the image.
+        # Masks ignore "include", and have no part in the image outside it.
         wanted = bool(item.meta.get("include", True))
         only_excluded &= not wanted
-        if image is not None:
-            (included if wanted else excluded)[image > 0] = True
+        target, source = mask.get_overlap_slices(shape)
+        if target is not None:
+            (included if wanted else excluded)[target] |= mask.data[source] > 0
     return ~excluded if only_excluded else included & ~excluded
 
 
@@ -164,8 +165,30 @@ def _read(path):
     return found
 
 
-def _slices(cube, region, pad):
-    """First and past-the-end pixel in y and in x."""
+def box(cube, region, pad=0):
+    """
+    The bounding box of a region.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+        Or anything with its ``shape`` and ``wcs``.
+    region, pad
+        See `crop`.
+
+    Returns
+    -------
+    (slice, slice)
+        Rows and columns.
+
+    Raises
+    ------
+    ValueError, TypeError, OSError
+        See `crop`.
+    """
+    if pad != int(pad) or pad < 0:
+        raise ValueError(f"pad={pad} must be a whole number of at least 0")
+    pad = int(pad)
     shape = cube.shape[1:]
     is_slices = isinstance(region, tuple) and all(
         isinstance(item, slice) for item in region
@@ -186,10 +209,10 @@ def _slices(cube, region, pad):
         for axis in (1, 0):
             hit = np.flatnonzero(inside.any(axis=axis))
             bounds.append((hit[0], hit[-1] + 1))
-    return [
+    return tuple(
         slice(int(max(start - pad, 0)), int(min(stop + pad, n)))
         for (start, stop), n in zip(bounds, shape, strict=True)
-    ]
+    )
 
 
 def crop(cube, region, pad=0):
@@ -232,21 +255,57 @@ def crop(cube, region, pad=0):
     >>> part.shape, part.wcs.wcs.crpix.tolist()
     ((1, 10, 13), [5.0, 7.0])
     """
-    if pad != int(pad) or pad < 0:
-        raise ValueError(f"pad={pad} must be a whole number of at least 0")
-    ys, xs = _slices(cube, region, int(pad))
-    shift = (-xs.start, -ys.start)
-    wcs = moved_wcs(cube.wcs, shift)
-    wcs.array_shape = (ys.stop - ys.start, xs.stop - xs.start)
-    epoch_wcs = cube.epoch_wcs and tuple(moved_wcs(w, shift) for w in cube.epoch_wcs)
+    window = box(cube, region, pad)
+    shape = cube.shape[1:]
     return cube.with_step(
-        f"cropped to pixels x {xs.start} to {xs.stop - 1}, "
-        f"y {ys.start} to {ys.stop - 1}",
-        data=cube.data[:, ys, xs].copy(),
-        mask=cube.mask[:, ys, xs].copy(),
-        wcs=wcs,
-        epoch_wcs=epoch_wcs,
+        crop_line(window),
+        data=cube.data[:, *window].copy(),
+        mask=cube.mask[:, *window].copy(),
+        wcs=cut_wcs(cube.wcs, window, shape),
+        epoch_wcs=cube.epoch_wcs
+        and tuple(cut_wcs(wcs, window, shape) for wcs in cube.epoch_wcs),
     )
+
+
+def crop_line(window):
+    """
+    What `crop` writes to the history.
+
+    Parameters
+    ----------
+    window : (slice, slice)
+
+    Returns
+    -------
+    str
+    """
+    ys, xs = window
+    return (
+        f"cropped to pixels x {xs.start} to {xs.stop - 1}, "
+        f"y {ys.start} to {ys.stop - 1}"
+    )
+
+
+def refuse_pixels(path):
+    """
+    Refuse a region file in pixels, for images of which a part is read.
+
+    Parameters
+    ----------
+    path : path
+
+    Raises
+    ------
+    ValueError
+        If a region in it is in pixels: those of the part are counted anew.
+    """
+    from regions import PixelRegion
+
+    if any(isinstance(item, PixelRegion) for item in _read(path)):
+        raise ValueError(
+            f"{path}: is in pixels, which are others in a part of the images (crop); "
+            "give it in celestial coordinates"
+        )
 
 
 def distance_mask(cube, r_min, r_max, origin=None):

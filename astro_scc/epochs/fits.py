@@ -20,9 +20,10 @@ from astro_scc.epochs.headers import (
     header_facts,
 )
 from astro_scc.epochs.keywords import get, parse_unit
+from astro_scc.epochs.resampling import cut_wcs
 from astro_scc.exceptions import EpochWarning
 
-__all__ = ["as_image", "read_image", "read_vlbi_fits"]
+__all__ = ["as_image", "read_grid", "read_image", "read_vlbi_fits"]
 
 # What the files of EpochCube.write are known by.
 CUBE_CREATOR = "astro_scc EpochCube"
@@ -87,9 +88,28 @@ def read_vlbi_fits(path, hdu=None):
     return image
 
 
-def read_image(path, hdu=None):
+def read_image(path, hdu=None, *, window=None):
     """
     As `read_vlbi_fits`, with the warnings as text.
+
+    Parameters
+    ----------
+    path : str or path-like
+    hdu : int or str, optional
+    window : (slice, slice), optional
+        Rows and columns to read; others are not loaded.
+
+    Returns
+    -------
+    image : `~astropy.nddata.CCDData`
+    notes : list of str
+    """
+    return _from_path(path, hdu, lambda *found: _image(*found, window))
+
+
+def read_grid(path, hdu=None):
+    """
+    What the header of an image says, without its pixels.
 
     Parameters
     ----------
@@ -98,9 +118,21 @@ def read_image(path, hdu=None):
 
     Returns
     -------
-    image : `~astropy.nddata.CCDData`
-    notes : list of str
+    wcs : `~astropy.wcs.WCS`
+    shape : (int, int)
+        (ny, nx).
+    header : `~astropy.io.fits.Header`
+
+    Raises
+    ------
+    OSError, ValueError
+        See `read_vlbi_fits`.
     """
+    return _from_path(path, hdu, _grid)
+
+
+def _from_path(path, hdu, take):
+    """What a function takes from the open file, the extension and the path."""
     from astro_scc.epochs.interchange.casa import is_casa_image, read_casa_image
 
     path = Path(os.fspath(path))
@@ -111,7 +143,9 @@ def read_image(path, hdu=None):
         raise IsADirectoryError(f"{path}: is a directory; give {path}/*.fits")
     check_ordinary(path)
     try:
-        return _image(read_casa_image(path), hdu, path) if casa else _open(path, hdu)
+        if casa:
+            return take(read_casa_image(path), hdu, path)
+        return _open(path, hdu, take)
     except _ContentError as error:
         raise ValueError(f"{path}: {error}") from None
     except _NoImageError as error:
@@ -180,14 +214,14 @@ class _NoImageError(OSError):
     """The file is not FITS, is broken, or holds no image."""
 
 
-def _open(path, hdu):
+def _open(path, hdu, take):
     with warnings.catch_warnings():
         # AIPS and difmap files break small rules of the standard throughout.
         warnings.simplefilter("ignore")
         try:
             # astropy.io.fits forgets to close files that it fails to open.
             with path.open("rb") as file, open_fits(file) as hdus:
-                return _image(hdus, hdu, path)
+                return take(hdus, hdu, path)
         except (_ContentError, _NoImageError):
             raise
         except Exception as error:
@@ -241,31 +275,27 @@ def _broken(error):
     return _NoImageError(f"cannot be read as FITS, it is broken or no FITS: {reason}")
 
 
-def _image(hdus, which, path):
-    if hdus[0].header.get("CREATOR") == CUBE_CREATOR:
-        raise _ContentError("is a whole EpochCube; give it alone to EpochCube.read")
-    hdu = _find(hdus, which)
-    header = hdu.header.copy()
-    if hdu is not hdus[0]:
-        header.extend(hdus[0].header, unique=True, bottom=True)
-    _check_complete(hdu, path)
-    plane = _plane(header)
+def _image(hdus, which, path, window=None):
+    hdu, header = _hdu_with_header(hdus, which, path)
     raw = hdu.data
     if raw is None or raw.dtype.kind not in "fiub":
         raise _NoImageError("holds no image of real numbers")
-    data = np.array(raw[plane], dtype=np.float64)
+    raw = raw[_plane(header)]
+    shape = raw.shape
+    window = window or (slice(None), slice(None))
+    # Only these pixels are read, where the file is mapped into memory.
+    data = np.array(raw[window], dtype=np.float64)
+    del raw
+    where = "" if data.shape == shape else " in this part"
     bad = ~np.isfinite(data)
     if bad.all():
-        raise _ContentError("no valid pixel, all are NaN; leave this file out")
-    bad |= _without_weight(hdus, hdu, data.shape)
+        raise _ContentError(f"no valid pixel{where}, all are NaN; leave this file out")
+    bad |= _without_weight(hdus, hdu, shape, window)
     if bad.all():
-        raise _ContentError("no valid pixel, WHT is 0 everywhere; leave this file out")
-    try:
-        wcs = celestial_wcs(header, fobj=hdus)
-    except ValueError as error:
-        raise _ContentError(error) from None
-    if wcs.has_distortion:
-        raise _ContentError("its coordinates are distorted (SIP); resample it first")
+        raise _ContentError(
+            f"no valid pixel{where}, WHT is 0 everywhere; leave this file out"
+        )
+    wcs = _celestial(header, hdus)
 
     notes = []
     text = get(header, "BUNIT", kind=str)
@@ -274,22 +304,53 @@ def _image(hdus, which, path):
         notes.append(f"its unit {text!r} is not known and taken as dimensionless")
         unit = u.dimensionless_unscaled
     meta = _meta(header)
-    beam = _beam(hdus, header, wcs, data.shape, notes)
+    beam = _beam(hdus, header, wcs, shape, notes)
     if beam is not None:
         meta["BMAJ"] = beam.major.to_value(u.deg)
         meta["BMIN"] = beam.minor.to_value(u.deg)
         meta["BPA"] = beam.pa.to_value(u.deg)
     mask = bad if bad.any() else None
+    if data.shape != shape:
+        wcs = cut_wcs(wcs, window, shape)
     return CCDData(data, unit=unit, mask=mask, wcs=wcs, meta=meta), notes
 
 
-def _without_weight(hdus, image, shape):
+def _hdu_with_header(hdus, which, path):
+    """The extension of the image, and its header with what the first one adds."""
+    if hdus[0].header.get("CREATOR") == CUBE_CREATOR:
+        raise _ContentError("is a whole EpochCube; give it alone to EpochCube.read")
+    hdu = _find(hdus, which)
+    header = hdu.header.copy()
+    if hdu is not hdus[0]:
+        header.extend(hdus[0].header, unique=True, bottom=True)
+    _check_complete(hdu, path)
+    return hdu, header
+
+
+def _grid(hdus, which, path):
+    hdu, header = _hdu_with_header(hdus, which, path)
+    index = _plane(header)
+    shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
+    return _celestial(header, hdus), shape, header
+
+
+def _celestial(header, hdus):
+    try:
+        wcs = celestial_wcs(header, fobj=hdus)
+    except ValueError as error:
+        raise _ContentError(error) from None
+    if wcs.has_distortion:
+        raise _ContentError("its coordinates are distorted (SIP); resample it first")
+    return wcs
+
+
+def _without_weight(hdus, image, shape, window):
     """Where a drizzled image, as of HST, has no exposure: weights of nought."""
     for hdu in hdus:
         if hdu is not image and hdu.name == "WHT" and hdu.is_image:
             if hdu.shape == shape:
-                return hdu.data == 0
-    return np.zeros(shape, dtype=bool)
+                return hdu.data[window] == 0
+    return False
 
 
 def _find(hdus, which):

@@ -13,7 +13,7 @@ from astro_scc.epochs.description import readable_angle
 from astro_scc.epochs.reprojection import reproject_cube, shared_grid
 from astro_scc.epochs.resampling import grid_step, moved_wcs
 
-__all__ = ["FRAMES", "Grid", "lay_on_one_grid"]
+__all__ = ["FRAMES", "Grid", "lay_on_one_grid", "offset_frame"]
 
 FRAMES = ("offset", "absolute")
 # Grids that agree to this part of a pixel all over the image are one grid.
@@ -73,14 +73,14 @@ def lay_on_one_grid(planes, frame):
     shape = first.data.shape
     if all(_same_grid(first, plane, frame) for plane in planes):
         return Grid(
-            data=np.stack([plane.data for plane in planes]),
-            mask=np.stack([plane.mask for plane in planes]),
+            data=_stacked(planes, "data"),
+            mask=_stacked(planes, "mask"),
             wcs=first.wcs,
             epoch_wcs=tuple(plane.wcs for plane in planes),
             resampled=(),
         )
     offset = frame == "offset"
-    frames = [_offset_frame(p.wcs) if offset else p.wcs for p in planes]
+    frames = [offset_frame(p.wcs) if offset else p.wcs for p in planes]
     _check_pixels(planes)
     grid, shape = _shared_grid(planes, frames)
     data = np.empty((len(planes), *shape))
@@ -97,6 +97,17 @@ def lay_on_one_grid(planes, frame):
         epoch_wcs=tuple(_own_frame(grid, p.wcs) if offset else grid for p in planes),
         resampled=tuple(resampled),
     )
+
+
+def _stacked(planes, name):
+    """The arrays of all images as one; each goes as soon as it is in it."""
+    arrays = [getattr(plane, name) for plane in planes]
+    every = np.empty((len(planes), *arrays[0].shape), dtype=np.result_type(*arrays))
+    del arrays
+    for i, plane in enumerate(planes):
+        every[i] = getattr(plane, name)
+        setattr(plane, name, every[i])
+    return every
 
 
 def _shared_grid(planes, frames):
@@ -150,8 +161,18 @@ def _same_grid(one, other, frame):
     )
 
 
-def _offset_frame(wcs):
-    """The WCS with its reference pixel at (0, 0) of a frame of offsets."""
+def offset_frame(wcs):
+    """
+    The WCS with its reference pixel at (0, 0) of a frame of offsets.
+
+    Parameters
+    ----------
+    wcs : `~astropy.wcs.WCS`
+
+    Returns
+    -------
+    `~astropy.wcs.WCS`
+    """
     local = wcs.deepcopy()
     local.wcs.ctype = [
         name + code[5:]

@@ -46,6 +46,15 @@ class IntervalPlan:
     slowest, fastest : `~astropy.units.Quantity`
         ``fastest`` is None where the size of the images is not known.
     consecutive : `~astropy.units.Quantity`, shape (2,)
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.epochs import plan_intervals
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> plan = plan_intervals(simulate_two_fluid(n_epochs=5, rng=1).cube)
+    >>> plan.n_epochs, plan.median.to(u.d).round(), plan.slowest.round(2)
+    (5, <Quantity 30. d>, <Quantity 0.61 mas / yr>)
     """
 
     n_epochs: int

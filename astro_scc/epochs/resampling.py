@@ -8,6 +8,7 @@ from scipy import ndimage
 __all__ = [
     "BAD_WEIGHT",
     "WHOLE_PIXEL",
+    "cut_wcs",
     "fill_masked",
     "grid_step",
     "moved_wcs",
@@ -189,6 +190,29 @@ def moved_wcs(wcs, shift):
     moved.wcs.crpix = moved.wcs.crpix + np.asarray(shift, dtype=float)
     moved.wcs.set()
     return moved
+
+
+def cut_wcs(wcs, window, shape):
+    """
+    WCS of a part of a grid.
+
+    Parameters
+    ----------
+    wcs : `~astropy.wcs.WCS`
+    window : (slice, slice)
+        Rows and columns of the part.
+    shape : (int, int)
+        Of the whole, (ny, nx).
+
+    Returns
+    -------
+    `~astropy.wcs.WCS`
+    """
+    bounds = [part.indices(n)[:2] for part, n in zip(window, shape, strict=True)]
+    (top, bottom), (left, right) = bounds
+    part = moved_wcs(wcs, (-left, -top))
+    part.array_shape = (bottom - top, right - left)
+    return part
 
 
 def resample(data, bad, wcs, new_wcs, *, shape, order="bicubic"):

@@ -5,6 +5,7 @@ import os
 import warnings
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -14,8 +15,10 @@ from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.cutout import box, crop_line
 from astro_scc.epochs.fits import CUBE_CREATOR, open_fits
 from astro_scc.epochs.partial import partial_folder
+from astro_scc.epochs.resampling import cut_wcs
 
 __all__ = [
     "is_cube_file",
@@ -143,13 +146,15 @@ def is_cube_file(path):
             return False
 
 
-def read_cube(path):
+def read_cube(path, *, region=None, pad=0):
     """
     Read a file of `write_cube`.
 
     Parameters
     ----------
     path : str or path-like
+    region, pad : optional
+        Of which the bounding box is read only, see `~astro_scc.epochs.crop`.
 
     Returns
     -------
@@ -163,17 +168,23 @@ def read_cube(path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            with open(path, "rb") as file, open_fits(file, memmap=False) as hdus:
+            with open(path, "rb") as file, open_fits(file) as hdus:
                 version = hdus[0].header["SCCVERS"]
                 if version == VERSION:
-                    return _unpack(hdus)
+                    return _unpack(hdus, region, pad)
+        except _RegionError as error:
+            raise error.__cause__ from None
         except Exception as error:
             reason = (str(error).splitlines() or [type(error).__name__])[0]
             raise OSError(f"{path}: is a damaged EpochCube file: {reason}") from None
     raise OSError(f"{path}: of layout {version}, read it with a newer astro_scc")
 
 
-def _unpack(hdus):
+class _RegionError(Exception):
+    """The file is sound, the region is not."""
+
+
+def _unpack(hdus, region, pad):
     from astropy.io.misc import yaml
 
     rest = yaml.load(hdus["META"].data.tobytes().decode("ascii"))
@@ -191,18 +202,30 @@ def _unpack(hdus):
     if "BMAJ" in names:
         rows = zip(table["BMAJ"], table["BMIN"], table["BPA"], strict=True)
         beams = [Beam(a * u.mas, b * u.mas, p * u.deg) for a, b, p in rows]
+    wcs = unpack_wcs(rest["wcs"])
+    epoch_wcs = rest["epoch_wcs"] and [unpack_wcs(w) for w in rest["epoch_wcs"]]
+    meta, window = rest["meta"], (slice(None), slice(None))
+    if region is not None:
+        shape = hdus["DATA"].shape
+        try:
+            window = box(SimpleNamespace(shape=shape, wcs=wcs), region, pad)
+        except Exception as error:
+            raise _RegionError from error
+        wcs = cut_wcs(wcs, window, shape[1:])
+        epoch_wcs = epoch_wcs and [cut_wcs(w, window, shape[1:]) for w in epoch_wcs]
+        meta = {**meta, "history": [*meta.get("history", ()), crop_line(window)]}
     return EpochCube(
-        data=hdus["DATA"].data.astype(np.float64),
+        data=hdus["DATA"].data[:, *window].astype(np.float64),
         times=times,
-        wcs=unpack_wcs(rest["wcs"]),
+        wcs=wcs,
         unit=unit,
-        mask=hdus["MASK"].data.astype(bool),
+        mask=hdus["MASK"].data[:, *window].astype(bool),
         beams=beams,
         noise=table["NOISE"].astype(float) * unit if "NOISE" in names else None,
         labels=rest["labels"],
-        epoch_wcs=rest["epoch_wcs"] and [unpack_wcs(w) for w in rest["epoch_wcs"]],
+        epoch_wcs=epoch_wcs,
         epoch_meta=rest["epoch_meta"],
-        meta=rest["meta"],
+        meta=meta,
     )
 
 

@@ -21,7 +21,7 @@ from regions import (
 )
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.cutout import crop, distance_mask, region_mask
+from astro_scc.epochs.cutout import crop, distance_mask, refuse_pixels, region_mask
 from astro_scc.exceptions import EpochWarning
 
 SHAPE = (40, 50)
@@ -291,3 +291,12 @@ def test_a_position_in_another_frame():
     assert isinstance(sky, SkyCoord)
     inside = distance_mask(cube, 0 * u.mas, 0.4001 * u.mas, origin=sky)
     assert_array_equal(inside, disc(30, 22, 4.001))
+
+
+def test_region_files_in_pixels_are_known(tmp_path):
+    path = tmp_path / "r.reg"
+    path.write_text('icrs\ncircle(187d,12d,0.001")\nimage\ncircle(20,20,8)\n')
+    with pytest.raises(ValueError, match=r"r.reg: is in pixels, which are others in a"):
+        refuse_pixels(path)
+    path.write_text('icrs\ncircle(187d,12d,0.001")\n')
+    assert refuse_pixels(path) is None

@@ -21,6 +21,12 @@ def is_casa_image(path):
     Returns
     -------
     bool
+
+    Examples
+    --------
+    >>> from astro_scc.epochs.interchange import is_casa_image
+    >>> is_casa_image("jet.fits")
+    False
     """
     return (Path(os.fspath(path)) / "table.dat").is_file()
 
@@ -49,6 +55,13 @@ def read_casa_image(path):
     ``casatools`` is asked first, since the date of observation comes with
     it; ``spectral-cube`` gives images without date, for which
     ``EpochCube.read`` takes ``times``.
+
+    Examples
+    --------
+    >>> from astro_scc.epochs.interchange import read_casa_image
+    >>> hdus = read_casa_image("ngc253.image")  # doctest: +SKIP
+    >>> hdus[0].header["BUNIT"]  # doctest: +SKIP
+    'Jy/beam'
     """
     path = Path(os.fspath(path))
     for module, read in (("casatools", _by_casatools), ("spectral_cube", _by_cube)):

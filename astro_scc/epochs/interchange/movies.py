@@ -30,6 +30,14 @@ def is_hdf5(path):
     Returns
     -------
     bool
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from astro_scc.epochs.interchange import is_hdf5
+    >>> _ = Path("jet.fits").write_text("SIMPLE")
+    >>> is_hdf5("jet.fits")
+    False
     """
     try:
         with open(path, "rb") as file:
