@@ -2,6 +2,7 @@
 """Zero-mean normalised cross-correlation of a masked template with windows."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import fft
@@ -138,9 +139,18 @@ class Template:
             n + 2 * r for n, r in zip(footprint.shape, reach, strict=True)
         )
         self.fft_shape = fft_shape(footprint.shape, reach)
-        self._values_fft = self._transform(self.values)
-        self._footprint_fft = self._transform(self.footprint)
-        self._mean_fft = self._footprint_fft * self.n_pixels**-0.5
+
+    @cached_property
+    def _values_fft(self):
+        return self._transform(self.values)
+
+    @cached_property
+    def _footprint_fft(self):
+        return self._transform(self.footprint)
+
+    @cached_property
+    def _mean_fft(self):
+        return self._footprint_fft * self.n_pixels**-0.5
 
     def _transform(self, array):
         return np.conj(fft.rfft2(array, self.fft_shape))
