@@ -3,8 +3,6 @@
 
 __all__ = ["draw_seed", "parse_option", "settings_of", "workers_of"]
 
-# The cosmology of Mertens & Lobanov (2016), for a redshift without another.
-COSMOLOGY = "H0=71,Om0=0.27"
 #: Options of `measure` that are settings of its configuration.
 OPTIONS = (
     "epochs",
@@ -85,6 +83,7 @@ def settings_of(args, reporter):
         If one makes no sense, or some do not go together.
     """
     from astro_scc.config import read_config
+    from astro_scc.config.measuring import PAPER_COSMOLOGY, settings_over
 
     config, written_by = read_config(args.config) if args.config else ({}, {})
     _compare_versions(written_by, args, reporter)
@@ -93,18 +92,13 @@ def settings_of(args, reporter):
         for name in OPTIONS
         if (value := getattr(args, name, None)) not in (None, [])
     }
-    # One kind of distance on the command line replaces the other in the file.
-    if "distance" in given:
-        config = {k: v for k, v in config.items() if k not in ("redshift", "cosmology")}
-    elif "redshift" in given:
-        config.pop("distance", None)
-    config |= given
+    config = settings_over(config, given)
     if "distance" in config and ("redshift" in config or "cosmology" in config):
         raise ValueError("--distance needs neither --redshift nor --cosmology")
     if "cosmology" in config and "redshift" not in config:
         raise ValueError("--cosmology needs a --redshift")
     if "redshift" in config:
-        config.setdefault("cosmology", COSMOLOGY)
+        config.setdefault("cosmology", PAPER_COSMOLOGY)
     return config
 
 

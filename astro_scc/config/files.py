@@ -6,7 +6,7 @@ from pathlib import Path
 
 from astro_scc.config.settings import SETTINGS, parse_setting, plain_settings
 
-__all__ = ["format_config", "read_config"]
+__all__ = ["format_config", "read_config", "read_toml"]
 
 
 def read_config(path):
@@ -40,14 +40,7 @@ def read_config(path):
     >>> read_config("jet.toml")
     ({'epochs': ['jet/*.fits'], 'n_trials': 500}, {})
     """
-    path = Path(path)
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except RecursionError:
-        raise ValueError(f"{path}: is not a TOML file: nested too deep") from None
-    except ValueError as error:
-        # Of the encoding, of TOML, of numbers with thousands of digits.
-        raise ValueError(f"{path}: is not a TOML file: {error}") from None
+    values, _ = read_toml(path)
     versions = values.pop("versions", {})
     if not isinstance(versions, dict):
         raise ValueError(f"{path}: versions must be a table")
@@ -63,6 +56,37 @@ def read_config(path):
         except ValueError as error:
             raise ValueError(f"{path}: {name} = {_short(value)} {error}") from None
     return settings, versions
+
+
+def read_toml(path):
+    """
+    Read a TOML file.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    values : dict
+    text : str
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ValueError
+        If it is no TOML.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        return tomllib.loads(text), text
+    except RecursionError:
+        raise ValueError(f"{path}: is not a TOML file: nested too deep") from None
+    except ValueError as error:
+        # Of the encoding, of TOML, of numbers with thousands of digits.
+        raise ValueError(f"{path}: is not a TOML file: {error}") from None
 
 
 def _short(value):

@@ -6,6 +6,31 @@ from dataclasses import fields
 __all__ = ["distance_of", "read_epochs", "select_epochs", "settings_as_used"]
 
 
+#: That of Mertens & Lobanov (2016), for a redshift without another.
+PAPER_COSMOLOGY = "H0=71,Om0=0.27"
+
+
+def settings_over(config, own):
+    """
+    Settings with others over them.
+
+    Parameters
+    ----------
+    config, own : dict
+
+    Returns
+    -------
+    dict
+        One kind of distance in ``own``, by redshift or not, replaces the
+        other.
+    """
+    if "distance" in own:
+        config = {k: v for k, v in config.items() if k not in ("redshift", "cosmology")}
+    elif "redshift" in own:
+        config = {k: v for k, v in config.items() if k != "distance"}
+    return {**config, **own}
+
+
 def read_epochs(config, *, files=None, note=None):
     """
     Read the epochs of a configuration.

@@ -4,11 +4,12 @@
 import glob
 import hashlib
 import json
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from astro_scc.config import parse_setting, plain_settings
+from astro_scc.config.files import read_toml
+from astro_scc.config.measuring import PAPER_COSMOLOGY, settings_over
 from astro_scc.config.settings import SETTINGS
 from astro_scc.measurement import versions
 from astro_scc.survey.names import folder_names
@@ -20,8 +21,6 @@ WHOLE = "all"
 #: Settings of a measurement that are said in another way here, or not at all.
 NOT_HERE = ("region", "bins", "window")
 ALIGNMENTS = ("none", "core", "correlate", "wcs")
-#: Cosmology of a redshift without another, of Mertens & Lobanov (2016).
-COSMOLOGY = "H0=71,Om0=0.27"
 SEED = 1
 
 
@@ -41,6 +40,24 @@ class Source:
         Region files by name, or one None for everything.
     scale_groups : dict
         Scales by name, or one None for all that are decomposed.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.survey import read_survey
+    >>> simulate_two_fluid(n_epochs=5, rng=1).cube.write("jet.fits")
+    >>> text = '''[sources.Jet]
+    ... epochs = "jet.fits"
+    ... scales = [2]
+    ... max_speed = "30 mas/yr"
+    ... n_trials = 20
+    ... '''
+    >>> _ = Path("survey.toml").write_text(text)
+    >>> survey = read_survey("survey.toml")
+    >>> source = survey.sources[0]
+    >>> source.folder, source.config["scales"], source.regions
+    ('Jet', (2.0,), {'all': None})
     """
 
     name: str
@@ -104,6 +121,23 @@ class Survey:
     sources : tuple of `Source`
     text : str
         The file, as it was read.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.survey import read_survey
+    >>> simulate_two_fluid(n_epochs=5, rng=1).cube.write("jet.fits")
+    >>> text = '''[sources.Jet]
+    ... epochs = "jet.fits"
+    ... scales = [2]
+    ... max_speed = "30 mas/yr"
+    ... n_trials = 20
+    ... '''
+    >>> _ = Path("survey.toml").write_text(text)
+    >>> survey = read_survey("survey.toml")
+    >>> [source.name for source in survey.sources]
+    ['Jet']
     """
 
     sources: tuple[Source, ...]
@@ -150,14 +184,7 @@ def read_survey(path):
     [('3C 273', [('all', 'fine'), ('all', 'coarse')])]
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        values = tomllib.loads(text)
-    except RecursionError:
-        raise ValueError(f"{path}: is not a TOML file: nested too deep") from None
-    except ValueError as error:
-        # Of the encoding, of TOML, of numbers with thousands of digits.
-        raise ValueError(f"{path}: is not a TOML file: {error}") from None
+    values, text = read_toml(path)
     unknown = set(values) - {"defaults", "sources"}
     if unknown:
         raise ValueError(
@@ -231,14 +258,7 @@ def _path(text, folder):
 
 
 def _source(name, folder, own, defaults, where):
-    # A distance of one kind replaces one of the other.
-    if "distance" in own:
-        defaults = {
-            k: v for k, v in defaults.items() if k not in ("redshift", "cosmology")
-        }
-    elif "redshift" in own:
-        defaults = {k: v for k, v in defaults.items() if k != "distance"}
-    config = {"seed": SEED, "n_trials": 1000, **defaults, **own}
+    config = settings_over({"seed": SEED, "n_trials": 1000, **defaults}, own)
     regions = config.pop("regions", None) or {WHOLE: None}
     groups = config.pop("scale_groups", None) or {WHOLE: None}
     if not config.get("epochs"):
@@ -246,7 +266,7 @@ def _source(name, folder, own, defaults, where):
     if "distance" in config and ("redshift" in config or "cosmology" in own):
         raise ValueError(f"{where}: distance needs neither redshift nor cosmology")
     if "redshift" in config:
-        config.setdefault("cosmology", COSMOLOGY)
+        config.setdefault("cosmology", PAPER_COSMOLOGY)
     else:
         config.pop("cosmology", None)
     if "scales" not in config and WHOLE not in groups:
