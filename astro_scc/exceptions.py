@@ -7,12 +7,38 @@ __all__ = ["AstroSccWarning", "EpochWarning", "MeasurementWarning"]
 
 
 class AstroSccWarning(AstropyUserWarning):
-    """Base class of every warning that `astro_scc` issues."""
+    """
+    Base class of every warning that `astro_scc` issues.
+
+    Examples
+    --------
+    >>> from astro_scc.exceptions import AstroSccWarning, EpochWarning
+    >>> issubclass(EpochWarning, AstroSccWarning)
+    True
+    """
 
 
 class EpochWarning(AstroSccWarning):
-    """Something in an epoch's file or header was guessed, repaired or left out."""
+    """
+    Something in an epoch's file or header was guessed, repaired or left out.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> from astro_scc.exceptions import EpochWarning
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("ignore", EpochWarning)
+    """
 
 
 class MeasurementWarning(AstroSccWarning):
-    """The data do not support what was asked for as well as the user may think."""
+    """
+    The data do not support what was asked for as well as the user may think.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> from astro_scc.exceptions import MeasurementWarning
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("ignore", MeasurementWarning)
+    """

@@ -38,6 +38,20 @@ class StackAcceleration:
         Lengths of the flow that the errors rest on.
     n_sightings : int
     stacked : `~astro_scc.stacking.Acceleration`
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.profiles import measure_acceleration
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,
+    ...                               position_angle=270 * u.deg)
+    >>> matched = scc.match(cube)
+    >>> found = measure_acceleration(scc, matched)
+    >>> found.speed.unit, found.acceleration.unit
+    (Unit("mas / yr"), Unit("mas / yr2"))
     """
 
     speed: u.Quantity

@@ -39,6 +39,16 @@ class ProfileFit:
     p_constant : float
         Probability of as much improvement over a constant speed by chance,
         of the difference in chi-square; 1 for the constant itself.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.profiles import fit_profile
+    >>> r = [1, 2, 4, 6] * u.mas
+    >>> v = [1.0, 1.1, 1.3, 1.5] * u.mas / u.yr
+    >>> fit = fit_profile(r, v, [0.05] * 4 * u.mas / u.yr)
+    >>> fit.model, fit(3 * u.mas).round(2)
+    ('linear', <Quantity 1.2 mas / yr>)
     """
 
     model: str

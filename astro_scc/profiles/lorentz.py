@@ -29,6 +29,15 @@ class LorentzProfile:
         Half the central 68% of the trials.
     possible : float
         Share of the trials in which every speed was possible.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.profiles import lorentz_profile
+    >>> found = lorentz_profile(
+    ...     [1, 7] * u.mas, [4.0, 6.0], [0.2, 0.4], 15 * u.deg, rng=1)
+    >>> found.table.colnames, round(found.k, 1)
+    (['r', 'gamma', 'gamma_low', 'gamma_high'], 0.3)
     """
 
     table: QTable

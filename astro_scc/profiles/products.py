@@ -44,6 +44,23 @@ def write_profile(profile, components, directory, *, configuration=None, text=No
     ------
     OSError
         If a file cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.profiles import measure_profile, write_profile
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,
+    ...                               position_angle=270 * u.deg)
+    >>> matched = scc.match(cube)
+    >>> profile = measure_profile(
+    ...     scc, matched, [2, 10, 18] * u.mas, n_trials=20, rng=1)
+    >>> Path("out").mkdir()
+    >>> [path.name for path in write_profile(profile, profile.components, "out")]
+    ['profile.ecsv', 'profile.png', 'velocity_maps.png', 'position_angles.png']
     """
     from astro_scc.visualization import (
         plot_position_angles,

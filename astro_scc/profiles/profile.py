@@ -75,6 +75,21 @@ class Profile:
         One a bin; None where a bin has no SSP.
     along : {"radius", "ridge"}
         Whether distances are from the core or along its ridge line.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.profiles import measure_profile
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,
+    ...                               position_angle=270 * u.deg)
+    >>> matched = scc.match(cube)
+    >>> profile = measure_profile(
+    ...     scc, matched, [2, 10, 18] * u.mas, n_trials=20, rng=1)
+    >>> len(profile), profile.components.colnames[:3]
+    (2, ['r_min', 'r_max', 'r_mid'])
     """
 
     bins: u.Quantity

@@ -26,6 +26,22 @@ class ShellFit:
     radius : `~astropy.units.Quantity`
         Mean distance of the SSPs from the centre.
     fitted : `~astro_scc.stacking.Expansion`
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.shells import fit_shell
+    >>> from astro_scc.simulation import simulate_shell
+    >>> shell = simulate_shell(n_epochs=2, interval=10 * u.yr, n_clumps=0, n_knots=25,
+    ...                        radius=50 * u.arcsec, size=160, rng=4)
+    >>> scc = StackedCrossCorrelation(
+    ...     scales=[1], max_speed=150 * u.mas / u.yr, kernel=0.1, detection=7,
+    ...     segmentation=5)
+    >>> matched = scc.match(shell.cube)
+    >>> fit = fit_shell(scc, matched)
+    >>> fit.groups, fit.rate.unit, fit.centre.unit
+    (('all',), Unit("% / yr"), Unit("mas"))
     """
 
     groups: tuple

@@ -91,6 +91,23 @@ def measure_expansion(
     -----
     Without a beam the resolution of an SSP is twice the size of its scale,
     so errors of displacements grow with it.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.shells import measure_expansion
+    >>> from astro_scc.simulation import simulate_shell
+    >>> shell = simulate_shell(n_epochs=5, interval=10 * u.yr, n_clumps=0, n_knots=25,
+    ...                        radius=50 * u.arcsec, size=160, rng=4)
+    >>> scc = StackedCrossCorrelation(
+    ...     scales=[1], max_speed=150 * u.mas / u.yr, kernel=0.1, detection=7,
+    ...     segmentation=5)
+    >>> matched = scc.match(shell.cube)
+    >>> table = measure_expansion(
+    ...     scc, matched, shell.centre, shell.radius, n_trials=20, rng=1)
+    >>> table["kind"].tolist()[0], table["rate"].unit
+    ('moving', Unit("% / yr"))
     """
     limits = _limits(sectors)
     frame = ExpansionFrame(centre, radius)

@@ -29,6 +29,13 @@ class SimulatedJet:
     truth : `~astropy.table.QTable`
         A row for each feature and epoch; see `JetSimulation`.
     simulation : `JetSimulation`
+
+    Examples
+    --------
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> jet = simulate_two_fluid(n_epochs=3, rng=1)
+    >>> len(jet.cube), sorted(set(jet.truth["group"].tolist()))
+    (3, ['fast', 'slow'])
     """
 
     cube: EpochCube

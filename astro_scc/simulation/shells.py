@@ -31,6 +31,14 @@ class SimulatedShell:
     centre : `~astropy.units.Quantity`, shape (2,)
         (east, north) from the reference pixel.
     radius : `~astropy.units.Quantity`
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.simulation import simulate_shell
+    >>> shell = simulate_shell(n_epochs=2, radius=30 * u.arcsec, size=128, rng=1)
+    >>> len(shell.cube), shell.radius, shell.truth["rate"].unit
+    (2, <Quantity 30000. mas>, Unit("% / yr"))
     """
 
     cube: EpochCube

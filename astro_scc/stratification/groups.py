@@ -64,6 +64,19 @@ def limb_groups(matched, ridge, half_width):
     -------
     dict of `~numpy.ndarray` of bool, shape (n_ssps,)
         "north", "spine" and "south"; those that have an SSP.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.kinematics import find_ridge_line
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.stratification import limb_groups
+    >>> cube = simulate_two_fluid(n_epochs=3, core=1.0, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> groups = limb_groups(scc.match(cube), find_ridge_line(cube), 0.3 * u.mas)
+    >>> set(groups) <= {"north", "spine", "south"}
+    True
     """
     masks = limb_masks(matched.cube, ridge, half_width)
     chosen = {

@@ -111,6 +111,22 @@ def compare_positions(
 
     Groups of scales can differ in place even in a jet that has no layers,
     because what is apart on a small scale is one pattern on a large one.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.stratification import compare_positions
+    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,
+    ...                               position_angle=270 * u.deg)
+    >>> matched = scc.match(cube)
+    >>> ssps = matched.ssps
+    >>> groups = {"bright": ssps.snr >= 100, "faint": ssps.snr < 100}
+    >>> table = compare_positions(scc, matched, groups, n_trials=19, rng=1)
+    >>> table["quantity"].tolist()
+    ['position angle', 'offset', 'from the middle']
     """
     check_groups(groups)
     part = select_ssps(matched, r_min=r_min, r_max=r_max)

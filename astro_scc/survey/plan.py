@@ -76,7 +76,7 @@ class Source:
         A check sum of all that determines the products.
 
         The settings, the versions of the packages, and names, sizes and
-        times of the last change of the files.
+        times of the last change of the files, in content or otherwise.
 
         Returns
         -------
@@ -100,6 +100,8 @@ class Source:
             found |= set(glob.glob(pattern)) or {pattern}
         if self.config.get("align", "none") not in ALIGNMENTS:
             found.add(self.config["align"])
+        if "crop" in self.config:
+            found.add(self.config["crop"])
         return found
 
 
@@ -108,7 +110,8 @@ def _facts(path):
         state = Path(path).stat()
     except OSError:
         return [str(path), None, None]
-    return [str(path), state.st_size, state.st_mtime_ns]
+    # Of the content, which may be set back, and of anything about the file.
+    return [str(path), state.st_size, state.st_mtime_ns, state.st_ctime_ns]
 
 
 @dataclass(frozen=True)
@@ -237,6 +240,8 @@ def _settings(values, where, folder):
         found["epochs"] = [_path(item, escaped) for item in found["epochs"]]
     if found.get("align", "none") not in ALIGNMENTS:
         found["align"] = _path(found["align"], folder)
+    if "crop" in found:
+        found["crop"] = _path(found["crop"], folder)
     return found
 
 

@@ -61,6 +61,25 @@ def run_survey(
     OSError
         If the folder has files of others, another run is at work in it, or it
         cannot be written to.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.survey import read_survey
+    >>> from astro_scc.survey import run_survey
+    >>> simulate_two_fluid(n_epochs=5, rng=1).cube.write("jet.fits")
+    >>> text = '''[sources.Jet]
+    ... epochs = "jet.fits"
+    ... scales = [2]
+    ... max_speed = "30 mas/yr"
+    ... n_trials = 20
+    ... '''
+    >>> _ = Path("survey.toml").write_text(text)
+    >>> survey = read_survey("survey.toml")
+    >>> table = run_survey(survey, "out")
+    >>> set(table["source"].tolist()), set(table["status"].tolist())
+    ({'Jet'}, {'measured'})
     """
     output = Path(output).absolute()
     _make_folders(output)

@@ -48,6 +48,12 @@ class Outcome:
         The reason, of what is not measured.
     folder : str
         Of its products, in that of the survey; empty if there are none.
+
+    Examples
+    --------
+    >>> from astro_scc.survey import Outcome
+    >>> Outcome("M87", "inner", "fine", "failed", "no two epochs make a pair").status
+    'failed'
     """
 
     source: str
@@ -127,6 +133,26 @@ def measure_source(job):
     SSPs are correlated once, in all regions and on all scales together; each
     region and scale group is a stack of its own.  The folder of the source is
     replaced as a whole when all is written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.survey import measure_source
+    >>> from astro_scc.survey import read_survey
+    >>> from astro_scc.survey.source import Job
+    >>> simulate_two_fluid(n_epochs=5, rng=1).cube.write("jet.fits")
+    >>> text = '''[sources.Jet]
+    ... epochs = "jet.fits"
+    ... scales = [2]
+    ... max_speed = "30 mas/yr"
+    ... n_trials = 20
+    ... '''
+    >>> _ = Path("survey.toml").write_text(text)
+    >>> survey = read_survey("survey.toml")
+    >>> Path("out").mkdir()
+    >>> [outcome.status for outcome in measure_source(Job(survey.sources[0], "out"))]
+    ['measured']
     """
     source, output = job.source, Path(job.output)
     final = output / SOURCES / source.folder
@@ -193,6 +219,8 @@ def _measure(job, part, said):
     masks, failed = {}, {}
     for name, path in source.regions.items():
         try:
+            if path is not None and "crop" in source.config:
+                refuse_pixels(path)
             masks[name] = None if path is None else cube.region_mask(path)
         except (ValueError, OSError) as error:
             failed[name] = one_line(error)

@@ -38,6 +38,14 @@ def survey_table(outcomes, output):
         see `~astro_scc.measurement.false_discovery_rate`, over all that was
         searched; a row with masked numbers for each region and scale group
         without a component.
+
+    Examples
+    --------
+    >>> from astro_scc.survey import Outcome, survey_table
+    >>> gone = Outcome("M87", "all", "all", "failed", "no file m87/*.fits")
+    >>> table = survey_table([gone], "out")
+    >>> table["status"].tolist(), "p_fdr" in table.colnames
+    (['failed'], True)
     """
     tables = {
         outcome: QTable.read(

@@ -171,6 +171,14 @@ def write_animation(animation, path, *, fps=None, dpi=100, overwrite=False):
     OSError
         If the file exists and ``overwrite`` is False, cannot be written, or
         there is no ``ffmpeg``.
+
+    Examples
+    --------
+    >>> from astro_scc.simulation import simulate_static
+    >>> from astro_scc.visualization import animate_epochs, write_animation
+    >>> animation = animate_epochs(simulate_static(n_epochs=2, rng=1).cube)
+    >>> write_animation(animation, "jet.gif", dpi=40).name
+    'jet.gif'
     """
     from matplotlib.animation import writers
 
