@@ -240,6 +240,17 @@ class PairBlock:
         See `~astro_scc.correlation.Correlator`.
     compiled : bool
         Whether windows may be summed up by compiled loops.
+
+    Examples
+    --------
+    >>> from astro_scc.correlation import Correlator
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> images = simulate_two_fluid(n_epochs=2, rng=1).cube.data
+    >>> epochs = [Decomposer(scales=[2])(image) for image in images]
+    >>> blocks = list(Correlator().blocks(epochs, [(0, 1), (1, 0)], (8, 25)))
+    >>> sum(len(block.pairs) for block in blocks)
+    2
     """
 
     patterns: Patterns
@@ -267,6 +278,18 @@ def match_block(block):
     tuple of `~numpy.ndarray`, shape (n_matches,)
         Columns of `~astro_scc.correlation.Matches`, by SSP and then by
         target.
+
+    Examples
+    --------
+    >>> from astro_scc.correlation import Correlator, match_block
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> images = simulate_two_fluid(n_epochs=2, rng=1).cube.data
+    >>> epochs = [Decomposer(scales=[2])(image) for image in images]
+    >>> block = next(iter(Correlator().blocks(epochs, [(0, 1)], (8, 25))))
+    >>> ssp, target, *others = match_block(block)
+    >>> set(target.tolist())
+    {1}
     """
     n = len(block.targets.epochs)
     place = {epoch: k for k, epoch in enumerate(block.targets.epochs.tolist())}

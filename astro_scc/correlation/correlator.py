@@ -74,6 +74,17 @@ class Correlator:
         If a setting is out of its range.
     ImportError
         If ``compiled`` is asked for without numba.
+
+    Examples
+    --------
+    >>> from astro_scc.correlation import Correlator
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> images = simulate_two_fluid(n_epochs=2, rng=1).cube.data
+    >>> epochs = [Decomposer(scales=[2])(image) for image in images]
+    >>> matches = Correlator(kappa=0.7)(epochs, [(0, 1)], (8, 25))
+    >>> bool((matches.coefficient >= 0.7).all())
+    True
     """
 
     kappa: float = 0.6

@@ -47,6 +47,18 @@ class Matches:
         Largest displacement (y, x) that was tried.
     kappa : float
         Smallest coefficient that was kept.
+
+    Examples
+    --------
+    >>> from astro_scc.correlation import Correlator
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> images = simulate_two_fluid(n_epochs=2, rng=1).cube.data
+    >>> epochs = [Decomposer(scales=[2])(image) for image in images]
+    >>> matches = Correlator()(epochs, [(0, 1), (1, 0)], (8, 25))
+    >>> forward = matches.select(matches.target == 1)
+    >>> len(forward) < len(matches), matches.pairs.tolist()
+    (True, [[0, 1], [1, 0]])
     """
 
     ssp: np.ndarray

@@ -124,6 +124,15 @@ class Template:
         whatever they hold beyond ``window_shape``.
     result_shape : tuple of int
         (2 ry + 1, 2 rx + 1).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.correlation import Template
+    >>> values = np.arange(12.0).reshape(3, 4)
+    >>> template = Template(values, np.ones((3, 4), bool), (2, 5))
+    >>> template.window_shape, template.result_shape
+    ((7, 14), (5, 11))
     """
 
     def __init__(self, values, footprint, reach):

@@ -34,6 +34,17 @@ class Decomposition:
         Of all scales, in the order of ``scales``.
     mask : `~numpy.ndarray` of bool, shape (ny, nx), or None
         Missing pixels.
+
+    Examples
+    --------
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> image = simulate_two_fluid(n_epochs=2, rng=1).cube.data[0]
+    >>> decomposition = Decomposer(scales=[1, 2])(image)
+    >>> decomposition.planes.shape, decomposition.plane_index(2)
+    ((2, 128, 256), 1)
+    >>> decomposition.segmentation(2).shape
+    (128, 256)
     """
 
     scales: tuple

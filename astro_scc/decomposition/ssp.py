@@ -35,6 +35,15 @@ class SSPs:
         Indices into the flattened image of the pixels of all SSPs.
     epoch : `~numpy.ndarray` of int, shape (n,)
         Index of the image that the SSP is seen in.
+
+    Examples
+    --------
+    >>> from astro_scc.decomposition import Decomposer, SSPs
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> images = simulate_two_fluid(n_epochs=2, rng=1).cube.data
+    >>> ssps = SSPs.of_epochs([Decomposer(scales=[2])(image) for image in images])
+    >>> sorted(set(ssps.epoch.tolist())), bool((ssps.snr >= 4).all())
+    ([0, 1], True)
     """
 
     scale: np.ndarray

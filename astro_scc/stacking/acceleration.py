@@ -47,6 +47,23 @@ class Acceleration:
     speeds, accelerations : `~numpy.ndarray`
         The grid.
     stack : `~numpy.ndarray`, shape (len(accelerations), len(speeds))
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Sightings, fit_acceleration, flow_speed
+    >>> rng = np.random.default_rng(1)
+    >>> n = 600
+    >>> x, time = rng.uniform(2, 10, n), rng.uniform(0, 10, n)
+    >>> v = flow_speed(x, 2.0, 0.2, 6.0) + rng.normal(0, 0.1, n)
+    >>> one, zero = np.ones(n), np.zeros((n, 2))
+    >>> seen = Sightings(v1=v, v2=0 * one, s1=0.2 * one, s2=0.2 * one, weight=one,
+    ...                  time=time, interval=one, middle=zero, velocity=zero,
+    ...                  sigma=0.2 * one, first=time.astype(int), ssp=np.arange(n),
+    ...                  match=np.arange(n))
+    >>> found = fit_acceleration(seen, x, 4.0, centre=6.0)
+    >>> found.stack.shape == (len(found.accelerations), len(found.speeds))
+    True
     """
 
     speed: float
@@ -269,6 +286,26 @@ def flow_blocks(sightings, x, speed):
     Returns
     -------
     `~numpy.ndarray` of int, shape (n,)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import Sightings
+    >>> from astro_scc.stacking import flow_blocks
+    >>> rng = np.random.default_rng(1)
+    >>> years, n, one = np.array([0.0, 1.0, 2.0]), 40, np.ones(40)
+    >>> first = np.repeat([0, 1], 20)
+    >>> d = Displacements(
+    ...     d1=3 + rng.normal(0, 0.2, n), d2=rng.normal(0, 0.2, n), s1=0.3 * one,
+    ...     s2=0.3 * one, weight=0.8 * one, reference=first, target=first + 1,
+    ...     ssp=np.arange(n), target_ssp=np.full(n, -1), n_ssps=np.full(3, 20),
+    ...     position=rng.uniform(0, 50, (n, 2)), motion=np.tile([3.0, 0.0], (n, 1)))
+    >>> pairs = consecutive_pairs(years)
+    >>> seen = Sightings.of(d, pairs, years, (9.0, 9.0))
+    >>> blocks = flow_blocks(seen, seen.middle[:, 0], 3.0)
+    >>> blocks.shape == seen.v1.shape
+    True
     """
     length = BLOCK * np.median(sightings.sigma)
     start = x - speed * (sightings.time - sightings.time.mean())

@@ -34,6 +34,26 @@ class Component:
     points : tuple of `~numpy.ndarray`
         Columns and rows of the grid that the fit's box has, and which of
         its points took part.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import VelocityGrid, stack
+    >>> from astro_scc.stacking import find_components
+    >>> rng = np.random.default_rng(1)
+    >>> years, n, one = np.array([0.0, 1.0, 2.0]), 40, np.ones(40)
+    >>> first = np.repeat([0, 1], 20)
+    >>> d = Displacements(
+    ...     d1=3 + rng.normal(0, 0.2, n), d2=rng.normal(0, 0.2, n), s1=0.3 * one,
+    ...     s2=0.3 * one, weight=0.8 * one, reference=first, target=first + 1,
+    ...     ssp=np.arange(n), target_ssp=np.full(n, -1), n_ssps=np.full(3, 20))
+    >>> pairs = consecutive_pairs(years)
+    >>> grid = VelocityGrid.covering(6.0, 0.2)
+    >>> scc = stack(d, pairs, grid)
+    >>> best = find_components(scc, grid, (1.5, 1.5))[0]
+    >>> best.fitted, round(best.v1, 1)
+    (True, 3.0)
     """
 
     v1: float

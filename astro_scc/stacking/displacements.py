@@ -36,6 +36,21 @@ class Displacements:
     position, motion : `~numpy.ndarray`, shape (n, 2), optional
         Position of the SSP and displacement in Cartesian coordinates, which
         the axes of the frame need not be.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> rng = np.random.default_rng(1)
+    >>> years, n, one = np.array([0.0, 1.0, 2.0]), 40, np.ones(40)
+    >>> first = np.repeat([0, 1], 20)
+    >>> d = Displacements(
+    ...     d1=3 + rng.normal(0, 0.2, n), d2=rng.normal(0, 0.2, n), s1=0.3 * one,
+    ...     s2=0.3 * one, weight=0.8 * one, reference=first, target=first + 1,
+    ...     ssp=np.arange(n), target_ssp=np.full(n, -1), n_ssps=np.full(3, 20))
+    >>> pairs = consecutive_pairs(years)
+    >>> len(d), d.n_epochs
+    (40, 3)
     """
 
     d1: np.ndarray

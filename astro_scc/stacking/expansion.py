@@ -32,6 +32,17 @@ class Expansion:
         Of the rates and the centre.
     n_used : `~numpy.ndarray` of int, shape (n_groups,)
         Sightings within two kernels of the model.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import fit_expansion
+    >>> rng = np.random.default_rng(1)
+    >>> x = rng.uniform(-100, 100, (400, 2))
+    >>> v, one = 0.02 * x + rng.normal(0, 0.1, (400, 2)), np.ones(400)
+    >>> found = fit_expansion(x, v, 0.1 * one, one, np.zeros(400, int), max_rate=0.1)
+    >>> found.rate.round(3).tolist(), found.covariance.shape
+    ([0.02], (3, 3))
     """
 
     rate: np.ndarray

@@ -18,6 +18,13 @@ class VelocityGrid:
     v1, v2 : `~numpy.ndarray`, shapes (n1,) and (n2,)
         Velocities along the first and second axis.  Maps on the grid have
         shape (n2, n1).
+
+    Examples
+    --------
+    >>> from astro_scc.stacking import VelocityGrid
+    >>> grid = VelocityGrid.covering(2.0, 0.5)
+    >>> grid.shape, grid.v1.tolist()[:3]
+    ((9, 9), [-2.0, -1.5, -1.0])
     """
 
     v1: np.ndarray

@@ -32,6 +32,17 @@ class GroupSpeeds:
         Of a difference as large on either side, if the groups are alike.
     n_blocks : int
     n_trials : int
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import compare_groups
+    >>> rng = np.random.default_rng(1)
+    >>> second, block = rng.random(400) < 0.5, rng.integers(0, 20, 400)
+    >>> v, one = np.where(second, 2.5, 2.0) + rng.normal(0, 0.2, 400), np.ones(400)
+    >>> found = compare_groups(v, 0.2 * one, one, second, block, rng=1)
+    >>> round(found.difference, 1), found.n_blocks
+    (0.5, 20)
     """
 
     speed: np.ndarray

@@ -41,6 +41,22 @@ class LagTest:
         Probability of so large an offset if there is none.
     n_blocks : int
         Blocks of the flow that were left out in turn for the errors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Sightings, lag_test
+    >>> rng = np.random.default_rng(1)
+    >>> n = 500
+    >>> lag, one, zero = rng.uniform(0.5, 2.0, n), np.ones(n), np.zeros((n, 2))
+    >>> v = 3.0 + rng.normal(0, 0.1, n) / lag
+    >>> seen = Sightings(v1=v, v2=0 * one, s1=0.2 / lag, s2=0.2 / lag, weight=one,
+    ...                  time=rng.uniform(0, 20, n), interval=lag, middle=zero,
+    ...                  velocity=zero, sigma=0.2 * one, first=0 * one,
+    ...                  ssp=np.arange(n), match=np.arange(n))
+    >>> found = lag_test(seen, 3.0, 0.0)
+    >>> round(found.speed, 1), found.lag.shape == found.displacement.shape
+    (3.0, True)
     """
 
     lag: np.ndarray

@@ -110,6 +110,14 @@ class WithoutSuccessors(AllOrders):
 
     The variant of the authors' program, for comparison.  The observed order
     is not one that could have been drawn, so its probabilities are too small.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import WithoutSuccessors
+    >>> orders = WithoutSuccessors().draw(5, 20, np.random.default_rng(1))
+    >>> bool((np.diff(orders, axis=1) == 1).any())
+    False
     """
 
     name = "paper"

@@ -22,6 +22,13 @@ class DatePairs:
     weight : `~numpy.ndarray`, shape (n_pairs,)
         Weight of the pair in the stack.
     n_dates : int
+
+    Examples
+    --------
+    >>> from astro_scc.stacking import consecutive_pairs
+    >>> pairs = consecutive_pairs([2000.0, 2000.5, 2002.0])
+    >>> len(pairs), pairs.interval.tolist()
+    (2, [0.5, 1.5])
     """
 
     first: np.ndarray

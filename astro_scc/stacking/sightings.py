@@ -38,6 +38,24 @@ class Sightings:
         The SSP that was correlated.
     match : `~numpy.ndarray` of int, shape (n,)
         Index of the match in the displacements.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import Sightings
+    >>> rng = np.random.default_rng(1)
+    >>> years, n, one = np.array([0.0, 1.0, 2.0]), 40, np.ones(40)
+    >>> first = np.repeat([0, 1], 20)
+    >>> d = Displacements(
+    ...     d1=3 + rng.normal(0, 0.2, n), d2=rng.normal(0, 0.2, n), s1=0.3 * one,
+    ...     s2=0.3 * one, weight=0.8 * one, reference=first, target=first + 1,
+    ...     ssp=np.arange(n), target_ssp=np.full(n, -1), n_ssps=np.full(3, 20),
+    ...     position=rng.uniform(0, 50, (n, 2)), motion=np.tile([3.0, 0.0], (n, 1)))
+    >>> pairs = consecutive_pairs(years)
+    >>> seen = Sightings.of(d, pairs, years, (9.0, 9.0))
+    >>> len(seen), bool((seen.interval > 0).all())
+    (40, True)
     """
 
     v1: np.ndarray

@@ -27,6 +27,15 @@ def gaussian_sum(x, y, sx, sy, weight, grid_x, grid_y):
     Returns
     -------
     `~numpy.ndarray`, shape (ny, nx)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import gaussian_sum
+    >>> one, x = np.ones(2), np.array([0.0, 1.0])
+    >>> grid = np.array([0.0, 0.5]), np.array([0.0])
+    >>> gaussian_sum(x, 0 * x, one, one, one, *grid).round(2)
+    array([[1.61, 1.76]])
     """
     total = np.zeros((len(grid_y), len(grid_x)))
     for start in range(0, len(x), BLOCK):

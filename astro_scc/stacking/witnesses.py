@@ -48,6 +48,26 @@ class Witnesses:
         Number of different dates at which the feature was seen to set off.
     group : `~numpy.ndarray` of int, shape (n_sightings,)
         The witness of each sighting.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import Sightings
+    >>> from astro_scc.stacking import find_witnesses
+    >>> rng = np.random.default_rng(1)
+    >>> years, n, one = np.array([0.0, 1.0, 2.0]), 40, np.ones(40)
+    >>> first = np.repeat([0, 1], 20)
+    >>> d = Displacements(
+    ...     d1=3 + rng.normal(0, 0.2, n), d2=rng.normal(0, 0.2, n), s1=0.3 * one,
+    ...     s2=0.3 * one, weight=0.8 * one, reference=first, target=first + 1,
+    ...     ssp=np.arange(n), target_ssp=np.full(n, -1), n_ssps=np.full(3, 20),
+    ...     position=rng.uniform(0, 50, (n, 2)), motion=np.tile([3.0, 0.0], (n, 1)))
+    >>> pairs = consecutive_pairs(years)
+    >>> seen = Sightings.of(d, pairs, years, (9.0, 9.0))
+    >>> witnesses = find_witnesses(seen)
+    >>> len(witnesses) <= len(seen), bool((witnesses.n_dates >= 1).all())
+    (True, True)
     """
 
     v1: np.ndarray
@@ -186,6 +206,28 @@ def find_witnesses(sightings):
     unrelated SSPs are seldom seen at two dates and almost never at three,
     and seldom on several scales and in both directions.  Limits and weight
     were chosen by power on simulated two-fluid jets that no calibration uses.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import Sightings, find_witnesses
+    >>> rng = np.random.default_rng(1)
+    >>> years = np.arange(6.0)
+    >>> epoch, feature = (k.ravel() for k in np.indices((5, 20)))
+    >>> v = rng.uniform(-6, 6, (20, 2))[feature]
+    >>> v[feature < 12] = 3.0, 0.0
+    >>> start = rng.uniform(0, 90, (20, 2))[feature]
+    >>> moved, one = v + rng.normal(0, 0.1, v.shape), np.ones(100)
+    >>> d = Displacements(
+    ...     d1=moved[:, 0], d2=moved[:, 1], s1=0.3 * one, s2=0.3 * one, weight=one,
+    ...     reference=epoch, target=epoch + 1, ssp=20 * epoch + feature,
+    ...     target_ssp=20 * epoch + 20 + feature, n_ssps=np.full(6, 20),
+    ...     position=start + v * epoch[:, None], motion=moved)
+    >>> pairs = consecutive_pairs(years)
+    >>> witnesses = find_witnesses(Sightings.of(d, pairs, years, (9.0, 9.0)))
+    >>> len(d), len(witnesses)
+    (100, 22)
     """
     if len(sightings) == 0:
         empty = np.empty(0)
