@@ -12,6 +12,7 @@ from astro_scc.visualization.style import (
     SCALE_COLORS,
     VERMILLION,
     WIDTH,
+    add_speed_axis,
     figure_and_axes,
     new_figure,
     unit_name,
@@ -112,10 +113,7 @@ def plot_profile(
     if handles:
         ax.legend(handles, labels, fontsize="small", framealpha=0.85)
     if beta_per_pm is not None:
-        k = float(beta_per_pm)
-        ax.secondary_yaxis(
-            "right", functions=(lambda v: v * k, lambda beta: beta / k)
-        ).set_ylabel("Apparent speed (c)")
+        add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
     if above:
         _draw_strip(top, cube, line, far)
     return figure

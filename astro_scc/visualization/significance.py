@@ -10,6 +10,7 @@ from astro_scc.visualization.style import (
     PM_UNIT,
     VERMILLION,
     WIDTH,
+    add_speed_axis,
     component_kinds,
     figure_and_axes,
     new_figure,
@@ -24,7 +25,6 @@ from astro_scc.visualization.velocity import (
     on_sky,
     plain,
     plot_velocity_map,
-    second_axis,
 )
 
 __all__ = ["plot_map_and_significance", "plot_significance"]
@@ -90,7 +90,7 @@ def plot_significance(
     ax.set_ylabel(MAP_LABELS["z_score"])
     ax.legend(loc="upper left", fontsize="small", ncols=2, frameon=False)
     if beta_per_pm is not None:
-        second_axis(ax, unit, beta_per_pm)
+        add_speed_axis(ax, unit, beta_per_pm)
     return figure
 
 

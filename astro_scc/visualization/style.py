@@ -124,6 +124,19 @@ def add_colorbar(ax, drawn, label, ticks=None):
     return bar
 
 
+def add_speed_axis(ax, unit, beta_per_pm, side="top"):
+    """An axis in units of c, on top or on the right, of one in proper motions."""
+    factor = float(beta_per_pm) * (1 * unit).to_value(PM_UNIT)
+    if not 0 < factor < np.inf:
+        raise ValueError(f"beta_per_pm must be positive, got {beta_per_pm}")
+    make = ax.secondary_xaxis if side == "top" else ax.secondary_yaxis
+    second = make(side, functions=(lambda v: v * factor, lambda beta: beta / factor))
+    if side == "top":
+        second.set_xlabel("Apparent speed (c)")
+    else:
+        second.set_ylabel("Apparent speed (c)")
+
+
 def set_ticks(bar, ticks):
     """Set the ticks of a colour bar as plain numbers; none for matplotlib's."""
     if ticks is not None:

@@ -4,6 +4,7 @@
 import astropy.units as u
 import numpy as np
 
+from astro_scc.decomposition import scale_size
 from astro_scc.visualization.drawing import (
     columns_of,
     draw_beam,
@@ -19,8 +20,10 @@ from astro_scc.visualization.style import (
     BLACK,
     BLUE,
     ORANGE,
+    PM_UNIT,
     VERMILLION,
     WIDTH,
+    add_speed_axis,
     figure_and_axes,
     new_figure,
     offset_unit,
@@ -249,10 +252,9 @@ def plot_track_profile(profile, *, stack=None, beta_per_pm=None, ax=None):
     'Distance from the core (mas)'
     """
     figure, ax = figure_and_axes(ax, (WIDTH, 3.4))
-    pm = u.mas / u.yr
     unit = offset_unit(profile["r"].to_value(u.mas).max(initial=1.0))
     r = profile["r"].to_value(unit)
-    speed, error = (profile[n].to_value(pm) for n in ("speed", "speed_err"))
+    speed, error = (profile[n].to_value(PM_UNIT) for n in ("speed", "speed_err"))
     ax.fill_between(r, speed - error, speed + error, color=ORANGE, alpha=0.3, lw=0)
     ax.plot(r, speed, "o-", color=ORANGE, markersize=4, label="tracks")
     if stack is not None:
@@ -266,18 +268,15 @@ def plot_track_profile(profile, *, stack=None, beta_per_pm=None, ax=None):
             ends = [stack[name].to_value(unit) for name in ("r_min", "r_max")]
             bars = np.abs(np.stack(ends) - middle)
         ax.errorbar(
-            middle, stack["pm_parallel"].to_value(pm),
-            stack["pm_parallel_err"].to_value(pm), bars,
+            middle, stack["pm_parallel"].to_value(PM_UNIT),
+            stack["pm_parallel_err"].to_value(PM_UNIT), bars,
             fmt="s", color=BLUE, markersize=4, linewidth=1, label="stack",
         )  # fmt: skip
     ax.legend(fontsize="small", frameon=False)
     ax.set_xlabel(f"Distance from the core ({unit_name(unit)})")
-    ax.set_ylabel(f"Speed ({unit_name(pm)})")
+    ax.set_ylabel(f"Speed ({unit_name(PM_UNIT)})")
     if beta_per_pm is not None:
-        second = ax.secondary_yaxis(
-            "right", functions=(lambda v: v * beta_per_pm, lambda v: v / beta_per_pm)
-        )
-        second.set_ylabel("Apparent speed (c)")
+        add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
     return figure
 
 
@@ -292,8 +291,7 @@ def _scales(tracking):
 
 
 def _name_panel(ax, cube, scale, unit, number):
-    size = 2**scale if float(scale).is_integer() else 1.5 * 2 ** np.floor(scale)
-    angle = (size * cube.pixel_scale).to_value(unit)
+    angle = (scale_size(scale) * cube.pixel_scale).to_value(unit)
     tracks = "track" if number == 1 else "tracks"
     ax.text(
         0.02, 0.95,

@@ -9,6 +9,7 @@ from astro_scc.visualization.style import (
     PM_UNIT,
     WIDTH,
     add_colorbar,
+    add_speed_axis,
     component_kinds,
     figure_and_axes,
     first_axis,
@@ -119,7 +120,7 @@ def plot_velocity_map(
         ax.legend(loc=corner, fontsize="small", framealpha=0.85)
     _draw_jet(ax, result, min(free[::-1], key=lambda n: _crowd(place, n, ARROW_SIZE)))
     if beta_per_pm is not None:
-        second_axis(ax, unit, beta_per_pm)
+        add_speed_axis(ax, unit, beta_per_pm)
     if colorbar:
         add_colorbar(ax, drawn, MAP_LABELS[which])
     return figure
@@ -248,18 +249,6 @@ def _draw_jet(ax, result, corner):
         *beside, name, transform=ax.transAxes, color="white", fontsize="small",
         ha="center", va="center", gid="jet",
     )  # fmt: skip
-
-
-def second_axis(ax, unit, beta_per_pm):
-    """An axis in units of c above the one in proper motions."""
-    factor = float(beta_per_pm) * (1 * unit).to_value(PM_UNIT)
-    if not 0 < factor < np.inf:
-        raise ValueError(f"beta_per_pm must be positive, got {beta_per_pm}")
-    second = ax.secondary_xaxis(
-        "top", functions=(lambda v: v * factor, lambda beta: beta / factor)
-    )
-    second.set_xlabel("Apparent speed (c)")
-    return second
 
 
 def plain(components, name, unit=None):
