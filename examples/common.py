@@ -1,0 +1,62 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What the examples share: the options, and how table and figure are shown."""
+
+import argparse
+from pathlib import Path
+
+from astropy.table import QTable
+
+RESULTS = Path(__file__).parent / "results"
+
+
+def run(measure, doc, *, data=False):
+    """
+    Run an example from the command line.
+
+    Parameters
+    ----------
+    measure : callable
+        Gives a table and a figure.  It is called with the folder of the data
+        if the example needs some.
+    doc : str
+        The docstring of the example.
+    data : bool, optional
+        Whether it needs data.
+    """
+    parser = argparse.ArgumentParser(description=doc.strip().splitlines()[0])
+    if data:
+        parser.add_argument("data", type=Path, help="folder of the data")
+    parser.add_argument(
+        "--output", type=Path, default=RESULTS, help="folder for table and figure"
+    )
+    args = parser.parse_args()
+    table, figure = measure(args.data) if data else measure()
+    name = measure.__module__ if measure.__module__ != "__main__" else _script()
+    args.output.mkdir(parents=True, exist_ok=True)
+    text = as_text(table)
+    (args.output / f"{name}.txt").write_text(text, encoding="utf-8")
+    figure.savefig(args.output / f"{name}.png", dpi=80)
+    print(text, end="")
+
+
+def _script():
+    import __main__
+
+    return Path(__main__.__file__).stem
+
+
+def as_text(table):
+    """A table as the lines that are printed."""
+    lines = table.pformat(max_lines=-1, max_width=-1, show_unit=True)
+    return "\n".join(line.rstrip() for line in lines) + "\n"
+
+
+def brief(table, *columns, digits=2, **others):
+    """The columns to look at, with so many digits, some columns with others."""
+    others = {"p_global": 3, **others}
+    short = QTable()
+    for name in columns:
+        short[name] = table[name]
+        if short[name].dtype.kind == "f":
+            short[name].info.format = f".{others.get(name, digits)}f"
+    return short

@@ -1,0 +1,47 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+M 87 from the features that MOJAVE fitted: a jet in which no motion is found.
+
+    python examples/galaxy_m87.py ../shared/data
+"""
+
+import astropy.units as u
+from common import brief, run
+
+from astro_scc import Beam, StackedCrossCorrelation
+from astro_scc.epochs import read_components, restore
+from astro_scc.kinematics import apparent_speed
+from astro_scc.profiles import measure_profile
+from astro_scc.visualization import plot_profile
+
+
+def measure(data, before=None, n_trials=200):
+    """What is tested in four rings about the core."""
+    components = read_components(data / "mojave_xviii" / "1228+126.ecsv")
+    cube = restore(
+        components.select(before=before),
+        beam=Beam(1.2 * u.mas, 0.6 * u.mas, 0 * u.deg),
+        pixel_scale=0.1 * u.mas,
+        noise=0.3 * u.mJy / u.beam,
+        rng=1,
+    )
+    scc = StackedCrossCorrelation(
+        scales=[1, 2, 3, 4],
+        max_speed=0.6 * u.mas / u.yr,
+        position_angle=-72 * u.deg,
+        baseline=[1, 4] * u.yr,
+    )
+    edges = [0.5, 2, 4, 8, 16] * u.mas
+    profile = measure_profile(scc, scc.match(cube), edges, n_trials=n_trials, rng=1)
+    table = profile.components_in_c(distance=16.7 * u.Mpc)
+    columns = "pm_parallel", "pm_parallel_err", "beta_app", "beta_app_err", "p_global"
+    figure = plot_profile(
+        profile.components,
+        beta_per_pm=float(apparent_speed(1 * u.mas / u.yr, distance=16.7 * u.Mpc)),
+    )
+    table = brief(table, "r_min", "r_max", "kind", *columns, "n_features", digits=3)
+    return table, figure
+
+
+if __name__ == "__main__":
+    run(measure, __doc__, data=True)

@@ -1,0 +1,33 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+0003+380, ten epochs of a quasar: read, convolve, align, measure.
+
+    python examples/quasar_0003.py ../shared/data
+"""
+
+import astropy.units as u
+from common import brief, run
+
+from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.epochs import distance_mask
+from astro_scc.kinematics import paper_cosmology
+from astro_scc.visualization import plot_members
+
+
+def measure(data, n_trials=1000):
+    """The speed of the jet between 1 and 3 mas from the core."""
+    folder = data / "0003+380"
+    cube = EpochCube.read(f"{folder}/*.fits").to_common_beam()
+    cube = cube.align("table", table=folder / "core_offsets.csv")
+    scc = StackedCrossCorrelation(
+        scales=[1, 2, 3], max_speed=1 * u.mas / u.yr, position_angle=115 * u.deg
+    )
+    ring = distance_mask(cube, 1 * u.mas, 3 * u.mas)
+    result = scc(cube, region=ring, n_trials=n_trials, rng=1)
+    table = result.components_in_c(redshift=0.229, cosmology=paper_cosmology())
+    columns = "pm_parallel", "pm_parallel_err", "beta_app", "beta_app_err", "p_global"
+    return brief(table, "kind", *columns, "n_features"), plot_members(result)
+
+
+if __name__ == "__main__":
+    run(measure, __doc__, data=True)

@@ -1,0 +1,53 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+3C 273 from the features that MOJAVE fitted: small and large scales apart.
+
+    python examples/quasar_3c273.py ../shared/data
+"""
+
+from dataclasses import replace
+
+import astropy.units as u
+from astropy.table import vstack
+from common import brief, run
+
+from astro_scc import Beam, StackedCrossCorrelation
+from astro_scc.epochs import distance_mask, read_components, restore
+from astro_scc.kinematics import paper_cosmology
+from astro_scc.stratification import scale_groups
+from astro_scc.visualization import plot_members
+
+
+def measure(data, before="2011-01-01", n_trials=200):
+    """The speeds of small and of large patterns, 1 to 6 mas from the core."""
+    components = read_components(data / "mojave_xviii" / "1226+023.ecsv")
+    cube = restore(
+        components.select(before=before),
+        beam=Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg),
+        pixel_scale=0.1 * u.mas,
+        noise=0.3 * u.mJy / u.beam,
+        rng=1,
+    )
+    scc = StackedCrossCorrelation(
+        scales=[1, 2, 3, 4],
+        max_speed=2 * u.mas / u.yr,
+        position_angle=-138 * u.deg,
+        baseline=[0.25, 1.2] * u.yr,
+    )
+    matched = scc.match(cube, region=distance_mask(cube, 1 * u.mas, 6 * u.mas))
+    groups = scale_groups(matched, {"1, 2": [1, 2], "3, 4": [3, 4]})
+    tables = []
+    for name, members in groups.items():
+        chosen = replace(matched, select=matched.select & members)
+        result = scc.stack(chosen, n_trials=n_trials, rng=1)
+        table = result.components_in_c(redshift=0.158, cosmology=paper_cosmology())
+        table["scales"] = name
+        tables.append(table)
+    columns = "pm_parallel", "pm_parallel_err", "beta_app", "beta_app_err", "p_global"
+    table = vstack(tables, metadata_conflicts="silent")
+    figure = plot_members(result, max_panels=1)
+    return brief(table, "scales", "kind", *columns, "n_features"), figure
+
+
+if __name__ == "__main__":
+    run(measure, __doc__, data=True)

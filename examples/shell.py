@@ -1,0 +1,42 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+A shell that expands: the rate of everything, and its centre.
+
+    python examples/shell.py
+"""
+
+import astropy.units as u
+from astropy.table import QTable
+from common import brief, run
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.shells import expansion_speed, fit_shell
+from astro_scc.simulation import simulate_shell
+from astro_scc.visualization import plot_epoch
+
+
+def measure():
+    """Rate of expansion of three epochs, and what it is at 3.4 kpc."""
+    shell = simulate_shell(
+        n_epochs=3, interval=10 * u.yr, n_clumps=8, n_knots=40,
+        radius=70 * u.arcsec, size=200, rng=4,
+    )  # fmt: skip
+    scc = StackedCrossCorrelation(
+        scales=[1], max_speed=150 * u.mas / u.yr, baseline=[10, 20] * u.yr,
+        kernel=0.1, detection=7, segmentation=5,
+    )  # fmt: skip
+    matched = scc.match(shell.cube)
+    fit = fit_shell(scc, matched)
+    table = QTable({
+        "rate": fit.rate,
+        "rate_err": fit.rate_err,
+        "speed": expansion_speed(fit.rate, 70 * u.arcsec, 3.4 * u.kpc),
+        "centre_east": u.Quantity([fit.centre[0]]).to(u.arcsec),
+        "centre_north": u.Quantity([fit.centre[1]]).to(u.arcsec),
+    })  # fmt: skip
+    figure = plot_epoch(shell.cube, 0, matched.ssps, zoom=False)
+    return brief(table, *table.colnames, digits=3, speed=0), figure
+
+
+if __name__ == "__main__":
+    run(measure, __doc__)

@@ -1,0 +1,80 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The scripts of the gallery: they run, and print what the gallery shows."""
+
+import importlib
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "examples"
+NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "common")
+SIMULATED = ("hubble", "shell", "sun", "two_fluid")
+#: The dates to which real series are cut here, so that they take seconds.
+EARLY = {
+    "quasar_0003": {},
+    "quasar_3c273": {"before": "1998-01-01"},
+    "galaxy_3c120": {"before": "1998-06-01"},
+    "galaxy_m87": {"before": "2001-01-01"},
+}
+
+
+@pytest.fixture(autouse=True)
+def _folder_of_the_examples(monkeypatch):
+    """Import as from a script of that folder, and leave nothing behind."""
+    monkeypatch.syspath_prepend(FOLDER)
+    yield
+    for name in (*NAMES, "common"):
+        sys.modules.pop(name, None)
+
+
+def printed(name):
+    return (FOLDER / "results" / f"{name}.txt").read_text(encoding="utf-8")
+
+
+def test_every_example_is_tested_and_shown():
+    assert NAMES == sorted([*SIMULATED, *EARLY])
+    gallery = (FOLDER.parent / "docs" / "gallery.rst").read_text(encoding="utf-8")
+    for name in NAMES:
+        figure = FOLDER / "results" / f"{name}.png"
+        assert figure.stat().st_size < 150_000
+        command = f"python examples/{name}.py"
+        command += "" if name in SIMULATED else " ../shared/data"
+        for shown in (command, f"{name}.txt", f"{name}.png", f"../examples/{name}.py"):
+            assert shown in gallery, shown
+        source = (FOLDER / f"{name}.py").read_text(encoding="utf-8")
+        assert f"    {command}\n" in source
+
+
+@pytest.mark.parametrize("name", SIMULATED)
+def test_simulated_examples_print_what_the_gallery_shows(name, tmp_path, capsys):
+    example = importlib.import_module(name)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [f"{name}.py", "--output", str(tmp_path)])
+        example.run(example.measure, example.__doc__)
+    text = capsys.readouterr().out
+    assert text == (tmp_path / f"{name}.txt").read_text(encoding="utf-8")
+    assert (tmp_path / f"{name}.png").is_file()
+    # What is found; the row that may be chance hangs on the last digits.
+    shown, found = (
+        [line for line in page.splitlines() if "uncertain" not in line]
+        for page in (printed(name), text)
+    )
+    assert shown[:2] == found[:2]
+    for one, other in zip(shown[3:], found[3:], strict=True):
+        assert re.findall("[a-z]+", one) == re.findall("[a-z]+", other)
+        assert numbers(one) == pytest.approx(numbers(other), rel=0.02, abs=0.02)
+
+
+def numbers(line):
+    return [float(number) for number in re.findall(r"-?\d+\.?\d*", line)]
+
+
+@pytest.mark.parametrize("name", EARLY)
+def test_examples_of_real_jets_run(name, shared_data):
+    example = importlib.import_module(name)
+    table, figure = example.measure(shared_data, n_trials=20, **EARLY[name])
+    header = printed(name).splitlines()[0].split()
+    assert table.colnames == header
+    assert figure.axes
