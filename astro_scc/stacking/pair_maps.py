@@ -13,6 +13,7 @@ from astro_scc.stacking.stack import (
     number_of_ssps,
     stack,
 )
+from astro_scc.stacking.threads import in_threads
 
 __all__ = ["PairMaps"]
 
@@ -28,7 +29,7 @@ BEYOND = 3
 #: With more intervals than these stacks are made in single precision.
 FEW_INTERVALS = 8
 #: Bytes of stacks that are made at once.
-BLOCK_BYTES = 2**27
+BLOCK_BYTES = 2**26
 #: Bytes of maps that are kept; if all are more they are made as needed.
 MAP_BYTES = 2**28
 #: Bytes of maps that are added up at once.
@@ -184,7 +185,7 @@ class PairMaps:
             own[:] = (to2 @ values.astype(np.float32) @ to1.T).ravel()
         return maps
 
-    def stacks(self, pairs, grid, orders, *, shift=(0.0, 0.0)):
+    def stacks(self, pairs, grid, orders, *, shift=(0.0, 0.0), n_threads=1):
         """
         The stacks of many orders of the images over the dates.
 
@@ -196,6 +197,8 @@ class PairMaps:
             Image at each date.
         shift : tuple of float, optional
             Displacement added to all matches.
+        n_threads : int, optional
+            Threads that work on the orders; they change no number.
 
         Yields
         ------
@@ -206,9 +209,10 @@ class PairMaps:
         stretch = _Stretch.of(self, pairs, grid, shift)
         size = max(1, BLOCK_BYTES // (8 * grid.shape[0] * grid.shape[1]))
         for start in range(0, len(orders), size):
-            yield self._block(pairs, stretch, orders[start : start + size])
+            block = orders[start : start + size]
+            yield self._block(pairs, stretch, block, n_threads)
 
-    def _block(self, pairs, stretch, orders):
+    def _block(self, pairs, stretch, orders, n_threads):
         reference, target = pairs.images(orders)
         flipped = np.zeros(reference.shape, dtype=bool)
         if self.turned:
@@ -220,12 +224,15 @@ class PairMaps:
         images = reference * self.displacements.n_epochs + target
         total = np.zeros((len(orders), *stretch.shape))
         for maps, rows in self._parts(images):
-            for trial in range(len(orders)):
+
+            def add(trial, maps=maps, rows=rows):
                 here = rows[trial] >= 0
                 if here.any():
                     total[trial] += stretch(
                         maps, rows[trial], here, flipped[trial], pairs.weight
                     )
+
+            in_threads(add, range(len(orders)), n_threads)
         number = number_of_ssps(self.displacements, pairs, orders)
         total /= number[:, None, None]
         return total

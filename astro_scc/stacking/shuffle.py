@@ -106,7 +106,16 @@ def random_orders(n_epochs, n_trials, rng):
 
 
 def shuffle_epochs(
-    pair_maps, pairs, grid, observed, n_trials, *, rng, shift=None, progress=None
+    pair_maps,
+    pairs,
+    grid,
+    observed,
+    n_trials,
+    *,
+    rng,
+    shift=None,
+    n_threads=1,
+    progress=None,
 ):
     """
     Stack the epochs in shuffled order, again and again.
@@ -125,6 +134,8 @@ def shuffle_epochs(
         a trial are shifted, along either axis and in either sense in turn;
         the paper's correction for small displacements, at which shuffled
         epochs of standing structure still correlate.
+    n_threads : int, optional
+        Threads that work on the trials.
     progress : callable, optional
         Called with the number of trials done at a time.
 
@@ -151,7 +162,9 @@ def shuffle_epochs(
 
     def trials():
         for some, offset in parts:
-            yield from pair_maps.stacks(pairs, grid, some, shift=offset)
+            yield from pair_maps.stacks(
+                pairs, grid, some, shift=offset, n_threads=n_threads
+            )
 
     total, squares = np.zeros(grid.shape), np.zeros(grid.shape)
     larger = np.zeros(grid.shape, dtype=int)
