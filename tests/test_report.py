@@ -136,7 +136,7 @@ def test_it_fits_narrow_screens_and_paper(page, folder):
     assert "figure img { display: block; width: 100%;" in screen
     assert ".wide { overflow: visible; }" in paper
     assert "break-inside: avoid" in paper
-    assert page.all("div").count({"class": "wide"}) == len(page.all("table")) == 3
+    assert page.all("div").count({"class": "wide"}) == len(page.all("table")) == 4
 
 
 def test_the_figures_are_beside_it(page, folder):
@@ -183,13 +183,17 @@ def test_the_answer_comes_first(page, components):
 
 def test_the_table_has_a_row_for_each_component(page, components):
     kinds = [tr.get("class") for tr in page.all("tr") if tr.get("class")]
-    assert kinds == ["moving", "stationary", "uncertain"]
+    # What the answer is made of, and the rest.
+    assert kinds == 2 * ["moving", "stationary", "uncertain"]
     for name in ("speed (mas/yr)", "speed (c)", "PA (deg)", "z", "p_global", "SSPs",
                  "kind", "paper's error of the speed (mas/yr)"):  # fmt: skip
         assert name in page.text
     words = page.words
     assert with_error(components["p_global"][2], components["p_global_err"][2]) in words
     assert "from the scatter of the features" in words
+    # Descriptions speak of headings, not of names of columns.
+    assert "speed (c): the speed in units of c" in words
+    assert "part of the error of the speed by the alignment" in words
 
 
 def test_it_names_the_settings_and_the_files(page):

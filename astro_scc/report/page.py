@@ -92,6 +92,7 @@ def write_report(
         raise OSError(f"{directory}: is a file; choose another folder") from None
     kinds = component_kinds(components)
     pictures = draw_pictures(result, components)
+    tables, notes = component_rows(components, kinds)
     environment = jinja2.Environment(
         autoescape=True,
         undefined=jinja2.StrictUndefined,
@@ -107,7 +108,9 @@ def write_report(
         chances=chances(result, components, kinds),
         warnings=[str(w) for w in warnings] + edge_remarks(result, components, kinds),
         figures=pictures,
-        table=component_rows(components, kinds),
+        kinds=kinds,
+        tables=tables,
+        notes=notes,
         epochs=epoch_rows(result),
         left_out=[(w, "") if isinstance(w, str) else tuple(w) for w in left_out],
         settings=setting_rows(result, components),

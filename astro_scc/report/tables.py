@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Components, epochs and settings as rows of text."""
 
+import re
+
 import astropy.units as u
 import numpy as np
 
@@ -34,7 +36,22 @@ COLUMNS = (
 
 
 def component_rows(components, kinds):
-    """Head, rows and explanations of the table of components."""
+    """
+    Heads, rows and explanations of the tables of components.
+
+    Parameters
+    ----------
+    components : `~astropy.table.QTable`
+    kinds : sequence of str
+
+    Returns
+    -------
+    tables : list of (list of str, list of (str, list of str))
+        Head and rows, each with its kind: what the answer is made of, and the
+        rest, both narrow enough for paper.
+    notes : list of (str, str)
+        What stands below each heading.
+    """
     known = [column for column in COLUMNS if column[0] in components.colnames]
     taken = {name for name, *_ in COLUMNS}
     taken |= {f"{name}_err" for name in taken}
@@ -43,18 +60,27 @@ def component_rows(components, kinds):
         for name in components.colnames
         if name not in taken and components[name].ndim == 1
     ]
-    head, notes = [], []
-    for name, heading, _ in known:
-        column = components[name]
-        heading = heading.format(unit=unit_text(getattr(column, "unit", None)))
-        head.append(heading)
-        if column.info.description:
-            notes.append((heading, column.info.description))
-    rows = [
-        (kind, [_cell(components, row, name, digits) for name, _, digits in known])
-        for row, kind in zip(components, kinds, strict=True)
-    ]
-    return {"head": head, "rows": rows, "notes": notes}
+    names = [name for name, *_ in known]
+    first = names.index("pm_parallel") if "pm_parallel" in names else len(known)
+    tables, notes = [], []
+    for part in (known[:first], [*known[:1], *known[first:]]):
+        head, rows = [], [(kind, []) for kind in kinds]
+        for name, heading, digits in part:
+            unit = unit_text(getattr(components[name], "unit", None))
+            head.append(heading.format(unit=unit))
+            note = _note(components[name].info.description or "")
+            if note and (head[-1], note) not in notes:
+                notes.append((head[-1], note))
+            for (_, cells), row in zip(rows, components, strict=True):
+                cells.append(_cell(components, row, name, digits))
+        tables.append((head, rows))
+    return tables, notes
+
+
+def _note(description):
+    """A description of a column in the words of the page."""
+    description = re.sub(r"\bpm_err\b", "the error of the speed", description)
+    return re.sub(r"\bpm\b", "the speed", description)
 
 
 def _cell(components, row, name, digits):
