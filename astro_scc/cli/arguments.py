@@ -157,6 +157,12 @@ def add_images(parser, *, verb):
         "beams differ",
     )
     group.add_argument(
+        "--crop",
+        metavar="FILE.reg",
+        help="read no more of the images than the box around a DS9 or CRTF region, "
+        "where all are more than the memory holds",
+    )
+    group.add_argument(
         "--region",
         metavar="FILE.reg",
         help=f"{verb} patterns inside a DS9 or CRTF region only",

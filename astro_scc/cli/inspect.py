@@ -110,7 +110,7 @@ def _cube(files):
         warnings.simplefilter("ignore", AstroSccWarning)
         try:
             return EpochCube.read(files), None
-        except (ValueError, OSError) as error:
+        except (ValueError, OSError, MemoryError) as error:
             return None, str(error)
 
 

@@ -10,6 +10,7 @@ OPTIONS = (
     "before",
     "align",
     "common_beam",
+    "crop",
     "region",
     "scales",
     "max_speed",

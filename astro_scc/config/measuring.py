@@ -71,6 +71,7 @@ def read_epochs(config, *, files=None, note=None):
     """
     from astro_scc.epochs import EpochCube
     from astro_scc.epochs.assembly import find_files
+    from astro_scc.epochs.cutout import refuse_pixels
 
     config = dict(config)
     if files is None:
@@ -78,7 +79,9 @@ def read_epochs(config, *, files=None, note=None):
         config["epochs"] = [str(path) for path in files]
     align = config.setdefault("align", "none")
     frame = "absolute" if align == "wcs" else "offset"
-    cube = EpochCube.read(files, frame=frame)
+    if "crop" in config and "region" in config:
+        refuse_pixels(config["region"])
+    cube = EpochCube.read(files, frame=frame, region=config.get("crop"))
     cube, left_out = select_epochs(cube, config)
     config["common_beam"] = _wants_common_beam(cube, config, note or _silent)
     if config["common_beam"]:

@@ -230,6 +230,7 @@ SETTINGS = {
     "before": _date,
     "align": _text,
     "common_beam": _boolean,
+    "crop": _text,
     "region": _text,
     "scales": _scales,
     "max_speed": _speed,
