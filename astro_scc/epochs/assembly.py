@@ -16,7 +16,13 @@ from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.consistency import find_odd, find_same_dates, looks_like_mask
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.cutout import crop_line
-from astro_scc.epochs.fits import as_image, check_ordinary, read_grid, read_image
+from astro_scc.epochs.fits import (
+    CORRECT_BEAM,
+    as_image,
+    check_ordinary,
+    read_grid,
+    read_image,
+)
 from astro_scc.epochs.gridding import FRAMES, lay_on_one_grid
 from astro_scc.epochs.headers import header_beam, header_facts, observing_time
 from astro_scc.epochs.keywords import get
@@ -285,7 +291,7 @@ def _plane(image, name, time, beam):
         try:
             beam = header_beam(image.meta)
         except ValueError as error:
-            _warn(f"{name}: its beam is taken as unknown: {error}")
+            _warn(f"{name}: its beam is taken as unknown: {error}; {CORRECT_BEAM}")
     return Plane(
         name=name,
         data=data.reshape(data.shape[-2:]),
@@ -339,7 +345,8 @@ def _assemble(planes, frame, check, source):
         ny, nx = grid.data.shape[1:]
         _warn(
             f"{_some(grid.resampled)}: on another grid than the finest and therefore "
-            f"resampled to it; all are {nx} x {ny} pixels, masked outside each image"
+            f"resampled to it; all are {nx} x {ny} pixels, masked outside each image; "
+            "leave it out if you do not want that"
         )
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
     names = {plane.facts.get("object") for plane in planes} - {None}
@@ -396,8 +403,7 @@ def _all_or_none(planes):
     if missing and len(missing) < len(planes):
         _warn(
             f"{_some(missing)}: no beam where other epochs have one, so the cube has "
-            "none; write BMAJ, BMIN and BPA in degrees to its header, or give beams= "
-            "in Python"
+            f"none; {CORRECT_BEAM}, or give beams= in Python"
         )
     return None if missing else [plane.beam for plane in planes]
 

@@ -27,6 +27,8 @@ __all__ = ["as_image", "read_grid", "read_image", "read_vlbi_fits"]
 
 # What the files of EpochCube.write are known by.
 CUBE_CREATOR = "astro_scc EpochCube"
+#: What to do about a beam that cannot be.
+CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 # What describes the array and its axes in the file, which the CCDData says
 # itself, in two dimensions.
@@ -301,7 +303,10 @@ def _image(hdus, which, path, window=None):
     text = get(header, "BUNIT", kind=str)
     unit = parse_unit(text)
     if unit is None:
-        notes.append(f"its unit {text!r} is not known and taken as dimensionless")
+        notes.append(
+            f"its unit {text!r} is not known and taken as dimensionless; write one "
+            "that FITS knows, such as JY/BEAM, to BUNIT"
+        )
         unit = u.dimensionless_unscaled
     meta = _meta(header)
     beam = _beam(hdus, header, wcs, shape, notes)
@@ -422,7 +427,7 @@ def _beam(hdus, header, wcs, shape, notes):
         tables = (h for h in hdus if isinstance(h, fits.BinTableHDU))
         beam = header_beam(header, tables)
     except (ValueError, KeyError, TypeError) as error:
-        notes.append(f"its beam is taken as unknown: {error}")
+        notes.append(f"its beam is taken as unknown: {error}; {CORRECT_BEAM}")
         return None
     if beam is None:
         return None
@@ -432,8 +437,8 @@ def _beam(hdus, header, wcs, shape, notes):
     )
     if beam.major.to_value(u.deg) > extent:
         notes.append(
-            f"its beam is taken as unknown: {beam} is larger than the image, "
-            "BMAJ and BMIN must be in degrees"
+            f"its beam is taken as unknown: {beam} is larger than the image; "
+            f"{CORRECT_BEAM}"
         )
         return None
     return beam

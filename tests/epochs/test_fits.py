@@ -183,9 +183,12 @@ def test_compressed_files(tmp_path, aips_header, suffix):
     ("changes", "message"),
     [
         ({"BUNIT": "FURLONGS"}, "unit 'FURLONGS' is not known and taken as dimensionl"),
-        ({"BMAJ": -1e-7}, "beam is taken as unknown: .* is not positive"),
+        ({"BMAJ": -1e-7}, "unknown: .* is not positive; write BMAJ, BMIN and BPA in"),
         ({"BMIN": 0.0}, "beam is taken as unknown"),
-        ({"BMAJ": 1.0, "BMIN": 0.5}, "larger than the image, BMAJ and BMIN must be in"),
+        (
+            {"BMAJ": 1.0, "BMIN": 0.5},
+            "larger than the image; write BMAJ, BMIN and BPA in degrees",
+        ),
     ],
 )
 def test_what_is_not_understood_is_said_and_left_out(make_fits, changes, message):
