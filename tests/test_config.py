@@ -30,6 +30,7 @@ FULL = {
     "before": "2011.0",
     "align": "core",
     "common_beam": True,
+    "crop": "part.reg",
     "region": "jet.reg",
     "scales": "0.2 mas, 0.4 mas",
     "max_speed": "2 mas/yr",
