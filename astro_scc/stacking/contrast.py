@@ -54,6 +54,31 @@ class Contrast:
         Of the padded grid.
     response : `~numpy.ndarray`, shape (n_classes, 4, ny, nx)
         Fourier transforms of the filters, one a direction.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Contrast, find_witnesses
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import Sightings
+    >>> rng = np.random.default_rng(1)
+    >>> years, n, one = np.array([0.0, 1.0, 2.0]), 40, np.ones(40)
+    >>> first = np.repeat([0, 1], 20)
+    >>> d = Displacements(
+    ...     d1=3 + rng.normal(0, 0.2, n), d2=rng.normal(0, 0.2, n), s1=0.3 * one,
+    ...     s2=0.3 * one, weight=0.8 * one, reference=first, target=first + 1,
+    ...     ssp=np.arange(n), target_ssp=np.full(n, -1), n_ssps=np.full(3, 20),
+    ...     position=rng.uniform(0, 50, (n, 2)), motion=np.tile([3.0, 0.0], (n, 1)))
+    >>> pairs = consecutive_pairs(years)
+    >>> seen = Sightings.of(d, pairs, years, (9.0, 9.0))
+    >>> witnesses = find_witnesses(seen)
+    >>> contrast = Contrast.of(witnesses, (9.0, 9.0))
+    >>> maps = contrast.maps(
+    ...     witnesses.v1[None], witnesses.v2[None], witnesses.weight, range(4))
+    >>> least = maps[:, 0].min(axis=0)
+    >>> row, column = np.unravel_index(least.argmax(), least.shape)
+    >>> bool(abs(contrast.grid.v1[column] - 3) < 0.3)
+    True
     """
 
     grid: VelocityGrid

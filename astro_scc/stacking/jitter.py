@@ -38,6 +38,27 @@ class JitteredVelocity:
         that the trials are Gaussian.
     share : float
         Share of the trials that have a maximum in the box.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import VelocityGrid, stack
+    >>> from astro_scc.stacking import find_components, jitter_positions
+    >>> rng = np.random.default_rng(1)
+    >>> years, n, one = np.array([0.0, 1.0, 2.0]), 40, np.ones(40)
+    >>> first = np.repeat([0, 1], 20)
+    >>> d = Displacements(
+    ...     d1=3 + rng.normal(0, 0.2, n), d2=rng.normal(0, 0.2, n), s1=0.3 * one,
+    ...     s2=0.3 * one, weight=0.8 * one, reference=first, target=first + 1,
+    ...     ssp=np.arange(n), target_ssp=np.full(n, -1), n_ssps=np.full(3, 20))
+    >>> pairs = consecutive_pairs(years)
+    >>> grid = VelocityGrid.covering(6.0, 0.2)
+    >>> scc = stack(d, pairs, grid)
+    >>> best = find_components(scc, grid, (1.5, 1.5))[0]
+    >>> jittered = jitter_positions(d, pairs, best, (1.5, 1.5), 50, rng=rng)
+    >>> jittered.share, bool(abs(jittered.bias1) < 3 * jittered.err1)
+    (1.0, True)
     """
 
     err1: float
@@ -89,6 +110,27 @@ def jitter_positions(
     -------
     `JitteredVelocity`
         Errors are NaN if fewer than 3 trials have a maximum.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import VelocityGrid, stack
+    >>> from astro_scc.stacking import find_components, jitter_positions
+    >>> rng = np.random.default_rng(1)
+    >>> years, n, one = np.array([0.0, 1.0, 2.0]), 40, np.ones(40)
+    >>> first = np.repeat([0, 1], 20)
+    >>> d = Displacements(
+    ...     d1=3 + rng.normal(0, 0.2, n), d2=rng.normal(0, 0.2, n), s1=0.3 * one,
+    ...     s2=0.3 * one, weight=0.8 * one, reference=first, target=first + 1,
+    ...     ssp=np.arange(n), target_ssp=np.full(n, -1), n_ssps=np.full(3, 20))
+    >>> pairs = consecutive_pairs(years)
+    >>> grid = VelocityGrid.covering(6.0, 0.2)
+    >>> scc = stack(d, pairs, grid)
+    >>> best = find_components(scc, grid, (1.5, 1.5))[0]
+    >>> jittered = jitter_positions(d, pairs, best, (1.5, 1.5), 200, rng=rng)
+    >>> bool(0.03 < jittered.err1 < 0.15)
+    True
     """
     index, v1, v2, s1, s2, weight = velocities(displacements, pairs)
     half1, half2 = SEARCH * box[0] / 2, SEARCH * box[1] / 2

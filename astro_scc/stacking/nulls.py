@@ -61,6 +61,35 @@ class Scene:
         Velocities that are told from those found before.
     n_threads : int
         Threads that may work on the trials of a test.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import NullTest, find_velocities
+    >>> rng = np.random.default_rng(1)
+    >>> years = np.arange(6.0)
+    >>> epoch, feature = (k.ravel() for k in np.indices((5, 20)))
+    >>> v = rng.uniform(-6, 6, (20, 2))[feature]
+    >>> v[feature < 12] = 3.0, 0.0
+    >>> start = rng.uniform(0, 90, (20, 2))[feature]
+    >>> moved, one = v + rng.normal(0, 0.1, v.shape), np.ones(100)
+    >>> d = Displacements(
+    ...     d1=moved[:, 0], d2=moved[:, 1], s1=0.3 * one, s2=0.3 * one, weight=one,
+    ...     reference=epoch, target=epoch + 1, ssp=20 * epoch + feature,
+    ...     target_ssp=20 * epoch + 20 + feature, n_ssps=np.full(6, 20),
+    ...     position=start + v * epoch[:, None], motion=moved)
+    >>> pairs = consecutive_pairs(years)
+    >>> class Any:
+    ...     name = "any"
+    ...     def test(self, scene, n_trials, rng):
+    ...         p = float(scene.observed[0, scene.row, scene.column] <= 0)
+    ...         return NullTest(p, p, n_trials, 0.0)
+    >>> found = find_velocities(
+    ...     d, pairs, years, (9.0, 9.0), n_trials=9, rng=rng, nulls=(Any(),),
+    ...     max_components=1)
+    >>> list(found[0].tests)
+    ['any']
     """
 
     displacements: Displacements
@@ -101,6 +130,13 @@ class NullTest:
     exhaustive : bool
         Whether the trials were all that there are, so that the probability
         is exact.
+
+    Examples
+    --------
+    >>> from astro_scc.stacking import NullTest
+    >>> test = NullTest(p_local=0.01, p_global=0.04, n_trials=999, smallest=0.001)
+    >>> test.p_global >= test.smallest
+    True
     """
 
     p_local: float
@@ -129,6 +165,29 @@ class ScrambleNull:
     it; the largest of the four is taken, because a ridge is destroyed by
     shifts across it and yet no component.  A test that ``b`` has reached 30 in
     ends (Besag & Clifford 1991, Biometrika 78, 301).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import ScrambleNull, find_velocities
+    >>> rng = np.random.default_rng(1)
+    >>> years = np.arange(6.0)
+    >>> epoch, feature = (k.ravel() for k in np.indices((5, 20)))
+    >>> v = rng.uniform(-6, 6, (20, 2))[feature]
+    >>> v[feature < 12] = 3.0, 0.0
+    >>> start = rng.uniform(0, 90, (20, 2))[feature]
+    >>> moved, one = v + rng.normal(0, 0.1, v.shape), np.ones(100)
+    >>> d = Displacements(
+    ...     d1=moved[:, 0], d2=moved[:, 1], s1=0.3 * one, s2=0.3 * one, weight=one,
+    ...     reference=epoch, target=epoch + 1, ssp=20 * epoch + feature,
+    ...     target_ssp=20 * epoch + 20 + feature, n_ssps=np.full(6, 20),
+    ...     position=start + v * epoch[:, None], motion=moved)
+    >>> pairs = consecutive_pairs(years)
+    >>> found = find_velocities(
+    ...     d, pairs, years, (9.0, 9.0), n_trials=99, rng=rng, nulls=(ScrambleNull(),))
+    >>> found[0].tests["scramble"].p_global
+    0.01
     """
 
     name = "scramble"
@@ -201,6 +260,31 @@ class ShuffleNull:
     orders : optional
         Which orders are equally likely: `AllOrders`, `BlockOrders`,
         `ReversedBlocks`, or `WithoutSuccessors` for comparison.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import ReversedBlocks, ScrambleNull, ShuffleNull
+    >>> from astro_scc.stacking import find_velocities
+    >>> rng = np.random.default_rng(1)
+    >>> years = np.arange(6.0)
+    >>> epoch, feature = (k.ravel() for k in np.indices((5, 20)))
+    >>> v = rng.uniform(-6, 6, (20, 2))[feature]
+    >>> v[feature < 12] = 3.0, 0.0
+    >>> start = rng.uniform(0, 90, (20, 2))[feature]
+    >>> moved, one = v + rng.normal(0, 0.1, v.shape), np.ones(100)
+    >>> d = Displacements(
+    ...     d1=moved[:, 0], d2=moved[:, 1], s1=0.3 * one, s2=0.3 * one, weight=one,
+    ...     reference=epoch, target=epoch + 1, ssp=20 * epoch + feature,
+    ...     target_ssp=20 * epoch + 20 + feature, n_ssps=np.full(6, 20),
+    ...     position=start + v * epoch[:, None], motion=moved)
+    >>> pairs = consecutive_pairs(years)
+    >>> nulls = ScrambleNull(), ShuffleNull(ReversedBlocks(2))
+    >>> found = find_velocities(
+    ...     d, pairs, years, (9.0, 9.0), n_trials=99, rng=rng, nulls=nulls)
+    >>> list(found[0].tests)
+    ['scramble', 'reversal']
     """
 
     orders: object = field(default_factory=AllOrders)

@@ -27,6 +27,27 @@ class ShuffledStacks:
         the observed coefficient at this velocity.
     maxima : `~numpy.ndarray`, shape (n_trials,)
         Largest z-score of each trial over all velocities, ascending.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import PairMaps, shuffle_epochs
+    >>> from astro_scc.stacking import VelocityGrid, stack
+    >>> rng = np.random.default_rng(1)
+    >>> years, n, one = np.array([0.0, 1.0, 2.0]), 40, np.ones(40)
+    >>> first = np.repeat([0, 1], 20)
+    >>> d = Displacements(
+    ...     d1=3 + rng.normal(0, 0.2, n), d2=rng.normal(0, 0.2, n), s1=0.3 * one,
+    ...     s2=0.3 * one, weight=0.8 * one, reference=first, target=first + 1,
+    ...     ssp=np.arange(n), target_ssp=np.full(n, -1), n_ssps=np.full(3, 20))
+    >>> pairs = consecutive_pairs(years)
+    >>> grid = VelocityGrid.covering(6.0, 0.2)
+    >>> scc = stack(d, pairs, grid)
+    >>> maps = PairMaps.of(d, grid.v_max, 1.0)
+    >>> shuffled = shuffle_epochs(maps, pairs, grid, scc, 20, rng=rng)
+    >>> shuffled.z_score(scc).shape == grid.shape
+    True
     """
 
     mean: np.ndarray
@@ -101,6 +122,14 @@ def random_orders(n_epochs, n_trials, rng):
     Returns
     -------
     `~numpy.ndarray` of int, shape (n_trials, n_epochs)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import random_orders
+    >>> orders = random_orders(4, 3, np.random.default_rng(1))
+    >>> orders.shape, sorted(orders[0].tolist())
+    ((3, 4), [0, 1, 2, 3])
     """
     return rng.permuted(np.tile(np.arange(n_epochs), (n_trials, 1)), axis=1)
 
@@ -147,6 +176,27 @@ def shuffle_epochs(
     ------
     ValueError
         If ``n_trials`` is below 2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import PairMaps, shuffle_epochs
+    >>> from astro_scc.stacking import VelocityGrid, stack
+    >>> rng = np.random.default_rng(1)
+    >>> years, n, one = np.array([0.0, 1.0, 2.0]), 40, np.ones(40)
+    >>> first = np.repeat([0, 1], 20)
+    >>> d = Displacements(
+    ...     d1=3 + rng.normal(0, 0.2, n), d2=rng.normal(0, 0.2, n), s1=0.3 * one,
+    ...     s2=0.3 * one, weight=0.8 * one, reference=first, target=first + 1,
+    ...     ssp=np.arange(n), target_ssp=np.full(n, -1), n_ssps=np.full(3, 20))
+    >>> pairs = consecutive_pairs(years)
+    >>> grid = VelocityGrid.covering(6.0, 0.2)
+    >>> scc = stack(d, pairs, grid)
+    >>> maps = PairMaps.of(d, grid.v_max, 1.0)
+    >>> shuffled = shuffle_epochs(maps, pairs, grid, scc, 20, rng=rng)
+    >>> shuffled.mean.shape == grid.shape, shuffled.maxima.shape
+    (True, (20,))
     """
     if n_trials < 2:
         raise ValueError(f"shuffling needs at least 2 trials, got {n_trials}")

@@ -58,6 +58,28 @@ class Finding:
         The matches that earlier findings had left to be explained.
     group : `~numpy.ndarray` of int, shape (len(displacements),)
         The witness of each match that was left, -1 if it has none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import find_velocities
+    >>> rng = np.random.default_rng(1)
+    >>> years = np.arange(6.0)
+    >>> epoch, feature = (k.ravel() for k in np.indices((5, 20)))
+    >>> v = rng.uniform(-6, 6, (20, 2))[feature]
+    >>> v[feature < 12] = 3.0, 0.0
+    >>> start = rng.uniform(0, 90, (20, 2))[feature]
+    >>> moved, one = v + rng.normal(0, 0.1, v.shape), np.ones(100)
+    >>> d = Displacements(
+    ...     d1=moved[:, 0], d2=moved[:, 1], s1=0.3 * one, s2=0.3 * one, weight=one,
+    ...     reference=epoch, target=epoch + 1, ssp=20 * epoch + feature,
+    ...     target_ssp=20 * epoch + 20 + feature, n_ssps=np.full(6, 20),
+    ...     position=start + v * epoch[:, None], motion=moved)
+    >>> pairs = consecutive_pairs(years)
+    >>> found = find_velocities(d, pairs, years, (9.0, 9.0), n_trials=99, rng=rng)[0]
+    >>> found.kind, round(found.v1), sorted(found.tests)
+    ('moving', 3, ['scramble', 'shuffle'])
     """
 
     v1: float
@@ -132,6 +154,28 @@ def find_velocities(
     list of `Finding`
         In the order they were found.  The last one may be uncertain, and
         so may others be before it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Displacements, consecutive_pairs
+    >>> from astro_scc.stacking import find_velocities
+    >>> rng = np.random.default_rng(1)
+    >>> years = np.arange(6.0)
+    >>> epoch, feature = (k.ravel() for k in np.indices((5, 20)))
+    >>> v = rng.uniform(-6, 6, (20, 2))[feature]
+    >>> v[feature < 12] = 3.0, 0.0
+    >>> start = rng.uniform(0, 90, (20, 2))[feature]
+    >>> moved, one = v + rng.normal(0, 0.1, v.shape), np.ones(100)
+    >>> d = Displacements(
+    ...     d1=moved[:, 0], d2=moved[:, 1], s1=0.3 * one, s2=0.3 * one, weight=one,
+    ...     reference=epoch, target=epoch + 1, ssp=20 * epoch + feature,
+    ...     target_ssp=20 * epoch + 20 + feature, n_ssps=np.full(6, 20),
+    ...     position=start + v * epoch[:, None], motion=moved)
+    >>> pairs = consecutive_pairs(years)
+    >>> findings = find_velocities(d, pairs, years, (9.0, 9.0), n_trials=99, rng=rng)
+    >>> findings[0].kind, round(findings[0].v1), findings[0].p_global
+    ('moving', 3, 0.01)
     """
     limits = _widened(displacements, v_max, pairs)
     everything = Sightings.of(displacements, pairs, years, limits)
