@@ -9,6 +9,7 @@ from pathlib import Path
 import astropy.units as u
 import pytest
 
+from astro_scc.cli import main
 from astro_scc.cli.program import COMMANDS, build_parser
 from astro_scc.config import read_config
 from astro_scc.epochs import Beam, write_epochs
@@ -88,6 +89,18 @@ def test_every_script_of_the_documentation_is_there(page):
         assert source.is_file(), script
         for option in re.findall(r"--[a-z-]+", options):
             assert f'"{option}"' in source.read_text(encoding="utf-8"), option
+
+
+def test_the_first_page_shows_what_its_commands_print(tmp_path, monkeypatch, capsys):
+    page = REPOSITORY / "docs" / "start.rst"
+    monkeypatch.chdir(tmp_path)
+    for name in ("simulate", "measure"):
+        (words,) = (w for w in commands(unfolded(page)) if w.startswith(name))
+        argv = shlex.split(words.partition("`")[0])
+        assert main([*argv, "--no-report"][: len(argv) + (name == "measure")]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    for line in blocks(page, "text")[0].strip().splitlines():
+        assert line.strip() in [other.strip() for other in printed]
 
 
 def blocks(page, language):

@@ -1,0 +1,132 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Every public name is documented with an example; every room has its page."""
+
+import csv
+import inspect
+import re
+import runpy
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import astro_scc
+
+REPOSITORY = Path(__file__).parents[1]
+DOCS = REPOSITORY / "docs"
+ROOMS = sorted({*astro_scc._FOLDERS, "epochs.interchange", "report", "scc"})
+#: Rooms, and pages, about nouns of the method: what they compute is an equation.
+NOUNS = {
+    "correlation", "decomposition", "epochs", "kinematics", "measurement", "recovery",
+    "significance", "simulation", "stacking", "tracking",
+}  # fmt: skip
+
+
+def public_names():
+    """Every class and function that a room exports, under its first name."""
+    seen = set()
+    for room in ROOMS:
+        module = import_module(f"astro_scc.{room}")
+        for name in module.__all__:
+            thing = getattr(module, name)
+            if callable(thing) and id(thing) not in seen:
+                seen.add(id(thing))
+                yield f"{room}.{name}", thing
+
+
+PUBLIC = dict(public_names())
+
+
+def with_methods():
+    """The same, with the public methods of the classes."""
+    for name, thing in PUBLIC.items():
+        yield f"astro_scc.{name}"
+        if inspect.isclass(thing):
+            for method, value in vars(thing).items():
+                plain = getattr(value, "__func__", value)
+                if not method.startswith("_") and inspect.isfunction(plain):
+                    yield f"astro_scc.{name}.{method}"
+
+
+def test_names_are_found():
+    assert len(PUBLIC) > 200
+    assert {"epochs.EpochCube", "scc.StackedCrossCorrelation"} <= set(PUBLIC)
+
+
+def test_every_public_name_has_an_example():
+    # They run as doctests of the package.
+    missing = [
+        name for name, thing in PUBLIC.items() if ">>> " not in (thing.__doc__ or "")
+    ]
+    assert missing == []
+
+
+def test_every_docstring_is_complete():
+    validate = pytest.importorskip(
+        "numpydoc.validate", reason="numpydoc is among the tools of the documentation"
+    )
+    conf = runpy.run_path(str(DOCS / "conf.py"))
+    checks = conf["numpydoc_validation_checks"]
+    fields = re.compile(conf["numpydoc_validation_overrides"]["PR01"][0])
+    problems = []
+    for name in with_methods():
+        found = validate.validate(name)
+        problems += [
+            f"{name}: {code} {text}"
+            for code, text in found["errors"]
+            if code in checks
+            and not (code == "PR01" and fields.search(found["docstring"]))
+        ]
+    assert problems == []
+
+
+def page(name):
+    return (DOCS / f"{name}.rst").read_text(encoding="utf-8")
+
+
+PAGES = sorted(path.stem for path in DOCS.glob("*.rst"))
+
+
+def test_every_room_is_on_one_page():
+    text = "\n".join(page(name) for name in PAGES)
+    listed = re.findall(r"^\.\. automodapi:: astro_scc\.([\w.]+)$", text, re.MULTILINE)
+    assert sorted(listed) == ROOMS
+
+
+def test_every_page_is_in_the_table_of_contents():
+    entries = re.findall(r"^   (\w+)$", page("index"), re.MULTILINE)
+    assert sorted([*entries, "index"]) == PAGES
+
+
+@pytest.mark.parametrize("name", sorted(NOUNS))
+def test_pages_of_nouns_have_equations_sources_and_a_figure(name):
+    text = page(name)
+    assert ".. math::" in text
+    assert re.search(r"\((?:[^()]|\n)*\b(19|20)\d\d\b", text), "no source"
+    assert re.search(r"^\.\. (plot|figure|image)::", text, re.MULTILINE)
+
+
+def calibrated(name):
+    path = REPOSITORY / "benchmarks" / "calibration" / "results" / f"{name}_table.csv"
+    with open(path, encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def share(text):
+    return float(text.split()[0])
+
+
+def test_what_is_said_of_trust_is_what_the_calibration_found():
+    """The page on trust has words in place of numbers; these are the numbers."""
+    text = " ".join(page("trust").split())
+    alarms = [r for r in calibrated("false_alarms") if r["level"] == "0.05"]
+    assert "at most one in twenty" in text
+    assert max(share(row["share"]) for row in alarms) <= 0.05
+    power = {row["jets"]: row for row in calibrated("power")}
+    assert "nine of ten fast streams" in text
+    assert share(power["two-fluid"]["fast"]) == pytest.approx(0.9, abs=0.05)
+    assert "with five epochs about one of four" in text
+    assert share(power["epochs-5"]["fast"]) == pytest.approx(0.25, abs=0.08)
+    assert "about seven of ten streams" in text
+    for row in calibrated("errors"):
+        assert share(row["coverage"]) == pytest.approx(0.7, abs=0.06), row
