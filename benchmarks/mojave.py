@@ -10,6 +10,7 @@ that MOJAVE's features follow::
 """
 
 import argparse
+import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,6 +64,37 @@ class Source:
             1 * PM_UNIT, redshift=self.redshift, cosmology=paper_cosmology()
         )
         return float(speed)
+
+
+@dataclass(frozen=True)
+class Point:
+    """The largest maximum of one ring and group of scales."""
+
+    ring: tuple
+    group: tuple
+    speed: float
+    error: float
+    kind: str
+
+    @property
+    def middle(self):
+        """Distance of the middle of the ring."""
+        return sum(self.ring) / 2
+
+    @property
+    def half_width(self):
+        """Of the ring."""
+        return (self.ring[1] - self.ring[0]) / 2
+
+    @property
+    def top(self):
+        """Where the bar of the error ends."""
+        return self.speed + np.nan_to_num(self.error)
+
+    @property
+    def found(self):
+        """Whether it is a component that is more than chance."""
+        return self.kind in ("moving", "stationary")
 
 
 SOURCES = (
@@ -124,19 +156,41 @@ def main():
     parser.add_argument("folder", type=Path, help="of the tables of features")
     parser.add_argument("--n-trials", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--redraw", action="store_true", help="draw the table of an earlier run only"
+    )
     args = parser.parse_args()
     rows, costs, panels = [], [], []
     for source in SOURCES:
         motions = feature_motions(
             args.folder, source.table, source.position_angle, before=BEFORE
         )
+        if args.redraw:
+            panels.append((source, earlier_points(source), motions))
+            continue
         more, cost, points = measure(source, motions, args)
         rows += more
         costs.append(cost)
         panels.append((source, points, motions))
-    write_table("mojave", HEADER, rows)
-    write_table("mojave_cost", COST_HEADER, costs)
+    if not args.redraw:
+        write_table("mojave", HEADER, rows)
+        write_table("mojave_cost", COST_HEADER, costs)
     draw(panels)
+
+
+def earlier_points(source):
+    """The points of a source in the table that was written last."""
+    with open(RESULTS / "mojave.csv", newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["jet"] == source.name]
+    points = []
+    for row in rows:
+        ring = tuple(float(limit) for limit in row["distance (mas)"].split(" to "))
+        group = tuple(int(scale) for scale in row["scales"].split(", "))
+        speed, _, error = row["speed (mas/yr)"].partition(" ± ")
+        points.append(
+            Point(ring, group, float(speed), float(error or "nan"), row["kind"])
+        )
+    return points
 
 
 def images(source, folder, seed):
@@ -184,7 +238,7 @@ def measure(source, motions, args):
         for group in source.groups:
             chosen = part(matched, r_min=ring[0], r_max=ring[1], scales=group)
             result = scc.stack(chosen, n_trials=args.n_trials, rng=args.seed)
-            found, (speed, error) = cells(result, source.per_c)
+            found, speed, error, kind = cells(result, source.per_c)
             prototype = source.prototype.get((ring[0], group))
             rows.append(
                 [
@@ -198,7 +252,7 @@ def measure(source, motions, args):
                     source.paper.get((ring[0], group), ""),
                 ]
             )
-            points.append((ring, group, speed, error))
+            points.append(Point(ring, group, speed, error, kind))
     return rows, cost, points
 
 
@@ -219,7 +273,7 @@ def strongest(result):
 
 
 def cells(result, per_c):
-    """The largest maximum of a stack, and the other components."""
+    """The cells of the largest maximum of a stack, its speed, error and kind."""
     top, number = strongest(result)
     table = result.components
     others = [
@@ -233,15 +287,20 @@ def cells(result, per_c):
         error = plain(row["pm_parallel_err"], PM_UNIT)
         jitter = f"{plain(row['pm_err_jitter'], PM_UNIT):.2f}"
         p, kind = plain(row["p_global"]), str(row["kind"])
-    return [
-        measured(top.v1, error),
-        jitter,
-        measured(per_c * top.v1, per_c * error, 1),
-        f"{result.z_score[top.row, top.column]:.1f}",
-        p_text(p),
+    return (
+        [
+            measured(top.v1, error),
+            jitter,
+            measured(per_c * top.v1, per_c * error, 1),
+            f"{result.z_score[top.row, top.column]:.1f}",
+            p_text(p),
+            kind,
+            ", ".join(others),
+        ],
+        top.v1,
+        error,
         kind,
-        ", ".join(others),
-    ], (top.v1, error)
+    )
 
 
 def quartiles_text(motions, r_min, r_max):
@@ -265,20 +324,13 @@ def draw(panels):
         for group, color, shift in zip(
             source.groups, ("#0072B2", "#D55E00"), (-0.1, 0.1), strict=False
         ):
-            own = [point for point in points if point[1] == group]
-            middle = np.array([sum(ring) / 2 for ring, *_ in own])
-            ax.errorbar(
-                middle + (shift if len(source.groups) > 1 else 0),
-                [speed for *_, speed, _ in own],
-                np.nan_to_num([error for *_, error in own]),
-                [(ring[1] - ring[0]) / 2 for ring, *_ in own],
-                fmt="s", ms=5, color=color, zorder=3,
-                label=f"scales {', '.join(map(str, group))}",
-            )  # fmt: skip
+            shift *= len(source.groups) > 1
+            own = [point for point in points if point.group == group]
+            draw_points(ax, own, color, shift)
         ax.set(
             title=source.name,
             xlim=(0, source.rings[-1][1] + 0.5),
-            ylim=(0, 1.6 * max((speed for *_, speed, _ in points), default=1)),
+            ylim=(0, 1.35 * max((point.top for point in points), default=1)),
             xlabel="Distance from the core (mas)",
             ylabel="Speed along the jet (mas/yr)",
         )
@@ -286,8 +338,26 @@ def draw(panels):
             "right", functions=(lambda v, k=source.per_c: k * v,
                                 lambda v, k=source.per_c: v / k)
         ).set_ylabel("Apparent speed (c)")  # fmt: skip
-        ax.legend(loc="upper left", fontsize="small", ncols=3)
+        ax.legend(loc="upper left", fontsize="small", ncols=2)
     figure.savefig(RESULTS / "mojave.png", dpi=110)
+
+
+def draw_points(ax, points, color, shift):
+    """Filled what is found, open what may be chance."""
+    scales = ", ".join(map(str, points[0].group))
+    for found, face, label in (
+        (True, color, f"scales {scales}"),
+        (False, "white", f"scales {scales}, may be chance or not tested"),
+    ):
+        own = [point for point in points if point.found == found]
+        if own:
+            ax.errorbar(
+                [point.middle + shift for point in own],
+                [point.speed for point in own],
+                np.nan_to_num([point.error for point in own]),
+                [point.half_width for point in own],
+                fmt="s", ms=5, color=color, mfc=face, zorder=3, label=label,
+            )  # fmt: skip
 
 
 if __name__ == "__main__":
