@@ -18,6 +18,7 @@ from regions import Regions
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import main
 from astro_scc.cli.measure import PRODUCTS
+from astro_scc.cli.program import build_parser
 from astro_scc.cli.reporter import Reporter
 from astro_scc.cli.summary import component_lines, with_error
 from astro_scc.epochs import Beam
@@ -87,7 +88,7 @@ def test_help_imports_nothing_that_takes_time():
         "heavy = {'numpy', 'scipy', 'astropy', 'matplotlib', 'photutils', 'tqdm'}\n"
         "assert heavy.isdisjoint(sys.modules), heavy & set(sys.modules)"
     )
-    for words in ([], *([name] for name in ("demo", "measure", "restore", "inspect"))):
+    for words in ([], ["demo"], ["measure"], ["inspect"], ["track"], ["survey"]):
         done = subprocess.run(
             [sys.executable, "-c", code, *words, "--help"],
             capture_output=True,
@@ -95,6 +96,22 @@ def test_help_imports_nothing_that_takes_time():
             check=True,
         )
         assert done.stdout.startswith("usage: astro-scc")
+
+
+def test_an_option_of_several_commands_is_explained_alike():
+    parser = build_parser()
+    (commands,) = (a for a in parser._actions if hasattr(a, "choices") and a.choices)
+    # What differs by what a command makes or takes.
+    own = {"--output", "--votable", "--region", "--position-angle", "--kappa",
+           "--n-trials", "--seed", "--epochs"}  # fmt: skip
+    said = {}
+    for command in commands.choices.values():
+        for action in command._actions:
+            for option in set(action.option_strings) - own:
+                if option.startswith("--"):
+                    said.setdefault(option, set()).add((action.metavar, action.help))
+    assert {option for option, texts in said.items() if len(texts) > 1} == set()
+    assert len(said) > 25
 
 
 @pytest.mark.parametrize(

@@ -138,8 +138,6 @@ def run(args, reporter):
     from astro_scc.measurement import product_folder
 
     config = settings_of(args, reporter)
-    if not config.get("epochs"):
-        raise ValueError("no epochs were given; name the FITS files, or a --config")
     n_workers = workers_of(args)
     overwrite, work = args.overwrite, None
     if args.resume:

@@ -83,8 +83,6 @@ def run(args, reporter):
     from astro_scc.profiles import bins_of
 
     config = settings_of(args, reporter)
-    if not config.get("epochs"):
-        raise ValueError("no epochs were given; name the FITS files, or a --config")
     if "bins" not in config:
         raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
     n_workers = workers_of(args)

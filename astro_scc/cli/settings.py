@@ -81,7 +81,7 @@ def settings_of(args, reporter):
     Raises
     ------
     ValueError
-        If one makes no sense, or some do not go together.
+        If one makes no sense, some do not go together, or there are no epochs.
     """
     from astro_scc.config import read_config
     from astro_scc.config.measuring import PAPER_COSMOLOGY, settings_over
@@ -100,6 +100,8 @@ def settings_of(args, reporter):
         raise ValueError("--cosmology needs a --redshift")
     if "redshift" in config:
         config.setdefault("cosmology", PAPER_COSMOLOGY)
+    if not config.get("epochs"):
+        raise ValueError("no epochs were given; name the FITS files, or a --config")
     return config
 
 

@@ -132,8 +132,6 @@ def run(args, reporter):
     from astro_scc.measurement import product_folder
 
     config = settings_of(args, reporter)
-    if not config.get("epochs"):
-        raise ValueError("no epochs were given; name the FITS files, or a --config")
     n_workers = workers_of(args)
     tracker = _tracker(args, config)
     half_width = _quantity(args, "half_width", "mas")
