@@ -68,6 +68,11 @@ def plot_profile(
     -------
     `matplotlib.figure.Figure`
 
+    Raises
+    ------
+    ValueError
+        If ``beta_per_pm`` is not positive.
+
     Examples
     --------
     >>> import astropy.units as u

@@ -60,7 +60,7 @@ def plot_significance(
     Raises
     ------
     ValueError
-        If the unit is no proper motion.
+        If the unit is no proper motion, or ``beta_per_pm`` is not positive.
 
     Examples
     --------
@@ -123,7 +123,7 @@ def plot_map_and_significance(
     Raises
     ------
     ValueError
-        If the unit is no proper motion.
+        If the unit is no proper motion, or ``beta_per_pm`` is not positive.
 
     Examples
     --------

@@ -237,7 +237,7 @@ def plot_track_profile(profile, *, stack=None, beta_per_pm=None, ax=None):
     Raises
     ------
     ValueError
-        If ``stack`` lacks a column.
+        If ``stack`` lacks a column, or ``beta_per_pm`` is not positive.
 
     Examples
     --------

@@ -91,7 +91,8 @@ def plot_velocity_map(
     Raises
     ------
     ValueError
-        If the map is unknown, or the unit no proper motion.
+        If the map is unknown, the unit no proper motion, or ``beta_per_pm``
+        not positive.
 
     Examples
     --------

@@ -69,9 +69,15 @@ def test_the_profile_of_the_stack_lies_over_that_of_tracks(tracking):
          "pm_parallel_err": [0.5, 0.5] * PM}
     )  # fmt: skip
     figure = plot_track_profile(profile, stack=stack, beta_per_pm=2.0)
+    figure.draw_without_rendering()
+    (second,) = figure.axes[0].child_axes
+    assert second.get_ylabel() == "Apparent speed (c)"
+    limits = np.multiply(figure.axes[0].get_ylim(), 2.0)
+    np.testing.assert_allclose(second.get_ylim(), limits)
+    with pytest.raises(ValueError, match="beta_per_pm must be positive, got 0"):
+        plot_track_profile(profile, beta_per_pm=0)
     labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     assert labels == ["tracks", "stack"]
-    figure.draw_without_rendering()
     stack["r_min"], stack["r_max"] = [2, 4] * u.mas, [4, 6] * u.mas
     plot_track_profile(profile, stack=stack).draw_without_rendering()
     del stack["r_mid"]
