@@ -38,6 +38,11 @@ def fuzz():
     return load_tool("fuzz")
 
 
+@pytest.fixture(scope="session")
+def interrupts():
+    return load_tool("interrupts")
+
+
 @pytest.fixture
 def epochs(inputs, tmp_path):
     """Five images of the small jet."""

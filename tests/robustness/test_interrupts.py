@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Measurements that are stopped at any moment."""
+"""Measurements that are stopped at any moment, see ``tools/interrupts.py``."""
 
 import os
 import random
@@ -20,7 +20,11 @@ TABLES = PRODUCTS[:4]
 
 
 def start(argv, log):
-    """A process of its own that runs the command, and its number."""
+    """
+    A process of its own that runs the command, and its number.
+
+    It has all that is imported here, and so is quicker than a new one.
+    """
     with warnings.catch_warnings():
         # Of threads, which the libraries of arrays may have.
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -128,3 +132,82 @@ def test_a_kill_while_products_are_moved(usual, tmp_path, monkeypatch, moment):
 
 def contents_of_files(folder):
     return {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
+
+
+# -- with what is kept ----------------------------------------------------------------
+
+
+def check_trials(interrupts, words, folder, *, number, seed):
+    found = []
+    options = {"number": number, "seed": seed, "launch": start}
+    for trial, seconds in interrupts.trials(words, folder, **options):
+        assert trial.good, trial
+        assert 0 < trial.after < seconds
+        assert trial.status in (0, 130, 70, -trial.how)
+        assert trial.again == 0
+        assert "Traceback" not in trial.said
+        found.append(trial.how)
+    assert found == [signal.SIGINT, signal.SIGKILL] * number
+
+
+def resumed(inputs, epochs):
+    return ["measure", *map(str, epochs), *inputs.QUICK, "--no-report", "--resume"]
+
+
+def surveyed(epochs, folder, names=("One",)):
+    text = '[defaults]\nscales = [1, 2]\nmax_speed = "5 mas/yr"\nn_trials = 2\n'
+    for name in names:
+        text += f'[sources.{name}]\nepochs = "{epochs[0].parent}/*.fits"\n'
+    (folder / "s.toml").write_text(text)
+    return ["survey", str(folder / "s.toml"), "--no-report"]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_is_kept_gives_the_same(interrupts, inputs, epochs, tmp_path, seed):
+    words = resumed(inputs, epochs)
+    check_trials(interrupts, words, tmp_path / "runs", number=1, seed=seed)
+
+
+def test_a_survey_that_is_stopped_gives_the_same(interrupts, epochs, tmp_path):
+    words = surveyed(epochs, tmp_path)
+    check_trials(interrupts, words, tmp_path / "runs", number=1, seed=5)
+
+
+@pytest.mark.slow
+def test_ten_moments_of_runs_that_go_on(interrupts, inputs, epochs, tmp_path):
+    words = resumed(inputs, epochs)
+    check_trials(interrupts, words, tmp_path / "measure", number=5, seed=6)
+    words = surveyed(epochs, tmp_path, ("One", "Two"))
+    check_trials(interrupts, words, tmp_path / "survey", number=5, seed=7)
+
+
+def test_what_a_stopped_run_has_left_is_seen(interrupts, tmp_path):
+    out = tmp_path / "out"
+    assert interrupts.what_is_left(out) == "nothing"
+    work = out / ".astro_scc-work"
+    (work / "matches.fits.blocks").mkdir(parents=True)
+    (work / "matches.fits.blocks" / "0-1.npz").write_text("")
+    (tmp_path / ".out.partial-1").mkdir()
+    assert interrupts.what_is_left(out) == "a hidden folder, some of the matches"
+    (work / "matches.fits").write_text("")
+    (out / "components.ecsv").write_text("a")
+    assert interrupts.what_is_left(out) == (
+        "a hidden folder, some of the matches, all matches, 1 tables and maps"
+    )
+    assert interrupts.tables(out) == {"components.ecsv": b"a"}
+
+
+def test_a_kill_leaves_a_folder_that_the_next_run_takes_away(usual, tmp_path):
+    argv, expected, _ = usual
+    out, log = tmp_path / "here" / "out", tmp_path / "log"
+    out.parent.mkdir()
+    child = start([*argv, str(out)], log)
+    limit = time.monotonic() + 30
+    while not list(out.parent.iterdir()) and time.monotonic() < limit:
+        time.sleep(0.001)
+    assert stop(child, 0, signal.SIGKILL) == -signal.SIGKILL
+    (left,) = out.parent.iterdir()
+    assert left.name.startswith(".out.partial-")
+    assert main([*argv, str(out)]) == 0
+    assert [path.name for path in out.parent.iterdir()] == ["out"]
+    assert contents(out) == expected

@@ -1,0 +1,285 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+Stop measurements at random moments, start them again, and compare what they give.
+
+``astro-scc measure --resume`` and ``astro-scc survey`` are each stopped ten times, five
+times by SIGINT and five times by SIGKILL, at moments drawn over the time that an
+undisturbed run takes::
+
+    python tools/interrupts.py --seed 1 --table benchmarks/results/interrupts.csv
+
+prints how each ended, what there was then, and whether the tables and maps of the
+second run are those of the undisturbed one to the bit.
+"""
+
+import argparse
+import csv
+import os
+import random
+import signal
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from astropy.io import fits
+
+SIGNALS = (signal.SIGINT, signal.SIGKILL)
+#: The rest of a run: settings, states and what is kept for the next one.
+TABLES = (".ecsv", ".fits")
+WORK = ".astro_scc-work"
+
+
+def launch(words, log):
+    """
+    Start the command line as a process of its own.
+
+    Parameters
+    ----------
+    words : list of str
+        Of the command line.
+    log : path
+        For what it says.
+
+    Returns
+    -------
+    int
+        Number of the process.
+    """
+    argv = [sys.executable, "-m", "astro_scc.cli", *map(str, words)]
+    how = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+    actions = [
+        (os.POSIX_SPAWN_OPEN, 1, str(log), how, 0o644),
+        (os.POSIX_SPAWN_DUP2, 1, 2),
+    ]
+    return os.posix_spawn(sys.executable, argv, os.environ, file_actions=actions)
+
+
+def end_of(process):
+    """Status of a process that ends, below 0 for a signal."""
+    return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+
+
+def tables(folder):
+    """
+    The tables of a run as their bytes, and its maps as those of their pixels.
+
+    Parameters
+    ----------
+    folder : path
+
+    Returns
+    -------
+    dict
+        By path in the folder.
+    """
+    found = {}
+    for path in sorted(Path(folder).rglob("*")):
+        name = path.relative_to(folder)
+        if path.suffix not in TABLES or WORK in name.parts:
+            continue
+        content = path.read_bytes()
+        if path.suffix == ".fits":
+            with fits.open(path) as hdus:
+                content = [np.asarray(hdu.data).tobytes() for hdu in hdus]
+        found[str(name)] = content
+    return found
+
+
+@dataclass(frozen=True)
+class Trial:
+    """
+    A run that was stopped, and the one after it.
+
+    Attributes
+    ----------
+    how : `signal.Signals`
+    after : float
+        Seconds from the start.
+    status : int
+        Of the run that was stopped.
+    left : str
+        What there was then.
+    again : int
+        Status of the second run.
+    seconds : float
+        That it took.
+    same : bool
+        Whether its tables are those of the undisturbed run.
+    rest : tuple of str
+        Hidden folders that are left in the end.
+    said : str
+        By both runs.
+    """
+
+    how: signal.Signals
+    after: float
+    status: int
+    left: str
+    again: int
+    seconds: float
+    same: bool
+    rest: tuple
+    said: str
+
+    @property
+    def good(self):
+        """Whether the second run is as if nothing had been."""
+        return self.again == 0 and self.same and not self.rest
+
+
+def stop_and_go_on(words, folder, expected, *, how, after, launch=launch):
+    """
+    Stop a run, start it again and compare.
+
+    Parameters
+    ----------
+    words : list of str
+        Of the command line, to which the folder of the products is added.
+    folder : path
+        An empty one.
+    expected : dict
+        `tables` of an undisturbed run.
+    how : `signal.Signals`
+    after : float
+        Seconds.
+    launch : callable, optional
+
+    Returns
+    -------
+    `Trial`
+    """
+    out, log = Path(folder) / "out", Path(folder) / "log"
+    words = [*words, "-o", str(out)]
+    process = launch(words, log)
+    time.sleep(after)
+    os.kill(process, how)
+    status = end_of(process)
+    left = what_is_left(out)
+    start = time.monotonic()
+    again = end_of(launch(words, log))
+    seconds = time.monotonic() - start
+    rest = [path.name for path in Path(folder).rglob("*partial-*")]
+    rest += [path.name for path in Path(folder).rglob(".astro_scc-*-*")]
+    said = log.read_text(encoding="utf-8") if log.exists() else ""
+    same = tables(out) == expected
+    return Trial(how, after, status, left, again, seconds, same, tuple(rest), said)
+
+
+def what_is_left(out):
+    """What a run that was stopped has left, in words."""
+    found = []
+    parts = [*out.parent.glob(f".{out.name}.partial-*"), *out.rglob("*partial-*")]
+    if parts:
+        found.append("a hidden folder")
+    if any(path.suffix == ".npz" for path in out.rglob("*")):
+        found.append("some of the matches")
+    if any(WORK in path.parts for path in out.rglob("*.fits")):
+        found.append("all matches")
+    n = len(tables(out))
+    if n:
+        found.append(f"{n} tables and maps")
+    return ", ".join(found) or "nothing"
+
+
+def measurement(folder):
+    """A jet, and the words that measure it."""
+    from astro_scc.simulation import simulate_two_fluid, write_simulation
+
+    write_simulation(simulate_two_fluid(n_epochs=8, rng=1), folder / "jet")
+    paths = [str(path) for path in sorted((folder / "jet").glob("*.fits"))]
+    return ["measure", *paths, "--resume", "--no-report", "--seed", "1", "--n-trials",
+            "300", "--scales", "1,2,3", "--max-speed", "30 mas/yr"]  # fmt: skip
+
+
+def survey(folder):
+    """Three jets, and the words that survey them."""
+    from astro_scc.simulation import simulate_two_fluid
+
+    text = '[defaults]\nscales = [1, 2]\nmax_speed = "30 mas/yr"\nn_trials = 100\n'
+    for k in range(3):
+        simulate_two_fluid(n_epochs=5, rng=k).cube.write(folder / f"jet{k}.fits")
+        text += f'[sources.Jet{k}]\nepochs = "jet{k}.fits"\n'
+    (folder / "survey.toml").write_text(text, encoding="utf-8")
+    return ["survey", str(folder / "survey.toml"), "--no-report"]
+
+
+def trials(words, folder, *, number, seed, launch=launch):
+    """
+    Stop a command at random moments.
+
+    Parameters
+    ----------
+    words : list of str
+    folder : path
+        For the products.
+    number : int
+        Of trials with each signal.
+    seed : int
+    launch : callable, optional
+
+    Yields
+    ------
+    `Trial`, float
+        And the seconds of the undisturbed run.
+    """
+    folder = Path(folder)
+    folder.mkdir()
+    start = time.monotonic()
+    usual = folder / "usual"
+    if end_of(launch([*words, "-o", str(usual)], folder / "log")):
+        raise RuntimeError((folder / "log").read_text(encoding="utf-8"))
+    seconds = time.monotonic() - start
+    expected = tables(usual)
+    rng = random.Random(seed)
+    for k in range(number * len(SIGNALS)):
+        own = folder / str(k)
+        own.mkdir()
+        how = SIGNALS[k % len(SIGNALS)]
+        after = rng.uniform(0, seconds)
+        options = {"how": how, "after": after, "launch": launch}
+        yield stop_and_go_on(words, own, expected, **options), seconds
+
+
+def main():
+    """Print the table and write it."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument("--number", type=int, default=5, help="of each signal")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--table", type=Path, help="write it here")
+    args = parser.parse_args()
+    rows = [
+        ["command", "signal", "after", "status", "there then", "second run", "same"]
+    ]
+    bad = 0
+    with tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        for name, words in (("measure --resume", measurement(folder)),
+                            ("survey", survey(folder))):  # fmt: skip
+            options = {"number": args.number, "seed": args.seed}
+            for trial, usual in trials(words, folder / words[0], **options):
+                bad += not trial.good
+                rows.append(
+                    [
+                        name,
+                        trial.how.name,
+                        f"{trial.after:.1f} of {usual:.1f} s",
+                        trial.status,
+                        trial.left,
+                        f"{trial.seconds:.1f} s",
+                        "yes" if trial.good else f"NO {trial.again} {trial.rest}",
+                    ]
+                )
+                print(*rows[-1], sep="; ", flush=True)
+                if "Traceback" in trial.said:
+                    print(trial.said)
+    if args.table:
+        with args.table.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
+    return bool(bad)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

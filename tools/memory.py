@@ -1,0 +1,190 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+Measure images that are larger than the memory.
+
+A hundred epochs of 4096 x 4096 pixels, of which a part of 400 x 400 is measured, and
+five of 8192 x 8192::
+
+    python tools/memory.py benchmarks/results/memory.csv
+
+The files take 8 GB of a disk in all (``--folder``), and are deleted in the end.  Peaks
+are of the resident memory of the process and of what it starts, files that are mapped
+into it among them.
+"""
+
+import argparse
+import csv
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.io import fits
+from astropy.time import Time
+
+MAS = 1 / 3.6e6
+#: Side of the part that is measured, pixels, and steps of its features an epoch.
+PART, STEP = 400, 1.5
+DAYS = 30.0
+#: Rows of an image that are written at once.
+ROWS = 256
+
+
+def header(size, i):
+    """Of epoch ``i``, with pixels of 0.1 mas."""
+    middle = size // 2
+    cards = {
+        "OBJECT": "J0000+00", "BUNIT": "JY/BEAM", "EPOCH": 2000.0,
+        "CTYPE1": "RA---SIN", "CRVAL1": 10.0, "CRPIX1": middle, "CDELT1": -0.1 * MAS,
+        "CTYPE2": "DEC--SIN", "CRVAL2": 0.0, "CRPIX2": middle, "CDELT2": 0.1 * MAS,
+        "BMAJ": 0.5 * MAS, "BMIN": 0.5 * MAS, "BPA": 0.0,
+        "DATE-OBS": (Time("2001-01-01") + i * DAYS * u.day).isot,
+    }  # fmt: skip
+    shape = {"SIMPLE": True, "BITPIX": -32, "NAXIS": 2, "NAXIS1": size, "NAXIS2": size}
+    return fits.Header({**shape, **cards})
+
+
+def part_of(size, i, n):
+    """The part: features that all move to the west, and noise."""
+    y, x = np.mgrid[:PART, :PART]
+    rng = np.random.default_rng([size, i])
+    data = rng.normal(0, 1e-3, (PART, PART))
+    places = np.random.default_rng(size).uniform(0, 1, (12, 2))
+    reach = STEP * n
+    for across, along in places:
+        row = 40 + (PART - 80) * across
+        column = 40 + (PART - 80 - reach) * along + STEP * i
+        data += np.exp(-((y - row) ** 2 + (x - column) ** 2) / 2 / 2.1**2)
+    return data
+
+
+def write(folder, size, n):
+    """Write the epochs, one patch of noise all over each; their paths and a region."""
+    patch = np.random.default_rng(0).normal(0, 1e-3, (ROWS, size)).astype(">f4")
+    first = (size - PART) // 2
+    paths = []
+    for i in range(n):
+        part = part_of(size, i, n).astype(">f4")
+        paths.append(folder / f"e{i:03d}.fits")
+        with paths[-1].open("wb") as file:
+            text = header(size, i).tostring(endcard=True)
+            file.write(text.encode("ascii"))
+            for top in range(0, size, ROWS):
+                rows = np.roll(patch, 17 * (top + i), axis=1)
+                low, high = max(top, first), min(top + ROWS, first + PART)
+                if low < high:
+                    rows[low - top : high - top, first : first + PART] = part[
+                        low - first : high - first
+                    ]
+                file.write(rows.tobytes())
+            file.write(b"\0" * (-file.tell() % 2880))
+    region = folder / "part.reg"
+    middle = first + PART / 2 + 0.5
+    region.write_text(f"image\nbox({middle},{middle},{PART},{PART},0)\n")
+    return paths, region
+
+
+def watch(words):
+    """
+    Run a command and look at its memory.
+
+    Returns
+    -------
+    peak : float
+        Largest resident memory of the process and all below it, GB.
+    seconds : float
+    """
+    start = time.monotonic()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "astro_scc.cli", *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    peaks = [0]
+
+    def look():
+        while process.poll() is None:
+            peaks.append(_resident(process.pid))
+            time.sleep(0.02)
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    said, _ = process.communicate()
+    thread.join()
+    if process.returncode:
+        raise RuntimeError(f"{words[0]} ended with {process.returncode}: {said}")
+    return max(peaks) / 1e9, time.monotonic() - start
+
+
+def _resident(pid):
+    """Bytes of a process and all that it started, shared ones once in each."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+        tasks = Path(f"/proc/{pid}/task").glob("*/children")
+        below = [int(text) for path in tasks for text in path.read_text().split()]
+    except (OSError, IndexError):
+        return 0
+    return 4096 * pages + sum(map(_resident, below))
+
+
+def measured(folder):
+    """East and north of the strongest component, mas/yr."""
+    from astropy.table import QTable
+
+    table = QTable.read(folder / "components.ecsv")
+    return tuple(float(table[k][0].value) for k in ("pm_ra_cosdec", "pm_dec"))
+
+
+def main():
+    """Print the table and write it."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument("table", type=Path, nargs="?")
+    parser.add_argument("--folder", type=Path, help="for the files; default temporary")
+    parser.add_argument("--series", default="100x4096,5x8192", help="epochs x pixels")
+    parser.add_argument("--n-trials", default="100")
+    args = parser.parse_args()
+    rows = [
+        ["epochs", "size", "files (GB)", "as a cube (GB)", "command", "time (s)",
+         "peak memory (GB)", "east, north (mas/yr)", "true"]
+    ]  # fmt: skip
+    true = -0.1 * STEP / DAYS * 365.25
+    for words in args.series.split(","):
+        n, size = map(int, words.split("x"))
+        folder = Path(tempfile.mkdtemp(dir=args.folder))
+        try:
+            paths, region = write(folder, size, n)
+            out = folder / "out"
+            measure = ["measure", *paths, "-o", out, "--crop", region, "--no-report",
+                       "--scales", "1,2,3", "--max-speed", "4 mas/yr", "--seed", "1",
+                       "--n-trials", args.n_trials]  # fmt: skip
+            peak, seconds = watch(measure)
+            east, north = measured(out)
+            facts = [
+                f"{size} x {size}",
+                f"{n * paths[0].stat().st_size / 1e9:.2g}",
+                f"{n * size**2 * 9 / 1e9:.2g}",
+            ]
+            answer = [f"{east:.2f}, {north:.2f}", f"{true:.2f}, 0.00"]
+            cost = [f"{seconds:.0f}", f"{peak:.2f}"]
+            rows.append([n, *facts, "measure --crop", *cost, *answer])
+            print(*rows[-1], sep="; ", flush=True)
+            peak, seconds = watch(["inspect", paths[0]])
+            cost = [f"{seconds:.0f}", f"{peak:.2f}"]
+            rows.append([1, facts[0], "", "", "inspect", *cost, "", ""])
+            print(*rows[-1], sep="; ", flush=True)
+        finally:
+            shutil.rmtree(folder)
+    if args.table:
+        with args.table.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
