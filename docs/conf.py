@@ -65,7 +65,12 @@ numpydoc_validation_overrides = {"PR01": [r"Attributes\n *-{10}\n"]}
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"astro_scc {version}"
+html_static_path = ["_static"]
+html_css_files = ["astro_scc.css"]
+# All pages are in the sidebar, so none are in the header.
+html_sidebars = {"**": ["globaltoc.html"], "index": []}
 html_theme_options = {
+    "navbar_center": [],
     "show_prev_next": False,
     "navigation_with_keys": False,
     "show_toc_level": 2,
