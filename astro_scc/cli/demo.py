@@ -48,7 +48,7 @@ def run(args, reporter):
     output = Path(args.output)
     jet = simulated("two-fluid", seed=SEED)
     with product_folder(
-        output, overwrite=args.overwrite, stale=measure.PRODUCTS
+        output, overwrite=args.overwrite, stale=measure.STALE
     ) as folder:
         *files, _ = write_simulation(jet, folder / "epochs")
         _write_region(folder / "region.reg", jet.cube.shape[1:])

@@ -43,7 +43,6 @@ REMARKS = (
     "What determined this measurement.  To do it again, in the folder it was done in,",
     "with the path of this file: astro-scc measure --config FILE -o FOLDER",
 )
-# What an earlier measurement left that must not stand beside a new one.
 PRODUCTS = (
     "components.ecsv",
     "ssps.ecsv",
@@ -55,10 +54,9 @@ PRODUCTS = (
     "members.png",
     "epochs.png",
     "intervals.png",
-    "components.vot",
-    "ssps.vot",
-    "ssp_regions",
 )
+#: What an earlier measurement left that must not stand beside a new one.
+STALE = (*PRODUCTS, "components.vot", "ssps.vot", "ssp_regions")
 
 
 def add_parser(commands):
@@ -149,7 +147,7 @@ def run(args, reporter):
     with (
         working_folder(work, args.output, overwrite=overwrite),
         product_folder(
-            args.output, overwrite=overwrite or bool(work), stale=PRODUCTS
+            args.output, overwrite=overwrite or bool(work), stale=STALE
         ) as folder,
     ):
         cube, config, left_out = read_epochs(config, note=reporter.note)

@@ -32,9 +32,7 @@ def one_line(error):
     if isinstance(error, OSError) and error.strerror and error.filename is not None:
         text = f"{error.filename}: {error.strerror}"
     elif isinstance(error, MemoryError):
-        text = (
-            f"not enough memory; --crop reads a part of the images ({text})"
-        )
+        text = f"not enough memory; --crop reads a part of the images ({text})"
     return " ".join(text.split()) or type(error).__name__
 
 
