@@ -23,6 +23,8 @@ EARLY = {
 @pytest.fixture(autouse=True)
 def _folder_of_the_examples(monkeypatch):
     """Import as from a script of that folder, and leave nothing behind."""
+    # Another folder of scripts has a module of this name.
+    monkeypatch.delitem(sys.modules, "common", raising=False)
     monkeypatch.syspath_prepend(FOLDER)
     yield
     for name in (*NAMES, "common"):
