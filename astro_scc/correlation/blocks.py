@@ -11,6 +11,11 @@ from astro_scc.correlation.zncc import Template
 
 __all__ = ["PairBlock", "Patterns", "Targets", "match_block"]
 
+#: Of the columns of matches.
+KINDS = (np.int32, np.int16, *(np.float32,) * 5)
+#: With fewer pixels than these, two of them, anything matches anything.
+FEWEST_PIXELS = 3
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Patterns:
@@ -308,21 +313,21 @@ def match_block(block):
     return tuple(column[order] for column in joined)
 
 
-KINDS = (np.int32, np.int16, *(np.float32,) * 5)
-
-
 def _match_level(block, patterns, level, wanted):
     # One more ring makes maxima at the largest displacement genuine.
     ring = tuple(r + 1 for r in block.reach)
-    corners = patterns.bbox[:, :2] - ring
     canvas = Canvas(block.targets, level, *window_bounds(patterns.bbox, ring))
     columns = []
-    for i, corner in enumerate(corners):
+    for i, box in enumerate(patterns.bbox):
         use = wanted.get(int(patterns.epoch[i]))
-        template = patterns.template(i, ring)
-        if use is None or template.energy == 0:
+        middle, reach = canvas.displacements(box, ring)
+        if use is None or reach is None:
             continue
-        use = use & canvas.not_empty(corner, template.fft_shape)
+        template = patterns.template(i, reach)
+        if template.energy == 0 or template.n_pixels < FEWEST_PIXELS:
+            continue
+        corner = box[:2] + middle - reach
+        use = use & canvas.not_empty(corner, template.window_shape)
         for some, valid in canvas.alike(np.flatnonzero(use), corner, template):
             overlap = None
             if valid is not None:
@@ -343,8 +348,8 @@ def _match_level(block, patterns, level, wanted):
                     (
                         np.full(len(which), i),
                         targets[which],
-                        y - ring[0],
-                        x - ring[1],
+                        y + (middle[0] - reach[0]),
+                        x + (middle[1] - reach[1]),
                         value,
                         share,
                     )

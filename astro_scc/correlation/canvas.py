@@ -106,6 +106,42 @@ class Canvas:
         y, x = corner - self.origin
         return slice(y, y + shape[0]), slice(x, x + shape[1])
 
+    def displacements(self, box, ring):
+        """
+        Displacements at which an SSP may fall on anything.
+
+        Coefficients are zero at all others, of which one more on every side
+        is taken in, so that no maximum lies at the border.
+
+        Parameters
+        ----------
+        box : `~numpy.ndarray` of int, shape (4,)
+            Of the SSP.
+        ring : tuple of int
+            Largest displacement.
+
+        Returns
+        -------
+        middle : `~numpy.ndarray` of int, shape (2,)
+        reach : `~numpy.ndarray` of int, shape (2,), or None
+            To both sides of the middle; None if there are none.
+        """
+        ring = np.array(ring)
+        if self.boxes is None:
+            return np.zeros(2, int), ring
+        box = box - np.tile(self.origin, 2)
+        touch = (self.boxes[:, :2] < box[2:] + ring) & (
+            self.boxes[:, 2:] > box[:2] - ring
+        )
+        touch = touch.all(axis=1)
+        if not touch.any():
+            return np.zeros(2, int), None
+        low = np.maximum(self.boxes[touch, :2].min(axis=0) - box[2:], -ring)
+        high = np.minimum(self.boxes[touch, 2:].max(axis=0) - box[:2], ring)
+        reach = (high - low + 1) // 2
+        # An odd number of displacements: one more, but not beyond the ring.
+        return np.minimum(low + reach, ring - reach), reach
+
     def not_empty(self, corner, shape):
         """Which targets have anything in a window."""
         result = np.ones(len(self.stack), dtype=bool)
@@ -164,9 +200,10 @@ class Canvas:
     def _windows(self, targets, corner, shape):
         """Windows at a corner in double precision, shape (n, h, w)."""
         window = self._window(corner, shape)
-        result = np.empty((len(targets), *shape))
+        result = np.zeros((len(targets), *shape))
         for own, target in zip(result, targets, strict=True):
-            own[:] = self.stack[target][window]
+            part = self.stack[target][window]
+            own[: part.shape[0], : part.shape[1]] = part
         return result
 
     def snr(self, target, y, x):
