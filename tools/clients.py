@@ -39,8 +39,9 @@ CHROMIUM = (
     *("chromium", "--headless", "--no-sandbox", "--disable-gpu"),
     *("--allow-file-access-from-files", "--virtual-time-budget=5000"),
 )
-#: The epoch that is opened with its regions.
+#: The epoch that is opened with its regions, and the colour of these.
 EPOCH = 2
+ORANGE = (255, 165, 0)
 
 
 def main(argv=None):
@@ -163,13 +164,17 @@ def check_ds9(out):
             *("ds9", "-geometry", "1200x800", epoch, "-scale", "asinh"),
             *("-regions", "load", out / f"{shape}.reg", "-zoom", "to", "fit"),
         )
-        problem = photograph(ds9, picture)
+        problem = photograph(ds9, picture, of=ORANGE)
         n_regions = len((out / f"{shape}.reg").read_text().splitlines()) - 3
         yield f"{n_regions} regions, look at {picture.name}", problem
 
 
-def photograph(command, picture, wait=15):
-    """Show a program on a screen of its own for some seconds, and take a picture."""
+def photograph(command, picture, *, of, patience=120):
+    """Show a program on a screen of its own, and take a picture of what it draws.
+
+    The picture is that in which the colour ``of`` is seen and no more of it comes;
+    on a busy machine programs take their time.
+    """
     with ExitStack() as stack:
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 
@@ -186,11 +191,26 @@ def photograph(command, picture, wait=15):
         with open(read) as number:
             display = f":{number.readline().strip()}"
         shown = start(command, env={**os.environ, "DISPLAY": display})
-        time.sleep(wait)
-        if shown.poll() is not None:
-            return f"ended with status {shown.returncode}"
-        text, _ = run("import", "-display", display, "-window", "root", picture)
-    return "" if picture.is_file() else f"no picture: {text[-300:]}"
+        seen, end = 0, time.monotonic() + patience
+        while time.monotonic() < end:
+            time.sleep(5)
+            if shown.poll() is not None:
+                return f"ended with status {shown.returncode}"
+            text, _ = run("import", "-display", display, "-window", "root", picture)
+            if not picture.is_file():
+                return f"no picture: {text[-300:]}"
+            before, seen = seen, pixels_of(picture, of)
+            if seen and seen == before:
+                return ""
+    return f"nothing of the colour of the regions in {patience} s"
+
+
+def pixels_of(picture, color):
+    """How many pixels of a picture have a colour."""
+    from matplotlib.image import imread
+
+    found = (255 * imread(picture)[..., :3]).round() == color
+    return int(found.all(axis=-1).sum())
 
 
 def check_chromium(out, pages=()):
