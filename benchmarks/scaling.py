@@ -8,11 +8,12 @@ times are divided; so that a busy machine slows both alike.  The parts are::
 
     python benchmarks/scaling.py windows    # against bare transforms and a loop
     python benchmarks/scaling.py doubling   # epochs, pixels, trials
-    python benchmarks/scaling.py workers    # two processes against one
+    python benchmarks/scaling.py workers    # two workers against one, minutes
     python benchmarks/scaling.py imports    # beside numpy and astropy.units
     python benchmarks/scaling.py whole      # 69 epochs of 512 x 512, some minutes
 
 The jet of all parts has about 90 SSPs an epoch on four scales, at uneven dates.
+It takes the extra ``fast``.
 """
 
 import argparse
@@ -36,7 +37,8 @@ from scipy import fft, signal
 from skimage.feature import peak_local_max
 
 from astro_scc import Beam, StackedCrossCorrelation
-from astro_scc.correlation import Correlator, Template, all_pairs, find_peaks, zncc
+from astro_scc.correlation import Template, find_peaks, zncc
+from astro_scc.correlation.direct import direct_coefficients, worth_it
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.wavelet import wavelet_planes
 from astro_scc.simulation import JetSimulation, Stream
@@ -161,6 +163,21 @@ def batched(cases, reach, peaks):
     return number
 
 
+def compiled(cases, reach):
+    """The same by compiled loops, but for large patterns."""
+    number = 0
+    for case in cases:
+        values, footprint, windows, _ = case
+        template = Template(values, footprint, (reach, reach))
+        if worth_it(template):
+            every = np.arange(len(windows))
+            coefficient = direct_coefficients(windows, every, (0, 0), template)
+            number += len(find_peaks(coefficient, KAPPA)[0])
+        else:
+            number += batched([case], reach, peaks=True)
+    return number
+
+
 def loop(cases, reach):
     """The same, one window after the other with functions of libraries."""
     number = 0
@@ -197,6 +214,7 @@ def windows_part(runs):
             partial(bare, batches),
             partial(batched, cases, ring, peaks=False),
             partial(batched, cases, ring, peaks=True),
+            partial(compiled, cases, ring),
             partial(loop, cases, ring),
         ]
         spent = medians(functions, runs)
@@ -207,8 +225,16 @@ def windows_part(runs):
                 f"{each[0]:.0f}",
                 f"{each[1] / each[0]:.2f}",
                 f"{each[2] / each[0]:.2f}",
-                f"{each[3] / each[2]:.1f}",
-                f"{batched(cases, ring, peaks=True)}, {loop(cases, ring)}",
+                f"{each[4] / each[2]:.1f}",
+                f"{each[4] / each[3]:.1f}",
+                ", ".join(
+                    str(number)
+                    for number in (
+                        batched(cases, ring, peaks=True),
+                        compiled(cases, ring),
+                        loop(cases, ring),
+                    )
+                ),
                 f"{_largest_error(epochs, images, reach):.1e}",
             ]
         )
@@ -220,7 +246,8 @@ def windows_part(runs):
             "coefficients / bare",
             "with peaks / bare",
             "loop / with peaks",
-            "peaks, of both",
+            "loop / compiled with peaks",
+            "peaks, of all three",
             "largest error",
         ],
         rows,
@@ -261,21 +288,20 @@ def _largest_error(epochs, images, reach, n=200):
     return worst
 
 
-def workers_part(runs):
-    """Wall clock of the correlation by one process and by two."""
-    decompose = Decomposer(scales=SCALES)
-    epochs = [decompose(image) for image in simulate(24).cube.data]
-    pairs = all_pairs(24)
+def workers_part(runs, n_epochs, n_trials):
+    """Wall clock of a whole measurement with one worker and with two."""
+    cube = simulate(n_epochs).cube
+    scc = measurer(cube, 20)
     spent = np.empty((runs, 2))
     for row in spent:
         for k in range(2):
             start = time.perf_counter()
-            Correlator()(epochs, pairs, 20, n_workers=k + 1)
+            scc(cube, n_trials=n_trials, rng=1, n_workers=k + 1)
             row[k] = time.perf_counter() - start
     one, two = np.median(spent, axis=0)
     write_table(
         "scaling_workers",
-        ["one process, s", "two, s", "ratio", "others at work"],
+        ["one worker, s", "two, s", "ratio", "others at work"],
         [[f"{one:.1f}", f"{two:.1f}", f"{one / two:.2f}", f"{os.getloadavg()[0]:.1f}"]],
     )
 
@@ -419,6 +445,8 @@ def main():
     for part in args.parts or names:
         if part == "whole":
             whole_part(args.reach, args.n_epochs, args.n_trials, args.workers)
+        elif part == "workers":
+            workers_part(args.runs, args.n_epochs, args.n_trials)
         else:
             globals()[f"{part}_part"](args.runs)
 
