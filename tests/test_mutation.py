@@ -142,7 +142,7 @@ def test_tests_kill_what_they_see(clone, tmp_path):
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stderr
     assert "return None" not in found.stdout
-    row = found.stdout.splitlines()[2].split()
+    row = found.stdout.splitlines()[3].split()
     assert row[:2] == ["correlation", "12"]
     # Not more is seen than that something comes back.
     assert 0 < int(row[2]) < 12

@@ -73,8 +73,7 @@ def main(argv=None):
     if args.record is not None or not (folder / "durations.json").exists():
         paths = args.record or []
         copy_repository(folder, clone, only_tests=bool(paths))
-        if in_fork(lambda: record(clone, folder, paths), folder / "record.log", None):
-            parser.exit(1, f"tests fail without any change, see {folder}/record.log\n")
+        in_fork(lambda: record(clone, folder, paths), folder / "record.log", None)
     # Whatever an earlier run was changing when it was killed.
     shutil.rmtree(clone / "astro_scc")
     shutil.copytree(folder / "astro_scc", clone / "astro_scc")
@@ -83,8 +82,10 @@ def main(argv=None):
     results = {}
     for room in args.rooms:
         # Or all mutants would seem to be killed.
-        names = tests.in_time(tests.durations, room, args.budget)[0]
-        if in_fork(lambda n=names: attempt(clone, n), folder / "last.log", None):
+        names = tests.in_time(tests.durations, room, args.budget)
+        if not names:
+            parser.exit(1, f"no test passes without any change, see {folder}\n")
+        if in_fork(lambda n=names[0]: attempt(clone, n), folder / "last.log", None):
             parser.exit(1, f"tests fail without any change, see {folder}/last.log\n")
         log = folder / f"{room}-{args.seed}.json"
         if args.again:
@@ -100,8 +101,8 @@ def main(argv=None):
         if not args.again:
             saved = [(m.__dict__, verdict) for m, verdict in results[room]]
             log.write_text(json.dumps(saved))
-    print(f"seed {args.seed}, at most {args.budget:g} s of tests for a mutant")
-    print(summary(results))
+    given = f"--number {args.number} --seed {args.seed} --budget {args.budget:g}"
+    print(f"python tools/mutation.py FOLDER {given}\n\n{summary(results)}")
 
 
 def summary(results):
@@ -170,7 +171,7 @@ def copy_repository(folder, clone, *, only_tests=False):
 
 def record(clone, folder, paths):
     """
-    Run tests once, and keep how long they take and which lines they touch.
+    Run tests once, and keep how long those that pass take, and what they touch.
 
     Parameters
     ----------
@@ -185,17 +186,21 @@ def record(clone, folder, paths):
     """
     number = len(list(folder.glob("contexts.*")))
     os.environ["COVERAGE_FILE"] = str(folder / f"contexts.{number}")
-    durations = defaultdict(float)
+    durations, failed = defaultdict(float), set()
 
     class Clock:
         def pytest_runtest_logreport(self, report):
             durations[report.nodeid] += report.duration
+            if report.failed:
+                failed.add(report.nodeid)
 
     coverage_of = ["--cov=astro_scc", "--cov-branch", "--cov-context=test"]
     status = run_pytest(clone, [*coverage_of, "--cov-report=", *paths], [Clock()])
     known = folder / "durations.json"
     if known.exists():
         durations = json.loads(known.read_text()) | durations
+    # A test that fails without any change would kill every mutant.
+    durations = {k: v for k, v in durations.items() if k not in failed}
     known.write_text(json.dumps(durations))
     return status
 
