@@ -130,6 +130,10 @@ def looks_like_mask(image):
     (True, False)
     """
     values = np.asarray(image, dtype=float)
+    # Mostly a few pixels are enough to tell.
+    few = values.flat[:1000]
+    if len(np.unique(few[np.isfinite(few)])) > 2:
+        return False
     values = values[np.isfinite(values)]
     if values.size == 0:
         return False

@@ -105,7 +105,7 @@ def core_positions(cube, *, jet_pa=None, max_shift=None):
     ]
     noise = cube.noise_rms().to_value(cube.unit)
     if jet_pa is None:
-        direction = _mean_direction(cube, shapes[0])
+        direction = _mean_direction(cube, shapes[0], noise.mean())
     else:
         pa = u.Quantity(jet_pa).to_value(u.rad)
         direction = to_pixels @ [np.sin(pa), np.cos(pa)]
@@ -143,11 +143,10 @@ def core_positions(cube, *, jet_pa=None, max_shift=None):
     )
 
 
-def _mean_direction(cube, shape):
+def _mean_direction(cube, shape, level):
     """Unit step (x, y) down the jet, None if the source does not show one."""
     mean = cube.mean_image()
     values = np.where(mean.mask, 0, mean.data)
-    level = cube.noise_rms().to_value(cube.unit).mean()
     bright = values > max(0.01 * values.max(), 5 * level)
     if not bright.any():
         return None
@@ -182,7 +181,13 @@ def _candidate(image, good, shape, direction, noise):
 def _fit(image, good, shape, start, direction, noise):
     """Position, its covariance and whether the core is blended, in pixels."""
     precision = np.linalg.inv(shape)
+    # The box around the ellipse; images may be a hundred times as large.
+    reach = RADIUS / FWHM_TO_SIGMA * np.sqrt(np.diag(shape))
+    left, top = np.maximum(np.floor(start - reach), 0).astype(int)
+    right, bottom = np.ceil(start + reach).astype(int) + 1
+    image, good = (array[top:bottom, left:right] for array in (image, good))
     y, x = np.indices(image.shape)
+    y, x = y + top, x + left
     used = good & (_distance2(x, y, start, precision) < (RADIUS / FWHM_TO_SIGMA) ** 2)
     x, y, values = x[used], y[used], image[used]
     # Noise with the beam's correlation counts as independent in every

@@ -133,9 +133,12 @@ def _inspect(path, hdu):
         row["pa"] = beam.pa.to_value(u.deg)
     if looks_like_mask(image.data):
         row["problems"].append("no more than two different values, a mask")
-    values = np.where(np.isfinite(image.data), image.data, -np.inf)
+    values = image.data
+    if image.mask is not None:
+        values = np.where(image.mask, -np.inf, values)
     y, x = np.unravel_index(np.argmax(values), values.shape)
     row["peak"] = float(values[y, x])
+    del values
     row["peak_east"], row["peak_north"] = matrix @ ([x, y] - image.wcs.wcs.crpix + 1)
     row["noise"] = measure_noise(image.data, mask=image.mask)
     return row

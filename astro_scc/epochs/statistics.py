@@ -50,19 +50,26 @@ def measure_noise(image, *, mask=None):
     valid = np.isfinite(image)
     if mask is not None:
         valid &= ~np.asarray(mask, dtype=bool)
-    values = image[valid]
-    zero = values == 0
-    if zero.mean() > BLANKED if zero.size else False:
-        values = values[~zero]
-    if values.size == 0:
+    kept = image[valid]
+    del valid
+    n_zero = kept.size - np.count_nonzero(kept)
+    if n_zero and n_zero / kept.size > BLANKED:
+        kept = kept[kept != 0]
+    if kept.size == 0:
         return 0.0
-    kept = values
+    # Images may be large: medians sort in place, since the order is no matter.
     for _ in range(MAX_ITERATIONS):
-        middle = np.median(kept)
-        deviation = np.abs(kept - middle)
-        sigma = MAD_TO_SIGMA * float(np.median(deviation))
-        inside = deviation <= CLIP * sigma
+        middle = np.median(kept, overwrite_input=True)
+        sigma = MAD_TO_SIGMA * float(
+            np.median(_deviation(kept, middle), overwrite_input=True)
+        )
+        inside = _deviation(kept, middle) <= CLIP * sigma
         if sigma == 0 or inside.all():
             break
         kept = kept[inside]
     return sigma if sigma > 0 else float(np.std(kept))
+
+
+def _deviation(values, middle):
+    apart = values - middle
+    return np.abs(apart, out=apart)
