@@ -1,0 +1,314 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+The packages that are compared, each used through its documented functions.
+
+All get the same: ten images, and that nothing is faster than 30 pixels an epoch.  What
+comes back is a `Sample` of velocities, and the speeds if the package itself says what
+they are.  A package is imported when it is used.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+
+import astropy.units as u
+import numpy as np
+from common import PM_UNIT
+from comparison_reading import ACROSS, LARGEST, Sample
+
+#: Where a package has a vector for every place, those count at which the earlier image
+#: is brighter than this part of its maximum.
+BRIGHT = 0.1
+#: Of places a beam of 10 pixels apart, one in so many pixels is more than enough.
+EVERY = 4
+
+
+@dataclass(frozen=True)
+class Package:
+    """
+    One way to get velocities out of images.
+
+    Attributes
+    ----------
+    name : str
+    distribution : str
+        Its name in the package index.
+    license : str
+    run : callable
+        Takes a cube and settings, gives (speeds or None, `Sample`).
+    settings : dict
+        Those of the table.
+    others : dict of tuple
+        Those that were tried besides, see ``--choose``.
+    cases : tuple of str, optional
+        Names of the only jets that it is meant for.
+    about : str
+        What stands for the settings, if there are none.
+    reason : str
+        Why it has no answer, if it has none.
+    """
+
+    name: str
+    distribution: str
+    license: str
+    run: Callable | None = None
+    settings: dict = field(default_factory=dict)
+    others: dict = field(default_factory=dict)
+    cases: tuple = ()
+    about: str = ""
+    reason: str = ""
+
+    @property
+    def why_not(self):
+        """Why there is no answer: "" if there is one."""
+        if self.reason:
+            return self.reason
+        return "" if self.version else f"not installed: pip install {self.distribution}"
+
+    @property
+    def version(self):
+        """What is installed, or None."""
+        try:
+            return version(self.distribution)
+        except PackageNotFoundError:
+            return None
+
+
+def pixel_an_epoch(cube):
+    """The proper motion of one pixel per epoch."""
+    return (cube.pixel_scale / np.diff(cube.years).mean()).to(PM_UNIT)
+
+
+def of_pairs(cube, displacements):
+    """What a function of two images finds, (x, y, along, across), in all pairs."""
+    images = cube.data / cube.data.max()
+    return Sample.of(
+        (i, *displacements(images[i], images[i + 1])) for i in range(len(images) - 1)
+    )
+
+
+def bright(image, along, across):
+    """Of a field with a vector for every pixel, those where there is something."""
+    y, x = np.mgrid[: image.shape[0] : EVERY, : image.shape[1] : EVERY]
+    use = image[y, x] > BRIGHT * image.max()
+    y, x = y[use], x[use]
+    return x, y, along[y, x], across[y, x]
+
+
+def whole(cube, along, across):
+    """One vector a pair of epochs, drawn in the middle of the image."""
+    y, x = ((n - 1) / 2 for n in cube.shape[1:])
+    vectors = enumerate(zip(along, across, strict=True))
+    return Sample.of((i, x, y, *vector) for i, vector in vectors)
+
+
+# -- astro_scc ---------------------------------------------------------------------
+
+
+def stacked(cube):
+    """The components that count as found, and the displacements behind them."""
+    from astro_scc import StackedCrossCorrelation
+
+    step = pixel_an_epoch(cube)
+    scc = StackedCrossCorrelation(
+        scales=(1, 2, 3), max_speed=LARGEST * step, position_angle=270 * u.deg
+    )
+    result = scc(cube, n_trials=1000, rng=1)
+    found = result.components[
+        np.isin(result.components["kind"], ("moving", "stationary"))
+    ]
+    speeds = np.sort((found["pm_parallel"] / step).to_value(u.one))
+    return speeds, members(result, found["component"])
+
+
+def members(result, numbers):
+    """Displacements that make components, to the next epoch."""
+    cube, d, ssps = result.cube, result.displacements, result.matched.ssps
+    scale = cube.pixel_scale.to_value(u.mas)
+    parts = []
+    for number in numbers:
+        for k in result.members(int(number)):
+            if d.target[k] == d.reference[k] + 1:
+                x, y = ssps.x_centroid[d.ssp[k]], ssps.y_centroid[d.ssp[k]]
+                # Along is west, which is +x; across then is north.
+                parts.append((d.reference[k], x, y, d.d1[k] / scale, d.d2[k] / scale))
+    return Sample.of(parts)
+
+
+def tracked(cube):
+    """Velocities of features from one epoch of a track to the next."""
+    from astro_scc.decomposition import Decomposer
+    from astro_scc.tracking import FeatureTracker
+
+    decompose = Decomposer(scales=(1, 2, 3))
+    tracker = FeatureTracker(max_speed=LARGEST * pixel_an_epoch(cube))
+    tracking = tracker(cube, [decompose(image) for image in cube.data])
+    x, y = cube.offset_to_pixel(*(tracking.offsets * u.mas))
+    parts = []
+    for number in range(tracking.n_tracks):
+        own = tracking.members(number)
+        parts += links(tracking.ssps.epoch[own], x[own], y[own])
+    return None, Sample.of(parts)
+
+
+def links(epoch, x, y):
+    """(pair, x, y, along, across) of a track, from each of its epochs to the next."""
+    gap = np.diff(epoch)
+    along, across = np.diff(x) / gap, np.diff(y) / gap
+    return zip(epoch[:-1], x[:-1], y[:-1], along, across, strict=True)
+
+
+def aligned(cube):
+    """Whole images laid on one another."""
+    done = cube.align("correlate").meta["alignment"]
+    east, north = (
+        np.array([record[f"shift_{axis}_mas"] for record in done])
+        / cube.pixel_scale.to_value(u.mas)
+        for axis in ("east", "north")
+    )
+    # The image is moved back by what it has moved; x is west.
+    return None, whole(cube, np.diff(east), -np.diff(north))
+
+
+# -- the others --------------------------------------------------------------------
+
+
+def trackpy(cube, *, diameter, separation, reach, predict):
+    """Blobs, linked into trajectories."""
+    import pandas as pd
+    import trackpy as tp
+
+    tp.quiet()
+    images = cube.data / cube.data.max()
+    blobs = pd.concat(
+        tp.locate(
+            image, diameter, minmass=1, separation=separation, engine="python"
+        ).assign(frame=i)
+        for i, image in enumerate(images)
+    )
+    how = {"memory": 1, "adaptive_stop": 2, "adaptive_step": 0.9}
+    reach = (ACROSS, LARGEST) if reach == "jet" else LARGEST
+    link = tp.predict.NearestVelocityPredict().link_df if predict else tp.link
+    tracks = tp.filter_stubs(link(blobs, reach, **how), 3)
+    parts = []
+    for _, own in tracks.reset_index(drop=True).groupby("particle"):
+        own = own.sort_values("frame")
+        parts += links(*(own[k].to_numpy() for k in ("frame", "x", "y")))
+    return None, Sample.of(parts)
+
+
+def openpiv(cube, *, window, extended, sig2noise):
+    """Windows of an image, each correlated with the next image."""
+    from openpiv.pyprocess import extended_search_area_piv, get_coordinates
+
+    search = window + 2 * int(LARGEST) if extended else window
+    overlap = search - 2 * EVERY
+
+    def displacements(a, b):
+        frames = [(4095 * np.clip(image, 0, 1)).astype(np.int32) for image in (a, b)]
+        along, across, ratio = extended_search_area_piv(
+            *frames, window_size=window, overlap=overlap, search_area_size=search,
+            normalized_correlation=True, sig2noise_method="peak2peak",
+        )  # fmt: skip
+        x, y = get_coordinates(a.shape, search, overlap)
+        here = a[np.rint(y).astype(int), np.rint(x).astype(int)]
+        use = (here > BRIGHT * a.max()) & (ratio >= sig2noise)
+        return x[use], y[use], along[use], -across[use]
+
+    return None, of_pairs(cube, displacements)
+
+
+def flow_ilk(cube, *, radius):
+    """Optical flow, iterative Lucas-Kanade."""
+    from skimage.registration import optical_flow_ilk
+
+    def displacements(a, b):
+        y, x = optical_flow_ilk(a, b, radius=radius)
+        return bright(a, x, y)
+
+    return None, of_pairs(cube, displacements)
+
+
+def flow_tvl1(cube, *, attachment, tightness):
+    """Optical flow of small total variation."""
+    from skimage.registration import optical_flow_tvl1
+
+    def displacements(a, b):
+        y, x = optical_flow_tvl1(a, b, attachment=attachment, tightness=tightness)
+        return bright(a, x, y)
+
+    return None, of_pairs(cube, displacements)
+
+
+def phase(cube, *, normalization):
+    """The shift of the whole image."""
+    from skimage.registration import phase_cross_correlation
+
+    shifts = np.array(
+        [
+            phase_cross_correlation(
+                a, b, upsample_factor=100, normalization=normalization
+            )[0]
+            for a, b in zip(cube.data[:-1], cube.data[1:], strict=True)
+        ]
+    )
+    # They bring the later image onto the earlier one.
+    return None, whole(cube, -shifts[:, 1], -shifts[:, 0])
+
+
+def flct(cube, *, sigma, kr):
+    """Fourier local correlation tracking."""
+    from pyflct import flct as track
+
+    def displacements(a, b):
+        x, y, done = track(
+            a, b, 1.0, 1.0, float(sigma), quiet=True, biascor=True, thresh=BRIGHT, kr=kr
+        )
+        return bright(np.where(done == 1, a, 0), x, y)
+
+    return None, of_pairs(cube, displacements)
+
+
+PACKAGES = (
+    Package("astro_scc, stack", "astro_scc", "BSD-3-Clause", stacked,
+            about="scales 1 to 3, 1000 trials"),
+    Package("astro_scc, tracks", "astro_scc", "BSD-3-Clause", tracked,
+            about="scales 1 to 3"),
+    Package(
+        "astro_scc, align", "astro_scc", "BSD-3-Clause", aligned,
+        cases=("the whole image",), about="align('correlate')",
+    ),
+    Package(
+        "trackpy", "trackpy", "BSD-3-Clause", trackpy,
+        {"diameter": 11, "separation": None, "reach": "any", "predict": False},
+        {"diameter": (7, 15), "separation": (5,), "reach": ("jet",),
+         "predict": (True,)},
+    ),
+    Package(
+        "OpenPIV", "OpenPIV", "GPL-3.0", openpiv,
+        {"window": 48, "extended": False, "sig2noise": 1.0},
+        {"window": (24, 32, 64), "extended": (True,), "sig2noise": (1.2,)},
+    ),
+    Package(
+        "scikit-image, ILK", "scikit-image", "BSD-3-Clause", flow_ilk,
+        {"radius": 7},
+        {"radius": (10, 15, 25)},
+    ),
+    Package(
+        "scikit-image, TV-L1", "scikit-image", "BSD-3-Clause", flow_tvl1,
+        {"attachment": 50, "tightness": 0.3},
+        {"attachment": (5, 15, 150), "tightness": (0.1,)},
+    ),
+    Package(
+        "scikit-image, phase", "scikit-image", "BSD-3-Clause", phase,
+        {"normalization": None}, {"normalization": ("phase",)},
+    ),
+    Package(
+        "pyflct", "pyflct", "LGPL-2.1-or-later", flct,
+        {"sigma": 30, "kr": 0.2}, {"sigma": (5, 10, 20), "kr": (None,)},
+    ),
+    Package(
+        "VCAT", "vcat-vlbi", "GPL-3.0",
+        reason="fits motions to components that a user has named, no unattended answer",
+    ),
+)  # fmt: skip

@@ -1,0 +1,77 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The rule by which the comparison with other packages reads speeds."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+PATH = Path(__file__).parents[1] / "benchmarks" / "comparison_reading.py"
+if not PATH.exists():
+    pytest.skip("the benchmarks are not part of this copy", allow_module_level=True)
+SPEC = importlib.util.spec_from_file_location("comparison_reading", PATH)
+reading = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(reading)
+
+
+def sample_of(along, pair=None, across=0.0):
+    along = np.asarray(along, dtype=float)
+    pair = np.arange(len(along)) % 9 if pair is None else np.asarray(pair)
+    here = np.zeros(len(along))
+    return reading.Sample(pair, here, here, along, here + across)
+
+
+@pytest.mark.parametrize("speeds", [(5,), (5, 20), (2, 7, 12), (-8, 0, 25)])
+def test_all_speeds_of_a_sample_are_read(speeds):
+    rng = np.random.default_rng(1)
+    v = np.concatenate([rng.normal(speed, 1, 90) for speed in speeds])
+    found = reading.read_speeds(sample_of(v))
+    np.testing.assert_allclose(found, speeds, atol=0.5)
+
+
+def test_no_speed_where_there_is_none():
+    assert len(reading.read_speeds(sample_of([]))) == 0
+    rng = np.random.default_rng(2)
+    found = reading.read_speeds(sample_of(rng.uniform(-60, 60, 4000)))
+    assert len(found) == 0
+
+
+def test_a_speed_of_one_pair_of_epochs_is_none():
+    rng = np.random.default_rng(3)
+    v = np.concatenate([rng.normal(5, 1, 90), np.full(40, 20.0)])
+    pair = np.concatenate([np.arange(90) % 9, np.full(40, 4)])
+    np.testing.assert_allclose(reading.read_speeds(sample_of(v, pair)), [5], atol=0.5)
+
+
+def test_what_is_too_fast_or_goes_across_does_not_count():
+    assert len(reading.read_speeds(sample_of(np.full(90, 31.0)))) == 0
+    assert len(reading.read_speeds(sample_of(np.full(90, 5.0), across=11.0))) == 0
+
+
+def test_density_is_a_sum_of_gaussians():
+    v = np.array([3.0, 3.0, 5.2])
+    rows = reading.densities(sample_of(v, [0, 2, 2]))
+    gaussians = np.exp(-0.5 * ((reading.GRID - v[:, None]) / reading.KERNEL) ** 2)
+    expected = np.array([gaussians[0], gaussians[1] + gaussians[2]])
+    scale = reading.STEP / np.sqrt(2 * np.pi) / reading.KERNEL
+    np.testing.assert_allclose(rows, scale * expected, atol=2e-4)
+
+
+@settings(max_examples=25)
+@given(speed=st.floats(-25, 25), spread=st.floats(0.1, 2.5))
+def test_one_narrow_sample_is_one_speed_its_mean(speed, spread):
+    v = speed + spread * np.linspace(-1, 1, 45)
+    found = reading.read_speeds(sample_of(np.repeat(v, 9)))
+    assert len(found) == 1
+    assert abs(found[0] - speed) <= 0.6
+
+
+def test_parts_become_a_sample_without_what_is_not_finite():
+    parts = [(0, [1, 2], [3, 4], [5, np.nan], [0, 0]), (3, 1, 1, 6.0, 0.0)]
+    sample = reading.Sample.of(parts)
+    assert sample.pair.tolist() == [0, 3]
+    assert sample.along.tolist() == [5, 6]
+    assert len(reading.Sample.of([]).pair) == 0
