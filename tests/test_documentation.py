@@ -1,14 +1,18 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Every public name is documented with an example; every room has its page."""
 
+import ast
+import builtins
 import csv
 import inspect
 import re
 import runpy
+import textwrap
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+from astropy import units
 
 import astro_scc
 
@@ -78,6 +82,44 @@ def test_every_docstring_is_complete():
             and not (code == "PR01" and fields.search(found["docstring"]))
         ]
     assert problems == []
+
+
+def errors_of(function):
+    """Names of the exceptions that the body of a function raises itself."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    for node in ast.walk(body):
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+            name = getattr(node.exc.func, "id", "")
+            kind = getattr(builtins, name, None) or getattr(units, name, None)
+            if kind and not issubclass(kind, (AttributeError, StopIteration)):
+                yield kind
+
+
+def raisers():
+    """Public functions, and what sets up public classes, with their docstrings."""
+    for name, thing in PUBLIC.items():
+        if not inspect.isclass(thing):
+            yield name, thing, thing.__doc__
+            continue
+        for method, value in vars(thing).items():
+            plain = getattr(value, "__func__", getattr(value, "fget", value))
+            if not inspect.isfunction(plain) or plain.__code__.co_filename[0] == "<":
+                # An attribute, or what a dataclass has made.
+                continue
+            if method in ("__init__", "__post_init__"):
+                yield name, plain, thing.__doc__
+            elif not method.startswith("_"):
+                yield f"{name}.{method}", plain, plain.__doc__
+
+
+def test_every_error_is_documented():
+    missing = [
+        f"{name}: {kind.__name__}"
+        for name, function, text in raisers()
+        for kind in errors_of(function)
+        if not any(base.__name__ in (text or "") for base in kind.__mro__[:-3])
+    ]
+    assert missing == []
 
 
 def page(name):

@@ -180,6 +180,11 @@ class ComponentList:
         -------
         `ComponentList`
             With the position of the first and the meta that all agree in.
+
+        Raises
+        ------
+        ValueError
+            If there is none.
         """
         lists = list(lists)
         if not lists:

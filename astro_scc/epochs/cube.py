@@ -315,6 +315,12 @@ class EpochCube(OffsetGrid, EpochSteps):
         Returns
         -------
         `EpochCube`
+
+        Raises
+        ------
+        ValueError
+            If the arrays are not one an epoch, of one shape, with as many
+            dates, beams and noises.
         """
         from astro_scc.epochs.restoring import offset_wcs
 

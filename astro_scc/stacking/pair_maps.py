@@ -148,6 +148,11 @@ class PairMaps:
         -------
         `PairMaps`
             Equivalent to those of ``displacements.both_ways()``.
+
+        Raises
+        ------
+        ValueError
+            If they are of both ways already.
         """
         if self.turned:
             raise ValueError("these maps are of both ways already")
