@@ -80,8 +80,11 @@ def test_needs_a_worker(n_workers):
 
 
 SCRIPT = """
+import signal
 import time
 from astro_scc.correlation.workers import in_order
+# Whatever starts the tests may have told its children to ignore it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 print("begun", flush=True)
 try:
     for _ in in_order(time.sleep, [0.0] + [0.2] * 500, 2):
