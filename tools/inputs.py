@@ -61,6 +61,7 @@ CARDS = {
     "BMIN": 0.35 * MAS,
     "BPA": -7.0,
 }
+_COS, _SIN = np.cos(np.pi / 6), np.sin(np.pi / 6)
 NO_BEAM = {"BMAJ": None, "BMIN": None, "BPA": None}
 
 
@@ -221,12 +222,36 @@ each("position angle of the beam beyond 360 degrees")(lambda i: {"BPA": 533.0})
 each("reference values that jump by 0.36 mas", "apart on the sky and are laid on one")(
     lambda i: {"CRVAL1": 10 + 0.36 * MAS * (i % 2)}
 )
+
+
+@case("reference pixels on a spot that jumps by 0.3 mas, and a table of the core")
+def _table_of_cores(folder):
+    # A pixel to the right is 0.1 mas to the west.
+    rows = [f"{day},{0.3 * (i % 2)},0" for i, day in enumerate(DAYS)]
+    text = "\n".join(["date,core_x_mas_east,core_y_mas_north", *rows])
+    (folder / "cores.csv").write_text(text, encoding="utf-8")
+    paths = series(folder, lambda i: {"CRPIX1": 24.0 + 3 * (i % 2)})
+    return [*paths, f"--align={folder}/cores.csv"]
+
+
 each("no reference values (CRVAL)")(lambda i: {"CRVAL1": None, "CRVAL2": None})
 each("right ascension to the right (CDELT1 above 0)", velocity=(SPEED, 0.0))(
     lambda i: {"CDELT1": 0.1 * MAS}
 )
 each("turned by 90 degrees (CROTA2)", velocity=(0.0, -SPEED))(
     lambda i: {"CROTA2": 90.0}
+)
+each("turned by 30 degrees (CD matrix)", velocity=(-SPEED * _COS, -SPEED * _SIN))(
+    lambda i: {
+        "CDELT1": None,
+        "CDELT2": None,
+        "CROTA1": None,
+        "CROTA2": None,
+        "CD1_1": -0.1 * MAS * _COS,
+        "CD1_2": -0.1 * MAS * _SIN,
+        "CD2_1": -0.1 * MAS * _SIN,
+        "CD2_2": 0.1 * MAS * _COS,
+    }
 )
 each("DEC---SIN with three dashes")(lambda i: {"CTYPE2": "DEC---SIN"})
 refused("no celestial axes", "e0.fits: it has no celestial coordinates")(
@@ -269,6 +294,14 @@ refused("a mask among them", "mask.fits: .* seems to be a mask; leave it out")(
     lambda folder: [
         *series(folder),
         write(folder, 2, name="mask.fits", data=image(2) > 0.1),
+    ]
+)
+case("a stack of all among them, of the date of one", "are both of 2001-03-02; leave")(
+    lambda folder: [
+        *series(folder),
+        write(
+            folder, 2, name="stack.fits", data=np.mean([image(i) for i in range(5)], 0)
+        ),
     ]
 )
 refused("another band among them", "x.fits: is at 43 GHz, others are at 15.4")(
@@ -420,6 +453,39 @@ def _gzip(folder):
     return [write(folder, i, name=f"e{i}.fits.gz") for i in range(5)]
 
 
+@refused("compressed with gzip, and truncated", "e2.fits.gz: cannot be read as FITS")
+def _broken_gzip(folder):
+    paths = [write(folder, i, name=f"e{i}.fits.gz") for i in range(5)]
+    paths[2].write_bytes(paths[2].read_bytes()[:3000])
+    return paths
+
+
+@case("images of 8192 x 8192 pixels, of which a part is read")
+def _large(folder):
+    side, (ny, nx) = 8192, SHAPE
+    top, left = 5000, 3000
+    paths = []
+    for i in range(5):
+        paths.append(folder / f"e{i}.fits")
+        own = header(i, CRPIX1=24.0 + left, CRPIX2=21.0 + top, CTYPE3=None, CTYPE4=None)
+        for name in ("CRVAL", "CRPIX", "CDELT"):
+            for axis in "34":
+                own.remove(name + axis)
+        head = fits.Header({"SIMPLE": True, "BITPIX": -32, "NAXIS": 2})
+        head["NAXIS1"], head["NAXIS2"] = side, side
+        head.extend(own)
+        with paths[-1].open("wb") as file:
+            # What is not written takes no place on the disk, and reads as 0.
+            start = file.write(head.tostring().encode("ascii"))
+            for k, row in enumerate(image(i).astype(">f4")):
+                file.seek(start + 4 * ((top + k) * side + left))
+                file.write(row.tobytes())
+            file.truncate(start + 4 * side**2 + -(start + 4 * side**2) % 2880)
+    box = f"{left + nx / 2 + 0.5},{top + ny / 2 + 0.5},{nx},{ny}"
+    (folder / "r.reg").write_text(f"image\nbox({box},0)\n", encoding="utf-8")
+    return [*paths, f"--crop={folder}/r.reg"]
+
+
 # -- options -----------------------------------------------------------------------
 
 
@@ -449,6 +515,9 @@ refused("largest speed beyond the image", "max_speed moves .* more than 10 times
 )
 refused("largest speed below any that is seen", "max_speed moves .* give a larger one")(
     _options("--max-speed=1e-12 mas/yr")
+)
+case("position angle of the jet beyond 360 degrees")(
+    _options("--position-angle=630 deg")
 )
 refused("redshift beyond any", "--redshift '1e300': must be below 1090")(
     _options("--redshift=1e300")
