@@ -54,7 +54,14 @@ def launch(words, log):
         (os.POSIX_SPAWN_OPEN, 1, str(log), how, 0o644),
         (os.POSIX_SPAWN_DUP2, 1, 2),
     ]
-    return os.posix_spawn(sys.executable, argv, os.environ, file_actions=actions)
+    # What runs in the background of a shell would ignore an interrupt.
+    return os.posix_spawn(
+        sys.executable,
+        argv,
+        os.environ,
+        file_actions=actions,
+        setsigdef=[signal.SIGINT],
+    )
 
 
 def end_of(process):
