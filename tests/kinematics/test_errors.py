@@ -122,6 +122,14 @@ def test_uniform_is_what_has_the_same_axes_everywhere():
     assert line.axis_names == ("parallel", "transverse")
 
 
+def test_slow_flows_and_none():
+    table = intrinsic_table([0.0, 0.4], [0.0, 0.0], viewing_angle=20 * u.deg)
+    assert table["gamma"][0] == table["gamma_min"][0] == 1
+    expected = lorentz_factor(beta_intrinsic(0.4, 20 * u.deg))
+    assert table["gamma"][1].value == pytest.approx(expected.value)
+    assert (table["possible"] == 1).all()
+
+
 def test_nothing_over_nothing_is_no_speed():
     assert np.isnan(beta_intrinsic(0, 0 * u.deg))
     assert np.isnan(lorentz_factor([1.0, -1.0, 2.0])).all()

@@ -195,6 +195,17 @@ def test_defaults_are_in_beams():
         assert np.abs(other.north[:n] - line.north[:n]).max() > 1e-3 * u.mas
 
 
+def test_beams_of_different_epochs_have_a_mean_area():
+    cube = along(-np.linspace(0, 9, 300), np.zeros(300), n=2)
+    beams = [Beam(0.6 * u.mas, 0.5 * u.mas), Beam(1.2 * u.mas, 1.0 * u.mas)]
+    cube = EpochCube(
+        data=cube.data, times=cube.times, wcs=cube.wcs, unit=cube.unit, beams=beams,
+        noise=cube.noise,
+    )  # fmt: skip
+    line = find_ridge_line(cube, position_angle=270 * u.deg)
+    assert line.meta["width"].to_value(u.mas) == pytest.approx(np.sqrt(0.75))
+
+
 def test_without_beams_four_pixels_are_the_width():
     cube = along(-np.linspace(0, 9, 300), np.zeros(300), beam=None)
     line = find_ridge_line(cube, position_angle=270 * u.deg, half_width=1 * u.mas)
