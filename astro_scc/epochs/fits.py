@@ -99,14 +99,17 @@ def read_image(path, hdu=None, *, window=None):
     path : str or path-like
     hdu : int or str, optional
     window : (slice, slice), optional
-        Rows and columns to read; others are not loaded.
+        Rows and columns to read of a file that `read_grid` has read; others
+        are not loaded.
 
     Returns
     -------
     image : `~astropy.nddata.CCDData`
     notes : list of str
     """
-    return _from_path(path, hdu, lambda *found: _image(*found, window))
+    return _from_path(
+        path, hdu, lambda *found: _image(*found, window), known=window is not None
+    )
 
 
 def read_grid(path, hdu=None):
@@ -133,7 +136,7 @@ def read_grid(path, hdu=None):
     return _from_path(path, hdu, _grid)
 
 
-def _from_path(path, hdu, take):
+def _from_path(path, hdu, take, *, known=False):
     """What a function takes from the open file, the extension and the path."""
     from astro_scc.epochs.interchange.casa import is_casa_image, read_casa_image
 
@@ -147,7 +150,7 @@ def _from_path(path, hdu, take):
     try:
         if casa:
             return take(read_casa_image(path), hdu, path)
-        return _open(path, hdu, take)
+        return _open(path, hdu, take, known)
     except _ContentError as error:
         raise ValueError(f"{path}: {error}") from None
     except _NoImageError as error:
@@ -216,13 +219,13 @@ class _NoImageError(OSError):
     """The file is not FITS, is broken, or holds no image."""
 
 
-def _open(path, hdu, take):
+def _open(path, hdu, take, known):
     with warnings.catch_warnings():
         # AIPS and difmap files break small rules of the standard throughout.
         warnings.simplefilter("ignore")
         try:
             # astropy.io.fits forgets to close files that it fails to open.
-            with path.open("rb") as file, open_fits(file) as hdus:
+            with path.open("rb") as file, open_fits(file, known=known) as hdus:
                 return take(hdus, hdu, path)
         except (_ContentError, _NoImageError):
             raise
@@ -231,7 +234,7 @@ def _open(path, hdu, take):
             raise _broken(error) from None
 
 
-def open_fits(file, **options):
+def open_fits(file, *, known=False, **options):
     """
     Open a FITS file that may be damaged.
 
@@ -241,6 +244,8 @@ def open_fits(file, **options):
     Parameters
     ----------
     file : binary file
+    known : bool, optional
+        Whether it was opened so before, and need not be looked through again.
     **options
         Of `astropy.io.fits.open`.
 
@@ -253,7 +258,7 @@ def open_fits(file, **options):
     OSError
         If a header claims to have more axes, and all that astropy raises.
     """
-    found = _AXES.search(_content(file))
+    found = None if known else _AXES.search(_content(file))
     if found:
         raise _NoImageError(f"is broken, it claims to have {found[1].decode()} axes")
     file.seek(0)

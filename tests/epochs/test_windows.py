@@ -222,3 +222,14 @@ def test_only_the_part_is_in_memory(tmp_path):
     assert cube.shape == (6, 100, 100)
     assert_array_equal(cube.data[5], fits.getdata(paths[5])[400:500, 450:550])
     assert peak < 6e6
+
+
+def test_a_part_of_a_movie(tmp_path, monkeypatch):
+    path = tmp_path / "movie.h5"
+    path.write_bytes(b"movie")
+    monkeypatch.setattr("astro_scc.epochs.interchange.is_hdf5", lambda path: True)
+    monkeypatch.setattr(
+        "astro_scc.epochs.interchange.read_movie", lambda path, beams: make()
+    )
+    same(EpochCube.read(path), make())
+    same(EpochCube.read(path, region=PART), make().crop(PART))
