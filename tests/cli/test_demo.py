@@ -1,0 +1,45 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""``astro-scc demo``, and what it leaves."""
+
+import subprocess
+import sys
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from astro_scc.cli import main
+from astro_scc.cli.measure import PRODUCTS
+
+
+def test_demo(tmp_path, monkeypatch):
+    command = [sys.executable, "-m", "astro_scc.cli"]
+    done = subprocess.run(
+        [*command, "demo", "-o", "out"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stderr == ""
+    simulated, measured = done.stdout.split("Measured:")
+    assert {"slow", "fast"} <= set(simulated.split())
+    assert "Report: out/report.html" in measured
+    folder = tmp_path / "out"
+    assert {path.name for path in folder.iterdir()} == {
+        *PRODUCTS,
+        "epochs",
+        "region.reg",
+    }
+    table = QTable.read(folder / "components.ecsv")
+    step = (0.1 * u.mas / (30 * u.day)).to(u.mas / u.yr)
+    assert list(table["kind"][:2]) == ["moving", "moving"]
+    for truth in (5, 20):
+        apart = np.hypot(table["pm_parallel"] - truth * step, table["pm_transverse"])
+        assert np.min(apart[:2]) < 1.5 * step
+    # The demo is a measurement like any other.
+    monkeypatch.chdir(tmp_path)
+    again = ["measure", "--config", "out/config.toml", "-o", "again", "--no-report"]
+    assert main(again) == 0
+    for name in PRODUCTS[:4]:
+        assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()

@@ -1,0 +1,124 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""``astro-scc simulate`` and ``restore``: images to measure."""
+
+import re
+
+import astropy.units as u
+import pytest
+from astropy.io import fits
+from astropy.table import QTable
+
+from astro_scc import EpochCube
+from astro_scc.epochs import Beam
+
+
+def epochs(folder):
+    return sorted(folder.glob("*.fits"))
+
+
+def test_simulate_and_its_seed(astro_scc, here):
+    status, out, err = astro_scc("simulate", "two-fluid", "a", "--epochs", 3, "--dense")
+    assert (status, err) == (0, "")
+    seed = int(re.search(r"\(seed (\d+)\)", out).group(1))
+    truth = QTable.read(here / "a" / "truth.ecsv")
+    assert truth.meta["seed"] == seed
+    assert set(truth["group"]) == {"slow", "fast"}
+    status, out, _ = astro_scc(
+        "simulate", "two-fluid", "b/c/", "--epochs", 3, "--dense", "--seed", seed
+    )
+    assert status == 0
+    assert "b/c/*.fits -o b/c-measured" in out
+    for path in (here / "a").iterdir():
+        assert path.read_bytes() == (here / "b" / "c" / path.name).read_bytes()
+    assert len(epochs(here / "a")) == 3
+
+
+@pytest.mark.parametrize("jet", ["random-velocity", "ballistic", "static", "unrelated"])
+def test_every_jet_is_simulated(astro_scc, here, jet):
+    status, _, err = astro_scc("simulate", jet, "a", "--epochs", 2, "--seed", 1)
+    assert (status, err) == (0, "")
+    assert len(epochs(here / "a")) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["static", "x", "--dense"], "--dense is for the two-fluid jet"),
+        (["static", "x", "--epochs", "0"], "--epochs must be at least 1"),
+        (["static", "x", "--seed", "one"], "--seed 'one': must be a whole number"),
+        (["static", "."], ".: exists and is not empty"),
+    ],
+)
+def test_simulations_that_are_refused(refused, here, options, reason):
+    (here / "mine.txt").write_text("mine")
+    assert reason in refused("simulate", *options)
+
+
+MODEL = "1.0v 0.0v 0v 0.2v 1 0 1\n0.3v 2.0v 45v 0.5v 1 0 1\n"
+
+
+@pytest.fixture
+def models(here):
+    """Two models of difmap."""
+    names = ["3c1_2006-03-09.mod", "3c1_2007-03-09.mod"]
+    for name in names:
+        (here / name).write_text(MODEL)
+    return names
+
+
+def test_restore(models, astro_scc, here):
+    options = ["--beam", "1.0 mas 0.5 mas -7 deg", "--pixel", "0.1 mas"]
+    noise = ["--noise", "0.3 mJy/beam"]
+    status, out, err = astro_scc("restore", *models, "-o", "a", *options, *noise)
+    assert (status, err) == (0, "")
+    seed = re.search(r"seed of the noise (\d+)", out).group(1)
+    cube = EpochCube.read(here / "a" / "*.fits")
+    assert len(cube) == 2
+    assert cube.beams[0] == Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg)
+    assert cube.pixel_scale.round(6) == 0.1 * u.mas
+    header = fits.getheader(epochs(here / "a")[0])
+    assert any(f"seed {seed}" in line for line in header["HISTORY"])
+    astro_scc("restore", *models, "-o", "b", *options, *noise, "--seed", seed)
+    for path in (here / "a").iterdir():
+        assert path.read_bytes() == (here / "b" / path.name).read_bytes()
+
+
+def test_restore_some_dates_with_a_round_beam(models, astro_scc, here):
+    status, out, _ = astro_scc(
+        "restore", *models, "-o", "a", "--beam", "0.8 mas", "--pixel", "100 uas",
+        "--before", "2007-01-01",
+    )  # fmt: skip
+    assert status == 0
+    assert "seed" not in out
+    cube = EpochCube.read(here / "a" / "*.fits")
+    assert cube.times.isot.tolist() == ["2006-03-09T00:00:00.000"]
+    assert cube.beams[0] == Beam(0.8 * u.mas, 0.8 * u.mas)
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--beam", "1.0 0.5"], "--beam '1.0 0.5': has no unit at its end; give major"),
+        (["--beam", "1 mas 2 mas"], "--beam '1 mas 2 mas': the beam's minor axis"),
+        (["--beam", "1 mas 1 mas 1 Jy"], "--beam '1 mas 1 mas 1 Jy': "),
+        (["--beam", "1 1 1 1 mas"], "has too many numbers"),
+        (["--pixel", "0.1"], "--pixel '0.1': has no unit at its end; it must be one"),
+        (["--pixel", "0.1 yr"], "--pixel '0.1 yr': must be one number above 0"),
+        (["--pixel", "0 mas"], "--pixel '0 mas': must be one number above 0"),
+        (["--noise", "1 mas"], "--noise '1 mas': must be one number above 0 with a u"),
+        (["--seed", "x"], "--seed 'x': must be a whole number"),
+        (["--after", "2011-01-01"], "no component is left"),
+        (["--after", "later"], "--after 'later': is no date"),
+        (["extra.xyz"], "extra.xyz: the suffix '.xyz' tells no format"),
+        (["no.ecsv"], "no.ecsv: no such file"),
+        (["bad_2006-03-09.mod"], "bad_2006-03-09.mod, line 1: "),
+        (["--origin", "core"], "no core component (feature 0)"),
+    ],
+)
+def test_restorations_that_are_refused(refused, models, here, options, reason):
+    (here / "bad_2006-03-09.mod").write_text("1 2\n")
+    given = ["--beam", "1 mas", "--pixel", "0.1 mas"]
+    files = options if not options[0].startswith("-") else models
+    options = options if options[0].startswith("-") else []
+    line = refused("restore", *files, "-o", "out", *given, *options)
+    assert reason in line

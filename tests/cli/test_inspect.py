@@ -1,0 +1,131 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""``astro-scc inspect``: what it tells before anything is measured."""
+
+import re
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.time import Time
+
+from astro_scc import EpochCube
+from astro_scc.epochs import Beam
+from astro_scc.simulation import simulate_two_fluid
+
+QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
+
+
+def epochs(folder):
+    return sorted(folder.glob("*.fits"))
+
+
+def test_inspect(jet, astro_scc, here):
+    status, out, err = astro_scc("inspect", *epochs(jet))
+    assert (status, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].split()[:3] == ["epoch", "date", "pixels"]
+    for line, path in zip(lines[1:7], epochs(jet), strict=True):
+        assert line.startswith(path.name)
+        assert "256 x 128" in line
+        assert "1 x 1 mas at 0 deg" in line
+    assert "No problems." in lines
+    assert any("Consecutive epochs suit speeds" in line for line in lines)
+    assert not list(here.iterdir())
+
+
+def test_inspect_explains_speeds(jet, astro_scc):
+    # Six epochs 30 days apart, a beam of 1 mas.
+    def rows(*argv):
+        status, out, err = astro_scc("inspect", *epochs(jet), *argv)
+        assert (status, err) == (0, "")
+        table = out.split("pairs\n")[1].splitlines()
+        return [line for line in table if line[:1].isdigit()]
+
+    rising = rows()
+    assert len(rising) == 4
+    assert rising[-1].split()[1] == "1.5"
+    (row,) = rows("--speed", "6 mas/yr")
+    motion = 6 * 30 / 365.25
+    baseline = f'"{0.3 / 6:.2g} yr {1.5 / 6:.2g} yr"'
+    assert row.split() == ["6", f"{motion:.2g}", *baseline.split(), "12"]
+    (row,) = rows("--speed", "0.01 mas/yr")
+    assert row.split()[2:] == ["too", "slow", "for", "this", "series", "0"]
+
+
+def test_the_baseline_that_inspect_gives_is_understood(jet, astro_scc, here):
+    _, out, _ = astro_scc("inspect", *epochs(jet), "--speed", "12 mas/yr")
+    baseline = re.search(r'^12 .*"(.*)"', out, flags=re.MULTILINE)[1]
+    argv = ("measure", *epochs(jet), "-o", "out", *QUICK, "--no-report")
+    assert astro_scc(*argv, "--baseline", baseline)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("speed", "line"),
+    [
+        ("fast", "--speed 'fast': must be an angle per time with a unit, such as"),
+        ("-2 mas/yr", "--speed '-2 mas/yr': must be above 0"),
+    ],
+)
+def test_speeds_that_inspect_refuses(jet, refused, speed, line):
+    assert line in refused("inspect", *epochs(jet), f"--speed={speed}")
+
+
+def test_inspect_says_what_is_wrong(series, astro_scc, here):
+    paths = series([None, *[Beam(1 * u.mas, 1 * u.mas)] * 2])
+    (here / "note.fits").write_text("no image")
+    status, out, _ = astro_scc("inspect", *paths, "note.fits")
+    assert status == 0
+    problems = out.split("Problems:\n")[1].splitlines()
+    assert any("no beam where others have one" in line for line in problems)
+    assert any("note.fits: cannot be read as FITS" in line for line in problems)
+    assert problems[-1].startswith("  as one series: ")
+
+
+def test_inspect_one_epoch_without_a_date(series, astro_scc):
+    path = series([None] * 3)[0]
+    status, out, _ = astro_scc("inspect", path)
+    assert status == 0
+    assert "velocities need at least two epochs of different date." in out
+    with fits.open(path, mode="update") as hdus:
+        for key in ("DATE-OBS", "MJD-OBS"):
+            hdus[0].header.remove(key, ignore_missing=True)
+    status, out, _ = astro_scc("inspect", path)
+    assert status == 0
+    assert "no date of observation" in out
+
+
+def test_inspect_a_cube_file(jet, astro_scc, here):
+    EpochCube.read(epochs(jet)[:3]).write("cube.fits")
+    status, out, _ = astro_scc("inspect", "cube.fits")
+    assert status == 0
+    assert [line.split()[1] for line in out.splitlines()[1:4]] == [
+        "2000-01-01",
+        "2000-01-31",
+        "2000-03-01",
+    ]
+
+
+def test_inspect_advises_an_alignment(astro_scc, here):
+    cube = simulate_two_fluid(n_epochs=3, core=5.0, rng=1).cube
+    shifted = EpochCube.from_arrays(
+        np.stack([np.roll(image, 3 * i, axis=0) for i, image in enumerate(cube.data)]),
+        Time(cube.times),
+        pixel_scale=cube.pixel_scale,
+        unit=cube.unit,
+        beams=cube.beams,
+        reference_pixel=cube.reference_pixel,
+    )
+    shifted.write("cube.fits")
+    status, out, _ = astro_scc("inspect", "cube.fits")
+    assert status == 0
+    assert "measure with --align core" in out
+
+
+def test_nothing_to_inspect(refused, here):
+    for name in ("a.fits", "b.fits"):
+        (here / name).write_text("no image")
+    assert "no.fits: no such file" in refused("inspect", "no.fits")
+    line = refused("inspect", "a.fits", "b.fits")
+    assert line.endswith("(and 1 more like it)")
+    assert "no*.fits: no file matches" in refused("inspect", "no*.fits")

@@ -1,0 +1,143 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The program: help, arguments, errors, warnings."""
+
+import re
+import subprocess
+import sys
+import warnings
+
+import pytest
+
+from astro_scc.cli import main
+from astro_scc.cli.program import build_parser
+from astro_scc.cli.reporter import Reporter
+from astro_scc.exceptions import EpochWarning
+
+
+def test_help_imports_nothing_that_takes_time():
+    code = (
+        "import sys\nfrom astro_scc.cli import main\n"
+        "try:\n    main(sys.argv[1:])\nexcept SystemExit as leave:\n"
+        "    assert leave.code == 0\n"
+        "heavy = {'numpy', 'scipy', 'astropy', 'matplotlib', 'photutils', 'tqdm'}\n"
+        "assert heavy.isdisjoint(sys.modules), heavy & set(sys.modules)"
+    )
+    for words in ([], ["demo"], ["measure"], ["inspect"], ["track"], ["survey"]):
+        done = subprocess.run(
+            [sys.executable, "-c", code, *words, "--help"],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stdout.startswith("usage: astro-scc")
+
+
+def test_an_option_of_several_commands_is_explained_alike():
+    parser = build_parser()
+    (commands,) = (a for a in parser._actions if hasattr(a, "choices") and a.choices)
+    # What differs by what a command makes or takes.
+    own = {"--output", "--votable", "--region", "--position-angle", "--kappa",
+           "--n-trials", "--seed", "--epochs"}  # fmt: skip
+    said = {}
+    for command in commands.choices.values():
+        for action in command._actions:
+            for option in set(action.option_strings) - own:
+                if option.startswith("--"):
+                    said.setdefault(option, set()).add((action.metavar, action.help))
+    assert {option for option, texts in said.items() if len(texts) > 1} == set()
+    assert len(said) > 25
+
+
+@pytest.mark.parametrize(
+    ("argv", "line"),
+    [
+        ([], "astro-scc: error: the following arguments are required: COMMAND"),
+        (["fly"], "astro-scc: error: argument COMMAND: invalid choice: 'fly'"),
+        (["measure", "a.fits"], "astro-scc measure: error: the following arguments"),
+        (["measure", "--bins", "3", "-o", "x"], "astro-scc: error: unrecognized arg"),
+        (["simulate", "jet", "x"], "astro-scc simulate: error: argument JET: invalid"),
+        (["simulate", "static", "x", "--epochs", "b"], "astro-scc simulate: error: "),
+    ],
+)
+def test_arguments_that_are_not_understood(capsys, argv, line):
+    with pytest.raises(SystemExit) as leave:
+        main(argv)
+    assert leave.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(line)
+    assert len(err.splitlines()) == 1
+    assert err.rstrip().endswith("--help")
+
+
+def test_an_interrupt_is_one_line(astro_scc, here, monkeypatch):
+    def interrupt(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("astro_scc.simulation.simulate_static", interrupt)
+    status, out, err = astro_scc("simulate", "static", "out")
+    assert (status, out) == (130, "")
+    assert err == "astro-scc simulate: error: interrupted, nothing was written\n"
+    assert not list(here.iterdir())
+    with pytest.raises(KeyboardInterrupt):
+        main(["simulate", "static", "out", "--debug"])
+
+
+@pytest.mark.parametrize("error", [ValueError, TypeError, OSError, MemoryError])
+def test_errors_of_the_library_are_one_line(astro_scc, monkeypatch, here, error):
+    def fail(*args, **kwargs):
+        raise error("it is\nwrong")
+
+    monkeypatch.setattr("astro_scc.simulation.simulate_static", fail)
+    status, _, err = astro_scc("simulate", "static", "out")
+    assert status == 2
+    assert re.fullmatch(r"astro-scc simulate: error: .*it is wrong\)?\n", err)
+    with pytest.raises(error):
+        main(["simulate", "static", "out", "--debug"])
+
+
+def test_mistakes_of_the_program_are_not_hidden(monkeypatch, here):
+    def fail(*args, **kwargs):
+        raise AssertionError
+
+    monkeypatch.setattr("astro_scc.simulation.simulate_static", fail)
+    with pytest.raises(AssertionError):
+        main(["simulate", "static", "out"])
+    assert not list(here.iterdir())
+
+
+def test_a_reader_that_goes_away_is_no_error(tmp_path):
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "astro_scc.cli",
+            "simulate",
+            "static",
+            "x",
+            "--epochs=1",
+        ],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    process.stderr.close()
+    assert process.wait() == 0
+
+
+def test_warnings_are_lines_each_once(capsys):
+    reporter = Reporter("astro-scc test")
+    with reporter.warnings_as_lines():
+        for _ in range(2):
+            warnings.warn("look\n  here", EpochWarning, stacklevel=1)
+    assert capsys.readouterr().err == "warning: look here\n"
+    assert reporter.warnings == ["look here"]
+    quiet = Reporter("astro-scc test", quiet=True)
+    with quiet.warnings_as_lines():
+        warnings.warn("look here", EpochWarning, stacklevel=1)
+        quiet.note("this")
+        quiet.say("that")
+    assert capsys.readouterr() == ("", "")
+    assert quiet.warnings == ["look here"]
