@@ -51,6 +51,9 @@ def test_rate_and_axes():
         ([1.0] * u.mas, RADIUS, "two finite angles"),
         (CENTRE, -1 * u.mas, "one positive angle"),
         (CENTRE, [1, 2] * u.mas, "one positive angle"),
+        (CENTRE, 0 * u.mas, "one positive angle"),
+        (CENTRE, np.inf * u.mas, "one positive angle"),
+        (CENTRE, np.nan * u.mas, "one positive angle"),
     ],
 )
 def test_no_frame(centre, radius, message):

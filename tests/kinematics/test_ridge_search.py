@@ -195,6 +195,23 @@ def test_defaults_are_in_beams():
         assert np.abs(other.north[:n] - line.north[:n]).max() > 1e-3 * u.mas
 
 
+def test_the_direction_is_that_of_the_same_pixels():
+    # Something faint aside turns the mean direction, unless it is too faint.
+    cube = along(-np.linspace(0, 7, 300), np.zeros(300), reference=(30, 60))
+    cube.data[:, 80:110, 40:60] += 0.15
+    origin = [-0.2, 0.1] * u.mas
+    angles = []
+    for threshold in (5, 200):
+        options = {"origin": origin, "threshold": threshold}
+        angle, _ = fit_position_angle(cube, **options)
+        line = find_ridge_line(cube, **options)
+        again = find_ridge_line(cube, position_angle=angle, **options)
+        np.testing.assert_array_equal(line.north, again.north)
+        assert line.at(0 * u.mas)[0].value == pytest.approx(-0.2, abs=0.01)
+        angles.append(angle.value)
+    assert np.ptp(angles) > 1
+
+
 def test_beams_of_different_epochs_have_a_mean_area():
     cube = along(-np.linspace(0, 9, 300), np.zeros(300), n=2)
     beams = [Beam(0.6 * u.mas, 0.5 * u.mas), Beam(1.2 * u.mas, 1.0 * u.mas)]
