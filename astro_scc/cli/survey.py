@@ -106,6 +106,8 @@ def run(args, reporter):
     if set(counts) == {"failed"}:
         raise ValueError(f"no source could be measured; {path} says why")
     reporter.say(f"\nTable: {path}")
+    if not args.no_report:
+        reporter.say(f"Reports: {Path(args.output) / 'sources'}")
 
 
 def _report_writer(args):

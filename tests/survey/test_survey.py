@@ -283,6 +283,8 @@ def test_the_command_writes_reports(folder, tmp_path, capsys):
         f"epochs = '{(folder / 'two.fits').as_posix()}'\n"
     )
     assert run_main(tmp_path / "s.toml", "-o", tmp_path / "out") == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == f"Reports: {tmp_path / 'out' / 'sources'}"
     page = tmp_path / "out" / "sources" / "Two" / "all" / "all" / "report.html"
     assert "<h1>Two</h1>" in page.read_text(encoding="utf-8")
     assert (page.parent / "velocity_map.png").is_file()
