@@ -79,3 +79,19 @@ html_theme_options = {
 plot_formats = [("png", 120)]
 plot_html_show_formats = False
 plot_html_show_source_link = False
+
+
+def resolve_top_level(app, env, node, contnode):
+    """What is imported from the top, such as ``astro_scc.EpochCube``, where it is."""
+    package, _, rest = node.get("reftarget", "").partition(".")
+    name, dot, member = rest.partition(".")
+    if package != "astro_scc" or name not in astro_scc._PUBLIC:
+        return None
+    target = f"{astro_scc._PUBLIC[name]}.{name}{dot}{member}"
+    python = env.get_domain("py")
+    where = node.get("refdoc", env.docname), app.builder
+    return python.resolve_xref(env, *where, "obj", target, node, contnode)
+
+
+def setup(app):
+    app.connect("missing-reference", resolve_top_level)

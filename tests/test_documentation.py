@@ -18,7 +18,9 @@ import astro_scc
 
 REPOSITORY = Path(__file__).parents[1]
 DOCS = REPOSITORY / "docs"
-ROOMS = sorted({*astro_scc._FOLDERS, "epochs.interchange", "report", "scc"})
+ROOMS = sorted(
+    {*astro_scc._FOLDERS, "epochs.interchange", "exceptions", "report", "scc"}
+)
 #: Rooms, and pages, about nouns of the method: what they compute is an equation.
 NOUNS = {
     "correlation", "decomposition", "epochs", "kinematics", "measurement", "recovery",
@@ -42,13 +44,13 @@ PUBLIC = dict(public_names())
 
 
 def with_methods():
-    """The same, with the public methods of the classes."""
+    """The same, with the public methods of the classes, inherited ones too."""
     for name, thing in PUBLIC.items():
         yield f"astro_scc.{name}"
         if inspect.isclass(thing):
-            for method, value in vars(thing).items():
-                plain = getattr(value, "__func__", value)
-                if not method.startswith("_") and inspect.isfunction(plain):
+            for method, value in inspect.getmembers(thing, inspect.isroutine):
+                own = getattr(value, "__module__", None) or ""
+                if not method.startswith("_") and own.startswith("astro_scc"):
                     yield f"astro_scc.{name}.{method}"
 
 
