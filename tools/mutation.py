@@ -9,7 +9,8 @@ touch which line and how long they take, and then draws ``--number`` mutants of 
 room: another comparison, operator, number, bound of a slice, function (``min`` for
 ``max``), a condition turned round, two arguments exchanged, one that has a name or a
 whole call left out, nothing returned.  Text, annotations, decorators, ``raise``,
-``__repr__`` and constants that only bound time and memory stay as they are.
+``__repr__``, numbers of trials and constants that only bound time and memory stay as
+they are.
 
 A mutant is killed if one of the tests that touch its line fails, or they take more
 than ten times as long as usual; tests of its own room run first, fastest first, for
@@ -410,6 +411,8 @@ def changes(node):
             ast.BinOp(left=ast.Constant(value=str())) | ast.BinOp(left=ast.JoinedStr())
         ):
             return []
+        case ast.BinOp(right=ast.Attribute(attr="one")):
+            return []  # a unit of nothing
         case ast.BinOp() | ast.BoolOp() | ast.AugAssign() if type(node.op) in OPERATORS:
             return [with_(op=OPERATORS[type(node.op)]())]
         case ast.UnaryOp():
@@ -538,6 +541,8 @@ def candidates(clone, path):
                 # Defaults as well are what the body is tested with.
                 own = _lines(node.body[0].lineno, node.end_lineno)
                 inside = [own, own, everything]
+            if isinstance(node, ast.arguments) and name in ("defaults", "kw_defaults"):
+                value = _that_matter(node, name)
             for child in value if isinstance(value, list) else [value]:
                 if isinstance(child, ast.AST):
                     visit(child, inside)
@@ -545,6 +550,17 @@ def candidates(clone, path):
     for statement in tree.body:
         visit(statement, [everything])
     return found
+
+
+def _that_matter(arguments, name):
+    """Defaults without that of a number of trials, which any number will do for."""
+    values = getattr(arguments, name)
+    if name == "defaults":
+        named = (arguments.posonlyargs + arguments.args)[-len(values) or None :]
+    else:
+        named = arguments.kwonlyargs
+    pairs = zip(named, values, strict=False)
+    return [value for arg, value in pairs if arg.arg != "n_trials"]
 
 
 def _lines(first, last):
