@@ -2,8 +2,8 @@
 """
 How far the displacement is off where all pairs of epochs have the same one.
 
-Five epochs of two features, 3.8 and 4.2 pixels wide, that move by the same part of a
-pixel each, with hardly any noise::
+Five epochs of four features that move by the same part of a pixel each, with hardly any
+noise, for features of several widths::
 
     python tools/subpixel.py benchmarks/results/subpixel.csv
 """
@@ -18,37 +18,59 @@ from astropy.time import Time
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.measurement.velocity_error import SAMPLING
 
 PIXEL, DAYS, N = 0.1, 30.0, 5
+STEPS = np.arange(1, 11) / 10
+#: Width of the features in pixels, and the scales that see them.
+WIDTHS = {3: [1], 4: [1, 2], 5: [1, 2], 7: [2, 3], 10: [2, 3]}
 
 
-def images(step):
+def images(step, fwhm, rng):
     """Epochs whose features move ``step`` pixels to the right."""
-    y, x = np.mgrid[:40, :48]
+    size = 16 * fwhm + 20
+    y, x = np.mgrid[:size, : size * 5 // 4]
+    phases = rng.uniform(size=(4, 2))
     for i in range(N):
-        data = np.random.default_rng(i).normal(0, 1e-3, x.shape)
-        for north, west, peak, width in ((22, 14, 1, 1.8), (16, 26, 0.6, 1.6)):
-            r2 = (x - west - step * i) ** 2 + (y - north) ** 2
-            data += peak * np.exp(-r2 / 2 / width**2)
+        data = rng.normal(0, 1e-3, x.shape)
+        for k, (up, right) in enumerate(phases):
+            y0 = size * (0.25 + 0.16 * k) + up
+            x0 = size * (0.3 + 0.35 * (k % 2)) + right + step * i
+            width = fwhm * (1 + 0.05 * k)
+            r2 = (x - x0) ** 2 + (y - y0) ** 2
+            data += (1 - 0.15 * k) * np.exp(-4 * np.log(2) * r2 / width**2)
         yield data
+
+
+def measured(fwhm, scales, step):
+    """The displacement less the true one and its error, in pixels."""
+    times = Time(2451910.5 + DAYS * np.arange(N), format="jd", scale="tai")
+    data = np.array(list(images(step, fwhm, np.random.default_rng(1))))
+    cube = EpochCube.from_arrays(data, times=times, pixel_scale=PIXEL * u.mas)
+    scc = StackedCrossCorrelation(scales=scales, max_speed=5 * u.mas / u.yr)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MeasurementWarning)
+        row = scc(cube, n_trials=2, rng=1).components[0]
+    to_pixels = DAYS / 365.25 / PIXEL
+    found = -row["pm_ra_cosdec"].value * to_pixels
+    return found - step, row["pm_ra_cosdec_err"].value * to_pixels
 
 
 def main():
     """Print the table and write it."""
-    times = Time(2451910.5 + DAYS * np.arange(N), format="jd", scale="tai")
-    scc = StackedCrossCorrelation(scales=[1, 2], max_speed=5 * u.mas / u.yr)
-    to_pixels = DAYS / 365.25 / PIXEL
-    rows = [["displacement (pixels)", "measured less true", "its pm_err"]]
-    for step in np.arange(1, 11) / 10:
-        cube = EpochCube.from_arrays(
-            np.array(list(images(step))), times=times, pixel_scale=PIXEL * u.mas
+    rows = [["width (pixels)", "largest error", "at", "its pm_err", "0.15 / width"]]
+    for fwhm, scales in WIDTHS.items():
+        each = np.array([measured(fwhm, scales, step) for step in STEPS])
+        worst = np.abs(each[:, 0]).argmax()
+        rows.append(
+            [
+                str(fwhm),
+                f"{each[worst, 0]:+.3f}",
+                f"{STEPS[worst]:.1f}",
+                f"{each[worst, 1]:.3f}",
+                f"{SAMPLING / fwhm:.3f}",
+            ]
         )
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MeasurementWarning)
-            row = scc(cube, n_trials=2, rng=1).components[0]
-        found = -row["pm_ra_cosdec"].value * to_pixels
-        error = row["pm_ra_cosdec_err"].value * to_pixels
-        rows.append([f"{step:.1f}", f"{found - step:+.3f}", f"{error:.3f}"])
         print(*rows[-1], flush=True)
     with open(sys.argv[1], "w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows(rows)

@@ -17,10 +17,14 @@ from astro_scc.kinematics import (
     fit_position_angle,
 )
 from astro_scc.measurement.errors import angular_displacements
-from astro_scc.measurement.plan import flow_direction, map_grid
+from astro_scc.measurement.plan import flow_direction, map_grid, mean_fwhm
 from astro_scc.measurement.result import SCCResult
 from astro_scc.measurement.tables import versions
-from astro_scc.measurement.velocity_error import VelocityError, alignment_errors
+from astro_scc.measurement.velocity_error import (
+    VelocityError,
+    alignment_errors,
+    sampling_error,
+)
 from astro_scc.progress import progress
 from astro_scc.stacking import (
     NULL_HYPOTHESES,
@@ -31,6 +35,7 @@ from astro_scc.stacking import (
     feature_scatter,
     find_velocities,
     jitter_positions,
+    sampling_scatter,
     shuffle_epochs,
     stack,
 )
@@ -157,6 +162,7 @@ def stack_matches(
         )
     box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
     misaligned = alignment_errors(cube, alignment_error)
+    sampled = sampling_error(cube, mean_fwhm(cube, min(matched.scales)))
     maxima, jitters, errors = [], [], []
     for finding, own in zip(findings, error_rng.spawn(len(findings)), strict=True):
         # What earlier components explain would pull at the maximum.
@@ -175,6 +181,7 @@ def stack_matches(
                 features=feature_scatter(rest, pairs, finding.group, peak, grid),
                 alignment=alignment_scatter(rest, *where, misaligned),
                 epochs=epoch_scatter(rest, *where),
+                sampling=sampling_scatter(rest, *where, sampled),
             )
         )
         maxima.append(replace(peak, coefficient=float(scc[peak.row, peak.column])))

@@ -1,12 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What the error of a velocity is made of."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import astropy.units as u
 import numpy as np
 
-__all__ = ["VelocityError", "alignment_errors"]
+__all__ = ["VelocityError", "alignment_errors", "sampling_error"]
+
+#: Features are drawn to whole pixels by up to this over their width in pixels.
+SAMPLING = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +29,9 @@ class VelocityError:
         Of leaving out one epoch after another
         (`~astro_scc.stacking.epoch_scatter`): it sees both, but of few
         epochs; not a part of the total.
+    sampling : `~numpy.ndarray`, shape (2, 2)
+        Of what the pixels do to all displacements alike
+        (`~astro_scc.stacking.sampling_scatter`).
 
     Examples
     --------
@@ -40,11 +46,31 @@ class VelocityError:
     features: np.ndarray
     alignment: np.ndarray
     epochs: np.ndarray
+    sampling: np.ndarray = field(default_factory=lambda: np.zeros((2, 2)))
 
     @property
     def total(self):
-        """The covariance that is quoted: features and alignment."""
-        return self.features + self.alignment
+        """The covariance that is quoted: features, alignment and sampling."""
+        return self.features + self.alignment + self.sampling
+
+
+def sampling_error(cube, fwhm):
+    """
+    Error of a displacement by the pixels of the images, at most.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    fwhm : float
+        Resolution in mas.
+
+    Returns
+    -------
+    float
+        In mas: 0.15 pixels over the resolution in pixels.
+    """
+    pixel = np.sqrt(abs(np.linalg.det(cube.pixel_matrix.to_value(u.mas))))
+    return float(SAMPLING * pixel**2 / fwhm)
 
 
 def alignment_errors(cube, error=None):

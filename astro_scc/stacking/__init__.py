@@ -38,6 +38,7 @@ from astro_scc.stacking.orders import (
 )
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.pairs import DatePairs, baseline_pairs, consecutive_pairs
+from astro_scc.stacking.sampling import sampling_scatter
 from astro_scc.stacking.scatter import epoch_scatter, feature_scatter
 from astro_scc.stacking.shuffle import ShuffledStacks, random_orders, shuffle_epochs
 from astro_scc.stacking.sightings import Sightings
@@ -92,6 +93,7 @@ __all__ = [
     "lag_test",
     "paired_p_value",
     "random_orders",
+    "sampling_scatter",
     "shuffle_epochs",
     "stack",
 ]
