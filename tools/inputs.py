@@ -211,7 +211,7 @@ each("no beam in one epoch", "e1.fits: no beam where other epochs have one")(
 each("negative beam", "its beam is taken as unknown: .* is not positive")(
     lambda i: {"BMAJ": -0.4 * MAS}
 )
-each("beam in mas where degrees belong", "larger than the image, BMAJ and BMIN must")(
+each("beam in mas where degrees belong", "larger than the image; write BMAJ, BMIN")(
     lambda i: {"BMAJ": 0.4, "BMIN": 0.35}
 )
 each("beam smaller than a pixel")(lambda i: {"BMAJ": 0.05 * MAS, "BMIN": 0.04 * MAS})
