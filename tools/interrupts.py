@@ -257,9 +257,7 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--table", type=Path, help="write it here")
     args = parser.parse_args()
-    rows = [
-        ["command", "signal", "after", "status", "there then", "second run", "same"]
-    ]
+    rows = [["command", "signal", "after", "status", "there then", "same tables"]]
     bad = 0
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
@@ -275,11 +273,10 @@ def main():
                         f"{trial.after:.1f} of {usual:.1f} s",
                         trial.status,
                         trial.left,
-                        f"{trial.seconds:.1f} s",
                         "yes" if trial.good else f"NO {trial.again} {trial.rest}",
                     ]
                 )
-                print(*rows[-1], sep="; ", flush=True)
+                print(*rows[-1], f"{trial.seconds:.1f} s", sep="; ", flush=True)
                 if "Traceback" in trial.said:
                     print(trial.said)
     if args.table:
