@@ -122,6 +122,12 @@ def test_uniform_is_what_has_the_same_axes_everywhere():
     assert line.axis_names == ("parallel", "transverse")
 
 
+def test_expansion_is_told_from_a_fifth_of_the_radius_on():
+    frame = ExpansionFrame([0, 0] * u.mas, 20 * u.mas)
+    assert np.isfinite(frame.matrix([0.0, -4.0], [4.0, 0.0])).all()
+    assert np.isnan(frame.matrix([0.0, -3.99], [3.99, 0.0])).all()
+
+
 def test_slow_flows_and_none():
     table = intrinsic_table([0.0, 0.4], [0.0, 0.0], viewing_angle=20 * u.deg)
     assert table["gamma"][0] == table["gamma_min"][0] == 1
@@ -132,4 +138,5 @@ def test_slow_flows_and_none():
 
 def test_nothing_over_nothing_is_no_speed():
     assert np.isnan(beta_intrinsic(0, 0 * u.deg))
+    assert np.isnan(beta_intrinsic([-0.1, -0.5, -3.0], 15 * u.deg)).all()
     assert np.isnan(lorentz_factor([1.0, -1.0, 2.0])).all()
