@@ -44,6 +44,8 @@ __all__ = ["stack_matches", "velocity_frame"]
 
 #: Frames that are found in the images, or need nothing.
 NAMED_FRAMES = ("radial", "ridge", "fit")
+#: No level asks for more epochs than these.
+MANY = 100
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2
 
@@ -128,7 +130,7 @@ def stack_matches(
     """
     if n_trials < 2:
         raise ValueError(f"n_trials must be at least 2, got {n_trials}")
-    _warn_of_limits(pairs.n_dates, n_trials, level)
+    _warn_of_limits(pairs.n_dates, n_trials, level, nulls)
     if rng is None:
         rng = int(np.random.SeedSequence().entropy % 2**63)
     seed = int(rng) if isinstance(rng, (int, np.integer)) else None
@@ -209,15 +211,19 @@ def stack_matches(
     )
 
 
-def _warn_of_limits(n_epochs, n_trials, level):
+def _warn_of_limits(n_epochs, n_trials, level, nulls):
     """Tell when no probability can be as small as the level."""
-    least = {n: 2 / math.factorial(n) for n in range(2, 20)}
-    if least.get(n_epochs, 0.0) > level:
-        enough = next(n for n, p in least.items() if p <= level)
+    orders = {n: getattr(NULL_HYPOTHESES[n], "orders", None) for n in nulls}
+    least = {n: 1 / max(o.number(n_epochs), 1) for n, o in orders.items() if o}
+    name = max(least, key=least.get, default=None)
+    if name is not None and least[name] > level:
+        number = orders[name].number
+        enough = (str(n) for n in range(n_epochs, MANY) if number(n) * level >= 1)
+        why = "2/N!" if name == "shuffle" else f"the orders of {name!r} are so few"
         what = (
-            f"{n_epochs} epochs allow no p_global below {least[n_epochs]:.2g} (2/N!), "
-            f"so nothing that moves can reach level {level:g}: measure {enough} epochs "
-            "or more"
+            f"{n_epochs} epochs allow no p_global below {least[name]:.2g} ({why}), "
+            f"so nothing that moves can reach level {level:g}: measure "
+            f"{next(enough, MANY)} epochs or more"
         )
     elif 1 / (n_trials + 1) > level:
         enough = math.ceil(1 / level) - 1

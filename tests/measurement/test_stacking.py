@@ -44,6 +44,15 @@ def test_few_epochs_are_warned_of(still):
     assert np.all(others["p_smallest"] == pytest.approx(2 / 24))
 
 
+def test_orders_of_another_null_hypothesis_are_warned_of(matched):
+    with pytest.warns(
+        MeasurementWarning,
+        match=r"^6 epochs allow no p_global below 0\.17 \(the orders of 'blocks' are "
+        r"so few\), so nothing .* can reach level 0.05: measure 7 epochs or more$",
+    ):
+        scc(nulls=["scramble", "blocks"]).stack(matched, n_trials=100, rng=1)
+
+
 def test_few_trials_are_warned_of(matched):
     with pytest.warns(
         MeasurementWarning,
@@ -67,7 +76,7 @@ def test_the_advice_is_enough_and_not_too_much(n_epochs, n_trials, level):
     def said(n_epochs, n_trials):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            _warn_of_limits(n_epochs, n_trials, level)
+            _warn_of_limits(n_epochs, n_trials, level, ["scramble", "shuffle"])
         return " ".join(str(w.message) for w in caught)
 
     text = said(n_epochs, n_trials)
