@@ -116,6 +116,8 @@ class Case:
         Regular expression for what is on standard error; empty for nothing.
     velocity : tuple of float or None
         To the east and north in mas/yr, where there is an answer.
+    slow : bool
+        Whether it takes more than two seconds.
     """
 
     name: str
@@ -123,6 +125,7 @@ class Case:
     status: int = 0
     says: str = ""
     velocity: tuple = (-SPEED, 0.0)
+    slow: bool = False
 
 
 CASES = []
@@ -460,7 +463,7 @@ def _broken_gzip(folder):
     return paths
 
 
-@case("three images of 8192 x 8192 pixels, of which a part is read")
+@case("three images of 8192 x 8192 pixels, of which a part is read", slow=True)
 def _large(folder):
     side, (ny, nx) = 8192, SHAPE
     top, left = 5000, 3000

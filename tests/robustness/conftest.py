@@ -24,8 +24,11 @@ def load_tool(name):
 
 def pytest_generate_tests(metafunc):
     if "case" in metafunc.fixturenames:
-        cases = load_tool("inputs").CASES
-        metafunc.parametrize("case", cases, ids=[case.name for case in cases])
+        cases = [
+            pytest.param(case, id=case.name, marks=[pytest.mark.slow] * case.slow)
+            for case in load_tool("inputs").CASES
+        ]
+        metafunc.parametrize("case", cases)
 
 
 @pytest.fixture(scope="session")
