@@ -16,12 +16,14 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 from astropy.table import Table
+from bent import bent_jets
 from common import PM_UNIT, RESULTS, measured, p_text, plain, write_table
 from mojave import BEFORE, NOISE, PIXEL, SOURCES, images
+from shells import two_rates
 
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import read_components, restore
-from astro_scc.kinematics import apparent_speed, find_ridge_line
+from astro_scc.kinematics import apparent_speed
 from astro_scc.measurement import select_ssps
 from astro_scc.profiles import (
     check_lags,
@@ -30,8 +32,6 @@ from astro_scc.profiles import (
     measure_acceleration,
     measure_profile,
 )
-from astro_scc.shells import fit_shell
-from astro_scc.simulation import simulate_shell
 from astro_scc.stratification import (
     compare_positions,
     compare_speeds,
@@ -43,6 +43,8 @@ SOURCE = {source.name: source for source in SOURCES}
 VIEWING_ANGLE = 15 * u.deg
 #: Paper, Sect. 3.2, by the middle of the bin in mas.
 PAPER_3C120 = {1: "4.0 ± 0.2", 7: "6.0 ± 0.4", 8: "slower", 9: "slower", 10: "slower"}
+#: As the paper averages features: two mas to either side.
+WINDOW = 4 * u.mas
 M87_DISTANCE = 16.7 * u.Mpc
 M87_BEAM = Beam(1.2 * u.mas, 0.6 * u.mas, -5 * u.deg)
 
@@ -53,13 +55,15 @@ def main():
         "3c120": acceleration_of_3c120,
         "3c273": streams_of_3c273,
         "m87": limit_of_m87,
-        "bent": bent_jet,
+        "bent": bent_jets,
         "shell": two_rates,
     }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument("folder", type=Path, help="of the tables of features")
     parser.add_argument("--only", nargs="+", choices=everything, default=everything)
     parser.add_argument("--n-trials", type=int, default=200)
+    parser.add_argument("--n-jets", type=int, default=12, help="that bend")
+    parser.add_argument("--n-shells", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
     for name in args.only:
@@ -110,22 +114,14 @@ def acceleration_of_3c120(args):
     speed, error, n = features_as_the_paper(
         args.folder, source.table, radii, before=BEFORE
     )
-    main_rows = {round(float(r["r_mid"].value)): r for r in profile.main}
-    rows = []
-    for i, radius in enumerate(radii.astype(int)):
-        row = main_rows.get(int(radius))
-        ours = ["", "", "", ""]
-        if row is not None:
-            v, e = (plain(row[c], PM_UNIT) for c in ("pm_parallel", "pm_parallel_err"))
-            ours = [measured(k * v, k * e, 1), p_text(row["p_global"]),
-                    p_text(row["p_fdr"]), row["kind"]]  # fmt: skip
-        rows.append([
-            radius, *ours, f"{measured(k * speed[i], k * error[i], 1)} ({n[i]})",
-            PAPER_3C120.get(int(radius), ""),
-        ])  # fmt: skip
-    header = ["distance (mas)", "speed (c)", "p_global", "p_fdr", "kind",
-              "features ± 2 mas (c)", "paper (c)"]  # fmt: skip
-    write_table("profile_3c120", header, rows)
+    windows = measure_profile(
+        scc, matched, radii * u.mas, window=WINDOW, n_trials=args.n_trials,
+        rng=args.seed,
+    )  # fmt: skip
+    beside = [f"{measured(k * v, k * e, 1)} ({m})"
+              for v, e, m in zip(speed, error, n, strict=True)]  # fmt: skip
+    bins_of_3c120("profile_3c120", profile, 0.5, beside, k)
+    bins_of_3c120("profile_3c120_windows", windows, 0.5 * WINDOW.value, beside, k)
     accelerations(scc, matched, k)
     rows = []
     inside = profile.main[profile.main["r_mid"] < 7.6 * u.mas]
@@ -162,7 +158,7 @@ def acceleration_of_3c120(args):
     header = ["speeds", "model", "parameters (mas, yr)", "chi2 / free",
               "p of a constant"]  # fmt: skip
     write_table("profile_3c120_fits", header, rows)
-    figure_3c120(profile, matched, radii, speed, error, n, k)
+    figure_3c120(profile, windows, matched, radii, speed, error, n, k)
     wide = replace(scc, baseline=[0.1, 1.2] * u.yr)
     table = check_lags(
         wide, matched, [2.0, 0.0] * PM_UNIT, r_min=0.5 * u.mas, r_max=10.5 * u.mas
@@ -180,6 +176,25 @@ def acceleration_of_3c120(args):
         rows.append(["0", measured(meta["offset"].value, meta["offset_err"].value),
                      f"p of no offset {p_text(meta['p_offset'])}"])  # fmt: skip
     write_table("profile_3c120_lags", ["lag (yr)", "displacement (mas)", "ratio"], rows)
+
+
+def bins_of_3c120(name, profile, half, beside, k):
+    """What stands for each bin from 1 mas on, beside the features and the paper."""
+    # The innermost window is cut off at the core, so its middle is another.
+    main_rows = {round(float(r["r_max"].value) - half): r for r in profile.main}
+    rows = []
+    for radius, features in enumerate(beside, 1):
+        row = main_rows.get(radius)
+        ours = [""] * 6
+        if row is not None:
+            v, e = (plain(row[c], PM_UNIT) for c in ("pm_parallel", "pm_parallel_err"))
+            ours = [measured(k * v, k * e, 1), row["n_ssp"], f"{row['z_score']:.1f}",
+                    p_text(row["p_global"]), p_text(row["p_fdr"]),
+                    row["kind"]]  # fmt: skip
+        rows.append([radius, *ours, features, PAPER_3C120.get(radius, "")])
+    header = ["distance (mas)", "speed (c)", "SSPs", "z", "p_global", "p_fdr", "kind",
+              "features ± 2 mas (c)", "paper (c)"]  # fmt: skip
+    write_table(name, header, rows)
 
 
 def accelerations(scc, matched, k):
@@ -203,21 +218,32 @@ def accelerations(scc, matched, k):
     write_table("profile_3c120_acceleration", header, rows)
 
 
-def figure_3c120(profile, matched, radii, speed, error, n, k):
+def figure_3c120(profile, windows, matched, radii, speed, error, n, k):
     """The paper's figure: speed against distance, the jet above it."""
+    use = n > 0
+    wide = windows.main
+    others = [
+        ("features ± 2 mas", radii[use] * u.mas, speed[use] * PM_UNIT,
+         error[use] * PM_UNIT),
+        ("stack ± 2 mas", wide["r_max"] - WINDOW / 2 + 0.15 * u.mas,
+         wide["pm_parallel"], wide["pm_parallel_err"]),
+    ]  # fmt: skip
+    angle = SOURCE["3C 120"].position_angle
+    figure = figure_along(profile, matched, angle, k, others=others)
+    figure.savefig(RESULTS / "profile_3c120.png", dpi=110)
+
+
+def figure_along(profile, matched, position_angle, k, **kwargs):
+    """Speed against distance along a position angle, the jet above it."""
     from astro_scc.kinematics import RidgeLine
     from astro_scc.visualization import plot_profile
 
-    angle = np.radians(SOURCE["3C 120"].position_angle)
-    s = [0.0, 10.5] * u.mas
-    use = n > 0
-    others = [("features within 2 mas", radii[use] * u.mas, speed[use] * PM_UNIT,
-               error[use] * PM_UNIT)]  # fmt: skip
-    figure = plot_profile(
-        profile.components, cube=matched.cube, others=others, beta_per_pm=k,
-        line=RidgeLine(s * np.sin(angle), s * np.cos(angle)),
+    angle = np.radians(position_angle)
+    s = u.Quantity([0 * u.mas, profile.bins.max()])
+    return plot_profile(
+        profile.components, cube=matched.cube, beta_per_pm=k,
+        line=RidgeLine(s * np.sin(angle), s * np.cos(angle)), **kwargs,
     )  # fmt: skip
-    figure.savefig(RESULTS / "profile_3c120.png", dpi=110)
 
 
 def streams_of_3c273(args):
@@ -295,95 +321,7 @@ def limit_of_m87(args):
     header = ["distance (mas)", "along (mas/yr)", "speed (c)", "p_global", "p_fdr",
               "kind", "limit, 2 errors (c)"]  # fmt: skip
     write_table("profile_m87", header, rows)
-
-
-def bent_jet(args):
-    """A jet that bends by 70 deg, with two speeds along it."""
-    rows = []
-    radius, slow, fast = 16.0, 0.5, 1.4
-    for seed in range(args.seed, args.seed + 3):
-        cube = bent_images(seed, radius, (slow, fast))
-        scc = StackedCrossCorrelation(scales=[1, 2], max_speed=2.2 * PM_UNIT)
-        matched = scc.match(cube)
-        line = find_ridge_line(
-            cube, position_angle=270 * u.deg, half_width=2 * u.mas,
-            smoothing=3 * u.mas,
-        )  # fmt: skip
-        part = select_ssps(matched, r_min=2 * u.mas, r_max=17 * u.mas)
-        for name, axes in (("ridge line", line), ("position angle", 300 * u.deg)):
-            table = (
-                replace(scc, position_angle=axes)
-                .stack(part, n_trials=args.n_trials, rng=seed)
-                .components
-            )
-            cells = [
-                f"{measured(plain(r['pm_parallel'], PM_UNIT), plain(r['pm_parallel_err'], PM_UNIT))}"  # noqa: E501
-                f" ({r['kind']}, p {p_text(r['p_global'])})"
-                for r in table
-            ]
-            rows.append([seed, name, *(cells + ["", "", ""])[:3]])
-    header = ["seed", "axes", "first (mas/yr)", "second", "third"]
-    print(f"Put in: {slow} and {fast} mas/yr along the line")
-    write_table("profile_bent", header, rows)
-
-
-def bent_images(seed, radius, speeds, n_epochs=10):
-    """A circle from west to north, features at two speeds along it."""
-    from astro_scc.epochs import EpochCube
-    from astro_scc.epochs.gaussians import add_gaussians
-
-    rng = np.random.default_rng(seed)
-    beam = Beam(1 * u.mas, 1 * u.mas)
-    cube = EpochCube.from_arrays(
-        np.zeros((n_epochs, 200, 220)),
-        [f"{2000 + i}-01-01" for i in range(n_epochs)],
-        pixel_scale=0.1 * u.mas, unit=u.Jy / u.beam, beams=beam,
-        noise=0.002 * u.Jy / u.beam, reference_pixel=(25, 25),
-    )  # fmt: skip
-    end = radius * np.radians(70)
-    years = cube.years.to_value(u.yr)
-    for speed, spread in zip(speeds, (0.9, 0.3), strict=True):
-        n = int(1.0 * (end + speed * years[-1]))
-        start = rng.uniform(-speed * years[-1], end, n)
-        off, peak = rng.normal(0, spread, n), rng.uniform(0.3, 1.5, n)
-        for image, year in zip(cube.data, years, strict=True):
-            s = start + speed * year + rng.normal(0, 0.05, n)
-            seen = (s > 0) & (s < end)
-            t, r = s / radius, radius - off
-            x, y = cube.offset_to_pixel(-r * np.sin(t) * u.mas,
-                                        (radius - r * np.cos(t)) * u.mas)  # fmt: skip
-            covariance = np.broadcast_to(4.6**2 * np.eye(2), (seen.sum(), 2, 2))
-            add_gaussians(image, x[seen], y[seen], peak[seen], covariance)
-    cube.data[:] += rng.normal(0, 0.002, cube.data.shape)
-    return cube
-
-
-def two_rates(args):
-    """Rates and centre of simulated shells."""
-    rows = []
-    for seed in range(args.seed, args.seed + 3):
-        shell = simulate_shell(rng=seed)
-        scc = StackedCrossCorrelation(
-            scales=[1, 4], max_speed=200 * u.mas / u.yr, baseline=[10, 25] * u.yr,
-            kernel=0.1, detection=7, segmentation=5,
-        )  # fmt: skip
-        matched = scc.match(shell.cube)
-        fit = fit_shell(scc, matched, scale_groups(matched, {"1": [1], "4": [4]}))
-        rates = [measured(r.value, e.value, 4)
-                 for r, e in zip(fit.rate, fit.rate_err, strict=True)]  # fmt: skip
-        away = (fit.centre - shell.centre).to_value(u.arcsec)
-        errors = fit.centre_err.to_value(u.arcsec)
-        off = [measured(a, e) for a, e in zip(away, errors, strict=True)]
-        rows.append([seed, *rates, *off])
-    mean = 12.5
-    print(
-        "Put in, at the mean date: "
-        + " and ".join(f"{100 * e / (1 + e * mean):.4f}" for e in (0.0011, 0.0007))
-        + " %/yr; resolution of scale 1: 4 arcsec"
-    )
-    header = ["seed", "scale 1 (%/yr)", "scale 4 (%/yr)", "centre off, east (arcsec)",
-              "north"]  # fmt: skip
-    write_table("shell", header, rows)
+    figure_along(profile, matched, -72, k).savefig(RESULTS / "profile_m87.png", dpi=110)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,152 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+Simulated jets that bend by 70 degrees, with two speeds along the bend.
+
+Run by ``profiles.py --only bent``.
+"""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+from common import PM_UNIT, RESULTS, measured, plain, write_table
+
+from astro_scc import Beam, EpochCube, StackedCrossCorrelation
+from astro_scc.epochs.gaussians import add_gaussians
+from astro_scc.kinematics import find_ridge_line
+from astro_scc.measurement import select_ssps
+
+RADIUS, SPEEDS = 16.0, (0.5, 1.4)
+NAMES = ("ridge line", "position angle")
+COLORS = ("#0072B2", "#E69F00")
+
+
+def bent_jets(args):
+    """Speeds along the ridge line and along one position angle."""
+    found = {name: [] for name in NAMES}
+    rows, line = [], None
+    for seed in range(args.seed, args.seed + args.n_jets):
+        cube = bent_images(seed)
+        scc = StackedCrossCorrelation(scales=[1, 2], max_speed=2.2 * PM_UNIT)
+        matched = scc.match(cube)
+        line = find_ridge_line(
+            cube, position_angle=270 * u.deg, half_width=2 * u.mas,
+            smoothing=3 * u.mas,
+        )  # fmt: skip
+        part = select_ssps(matched, r_min=2 * u.mas, r_max=17 * u.mas)
+        cells = [seed]
+        for name, axes in zip(NAMES, (line, 300 * u.deg), strict=True):
+            table = (
+                replace(scc, position_angle=axes)
+                .stack(part, n_trials=args.n_trials, rng=seed)
+                .components
+            )
+            moving = table[table["kind"] == "moving"]
+            each = [_nearest(moving, speed) for speed in SPEEDS]
+            found[name].append(each)
+            cells += ["" if np.isnan(v) else measured(v, e) for v, e in each]
+        rows.append(cells)
+        print(*cells, sep="  ", flush=True)
+        if seed == args.seed:
+            first = cube, line
+    header = ["seed", *(f"{name}, {v} mas/yr" for name in NAMES for v in SPEEDS)]
+    write_table("profile_bent", header, rows)
+    summary(found)
+    draw(*first, found, args.seed)
+
+
+def _nearest(table, speed):
+    """The moving component nearest to a speed, if it is nearer than a third of it."""
+    values = [
+        (plain(row["pm_parallel"], PM_UNIT), plain(row["pm_parallel_err"], PM_UNIT))
+        for row in table
+        if abs(plain(row["pm_parallel"], PM_UNIT) - speed) < speed / 3
+    ]
+    return min(values, key=lambda p: abs(p[0] - speed), default=(np.nan, np.nan))
+
+
+def summary(found):
+    """What is found of each stream, and how far it is off."""
+    rows = []
+    for name in NAMES:
+        values = np.array(found[name])
+        for k, speed in enumerate(SPEEDS):
+            v, e = values[:, k].T
+            seen = np.isfinite(v)
+            cells = [name, speed, f"{seen.sum()} of {len(v)}"]
+            if seen.sum() > 1:
+                v, e = v[seen], e[seen]
+                pull = (v - speed) / e
+                cells += [
+                    measured(v.mean(), v.std(ddof=1) / np.sqrt(len(v)), 3),
+                    f"{v.std(ddof=1):.3f}", f"{np.median(e):.3f}",
+                    f"{pull.mean():+.2f}", f"{np.sqrt((pull**2).mean()):.2f}",
+                    f"{np.mean(np.abs(pull) <= 1):.2f}",
+                    f"{np.mean(np.abs(pull) <= 2):.2f}",
+                ]  # fmt: skip
+            rows.append(cells + [""] * (10 - len(cells)))
+    header = ["axes", "put in (mas/yr)", "found", "mean (mas/yr)", "scatter",
+              "median error", "off / error, mean", "rms", "within 1",
+              "within 2"]  # fmt: skip
+    write_table("profile_bent_summary", header, rows)
+
+
+def bent_images(seed, n_epochs=10):
+    """A circle from west to north, features at two speeds along it."""
+    rng = np.random.default_rng(seed)
+    beam = Beam(1 * u.mas, 1 * u.mas)
+    cube = EpochCube.from_arrays(
+        np.zeros((n_epochs, 200, 220)),
+        [f"{2000 + i}-01-01" for i in range(n_epochs)],
+        pixel_scale=0.1 * u.mas, unit=u.Jy / u.beam, beams=beam,
+        noise=0.002 * u.Jy / u.beam, reference_pixel=(25, 25),
+    )  # fmt: skip
+    end = RADIUS * np.radians(70)
+    years = cube.years.to_value(u.yr)
+    for speed, spread in zip(SPEEDS, (0.9, 0.3), strict=True):
+        n = int(1.0 * (end + speed * years[-1]))
+        start = rng.uniform(-speed * years[-1], end, n)
+        off, peak = rng.normal(0, spread, n), rng.uniform(0.3, 1.5, n)
+        for image, year in zip(cube.data, years, strict=True):
+            s = start + speed * year + rng.normal(0, 0.05, n)
+            seen = (s > 0) & (s < end)
+            t, r = s / RADIUS, RADIUS - off
+            x, y = cube.offset_to_pixel(-r * np.sin(t) * u.mas,
+                                        (RADIUS - r * np.cos(t)) * u.mas)  # fmt: skip
+            covariance = np.broadcast_to(4.6**2 * np.eye(2), (seen.sum(), 2, 2))
+            add_gaussians(image, x[seen], y[seen], peak[seen], covariance)
+    cube.data[:] += rng.normal(0, 0.002, cube.data.shape)
+    return cube
+
+
+def draw(cube, line, found, seed):
+    """A jet with its ridge line, and the speeds that were measured."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 3.9), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    east, north = (o.to_value(u.mas) for o in cube.offsets())
+    box = east[0, 0] + 0.05, east[0, -1] - 0.05, north[0, 0] - 0.05, north[-1, 0] + 0.05
+    left.imshow(np.sqrt(np.maximum(cube.data.mean(axis=0), 0)), extent=box,
+                origin="lower", cmap="gray_r")  # fmt: skip
+    turn = np.linspace(0, np.radians(70), 100)
+    left.plot(-RADIUS * np.sin(turn), RADIUS * (1 - np.cos(turn)), color="#D55E00",
+              lw=1.5, label="put in")  # fmt: skip
+    left.plot(line.east.value, line.north.value, "--", color="#56B4E9", lw=2,
+              label="ridge line found")  # fmt: skip
+    left.set(xlabel="East (mas)", ylabel="North (mas)", title="Mean of ten epochs")
+    left.legend(frameon=False, loc="upper right")
+    for name, color, marker, shift in zip(NAMES, COLORS, "os", (-0.15, 0.15),
+                                          strict=True):  # fmt: skip
+        values = np.array(found[name])
+        place = np.arange(len(values)) + seed + shift
+        for k in range(len(SPEEDS)):
+            right.errorbar(place, values[:, k, 0], values[:, k, 1], fmt=marker, ms=4,
+                           color=color, label=f"along {name}" if k == 0 else None,
+                           )  # fmt: skip
+    for speed in SPEEDS:
+        right.axhline(speed, color="0.6", lw=1, zorder=0)
+    right.set(xlabel="Seed", ylabel="Speed (mas/yr)", title="Moving components",
+              ylim=(0, 1.8))  # fmt: skip
+    right.legend(frameon=False, loc="center right")
+    figure.savefig(RESULTS / "profile_bent.png", dpi=110)
