@@ -128,6 +128,37 @@ def test_expansion_is_told_from_a_fifth_of_the_radius_on():
     assert np.isnan(frame.matrix([0.0, -3.99], [3.99, 0.0])).all()
 
 
+def test_distances_of_any_shape():
+    t = np.linspace(0, 1.2, 9)
+    line = RidgeLine(-10 * np.sin(t) * u.mas, 10 * (1 - np.cos(t)) * u.mas)
+    s = np.linspace(-2, 14, 24)
+    flat, cube = s * u.mas, s.reshape(2, 3, 4) * u.mas
+    angle = line.position_angle(flat)
+    np.testing.assert_array_equal(line.position_angle(cube).ravel(), angle)
+    assert line.position_angle(flat[7]) == angle[7]
+    for one, other in zip(line.at(cube), line.at(flat), strict=True):
+        np.testing.assert_array_equal(one.ravel(), other)
+    places = line.at(cube)
+    for one, other in zip(
+        line.coordinates(*places), line.coordinates(*line.at(flat)), strict=True
+    ):
+        assert one.shape == (2, 3, 4)
+        np.testing.assert_array_equal(one.ravel(), other)
+    matrix = line.matrix(*(v.value for v in places))
+    assert matrix.shape == (2, 3, 4, 2, 2)
+    sin = np.sin(line.position_angle(cube))
+    np.testing.assert_allclose(matrix[..., 0, 0], sin, atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("beta", "error"), [([1.0, 2.0], [0.1, -0.1]), ([1.0, -0.5], [0.1, 0.1]),
+                        ([1.0, 2.0], [0.1, np.nan]), ([1.0, np.inf], [0.1, 0.1])]
+)  # fmt: skip
+def test_one_speed_that_cannot_be_among_others(beta, error):
+    with pytest.raises(ValueError, match="finite and not negative"):
+        intrinsic_table(beta, error)
+
+
 def test_slow_flows_and_none():
     table = intrinsic_table([0.0, 0.4], [0.0, 0.0], viewing_angle=20 * u.deg)
     assert table["gamma"][0] == table["gamma_min"][0] == 1

@@ -128,6 +128,21 @@ def test_a_slice_that_is_bright_to_its_ends():
     assert top == 1
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_gap_of_one_point_ends_a_slice(side):
+    # Points of the slice are pixels: a plateau, a gap, the maximum, a plateau.
+    values = np.full(61, 0.8)
+    values[30] = 1.0
+    values[30 + side] = 0.1
+    image = np.repeat(values[:, None], 9, axis=1)
+    cube = cube_of(image[None], reference=(0, 0))
+    guess, ahead = np.array([-0.4, 3.0]), np.array([-1.0, 0.0])
+    middle, _ = _slice_point(cube, image, guess, ahead, 3.0 - 1e-9)
+    y = np.arange(61) * 0.1
+    own = slice(30, None) if side < 0 else slice(0, 31)
+    assert middle[1] == pytest.approx(np.average(y[own], weights=values[own]))
+
+
 def test_where_a_line_meets_itself():
     t = np.arange(0, 2 * np.pi, 0.1)
     points = list(np.stack([3 * np.cos(t), 3 * np.sin(t)], axis=1))
