@@ -530,6 +530,8 @@ def candidates(clone, path):
         for variant, other in enumerate(changes(node)):
             first = node.test if isinstance(node, ast.If | ast.While) else node
             before, after = _short(node), _short(other)
+            if before == after:
+                continue
             row = rows[first.lineno - 1].strip()
             place = numbers[id(node)], variant, first.lineno, row
             found.append(Mutant(path, *place, before, after, scopes))

@@ -6,6 +6,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import t
 
+from astro_scc.stacking import Sightings, lag_test
 from astro_scc.stacking.lags import BEAM, FEWEST, NEAR, _displacement, _line
 
 
@@ -117,3 +118,29 @@ def test_a_group_of_one_block_keeps_its_displacement():
     filled[2, 1] = d[1]
     one, other = _line(lag, d, others), _line(lag, d, filled)
     np.testing.assert_equal(one, other)
+
+
+def test_lags_along_any_direction():
+    rng = np.random.default_rng(8)
+    n = 500
+    lag, when, x = rng.uniform(0.5, 2, n), rng.uniform(0, 20, n), rng.uniform(0, 9, n)
+    one, zero = np.ones(n), np.zeros((n, 2))
+    v = np.array([1.2, -0.9])
+    # A third goes as fast, but across.
+    way = np.where(rng.random(n)[:, None] < 0.67, v, v[::-1] * [-1, 1])
+    d = way * lag[:, None] + rng.normal(0, 0.05, (n, 2))
+    seen = Sightings(
+        v1=d[:, 0] / lag, v2=d[:, 1] / lag, s1=0.1 / lag, s2=0.1 / lag, weight=one,
+        time=when, interval=lag, middle=zero, velocity=zero, sigma=0.1 * one,
+        first=one, ssp=np.arange(n), match=np.arange(n),
+    )  # fmt: skip
+    found = lag_test(seen, *v, distance=x, n_groups=4)
+    np.testing.assert_allclose(found.displacement, 1.5 * found.lag, atol=0.03)
+    assert found.speed == pytest.approx(1.5, abs=0.05)
+    along = (way == v).all(axis=1)
+    edges = np.quantile(lag, np.linspace(0, 1, 5))
+    for k in range(4):
+        group = (lag >= edges[k]) & (lag <= edges[k + 1])
+        assert found.lag[k] == pytest.approx(lag[group].mean(), rel=0.01)
+        assert found.n_sightings[k] == pytest.approx((group & along).sum(), rel=0.15)
+        assert found.coefficient[k] == pytest.approx(along[group].mean(), rel=0.35)

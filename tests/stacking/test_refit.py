@@ -13,7 +13,7 @@ from astro_scc.stacking import (
     stack,
 )
 from astro_scc.stacking.refit import Refit
-from astro_scc.stacking.stack import number_of_ssps
+from astro_scc.stacking.stack import number_of_ssps, velocities
 
 GRID = VelocityGrid.covering((4.0, 3.0), (0.08, 0.1))
 YEARS = np.array([0.0, 0.8, 1.5, 2.6])
@@ -45,6 +45,15 @@ def test_the_box_is_a_part_of_the_whole_stack(scene):
     assert lost.min() > -1e-9
     assert lost.max() < len(d) * 3 * np.exp(-12.5)
     assert len(near.index) < len(d)
+    index, x, y, sx, sy, _ = velocities(d, PAIRS)
+    inside = [
+        x[k] + 5 * sx[k] >= GRID.v1[columns[0]]
+        and x[k] - 5 * sx[k] <= GRID.v1[columns[-1]]
+        and y[k] + 5 * sy[k] >= GRID.v2[rows[0]]
+        and y[k] - 5 * sy[k] <= GRID.v2[rows[-1]]
+        for k in range(len(x))
+    ]
+    np.testing.assert_array_equal(near.index, index[inside])
     assert near.used is used
     half = np.arange(len(near.x)) % 2 == 0
     np.testing.assert_allclose(near.map(half) + near.map(~half), near.map())
