@@ -44,7 +44,7 @@ import coverage
 import pytest
 
 REPO = Path(__file__).parents[1]
-ROOMS = ("correlation", "stacking", "kinematics")
+ROOMS = ("kinematics", "stacking", "correlation")
 #: Bytes that the tests of a mutant may take.
 MEMORY = 8 * 2**30
 #: A mutant hangs that takes so many times as long as usual, and some seconds.
@@ -375,7 +375,7 @@ SYMMETRIC = BUILTINS.keys() | {
 }
 
 
-#: Constants on which no result depends, only time and memory.
+#: Constants, and what is made of them, on which only time and memory depend.
 EFFORT = ("BATCH", "BATCH_PIXELS", "BYTES", "CACHED", "TIMEOUT", "WAITING", "WORK")
 
 
@@ -480,8 +480,11 @@ def left_alone(node):
             return True
         case ast.Expr(value=ast.Constant()):
             return True
-        case ast.Assign(targets=[ast.Name(id=name)]):
-            return name == "__all__" or name.isupper() and name.endswith(EFFORT)
+        case ast.Assign(targets=[ast.Name(id="__all__")]):
+            return True
+        case ast.Assign():
+            names = (n.id for n in ast.walk(node) if isinstance(n, ast.Name))
+            return any(name.isupper() and name.endswith(EFFORT) for name in names)
         case ast.If(test=ast.Name(id="TYPE_CHECKING")):
             return True
         case ast.Expr(
