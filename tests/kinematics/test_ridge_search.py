@@ -40,10 +40,12 @@ def along(x, y, n=1, size=(120, 120), **options):
     return cube
 
 
-def test_smoothing_is_a_parabola_at_each_point():
+@pytest.mark.parametrize("size", [1.0, 0.02])
+def test_smoothing_is_a_parabola_at_each_point(size):
+    # Large errors are more than the scatter, small ones less.
     rng = np.random.default_rng(1)
     points = np.cumsum(rng.uniform(0.1, 0.4, (14, 2)), axis=0)
-    error = rng.uniform(0.05, 0.2, 14)
+    error = size * rng.uniform(0.05, 0.2, 14)
     width = 0.8
     s = np.append(0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
     smooth, spread = _smoothed(points, error, width, 0.1)
