@@ -129,9 +129,10 @@ def baseline_pairs(years, shortest, longest):
         )
     years = np.asarray(years, dtype=float)
     separation = years[None, :] - years[:, None]
-    # Dates are given in days: a rounded limit must not lose a pair.
-    day = 1e-3
-    inside = (separation >= shortest - day) & (separation <= longest + day)
+    # A rounded limit must not lose a pair: a third of a day, or a percent of
+    # what is limited where dates are minutes apart.
+    slack = min(1e-3, 0.01 * longest)
+    inside = (separation >= shortest - slack) & (separation <= longest + slack)
     first, second = np.nonzero(inside & (separation > 0))
     interval = separation[first, second]
     weight = interval**2 / np.mean(interval**2) if len(interval) else interval

@@ -80,3 +80,12 @@ def test_images_of_an_order_and_of_many():
     reference, target = pairs.images(orders)
     assert reference.tolist() == [[0, 2], [3, 1]]
     assert target.tolist() == [[1, 3], [2, 0]]
+
+
+def test_dates_that_are_minutes_apart():
+    minute = 1 / (365.25 * 1440)
+    pairs = baseline_pairs(np.arange(10) * minute, minute, 3 * minute)
+    assert len(pairs) == 9 + 8 + 7
+    # Limits that are rounded to four digits lose nothing.
+    rounded = baseline_pairs(np.arange(10) * minute, 1.9e-6, 5.7e-6)
+    assert len(rounded) == 9 + 8 + 7
