@@ -17,6 +17,7 @@ from astro_scc.kinematics import paper_cosmology
 from astro_scc.report import write_report
 from astro_scc.report.answer import headline
 from astro_scc.report.figures import Picture
+from astro_scc.report.tables import in_easy_units
 from astro_scc.report.words import with_error
 from astro_scc.simulation import simulate_two_fluid
 
@@ -415,3 +416,17 @@ def test_rounding_is_small_beside_the_error(value, error):
     shown, shown_error = map(float, with_error(value, error).split(" ± "))
     assert shown_error == pytest.approx(error, rel=0.06, abs=0.5 if error > 10 else 0)
     assert abs(shown - value) <= max(0.051 * error, 0.5) + 1e-9
+
+
+def test_fast_motion_has_a_unit_that_can_be_read(components):
+    assert in_easy_units(components) is components
+    assert in_easy_units(components[:0]).colnames == components.colnames
+    fast = components.copy()
+    for name in ("pm", "pm_err"):
+        fast[name] = components[name] * 1e5
+        fast[name].info.description = components[name].info.description
+    easy = in_easy_units(fast)
+    assert str(easy["pm"].unit) == str(easy["pm_err_epochs"].unit) == "arcsec / yr"
+    assert easy["pm"][0] == fast["pm"][0]
+    assert easy["pm"].info.description == components["pm"].info.description
+    assert str(fast["pm"].unit) == "mas / yr"

@@ -145,8 +145,10 @@ def profile_lines(components):
 
 
 def _found_lines(components, kinds):
+    from astro_scc.visualization.style import speed_unit
+
     in_c = "beta_app" in components.colnames
-    unit = components["pm"].unit
+    unit = speed_unit(components["pm"].value.max())
     head = ["component", f"proper motion ({unit})", "PA (deg)"]
     head += ["speed (c)"] if in_c else []
     head += ["p_global", "z score", "SSPs", ""]
@@ -155,7 +157,7 @@ def _found_lines(components, kinds):
         angle = row["pm_pa"].value
         cells = [
             str(row["component"]),
-            with_error(row["pm"].value, row["pm_err"].value),
+            with_error(row["pm"].to_value(unit), row["pm_err"].to_value(unit)),
             f"{angle:.0f}" if math.isfinite(angle) else "-",
         ]
         if in_c:

@@ -7,7 +7,12 @@ from pathlib import Path
 from astro_scc.epochs.serialize import replace_when_complete
 from astro_scc.report.answer import answers, chances, edge_remarks, facts, headline
 from astro_scc.report.figures import draw_pictures
-from astro_scc.report.tables import component_rows, epoch_rows, setting_rows
+from astro_scc.report.tables import (
+    component_rows,
+    epoch_rows,
+    in_easy_units,
+    setting_rows,
+)
 
 __all__ = ["write_report"]
 
@@ -92,7 +97,8 @@ def write_report(
         raise OSError(f"{directory}: is a file; choose another folder") from None
     kinds = component_kinds(components)
     pictures = draw_pictures(result, components)
-    tables, notes = component_rows(components, kinds)
+    easy = in_easy_units(components)
+    tables, notes = component_rows(easy, kinds)
     environment = jinja2.Environment(
         autoescape=True,
         undefined=jinja2.StrictUndefined,
@@ -104,7 +110,7 @@ def write_report(
         title=str(title),
         facts=facts(result),
         headline=headline(kinds),
-        answers=answers(components, kinds),
+        answers=answers(easy, kinds),
         chances=chances(result, components, kinds),
         warnings=[str(w) for w in warnings] + edge_remarks(result, components, kinds),
         figures=pictures,

@@ -6,9 +6,10 @@ import re
 import astropy.units as u
 import numpy as np
 
+from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.report.words import listed, plain_value, row_text, unit_text
 
-__all__ = ["component_rows", "epoch_rows", "setting_rows"]
+__all__ = ["component_rows", "epoch_rows", "in_easy_units", "setting_rows"]
 
 #: Columns of the page: name, heading with {unit}, decimals where there is no error.
 COLUMNS = (
@@ -33,6 +34,34 @@ COLUMNS = (
     ("p_local", "p_local", 3),
     ("p_smallest", "smallest p_global", 3),
 )
+
+
+def in_easy_units(components):
+    """
+    Components with proper motions in the unit in which they are easily read.
+
+    Parameters
+    ----------
+    components : `~astropy.table.QTable`
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        The same table if that is the unit it has.
+    """
+    from astro_scc.visualization.style import speed_unit
+
+    own = components["pm"].unit
+    unit = speed_unit(components["pm"].to_value(PM_UNIT).max(initial=0))
+    if unit == own:
+        return components
+    easy = components.copy()
+    for name in components.colnames:
+        column = components[name]
+        if getattr(column, "unit", None) == own:
+            easy[name] = column.to(unit)
+            easy[name].info.description = column.info.description
+    return easy
 
 
 def component_rows(components, kinds):

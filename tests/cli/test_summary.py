@@ -60,3 +60,13 @@ def test_summary_of_chance(radial):
     assert lines[-1] == (
         "3 of 3 rows of components.ecsv may be chance (p_global above 0.01)"
     )
+
+
+def test_fast_motion_has_a_unit_that_can_be_read(radial):
+    table = radial.copy()
+    table["kind"] = "moving"
+    for name in ("pm", "pm_err"):
+        table[name] = table[name] * 0 + (50_000 if name == "pm" else 300) * u.mas / u.yr
+    head, line = component_lines(table)[:2]
+    assert "proper motion (arcsec / yr)" in head
+    assert "50.00 +- 0.30" in line
