@@ -13,6 +13,7 @@ from astro_scc.stacking import (
     alignment_scatter,
     baseline_pairs,
     component_near,
+    find_components,
     find_velocities,
     find_witnesses,
     stack,
@@ -90,3 +91,19 @@ def test_probability_of_a_z_score_anywhere(z):
     flat = np.zeros((2, 3))
     trials = ShuffledStacks(mean=flat, std=flat, p_local=flat, maxima=maxima)
     assert trials.p_global(z) == (sum(m >= z for m in maxima) + 1) / 100
+
+
+@pytest.mark.parametrize("aside", [(0.9, 0), (-0.9, 0), (0, 1.4), (0, -1.4)])
+@pytest.mark.parametrize("times", [1.0, 1.2])
+def test_a_fit_outside_the_box_is_none(aside, times, monkeypatch):
+    module = sys.modules[find_components.__module__]
+    grid = VelocityGrid.covering(4.0, 0.25)
+    scc = np.exp(-(grid.v1**2 + grid.v2[:, None] ** 2) / 2)
+    place = times * np.array(aside)
+    fit = (*place, 1.0, 0.7, 0.8)
+    monkeypatch.setattr(module, "fit_gaussian", lambda *args: fit)
+    (found,) = find_components(scc, grid, (1.8, 2.8))
+    assert found.fitted == (times == 1)
+    expected = place if times == 1 else (0, 0)
+    np.testing.assert_allclose((found.v1, found.v2), expected, atol=1e-6)
+    assert np.isnan(found.width1) == (times > 1)
