@@ -170,7 +170,8 @@ class Outcome:
     @property
     def all_right(self):
         """Whether what was found are the true speeds, all of them and no others."""
-        return len(self.right) == len(self.case.truth) and not self.others
+        complete = len(self.right) == len(self.case.truth)
+        return complete and not self.others and not self.error
 
 
 def ask(package, case, cube, settings):

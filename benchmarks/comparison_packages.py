@@ -8,8 +8,10 @@ they are.  A package is imported when it is used.
 """
 
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
+from io import StringIO
 
 import astropy.units as u
 import numpy as np
@@ -218,6 +220,32 @@ def openpiv(cube, *, window, extended, sig2noise):
     return None, of_pairs(cube, displacements)
 
 
+def openpiv_passes(cube, *, windows):
+    """Windows that become smaller and follow what larger ones have found."""
+    from openpiv.settings import PIVSettings
+    from openpiv.windef import simple_multipass
+
+    told = PIVSettings(
+        windowsizes=windows,
+        overlap=tuple(3 * window // 4 for window in windows),
+        num_iterations=len(windows),
+        normalized_correlation=True,
+        min_max_u_disp=(-LARGEST, LARGEST),
+        min_max_v_disp=(-LARGEST, LARGEST),
+    )
+
+    def displacements(a, b):
+        frames = [(4095 * np.clip(image, 0, 1)).astype(np.int32) for image in (a, b)]
+        with redirect_stdout(StringIO()):
+            x, y, along, across, _ = simple_multipass(*frames, told)
+        # Its y counts from the last row of the image and its rows from the first.
+        y = len(a) - y
+        use = a[np.rint(y).astype(int), np.rint(x).astype(int)] > BRIGHT * a.max()
+        return x[use], y[use], along[use], -across[use]
+
+    return None, of_pairs(cube, displacements)
+
+
 def flow_ilk(cube, *, radius):
     """Optical flow, iterative Lucas-Kanade."""
     from skimage.registration import optical_flow_ilk
@@ -288,6 +316,10 @@ PACKAGES = (
         "OpenPIV", "OpenPIV", "GPL-3.0", openpiv,
         {"window": 48, "extended": False, "sig2noise": 1.0},
         {"window": (24, 32, 64), "extended": (True,), "sig2noise": (1.2,)},
+    ),
+    Package(
+        "OpenPIV, passes", "OpenPIV", "GPL-3.0", openpiv_passes,
+        {"windows": (64, 32, 16)}, {"windows": ((64, 48, 32),)},
     ),
     Package(
         "scikit-image, ILK", "scikit-image", "BSD-3-Clause", flow_ilk,
