@@ -17,7 +17,15 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Table
 from bent import bent_jets
-from common import PM_UNIT, RESULTS, measured, p_text, plain, write_table
+from common import (
+    PM_UNIT,
+    RESULTS,
+    feature_motions,
+    measured,
+    p_text,
+    plain,
+    write_table,
+)
 from mojave import BEFORE, NOISE, PIXEL, SOURCES, images
 from shells import two_rates
 
@@ -122,6 +130,7 @@ def acceleration_of_3c120(args):
               for v, e, m in zip(speed, error, n, strict=True)]  # fmt: skip
     bins_of_3c120("profile_3c120", profile, 0.5, beside, k)
     bins_of_3c120("profile_3c120_windows", windows, 0.5 * WINDOW.value, beside, k)
+    features_of_3c120(args)
     accelerations(scc, matched, k)
     rows = []
     inside = profile.main[profile.main["r_mid"] < 7.6 * u.mas]
@@ -158,7 +167,7 @@ def acceleration_of_3c120(args):
     header = ["speeds", "model", "parameters (mas, yr)", "chi2 / free",
               "p of a constant"]  # fmt: skip
     write_table("profile_3c120_fits", header, rows)
-    figure_3c120(profile, windows, matched, radii, speed, error, n, k)
+    figure_3c120(profile, matched, radii, speed, error, n, k)
     wide = replace(scc, baseline=[0.1, 1.2] * u.yr)
     table = check_lags(
         wide, matched, [2.0, 0.0] * PM_UNIT, r_min=0.5 * u.mas, r_max=10.5 * u.mas
@@ -197,6 +206,31 @@ def bins_of_3c120(name, profile, half, beside, k):
     write_table(name, header, rows)
 
 
+def features_of_3c120(args, half_width=2.0):
+    """The survey's features averaged as in the paper, two ways."""
+    source = SOURCE["3C 120"]
+    k = source.per_c
+    radii = np.arange(1.0, 11.0)
+    speed, error, n = features_as_the_paper(
+        args.folder, source.table, radii, before=BEFORE, half_width=half_width
+    )
+    whole = feature_motions(
+        args.folder, source.table, source.position_angle, before=BEFORE, sightings=5
+    )
+    rows = []
+    for i, radius in enumerate(radii):
+        own = whole["speed"][np.abs(whole["distance"] - radius) <= half_width]
+        spread = k * own.std(ddof=1) / np.sqrt(len(own))
+        rows.append([
+            int(radius), f"{measured(k * speed[i], k * error[i], 1)} ({n[i]})",
+            f"{measured(k * own.mean(), spread, 1)} ({len(own)})",
+            PAPER_3C120.get(int(radius), ""),
+        ])  # fmt: skip
+    header = ["distance (mas)", "fits within 2 mas (c)", "fits of whole tracks (c)",
+              "paper (c)"]  # fmt: skip
+    write_table("profile_3c120_features", header, rows)
+
+
 def accelerations(scc, matched, k):
     """The stack in speed and acceleration, over stretches of 3C 120."""
     rows = []
@@ -218,16 +252,11 @@ def accelerations(scc, matched, k):
     write_table("profile_3c120_acceleration", header, rows)
 
 
-def figure_3c120(profile, windows, matched, radii, speed, error, n, k):
+def figure_3c120(profile, matched, radii, speed, error, n, k):
     """The paper's figure: speed against distance, the jet above it."""
     use = n > 0
-    wide = windows.main
-    others = [
-        ("features ± 2 mas", radii[use] * u.mas, speed[use] * PM_UNIT,
-         error[use] * PM_UNIT),
-        ("stack ± 2 mas", wide["r_max"] - WINDOW / 2 + 0.15 * u.mas,
-         wide["pm_parallel"], wide["pm_parallel_err"]),
-    ]  # fmt: skip
+    others = [("features within 2 mas", radii[use] * u.mas, speed[use] * PM_UNIT,
+               error[use] * PM_UNIT)]  # fmt: skip
     angle = SOURCE["3C 120"].position_angle
     figure = figure_along(profile, matched, angle, k, others=others)
     figure.savefig(RESULTS / "profile_3c120.png", dpi=110)
