@@ -2,12 +2,15 @@
 """Work in several processes, of this machine or of a cluster."""
 
 import multiprocessing
+import os
 import signal
 import sys
+import threading
 from collections import deque
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing.connection import wait as wait_for
 from numbers import Integral
 
 from astro_scc.correlation.cluster import is_client, on_cluster, open_client
@@ -22,10 +25,17 @@ WAITING = 2
 def _start():
     # The parent ends on an interrupt, and then its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # One that is killed cannot end them.
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     from threadpoolctl import threadpool_limits
 
     # More workers than one already share the processor.
     threadpool_limits(1)
+
+
+def _end_with_parent():
+    wait_for([multiprocessing.parent_process().sentinel])
+    os._exit(1)
 
 
 @contextmanager

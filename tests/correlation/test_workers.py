@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
 
@@ -113,3 +115,33 @@ def test_an_interrupt_ends_it_at_once():
     assert out.count("piece") < 100
     assert out.splitlines()[-1] == "left: 0"
     assert err == ""
+
+
+UNENDING = """
+import multiprocessing, sys, time
+from astro_scc.correlation.workers import in_order
+
+def nap(value):
+    time.sleep(0.05)
+    return value
+
+if __name__ == "__main__":
+    for _ in in_order(nap, range(10_000), 2):
+        print(*(p.pid for p in multiprocessing.active_children()), flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_workers_end_with_a_parent_that_is_killed(tmp_path):
+    script = tmp_path / "parent.py"
+    script.write_text(UNENDING)
+    with subprocess.Popen(
+        [sys.executable, script], stdout=subprocess.PIPE, text=True
+    ) as parent:
+        workers = next(line.split() for line in parent.stdout if len(line.split()) == 2)
+        parent.kill()
+        parent.wait()
+        limit = time.monotonic() + 60
+        while any(Path(f"/proc/{pid}").exists() for pid in workers):
+            assert time.monotonic() < limit
+            time.sleep(0.05)
