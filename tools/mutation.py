@@ -13,9 +13,9 @@ whole call left out, nothing returned.  Text, annotations, decorators, ``raise``
 they are.
 
 A mutant is killed if one of the tests that touch its line fails, or they take more
-than ten times as long as usual; tests of its own room run first, fastest first, for
-as long as ``--budget`` seconds of tests.  Printed are the share that is killed, with
-a 95% interval, and the mutants that survive.
+than ten times as long as usual; tests of its own module and room run first, fastest
+first, for as long as ``--budget`` seconds of tests.  Printed are the share that is
+killed, with a 95% interval, and the mutants that survive.
 
 What is in FOLDER is used again: ``--record`` copies the repository and runs all its
 tests anew, ``--record PATH ...`` copies only the tests and adds what these touch;
@@ -287,9 +287,10 @@ class Tests:
         names = set()
         for lines in mutant.scopes:
             names = names or self.touching(mutant.path, lines)
-        return self.in_time(names, mutant.path.split("/")[1], budget)
+        _, room, module = mutant.path.split("/")
+        return self.in_time(names, room, budget, module.removesuffix(".py"))
 
-    def in_time(self, names, room, budget):
+    def in_time(self, names, room, budget, module=" "):
         """
         As many of some tests as there is time for.
 
@@ -299,6 +300,8 @@ class Tests:
         room : str
             Whose own tests come first.
         budget : float
+        module : str, optional
+            Those whose file has its name are the first of all.
 
         Returns
         -------
@@ -308,7 +311,12 @@ class Tests:
         ours = (f"tests/{room}/", f"astro_scc/{room}/")
         known = self.durations
         stages = [[], []]
-        for name in sorted(names, key=lambda n: (not n.startswith(ours), known[n], n)):
+
+        def rank(name):
+            file = name.split("::")[0].rsplit("/", 1)[-1]
+            return not name.startswith(ours), module not in file, known[name], name
+
+        for name in sorted(names, key=rank):
             budget -= known[name]
             if budget < 0 and any(stages):
                 break
