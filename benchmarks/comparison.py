@@ -221,6 +221,7 @@ def share(outcomes):
 def compare(n_seeds):
     """What all packages find in all jets, by kind of jet and package."""
     found = {}
+    RESULTS.mkdir(exist_ok=True)
     for case in CASES:
         cubes = [case.simulate(seed) for seed in range(1, n_seeds + 1)]
         for package in PACKAGES:
