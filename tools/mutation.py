@@ -317,10 +317,9 @@ class Tests:
             return not name.startswith(ours), module not in file, known[name], name
 
         for name in sorted(names, key=rank):
-            budget -= known[name]
-            if budget < 0 and any(stages):
-                break
-            stages[not name.startswith(ours)].append(name)
+            if known[name] <= budget or not any(stages):
+                budget -= known[name]
+                stages[not name.startswith(ours)].append(name)
         return [stage for stage in stages if stage]
 
 
