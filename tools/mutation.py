@@ -103,6 +103,7 @@ def main(argv=None):
             saved = [(m.__dict__, verdict) for m, verdict in results[room]]
             log.write_text(json.dumps(saved))
     given = f"--number {args.number} --seed {args.seed} --budget {args.budget:g}"
+    given += " --again" * args.again
     print(f"python tools/mutation.py FOLDER {given}\n\n{summary(results)}")
 
 
