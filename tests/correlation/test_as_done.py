@@ -4,6 +4,7 @@
 import multiprocessing
 import os
 import signal
+import time
 
 import pytest
 
@@ -52,6 +53,19 @@ def test_a_piece_that_kills_its_process():
     }
     assert isinstance(found[3], Exception)
     assert multiprocessing.active_children() == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_pool_that_is_found_broken_with_the_next_piece():
+    def pieces():
+        yield 3
+        # Long enough for the process to die.
+        time.sleep(0.5)
+        yield from (1, 2, 4)
+
+    found = dict(as_done(deadly, pieces(), 2))
+    assert isinstance(found.pop(0), Exception)
+    assert found == {1: 10, 2: 20, 3: 40}
 
 
 def test_who_stops_leaves_no_process():
