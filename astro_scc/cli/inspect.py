@@ -49,8 +49,8 @@ def run(args, reporter):
     from pathlib import Path
 
     from astro_scc.epochs import inspect_epochs
-    from astro_scc.epochs.assembly import find_files
-    from astro_scc.epochs.serialize import is_cube_file
+    from astro_scc.epochs.files.assembly import find_files
+    from astro_scc.epochs.files.serialize import is_cube_file
 
     speed = _speed(args.speed)
     files = find_files(args.epochs, missing_ok=True)
@@ -118,7 +118,7 @@ def _cores(cube):
     """Offset of the core of each epoch as text, by label, and what to do about it."""
     import numpy as np
 
-    from astro_scc.epochs.core import core_positions
+    from astro_scc.epochs.alignment.core import core_positions
 
     if cube is None or cube.beams is None:
         return {}, []

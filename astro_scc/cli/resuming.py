@@ -73,7 +73,7 @@ def kept_seed(work):
     """
     if work is None:
         return draw_seed()
-    from astro_scc.epochs.serialize import replace_when_complete
+    from astro_scc.partial import replace_when_complete
 
     path = work / SEED
     with suppress(OSError, ValueError):

@@ -25,7 +25,7 @@ class EpochSteps:
         -------
         `EpochCube`
         """
-        from astro_scc.epochs.smoothing import common_beam
+        from astro_scc.epochs.grids.smoothing import common_beam
 
         return common_beam(self, beam=beam)
 
@@ -45,7 +45,7 @@ class EpochSteps:
         -------
         `EpochCube`
         """
-        from astro_scc.epochs.alignment import align
+        from astro_scc.epochs.alignment.shifts import align
 
         return align(self, method, **kwargs)
 
@@ -65,7 +65,7 @@ class EpochSteps:
         -------
         `EpochCube`
         """
-        from astro_scc.epochs.reprojection import reproject_cube
+        from astro_scc.epochs.grids.reprojection import reproject_cube
 
         return reproject_cube(self, wcs, shape, order=order)
 
@@ -85,7 +85,7 @@ class EpochSteps:
         -------
         `EpochCube`
         """
-        from astro_scc.epochs.cutout import crop
+        from astro_scc.epochs.grids.cutout import crop
 
         return crop(self, region, pad=pad)
 
@@ -103,7 +103,7 @@ class EpochSteps:
         `~numpy.ndarray` of bool, shape (ny, nx)
             True inside.
         """
-        from astro_scc.epochs.cutout import region_mask
+        from astro_scc.epochs.grids.cutout import region_mask
 
         return region_mask(self, region)
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import Decomposer, SSPs
-from astro_scc.epochs.serialize import replace_when_complete
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.decomposing import LazyDecompositions
 from astro_scc.measurement.provenance import (
@@ -24,6 +23,7 @@ from astro_scc.measurement.provenance import (
 )
 from astro_scc.measurement.result import MatchedEpochs
 from astro_scc.measurement.tables import versions
+from astro_scc.partial import replace_when_complete
 
 __all__ = ["MatchCache", "read_matches", "write_matches"]
 

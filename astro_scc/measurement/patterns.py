@@ -7,7 +7,7 @@ import os
 import astropy.units as u
 import numpy as np
 
-from astro_scc.epochs.serialize import replace_when_complete
+from astro_scc.partial import replace_when_complete
 
 __all__ = ["ssp_regions", "ssp_segmentation", "write_ssp_regions"]
 

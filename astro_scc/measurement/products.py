@@ -12,8 +12,8 @@ import astropy.units as u
 import numpy as np
 from astropy.io import fits
 
-from astro_scc.epochs.partial import partial_folder, remove_left
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.partial import partial_folder, remove_left
 
 __all__ = ["plain_cosmology", "product_folder", "velocity_hdus", "write_products"]
 

@@ -7,7 +7,7 @@ import numpy as np
 from astropy.table import Column, MaskedColumn, Table
 from astropy.time import Time
 
-from astro_scc.epochs.serialize import replace_when_complete
+from astro_scc.partial import replace_when_complete
 
 __all__ = ["write_votable"]
 

@@ -4,7 +4,7 @@
 from importlib import resources
 from pathlib import Path
 
-from astro_scc.epochs.serialize import replace_when_complete
+from astro_scc.partial import replace_when_complete
 from astro_scc.report.answer import answers, chances, edge_remarks, facts, headline
 from astro_scc.report.figures import draw_pictures
 from astro_scc.report.tables import (

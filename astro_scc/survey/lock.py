@@ -7,7 +7,7 @@ import platform
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from astro_scc.epochs.partial import hold
+from astro_scc.partial import hold
 
 __all__ = ["alone_in"]
 

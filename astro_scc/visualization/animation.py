@@ -182,7 +182,7 @@ def write_animation(animation, path, *, fps=None, dpi=100, overwrite=False):
     """
     from matplotlib.animation import writers
 
-    from astro_scc.epochs.serialize import replace_when_complete
+    from astro_scc.partial import replace_when_complete
 
     path = Path(path)
     writer = WRITERS.get(path.suffix.lower())

@@ -15,9 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube, measure_noise
-from astro_scc.epochs.assembly import find_files
-from astro_scc.epochs.consistency import find_odd, find_same_dates, looks_like_mask
 from astro_scc.epochs.description import readable_angle
+from astro_scc.epochs.files.assembly import find_files
+from astro_scc.epochs.files.consistency import (
+    find_odd,
+    find_same_dates,
+    looks_like_mask,
+)
 from astro_scc.epochs.offset_grid import OffsetGrid
 from astro_scc.exceptions import EpochWarning
 
@@ -402,7 +406,8 @@ def test_mean_image_leaves_masked_pixels_out():
 
 
 def test_steps_are_those_of_their_modules(monkeypatch):
-    from astro_scc.epochs import alignment, cutout, reprojection, smoothing
+    from astro_scc.epochs.alignment import shifts
+    from astro_scc.epochs.grids import cutout, reprojection, smoothing
 
     cube = make_cube()
     calls = []
@@ -411,7 +416,7 @@ def test_steps_are_those_of_their_modules(monkeypatch):
         return lambda *args, **kwargs: calls.append((name, args[1:], kwargs))
 
     monkeypatch.setattr(smoothing, "common_beam", record("beam"))
-    monkeypatch.setattr(alignment, "align", record("align"))
+    monkeypatch.setattr(shifts, "align", record("align"))
     monkeypatch.setattr(reprojection, "reproject_cube", record("reproject"))
     monkeypatch.setattr(cutout, "crop", record("crop"))
     monkeypatch.setattr(cutout, "region_mask", record("region"))

@@ -21,7 +21,12 @@ from regions import (
 )
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.cutout import crop, distance_mask, refuse_pixels, region_mask
+from astro_scc.epochs.grids.cutout import (
+    crop,
+    distance_mask,
+    refuse_pixels,
+    region_mask,
+)
 from astro_scc.exceptions import EpochWarning
 
 SHAPE = (40, 50)

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam
-from astro_scc.epochs.headers import (
+from astro_scc.epochs.files.headers import (
     axis_kind,
     celestial_wcs,
     epoch_header,

@@ -16,7 +16,7 @@ from astro_scc.epochs import (
     restore,
     write_epochs,
 )
-from astro_scc.epochs.gaussians import add_gaussians
+from astro_scc.epochs.components.gaussians import add_gaussians
 from astro_scc.exceptions import EpochWarning
 
 PIXEL = 0.1 * u.mas

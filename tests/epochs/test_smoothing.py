@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs import smoothing as module
-from astro_scc.epochs.smoothing import (
+from astro_scc.epochs.grids import smoothing as module
+from astro_scc.epochs.grids.smoothing import (
     common_beam,
     gaussian_smooth,
     is_per_beam,

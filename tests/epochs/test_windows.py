@@ -14,8 +14,8 @@ from numpy.testing import assert_array_equal
 from regions import CircleSkyRegion
 
 from astro_scc.epochs import Beam, EpochCube, write_epochs
-from astro_scc.epochs import assembly as module
-from astro_scc.epochs.fits import read_grid, read_image
+from astro_scc.epochs.files import assembly as module
+from astro_scc.epochs.files.fits import read_grid, read_image
 
 PART = slice(9, 30), slice(14, 50)
 

@@ -14,7 +14,6 @@ from astropy.table import QTable
 from astropy.wcs import WCS
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.epochs.partial import _machine
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import paper_cosmology
 from astro_scc.measurement import (
@@ -23,6 +22,7 @@ from astro_scc.measurement import (
     velocity_hdus,
     write_products,
 )
+from astro_scc.partial import _machine
 from astro_scc.simulation import simulate_two_fluid
 
 

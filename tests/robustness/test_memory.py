@@ -87,7 +87,7 @@ def test_parts_of_a_survey(epochs, tmp_path):
 
 
 def test_more_than_the_machine_has(epochs, measure, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("astro_scc.epochs.assembly._memory", lambda: 1e4)
+    monkeypatch.setattr("astro_scc.epochs.files.assembly._memory", lambda: 1e4)
     status, err = measure(*epochs, "-o", tmp_path / "out")
     assert (status, len(err.splitlines())) == (2, 1)
     assert err.startswith(

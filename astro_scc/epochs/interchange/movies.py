@@ -11,7 +11,7 @@ from astropy.time import Time
 
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.interchange.optional import optional
-from astro_scc.epochs.restoring import offset_wcs
+from astro_scc.epochs.offset_grid import offset_wcs
 
 __all__ = ["is_hdf5", "read_movie"]
 __doctest_requires__ = {"read_movie": ["h5py"]}

@@ -7,10 +7,15 @@ from astropy.time import Time
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.files.serialize import (
+    pack_facts,
+    pack_wcs,
+    unpack_facts,
+    unpack_wcs,
+)
+from astro_scc.epochs.grids.resampling import moved_wcs
 from astro_scc.epochs.interchange.optional import optional
-from astro_scc.epochs.resampling import moved_wcs
-from astro_scc.epochs.restoring import offset_wcs
-from astro_scc.epochs.serialize import pack_facts, pack_wcs, unpack_facts, unpack_wcs
+from astro_scc.epochs.offset_grid import offset_wcs
 
 __all__ = ["from_xarray", "to_xarray"]
 __doctest_requires__ = {("from_xarray", "to_xarray"): ["xarray"]}

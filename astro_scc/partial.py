@@ -10,7 +10,7 @@ import shutil
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["hold", "partial_folder", "remove_left"]
+__all__ = ["hold", "partial_folder", "remove_left", "replace_when_complete"]
 
 #: Of names, after what they begin with: the machine and something of its own.
 _END = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}")
@@ -42,7 +42,7 @@ def partial_folder(parent, prefix):
     Examples
     --------
     >>> from pathlib import Path
-    >>> from astro_scc.epochs.partial import partial_folder
+    >>> from astro_scc.partial import partial_folder
     >>> Path("out").mkdir()
     >>> with partial_folder(Path("out"), ".partial-") as folder:
     ...     _ = (folder / "a.txt").write_text("done")
@@ -58,6 +58,41 @@ def partial_folder(parent, prefix):
     finally:
         shutil.rmtree(folder, ignore_errors=True)
         _release(lock)
+
+
+@contextmanager
+def replace_when_complete(path, *, overwrite=False):
+    """
+    A temporary file beside ``path`` that takes its name in the end.
+
+    Parameters
+    ----------
+    path : str or path-like
+    overwrite : bool
+
+    Yields
+    ------
+    `~pathlib.Path`
+        What to write.  If the block raises it is deleted and ``path`` is as
+        it was.
+
+    Raises
+    ------
+    OSError
+        If the file exists and ``overwrite`` is False, or its folder does
+        not exist.
+    """
+    path = Path(os.fspath(path))
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: is a directory; give the name of a file")
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path}: exists; pass overwrite=True to replace it")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path}: its folder {path.parent} does not exist")
+    with partial_folder(path.parent, ".astro_scc-") as folder:
+        part = folder / path.name
+        yield part
+        os.replace(part, path)
 
 
 def _make(parent, prefix):

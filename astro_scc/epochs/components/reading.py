@@ -8,10 +8,10 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from astro_scc.epochs.component_models import read_aips, read_difmap
-from astro_scc.epochs.component_tables import read_ecsv, read_mrt, row_date
-from astro_scc.epochs.components import CORE, ComponentList
-from astro_scc.epochs.fits import check_ordinary
+from astro_scc.epochs.components.lists import CORE, ComponentList
+from astro_scc.epochs.components.models import read_aips, read_difmap
+from astro_scc.epochs.components.tables import read_ecsv, read_mrt, row_date
+from astro_scc.epochs.files.fits import check_ordinary
 from astro_scc.epochs.validation import as_times
 from astro_scc.exceptions import EpochWarning
 

@@ -5,11 +5,15 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from astro_scc.epochs.assembly import find_files
-from astro_scc.epochs.consistency import find_odd, find_same_dates, looks_like_mask
 from astro_scc.epochs.description import readable_angle
-from astro_scc.epochs.fits import read_image
-from astro_scc.epochs.headers import header_beam, header_facts, observing_time
+from astro_scc.epochs.files.assembly import find_files
+from astro_scc.epochs.files.consistency import (
+    find_odd,
+    find_same_dates,
+    looks_like_mask,
+)
+from astro_scc.epochs.files.fits import read_image
+from astro_scc.epochs.files.headers import header_beam, header_facts, observing_time
 from astro_scc.epochs.statistics import measure_noise
 
 __all__ = ["inspect_epochs"]

@@ -7,7 +7,7 @@ from astropy.table import QTable
 from scipy import ndimage, optimize
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
-from astro_scc.epochs.resampling import fill_masked
+from astro_scc.epochs.grids.resampling import fill_masked
 
 __all__ = ["core_positions"]
 

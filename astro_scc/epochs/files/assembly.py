@@ -13,21 +13,25 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
-from astro_scc.epochs.consistency import find_odd, find_same_dates, looks_like_mask
 from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.cutout import crop_line
-from astro_scc.epochs.fits import (
+from astro_scc.epochs.files.consistency import (
+    find_odd,
+    find_same_dates,
+    looks_like_mask,
+)
+from astro_scc.epochs.files.fits import (
     CORRECT_BEAM,
     as_image,
     check_ordinary,
     read_grid,
     read_image,
 )
-from astro_scc.epochs.gridding import FRAMES, lay_on_one_grid
-from astro_scc.epochs.headers import header_beam, header_facts, observing_time
+from astro_scc.epochs.files.gridding import FRAMES, lay_on_one_grid
+from astro_scc.epochs.files.headers import header_beam, header_facts, observing_time
+from astro_scc.epochs.files.windows import Grid, windows_of
+from astro_scc.epochs.grids.cutout import crop_line
 from astro_scc.epochs.keywords import get
 from astro_scc.epochs.validation import as_beams, as_celestial, as_times
-from astro_scc.epochs.windows import Grid, windows_of
 from astro_scc.exceptions import EpochWarning
 
 __all__ = ["cube_from_files", "cube_from_images", "cube_from_ndcube", "find_files"]
@@ -116,8 +120,8 @@ def find_files(paths, *, missing_ok=False):
 
 def cube_from_files(paths, *, frame, times, beams, hdu, check, region=None, pad=0):
     """See `EpochCube.read`."""
+    from astro_scc.epochs.files.serialize import is_cube_file, read_cube
     from astro_scc.epochs.interchange import is_hdf5, read_movie
-    from astro_scc.epochs.serialize import is_cube_file, read_cube
 
     _check_frame(frame)
     files = find_files(paths)
@@ -421,12 +425,12 @@ def _warn(message):
 
 
 def _outside():
-    """Stack level of the first caller outside this folder."""
+    """Stack level of the first caller outside the epochs."""
     import sys
 
-    here = os.path.dirname(__file__)
+    here = os.path.dirname(os.path.dirname(__file__)) + os.sep
     level = 1
     frame = sys._getframe(1)
-    while frame and os.path.dirname(frame.f_code.co_filename) == here:
+    while frame and frame.f_code.co_filename.startswith(here):
         frame, level = frame.f_back, level + 1
     return level

@@ -1,10 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """An `EpochCube` as one FITS file."""
 
-import os
 import warnings
-from contextlib import contextmanager
-from pathlib import Path
 from types import SimpleNamespace
 
 import astropy.units as u
@@ -15,17 +12,16 @@ from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.cutout import box, crop_line
-from astro_scc.epochs.fits import CUBE_CREATOR, open_fits
-from astro_scc.epochs.partial import partial_folder
-from astro_scc.epochs.resampling import cut_wcs
+from astro_scc.epochs.files.fits import CUBE_CREATOR, open_fits
+from astro_scc.epochs.grids.cutout import box, crop_line
+from astro_scc.epochs.grids.resampling import cut_wcs
+from astro_scc.partial import replace_when_complete
 
 __all__ = [
     "is_cube_file",
     "pack_facts",
     "pack_wcs",
     "read_cube",
-    "replace_when_complete",
     "unpack_facts",
     "unpack_wcs",
     "write_cube",
@@ -33,41 +29,6 @@ __all__ = [
 
 VERSION = 1
 NUMBERS = ("crval", "crpix", "cdelt", "pc")
-
-
-@contextmanager
-def replace_when_complete(path, *, overwrite=False):
-    """
-    A temporary file beside ``path`` that takes its name in the end.
-
-    Parameters
-    ----------
-    path : str or path-like
-    overwrite : bool
-
-    Yields
-    ------
-    `~pathlib.Path`
-        What to write.  If the block raises it is deleted and ``path`` is as
-        it was.
-
-    Raises
-    ------
-    OSError
-        If the file exists and ``overwrite`` is False, or its folder does
-        not exist.
-    """
-    path = Path(os.fspath(path))
-    if path.is_dir():
-        raise IsADirectoryError(f"{path}: is a directory; give the name of a file")
-    if path.exists() and not overwrite:
-        raise FileExistsError(f"{path}: exists; pass overwrite=True to replace it")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path}: its folder {path.parent} does not exist")
-    with partial_folder(path.parent, ".astro_scc-") as folder:
-        part = folder / path.name
-        yield part
-        os.replace(part, path)
 
 
 def write_cube(cube, path, *, overwrite=False):

@@ -8,16 +8,15 @@ import sys
 
 import pytest
 
-from astro_scc.epochs import partial
-from astro_scc.epochs.partial import hold, partial_folder, remove_left
-from astro_scc.epochs.serialize import replace_when_complete
+from astro_scc import partial
+from astro_scc.partial import hold, partial_folder, remove_left, replace_when_complete
 
 fcntl = pytest.importorskip("fcntl")
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from astro_scc.epochs.partial import partial_folder
+from astro_scc.partial import partial_folder
 with partial_folder(Path(sys.argv[1]), ".part-") as folder:
     (folder / "half").write_text("x")
     print(folder.name, flush=True)

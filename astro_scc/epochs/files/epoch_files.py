@@ -8,8 +8,8 @@ import astropy.units as u
 import numpy as np
 from astropy.io import fits
 
-from astro_scc.epochs.headers import epoch_header
-from astro_scc.epochs.serialize import replace_when_complete
+from astro_scc.epochs.files.headers import epoch_header
+from astro_scc.partial import replace_when_complete
 
 __all__ = ["write_epochs"]
 

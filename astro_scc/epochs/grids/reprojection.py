@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 
-from astro_scc.epochs.resampling import (
+from astro_scc.epochs.grids.resampling import (
     WHOLE_PIXEL,
     grid_step,
     moved_wcs,

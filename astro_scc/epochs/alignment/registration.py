@@ -5,7 +5,7 @@ import numpy as np
 from scipy import ndimage, optimize
 
 from astro_scc.correlation import correlate_windows
-from astro_scc.epochs.resampling import BAD_WEIGHT, fill_masked
+from astro_scc.epochs.grids.resampling import BAD_WEIGHT, fill_masked
 
 __all__ = ["displacement"]
 

@@ -9,17 +9,17 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Table
 
-from astro_scc.epochs.core import core_positions
-from astro_scc.epochs.cutout import region_mask
-from astro_scc.epochs.registration import displacement
-from astro_scc.epochs.resampling import (
+from astro_scc.epochs.alignment.core import core_positions
+from astro_scc.epochs.alignment.registration import displacement
+from astro_scc.epochs.alignment.shift_tables import offsets_from_table
+from astro_scc.epochs.grids.cutout import region_mask
+from astro_scc.epochs.grids.resampling import (
     WHOLE_PIXEL,
     grid_step,
     moved_wcs,
     resample,
     shift_image,
 )
-from astro_scc.epochs.shift_tables import offsets_from_table
 from astro_scc.exceptions import MeasurementWarning
 
 __all__ = ["align"]
@@ -77,7 +77,7 @@ def align(
     table : path-like or `~astropy.table.Table`, optional
         For "table".  CSV or ECSV with a date and the offsets of the core
         from the reference pixel, see
-        `~astro_scc.epochs.shift_tables.offsets_from_table`.
+        `~astro_scc.epochs.alignment.shift_tables.offsets_from_table`.
     reference : int or array_like, shape (ny, nx), optional
         For "correlate": an epoch, or an image, by default the mean of the
         aligned epochs, found by iteration.

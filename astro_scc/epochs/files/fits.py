@@ -13,14 +13,14 @@ import numpy as np
 from astropy.io import fits, registry
 from astropy.nddata import CCDData, NDData
 
-from astro_scc.epochs.headers import (
+from astro_scc.epochs.files.headers import (
     axis_kind,
     celestial_wcs,
     header_beam,
     header_facts,
 )
+from astro_scc.epochs.grids.resampling import cut_wcs
 from astro_scc.epochs.keywords import get, parse_unit
-from astro_scc.epochs.resampling import cut_wcs
 from astro_scc.exceptions import EpochWarning
 
 __all__ = ["as_image", "read_grid", "read_image", "read_vlbi_fits"]

@@ -163,7 +163,7 @@ class ComponentList:
         -------
         `ComponentList`
         """
-        from astro_scc.epochs.component_files import read_components
+        from astro_scc.epochs.components.reading import read_components
 
         return read_components(paths, **options)
 

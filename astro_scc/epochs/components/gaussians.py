@@ -35,7 +35,7 @@ def add_gaussians(image, x, y, peak, covariance):
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.epochs.gaussians import add_gaussians
+    >>> from astro_scc.epochs.components.gaussians import add_gaussians
     >>> image = add_gaussians(np.zeros((5, 5)), [2], [1], [3.0], [np.eye(2)])
     >>> float(image[1, 2]), float((image[2, 2] / image[1, 2]).round(4))
     (3.0, 0.6065)

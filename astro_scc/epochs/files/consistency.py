@@ -20,7 +20,7 @@ def find_odd(facts, positions=None, extents=None):
     Parameters
     ----------
     facts : sequence of dict
-        As of `~astro_scc.epochs.headers.header_facts`.
+        As of `~astro_scc.epochs.files.headers.header_facts`.
     positions : array_like, shape (n, 2), optional
         Longitude and latitude of the reference pixels in degrees.
     extents : array_like, shape (n,), optional
@@ -125,7 +125,7 @@ def looks_like_mask(image):
 
     Examples
     --------
-    >>> from astro_scc.epochs.consistency import looks_like_mask
+    >>> from astro_scc.epochs.files.consistency import looks_like_mask
     >>> looks_like_mask([[0, 1, 1]]), looks_like_mask([[0, 1, 2]])
     (True, False)
     """
