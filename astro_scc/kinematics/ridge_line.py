@@ -102,7 +102,8 @@ class RidgeLine:
         if len(points) > 3:
             from scipy.interpolate import CubicSpline
 
-            fine = np.linspace(0, s[-1], FINE * (len(s) - 1) + 1)
+            number = np.arange(len(s))
+            fine = np.interp(np.arange(FINE * number[-1] + 1) / FINE, number, s)
             points = CubicSpline(s, points)(fine)
             s = _lengths(points)
         return points, s

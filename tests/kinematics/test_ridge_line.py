@@ -223,3 +223,10 @@ def test_does_not_go_round_the_end():
     assert line.length.value < 14
     angle = line.position_angle(line.distances).value
     assert np.all((angle > 240) & (angle <= 360))
+
+
+def test_distances_of_unevenly_spaced_points():
+    along = np.array([0, 1, 1.5, 4, 9, 9.5, 12.0])
+    line = RidgeLine(0.6 * along * u.mas, 0.8 * along * u.mas)
+    np.testing.assert_allclose(line.distances.to_value(u.mas), along, atol=1e-9)
+    np.testing.assert_allclose(line.to_table()["s"].to_value(u.mas), along, atol=1e-9)
