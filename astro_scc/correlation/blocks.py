@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from astro_scc.correlation.canvas import Canvas, window_bounds
-from astro_scc.correlation.peaks import find_peaks
 from astro_scc.correlation.zncc import Template
 
 __all__ = ["PairBlock", "Patterns", "Targets", "match_block"]
@@ -332,11 +331,10 @@ def _match_level(block, patterns, level, wanted):
             overlap = None
             if valid is not None:
                 overlap = template.overlap(valid, block.min_overlap)
-            coefficients = canvas.coefficients(
-                some, corner, template, overlap, block.compiled
+            found = canvas.peaks(
+                some, corner, template, block.kappa, overlap, block.compiled
             )
-            for targets, coefficient in coefficients:
-                which, y, x, value = find_peaks(coefficient, block.kappa)
+            for targets, (which, y, x, value) in found:
                 if len(which) == 0:
                     continue
                 share = np.ones(len(which))

@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from astro_scc.correlation.peaks import find_peaks
 from astro_scc.correlation.zncc import fft_shape
 
 __all__ = ["BATCH", "Canvas", "image_part", "window_bounds"]
@@ -178,24 +179,26 @@ class Canvas:
             self.exists[kind] = valid
         return self.exists[kind]
 
-    def coefficients(self, targets, corner, template, overlap, compiled):
-        """Coefficients of some targets at a time, and which."""
+    def peaks(self, targets, corner, template, threshold, overlap, compiled):
+        """Maxima of the coefficients, some targets at a time, and which targets."""
         if compiled and overlap is None:
-            from astro_scc.correlation.direct import direct_coefficients, worth_it
+            from astro_scc.correlation import direct
 
-            if worth_it(template):
+            if direct.worth_it(template):
+                corner = corner - self.origin
                 for some in _batches(targets, DIRECT_BATCH):
-                    yield (
-                        some,
-                        direct_coefficients(
-                            self.stack, some, corner - self.origin, template
-                        ),
+                    coefficient = direct.direct_coefficients(
+                        self.stack, some, corner, template
                     )
+                    yield some, direct.direct_peaks(coefficient, threshold)
                 return
         shape = template.fft_shape
         batch = int(np.clip(BATCH_PIXELS // np.prod(shape), 1, BATCH))
         for some in _batches(targets, batch):
-            yield some, template.of_windows(self._windows(some, corner, shape), overlap)
+            coefficient = template.of_windows(
+                self._windows(some, corner, shape), overlap
+            )
+            yield some, find_peaks(coefficient, threshold)
 
     def _windows(self, targets, corner, shape):
         """Windows at a corner in double precision, shape (n, h, w)."""

@@ -11,13 +11,14 @@ the package numba.
 import numpy as np
 from numba import njit
 
+from astro_scc.correlation.peaks import placed
 from astro_scc.correlation.zncc import VARIANCE_FLOOR
 
-__all__ = ["direct_coefficients", "worth_it"]
+__all__ = ["direct_coefficients", "direct_peaks", "worth_it"]
 
 #: Sums are quicker than transforms of N pixels up to this times N log2(N)
-#: products; the two are equal at 12 to 50 times it.
-WORTH = 12.0
+#: products, if not for windows that are very small.
+WORTH = 40.0
 #: Loops of a few lines are compiled where they are called.
 PART = {"error_model": "numpy", "inline": "always"}
 
@@ -73,6 +74,32 @@ def direct_coefficients(stack, targets, corner, template):
     return result
 
 
+def direct_peaks(coefficient, threshold):
+    """
+    Local maxima of maps without NaN, as `~astro_scc.correlation.find_peaks`.
+
+    Parameters
+    ----------
+    coefficient : `~numpy.ndarray`, shape (n, ny, nx)
+    threshold : float
+
+    Returns
+    -------
+    index, y, x, value : `~numpy.ndarray`, shape (k,)
+    """
+    number = _maxima(coefficient, threshold, np.empty((0, 3), dtype=np.int64))
+    found = np.empty((number, 3), dtype=np.int64)
+    _maxima(coefficient, threshold, found)
+    index, y, x = found.T
+    step = np.arange(-1, 2)
+    around = coefficient[
+        index[:, None, None],
+        y[:, None, None] + step[:, None],
+        x[:, None, None] + step,
+    ]
+    return placed(index, y, x, around)
+
+
 def _runs(footprint):
     """Rows of a footprint: row, first and last column, and pixels before."""
     edges = np.diff(np.pad(footprint, ((0, 0), (1, 1))).astype(np.int8), axis=1)
@@ -80,6 +107,39 @@ def _runs(footprint):
     last = np.nonzero(edges == -1)[1]
     before = np.cumsum(last - first) - (last - first)
     return np.stack([row, first, last, before], axis=1)
+
+
+@njit(**PART)
+def _extent(line):
+    """From the first value that is not zero to the last."""
+    begin, end = 0, len(line)
+    while begin < end and line[begin] == 0:
+        begin += 1
+    while end > begin and line[end - 1] == 0:
+        end -= 1
+    return begin, end
+
+
+@njit(**PART)
+def _accumulate(line, begin, end, sums, squares):
+    """Sums of values, and of squares, to the left of each pixel."""
+    sums[: begin + 1] = 0.0
+    squares[: begin + 1] = 0.0
+    total, square = 0.0, 0.0
+    for x in range(begin, end):
+        total += line[x]
+        square += line[x] * line[x]
+        sums[x + 1], squares[x + 1] = total, square
+    sums[end + 1 :] = total
+    squares[end + 1 :] = square
+
+
+@njit(**PART)
+def _normalise(covariance, total, square, share, floor, result):
+    for x in range(len(result)):
+        variance = square[x] - total[x] * total[x] * share
+        # Without a branch it is done for several at once.
+        result[x] = covariance[x] / np.sqrt(variance if variance > floor else np.inf)
 
 
 @njit(**PART)
@@ -112,39 +172,64 @@ def _sum_up(stack, targets, corner, shape, runs, values, result):
     share = 1 / len(values)
     _, ny, nx = result.shape
     image = np.zeros((height, width))
-    # Sums of all pixels to the left: one subtraction sums up a run.
+    # To the left of each pixel: one subtraction sums up a run.
     sums, squares = np.zeros((height, width + 1)), np.zeros((height, width + 1))
-    empty = np.zeros(height, np.bool_)
+    # First and last column of a row that is not zero.
+    begin, end = np.zeros(height, np.int64), np.zeros(height, np.int64)
     covariance, total, square = np.zeros(nx), np.zeros(nx), np.zeros(nx)
     for t in range(len(targets)):
         energy = 0.0
         for y in range(height):
-            line = stack[targets[t], corner[0] + y]
-            for x in range(width):
-                value = np.float64(line[corner[1] + x])
-                image[y, x] = value
-                sums[y, x + 1] = sums[y, x] + value
-                squares[y, x + 1] = squares[y, x] + value * value
-            empty[y] = squares[y, width] == 0.0
+            line = stack[targets[t], corner[0] + y, corner[1] : corner[1] + width]
+            begin[y], end[y] = _extent(line)
+            if begin[y] == end[y]:
+                continue
+            image[y, :] = line
+            _accumulate(image[y], begin[y], end[y], sums[y], squares[y])
             energy += squares[y, width]
         for dy in range(ny):
             covariance[:], total[:], square[:] = 0.0, 0.0, 0.0
+            nothing = True
             for r in range(len(runs)):
                 row, first, last, before = (
                     runs[r, 0], runs[r, 1], runs[r, 2], runs[r, 3],
                 )  # fmt: skip
-                if empty[row + dy]:
+                y = row + dy
+                low = max(0, begin[y] - last + 1)
+                high = min(nx, end[y] - first)
+                if low >= high:
                     continue
-                _difference(sums[row + dy], first, last, total)
-                _difference(squares[row + dy], first, last, square)
+                nothing = False
+                first, last, n = first + low, last + low, last - first
+                _difference(sums[y], first, last, total[low:high])
+                _difference(squares[y], first, last, square[low:high])
                 _product(
-                    image[row + dy, first:],
-                    values[before : before + last - first],
-                    covariance,
+                    image[y, first:], values[before : before + n], covariance[low:high]
                 )
-            for x in range(nx):
-                variance = square[x] - total[x] * total[x] * share
-                if variance > VARIANCE_FLOOR * energy:
-                    result[t, dy, x] = covariance[x] / np.sqrt(variance)
-                else:
-                    result[t, dy, x] = 0.0
+            if nothing:
+                result[t, dy, :] = 0.0
+            else:
+                floor = VARIANCE_FLOOR * energy
+                _normalise(covariance, total, square, share, floor, result[t, dy])
+
+
+@njit(error_model="numpy")
+def _maxima(maps, threshold, found):
+    """Number of maxima, which ``found`` is filled with as far as it reaches."""
+    number = 0
+    for k in range(maps.shape[0]):
+        for y in range(1, maps.shape[1] - 1):
+            above, row, below = maps[k, y - 1], maps[k, y], maps[k, y + 1]
+            for x in range(1, maps.shape[2] - 1):
+                value = row[x]
+                if (
+                    value >= threshold
+                    and value >= row[x - 1]
+                    and value > row[x + 1]
+                    and value >= max(above[x - 1], above[x], above[x + 1])
+                    and value > max(below[x - 1], below[x], below[x + 1])
+                ):
+                    if number < len(found):
+                        found[number] = k, y, x
+                    number += 1
+    return number

@@ -66,5 +66,24 @@ def find_peaks(coefficient, threshold):
     around = flat[at[:, None, None] + (step[:, None] * nx + step)]
     keep = (value >= around[:, 0, 0]) & (value >= around[:, 0, 2])
     keep &= (value > around[:, 2, 0]) & (value > around[:, 2, 2])
-    dy, dx, height = quadratic_peak(around[keep])
-    return index[keep], y[keep] + dy, x[keep] + dx, np.minimum(height, 1.0)
+    return placed(index[keep], y[keep], x[keep], around[keep])
+
+
+def placed(index, y, x, around):
+    """
+    Maxima by the quadratic through their surroundings.
+
+    Parameters
+    ----------
+    index, y, x : `~numpy.ndarray` of int, shape (k,)
+        Map and pixel.
+    around : `~numpy.ndarray`, shape (k, 3, 3)
+        Values.
+
+    Returns
+    -------
+    tuple of `~numpy.ndarray`, shape (k,)
+        As of `find_peaks`.
+    """
+    dy, dx, height = quadratic_peak(around)
+    return index, y + dy, x + dx, np.minimum(height, 1.0)

@@ -4,7 +4,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.correlation import Correlator, Template, all_pairs, correlator, zncc
+from astro_scc.correlation import (
+    Correlator,
+    Template,
+    all_pairs,
+    correlator,
+    find_peaks,
+    zncc,
+)
 from astro_scc.decomposition import Decomposer, SSPs
 
 direct = pytest.importorskip("astro_scc.correlation.direct")
@@ -62,8 +69,23 @@ def test_where_nothing_varies_the_coefficient_is_zero():
     np.testing.assert_array_equal(got, 0)
 
 
+@settings(deadline=None, max_examples=40)
+@given(
+    shape=st.tuples(st.integers(1, 3), st.integers(1, 9), st.integers(1, 9)),
+    seed=st.integers(0, 2**32 - 1),
+    levels=st.integers(2, 50),
+)
+def test_peaks_are_those_of_find_peaks(shape, seed, levels):
+    # Few levels: equal neighbours.
+    maps = np.random.default_rng(seed).integers(0, levels, shape) / levels
+    for one, other in zip(
+        direct.direct_peaks(maps, 0.5), find_peaks(maps, 0.5), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_large_patterns_are_transformed():
-    side = 40
+    side = 70
     small = Template(np.eye(5), np.ones((5, 5), bool), (10, 10))
     large = Template(np.eye(side), np.ones((side, side), bool), (40, 40))
     assert direct.worth_it(small)
