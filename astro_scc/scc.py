@@ -300,9 +300,7 @@ class StackedCrossCorrelation:
         warn_of_none_inside(matched.ssps, matched.select, region)
         return matched
 
-    def stack(
-        self, matched, *, n_trials=1000, rng=None, n_workers=1, progress_bar=False
-    ):
+    def stack(self, matched, *, n_trials=1000, rng=None, progress_bar=False):
         """
         Stack matches and measure the components.
 
@@ -313,9 +311,6 @@ class StackedCrossCorrelation:
             Number of shuffled orders and of position trials.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
-        n_workers : int, optional
-            Number of threads that work on the trials; anything but a number
-            is one.  The numbers do not depend on it.
         progress_bar : bool, optional
 
         Returns
@@ -344,7 +339,6 @@ class StackedCrossCorrelation:
                 small_displacement_correction=self.small_displacement_correction,
                 n_trials=n_trials,
                 rng=rng,
-                n_threads=n_workers if isinstance(n_workers, int) else 1,
                 progress_bar=progress_bar,
                 settings=self.to_dict(),
             )
@@ -420,11 +414,7 @@ class StackedCrossCorrelation:
             progress_bar=progress_bar,
         )
         return self.stack(
-            matched,
-            n_trials=n_trials,
-            rng=rng,
-            n_workers=n_workers,
-            progress_bar=progress_bar,
+            matched, n_trials=n_trials, rng=rng, progress_bar=progress_bar
         )
 
     def to_dict(self):

@@ -414,7 +414,7 @@ def whole(reach, n_epochs, n_trials, n_workers):
     start, wall = os.times(), time.perf_counter()
     matched = scc.match(cube, n_workers=n_workers)
     middle = os.times()
-    scc.stack(matched, n_trials=n_trials, rng=1, n_workers=n_workers)
+    scc.stack(matched, n_trials=n_trials, rng=1)
     end, wall = os.times(), time.perf_counter() - wall
     memory.done.set()
     memory.join()

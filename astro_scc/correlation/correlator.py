@@ -66,7 +66,7 @@ class Correlator:
         <https://numba.pydata.org>`_ compiles, rather than transformed.  By
         default that is so where numba is installed (the extra ``fast``) and
         there are more than 100 000 windows, as compiling takes some
-        seconds.  Coefficients differ by rounding only.
+        seconds the first time.  Coefficients differ by rounding only.
 
     Raises
     ------

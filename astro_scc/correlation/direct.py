@@ -23,6 +23,14 @@ WORTH = 40.0
 PART = {"error_model": "numpy", "inline": "always"}
 
 
+def _kept(function):
+    """Compile a function, and keep it for the next process where that can be."""
+    try:
+        return njit(error_model="numpy", cache=True)(function)
+    except RuntimeError:  # no folder may be written to
+        return njit(error_model="numpy")(function)
+
+
 def worth_it(template):
     """
     Whether summing is quicker than transforms.
@@ -69,6 +77,7 @@ def direct_coefficients(stack, targets, corner, template):
         template.window_shape,
         _runs(footprint),
         template.values[footprint],
+        VARIANCE_FLOOR,
         result,
     )
     return result
@@ -166,8 +175,8 @@ def _product(line, values, result):
             result[x] += values[i] * own[x]
 
 
-@njit(error_model="numpy")
-def _sum_up(stack, targets, corner, shape, runs, values, result):
+@_kept
+def _sum_up(stack, targets, corner, shape, runs, values, least, result):
     height, width = shape
     share = 1 / len(values)
     _, ny, nx = result.shape
@@ -209,11 +218,12 @@ def _sum_up(stack, targets, corner, shape, runs, values, result):
             if nothing:
                 result[t, dy, :] = 0.0
             else:
-                floor = VARIANCE_FLOOR * energy
-                _normalise(covariance, total, square, share, floor, result[t, dy])
+                _normalise(
+                    covariance, total, square, share, least * energy, result[t, dy]
+                )
 
 
-@njit(error_model="numpy")
+@_kept
 def _maxima(maps, threshold, found):
     """Number of maxima, which ``found`` is filled with as far as it reaches."""
     number = 0

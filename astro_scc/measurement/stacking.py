@@ -64,7 +64,6 @@ def stack_matches(
     small_displacement_correction=False,
     n_trials=1000,
     rng=None,
-    n_threads=1,
     progress_bar=False,
     settings=None,
 ):
@@ -93,8 +92,6 @@ def stack_matches(
         Shift the shuffled images of the z-score by a fifth of the beam.
     n_trials : int
     rng : None, int or `~numpy.random.Generator`
-    n_threads : int
-        Threads that work on the trials; they change no number.
     progress_bar : bool
     settings : dict, optional
         Kept in the meta of the result.
@@ -146,9 +143,8 @@ def stack_matches(
     shift = (SMALL_SHIFT * fwhm,) * 2 if small_displacement_correction else None
     with progress(n_trials, "Shuffling", show=progress_bar) as done:
         shuffled = shuffle_epochs(
-            maps, pairs, grid, scc, n_trials,
-            rng=paper_rng, shift=shift, n_threads=n_threads, progress=done,
-        )  # fmt: skip
+            maps, pairs, grid, scc, n_trials, rng=paper_rng, shift=shift, progress=done
+        )
     with progress(None, "Searching", show=progress_bar) as done:
         findings = find_velocities(
             displacements,
@@ -159,7 +155,6 @@ def stack_matches(
             level=level,
             rng=search_rng,
             nulls=[NULL_HYPOTHESES[name] for name in nulls],
-            n_threads=n_threads,
             progress=done,
         )
     box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
@@ -172,11 +167,7 @@ def stack_matches(
         peak = component_near(
             stack(rest, pairs, grid), grid, box, finding.v1, finding.v2
         )
-        jitters.append(
-            jitter_positions(
-                rest, pairs, peak, box, n_trials, rng=own, n_threads=n_threads
-            )
-        )
+        jitters.append(jitter_positions(rest, pairs, peak, box, n_trials, rng=own))
         where = pairs, peak, grid
         errors.append(
             VelocityError(

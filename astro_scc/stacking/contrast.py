@@ -7,7 +7,6 @@ import numpy as np
 from scipy import fft
 
 from astro_scc.stacking.grid import VelocityGrid
-from astro_scc.stacking.threads import in_threads
 
 __all__ = ["DIRECTIONS", "Contrast"]
 
@@ -127,7 +126,7 @@ class Contrast:
         ]
         return cls(grid, kind, s1, s2, shape, np.array(response))
 
-    def maps(self, v1, v2, weight, directions, *, n_threads=1):
+    def maps(self, v1, v2, weight, directions):
         """
         Contrast maps for witnesses at given velocities.
 
@@ -137,8 +136,6 @@ class Contrast:
         weight : `~numpy.ndarray`, shape (n_witnesses,)
         directions : sequence of int
             Indices of `DIRECTIONS`.
-        n_threads : int, optional
-            Threads that work on the trials.
 
         Returns
         -------
@@ -150,8 +147,7 @@ class Contrast:
         n_trials, (n2, n1) = len(v1), self.grid.shape
         result = np.empty((len(directions), n_trials, n2, n1))
         size = self._trials_at_once(v1.shape[1])
-
-        def fill(start):
+        for start in range(0, n_trials, size):
             part = slice(start, start + size)
             transform = self._transform(v1[part], v2[part], weight, kind)
             for place, u in enumerate(directions):
@@ -160,8 +156,6 @@ class Contrast:
                 else:
                     product = np.einsum("tcij,cij->tij", transform, self.response[:, u])
                 result[place, part] = self._on_grid(product)
-
-        in_threads(fill, range(0, n_trials, size), n_threads)
         return result
 
     def _trials_at_once(self, n_witnesses):

@@ -7,7 +7,6 @@ import numpy as np
 
 from astro_scc.decomposition import quadratic_peak
 from astro_scc.stacking.stack import gaussian_sum, velocities
-from astro_scc.stacking.threads import in_threads
 
 __all__ = ["JitteredVelocity", "jitter_positions"]
 
@@ -15,8 +14,6 @@ __all__ = ["JitteredVelocity", "jitter_positions"]
 SEARCH = 1.0
 #: Grid points of a box on each axis.
 POINTS = 25
-#: Trials whose shifts are drawn at once.
-AT_ONCE = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +80,7 @@ def _ends(displacements, index):
     return number[: len(start)], number[len(start) :], len(positions)
 
 
-def jitter_positions(
-    displacements, pairs, component, box, n_trials, *, rng, n_threads=1
-):
+def jitter_positions(displacements, pairs, component, box, n_trials, *, rng):
     """
     Shift the SSPs by their position errors and follow a component.
 
@@ -103,8 +98,6 @@ def jitter_positions(
         looked for.
     n_trials : int
     rng : `~numpy.random.Generator`
-    n_threads : int, optional
-        Threads that work on the trials.
 
     Returns
     -------
@@ -144,6 +137,7 @@ def jitter_positions(
     observed = _maximum(
         gaussian_sum(v1, v2, s1, s2, weight, grid1, grid2), grid1, grid2
     )
+    found = []
     # Single precision is enough for places in units of the box.
     scaled = [
         a.astype(np.float32)
@@ -156,23 +150,17 @@ def jitter_positions(
         )
     ]
     unit_grid = np.linspace(-1, 1, POINTS, dtype=np.float32)
-
-    def shifted(unit):
+    for _ in range(n_trials):
         # Half the variance of a displacement belongs to either end.
-        unit = unit / np.sqrt(2)
+        unit = rng.standard_normal((2, n)) / np.sqrt(2)
         shift = (unit[:, end] - unit[:, start]).astype(np.float32)
         x, y, sx, sy, w = scaled
         local = gaussian_sum(
             x + sx * shift[0], y + sy * shift[1], sx, sy, w, unit_grid, unit_grid
         )
-        return _maximum(local, grid1, grid2)
-
-    found = []
-    for start_of in range(0, n_trials, AT_ONCE):
-        number = min(AT_ONCE, n_trials - start_of)
-        units = (rng.standard_normal((2, n)) for _ in range(number))
-        found += in_threads(shifted, units, n_threads)
-    found = [place for place in found if place is not None]
+        place = _maximum(local, grid1, grid2)
+        if place is not None:
+            found.append(place)
     if observed is None:
         observed = component.v1, component.v2
     return _summary(np.array(found).reshape(-1, 2), observed, n_trials)

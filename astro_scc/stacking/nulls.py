@@ -59,8 +59,6 @@ class Scene:
         The velocity that is tested, on the grid of ``contrast``.
     free : `~numpy.ndarray` of bool, shape (n2, n1)
         Velocities that are told from those found before.
-    n_threads : int
-        Threads that may work on the trials of a test.
 
     Examples
     --------
@@ -100,7 +98,6 @@ class Scene:
     row: int
     column: int
     free: np.ndarray
-    n_threads: int = 1
 
     @property
     def grid(self):
@@ -230,7 +227,6 @@ class ScrambleNull:
                 w.v2 + shift * w.s2 * DIRECTIONS[u, 1],
                 w.weight,
                 [u],
-                n_threads=scene.n_threads,
             )[0]
             largest = trial.max(axis=(1, 2), where=scene.free, initial=-np.inf)
             above += int((largest >= observed).sum())
@@ -354,8 +350,7 @@ def _excess(maps, scene, orders, where):
         for column in range(0, n1, columns):
             part = slice(row, row + rows), slice(column, column + columns)
             grid = VelocityGrid(scene.grid.v1[part[1]], scene.grid.v2[part[0]])
-            blocks = maps.stacks(scene.pairs, grid, orders, n_threads=scene.n_threads)
-            excess = np.concatenate(list(blocks))
+            excess = np.concatenate(list(maps.stacks(scene.pairs, grid, orders)))
             excess -= excess.mean(axis=0)
             inside = where[part]
             if inside.any():

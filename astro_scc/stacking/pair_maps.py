@@ -13,7 +13,6 @@ from astro_scc.stacking.stack import (
     number_of_ssps,
     stack,
 )
-from astro_scc.stacking.threads import in_threads
 
 __all__ = ["PairMaps"]
 
@@ -211,7 +210,7 @@ class PairMaps:
             own[:] = (to2 @ values.astype(np.float32) @ to1.T).ravel()
         return maps
 
-    def stacks(self, pairs, grid, orders, *, shift=(0.0, 0.0), n_threads=1):
+    def stacks(self, pairs, grid, orders, *, shift=(0.0, 0.0)):
         """
         The stacks of many orders of the images over the dates.
 
@@ -223,8 +222,6 @@ class PairMaps:
             Image at each date.
         shift : tuple of float, optional
             Displacement added to all matches.
-        n_threads : int, optional
-            Threads that work on the orders; they change no number.
 
         Yields
         ------
@@ -235,10 +232,9 @@ class PairMaps:
         stretch = _Stretch.of(self, pairs, grid, shift)
         size = max(1, BLOCK_BYTES // (8 * grid.shape[0] * grid.shape[1]))
         for start in range(0, len(orders), size):
-            block = orders[start : start + size]
-            yield self._block(pairs, stretch, block, n_threads)
+            yield self._block(pairs, stretch, orders[start : start + size])
 
-    def _block(self, pairs, stretch, orders, n_threads):
+    def _block(self, pairs, stretch, orders):
         reference, target = pairs.images(orders)
         flipped = np.zeros(reference.shape, dtype=bool)
         if self.turned:
@@ -250,15 +246,12 @@ class PairMaps:
         images = reference * self.displacements.n_epochs + target
         total = np.zeros((len(orders), *stretch.shape))
         for maps, rows in self._parts(images):
-
-            def add(trial, maps=maps, rows=rows):
+            for trial in range(len(orders)):
                 here = rows[trial] >= 0
                 if here.any():
                     total[trial] += stretch(
                         maps, rows[trial], here, flipped[trial], pairs.weight
                     )
-
-            in_threads(add, range(len(orders)), n_threads)
         number = number_of_ssps(self.displacements, pairs, orders)
         total /= number[:, None, None]
         return total

@@ -135,16 +135,7 @@ def random_orders(n_epochs, n_trials, rng):
 
 
 def shuffle_epochs(
-    pair_maps,
-    pairs,
-    grid,
-    observed,
-    n_trials,
-    *,
-    rng,
-    shift=None,
-    n_threads=1,
-    progress=None,
+    pair_maps, pairs, grid, observed, n_trials, *, rng, shift=None, progress=None
 ):
     """
     Stack the epochs in shuffled order, again and again.
@@ -163,8 +154,6 @@ def shuffle_epochs(
         a trial are shifted, along either axis and in either sense in turn;
         the paper's correction for small displacements, at which shuffled
         epochs of standing structure still correlate.
-    n_threads : int, optional
-        Threads that work on the trials.
     progress : callable, optional
         Called with the number of trials done at a time.
 
@@ -212,9 +201,7 @@ def shuffle_epochs(
 
     def trials():
         for some, offset in parts:
-            yield from pair_maps.stacks(
-                pairs, grid, some, shift=offset, n_threads=n_threads
-            )
+            yield from pair_maps.stacks(pairs, grid, some, shift=offset)
 
     total, squares = np.zeros(grid.shape), np.zeros(grid.shape)
     larger = np.zeros(grid.shape, dtype=int)

@@ -112,7 +112,6 @@ def find_velocities(
     rng,
     nulls=NULLS,
     max_components=8,
-    n_threads=1,
     progress=None,
 ):
     """
@@ -144,8 +143,6 @@ def find_velocities(
         Null hypotheses with a ``name`` and a method ``test``.
     max_components : int, optional
         The search ends after so many steps.
-    n_threads : int, optional
-        Threads that work on the trials of a test.
     progress : callable, optional
         Called with 1 after each step.
 
@@ -183,7 +180,7 @@ def find_velocities(
     findings, taken = [], []
     for step_rng in rng.spawn(max_components):
         seen = everything.select(left[everything.match])
-        scene = _scene(displacements.select(left), pairs, seen, v_max, taken, n_threads)
+        scene = _scene(displacements.select(left), pairs, seen, v_max, taken)
         if scene is None:
             break
         group = np.full(len(displacements), -1)
@@ -236,7 +233,7 @@ def _widened(displacements, v_max, pairs):
     )
 
 
-def _scene(displacements, pairs, sightings, v_max, taken, n_threads):
+def _scene(displacements, pairs, sightings, v_max, taken):
     witnesses = find_witnesses(sightings)
     if len(witnesses) < FEWEST:
         return None
@@ -263,7 +260,6 @@ def _scene(displacements, pairs, sightings, v_max, taken, n_threads):
         row=int(row),
         column=int(column),
         free=free,
-        n_threads=n_threads,
     )
 
 

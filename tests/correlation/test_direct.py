@@ -143,3 +143,15 @@ def test_without_numba_a_clear_message(monkeypatch):
     monkeypatch.setattr(correlator, "find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r"astro_scc\[fast\]"):
         Correlator(compiled=True)
+
+
+def test_where_nothing_can_be_kept_it_is_compiled_all_the_same(monkeypatch):
+    def njit(**options):
+        if options.get("cache"):
+            raise RuntimeError("cannot cache function: no locator available")
+        return lambda function: (function, options)
+
+    monkeypatch.setattr(direct, "njit", njit)
+    function, options = direct._kept(len)
+    assert function is len
+    assert options == {"error_model": "numpy"}
