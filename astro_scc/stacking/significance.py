@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Which velocities are common to many features: the step-down search."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -177,10 +177,12 @@ def find_velocities(
     limits = _widened(displacements, v_max, pairs)
     everything = Sightings.of(displacements, pairs, years, limits)
     left = np.ones(len(displacements), dtype=bool)
+    # Places are in the sightings: copies of what is left need them no more.
+    placeless = replace(displacements, position=None, motion=None)
     findings, taken = [], []
     for step_rng in rng.spawn(max_components):
         seen = everything.select(left[everything.match])
-        scene = _scene(displacements.select(left), pairs, seen, v_max, taken)
+        scene = _scene(placeless.select(left), pairs, seen, v_max, taken)
         if scene is None:
             break
         group = np.full(len(displacements), -1)
