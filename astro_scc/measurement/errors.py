@@ -51,23 +51,18 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
     select = np.ones(len(ssps), bool) if select is None else np.asarray(select, bool)
     matches = matches.of_ssps(select)
     east, north = ssp_offsets(ssps, cube)
-    axes = np.broadcast_to(frame.matrix(east, north), (len(ssps), 2, 2))
+    axes = frame.matrix(east, north)
     # At the origin of a radial frame there are no axes.
-    matches = matches.of_ssps(np.isfinite(axes).all(axis=(1, 2)))
+    known = np.isfinite(axes).all(axis=(-2, -1))
+    matches = matches.of_ssps(np.broadcast_to(known, len(ssps)))
     owner = matches.ssp
-    axes = axes[owner]
     pixels = np.stack([matches.dx, matches.dy], axis=-1).astype(float)
     sky = pixels @ cube.pixel_matrix.value.T
     position = np.stack([east[owner], north[owner]], axis=-1)
     d = frame_displacements(frame, position, sky)
-    variance = 0.0
-    scale = ssps.scale[owner]
-    for snr, epoch in (
-        (ssps.snr[owner], ssps.epoch[owner]),
-        (matches.target_snr, matches.target),
-    ):
-        fwhm = beam_fwhm(cube, epoch, scale, axes)
-        variance = variance + position_errors(snr, fwhm, fraction) ** 2
+    here, there = _widths(cube, ssps, axes, owner, matches.target)
+    variance = position_errors(ssps.snr[owner], here, fraction) ** 2
+    variance = variance + position_errors(matches.target_snr, there, fraction) ** 2
     s = np.sqrt(variance)
     return Displacements(
         d1=d[:, 0],
@@ -83,3 +78,14 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
         position=position,
         motion=sky,
     )
+
+
+def _widths(cube, ssps, axes, owner, target):
+    """Resolution in the epochs of SSPs and in those of their matches, (n, 2)."""
+    here = beam_fwhm(cube, ssps.epoch, ssps.scale, axes)[owner]
+    if cube.beams is None:
+        return here, here
+    if np.ndim(axes) == 2:
+        every = np.arange(len(cube))
+        return here, beam_fwhm(cube, every, every, axes)[target]
+    return here, beam_fwhm(cube, target, ssps.scale[owner], axes[owner])
