@@ -1,10 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What would have been found in your own epochs, had it been there."""
 
+import warnings
+
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement import versions
 from astro_scc.recovery.area import area_for_features
 from astro_scc.recovery.checks import PM_UNIT
@@ -15,6 +18,9 @@ from astro_scc.recovery.setup import InjectionSetup, peaks_of
 from astro_scc.recovery.work import run_all
 
 __all__ = ["completeness"]
+
+#: Beginning of the warning of a region without SSPs.
+NOTHING_THERE = ".*: no significant pattern has its centroid inside"
 
 DESCRIPTIONS = {
     "speed": "speed of the features that were put in",
@@ -172,7 +178,10 @@ def completeness(
     seed = int(rng) if isinstance(rng, (int, np.integer)) else None
     own_rng, root = np.random.default_rng(rng).spawn(2)
 
-    bare = scc(cube, region=setup.region, n_trials=n_trials, rng=own_rng)
+    with warnings.catch_warnings():
+        # Features are put in where there were none as well.
+        warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
+        bare = scc(cube, region=setup.region, n_trials=n_trials, rng=own_rng)
     area = area_for_features(bare.matched, setup.region)
     numbers = moving_components(bare, scc.level)
     own = np.reshape(
