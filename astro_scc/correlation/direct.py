@@ -4,8 +4,8 @@ Coefficients summed pixel by pixel, compiled by numba.
 
 Patterns are much smaller than the windows they are looked for in, and a
 segmented plane is mostly empty, so that a compiled sum over the pixels of a
-pattern takes a third of the time of transforms.  Importing this module takes
-the package numba.
+pattern takes less time than transforms.  Importing this module takes the
+package numba.
 """
 
 import numpy as np
@@ -16,8 +16,8 @@ from astro_scc.correlation.zncc import VARIANCE_FLOOR
 
 __all__ = ["direct_coefficients", "direct_peaks", "worth_it"]
 
-#: Sums are quicker than transforms of N pixels up to this times N log2(N)
-#: products, if not for windows that are very small.
+#: Up to this times N log2(N) products, sums are quicker than transforms of N
+#: pixels.
 WORTH = 40.0
 #: Loops of a few lines are compiled where they are called.
 PART = {"error_model": "numpy", "inline": "always"}
