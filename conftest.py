@@ -30,7 +30,6 @@ def pytest_configure(config):
         "photutils": "photutils",
         "regions": "regions",
         "reproject": "reproject",
-        "radio-beam": "radio_beam",
         "matplotlib": "matplotlib",
     }.items():
         PYTEST_HEADER_MODULES[name] = module

@@ -47,7 +47,7 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         the attribute is an array always.
     beams : beam or sequence of beams, length n_epochs, optional
         `~astro_scc.epochs.Beam`, or anything with the attributes ``major``,
-        ``minor`` and ``pa`` (`radio_beam.Beam`).  One beam is every
+        ``minor`` and ``pa`` (a ``radio_beam.Beam``).  One beam is every
         epoch's.
     noise : `~astropy.units.Quantity`, scalar or shape (n_epochs,), optional
         Root mean square of the noise of each epoch.

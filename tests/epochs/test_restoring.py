@@ -1,4 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+from types import SimpleNamespace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -177,6 +179,11 @@ def test_components_outside_are_told():
         )
 
 
+def test_a_beam_of_another_package():
+    theirs = SimpleNamespace(major=BEAM.major, minor=BEAM.minor, pa=BEAM.pa)
+    assert restore(one(), beam=theirs, pixel_scale=PIXEL).beams == (BEAM,)
+
+
 def test_a_beam_for_each_epoch():
     beams = [BEAM, Beam(2 * u.mas, 1 * u.mas)]
     cube = restore(components(), beam=beams, pixel_scale=PIXEL)
@@ -227,7 +234,9 @@ def test_facts_and_history():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"beam": [BEAM]}, "1 beams for 2 epochs"),
+        ({"beam": [BEAM]}, "2 epochs need 2 beams, got 1"),
+        ({"beam": None}, "needs a beam; give one"),
+        ({"beam": []}, "needs a beam; give one"),
         ({"noise": [1, 2, 3] * u.mJy / u.beam}, "3 noise levels for 2 epochs"),
         ({"noise": -1 * u.mJy / u.beam}, "rms must be"),
         ({"pixel_scale": 0 * u.mas}, "pixel_scale must be positive"),

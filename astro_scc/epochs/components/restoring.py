@@ -6,11 +6,12 @@ import warnings
 import astropy.units as u
 import numpy as np
 
-from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
+from astro_scc.epochs.beam import FWHM_TO_SIGMA
 from astro_scc.epochs.components.gaussians import add_gaussians
 from astro_scc.epochs.components.noise import correlated_noise
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.offset_grid import offset_wcs
+from astro_scc.epochs.validation import as_beams
 from astro_scc.exceptions import EpochWarning
 
 __all__ = ["restore"]
@@ -44,8 +45,9 @@ def restore(
     Parameters
     ----------
     components : `ComponentList`
-    beam : `Beam` or sequence of `Beam`
-        One for all epochs, or one for each.
+    beam : beam or sequence of beams
+        One for all epochs, or one for each: `Beam`, or anything with the
+        attributes ``major``, ``minor`` and ``pa``.
     pixel_scale : `~astropy.units.Quantity`
         Side of a pixel.
     shape : tuple of int, optional
@@ -103,12 +105,9 @@ def restore(
     ((2, 83, 85), 1.0)
     """
     n_epochs = components.n_epochs
-    beams = (beam,) * n_epochs if isinstance(beam, Beam) else tuple(beam)
-    if len(beams) != n_epochs:
-        raise ValueError(
-            f"{len(beams)} beams for {n_epochs} epochs; give one beam, or one for "
-            "each epoch"
-        )
+    beams = as_beams(beam, n_epochs)
+    if not beams:
+        raise ValueError("restore needs a beam; give one, or one for each epoch")
     levels = _noise_levels(noise, n_epochs, unit)
     scale = u.Quantity(pixel_scale).to_value(u.mas)
     if not (np.isfinite(scale) and scale > 0):

@@ -14,8 +14,6 @@ __all__ = ["common_beam", "gaussian_smooth", "is_per_beam", "smallest_common_bea
 # themselves within this much of their variance.
 CONTAINS = 1e-4
 EQUAL = 1e-6
-# radio_beam leaves a margin of up to half a percent of the area.
-LARGER = 1.005
 
 
 def is_per_beam(unit):
@@ -144,9 +142,8 @@ def smallest_common_beam(beams):
     """
     Smallest beam to which every one of several beams can be convolved.
 
-    `radio_beam.Beams.common_beam` finds it, the ellipse of least area
-    around all of theirs.  Where it fails, as it may for nearly equal beams or
-    a round one and a long one, the least area is searched over axis ratio and
+    Its covariance C is the one of least determinant for which no ``C - C_i``
+    has a negative variance, found by a simplex search over axis ratio and
     position angle.
 
     Parameters
@@ -177,45 +174,10 @@ def smallest_common_beam(beams):
     largest = int(np.argmax(np.linalg.det(covariances)))
     if np.all(_excess(covariances[largest], covariances) <= 1 + EQUAL):
         return beams[largest]
-    found, least = _library_covariance(beams), _least_covariance(covariances)
-    # For a circle and an ellipse radio_beam finds twice the area that is needed.
-    if found is None or np.linalg.det(found) > LARGER**2 * np.linalg.det(least):
-        found = least
+    found = _least_covariance(covariances)
     # What is left of rounding must not stick out.
     found = found * max(1.0, _excess(found, covariances).max() * (1 + 1e-9))
     return _beam_of(found)
-
-
-def _library_covariance(beams):
-    """Covariance of radio_beam's common beam in mas^2, None if that fails."""
-    import radio_beam
-
-    # Its tolerances are absolute, for beams of about a degree.
-    scale = max(beam.major for beam in beams)
-    try:
-        every = radio_beam.Beams(
-            major=u.Quantity([beam.major / scale for beam in beams]).value * u.deg,
-            minor=u.Quantity([beam.minor / scale for beam in beams]).value * u.deg,
-            pa=u.Quantity([beam.pa for beam in beams]),
-        )
-        # It divides by nought for some pairs, and what it finds then is too large.
-        with np.errstate(divide="raise", invalid="raise"):
-            found = every.common_beam()
-        found = Beam(
-            found.major.to_value(u.deg) * scale,
-            found.minor.to_value(u.deg) * scale,
-            found.pa,
-        )
-    except (
-        ValueError,
-        FloatingPointError,
-        radio_beam.utils.BeamError,
-        np.linalg.LinAlgError,
-    ):
-        return None
-    covariances = np.array([_covariance(beam) for beam in beams])
-    contained = np.all(_excess(_covariance(found), covariances) <= 1 + CONTAINS)
-    return _covariance(found) if contained else None
 
 
 def _least_covariance(covariances):
@@ -249,8 +211,10 @@ def common_beam(cube, beam=None):
     ----------
     cube : `~astro_scc.epochs.EpochCube`
         With ``beams``.
-    beam : `~astro_scc.epochs.Beam` or `radio_beam.Beam`, optional
-        By default the smallest beam that contains the beams of all epochs.
+    beam : beam, optional
+        `~astro_scc.epochs.Beam`, or anything with the attributes ``major``,
+        ``minor`` and ``pa``.  By default the smallest beam that contains the
+        beams of all epochs.
 
     Returns
     -------
