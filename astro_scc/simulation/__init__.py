@@ -2,9 +2,11 @@
 """Simulation: jets whose velocities are known."""
 
 from astro_scc.simulation.files import write_simulation
+from astro_scc.simulation.flows import Flow
 from astro_scc.simulation.jets import JetSimulation, SimulatedJet
 from astro_scc.simulation.presets import (
     simulate_ballistic,
+    simulate_jet,
     simulate_random_velocity,
     simulate_static,
     simulate_two_fluid,
@@ -14,11 +16,13 @@ from astro_scc.simulation.shells import SimulatedShell, simulate_shell
 from astro_scc.simulation.streams import Stream
 
 __all__ = [
+    "Flow",
     "JetSimulation",
     "SimulatedJet",
     "SimulatedShell",
     "Stream",
     "simulate_ballistic",
+    "simulate_jet",
     "simulate_random_velocity",
     "simulate_shell",
     "simulate_static",

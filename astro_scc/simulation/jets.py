@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Images of a jet whose features move at known velocities."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 
 import astropy.units as u
 import numpy as np
@@ -13,9 +13,13 @@ from astro_scc.epochs.components.gaussians import add_gaussians
 from astro_scc.epochs.components.noise import correlated_noise
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.offset_grid import offset_wcs
-from astro_scc.simulation.streams import Stream
+from astro_scc.simulation.flows import Flow
+from astro_scc.simulation.streams import Features, Setting, Stream
 
 __all__ = ["JetSimulation", "SimulatedJet"]
+
+# Width of the negative bowl around a feature, in widths of its image.
+BOWL = 6.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,7 +56,7 @@ class SimulatedJet:
 @dataclass(frozen=True, eq=False)
 class JetSimulation:
     """
-    A straight jet along +x (west), made of streams of Gaussian features.
+    A straight jet, along +x (west) by default, made of streams of features.
 
     The defaults are those of Sect. 2.4 of Mertens & Lobanov (2016): a beam
     of 10 pixels and ten epochs, 30 days apart.  Features fade in and out at
@@ -61,7 +65,7 @@ class JetSimulation:
 
     Parameters
     ----------
-    streams : sequence of `Stream`
+    streams : sequence of `Stream` or `Flow`
     name : str, optional
         Object name.
     n_epochs : int, optional
@@ -76,8 +80,9 @@ class JetSimulation:
     pixel_scale : `~astropy.units.Quantity`, optional
     beams : `~astro_scc.epochs.Beam` or sequence of them, optional
         One for all epochs, or one for each.
-    noise : float, optional
-        Root mean square of the noise in Jy per beam, correlated by the beam.
+    noise : float or sequence of float, optional
+        Root mean square of the noise in Jy per beam, correlated by the beam;
+        one for all epochs, or one for each.
     extent : tuple of float, optional
         x between which features are seen, in pixels from 0.
     axis : float, optional
@@ -87,6 +92,23 @@ class JetSimulation:
     core : float, optional
         Flux density in Jy of an unresolved, stationary core at the start of
         the jet, which is the reference pixel.  None by default.
+    position_angle : `~astropy.units.Quantity`, optional
+        Direction of the jet, north through east; the jet is turned about
+        its start.
+    variation : float, optional
+        Standard deviation of the logarithms of all flux densities, in time.
+    memory : float, optional
+        Time in intervals over which variations are correlated: those of two
+        epochs t apart by ``exp(-t / memory)``.  At 0 they are white.
+    alignment_error : float, optional
+        Standard deviation per axis, in beams, of a shift of each image.
+    ripple : float, optional
+        Amplitude at the core of a wave that differs from epoch to epoch, as
+        a fraction of the image's maximum.  It is 1.5 to 4 beams long, and
+        falls to a half at 5 beams.
+    bowl : float, optional
+        Depth of the negative bowl around every feature, six times as wide
+        as its image, as a fraction of its peak.
 
     Raises
     ------
@@ -99,11 +121,15 @@ class JetSimulation:
     A feature of full width ``fwhm`` and peak ``p`` in the mean beam ``b``
     has the flux density ``p (b^2 + fwhm^2) / b^2``, which is the same in
     every epoch's beam.  Columns of the truth: ``feature`` (from 0),
-    ``group`` (the stream), ``epoch``, ``date``; ``x``, ``y`` in pixels from
-    0; ``east``, ``north`` from the reference pixel; ``flux``, fading
-    included; ``fwhm``; ``visible``, whether any flux is left; ``pm_east``,
+    ``group`` (the stream, or ``core``), ``epoch``, ``date``; ``x``, ``y`` in
+    pixels from 0, as the image shows them; ``east``, ``north`` from the start
+    of the jet, free of errors of alignment; ``flux``, fading included;
+    ``fwhm``; ``visible``, whether any flux is left; ``pm_east``,
     ``pm_north``, the mean proper motion of the feature's motion to the next
-    epoch (from the previous one, for the last), jitter included.
+    epoch (from the previous one, for the last), jitter included.  Its meta
+    has for each stream the mean and the standard deviation of the speeds,
+    outward along the jet, of the features that are visible at two epochs or
+    more.
 
     Examples
     --------
@@ -114,7 +140,7 @@ class JetSimulation:
     (4, 128, 256)
     """
 
-    streams: tuple[Stream, ...]
+    streams: tuple[Stream | Flow, ...]
     name: str = "simulated jet"
     n_epochs: int = 10
     interval: u.Quantity = 30 * u.day
@@ -124,14 +150,20 @@ class JetSimulation:
     beams: Beam | tuple[Beam, ...] = field(
         default_factory=lambda: Beam(1 * u.mas, 1 * u.mas)
     )
-    noise: float = 0.002
+    noise: float | tuple[float, ...] = 0.002
     extent: tuple[float, float] = (20.0, 220.0)
     axis: float = 64.0
     taper: float = 10.0
     core: float = 0.0
+    position_angle: u.Quantity = 270 * u.deg
+    variation: float = 0.0
+    memory: float = 0.0
+    alignment_error: float = 0.0
+    ripple: float = 0.0
+    bowl: float = 0.0
 
     def __post_init__(self):
-        if isinstance(self.streams, Stream):
+        if isinstance(self.streams, Stream | Flow):
             raise ValueError("streams must be a sequence of Stream, got one Stream")
         if len(self.streams) == 0:
             raise ValueError("a jet needs at least one Stream")
@@ -144,22 +176,27 @@ class JetSimulation:
             raise ValueError("dates must be an array of increasing times")
         beams = self.beams
         beams = (beams,) * len(dates) if isinstance(beams, Beam) else tuple(beams)
-        if len(beams) != len(dates):
-            raise ValueError(
-                f"{len(beams)} beams for {len(dates)} epochs; give one beam, "
-                "or one for each epoch"
-            )
+        noise = (self.noise,) * len(dates) if np.ndim(self.noise) == 0 else self.noise
+        for name, values in {"beams": beams, "noise levels": noise}.items():
+            if len(values) != len(dates):
+                raise ValueError(
+                    f"{len(values)} {name} for {len(dates)} epochs; give one, "
+                    "or one for each epoch"
+                )
         if not self.extent[0] < self.extent[1]:
             raise ValueError(f"extent must be (start, end), got {self.extent}")
-        for name in ("noise", "taper", "core"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(
-                    f"{name} must be zero or positive, got {getattr(self, name)}"
-                )
+        for name in (
+            "noise", "taper", "core", "variation", "memory", "alignment_error",
+            "ripple", "bowl",
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not (np.all(np.isfinite(value)) and np.all(np.asarray(value) >= 0)):
+                raise ValueError(f"{name} must be zero or positive, got {value}")
         object.__setattr__(self, "streams", tuple(self.streams))
         object.__setattr__(self, "dates", dates)
         object.__setattr__(self, "n_epochs", len(dates))
         object.__setattr__(self, "beams", beams)
+        object.__setattr__(self, "noise", tuple(float(n) for n in noise))
 
     @property
     def velocity_unit(self):
@@ -189,112 +226,154 @@ class JetSimulation:
         """
         rng = np.random.default_rng(rng)
         *stream_rngs, noise_rng = rng.spawn(len(self.streams) + 1)
-        features = self._features(stream_rngs)
-        wcs = offset_wcs(self.pixel_scale, (self.extent[0], self.axis))
-        data = self._images(features, noise_rng)
+        flux_rng, shift_rng, ripple_rng = rng.spawn(3)
+        features = self._features(stream_rngs, flux_rng)
+        shifts = self.alignment_error * shift_rng.standard_normal((2, self.n_epochs))
+        shifts *= self.beam_length
+        seen = replace(features, x=features.x + shifts[0], y=features.y + shifts[1])
         unit = u.Jy / u.beam
-        dates = self.dates.strftime("%Y-%m-%d")
         cube = EpochCube(
-            data=data,
+            data=self._images(seen, noise_rng, ripple_rng),
             times=self.dates,
-            wcs=wcs,
+            wcs=offset_wcs(self.pixel_scale, (self.extent[0], self.axis)),
             unit=unit,
             beams=self.beams,
-            noise=np.full(self.n_epochs, self.noise) * unit,
-            labels=tuple(str(d) for d in dates),
-            epoch_meta=tuple({"object": self.name} for _ in dates),
+            # That of images with artefacts is for the measurement to find.
+            noise=None if self.ripple or self.bowl else self.noise * unit,
+            epoch_meta=tuple({"object": self.name} for _ in self.beams),
             meta={"object": self.name, "history": [f"simulated: {self.name}"]},
         )
-        return SimulatedJet(cube, self._truth(features), self)
+        return SimulatedJet(cube, self._truth(features, seen), self)
 
-    def _features(self, rngs):
-        """Arrays of all features, those that are never seen left out."""
-        years = (self.dates - self.dates[0]).to(u.day)
-        steps = np.diff((years / self.interval).to_value(u.one))
-        start, end = self.extent
-        parts = []
-        for stream, rng in zip(self.streams, rngs, strict=True):
-            stream = stream.in_pixels(self.velocity_unit)
-            x, y = stream.trajectories(
-                steps, self.extent, self.axis, self.beam_length, rng
-            )
-            n = len(x)
-            fwhm = rng.uniform(*stream.fwhm, n)
-            peak = rng.uniform(*stream.peak, n)
-            seen = ((x >= start) & (x <= end)).any(axis=1)
-            parts.append(
-                (np.full(n, stream.name, dtype=object), x, y, fwhm, peak, seen)
-            )
-        group, x, y, fwhm, peak, seen = (
-            np.concatenate(p) for p in zip(*parts, strict=True)
+    def _features(self, rngs, flux_rng):
+        """All features, turned to the jet's direction; the core is the last."""
+        setting = Setting(
+            times=((self.dates - self.dates[0]).to(u.day) / self.interval).to_value(
+                u.one
+            ),
+            extent=self.extent,
+            axis=self.axis,
+            beam=self.beam_length,
+            taper=self.taper,
+            velocity_unit=self.velocity_unit,
         )
-        beam = self.beam_length
-        flux = (peak * (beam**2 + fwhm**2) / beam**2)[:, None] * self._visibility(x)
-        return group[seen], x[seen], y[seen], fwhm[seen], flux[seen]
+        parts = [
+            stream.features(setting, rng)
+            for stream, rng in zip(self.streams, rngs, strict=True)
+        ]
+        if self.core:
+            at = np.zeros((1, self.n_epochs))
+            parts.append(setting.in_pixels("core", at, at, at + self.core, at))
+        features = Features.concatenate(parts)
+        if self.variation:
+            factor = np.exp(self.variation * self._variations(features, flux_rng))
+            features = replace(features, flux=features.flux * factor)
+        turn = (self.position_angle - 270 * u.deg).to_value(u.rad)
+        if turn:
+            x0, y0 = self.extent[0], self.axis
+            position = (features.x - x0) + 1j * (features.y - y0)
+            position *= np.exp(1j * turn)
+            features = replace(features, x=position.real + x0, y=position.imag + y0)
+        return features
 
-    def _visibility(self, x):
-        """Fraction of the flux that is seen at x: a raised cosine at both ends."""
-        start, end = self.extent
-        inside = np.minimum(x - start, end - x)
-        if self.taper == 0:
-            return np.where(inside >= 0, 1.0, 0.0)
-        ramp = np.clip(np.nan_to_num(inside / self.taper), 0, 1)
-        return 0.5 * (1 - np.cos(np.pi * ramp))
+    def _variations(self, features, rng):
+        """Autoregressive series of unit variance, one a feature."""
+        values = rng.standard_normal(features.x.shape)
+        if self.memory:
+            steps = np.diff(self.dates.mjd) * u.day / self.interval
+            keep = np.exp(-steps.to_value(u.one) / self.memory)
+            for i, k in enumerate(keep):
+                values[:, i + 1] = (
+                    k * values[:, i] + np.sqrt(1 - k**2) * values[:, i + 1]
+                )
+        return values
 
-    def _images(self, features, rng):
-        _, x, y, fwhm, flux = features
+    def _images(self, features, rng, ripple_rng):
         scale = self.pixel_scale.to_value(u.mas)
         images = np.zeros((self.n_epochs, *self.shape))
         flip = np.diag([-1.0, 1.0])
-        own = (FWHM_TO_SIGMA * fwhm)[:, None, None] ** 2 * np.eye(2)
+        own = (FWHM_TO_SIGMA * features.fwhm)[..., None, None] ** 2 * np.eye(2)
         for i, (beam, noise_rng) in enumerate(
             zip(self.beams, rng.spawn(self.n_epochs), strict=True)
         ):
             covariance = flip @ beam.covariance.to_value(u.mas**2) @ flip / scale**2
             beam_area = np.sqrt(np.linalg.det(covariance))
-            total = own + covariance
-            peak = flux[:, i] * beam_area / np.sqrt(np.linalg.det(total))
-            add_gaussians(images[i], x[:, i], y[:, i], peak, total)
-            if self.core:
-                at = [self.extent[0]], [self.axis]
-                add_gaussians(images[i], *at, [self.core], [covariance])
-            images[i] += correlated_noise(
-                self.shape,
-                rms=self.noise,
-                beam=beam,
-                pixel_scale=self.pixel_scale,
-                rng=noise_rng,
-            )
+            total = own[:, i] + covariance
+            there = features.flux[:, i] > 0
+            x, y, total = features.x[there, i], features.y[there, i], total[there]
+            peak = features.flux[there, i] * beam_area / np.sqrt(np.linalg.det(total))
+            add_gaussians(images[i], x, y, peak, total)
+            if self.bowl:
+                add_gaussians(images[i], x, y, -self.bowl * peak, BOWL**2 * total)
+            if self.ripple:
+                images[i] += self._ripple(images[i].max(), ripple_rng)
+            if self.noise[i]:
+                images[i] += correlated_noise(
+                    self.shape,
+                    rms=self.noise[i],
+                    beam=beam,
+                    pixel_scale=self.pixel_scale,
+                    rng=noise_rng,
+                )
         return images
 
-    def _truth(self, features):
-        group, x, y, fwhm, flux = features
-        n, n_epochs = x.shape
-        days = (self.dates - self.dates[0]).to_value(u.yr)
+    def _ripple(self, peak, rng):
+        """A wave about the core, of random direction, length and phase."""
+        beam = self.beam_length
+        wave = 2 * np.pi / (beam * rng.uniform(1.5, 4.0))
+        angle, phase = rng.uniform(0, 2 * np.pi, 2)
+        y, x = np.ogrid[: self.shape[0], : self.shape[1]]
+        x, y = x - self.extent[0], y - self.axis
+        along = x * np.cos(angle) + y * np.sin(angle)
+        falling = 1 / (1 + np.hypot(x, y) / (5 * beam))
+        return self.ripple * peak * falling * np.cos(wave * along + phase)
+
+    def _truth(self, features, seen):
+        years = (self.dates - self.dates[0]).to_value(u.yr)
         scale = self.pixel_scale.to_value(u.mas)
-        if n_epochs > 1:
-            step = np.diff(days)
-            pm = [np.diff(a, axis=1) / step for a in (x, y)]
-            pm = [np.concatenate([p, p[:, -1:]], axis=1) for p in pm]
-        else:
-            pm = [np.full_like(x, np.nan), np.full_like(y, np.nan)]
+        east = -(features.x - self.extent[0]) * scale
+        north = (features.y - self.axis) * scale
+        n, n_epochs = east.shape
+        pm = np.full((2, n, n_epochs), np.nan)
+        pm[..., :-1] = np.diff([east, north], axis=-1) / np.diff(years)
+        # To the next epoch, or from the previous one.
+        before = np.concatenate([pm[..., :1], pm[..., :-1]], axis=-1)
+        pm = np.where(np.isnan(pm), before, pm)
+        visible = features.flux > 0
         feature, epoch = np.mgrid[:n, :n_epochs]
-        exists = np.isfinite(x)
+        exists = np.isfinite(east)
+        group = np.broadcast_to(features.group[:, None], east.shape)
         rows = {
             "feature": feature[exists],
-            "group": np.broadcast_to(group[:, None], x.shape)[exists].astype(str),
+            "group": group[exists].astype(str),
             "epoch": epoch[exists],
             "date": self.dates[epoch[exists]],
-            "x": x[exists] * u.pix,
-            "y": y[exists] * u.pix,
-            "east": -(x[exists] - self.extent[0]) * scale * u.mas,
-            "north": (y[exists] - self.axis) * scale * u.mas,
-            "flux": flux[exists] * u.Jy,
-            "fwhm": np.broadcast_to(fwhm[:, None], x.shape)[exists] * scale * u.mas,
-            "visible": flux[exists] > 0,
-            "pm_east": -pm[0][exists] * scale * u.mas / u.yr,
-            "pm_north": pm[1][exists] * scale * u.mas / u.yr,
+            "x": seen.x[exists] * u.pix,
+            "y": seen.y[exists] * u.pix,
+            "east": east[exists] * u.mas,
+            "north": north[exists] * u.mas,
+            "flux": features.flux[exists] * u.Jy,
+            "fwhm": features.fwhm[exists] * scale * u.mas,
+            "visible": visible[exists],
+            "pm_east": pm[0][exists] * u.mas / u.yr,
+            "pm_north": pm[1][exists] * u.mas / u.yr,
         }
+        angle = self.position_angle
+        outward = pm[0] * np.sin(angle).value + pm[1] * np.cos(angle).value
+        outward = np.where(visible, outward, np.nan)
+        often = np.isfinite(outward).sum(axis=1) >= 2
+        streams = []
+        for stream in self.streams:
+            own = outward[often & (features.group == stream.name)]
+            speeds = np.nanmean(own, axis=1) * u.mas / u.yr
+            streams.append(
+                {f.name: _plain(getattr(stream, f.name)) for f in fields(stream)}
+                | {
+                    "n_seen": len(speeds),
+                    "mean_speed": np.mean(speeds) if len(speeds) else None,
+                    "std_speed": np.std(speeds, ddof=1) if len(speeds) > 1 else None,
+                }
+            )
         meta = {
             "name": self.name,
             "pixel_scale": self.pixel_scale,
@@ -302,23 +381,15 @@ class JetSimulation:
             "velocity_unit": self.velocity_unit,
             "extent": list(self.extent),
             "axis": self.axis,
-            "noise": self.noise,
-            "streams": [
-                {
-                    "name": s.name,
-                    "motion": s.motion,
-                    "dx": _plain(s.dx),
-                    "dy": _plain(s.dy),
-                    "jitter": s.jitter,
-                }
-                for s in self.streams
-            ],
+            "position_angle": self.position_angle,
+            "noise": list(self.noise),
+            "streams": streams,
         }
         return QTable(rows, meta=meta)
 
 
 def _plain(value):
-    """A velocity as ECSV can keep it."""
+    """A parameter of a stream as ECSV can keep it."""
     if callable(value):
         return "function"
     if isinstance(value, tuple):

@@ -1,16 +1,26 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The simulated jets of the paper's tests, and those that must give no velocity."""
+"""The simulated jets: those of the paper's tests, and those that look real."""
 
+import astropy.units as u
+import numpy as np
+from astropy.time import Time
+
+from astro_scc.epochs.beam import Beam
+from astro_scc.simulation.flows import Flow
 from astro_scc.simulation.jets import JetSimulation
 from astro_scc.simulation.streams import Stream
 
 __all__ = [
     "simulate_ballistic",
+    "simulate_jet",
     "simulate_random_velocity",
     "simulate_static",
     "simulate_two_fluid",
     "simulate_unrelated",
 ]
+
+# About that of the VLBA at 15 GHz.
+BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 
 
 def simulate_two_fluid(
@@ -197,6 +207,152 @@ def simulate_unrelated(*, density=1.8, rng=None, **options):
     """
     stream = Stream("unrelated", motion="unrelated", density=density, half_width=12.0)
     return _run("unrelated", (stream,), rng, options)
+
+
+def simulate_jet(
+    *,
+    n_epochs=15,
+    interval=0.2 * u.yr,
+    interval_scatter=0.5,
+    dates=None,
+    streams=None,
+    speed=0.6,
+    dispersion=0.1,
+    distribution="normal",
+    n_features=8,
+    acceleration=1.0,
+    standing=0,
+    core_flux=1.0,
+    flux_variation=0.3,
+    memory=3.0,
+    alignment_error=0.0,
+    ripple=0.0,
+    bowl=0.0,
+    noise=0.0003,
+    noise_scatter=0.3,
+    length=16.0,
+    position_angle=270 * u.deg,
+    beam=BEAM,
+    pixel_scale=0.1 * u.mas,
+    shape=None,
+    rng=None,
+):
+    """
+    A jet as surveys of blazars see it.
+
+    Features are ejected from a core that varies, move apart, each at a speed
+    of its own about that of the flow, fade and widen; epochs are uneven.
+    Lengths are in beams (``sqrt(major minor)``), times in median intervals.
+    Without features that move (``n_features=0``) the jet is static: of
+    ``standing`` features, whose fluxes may vary.
+
+    Parameters
+    ----------
+    n_epochs : int, optional
+    interval : `~astropy.units.Quantity`, optional
+        Median interval between epochs.
+    interval_scatter : float, optional
+        Standard deviation of the logarithm of the intervals, which are
+        log-normal.
+    dates : `~astropy.time.Time`, optional
+        Dates of the epochs, instead of random ones.
+    streams : sequence of `Flow`, optional
+        Instead of one flow of the ``speed``, ``dispersion``,
+        ``distribution``, ``n_features`` and ``acceleration``.
+    speed, dispersion, distribution, n_features, acceleration : optional
+        Of the flow; see `Flow`.
+    standing : int or sequence of float, optional
+        Number of standing features, at random distances from the core, or
+        their distances.
+    core_flux : float, optional
+        Median flux density of the core in Jy; 0 for none.
+    flux_variation : float, optional
+        Standard deviation of the logarithms of all flux densities in time.
+    memory : float, optional
+        Correlation time of the variations; 0 for white ones.
+    alignment_error : float, optional
+        Standard deviation, per axis, of a shift of each image.
+    ripple, bowl : float, optional
+        Artefacts of imaging; see `JetSimulation`.
+    noise : float, optional
+        Median root mean square of the noise in Jy per beam.
+    noise_scatter : float, optional
+        Standard deviation of its logarithm between epochs.
+    length : float, optional
+        Length of the jet.
+    position_angle : `~astropy.units.Quantity`, optional
+    beam : `~astro_scc.epochs.Beam` or sequence of them, optional
+    pixel_scale : `~astropy.units.Quantity`, optional
+    shape : tuple of int, optional
+        Shape (ny, nx) of the images, by default 8 beams more than the jet on
+        all sides.
+    rng : `numpy.random.Generator`, seed or None, optional
+        Passed to `numpy.random.default_rng`.
+
+    Returns
+    -------
+    `SimulatedJet`
+
+    Raises
+    ------
+    ValueError
+        If a parameter is outside its range.
+
+    Examples
+    --------
+    >>> from astro_scc.simulation import simulate_jet
+    >>> jet = simulate_jet(rng=1)
+    >>> jet.cube.shape
+    (15, 128, 256)
+    """
+    rng = np.random.default_rng(rng)
+    date_rng, noise_rng = rng.spawn(2)
+    if dates is None:
+        if n_epochs < 1:
+            raise ValueError(f"n_epochs must be at least 1, got {n_epochs}")
+        steps = np.exp(interval_scatter * date_rng.standard_normal(n_epochs - 1))
+        dates = Time("2000-01-01") + np.cumsum([0, *steps]) * interval
+    if streams is None:
+        streams = [
+            Flow(
+                speed=speed,
+                dispersion=dispersion,
+                distribution=distribution,
+                n_features=n_features,
+                acceleration=acceleration,
+            )
+        ]
+    kind = "n_features" if np.ndim(standing) == 0 else "positions"
+    streams = [*streams, Flow("standing", speed=0.0, **{kind: standing})]
+    beams = (beam,) * len(dates) if isinstance(beam, Beam) else tuple(beam)
+    setting = JetSimulation(streams, dates=dates, beams=beams, pixel_scale=pixel_scale)
+    angle = u.Quantity(position_angle).to_value(u.rad)
+    tip = length * setting.beam_length * np.array([-np.sin(angle), np.cos(angle)])
+    if shape is None:
+        nx, ny = np.round(np.abs(tip) + 16 * setting.beam_length).astype(int).tolist()
+        shape = ny, nx
+    # The middle of the jet is that of the image.
+    x0, y0 = np.floor((np.array(shape[::-1]) - tip) / 2)
+    jet = JetSimulation(
+        streams,
+        name="jet",
+        interval=interval,
+        dates=dates,
+        shape=shape,
+        pixel_scale=pixel_scale,
+        beams=beams,
+        noise=noise * np.exp(noise_scatter * noise_rng.standard_normal(len(dates))),
+        extent=(x0, x0 + length * setting.beam_length),
+        axis=y0,
+        core=core_flux,
+        position_angle=position_angle,
+        variation=flux_variation,
+        memory=memory,
+        alignment_error=alignment_error,
+        ripple=ripple,
+        bowl=bowl,
+    )
+    return jet.run(rng=rng)
 
 
 def _run(name, streams, rng, options):

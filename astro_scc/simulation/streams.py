@@ -2,14 +2,136 @@
 """Groups of features that share one law of motion."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import astropy.units as u
 import numpy as np
 
-__all__ = ["Stream"]
+__all__ = ["Features", "Setting", "Stream"]
 
 MOTIONS = ("steady", "random", "unrelated")
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """
+    Features of a jet along x, at every epoch.
+
+    Attributes
+    ----------
+    group : `numpy.ndarray` of str, shape (n,)
+    x, y : `numpy.ndarray`, shape (n, n_epochs)
+        Pixels from 0; NaN where a feature does not exist.
+    flux : `numpy.ndarray`, shape (n, n_epochs)
+        In Jy.
+    fwhm : `numpy.ndarray`, shape (n, n_epochs)
+        In pixels.
+    """
+
+    group: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    flux: np.ndarray
+    fwhm: np.ndarray
+
+    def __post_init__(self):
+        shape = np.shape(self.x)
+        object.__setattr__(self, "group", np.broadcast_to(self.group, shape[:1]))
+        for name in ("y", "flux", "fwhm"):
+            value = np.broadcast_to(getattr(self, name), shape)
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def concatenate(cls, parts):
+        """
+        Features of all parts.
+
+        Parameters
+        ----------
+        parts : sequence of `Features`
+
+        Returns
+        -------
+        `Features`
+        """
+        return cls(
+            *(
+                np.concatenate([getattr(part, f.name) for part in parts])
+                for f in fields(cls)
+            )
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """
+    Where and when the features of a jet are seen.
+
+    Attributes
+    ----------
+    times : `numpy.ndarray`, shape (n_epochs,)
+        In intervals from the first epoch.
+    extent : tuple of float
+        Limits in x between which features are seen.
+    axis : float
+        y of the jet's axis.
+    beam : float
+        Full width of the beam in pixels.
+    taper : float
+        Length in pixels of the fading at both ends.
+    velocity_unit : `~astropy.units.Quantity`
+        Proper motion of a pixel per interval.
+    """
+
+    times: np.ndarray
+    extent: tuple[float, float]
+    axis: float
+    beam: float
+    taper: float
+    velocity_unit: u.Quantity
+
+    @property
+    def length(self):
+        """Length of the jet in beams."""
+        return (self.extent[1] - self.extent[0]) / self.beam
+
+    def in_pixels(self, group, along, across, flux, fwhm):
+        """
+        Features given in beams from the core.
+
+        Parameters
+        ----------
+        group : str
+        along, across : `numpy.ndarray`, shape (n, n_epochs)
+        flux : `numpy.ndarray`
+        fwhm : `numpy.ndarray`
+
+        Returns
+        -------
+        `Features`
+        """
+        x = self.extent[0] + self.beam * along
+        y = self.axis + self.beam * across
+        return Features(group, x, y, flux, self.beam * fwhm)
+
+    def visibility(self, x):
+        """
+        Fraction of the flux that is seen at x: a raised cosine at both ends.
+
+        Parameters
+        ----------
+        x : array_like
+
+        Returns
+        -------
+        `numpy.ndarray`
+        """
+        start, end = self.extent
+        inside = np.minimum(x - start, end - x)
+        if self.taper == 0:
+            return np.where(inside >= 0, 1.0, 0.0)
+        ramp = np.clip(np.nan_to_num(inside / self.taper), 0, 1)
+        return 0.5 * (1 - np.cos(np.pi * ramp))
 
 
 @dataclass(frozen=True)
@@ -107,28 +229,39 @@ class Stream:
                     f"or a function of (x, y), got {value}"
                 )
 
-    def in_pixels(self, velocity_unit):
+    def features(self, setting, rng):
         """
-        The same stream with its proper motions in pixels per interval.
+        Draw the features and follow them over the epochs.
 
         Parameters
         ----------
-        velocity_unit : `~astropy.units.Quantity`
-            Proper motion of one pixel per interval.
+        setting : `Setting`
+        rng : `numpy.random.Generator`
 
         Returns
         -------
-        `Stream`
+        `Features`
+            Those that are seen at some epoch.
         """
-        from dataclasses import replace
 
         def convert(value):
             if not isinstance(value, u.Quantity):
                 return value
-            pixels = (value / velocity_unit).to_value(u.one)
+            pixels = (value / setting.velocity_unit).to_value(u.one)
             return tuple(pixels) if pixels.ndim else float(pixels)
 
-        return replace(self, dx=convert(self.dx), dy=convert(self.dy))
+        stream = replace(self, dx=convert(self.dx), dy=convert(self.dy))
+        x, y = stream.trajectories(
+            np.diff(setting.times), setting.extent, setting.axis, setting.beam, rng
+        )
+        fwhm = rng.uniform(*self.fwhm, len(x))
+        peak = rng.uniform(*self.peak, len(x))
+        flux = peak * (setting.beam**2 + fwhm**2) / setting.beam**2
+        start, end = setting.extent
+        seen = ((x >= start) & (x <= end)).any(axis=1)
+        x, y = x[seen], y[seen]
+        flux = flux[seen, None] * setting.visibility(x)
+        return Features(self.name, x, y, flux, fwhm[seen, None])
 
     def trajectories(self, steps, region, axis, beam_length, rng):
         """

@@ -21,6 +21,7 @@ from astro_scc.simulation import (
     simulate_unrelated,
     write_simulation,
 )
+from astro_scc.simulation.streams import Setting
 
 PRESETS = {
     "two-fluid": simulate_two_fluid,
@@ -95,12 +96,12 @@ def test_images_of_the_paper_from_their_truth(shared_data):
 
     folder = shared_data / "paper_test" / "two_fluid"
     paper = json.loads((folder / "truth.json").read_text())
-    simulation = JetSimulation([Stream("all", half_width=1.0)])
     x = np.array([f["x"] for f in paper["features"]])
     y = np.array([f["y"] for f in paper["features"]])
     width = np.array([f["fwhm"] for f in paper["features"]])
     peak = np.array([f["peak"] for f in paper["features"]])
-    visibility = simulation._visibility(x)
+    setting = Setting(np.arange(10.0), (20.0, 220.0), 64.0, 10.0, 10.0, u.mas / u.yr)
+    visibility = setting.visibility(x)
     total = (width**2 + 100) / (8 * np.log(2))
     for i, path in enumerate(sorted(folder.glob("*.fits"))):
         image = add_gaussians(
