@@ -9,6 +9,7 @@ import numpy as np
 from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.correlation.workers import workers_of
 from astro_scc.decomposition import Decomposer
+from astro_scc.epochs.beam import require_common_beam
 from astro_scc.measurement import (
     MatchCache,
     MatchedEpochs,
@@ -79,6 +80,9 @@ class StackedCrossCorrelation:
         found it to be.
     small_displacement_correction : bool, optional
         Shift the shuffled images by a fifth of the beam (paper, Sect. 2.3).
+    common_beam : bool, optional
+        Refuse epochs whose beams differ, which ``cube.to_common_beam()``
+        mends.  False measures them as they are.
 
     Raises
     ------
@@ -116,6 +120,7 @@ class StackedCrossCorrelation:
     nulls: tuple = ("scramble", "shuffle")
     alignment_error: u.Quantity | None = None
     small_displacement_correction: bool = False
+    common_beam: bool = True
 
     def __post_init__(self):
         for name, require in REQUIREMENTS.items():
@@ -257,12 +262,19 @@ class StackedCrossCorrelation:
         -------
         `~astro_scc.measurement.MatchedEpochs`
 
+        Raises
+        ------
+        ValueError
+            If the beams of the epochs differ and ``common_beam`` is True.
+
         Warns
         -----
         `~astro_scc.exceptions.MeasurementWarning`
             If the file ``cache`` is there and cannot be used, or no SSP lies
             in the region.
         """
+        if self.common_beam:
+            require_common_beam(cube)
         pairs = self.date_pairs(cube)
         reach = search_reach(
             cube, pairs, self.speed_limit(cube).value, self._fwhm(cube), self.kernel
@@ -403,8 +415,8 @@ class StackedCrossCorrelation:
         Raises
         ------
         ValueError
-            If no two epochs make a pair, or a setting does not fit the
-            images.
+            If no two epochs make a pair, their beams differ, or a setting
+            does not fit the images.
         """
         matched = self.match(
             cube,

@@ -221,6 +221,12 @@ each("beam smaller than a pixel")(lambda i: {"BMAJ": 0.05 * MAS, "BMIN": 0.04 * 
 each("beams that differ", "note: the beams differ: convolving to a common one")(
     lambda i: {"BMAJ": (0.4 + 0.02 * i) * MAS}
 )
+case("beams that differ, --no-common-beam", "note: the beams differ and are left so")(
+    lambda folder: [
+        *series(folder, lambda i: {"BMAJ": (0.4 + 0.02 * i) * MAS}),
+        "--no-common-beam",
+    ]
+)
 each("position angle of the beam beyond 360 degrees")(lambda i: {"BPA": 533.0})
 each("reference values that jump by 0.36 mas", "apart on the sky and are laid on one")(
     lambda i: {"CRVAL1": 10 + 0.36 * MAS * (i % 2)}

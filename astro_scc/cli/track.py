@@ -156,7 +156,8 @@ def _tracker(args, config):
     """The settings of the tracker, from the command line and the configuration."""
     from astro_scc.tracking import FeatureTracker
 
-    names = ("max_speed", "position_angle", "kappa", "target", "min_overlap")
+    names = ("max_speed", "position_angle", "kappa", "target", "min_overlap",
+             "common_beam")  # fmt: skip
     settings = {name: config[name] for name in names if name in config}
     if "kappa" in config and args.kappa is None:
         # That of a measurement is for stacks.

@@ -94,14 +94,17 @@ def _silent(text):
 
 
 def _wants_common_beam(cube, config, note):
+    from astro_scc.epochs.beam import different_beam
+
     wanted = config.get("common_beam")
+    differ = different_beam(cube) is not None
+    if wanted is False and differ:
+        note("the beams differ and are left so, as --no-common-beam states")
     if wanted is not None:
         return wanted
     if cube.beams is None:
         note("the epochs have no beams and are left as they are")
-        return False
-    differ = any(beam != cube.beams[0] for beam in cube.beams)
-    if differ:
+    elif differ:
         note("the beams differ: convolving to a common one (--no-common-beam)")
     return differ
 

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 import astropy.units as u
 import numpy as np
 
-__all__ = ["Beam"]
+__all__ = ["Beam", "different_beam", "require_common_beam"]
 
 FWHM_TO_SIGMA = 1 / np.sqrt(8 * np.log(2))
+#: Widths that differ by less, in every direction, are of the same beam: headers round
+#: them, and no displacement feels it.
+SAME_WIDTH = 0.01
 
 
 @dataclass(frozen=True)
@@ -112,3 +115,49 @@ class Beam:
         return bool(np.all(np.isclose(self.covariance, other.covariance, rtol=1e-6)))
 
     __hash__ = None
+
+
+def different_beam(cube):
+    """
+    The first epoch whose beam is not that of the first epoch.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    int or None
+        None if all widths agree within 1% in every direction, or the epochs
+        have no beams.
+    """
+    if cube.beams is None:
+        return None
+    inverse = np.linalg.inv(cube.beams[0].covariance.to_value(u.mas**2))
+    for index, beam in enumerate(cube.beams):
+        ratio = np.linalg.eigvals(inverse @ beam.covariance.to_value(u.mas**2))
+        if np.any(np.abs(np.sqrt(ratio.real) - 1) > SAME_WIDTH):
+            return index
+    return None
+
+
+def require_common_beam(cube):
+    """
+    Refuse epochs with beams that differ.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Raises
+    ------
+    ValueError
+        If the widths of two beams differ by more than 1% in any direction.
+    """
+    index = different_beam(cube)
+    if index is not None:
+        raise ValueError(
+            f"the beams differ, {cube.beams[0]} in {cube.labels[0]} and "
+            f"{cube.beams[index]} in {cube.labels[index]}: give cube.to_common_beam(), "
+            "or state common_beam=False to measure them as they are"
+        )

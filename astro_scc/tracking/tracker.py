@@ -8,6 +8,7 @@ import numpy as np
 
 from astro_scc.correlation import Correlator, Matches, landing_ssps
 from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.epochs.beam import require_common_beam
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.progress import progress
 from astro_scc.tracking.candidates import find_candidates
@@ -62,6 +63,9 @@ class FeatureTracker:
         Smallest correlation of a candidate.
     target, min_overlap
         See `~astro_scc.correlation.Correlator`.
+    common_beam : bool, optional
+        Refuse epochs whose beams differ, which ``cube.to_common_beam()``
+        mends.  False tracks them as they are.
 
     Raises
     ------
@@ -95,6 +99,7 @@ class FeatureTracker:
     kappa: float = 0.5
     target: str = "segments"
     min_overlap: float = 0.8
+    common_beam: bool = True
 
     def __post_init__(self):
         for name, unit in (("max_speed", PM_UNIT), ("max_interval", u.yr)):
@@ -380,8 +385,11 @@ class FeatureTracker:
         ------
         ValueError
             If there is not one decomposition an epoch, ``select`` has not one
-            value an SSP, or no two epochs have different dates.
+            value an SSP, no two epochs have different dates, or their beams
+            differ and ``common_beam`` is True.
         """
+        if self.common_beam:
+            require_common_beam(cube)
         if len(decompositions) != len(cube):
             raise ValueError(
                 f"{len(decompositions)} decompositions for {len(cube)} epochs: "

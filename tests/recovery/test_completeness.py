@@ -123,8 +123,9 @@ def test_masked_pixels_uneven_dates_and_changing_beams(noise_cube, settings, n_m
     cube = noise_cube(beams=beams, mask=mask)
     region = np.zeros((48, 96), dtype=bool)
     region[8:40, 5:91] = True
+    as_they_are = replace(settings, common_beam=False)
     table = completeness(
-        cube, settings, speeds=FAST, fluxes=100.0, region=region, **QUICK
+        cube, as_they_are, speeds=FAST, fluxes=100.0, region=region, **QUICK
     )
     assert table["n_found"][0] == 2
 
