@@ -182,14 +182,19 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         return self._select(keep)
 
     def _image(self, index):
-        from astropy.nddata import CCDData
+        from astropy.nddata import CCDData, StdDevUncertainty
 
         from astro_scc.epochs.files.headers import epoch_header
 
         if not -len(self) <= index < len(self):
             raise IndexError(f"epoch {index} of a cube with {len(self)} epochs")
+        noise = self.noise
+        if noise is not None:
+            every = np.full(self.shape[1:], noise[index].value)
+            noise = StdDevUncertainty(every, unit=self.unit, copy=False)
         return CCDData(
             self.data[index],
+            uncertainty=noise,
             unit=self.unit,
             mask=self.mask[index],
             wcs=self.wcs.deepcopy(),

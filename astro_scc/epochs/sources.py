@@ -110,6 +110,9 @@ class EpochSources:
         ----------
         images : sequence of `~astropy.nddata.NDData`
             Or what has an ``hdu``, such as the images of spectral-cube.
+            Pixels without a finite uncertainty are bad, and the median of the
+            others' standard deviations is the ``noise`` of the epoch, if all
+            images have uncertainties.
         times : `~astropy.time.Time` or sequence, optional
             By default from the ``meta`` of each image, as in a FITS header.
         beams : beam or sequence of beams, optional
@@ -130,7 +133,7 @@ class EpochSources:
     @classmethod
     def from_ndcube(cls, ndcube, times=None, beams=None):
         """
-        From an NDCube of (time, latitude, longitude), or a sequence of NDCubes.
+        From an NDCube, see `~astro_scc.epochs.interchange.from_ndcube`.
 
         Parameters
         ----------
@@ -143,9 +146,9 @@ class EpochSources:
         -------
         `EpochCube`
         """
-        from astro_scc.epochs.files.assembly import cube_from_ndcube
+        from astro_scc.epochs.interchange import from_ndcube
 
-        return cube_from_ndcube(ndcube, times=times, beams=beams)
+        return from_ndcube(ndcube, times=times, beams=beams)
 
     @classmethod
     def from_xarray(cls, source, **kwargs):

@@ -2,16 +2,25 @@
 """What an `EpochCube` accepts, turned into what it holds."""
 
 import warnings
+from numbers import Integral
 
 import astropy.units as u
 import numpy as np
+from astropy.nddata import (
+    InverseVariance,
+    NDData,
+    StdDevUncertainty,
+    VarianceUncertainty,
+)
 from astropy.time import Time
+from astropy.utils.masked import Masked
 from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.keywords import parse_date
 
 __all__ = [
+    "UNEVEN",
     "as_beam",
     "as_beams",
     "as_celestial",
@@ -21,11 +30,40 @@ __all__ = [
     "as_stack",
     "as_times",
     "date_labels",
+    "fits_wcs",
+    "uncertainty_noise",
 ]
+
+#: Power of an uncertainty that is a standard deviation.
+POWERS = {StdDevUncertainty: 1, VarianceUncertainty: 0.5, InverseVariance: -0.5}
+#: Factor by which uncertainties of pixels may differ from that of the image.
+EVEN = 1.5
+UNEVEN = (
+    "its uncertainty differs from pixel to pixel, and the median is taken for the "
+    "noise; leave it out to have the noise measured"
+)
 
 
 def as_stack(data, mask, unit):
     """Data as float64 (epoch, y, x), the mask and the unit."""
+    images = data if isinstance(data, list | tuple) else [data]
+    if any(isinstance(image, NDData) or hasattr(image, "coords") for image in images):
+        raise TypeError(
+            "data are images with unit, mask and coordinates of their own; use "
+            "EpochCube.from_ccddata, from_ndcube or from_xarray, which keep them"
+        )
+    if images is data and any(hasattr(image, "mask") for image in images):
+        plain = any(isinstance(image, np.ma.MaskedArray) for image in images)
+        data = (np.ma.stack if plain else np.stack)(images)
+    elif images is data and any(isinstance(image, u.Quantity) for image in images):
+        try:
+            data = u.Quantity(images)
+        except (TypeError, ValueError, u.UnitsError) as error:
+            raise TypeError(f"data must be images in one unit: {error}") from None
+    if isinstance(data, Masked):
+        inner = np.asarray(data.mask)
+        mask = inner if mask is None else inner | np.asarray(mask, dtype=bool)
+        data = data.unmasked
     if isinstance(data, u.Quantity):
         if unit is None or unit == u.dimensionless_unscaled:
             unit = data.unit
@@ -129,13 +167,130 @@ def as_noise(noise, n, unit):
     return noise if noise.shape else np.repeat(noise, n)
 
 
+def uncertainty_noise(uncertainty, unit, mask):
+    """
+    The noise of an image whose pixels have uncertainties.
+
+    Parameters
+    ----------
+    uncertainty : `~astropy.nddata.NDUncertainty`
+        Without a unit of its own, in that of the image.
+    unit : `~astropy.units.UnitBase`
+        That of the image.
+    mask : `~numpy.ndarray` of bool, shape (ny, nx)
+
+    Returns
+    -------
+    noise : `~astropy.units.Quantity`
+        Median of the standard deviations of valid pixels.
+    bad : `~numpy.ndarray` of bool, shape (ny, nx)
+        Where there is no finite standard deviation.
+    even : bool
+        Whether the pixels differ little.
+
+    Raises
+    ------
+    ValueError
+        If the kind or the unit cannot be used, a value is negative, or no
+        valid pixel has a finite one.
+    """
+    power = next((p for kind, p in POWERS.items() if isinstance(uncertainty, kind)), 0)
+    if not power:
+        raise ValueError(
+            f"its uncertainty is a {type(uncertainty).__name__}; give it as "
+            "StdDevUncertainty, VarianceUncertainty or InverseVariance, or set it to "
+            "None"
+        )
+    values = np.asarray(uncertainty.array, dtype=float)
+    if np.any(values < 0):
+        raise ValueError("its uncertainty has negative values; correct or remove it")
+    given = uncertainty.unit
+    try:
+        factor = 1.0 if given is None else (given**power).to(unit)
+    except u.UnitConversionError:
+        raise ValueError(
+            f"its uncertainty is a {type(uncertainty).__name__} in {given}, which does "
+            f"not fit images in {unit.to_string() or 'no unit'}; correct or remove it"
+        ) from None
+    with np.errstate(divide="ignore"):
+        sigma = np.broadcast_to(values**power * factor, mask.shape)
+    bad = ~np.isfinite(sigma)
+    valid = sigma[~(mask | bad)]
+    if valid.size == 0:
+        raise ValueError("its uncertainty is finite at no valid pixel; remove it")
+    noise = np.median(valid)
+    even = valid.max() <= EVEN * noise and noise <= EVEN * valid.min()
+    return noise * unit, bad, bool(even)
+
+
+def fits_wcs(wcs):
+    """
+    The FITS WCS of one that was sliced or resampled.
+
+    Parameters
+    ----------
+    wcs : `~astropy.wcs.WCS`
+        Or a `~astropy.wcs.wcsapi.SlicedLowLevelWCS` or
+        `ndcube.wcs.wrappers.ResampledLowLevelWCS` around one, as images get
+        that were sliced or rebinned.
+
+    Returns
+    -------
+    wcs : `~astropy.wcs.WCS`
+        With all axes; those of which one pixel was taken start at it.
+    size : `~numpy.ndarray`
+        Pixels of the original in one of the axis.
+    kept : `~numpy.ndarray` of bool
+        Axes that the image still has.
+
+    Raises
+    ------
+    TypeError
+        If there is none inside.
+    """
+    wcs = getattr(wcs, "low_level_wcs", wcs)
+    if isinstance(wcs, WCS):
+        return wcs, np.ones(wcs.naxis), np.ones(wcs.naxis, dtype=bool)
+    inner = getattr(wcs, "_wcs", None)
+    if hasattr(wcs, "_slices_pixel"):
+        single = np.array([isinstance(part, Integral) for part in wcs._slices_pixel])
+        start = [
+            part if one else part.start or 0
+            for part, one in zip(wcs._slices_pixel, single, strict=True)
+        ]
+        step = np.ones(len(start))
+    elif hasattr(wcs, "_factor"):
+        start, step = wcs._offset, wcs._factor
+        single = np.zeros(len(step), dtype=bool)
+    else:
+        raise TypeError(
+            f"wcs must be an astropy WCS, or one sliced, got {type(wcs).__name__}"
+        )
+    wcs, size, kept = fits_wcs(inner)
+    wcs, kept = wcs.deepcopy(), kept.copy()
+    axes = np.flatnonzero(kept)
+    crpix = wcs.wcs.crpix.copy()
+    crpix[axes] = (crpix[axes] - 0.5 - start) / step + 0.5
+    if np.any(step != 1):
+        size[axes] *= step
+        matrix = wcs.pixel_scale_matrix
+        matrix[:, axes] *= step
+        del wcs.wcs.cd, wcs.wcs.crota
+        wcs.wcs.cdelt, wcs.wcs.pc = np.ones(len(matrix)), matrix
+    wcs.wcs.crpix = crpix
+    wcs.wcs.set()
+    wcs.pixel_shape = None
+    kept[axes[single]] = False
+    return wcs, size, kept
+
+
 def as_celestial(wcs):
     """The celestial part of a WCS, two axes without distortions."""
-    wcs = getattr(wcs, "low_level_wcs", wcs)
-    if not isinstance(wcs, WCS):
-        raise TypeError(f"wcs must be an astropy WCS, got {type(wcs).__name__}")
+    wcs, _, kept = fits_wcs(wcs)
     if not wcs.has_celestial:
         raise ValueError(f"wcs must have celestial axes, got {list(wcs.wcs.ctype)}")
+    if not kept[[wcs.wcs.lng, wcs.wcs.lat]].all():
+        raise ValueError("wcs has lost a celestial axis by slicing; slice images only")
     if wcs.naxis != 2:
         wcs = wcs.celestial
     if wcs.wcs.lng > wcs.wcs.lat:

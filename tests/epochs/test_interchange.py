@@ -184,21 +184,6 @@ def test_xarray_is_not_installed(monkeypatch):
         to_xarray(make_cube())
 
 
-def test_ndcube_there_and_back():
-    pytest.importorskip("ndcube")
-    cube = full_cube()
-    made = cube.to_ndcube()
-    assert made.data.shape == cube.shape
-    assert made.meta["beams"] == cube.beams
-    sky = made.wcs.pixel_to_world_values(2, 3, 1)
-    assert np.allclose(sky[:2], cube.wcs.pixel_to_world_values(2, 3), rtol=1e-15)
-    back = EpochCube.from_ndcube(made, beams=cube.beams)
-    assert np.array_equal(back.data, cube.data)
-    assert np.array_equal(back.mask, cube.mask)
-    assert np.all(np.abs((back.times - cube.times).to_value(u.us)) < 1)
-    assert np.allclose(back.pixel_matrix, cube.pixel_matrix, rtol=1e-12)
-
-
 def test_spectral_cube_images():
     spectral_cube = pytest.importorskip("spectral_cube")
     header = make_cube().wcs.to_header()

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+from astropy.nddata import NDData
 from astropy.time import Time
 from astropy.wcs import WCS
 
@@ -31,10 +32,16 @@ from astro_scc.epochs.files.headers import header_beam, header_facts, observing_
 from astro_scc.epochs.files.windows import Grid, windows_of
 from astro_scc.epochs.grids.cutout import crop_line
 from astro_scc.epochs.keywords import get
-from astro_scc.epochs.validation import as_beams, as_celestial, as_times
+from astro_scc.epochs.validation import (
+    UNEVEN,
+    as_beams,
+    as_celestial,
+    as_times,
+    uncertainty_noise,
+)
 from astro_scc.exceptions import EpochWarning
 
-__all__ = ["cube_from_files", "cube_from_images", "cube_from_ndcube", "find_files"]
+__all__ = ["cube_from_files", "cube_from_images", "find_files"]
 
 # Reference pixels further apart than this part of the image are more than
 # the scatter of VLBI positions.
@@ -55,6 +62,8 @@ class Plane:
     time: Time
     beam: Beam | None
     facts: dict
+    noise: u.Quantity | None = None
+    even: bool = True
     label: str | None = None
     whole: tuple[int, int] | None = None
 
@@ -201,56 +210,25 @@ def _memory():
 
 def cube_from_images(images, *, times, beams, frame, check):
     """See `EpochCube.from_ccddata`."""
+    from astro_scc.epochs.interchange import from_ndcube
+
     _check_frame(frame)
-    images = list(images)
+    images = [images] if isinstance(images, NDData) else list(images)
     times, beams = _given(times, beams, len(images))
     planes = []
     for i, (image, time, beam) in enumerate(zip(images, times, beams, strict=True)):
+        if hasattr(image, "extra_coords"):
+            cube = from_ndcube(image, times=time, beams=beam)
+            if len(cube) > 1:
+                raise ValueError(
+                    f"image {i}: is an NDCube of {len(cube)} epochs; give it alone to "
+                    "EpochCube.from_ndcube"
+                )
+            image = cube[0]
         plane = _plane(as_image(image, f"image {i}"), f"image {i}", time, beam)
         plane.label = get(image.meta, "LABEL", kind=str)
         planes.append(plane)
     return _assemble(planes, frame, check, f"{len(images)} images")
-
-
-def cube_from_ndcube(ndcube, *, times, beams):
-    """See `EpochCube.from_ndcube`."""
-    if isinstance(ndcube.data, list | tuple):
-        return cube_from_images(
-            ndcube.data, times=times, beams=beams, frame="offset", check=True
-        )
-    wcs = getattr(ndcube.wcs, "low_level_wcs", ndcube.wcs)
-    data = np.asarray(ndcube.data)
-    if not isinstance(wcs, WCS) or not wcs.has_celestial or data.ndim != 3:
-        raise ValueError(
-            "an NDCube must have three axes, two of them celestial, and a FITS WCS; "
-            "EpochCube.from_arrays takes what has none"
-        )
-    mask = np.broadcast_to(False if ndcube.mask is None else ndcube.mask, data.shape)
-    if wcs.naxis == 3:
-        # Array axes run against the order of WCS axes.
-        axis = 2 - ({0, 1, 2} - {wcs.wcs.lng, wcs.wcs.lat}).pop()
-        data, mask = np.moveaxis(data, axis, 0), np.moveaxis(mask, axis, 0)
-    return EpochCube(
-        data=data,
-        times=_ndcube_times(ndcube) if times is None else times,
-        wcs=wcs.celestial,
-        unit=ndcube.unit,
-        mask=mask,
-        beams=beams,
-        meta={"history": ["from an NDCube"]},
-    )
-
-
-def _ndcube_times(ndcube):
-    for coordinates in (ndcube.wcs, ndcube.extra_coords):
-        try:
-            world = ndcube.axis_world_coords(wcs=coordinates)
-        except (AttributeError, TypeError, ValueError):
-            continue
-        for values in world:
-            if isinstance(values, Time):
-                return values
-    raise ValueError("the NDCube has no coordinate of type Time; give times=")
 
 
 def _check_frame(frame):
@@ -296,15 +274,27 @@ def _plane(image, name, time, beam):
             beam = header_beam(image.meta)
         except ValueError as error:
             _warn(f"{name}: its beam is taken as unknown: {error}; {CORRECT_BEAM}")
+    if beam is None and getattr(image, "psf", None) is not None:
+        _warn(f"{name}: its psf is an image, of which no beam is made; give beams=")
+    unit = image.unit or u.dimensionless_unscaled
+    noise, even = None, True
+    if image.uncertainty is not None:
+        try:
+            noise, bad, even = uncertainty_noise(image.uncertainty, unit, mask)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+        mask |= bad
     return Plane(
         name=name,
         data=data.reshape(data.shape[-2:]),
         mask=mask.reshape(data.shape[-2:]),
-        unit=image.unit or u.dimensionless_unscaled,
+        unit=unit,
         wcs=wcs,
         time=time,
         beam=beam,
         facts=header_facts(image.meta),
+        noise=noise,
+        even=even,
     )
 
 
@@ -342,15 +332,18 @@ def _assemble(planes, frame, check, source):
         if factor != 1:
             plane.data = plane.data * factor
             plane.unit = unit
+            plane.noise = None if plane.noise is None else plane.noise.to(unit)
     if frame == "offset":
         _warn_of_distances(planes)
     grid = lay_on_one_grid(planes, frame)
     if grid.resampled:
         ny, nx = grid.data.shape[1:]
+        given = any(plane.noise is not None for plane in planes)
+        anew = ", and the noise of all is measured anew" if given else ""
         _warn(
             f"{_some(grid.resampled)}: on another grid than the finest and therefore "
-            f"resampled to it; all are {nx} x {ny} pixels, masked outside each image; "
-            "leave it out if you do not want that"
+            f"resampled to it; all are {nx} x {ny} pixels, masked outside each image"
+            f"{anew}; leave it out if you do not want that"
         )
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
     names = {plane.facts.get("object") for plane in planes} - {None}
@@ -361,7 +354,12 @@ def _assemble(planes, frame, check, source):
         wcs=grid.wcs,
         unit=unit,
         mask=grid.mask,
-        beams=_all_or_none(planes),
+        beams=_all_or_none(
+            planes,
+            "beam",
+            f"the cube has none; {CORRECT_BEAM}, or give beams= in Python",
+        ),
+        noise=None if grid.resampled else _all_noise(planes),
         labels=[plane.label for plane in planes] if labelled else (),
         epoch_wcs=grid.epoch_wcs,
         epoch_meta=[plane.facts for plane in planes],
@@ -402,14 +400,26 @@ def _warn_of_distances(planes):
         )
 
 
-def _all_or_none(planes):
-    missing = [plane.name for plane in planes if plane.beam is None]
+def _all_or_none(planes, what, otherwise):
+    """A value of every image, or else a warning that some have none."""
+    values = [getattr(plane, what) for plane in planes]
+    missing = [p.name for p, v in zip(planes, values, strict=True) if v is None]
     if missing and len(missing) < len(planes):
         _warn(
-            f"{_some(missing)}: no beam where other epochs have one, so the cube has "
-            f"none; {CORRECT_BEAM}, or give beams= in Python"
+            f"{_some(missing)}: no {what} where other epochs have one, so {otherwise}"
         )
-    return None if missing else [plane.beam for plane in planes]
+    return None if missing else values
+
+
+def _all_noise(planes):
+    """The noise of all images by their uncertainties, if they have them."""
+    noise = _all_or_none(
+        planes, "noise", "that of all is measured; give every image an uncertainty"
+    )
+    uneven = [plane.name for plane in planes if not plane.even]
+    if uneven and noise:
+        _warn(f"{_some(uneven)}: {UNEVEN}")
+    return None if noise is None else u.Quantity(noise)
 
 
 def _some(names):

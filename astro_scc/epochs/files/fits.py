@@ -11,7 +11,13 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 from astropy.io import fits, registry
-from astropy.nddata import CCDData, NDData
+from astropy.nddata import (
+    CCDData,
+    InverseVariance,
+    NDData,
+    StdDevUncertainty,
+    VarianceUncertainty,
+)
 
 from astro_scc.epochs.files.headers import (
     axis_kind,
@@ -29,6 +35,11 @@ __all__ = ["as_image", "read_grid", "read_image", "read_vlbi_fits"]
 CUBE_CREATOR = "astro_scc EpochCube"
 #: What to do about a beam that cannot be.
 CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
+#: Kinds of uncertainty, as astropy calls them in FITS (UTYPE).
+UNCERTAINTIES = {
+    kind.__name__: kind
+    for kind in (StdDevUncertainty, VarianceUncertainty, InverseVariance)
+}
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 # What describes the array and its axes in the file, which the CCDData says
 # itself, in two dimensions.
@@ -297,11 +308,14 @@ def _image(hdus, which, path, window=None):
     bad = ~np.isfinite(data)
     if bad.all():
         raise _ContentError(f"no valid pixel{where}, all are NaN; leave this file out")
-    bad |= _without_weight(hdus, hdu, shape, window)
-    if bad.all():
-        raise _ContentError(
-            f"no valid pixel{where}, WHT is 0 everywhere; leave this file out"
-        )
+    for name, is_bad in (("WHT", np.logical_not), ("MASK", np.asarray)):
+        values, _ = _beside(hdus, hdu, name, shape, window)
+        if values is not None:
+            bad |= is_bad(values).astype(bool)
+        if bad.all():
+            raise _ContentError(
+                f"no valid pixel{where} by its extension {name}; leave this file out"
+            )
     wcs = _celestial(header, hdus)
 
     notes = []
@@ -322,7 +336,13 @@ def _image(hdus, which, path, window=None):
     mask = bad if bad.any() else None
     if data.shape != shape:
         wcs = cut_wcs(wcs, window, shape)
-    return CCDData(data, unit=unit, mask=mask, wcs=wcs, meta=meta), notes
+    errors, kind = _beside(hdus, hdu, "UNCERT", shape, window)
+    if errors is not None:
+        own = parse_unit(get(kind, "BUNIT", kind=str)) if "BUNIT" in kind else None
+        kind = UNCERTAINTIES.get(get(kind, "UTYPE", kind=str), StdDevUncertainty)
+        errors = kind(np.array(errors, dtype=float), unit=own, copy=False)
+    image = CCDData(data, unit=unit, mask=mask, wcs=wcs, meta=meta, uncertainty=errors)
+    return image, notes
 
 
 def _hdu_with_header(hdus, which, path):
@@ -354,13 +374,23 @@ def _celestial(header, hdus):
     return wcs
 
 
-def _without_weight(hdus, image, shape, window):
-    """Where a drizzled image, as of HST, has no exposure: weights of nought."""
+def _beside(hdus, image, name, shape, window):
+    """
+    Values and header of an extension that belongs to the image, or None.
+
+    Drizzled images of HST have weights, ``WHT``; astropy writes the mask and the
+    uncertainty of CCDData as ``MASK`` and ``UNCERT``.
+    """
     for hdu in hdus:
-        if hdu is not image and hdu.name == "WHT" and hdu.is_image:
+        if hdu is not image and hdu.name == name and hdu.is_image:
             if hdu.shape == shape:
-                return hdu.data[window] == 0
-    return False
+                return hdu.data[window], hdu.header
+            if name != "WHT":
+                raise _ContentError(
+                    f"its extension {name} has shape {hdu.shape}, its image {shape}; "
+                    "correct or remove the extension"
+                )
+    return None, None
 
 
 def _find(hdus, which):

@@ -166,7 +166,7 @@ def smallest_common_beam(beams):
     >>> from astro_scc.epochs import Beam
     >>> beams = [Beam(1 * u.mas, 0.5 * u.mas, pa) for pa in (10 * u.deg, 50 * u.deg)]
     >>> print(smallest_common_beam(beams))
-    1.14 x 0.697 mas at 30.0 deg
+    1.14 x 0.696 mas at 30.0 deg
     """
     if len(beams) == 0:
         raise ValueError("a common beam needs at least one beam")

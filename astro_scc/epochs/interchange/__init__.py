@@ -3,10 +3,11 @@
 
 from astro_scc.epochs.interchange.casa import is_casa_image, read_casa_image
 from astro_scc.epochs.interchange.movies import is_hdf5, read_movie
-from astro_scc.epochs.interchange.ndcubes import to_ndcube
+from astro_scc.epochs.interchange.ndcubes import from_ndcube, to_ndcube
 from astro_scc.epochs.interchange.xarrays import from_xarray, to_xarray
 
 __all__ = [
+    "from_ndcube",
     "from_xarray",
     "is_casa_image",
     "is_hdf5",

@@ -1,13 +1,29 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""A cube as NDCube."""
+"""A cube as NDCube, and back; NDCubes of others."""
 
+import warnings
+from collections.abc import Mapping
+
+import astropy.units as u
 import numpy as np
+from astropy.nddata import StdDevUncertainty
+from astropy.time import Time
 from astropy.wcs import WCS
 
+from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.files.assembly import cube_from_images
+from astro_scc.epochs.files.headers import header_beam, header_facts, observing_time
 from astro_scc.epochs.interchange.optional import optional
+from astro_scc.epochs.validation import UNEVEN, fits_wcs, uncertainty_noise
+from astro_scc.exceptions import EpochWarning
 
-__all__ = ["to_ndcube"]
-__doctest_requires__ = {"to_ndcube": ["ndcube"]}
+__all__ = ["from_ndcube", "to_ndcube"]
+__doctest_requires__ = {("from_ndcube", "to_ndcube"): ["ndcube"]}
+
+#: The axis of the numbers of the epochs.
+AXIS = "EPOCH"
+#: What `to_ndcube` keeps for each of them.
+EACH = ("labels", "beams", "epoch_meta")
 
 
 def to_ndcube(cube):
@@ -22,7 +38,9 @@ def to_ndcube(cube):
     -------
     `ndcube.NDCube`
         Its WCS has the number of the epoch as third axis, whose dates are
-        the extra coordinate ``time``.  Beams and noise are in its meta.
+        the extra coordinate ``time``.  The noise is its uncertainty; labels,
+        beams and facts of all epochs are in its meta, where `from_ndcube`
+        finds them by the number of the epoch.
 
     Raises
     ------
@@ -37,17 +55,17 @@ def to_ndcube(cube):
     (2, 128, 256)
     """
     ndcube = optional("ndcube", "to_ndcube", "ndcube")
+    noise = cube.noise
+    if noise is not None:
+        every = np.broadcast_to(noise.value[:, None, None], cube.shape)
+        noise = StdDevUncertainty(every, unit=cube.unit, copy=False)
     made = ndcube.NDCube(
         cube.data.copy(),
         wcs=_with_epochs(cube.wcs),
+        uncertainty=noise,
         unit=cube.unit,
         mask=cube.mask.copy(),
-        meta={
-            **cube.meta,
-            "labels": list(cube.labels),
-            "beams": cube.beams,
-            "noise": cube.noise,
-        },
+        meta={**cube.meta, **{name: getattr(cube, name) for name in EACH}},
     )
     made.extra_coords.add("time", (0,), cube.times)
     return made
@@ -56,7 +74,7 @@ def to_ndcube(cube):
 def _with_epochs(celestial):
     """A WCS with the number of the epoch, from 0, as third axis."""
     header = celestial.to_header()
-    header.update({"WCSAXES": 3, "CTYPE3": "EPOCH", "CRPIX3": 1.0, "CRVAL3": 0.0})
+    header.update({"WCSAXES": 3, "CTYPE3": AXIS, "CRPIX3": 1.0, "CRVAL3": 0.0})
     header["CDELT3"] = 1.0
     for keyword in ("DATE-OBS", "MJD-OBS", "DATEREF", "MJDREF"):
         header.remove(keyword, ignore_missing=True)
@@ -70,3 +88,150 @@ def _with_epochs(celestial):
     wcs.wcs.pc = matrix
     wcs.wcs.set()
     return wcs
+
+
+def from_ndcube(ndcube, *, times=None, beams=None):
+    """
+    A cube from an NDCube of epochs, sliced and rebinned or not.
+
+    Parameters
+    ----------
+    ndcube : `ndcube.NDCube` or `ndcube.NDCubeSequence`
+        Two celestial axes, and one of the epochs where there are several;
+        of a sequence each is an epoch.  Its WCS is a FITS WCS, or one that
+        was sliced or resampled.
+    times : `~astropy.time.Time` or sequence, optional
+        By default the coordinate of type Time, or the date in its meta.
+    beams : beam or sequence of beams, optional
+        By default what `to_ndcube` has kept, or ``BMAJ``, ``BMIN`` and
+        ``BPA`` of its meta, as in a FITS header.
+
+    Returns
+    -------
+    `~astro_scc.epochs.EpochCube`
+        The uncertainty becomes the noise.
+
+    Raises
+    ------
+    ValueError
+        If axes or dates cannot be found, or epochs were averaged of which
+        dates or beams are not the same any more.
+
+    Examples
+    --------
+    >>> from astro_scc.epochs.interchange import from_ndcube, to_ndcube
+    >>> from astro_scc.simulation import simulate_static
+    >>> made = to_ndcube(simulate_static(n_epochs=3, rng=1).cube)
+    >>> from_ndcube(made[1:, 20:100].rebin((1, 2, 2)))
+    <EpochCube 2 epochs 2000-01-31 to 2000-03-01, 128 x 40 pixels of 0.2 mas, ...>
+    """
+    if isinstance(ndcube.data, list | tuple):
+        return cube_from_images(
+            ndcube.data, times=times, beams=beams, frame="offset", check=True
+        )
+    try:
+        wcs, size, kept = fits_wcs(ndcube.wcs)
+    except TypeError:
+        wcs, kept = None, np.zeros(2, dtype=bool)
+    celestial = set() if wcs is None else {wcs.wcs.lng, wcs.wcs.lat}
+    others = [int(axis) for axis in np.flatnonzero(kept) if axis not in celestial]
+    if not (wcs and wcs.has_celestial and kept[[*celestial]].all() and len(others) < 2):
+        raise ValueError(
+            "an NDCube must have two celestial axes, one of the epochs, and a FITS "
+            "WCS; EpochCube.from_arrays takes what has none"
+        )
+
+    # Array axes run against the order of WCS axes.
+    axis = int(np.sum(kept[others[0] :])) - 1 if others else None
+
+    def planes(values):
+        values = np.broadcast_to(values, ndcube.data.shape)
+        if axis is None:
+            return values[None]
+        return np.moveaxis(values, axis, 0)
+
+    data = planes(np.asarray(ndcube.data))
+    mask = planes(False if ndcube.mask is None else ndcube.mask) | ~np.isfinite(data)
+    noise = None
+    if ndcube.uncertainty is not None:
+        noise, mask = _noise(ndcube, planes, mask)
+    averaged = bool(others and size[others[0]] != 1)
+    meta = dict(ndcube.meta) if isinstance(ndcube.meta, Mapping) else {}
+    if AXIS in wcs.wcs.ctype and set(EACH) <= meta.keys():
+        first = 1 - wcs.wcs.crpix[list(wcs.wcs.ctype).index(AXIS)]
+        own = _own(meta, round(first), len(data), averaged, beams)
+    else:
+        beams = header_beam(meta) if beams is None else beams
+        facts = header_facts(meta)
+        own = {"beams": beams, "epoch_meta": [facts] * len(data), "meta": {}}
+    own["meta"]["history"] = [*own["meta"].get("history", ()), "from an NDCube"]
+    return EpochCube(
+        data=data,
+        times=_times(ndcube, meta, axis, averaged) if times is None else times,
+        wcs=wcs,
+        unit=ndcube.unit,
+        mask=mask,
+        noise=noise,
+        **own,
+    )
+
+
+def _noise(ndcube, planes, mask):
+    """Noise of every epoch by the uncertainty, and the mask of what has none."""
+    kind = type(ndcube.uncertainty)
+    values = planes(np.asarray(ndcube.uncertainty.array))
+    noise, uneven = [], 0
+    mask = mask.copy()
+    for value, bad in zip(values, mask, strict=True):
+        uncertainty = kind(value, unit=ndcube.uncertainty.unit, copy=False)
+        unit = ndcube.unit or u.dimensionless_unscaled
+        try:
+            level, without, even = uncertainty_noise(uncertainty, unit, bad)
+        except ValueError as error:
+            raise ValueError(f"the NDCube: {error}") from None
+        bad |= without
+        noise.append(level)
+        uneven += not even
+    if uneven:
+        warnings.warn(f"the NDCube: {UNEVEN}", EpochWarning, stacklevel=4)
+    return u.Quantity(noise), mask
+
+
+def _own(meta, first, n, averaged, beams):
+    """What `to_ndcube` has kept for epochs, from the number of the first."""
+    kept = {"meta": {key: value for key, value in meta.items() if key not in EACH}}
+    every = meta["beams"]
+    if not averaged:
+        kept |= {key: meta[key] and meta[key][first : first + n] for key in EACH}
+    elif every is not None:
+        if beams is None and any(beam != every[0] for beam in every):
+            raise ValueError(
+                "epochs of the NDCube were averaged, of which the beams differ; call "
+                "to_common_beam() before to_ndcube(), or give beams="
+            )
+        kept["beams"] = every[0]
+    return kept if beams is None else kept | {"beams": beams}
+
+
+def _times(ndcube, meta, axis, averaged):
+    """The coordinate of type Time, or else the date of an only epoch."""
+    found = []
+    for coordinates in (ndcube.wcs, ndcube.extra_coords) if axis is not None else ():
+        try:
+            found = ndcube.axis_world_coords(axis, wcs=coordinates)
+        except (AttributeError, TypeError, ValueError):
+            continue
+        found = [values for values in found if isinstance(values, Time)]
+        if found and averaged and coordinates is ndcube.extra_coords:
+            raise ValueError(
+                "epochs of the NDCube were averaged, of which ndcube keeps the first "
+                "date only; give times="
+            )
+        if found:
+            return found[0]
+    if axis is None:
+        found = [v for v in ndcube.global_coords.values() if isinstance(v, Time)]
+        time = found[0] if found else observing_time(meta)
+        if time is not None:
+            return time
+    raise ValueError("the NDCube has no coordinate of type Time; give times=")
