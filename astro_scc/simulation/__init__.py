@@ -14,6 +14,7 @@ from astro_scc.simulation.presets import (
 )
 from astro_scc.simulation.shells import SimulatedShell, simulate_shell
 from astro_scc.simulation.streams import Stream
+from astro_scc.simulation.vlbi import observe
 
 __all__ = [
     "Flow",
@@ -21,6 +22,7 @@ __all__ = [
     "SimulatedJet",
     "SimulatedShell",
     "Stream",
+    "observe",
     "simulate_ballistic",
     "simulate_jet",
     "simulate_random_velocity",

@@ -209,6 +209,23 @@ class JetSimulation:
         areas = [(b.major * b.minor / self.pixel_scale**2) for b in self.beams]
         return float(np.sqrt(np.mean(u.Quantity(areas).to_value(u.one))))
 
+    def covariance(self, beam):
+        """
+        Covariance of a beam over (x, y).
+
+        Parameters
+        ----------
+        beam : `~astro_scc.epochs.Beam`
+
+        Returns
+        -------
+        `numpy.ndarray`, shape (2, 2)
+            In pixels squared.
+        """
+        scale = self.pixel_scale.to_value(u.mas)
+        flip = np.diag([-1.0, 1.0])
+        return flip @ beam.covariance.to_value(u.mas**2) @ flip / scale**2
+
     def run(self, *, rng=None):
         """
         Draw one jet and make its images.
@@ -289,14 +306,12 @@ class JetSimulation:
         return values
 
     def _images(self, features, rng, ripple_rng):
-        scale = self.pixel_scale.to_value(u.mas)
         images = np.zeros((self.n_epochs, *self.shape))
-        flip = np.diag([-1.0, 1.0])
         own = (FWHM_TO_SIGMA * features.fwhm)[..., None, None] ** 2 * np.eye(2)
         for i, (beam, noise_rng) in enumerate(
             zip(self.beams, rng.spawn(self.n_epochs), strict=True)
         ):
-            covariance = flip @ beam.covariance.to_value(u.mas**2) @ flip / scale**2
+            covariance = self.covariance(beam)
             beam_area = np.sqrt(np.linalg.det(covariance))
             total = own[:, i] + covariance
             there = features.flux[:, i] > 0

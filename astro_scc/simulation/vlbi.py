@@ -1,0 +1,256 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Images of a simulated jet as the VLBA would make them: visibilities and CLEAN."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import astropy.units as u
+import numpy as np
+from astropy.constants import c
+
+from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
+from astro_scc.epochs.components.gaussians import add_gaussians
+
+__all__ = ["observe"]
+
+# North latitude and west longitude in degrees, elevation in m (Napier 1995).
+STATIONS = {
+    "SC": (17.7566, 64.5836, 16),
+    "HN": (42.9336, 71.9866, 296),
+    "NL": (41.7714, 91.5741, 222),
+    "FD": (30.6350, 103.9448, 1606),
+    "LA": (35.7751, 106.2456, 1962),
+    "PT": (34.3010, 108.1192, 2365),
+    "KP": (31.9563, 111.6124, 1902),
+    "OV": (37.2317, 118.2770, 1196),
+    "BR": (48.1312, 119.6833, 250),
+    "MK": (19.8014, 155.4555, 3763),
+}
+# Lowest elevation at which a station observes, in degrees.
+LOWEST = 10.0
+# CLEAN: part of the peak that is taken away; half width of the window about the
+# jet, in beams; and where it stops, in root mean squares of the noise.
+LOOP_GAIN, WINDOW, STOP = 0.1, 3.0, 3.0
+
+
+def observe(
+    jet,
+    *,
+    declination=20 * u.deg,
+    frequency=15.4 * u.GHz,
+    n_scans=8,
+    gain_error=0.005,
+    beam=None,
+    n_iterations=2000,
+    rng=None,
+):
+    """
+    Observe a simulated jet with the VLBA, and image it with CLEAN.
+
+    Every epoch has scans at hour angles of its own, spread over the time in
+    which Kitt Peak sees the source; the visibilities of the features, which
+    are Gaussians, are analytic; they get errors of the antennas' gains and
+    the thermal noise that gives the image the noise of the simulation.  The
+    dirty image, naturally weighted, is CLEANed (Hoegbom 1974) along the jet
+    and restored with a Gaussian beam.
+
+    Parameters
+    ----------
+    jet : `SimulatedJet`
+    declination : `~astropy.units.Quantity`, optional
+        Of the source: it sets the coverage and so the beam.
+    frequency : `~astropy.units.Quantity`, optional
+    n_scans : int, optional
+        Scans at each epoch, each of two times five minutes apart.
+    gain_error : float, optional
+        Standard deviation, in real and imaginary part, of the antennas' gains
+        that self-calibration has left at each scan.
+    beam : `~astro_scc.epochs.Beam`, optional
+        To restore all epochs with, by default each with a Gaussian that is
+        fitted to the main lobe of its dirty beam.
+    n_iterations : int, optional
+        Most CLEAN components at an epoch; it ends earlier at three times the
+        noise.
+    rng : `numpy.random.Generator`, seed or None, optional
+        Passed to `numpy.random.default_rng`.
+
+    Returns
+    -------
+    `SimulatedJet`
+        With new images, and the same truth.
+
+    Raises
+    ------
+    ValueError
+        If fewer than three stations see the source, or an option is outside
+        its range.
+
+    Examples
+    --------
+    >>> from astro_scc.simulation import observe, simulate_jet
+    >>> jet = observe(simulate_jet(n_epochs=2, shape=(64, 160), rng=1), rng=1)
+    >>> jet.cube.shape
+    (2, 64, 160)
+    """
+    if not (n_scans >= 1 and n_iterations >= 0 and gain_error >= 0):
+        raise ValueError(
+            "n_scans must be at least 1, n_iterations and gain_error zero or "
+            f"positive; got {n_scans}, {n_iterations}, {gain_error}"
+        )
+    setup = jet.simulation
+    scale = setup.pixel_scale.to_value(u.rad)
+    y, x = np.ogrid[: setup.shape[0], : setup.shape[1]]
+    east, north = -(x.ravel() - setup.extent[0]) * scale, (y.ravel() - setup.axis) * scale
+    window = _window(setup, x, y)
+    images, beams = [], []
+    rows = jet.truth.group_by("epoch").groups
+    for noise, own_rng, features in zip(
+        setup.noise, np.random.default_rng(rng).spawn(len(jet.cube)), rows, strict=True
+    ):
+        uv, antennas = _coverage(declination, frequency, n_scans, own_rng)
+        visibility = _visibilities(features, setup, uv)
+        gains = 1 + gain_error * _complex_normal(own_rng, (len(STATIONS), n_scans))
+        scan = antennas[2]
+        visibility *= gains[antennas[0], scan] * gains[antennas[1], scan].conj()
+        visibility += noise * np.sqrt(len(uv)) * _complex_normal(own_rng, len(uv))
+        dirty = _transform(visibility, uv, east, north)
+        psf = _dirty_beam(uv, scale, setup.shape)
+        model = _clean(dirty, psf, window, STOP * noise, n_iterations)
+        restoring = beam or _fitted_beam(psf, setup.pixel_scale)
+        at_y, at_x = np.nonzero(model)
+        covariance = setup.covariance(restoring)
+        add_gaussians(
+            dirty, at_x, at_y, model[at_y, at_x], [covariance] * len(at_x)
+        )
+        images.append(dirty)
+        beams.append(restoring)
+    history = [*jet.cube.meta["history"], f"observed with {len(STATIONS)} antennas"]
+    cube = replace(
+        jet.cube,
+        data=np.array(images),
+        mask=None,
+        beams=tuple(beams),
+        noise=None,
+        meta={**jet.cube.meta, "history": history},
+    )
+    return replace(jet, cube=cube)
+
+
+def _complex_normal(rng, shape):
+    return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+
+def _coverage(declination, frequency, n_scans, rng):
+    """
+    Spatial frequencies of all baselines and times.
+
+    Returns
+    -------
+    uv : `numpy.ndarray`, shape (n, 2)
+    antennas : `numpy.ndarray` of int, shape (3, n)
+        First and second antenna, and the scan.
+    """
+    latitude, west, height = np.array(list(STATIONS.values())).T
+    from astropy.coordinates import EarthLocation
+
+    where = EarthLocation.from_geodetic(-west * u.deg, latitude * u.deg, height * u.m)
+    stations = np.array([axis.to_value(u.m) for axis in where.geocentric])
+    dec = declination.to_value(u.rad)
+    # Hour angles at Greenwich of the scans: the array's middle is at 112 deg west.
+    scans = np.radians(15 * np.linspace(-5, 5, n_scans)) + np.radians(112)
+    scans = scans + rng.uniform(-0.5, 0.5, n_scans) * np.radians(150 / n_scans)
+    times = (scans[:, None] + np.radians(15 / 12) * np.arange(2)).ravel()
+    # Towards the source, and the unit vectors of u and v (Thompson et al., Eq. 4.1).
+    zero = np.zeros_like(times)
+    sin, cos = np.sin(times), np.cos(times)
+    source = np.array([np.cos(dec) * cos, -np.cos(dec) * sin, zero + np.sin(dec)])
+    along = np.array(
+        [[sin, cos, zero], [-np.sin(dec) * cos, np.sin(dec) * sin, zero + np.cos(dec)]]
+    )
+    up = stations / np.linalg.norm(stations, axis=0)
+    seen = np.degrees(np.arcsin(up.T @ source)) > LOWEST
+    pairs = np.array(list(combinations(range(len(STATIONS)), 2))).T
+    wavelength = (c / frequency).to_value(u.m)
+    baseline = (stations[:, pairs[1]] - stations[:, pairs[0]]) / wavelength
+    uv = np.einsum("aij,ik->kja", along, baseline)
+    good = seen[pairs[0]] & seen[pairs[1]]
+    if good.sum() < 3:
+        raise ValueError(
+            f"no three stations of the VLBA see a source at declination {declination}"
+        )
+    pair, time = np.nonzero(good)
+    return uv[good], np.array([*pairs[:, pair], time // 2])
+
+
+def _visibilities(features, setup, uv):
+    """Fourier transform of the Gaussian features, S exp(-2 pi i (u l + v m))."""
+    scale = setup.pixel_scale.to_value(u.rad)
+    x, y = features["x"].value - setup.extent[0], features["y"].value - setup.axis
+    sigma = FWHM_TO_SIGMA * features["fwhm"].to_value(u.rad)
+    phase = uv @ (np.array([-x, y]) * scale)
+    size = np.sum(uv**2, axis=1)[:, None] * sigma**2
+    return np.exp(-2j * np.pi * phase - 2 * np.pi**2 * size) @ features["flux"].value
+
+
+def _transform(visibility, uv, east, north):
+    """Image at the offsets: the mean of V exp(2 pi i (u l + v m))."""
+    columns = np.exp(2j * np.pi * np.outer(uv[:, 0], east)) * visibility[:, None]
+    rows = np.exp(2j * np.pi * np.outer(north, uv[:, 1]))
+    # The real part of the product, of real products that are faster.
+    image = rows.real @ columns.real - rows.imag @ columns.imag
+    return image / len(uv)
+
+
+def _dirty_beam(uv, scale, shape):
+    """Response to a point, of the shape (2 ny - 1, 2 nx - 1) about its centre."""
+    ny, nx = shape
+    half = _transform(
+        np.ones(len(uv)), uv, -np.arange(1 - nx, nx) * scale, np.arange(ny) * scale
+    )
+    return np.concatenate([half[:0:-1, ::-1], half])
+
+
+def _window(setup, x, y):
+    """Pixels near the jet, in which CLEAN looks for components."""
+    angle = setup.position_angle.to_value(u.rad)
+    x, y = x - setup.extent[0], y - setup.axis
+    along = -x * np.sin(angle) + y * np.cos(angle)
+    across = x * np.cos(angle) + y * np.sin(angle)
+    margin = WINDOW * setup.beam_length
+    length = setup.extent[1] - setup.extent[0]
+    inside = (along > -margin) & (along < length + margin)
+    return np.flatnonzero(inside & (np.abs(across) < margin))
+
+
+def _clean(image, psf, window, stop, n_iterations):
+    """CLEAN components of an image, which is left with the residuals."""
+    ny, nx = image.shape
+    model = np.zeros_like(image)
+    flat = image.reshape(-1)
+    for _ in range(n_iterations):
+        inside = flat[window]
+        at = np.argmax(np.abs(inside))
+        if abs(inside[at]) <= stop:
+            break
+        y, x = divmod(window[at], nx)
+        taken = LOOP_GAIN * inside[at]
+        model[y, x] += taken
+        image -= taken * psf[ny - 1 - y : 2 * ny - 1 - y, nx - 1 - x : 2 * nx - 1 - x]
+    return model
+
+
+def _fitted_beam(psf, pixel_scale):
+    """Gaussian beam of the main lobe: a parabola to its logarithm above a half."""
+    from skimage.measure import label
+
+    middle = tuple(n // 2 for n in psf.shape)
+    lobe = label(psf > 0.5, connectivity=1)
+    y, x = np.nonzero(lobe == lobe[middle])
+    level = -np.log(psf[y, x])
+    y, x = y - middle[0], x - middle[1]
+    # East is towards smaller x.
+    terms = np.stack([0.5 * x * x, -x * y, 0.5 * y * y], axis=1)
+    a, b, d = np.linalg.lstsq(terms, level, rcond=None)[0]
+    variances, axes = np.linalg.eigh(np.linalg.inv([[a, b], [b, d]]))
+    minor, major = np.sqrt(variances) / FWHM_TO_SIGMA * pixel_scale
+    return Beam(major, minor, np.arctan2(*axes[:, 1]) * u.rad)
