@@ -18,6 +18,22 @@ JETS = {
     "ballistic": ("simulate_ballistic", "features that each keep a random velocity"),
     "static": ("simulate_static", "features that stand still"),
     "unrelated": ("simulate_unrelated", "epochs that have nothing in common"),
+    "jet": (
+        "simulate_jet",
+        "as surveys see them: uneven dates, a core, features about a flow",
+    ),
+}
+# Option of simulate_jet -> its type and its help.
+FLOW = {
+    "speed": (float, "mean speed in beams per median interval; default 0.6"),
+    "dispersion": (float, "scatter of the speeds, a fraction of the mean; default 0.1"),
+    "distribution": (str, "of the speeds: normal (default), lognormal or uniform"),
+    "n_features": (float, "number of moving features in view at a time; default 8"),
+    "standing": (int, "number of standing features; default 0"),
+    "acceleration": (float, "speed at the jet's end over that at the core; default 1"),
+    "flux_variation": (float, "scatter of ln(flux) in time; default 0.3"),
+    "alignment_error": (float, "shift of each image, rms in beams; default 0"),
+    "noise": (float, "median rms in Jy per beam; the core has 1 Jy; default 0.0003"),
 }
 
 
@@ -31,7 +47,8 @@ def add_parser(commands):
         "file an\nepoch, and truth.ecsv with the position and the velocity of every "
         "feature.\n\njets:\n"
         + "\n".join(f"  {name:{width}}  {what}" for name, (_, what) in JETS.items()),
-        epilog="example:\n  astro-scc simulate two-fluid jet --seed 1 --epochs 10",
+        epilog="examples:\n  astro-scc simulate two-fluid jet --seed 1 --epochs 10\n"
+        "  astro-scc simulate jet jet --speed 0.4 --dispersion 0.2 --standing 2 --vlba",
     )
     parser.add_argument("jet", choices=JETS, metavar="JET", help="one of the above")
     parser.add_argument("output", metavar="DIR", help="folder for the images")
@@ -41,18 +58,26 @@ def add_parser(commands):
         "--epochs",
         metavar="N",
         type=int,
-        default=10,
-        help="number of epochs, 30 days apart; default 10",
+        help="number of epochs; default 10, 30 days apart, and of a jet 15 at uneven "
+        "dates, 0.2 years apart in the median",
     )
     parser.add_argument(
         "--dense",
         action="store_true",
         help="more and brighter features in the two-fluid jet",
     )
+    group = parser.add_argument_group("options of the jet 'jet'")
+    for name, (kind, text) in FLOW.items():
+        group.add_argument(_option(name), metavar="X", dest=name, type=kind, help=text)
+    group.add_argument(
+        "--vlba",
+        action="store_true",
+        help="image it from visibilities of the VLBA, with CLEAN",
+    )
     return parser
 
 
-def simulated(jet, *, seed, n_epochs=10, **options):
+def simulated(jet, *, seed, **options):
     """
     A simulated jet whose truth knows its seed.
 
@@ -61,7 +86,6 @@ def simulated(jet, *, seed, n_epochs=10, **options):
     jet : str
         Its name on the command line.
     seed : int
-    n_epochs : int, optional
     **options
         Of the function in `astro_scc.simulation`.
 
@@ -71,7 +95,7 @@ def simulated(jet, *, seed, n_epochs=10, **options):
     """
     from astro_scc import simulation
 
-    made = getattr(simulation, JETS[jet][0])(rng=seed, n_epochs=n_epochs, **options)
+    made = getattr(simulation, JETS[jet][0])(rng=seed, **options)
     made.truth.meta["seed"] = seed
     return made
 
@@ -86,19 +110,30 @@ def run(args, reporter):
     reporter : `~astro_scc.cli.reporter.Reporter`
     """
     from astro_scc.measurement import product_folder
-    from astro_scc.simulation import write_simulation
+    from astro_scc.simulation import observe, write_simulation
 
-    if args.dense and args.jet != "two-fluid":
-        raise ValueError(f"--dense is for the two-fluid jet, not for {args.jet}")
-    if args.epochs < 1:
+    if args.epochs is not None and args.epochs < 1:
         raise ValueError(f"--epochs must be at least 1, got {args.epochs}")
+    options = {"n_epochs": args.epochs, "dense": args.dense or None}
+    options |= {name: getattr(args, name) for name in FLOW}
+    options = {name: v for name, v in options.items() if v is not None}
+    own = {"two-fluid": {"dense"}, "jet": {*FLOW, "vlba"}}
+    given = {*options} - {"n_epochs"} | ({"vlba"} if args.vlba else set())
+    for name in sorted(given - own.get(args.jet, set())):
+        whose = next(jet for jet in own if name in own[jet])
+        raise ValueError(f"{_option(name)} is for {whose}, not for {args.jet}")
     seed = draw_seed() if args.seed is None else parse_option("seed", args.seed)
-    options = {"dense": True} if args.dense else {}
     folder = Path(args.output)
     with product_folder(folder, overwrite=args.overwrite) as part:
-        jet = simulated(args.jet, seed=seed, n_epochs=args.epochs, **options)
+        jet = simulated(args.jet, seed=seed, **options)
+        if args.vlba:
+            jet = observe(jet, rng=seed)
         *images, _ = write_simulation(jet, part)
     reporter.say(
         f"{len(images)} epochs and truth.ecsv in {folder} (seed {seed}); next:\n"
         f"  astro-scc measure {folder}/*.fits -o {folder}-measured"
     )
+
+
+def _option(name):
+    return "--" + name.removeprefix("n_").replace("_", "-")

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
+from astro_scc.simulation.streams import check_not_negative
+
 __all__ = ["Flow"]
 
 DISTRIBUTIONS = ("normal", "lognormal", "uniform")
@@ -104,15 +106,12 @@ class Flow:
                 )
             object.__setattr__(self, "positions", positions)
             object.__setattr__(self, "n_features", len(positions))
-        for name in (
-            "speed", "dispersion", "n_features", "flux", "flux_scatter", "fading",
-            "size", "widening", "width", "acceleration",
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise ValueError(
-                    f"flow {self.name!r}: {name} must be zero or positive, got {value}"
-                )
+        check_not_negative(
+            self,
+            "speed dispersion n_features acceleration flux flux_scatter fading size "
+            "widening width",
+            f"flow {self.name!r}: ",
+        )
         if self.acceleration == 0:
             raise ValueError(f"flow {self.name!r}: acceleration must be positive")
 
@@ -139,20 +138,20 @@ class Flow:
             factor = np.exp(self.dispersion * (ndtri(quantile) - self.dispersion / 2))
         return self.speed * np.maximum(factor, SLOWEST)
 
-    def features(self, setting, rng):
+    def features(self, jet, rng):
         """
         Draw the features and follow them over the epochs.
 
         Parameters
         ----------
-        setting : `Setting`
+        jet : `JetSimulation`
         rng : `numpy.random.Generator`
 
         Returns
         -------
         `Features`
         """
-        times, length = setting.times, setting.length
+        times, length = jet.times, jet.length
         if self.speed == 0:
             s = self.positions
             if s is None:
@@ -164,10 +163,8 @@ class Flow:
         across = self.offset + self.width * rng.standard_normal((n, 1))
         flux = self.flux * np.exp(self.flux_scatter * rng.standard_normal((n, 1)))
         flux = np.nan_to_num(flux * (1 + s) ** -self.fading * _end(length - s))
-        return setting.in_pixels(
-            self.name, s, across * s / (s + RAMP), flux,
-            self.size * (1 + s) ** self.widening,
-        )  # fmt: skip
+        fwhm = self.size * (1 + s) ** self.widening
+        return jet.place(self.name, s, across * s / (s + RAMP), flux, fwhm)
 
     def _moving(self, times, length, rng):
         """Distances from the core; NaN before the ejection and after the end."""

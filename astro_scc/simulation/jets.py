@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Images of a jet whose features move at known velocities."""
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 
 import astropy.units as u
 import numpy as np
@@ -14,7 +14,7 @@ from astro_scc.epochs.components.noise import correlated_noise
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.offset_grid import offset_wcs
 from astro_scc.simulation.flows import Flow
-from astro_scc.simulation.streams import Features, Setting, Stream
+from astro_scc.simulation.streams import Features, Stream, check_not_negative
 
 __all__ = ["JetSimulation", "SimulatedJet"]
 
@@ -172,7 +172,7 @@ class JetSimulation:
             if self.n_epochs < 1:
                 raise ValueError(f"n_epochs must be at least 1, got {self.n_epochs}")
             dates = Time("2000-01-01") + np.arange(self.n_epochs) * self.interval
-        if dates.isscalar or np.any(np.diff(dates.mjd) <= 0):
+        if dates.isscalar or not np.all(np.diff(dates.mjd) > 0):
             raise ValueError("dates must be an array of increasing times")
         beams = self.beams
         beams = (beams,) * len(dates) if isinstance(beams, Beam) else tuple(beams)
@@ -185,13 +185,9 @@ class JetSimulation:
                 )
         if not self.extent[0] < self.extent[1]:
             raise ValueError(f"extent must be (start, end), got {self.extent}")
-        for name in (
-            "noise", "taper", "core", "variation", "memory", "alignment_error",
-            "ripple", "bowl",
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if not (np.all(np.isfinite(value)) and np.all(np.asarray(value) >= 0)):
-                raise ValueError(f"{name} must be zero or positive, got {value}")
+        check_not_negative(
+            self, "noise taper core variation memory alignment_error ripple bowl"
+        )
         object.__setattr__(self, "streams", tuple(self.streams))
         object.__setattr__(self, "dates", dates)
         object.__setattr__(self, "n_epochs", len(dates))
@@ -208,6 +204,54 @@ class JetSimulation:
         """Mean full width of the beams, ``sqrt(major minor)``, in pixels."""
         areas = [(b.major * b.minor / self.pixel_scale**2) for b in self.beams]
         return float(np.sqrt(np.mean(u.Quantity(areas).to_value(u.one))))
+
+    @property
+    def times(self):
+        """Dates in intervals from the first."""
+        return ((self.dates - self.dates[0]).to(u.day) / self.interval).to_value(u.one)
+
+    @property
+    def length(self):
+        """Length of the jet in beams."""
+        return (self.extent[1] - self.extent[0]) / self.beam_length
+
+    def place(self, group, along, across, flux, fwhm):
+        """
+        Features given in beams from the start of the jet.
+
+        Parameters
+        ----------
+        group : str
+        along, across : `numpy.ndarray`, shape (n, n_epochs)
+        flux, fwhm : `numpy.ndarray`, shape (n, n_epochs)
+
+        Returns
+        -------
+        `Features`
+        """
+        beam = self.beam_length
+        x, y = self.extent[0] + beam * along, self.axis + beam * across
+        return Features(np.full(len(x), group), x, y, flux, beam * fwhm)
+
+    def visibility(self, x):
+        """
+        Fraction of the flux that is seen at x: a raised cosine at both ends.
+
+        Parameters
+        ----------
+        x : array_like
+            Pixels from 0.
+
+        Returns
+        -------
+        `numpy.ndarray`
+        """
+        start, end = self.extent
+        inside = np.minimum(x - start, end - x)
+        if self.taper == 0:
+            return np.where(inside >= 0, 1.0, 0.0)
+        ramp = np.clip(np.nan_to_num(inside / self.taper), 0, 1)
+        return 0.5 * (1 - np.cos(np.pi * ramp))
 
     def covariance(self, beam):
         """
@@ -245,9 +289,9 @@ class JetSimulation:
         *stream_rngs, noise_rng = rng.spawn(len(self.streams) + 1)
         flux_rng, shift_rng, ripple_rng = rng.spawn(3)
         features = self._features(stream_rngs, flux_rng)
-        shifts = self.alignment_error * shift_rng.standard_normal((2, self.n_epochs))
-        shifts *= self.beam_length
-        seen = replace(features, x=features.x + shifts[0], y=features.y + shifts[1])
+        shift = self.beam_length * self.alignment_error
+        dx, dy = shift * shift_rng.standard_normal((2, self.n_epochs))
+        seen = features._replace(x=features.x + dx, y=features.y + dy)
         unit = u.Jy / u.beam
         cube = EpochCube(
             data=self._images(seen, noise_rng, ripple_rng),
@@ -264,46 +308,33 @@ class JetSimulation:
 
     def _features(self, rngs, flux_rng):
         """All features, turned to the jet's direction; the core is the last."""
-        setting = Setting(
-            times=((self.dates - self.dates[0]).to(u.day) / self.interval).to_value(
-                u.one
-            ),
-            extent=self.extent,
-            axis=self.axis,
-            beam=self.beam_length,
-            taper=self.taper,
-            velocity_unit=self.velocity_unit,
-        )
         parts = [
-            stream.features(setting, rng)
+            stream.features(self, rng)
             for stream, rng in zip(self.streams, rngs, strict=True)
         ]
         if self.core:
             at = np.zeros((1, self.n_epochs))
-            parts.append(setting.in_pixels("core", at, at, at + self.core, at))
-        features = Features.concatenate(parts)
+            parts.append(self.place("core", at, at, at + self.core, at))
+        features = Features(*map(np.concatenate, zip(*parts, strict=True)))
         if self.variation:
-            factor = np.exp(self.variation * self._variations(features, flux_rng))
-            features = replace(features, flux=features.flux * factor)
+            factor = np.exp(self.variation * self._series(len(features.x), flux_rng))
+            features = features._replace(flux=features.flux * factor)
         turn = (self.position_angle - 270 * u.deg).to_value(u.rad)
         if turn:
             x0, y0 = self.extent[0], self.axis
             position = (features.x - x0) + 1j * (features.y - y0)
             position *= np.exp(1j * turn)
-            features = replace(features, x=position.real + x0, y=position.imag + y0)
+            features = features._replace(x=position.real + x0, y=position.imag + y0)
         return features
 
-    def _variations(self, features, rng):
-        """Autoregressive series of unit variance, one a feature."""
-        values = rng.standard_normal(features.x.shape)
+    def _series(self, n, rng):
+        """Autoregressive series of unit variance over the epochs."""
+        series = rng.standard_normal((n, self.n_epochs))
         if self.memory:
-            steps = np.diff(self.dates.mjd) * u.day / self.interval
-            keep = np.exp(-steps.to_value(u.one) / self.memory)
-            for i, k in enumerate(keep):
-                values[:, i + 1] = (
-                    k * values[:, i] + np.sqrt(1 - k**2) * values[:, i + 1]
-                )
-        return values
+            for i, kept in enumerate(np.exp(-np.diff(self.times) / self.memory), 1):
+                series[:, i] *= np.sqrt(1 - kept**2)
+                series[:, i] += kept * series[:, i - 1]
+        return series
 
     def _images(self, features, rng, ripple_rng):
         images = np.zeros((self.n_epochs, *self.shape))

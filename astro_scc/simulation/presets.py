@@ -305,6 +305,10 @@ def simulate_jet(
     >>> jet.cube.shape
     (15, 128, 256)
     """
+    scatters = {"interval_scatter": interval_scatter, "noise_scatter": noise_scatter}
+    for name, value in {"length": length, **scatters}.items():
+        if not 0 <= value < np.inf:
+            raise ValueError(f"{name} must be zero or positive, got {value}")
     rng = np.random.default_rng(rng)
     date_rng, noise_rng = rng.spawn(2)
     if dates is None:

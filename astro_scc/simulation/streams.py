@@ -2,18 +2,18 @@
 """Groups of features that share one law of motion."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
 
-__all__ = ["Features", "Setting", "Stream"]
+__all__ = ["Features", "Stream", "check_not_negative"]
 
 MOTIONS = ("steady", "random", "unrelated")
 
 
-@dataclass(frozen=True, eq=False)
-class Features:
+class Features(NamedTuple):
     """
     Features of a jet along x, at every epoch.
 
@@ -34,104 +34,31 @@ class Features:
     flux: np.ndarray
     fwhm: np.ndarray
 
-    def __post_init__(self):
-        shape = np.shape(self.x)
-        object.__setattr__(self, "group", np.broadcast_to(self.group, shape[:1]))
-        for name in ("y", "flux", "fwhm"):
-            value = np.broadcast_to(getattr(self, name), shape)
-            object.__setattr__(self, name, value)
 
-    @classmethod
-    def concatenate(cls, parts):
-        """
-        Features of all parts.
-
-        Parameters
-        ----------
-        parts : sequence of `Features`
-
-        Returns
-        -------
-        `Features`
-        """
-        return cls(
-            *(
-                np.concatenate([getattr(part, f.name) for part in parts])
-                for f in fields(cls)
-            )
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
+def check_not_negative(owner, names, whose=""):
     """
-    Where and when the features of a jet are seen.
+    Refuse negative and infinite parameters.
 
-    Attributes
+    Parameters
     ----------
-    times : `numpy.ndarray`, shape (n_epochs,)
-        In intervals from the first epoch.
-    extent : tuple of float
-        Limits in x between which features are seen.
-    axis : float
-        y of the jet's axis.
-    beam : float
-        Full width of the beam in pixels.
-    taper : float
-        Length in pixels of the fading at both ends.
-    velocity_unit : `~astropy.units.Quantity`
-        Proper motion of a pixel per interval.
+    owner : object
+    names : str
+        Attributes, separated by blanks; None is left alone.
+    whose : str, optional
+        What the message begins with.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not finite, or negative.
     """
-
-    times: np.ndarray
-    extent: tuple[float, float]
-    axis: float
-    beam: float
-    taper: float
-    velocity_unit: u.Quantity
-
-    @property
-    def length(self):
-        """Length of the jet in beams."""
-        return (self.extent[1] - self.extent[0]) / self.beam
-
-    def in_pixels(self, group, along, across, flux, fwhm):
-        """
-        Features given in beams from the core.
-
-        Parameters
-        ----------
-        group : str
-        along, across : `numpy.ndarray`, shape (n, n_epochs)
-        flux : `numpy.ndarray`
-        fwhm : `numpy.ndarray`
-
-        Returns
-        -------
-        `Features`
-        """
-        x = self.extent[0] + self.beam * along
-        y = self.axis + self.beam * across
-        return Features(group, x, y, flux, self.beam * fwhm)
-
-    def visibility(self, x):
-        """
-        Fraction of the flux that is seen at x: a raised cosine at both ends.
-
-        Parameters
-        ----------
-        x : array_like
-
-        Returns
-        -------
-        `numpy.ndarray`
-        """
-        start, end = self.extent
-        inside = np.minimum(x - start, end - x)
-        if self.taper == 0:
-            return np.where(inside >= 0, 1.0, 0.0)
-        ramp = np.clip(np.nan_to_num(inside / self.taper), 0, 1)
-        return 0.5 * (1 - np.cos(np.pi * ramp))
+    for name in names.split():
+        value = getattr(owner, name)
+        for number in np.atleast_1d([] if value is None else value):
+            if not 0 <= number < np.inf:
+                raise ValueError(
+                    f"{whose}{name} must be zero or positive, got {number}"
+                )
 
 
 @dataclass(frozen=True)
@@ -204,13 +131,9 @@ class Stream:
                 f"stream {self.name!r} needs one of half_width and sigma, "
                 "the width over which features start"
             )
-        for name in ("density", "half_width", "sigma", "jitter"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value >= 0):
-                raise ValueError(
-                    f"stream {self.name!r}: {name} must be zero or positive, "
-                    f"got {value}"
-                )
+        check_not_negative(
+            self, "density half_width sigma jitter", f"stream {self.name!r}: "
+        )
         for name in ("fwhm", "peak"):
             low, high = getattr(self, name)
             if not 0 <= low <= high < np.inf:
@@ -229,13 +152,13 @@ class Stream:
                     f"or a function of (x, y), got {value}"
                 )
 
-    def features(self, setting, rng):
+    def features(self, jet, rng):
         """
         Draw the features and follow them over the epochs.
 
         Parameters
         ----------
-        setting : `Setting`
+        jet : `JetSimulation`
         rng : `numpy.random.Generator`
 
         Returns
@@ -247,21 +170,20 @@ class Stream:
         def convert(value):
             if not isinstance(value, u.Quantity):
                 return value
-            pixels = (value / setting.velocity_unit).to_value(u.one)
+            pixels = (value / jet.velocity_unit).to_value(u.one)
             return tuple(pixels) if pixels.ndim else float(pixels)
 
         stream = replace(self, dx=convert(self.dx), dy=convert(self.dy))
-        x, y = stream.trajectories(
-            np.diff(setting.times), setting.extent, setting.axis, setting.beam, rng
-        )
+        beam = jet.beam_length
+        start, end = jet.extent
+        x, y = stream.trajectories(np.diff(jet.times), jet.extent, jet.axis, beam, rng)
         fwhm = rng.uniform(*self.fwhm, len(x))
         peak = rng.uniform(*self.peak, len(x))
-        flux = peak * (setting.beam**2 + fwhm**2) / setting.beam**2
-        start, end = setting.extent
+        flux = (peak * (beam**2 + fwhm**2) / beam**2)[:, None] * jet.visibility(x)
+        fwhm = np.repeat(fwhm[:, None], x.shape[1], axis=1)
         seen = ((x >= start) & (x <= end)).any(axis=1)
-        x, y = x[seen], y[seen]
-        flux = flux[seen, None] * setting.visibility(x)
-        return Features(self.name, x, y, flux, fwhm[seen, None])
+        group = np.full(seen.sum(), self.name)
+        return Features(group, x[seen], y[seen], flux[seen], fwhm[seen])
 
     def trajectories(self, steps, region, axis, beam_length, rng):
         """

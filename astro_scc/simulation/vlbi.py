@@ -7,6 +7,7 @@ from itertools import combinations
 import astropy.units as u
 import numpy as np
 from astropy.constants import c
+from astropy.coordinates import EarthLocation
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.epochs.components.gaussians import add_gaussians
@@ -47,8 +48,8 @@ def observe(
     """
     Observe a simulated jet with the VLBA, and image it with CLEAN.
 
-    Every epoch has scans at hour angles of its own, spread over the time in
-    which Kitt Peak sees the source; the visibilities of the features, which
+    Every epoch has scans at hour angles of its own, within five hours of the
+    transit at the middle of the array; the visibilities of the features, which
     are Gaussians, are analytic; they get errors of the antennas' gains and
     the thermal noise that gives the image the noise of the simulation.  The
     dirty image, naturally weighted, is CLEANed (Hoegbom 1974) along the jet
@@ -82,7 +83,7 @@ def observe(
     Raises
     ------
     ValueError
-        If fewer than three stations see the source, or an option is outside
+        If fewer than three baselines see the source, or an option is outside
         its range.
 
     Examples
@@ -100,13 +101,13 @@ def observe(
     setup = jet.simulation
     scale = setup.pixel_scale.to_value(u.rad)
     y, x = np.ogrid[: setup.shape[0], : setup.shape[1]]
-    east, north = -(x.ravel() - setup.extent[0]) * scale, (y.ravel() - setup.axis) * scale
+    east = -(x.ravel() - setup.extent[0]) * scale
+    north = (y.ravel() - setup.axis) * scale
     window = _window(setup, x, y)
     images, beams = [], []
-    rows = jet.truth.group_by("epoch").groups
-    for noise, own_rng, features in zip(
-        setup.noise, np.random.default_rng(rng).spawn(len(jet.cube)), rows, strict=True
-    ):
+    rngs = np.random.default_rng(rng).spawn(len(jet.cube))
+    for i, (noise, own_rng) in enumerate(zip(setup.noise, rngs, strict=True)):
+        features = jet.truth[jet.truth["epoch"] == i]
         uv, antennas = _coverage(declination, frequency, n_scans, own_rng)
         visibility = _visibilities(features, setup, uv)
         gains = 1 + gain_error * _complex_normal(own_rng, (len(STATIONS), n_scans))
@@ -119,9 +120,7 @@ def observe(
         restoring = beam or _fitted_beam(psf, setup.pixel_scale)
         at_y, at_x = np.nonzero(model)
         covariance = setup.covariance(restoring)
-        add_gaussians(
-            dirty, at_x, at_y, model[at_y, at_x], [covariance] * len(at_x)
-        )
+        add_gaussians(dirty, at_x, at_y, model[at_y, at_x], [covariance] * len(at_x))
         images.append(dirty)
         beams.append(restoring)
     history = [*jet.cube.meta["history"], f"observed with {len(STATIONS)} antennas"]
@@ -151,8 +150,6 @@ def _coverage(declination, frequency, n_scans, rng):
         First and second antenna, and the scan.
     """
     latitude, west, height = np.array(list(STATIONS.values())).T
-    from astropy.coordinates import EarthLocation
-
     where = EarthLocation.from_geodetic(-west * u.deg, latitude * u.deg, height * u.m)
     stations = np.array([axis.to_value(u.m) for axis in where.geocentric])
     dec = declination.to_value(u.rad)
@@ -176,7 +173,8 @@ def _coverage(declination, frequency, n_scans, rng):
     good = seen[pairs[0]] & seen[pairs[1]]
     if good.sum() < 3:
         raise ValueError(
-            f"no three stations of the VLBA see a source at declination {declination}"
+            "fewer than three baselines of the VLBA see a source at declination "
+            f"{declination}"
         )
     pair, time = np.nonzero(good)
     return uv[good], np.array([*pairs[:, pair], time // 2])

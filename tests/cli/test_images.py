@@ -4,6 +4,7 @@
 import re
 
 import astropy.units as u
+import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import QTable
@@ -33,7 +34,25 @@ def test_simulate_and_its_seed(astro_scc, here):
     assert len(epochs(here / "a")) == 3
 
 
-@pytest.mark.parametrize("jet", ["random-velocity", "ballistic", "static", "unrelated"])
+def test_simulate_a_real_jet(astro_scc, here):
+    options = ["--speed", 0.4, "--features", 5, "--standing", 2, "--seed", 1]
+    options += ["--epochs", 3, "--dispersion", 0.2, "--distribution", "lognormal"]
+    assert astro_scc("simulate", "jet", "a", *options)[::2] == (0, "")
+    assert astro_scc("simulate", "jet", "b", *options, "--vlba")[::2] == (0, "")
+    a, b = (QTable.read(here / name / "truth.ecsv") for name in "ab")
+    assert np.all(a["x"] == b["x"])
+    flow, standing = a.meta["streams"]
+    assert (flow["speed"], flow["dispersion"], flow["n_features"]) == (0.4, 0.2, 5.0)
+    assert flow["distribution"] == "lognormal"
+    assert standing["n_features"] == 2
+    cubes = [EpochCube.read(here / name / "*.fits") for name in "ab"]
+    assert cubes[0].beams[0] == cubes[0].beams[1] != cubes[1].beams[0]
+    assert cubes[1].data.max() == pytest.approx(cubes[0].data.max(), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "jet", ["random-velocity", "ballistic", "static", "unrelated", "jet"]
+)
 def test_every_jet_is_simulated(astro_scc, here, jet):
     status, _, err = astro_scc("simulate", jet, "a", "--epochs", 2, "--seed", 1)
     assert (status, err) == (0, "")
@@ -43,7 +62,13 @@ def test_every_jet_is_simulated(astro_scc, here, jet):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        (["static", "x", "--dense"], "--dense is for the two-fluid jet"),
+        (["static", "x", "--dense"], "--dense is for two-fluid, not for static"),
+        (["static", "x", "--speed", "1"], "--speed is for jet, not for static"),
+        (["two-fluid", "x", "--vlba"], "--vlba is for jet, not for two-fluid"),
+        (["jet", "x", "--dense"], "--dense is for two-fluid, not for jet"),
+        (["jet", "x", "--speed", "-1"], "speed must be zero or positive, got -1.0"),
+        (["jet", "x", "--noise", "-1"], "noise must be zero or positive, got -"),
+        (["jet", "x", "--distribution", "flat"], "distribution must be one of normal,"),
         (["static", "x", "--epochs", "0"], "--epochs must be at least 1"),
         (["static", "x", "--seed", "one"], "--seed 'one': must be a whole number"),
         (["static", "."], ".: exists and is not empty"),

@@ -21,7 +21,6 @@ from astro_scc.simulation import (
     simulate_unrelated,
     write_simulation,
 )
-from astro_scc.simulation.streams import Setting
 
 PRESETS = {
     "two-fluid": simulate_two_fluid,
@@ -100,8 +99,8 @@ def test_images_of_the_paper_from_their_truth(shared_data):
     y = np.array([f["y"] for f in paper["features"]])
     width = np.array([f["fwhm"] for f in paper["features"]])
     peak = np.array([f["peak"] for f in paper["features"]])
-    setting = Setting(np.arange(10.0), (20.0, 220.0), 64.0, 10.0, 10.0, u.mas / u.yr)
-    visibility = setting.visibility(x)
+    jet = JetSimulation([Stream("all", half_width=1.0)])
+    visibility = jet.visibility(x)
     total = (width**2 + 100) / (8 * np.log(2))
     for i, path in enumerate(sorted(folder.glob("*.fits"))):
         image = add_gaussians(

@@ -26,7 +26,8 @@ def test_same_seed_same_jet():
 
 
 def test_dates_are_log_normal():
-    options = {"n_epochs": 60, "n_features": 0, "shape": (8, 8)}
+    options = {"n_epochs": 60, "n_features": 0, "core_flux": 0, "noise": 0}
+    options["shape"] = 8, 8
     steps = np.concatenate(
         [
             np.diff(simulate_jet(**options, rng=seed).cube.years.to_value(u.yr))
@@ -78,15 +79,19 @@ def test_speeds_have_their_mean_and_dispersion(distribution, dispersion, spread)
     assert speeds.min() >= 0.06
 
 
-def test_number_of_features_in_view():
-    counts = [
-        np.bincount(truth["epoch"][truth["visible"]], minlength=15).mean()
-        for truth in (
-            simulate_jet(rng=seed, core_flux=0.0, dispersion=0.3, shape=(8, 8)).truth
-            for seed in range(30)
-        )
-    ]
-    assert np.mean(counts) == pytest.approx(8, rel=0.05)
+def test_one_epoch():
+    jet = simulate_jet(n_epochs=1, rng=1)
+    assert np.isnan(jet.truth["pm_east"]).all()
+    assert jet.truth.meta["streams"][0]["mean_speed"] is None
+
+
+@pytest.mark.parametrize("options", [{}, {"dispersion": 0.3}, {"acceleration": 1.6}])
+def test_number_of_features_in_view(options):
+    jet = simulate_jet(rng=1, shape=(8, 8)).simulation
+    rng = np.random.default_rng(1)
+    drawn = [Flow(**options).features(jet, rng) for _ in range(60)]
+    counts = [np.mean(np.sum(features.flux > 0, axis=0)) for features in drawn]
+    assert np.mean(counts) == pytest.approx(8, rel=0.04)
 
 
 def test_truth_has_the_speeds_of_the_features_in_view():
@@ -213,7 +218,13 @@ def test_bad_flows(options, message):
         ({"n_epochs": 0}, "n_epochs must be at least 1"),
         ({"alignment_error": -1.0}, "alignment_error must be zero or positive"),
         ({"flux_variation": np.nan}, "variation must be zero or positive"),
-        ({"length": -3.0}, "extent must be"),
+        ({"length": 0.0}, "extent must be"),
+        ({"length": np.nan}, "length must be zero or positive"),
+        ({"noise_scatter": -1}, "noise_scatter must be zero or positive"),
+        ({"noise": -0.001}, r"noise must be zero or positive, got -0.00\d+$"),
+        ({"standing": -1}, "flow 'standing': n_features must be zero or positive"),
+        ({"interval_scatter": np.nan}, "interval_scatter must be zero or positive"),
+        ({"interval": -1 * u.yr}, "dates must be an array of increasing times"),
     ],
 )
 def test_bad_jets(options, message):
