@@ -12,12 +12,15 @@ EPILOG = """\
 examples:
   astro-scc restore 1226+023.ecsv -o 3c273 --beam "1.0 mas 0.5 mas -7 deg" \\
       --pixel "0.1 mas" --noise "0.3 mJy/beam" --seed 1 --before 2011-01-01
+  astro-scc restore apjac230ft4_mrt.txt --source 1226+023 -o 3c273 --beam "1 mas" \\
+      --pixel "0.1 mas"
   astro-scc restore models/*.mod -o images --beam "0.9 0.6 mas -5 deg" \\
       --pixel "0.1 mas"
 
-Tables are ECSV or machine-readable tables of the AAS and CDS (.txt), with the columns
-epoch, flux, separation and position_angle; .mod are models of difmap with the date in
-the name; .fits have CLEAN components in an AIPS CC table.
+Tables are ECSV or machine-readable tables as the journal publishes those of a survey,
+of the AAS (.txt) or the CDS (.dat, with its ReadMe beside it), with the columns epoch
+(or Obs.Y, Obs.M, Obs.D), flux, separation and position_angle; .mod are models of difmap
+with the date in the name; .fits have CLEAN components in an AIPS CC table.
 """
 
 
@@ -57,7 +60,10 @@ def add_parser(commands):
     )
     add_selection(parser)
     parser.add_argument(
-        "--source", metavar="NAME", help="source to take from a table of many"
+        "--source",
+        metavar="NAME",
+        help="source to take from a table of many; a wrong or missing one is refused "
+        "with the names that there are",
     )
     parser.add_argument(
         "--origin",

@@ -108,6 +108,42 @@ def test_restore(models, astro_scc, here):
         assert path.read_bytes() == (here / "b" / path.name).read_bytes()
 
 
+TABLE = """\
+Title: Made-up jets
+Authors: Nobody N.
+Table: Fitted Jet Features
+================================================================================
+Byte-by-byte Description of file: table4.txt
+--------------------------------------------------------------------------------
+   Bytes Format Units  Label  Explanations
+--------------------------------------------------------------------------------
+   1-  8 A8     ---    Name   Source name, B1950
+  10- 11 I2     ---    ID     Feature identification number
+  13- 16 I4     yr     Obs.Y  Year of observation, UT
+  18- 19 I2     month  Obs.M  Month of observation, UT
+  21- 22 I2     d      Obs.D  Day of observation, UT
+  24- 29 F6.1   mJy    Dens   Flux density at 15 GHz
+  31- 34 F4.2   mas    Off    Position offset
+  36- 40 F5.1   deg    Ang    Position angle
+--------------------------------------------------------------------------------
+0000+000  0 2006  3  9  489.0 0.04 290.7
+0000+000  1 2006  3  9    7.2 3.98 121.8
+0000+001  0 2006  3 10  100.0 0.00   0.0
+0000+000  0 2006 12  1  320.0 0.10 308.1
+"""
+
+
+def test_restore_one_source_of_a_survey(astro_scc, refused, here):
+    (here / "table4.txt").write_text(TABLE)
+    words = ["restore", "table4.txt", "--beam", "1 mas", "--pixel", "0.1 mas"]
+    line = refused(*words, "-o", "out")
+    assert "table4.txt: 2 sources in the table (0000+000, 0000+001); say which" in line
+    status, _, err = astro_scc(*words, "-o", "out", "--source", "0000+000")
+    assert (status, err) == (0, "")
+    names = sorted(path.name for path in (here / "out").iterdir())
+    assert names == ["0000+000_00_2006-03-09.fits", "0000+000_01_2006-12-01.fits"]
+
+
 def test_restore_some_dates_with_a_round_beam(models, astro_scc, here):
     status, out, _ = astro_scc(
         "restore", *models, "-o", "a", "--beam", "0.8 mas", "--pixel", "100 uas",
@@ -138,6 +174,7 @@ def test_restore_some_dates_with_a_round_beam(models, astro_scc, here):
         (["no.ecsv"], "no.ecsv: no such file"),
         (["bad_2006-03-09.mod"], "bad_2006-03-09.mod, line 1: "),
         (["--origin", "core"], "no core component (feature 0)"),
+        (["--source", "M87"], "no source 'M87'; it does not say of which source it is"),
     ],
 )
 def test_restorations_that_are_refused(refused, models, here, options, reason):

@@ -328,6 +328,119 @@ def test_machine_readable_table(tmp_path):
         read_components(path)
 
 
+#: As the journals print tables of jet features of many sources.
+JOURNAL = """\
+Title: Kinematics of made-up jets
+Authors: Nobody N.
+Table: Fitted Jet Features
+================================================================================
+Byte-by-byte Description of file: apjxxxxt4_mrt.txt
+--------------------------------------------------------------------------------
+   Bytes Format Units  Label  Explanations
+--------------------------------------------------------------------------------
+   1-  8 A8     ---    Name   Source name, B1950
+  10- 11 I2     ---    ID     Feature identification number (1)
+      13 A1     ---    f_ID   ? Flag (2)
+  15- 18 I4     yr     Obs.Y  Year of observation, UT
+  20- 21 I2     month  Obs.M  Month of observation, UT
+  23- 24 I2     d      Obs.D  Day of observation, UT
+  26- 31 F6.1   mJy    Dens   Flux density at 15 GHz
+  33- 36 F4.2   mas    Off    ? Position offset (3)
+  38- 42 F5.1   deg    Ang    ? Position angle
+  44- 47 F4.2   mas    Wid    ? FWHM major axis (4)
+  49- 52 F4.2   ---    Rat    ? Axial ratio (4)
+  54- 58 F5.1   deg    Ori    ? Major axis position angle
+--------------------------------------------------------------------------------
+Note (1): Zero indicates the core feature.
+Note (2): a = Individual feature epoch not used in kinematic fits.
+Note (3): Offset from the core feature, that of the core itself from the map center.
+--------------------------------------------------------------------------------
+0000+000  0   2006  3  9  489.0 0.04 290.7 0.23 0.33 292.0
+0000+000  1 a 2006  3  9    7.2 3.98 121.8
+0000+001  0   2006  3 10  100.0            0.10 1.00
+0000+000  0   2006 12  1  320.0 0.10 308.1 0.25 0.29 295.0
+0000+000  1   2006 12  1    4.8 3.65 121.8 1.63 1.00
+"""
+COLUMNS = ("flux", "east", "north", "major", "minor", "pa", "feature", "excluded")
+
+
+def test_dates_in_columns_of_year_month_and_day(tmp_path):
+    (tmp_path / "whole.txt").write_text(MRT)
+    (tmp_path / "parts.txt").write_text(JOURNAL)
+    expected = read_components(tmp_path / "whole.txt", source="0000+000")
+    found = read_components(tmp_path / "parts.txt", source="0000+000")
+    assert list(found.times.isot) == list(expected.times.isot)
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    assert found.meta["object"] == "0000+000"
+    with_names = JOURNAL.replace("I2     month", "A2     ---  ").replace(" 12 ", " De ")
+    (tmp_path / "bad.txt").write_text(with_names)
+    with pytest.raises(
+        ValueError, match="bad.txt, row 3: '2006-De-01' is no date; wri"
+    ):
+        read_components(tmp_path / "bad.txt", source="0000+000")
+
+
+def test_tables_of_cds_have_their_description_beside_them(tmp_path):
+    head, _, rows = JOURNAL.rpartition("-" * 80 + "\n")
+    (tmp_path / "table4.dat").write_text(rows)
+    with pytest.raises(
+        OSError, match="table4.dat: has no byte-by-byte description; la"
+    ):
+        read_components(tmp_path / "table4.dat", source="0000+000")
+    readme = head.replace("apjxxxxt4_mrt.txt", "table4.dat") + "-" * 80 + "\n"
+    (tmp_path / "ReadMe").write_text(readme)
+    (tmp_path / "whole.txt").write_text(JOURNAL)
+    whole = read_components(tmp_path / "whole.txt", source="0000+000")
+    parts = read_components(tmp_path / "table4.dat", source="0000+000")
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+
+
+def test_sources_are_named_when_none_or_a_wrong_one_is_given(tmp_path):
+    path = tmp_path / "t.txt"
+    path.write_text(JOURNAL)
+    with pytest.raises(
+        ValueError, match=r"2 sources in the table \(0000\+000, 0000\+00"
+    ):
+        read_components(path)
+    with pytest.raises(
+        ValueError, match=r"no source 'M87'; it has 0000\+000, 0000\+001"
+    ):
+        read_components(path, source="M87")
+    names = [f"{k:04d}+{k:03d}" for k in range(100, 130)]
+    many = mojave(
+        source=names, epoch=["2006-03-09"] * 30, feature=[0] * 30,
+        flux=np.ones(30) * u.Jy, separation=np.zeros(30) * u.mas,
+        position_angle=np.zeros(30) * u.deg, major_fwhm=None, axial_ratio=None,
+        major_pa=None, excluded_from_fit=None,
+    )  # fmt: skip
+    path = write(many, tmp_path / "many.ecsv")
+    with pytest.raises(ValueError, match=r"30 sources .*0107\+107 and 22 more\); say"):
+        read_components(path)
+    with pytest.raises(
+        ValueError, match=r"no source '0129\+12'; did you mean 0129\+129"
+    ):
+        read_components(path, source="0129+12")
+    assert len(read_components(path, source="0129+129")) == 1
+
+
+def test_a_file_of_another_source_is_refused(tmp_path):
+    path = write(mojave(), tmp_path / "t.ecsv", name="3C 273", source="1226+023")
+    for name in ("3C 273", "3c273", "1226+023"):
+        assert read_components(path, source=name).n_epochs == 2
+    with pytest.raises(
+        ValueError, match=r"t.ecsv: no source 'M87'; it has 1226\+023, 3C"
+    ):
+        read_components(path, source="M87")
+    plain = tmp_path / "source_2006-03-09.mod"
+    plain.write_text("0.9 0.1 90\n")
+    with pytest.raises(
+        ValueError, match=r"09.mod: no source 'M87'; it does not say of"
+    ):
+        read_components(plain, source="M87")
+
+
 def test_machine_readable_and_ecsv_agree(tmp_path):
     path = tmp_path / "features.txt"
     path.write_text(MRT)

@@ -10,7 +10,12 @@ from astropy.time import Time
 
 from astro_scc.epochs.components.lists import CORE, ComponentList
 from astro_scc.epochs.components.models import read_aips, read_difmap
-from astro_scc.epochs.components.tables import read_ecsv, read_mrt, row_date
+from astro_scc.epochs.components.tables import (
+    read_ecsv,
+    read_mrt,
+    require_source,
+    row_date,
+)
 from astro_scc.epochs.files.fits import check_ordinary
 from astro_scc.epochs.validation import as_times
 from astro_scc.exceptions import EpochWarning
@@ -46,11 +51,12 @@ def read_components(paths, *, format=None, source=None, origin=None, dates=None)
         A table of many epochs, or one file an epoch.
     format : {'ecsv', 'mrt', 'difmap', 'aips-cc'}, optional
         By default from the file's suffix: ``.ecsv``; ``.txt``, ``.dat`` or
-        ``.mrt``, a machine-readable table of the AAS or CDS; ``.mod``;
-        ``.fits`` with an AIPS CC table, of several the one with the highest
-        version.
+        ``.mrt``, a machine-readable table of the AAS or, with its file
+        ``ReadMe`` beside it, of the CDS; ``.mod``; ``.fits`` with an AIPS CC
+        table, of several the one with the highest version.
     source : str, optional
-        Which source to take from a table of many.
+        Which source to take from a table of many.  A file of another source
+        is refused.
     origin : {'core', 'map'}, optional
         Put the core, feature 0, at the origin, or leave the map's centre
         there.  By default 'core' for tables whose positions refer to the
@@ -73,11 +79,13 @@ def read_components(paths, *, format=None, source=None, origin=None, dates=None)
 
     Notes
     -----
-    Tables need columns for the date (``epoch``), ``flux``, ``separation``
-    and ``position_angle`` (or ``east`` and ``north``), with units; they may
-    have ``feature``, ``major_fwhm``, ``axial_ratio`` or ``minor_fwhm``,
-    ``major_pa`` and ``excluded_from_fit``.  A blank size is a point, a blank
-    ratio a circle.
+    Tables need columns for the date (``epoch``, or ``Obs.Y``, ``Obs.M`` and
+    ``Obs.D`` for year, month and day), ``flux``, ``separation`` and
+    ``position_angle`` (or ``east`` and ``north``), with units; they may have
+    ``feature``, ``major_fwhm``, ``axial_ratio`` or ``minor_fwhm``,
+    ``major_pa`` and ``excluded_from_fit``.  Machine-readable tables are
+    understood by their labels and explanations.  A blank size is a point, a
+    blank ratio a circle.
 
     Examples
     --------
@@ -125,6 +133,8 @@ def read_components(paths, *, format=None, source=None, origin=None, dates=None)
         if date is not None:
             date = row_date(date, path)
         columns, relative, meta = READERS[name](path, source=source, date=date)
+        if name in ("difmap", "aips-cc"):
+            require_source(source, [meta["object"]] if "object" in meta else [], path)
         lists.append(_build(path, columns, relative, origin, meta))
     objects = sorted({part.meta["object"] for part in lists if "object" in part.meta})
     if len(objects) > 1:

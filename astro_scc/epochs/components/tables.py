@@ -4,6 +4,7 @@
 import re
 import warnings
 from datetime import datetime
+from difflib import get_close_matches
 
 import astropy.units as u
 import numpy as np
@@ -12,7 +13,7 @@ from astropy.time import Time
 from astro_scc.epochs.components.lists import CORE
 from astro_scc.epochs.files.headers import parse_date
 
-__all__ = ["read_ecsv", "read_mrt", "require_finite", "row_date"]
+__all__ = ["read_ecsv", "read_mrt", "require_finite", "require_source", "row_date"]
 
 # What a column is called in a table, and how a machine-readable table
 # explains it where its label is not among these.
@@ -20,6 +21,9 @@ LABELS = {
     "source": {"name", "source", "iau", "iauname"},
     "feature": {"feature", "id", "comp", "component", "featureid"},
     "epoch": {"epoch", "date", "obsdate", "obs"},
+    "year": {"obsy", "year", "obsyear"},
+    "month": {"obsm", "month", "obsmonth"},
+    "day": {"obsd", "day", "obsday"},
     "flux": {"flux", "i", "s", "fluxdensity"},
     "separation": {"separation", "sep", "r", "dist", "distance", "radius"},
     "position_angle": {"positionangle", "pa", "theta"},
@@ -41,7 +45,10 @@ EXPLANATIONS = {
     "ratio": r"axial ratio",
     "pa": r"major axis position angle|position angle of( the)? major",
     "position_angle": r"position angle",
+    "excluded": r".*not used in",
 }
+#: Names of sources that a message lists.
+LISTED = 8
 UNITS = {
     "flux": u.Jy,
     "separation": u.mas,
@@ -57,8 +64,20 @@ UNITS = {
 def _read_table(path, *, source, date, table_format):
     from astropy.table import Table
 
+    options = {}
+    if table_format == "ascii.mrt" and not _describes_itself(path):
+        readme = path.parent / "ReadMe"
+        if not readme.is_file():
+            raise OSError(
+                f"{path}: has no byte-by-byte description; lay the file ReadMe of CDS "
+                "beside it"
+            )
+        table_format, options = "ascii.cds", {"readme": str(readme)}
     try:
-        table = Table.read(path, format=table_format)
+        with warnings.catch_warnings():
+            # Of columns that are needed the units are checked below.
+            warnings.simplefilter("ignore", u.UnitsWarning)
+            table = Table.read(path, format=table_format, **options)
     except Exception as error:  # the parsers of astropy raise all sorts
         reason = str(error).strip().splitlines() or [type(error).__name__]
         raise OSError(
@@ -72,7 +91,8 @@ def _read_table(path, *, source, date, table_format):
     needed = {"flux"} | ({"east", "north"} if has_offsets else set())
     if not has_offsets:
         needed |= {"separation", "position_angle"}
-    if date is None:
+    in_parts = "epoch" not in columns and {"year", "month", "day"} <= columns.keys()
+    if date is None and not in_parts:
         needed.add("epoch")
     missing = sorted(needed - columns.keys())
     if missing:
@@ -88,9 +108,13 @@ def _read_table(path, *, source, date, table_format):
     }
     out = {"flux": values["flux"]}
     if date is None:
+        parts = ("year", "month", "day") if in_parts else ("epoch",)
+        rows = zip(*(table[columns[part]] for part in parts), strict=True)
         out["date"] = [
-            row_date(text, f"{path}, row {i}")
-            for i, text in enumerate(table[columns["epoch"]], start=1)
+            row_date("-".join(str(value).zfill(2) for value in row), f"{path}, row {i}")
+            if in_parts
+            else row_date(*row, f"{path}, row {i}")
+            for i, row in enumerate(rows, start=1)
         ]
     else:
         out["date"] = [date] * len(table)
@@ -156,20 +180,69 @@ def _find_columns(table):
     return found
 
 
+def _describes_itself(path):
+    """Whether a machine-readable table has its description in it."""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        # Titles, authors and abstracts come first.
+        return "Byte-by-byte" in file.read(100_000)
+
+
 def _select_source(table, columns, source, path):
+    """The rows of one source; of tables without a column the meta names it."""
     if "source" not in columns:
+        names = [str(table.meta[k]) for k in ("source", "name") if k in table.meta]
+        require_source(source, names, path)
         return table
-    names = np.array([str(n).strip() for n in table[columns["source"]]])
+    column = np.array([str(name).strip() for name in table[columns["source"]]])
+    names = list(dict.fromkeys(column))
+    if source is None and len(names) > 1:
+        raise ValueError(
+            f"{path}: {len(names)} sources in the table ({_some(names)}); say which "
+            "one with --source NAME (source= in Python)"
+        )
     if source is None:
-        if len(set(names)) > 1:
-            raise ValueError(
-                f"{path}: {len(set(names))} sources in the table ({names[0]}, ...); "
-                "say which one with source=..."
-            )
         return table
-    if source not in names:
-        raise ValueError(f"{path}: no source {source!r} in the table")
-    return table[names == source]
+    require_source(source, names, path)
+    return table[[_plain(name) == _plain(source) for name in column]]
+
+
+def require_source(source, names, path):
+    """
+    Refuse a file that is not of the source that is wanted.
+
+    Parameters
+    ----------
+    source : str or None
+    names : sequence of str
+        What the file calls its sources.
+    path : path
+
+    Raises
+    ------
+    ValueError
+        If a source is given and the file has another one, or does not say.
+    """
+    if source is None or _plain(source) in map(_plain, names):
+        return
+    near = get_close_matches(source, names, n=3, cutoff=0.7)
+    has = (
+        f"did you mean {' or '.join(near)}?"
+        if near and len(names) > LISTED
+        else f"it has {_some(names)}"
+        if names
+        else "it does not say of which source it is; leave --source out"
+    )
+    raise ValueError(f"{path}: no source {source!r}; {has}")
+
+
+def _plain(name):
+    return "".join(str(name).split()).casefold()
+
+
+def _some(names):
+    """The first of names that may be many."""
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more
 
 
 def _numbers(table, name, unit, path):
