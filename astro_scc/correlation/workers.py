@@ -4,7 +4,6 @@
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 from collections import deque
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
@@ -13,7 +12,12 @@ from contextlib import contextmanager
 from multiprocessing.connection import wait as wait_for
 from numbers import Integral
 
-from astro_scc.correlation.cluster import is_client, on_cluster, open_client
+from astro_scc.correlation.cluster import (
+    is_client,
+    on_cluster,
+    open_client,
+    result_of,
+)
 
 __all__ = ["as_done", "in_order", "workers_of"]
 
@@ -21,10 +25,17 @@ __all__ = ["as_done", "in_order", "workers_of"]
 #: interrupted run takes to end.
 WAITING = 2
 
+DIED = (
+    "a worker process died: stopped by the system for want of memory (fewer workers "
+    "take less), or it cannot import what it works with, as in a script that does not "
+    "begin its work under if __name__ == '__main__'"
+)
+
 
 def _start():
     # The parent ends on an interrupt, and then its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     # One that is killed cannot end them.
     threading.Thread(target=_end_with_parent, daemon=True).start()
     from threadpoolctl import threadpool_limits
@@ -87,7 +98,7 @@ def in_order(function, pieces, n_workers, *, context=None):
     Parameters
     ----------
     function : callable
-        Of one argument; picklable if there is more than one worker.
+        Of one argument; importable by the workers if there is more than one.
     pieces : iterable
         Taken as they are needed: a few for each worker are in memory.
     n_workers : int, str or `dask.distributed.Client`
@@ -103,12 +114,12 @@ def in_order(function, pieces, n_workers, *, context=None):
     Raises
     ------
     ValueError, TypeError, ImportError, OSError
-        See `workers_of`.
+        See `workers_of`; OSError also if a worker dies.
     """
     with workers_of(n_workers) as workers:
         if not isinstance(workers, int):
             for _, future in on_cluster(function, pieces, workers):
-                yield future.result()
+                yield result_of(future)
         elif workers == 1:
             yield from map(function, pieces)
         else:
@@ -116,17 +127,31 @@ def in_order(function, pieces, n_workers, *, context=None):
 
 
 def _in_processes(function, pieces, n_workers, context):
-    pool = ProcessPoolExecutor(
-        n_workers, multiprocessing.get_context(context), initializer=_start
-    )
+    waiting = deque()
     try:
-        waiting = deque()
-        for piece in pieces:
-            waiting.append(pool.submit(function, piece))
-            if len(waiting) > WAITING * n_workers:
+        with _processes(n_workers, context) as pool:
+            for piece in pieces:
+                waiting.append(pool.submit(function, piece))
+                if len(waiting) > WAITING * n_workers:
+                    yield waiting.popleft().result()
+            while waiting:
                 yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+    except BrokenProcessPool:
+        raise ChildProcessError(DIED) from None
+
+
+@contextmanager
+def _processes(n_workers, context):
+    """A pool whose processes do not outlive it, at work or not."""
+    context = multiprocessing.get_context(context)
+    before = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(n_workers, context, initializer=_start)
+    try:
+        yield pool
+    except BaseException:
+        for process in set(multiprocessing.active_children()) - before:
+            process.terminate()
+        raise
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -147,11 +172,16 @@ def as_done(function, pieces, n_workers, *, context=None):
     result : object
         Or the `Exception` that was raised.  A piece whose process dies is done
         once more, by itself, before it counts as failed.
+
+    Raises
+    ------
+    ValueError, TypeError, ImportError, OSError
+        See `workers_of`; OSError also if processes do not start.
     """
     with workers_of(n_workers) as workers:
         if not isinstance(workers, int):
             for index, future in on_cluster(function, pieces, workers, ordered=False):
-                yield index, _outcome(future.result)
+                yield index, _outcome(result_of, future)
         elif workers == 1:
             for index, piece in enumerate(pieces):
                 yield index, _outcome(function, piece)
@@ -171,8 +201,8 @@ def _as_done(function, pieces, n_workers, context):
     while True:
         waiting = {}
         broken = False
-        pool = _Processes(n_workers, context)
-        try:
+        with _processes(n_workers, context) as pool:
+            _probe(pool)
             while not broken:
                 for item in pieces:
                     try:
@@ -200,31 +230,21 @@ def _as_done(function, pieces, n_workers, context):
                     lost.append(item)
                 else:
                     yield item[0], result
-        finally:
-            pool.end()
         if not broken:
             return
         for index, piece in lost:
             # Alone, so that no other suffers from what it does.
-            pool = _Processes(1, context)
-            try:
-                yield index, _outcome(pool.submit(function, piece).result)
-            finally:
-                pool.end()
+            with _processes(1, context) as pool:
+                result = _outcome(pool.submit(function, piece).result)
+                if isinstance(result, BrokenProcessPool):
+                    result = ChildProcessError(DIED)
+                yield index, result
         lost.clear()
 
 
-class _Processes:
-    """A pool whose processes do not outlive it, at work or not."""
-
-    def __init__(self, n_workers, context):
-        context = multiprocessing.get_context(context)
-        self.before = set(multiprocessing.active_children())
-        self.pool = ProcessPoolExecutor(n_workers, context, initializer=_start)
-        self.submit = self.pool.submit
-
-    def end(self):
-        if sys.exc_info()[0] is not None:
-            for process in set(multiprocessing.active_children()) - self.before:
-                process.terminate()
-        self.pool.shutdown(cancel_futures=True)
+def _probe(pool):
+    """Refuse a pool whose processes do not even start."""
+    try:
+        pool.submit(os.getpid).result()
+    except BrokenProcessPool:
+        raise ChildProcessError(DIED) from None

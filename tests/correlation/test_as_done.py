@@ -1,25 +1,31 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Pieces of work that fail, or whose process dies, cost themselves only."""
+"""
+Pieces of work that fail, or whose process dies, cost themselves only.
+
+What is sent to workers is of the standard library (`eval`, of an expression), for they
+cannot import a module of tests however the tests are started.
+"""
 
 import multiprocessing
 import os
-import signal
+import subprocess
+import sys
 import time
+from functools import partial
+from operator import truediv
 
 import pytest
 
-from astro_scc.correlation.workers import as_done, workers_of
+from astro_scc.correlation.workers import as_done, in_order, workers_of
+
+inverse = partial(truediv, 1)
+KILL = "__import__('os').kill(__import__('os').getpid(), 9)"
+STARTS = multiprocessing.get_all_start_methods()
 
 
-def inverse(value):
-    return 1 / value
-
-
-def deadly(value):
-    """One of them kills its process, whoever works on it."""
-    if value == 3:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return 10 * value
+def deadly(values):
+    """Expressions, of which that of 3 kills its process, whoever works on it."""
+    return [KILL if k == 3 else f"10 * {k}" for k in values]
 
 
 @pytest.mark.parametrize("n_workers", [1, 2])
@@ -45,27 +51,64 @@ def test_in_this_process_pieces_are_taken_as_needed():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_a_piece_that_kills_its_process():
-    found = dict(as_done(deadly, range(6), 2))
-    assert set(found) == set(range(6))
-    assert {k: v for k, v in found.items() if k != 3} == {
-        k: 10 * k for k in range(6) if k != 3
-    }
-    assert isinstance(found[3], Exception)
+@pytest.mark.parametrize("context", STARTS)
+def test_a_piece_that_kills_its_process(context):
+    found = dict(as_done(eval, deadly(range(6)), 2, context=context))
+    assert isinstance(found[3], ChildProcessError)
+    assert "a worker process died" in str(found.pop(3))
+    assert found == {k: 10 * k for k in range(6) if k != 3}
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_piece_whose_process_is_killed_once(tmp_path):
+    mark = str(tmp_path / "mark")
+    once = f"__import__('os').path.exists({mark!r}) or open({mark!r}, 'w') and {KILL}"
+    assert sorted(as_done(eval, ["1", once, "3"], 2)) == [(0, 1), (1, True), (2, 3)]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_worker_that_dies_ends_work_in_order():
+    with pytest.raises(ChildProcessError, match="fewer workers take less"):
+        list(in_order(eval, deadly(range(6)), 2))
     assert multiprocessing.active_children() == []
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_pool_that_is_found_broken_with_the_next_piece():
     def pieces():
-        yield 3
+        yield from deadly([3])
         # Long enough for the process to die.
         time.sleep(0.5)
-        yield from (1, 2, 4)
+        yield from deadly((1, 2, 4))
 
-    found = dict(as_done(deadly, pieces(), 2))
-    assert isinstance(found.pop(0), Exception)
+    found = dict(as_done(eval, pieces(), 2))
+    assert isinstance(found.pop(0), ChildProcessError)
     assert found == {1: 10, 2: 20, 3: 40}
+
+
+UNGUARDED = """
+import multiprocessing, operator
+from astro_scc.correlation.workers import as_done, in_order
+multiprocessing.set_start_method({context!r}, force=True)
+try:
+    print(list({name}(operator.neg, [1, 2], 2)))
+except ChildProcessError as error:
+    print("error:", error)
+"""
+
+
+@pytest.mark.parametrize("name", ["as_done", "in_order"])
+@pytest.mark.parametrize("context", [c for c in STARTS if c != "fork"])
+def test_processes_that_cannot_start(tmp_path, name, context):
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED.format(name=name, context=context))
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[-1].startswith("error: a worker process died")
+    assert "if __name__ == '__main__'" in done.stdout
 
 
 def test_who_stops_leaves_no_process():

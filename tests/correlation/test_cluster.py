@@ -5,14 +5,17 @@ import builtins
 import operator
 import os
 import signal
-import time
+import sys
+import types
+from concurrent.futures import Future
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 from astro_scc.correlation import Correlator, all_pairs
-from astro_scc.correlation.cluster import on_cluster, open_client
-from astro_scc.correlation.workers import in_order, workers_of
+from astro_scc.correlation.cluster import on_cluster, open_client, result_of
+from astro_scc.correlation.workers import as_done, in_order, workers_of
 from astro_scc.decomposition import Decomposer
 
 
@@ -49,11 +52,6 @@ def epochs():
         )
         for k in range(5)
     ]
-
-
-def slow_negative(value):
-    time.sleep(0.05)
-    return -value
 
 
 def test_results_come_in_order_and_as_needed(cluster):
@@ -112,12 +110,78 @@ def test_a_killed_worker_changes_nothing(cluster, epochs, monkeypatch):
 
 
 def test_a_worker_killed_at_work(cluster):
-    results = in_order(slow_negative, range(20), cluster)
+    # Workers cannot import a module of tests, however the tests are started.
+    slow = [f"__import__('time').sleep(0.05) or -{k}" for k in range(20)]
+    results = in_order(eval, slow, cluster)
     found = [next(results)]
     pids = cluster.run(os.getpid)
     os.kill(max(pids.values()), signal.SIGKILL)
     found += results
     assert found == [-k for k in range(20)]
+
+
+def test_a_function_that_workers_cannot_import(cluster, monkeypatch):
+    # Here it is, there it is not; workers died of it, for ever.
+    module = types.ModuleType("only_here")
+    module.negative = types.FunctionType(
+        (lambda value: -value).__code__, {}, "negative"
+    )
+    module.negative.__module__ = "only_here"
+    module.negative.__qualname__ = "negative"
+    monkeypatch.setitem(sys.modules, "only_here", module)
+    for work in (in_order, as_done):
+        with pytest.raises(
+            OSError, match="workers of the scheduler cannot import only_here"
+        ):
+            list(work(module.negative, [1], cluster))
+    assert list(in_order(operator.neg, [1], cluster)) == [-1]
+
+
+@contextmanager
+def threads(number):
+    """A client of a scheduler whose workers are threads of this process."""
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=number, processes=False, dashboard_address=":0"
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+def test_a_scheduler_without_workers(monkeypatch):
+    monkeypatch.setattr("astro_scc.correlation.cluster.WITHOUT_WORKERS", 0.1)
+    with threads(0) as client:
+        for work in (in_order, as_done):
+            with pytest.raises(OSError, match="has had no workers for 0.1 s; start"):
+                list(work(operator.neg, [1], client))
+
+
+def test_a_scheduler_that_is_lost():
+    def pieces(client):
+        yield 1
+        client.close()
+        yield 2
+
+    with threads(1) as client:
+        with pytest.raises(OSError, match="was lost; start it and this again"):
+            list(in_order(operator.neg, pieces(client), client))
+
+
+def test_work_that_is_not_done():
+    distributed = pytest.importorskip("distributed")
+    future = Future()
+    future.cancel()
+    future.set_running_or_notify_cancel()
+    with pytest.raises(OSError, match="was lost; start it and this again"):
+        result_of(future)
+    # As the scheduler says after four workers died of one piece.
+    future = Future()
+    worker = types.SimpleNamespace(address="tcp://127.0.0.1:9")
+    future.set_exception(distributed.KilledWorker("piece", worker, 3))
+    with pytest.raises(ChildProcessError, match="several workers died of one piece"):
+        result_of(future)
 
 
 def test_a_scheduler_that_is_not_there(monkeypatch):

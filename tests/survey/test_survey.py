@@ -18,7 +18,6 @@ from astropy.table import QTable
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import main
-from astro_scc.correlation.workers import as_done
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.simulation import simulate_two_fluid
@@ -264,7 +263,7 @@ def test_every_region_and_group_has_a_report(folder, tmp_path):
     run()
     assert not list(out.rglob("report.html"))
     # Those that are finished but for it are made again, and not those that have it.
-    run(write_report=small_page, n_workers=2)
+    run(write_report=small_page)
     run(write_report=small_page)
     run()
     assert told == [False, False, True, True]
@@ -353,34 +352,6 @@ def test_a_run_that_cannot_be_asked_is_left_alone(tmp_path, monkeypatch):
 
 
 # -- workers -----------------------------------------------------------------------
-
-
-def killed_once(path):
-    """Die the first time, as if by the system, and work the second."""
-    if path is not None and not os.path.exists(path):
-        with open(path, "w"):
-            pass
-        os.kill(os.getpid(), signal.SIGKILL)
-    return path
-
-
-def always_killed(value):
-    if value == 1:
-        os.kill(os.getpid(), signal.SIGKILL)
-    if value == 3:
-        raise KeyError("three")
-    return value
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_a_killed_process_costs_its_piece_at_most(tmp_path):
-    pieces = [None, str(tmp_path / "mark"), None, None]
-    assert sorted(as_done(killed_once, pieces, 2)) == list(enumerate(pieces))
-    found = dict(as_done(always_killed, range(6), 2))
-    assert [found[k] for k in (0, 2, 4, 5)] == [0, 2, 4, 5]
-    assert "terminated abruptly" in str(found[1])
-    assert isinstance(found[3], KeyError)
-    assert dict(as_done(abs, [-1, "a"], 1))[0] == 1
 
 
 def test_processes_give_the_same(serial, folder, tmp_path):
