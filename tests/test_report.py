@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from astro_scc import StackedCrossCorrelation
 from astro_scc.kinematics import paper_cosmology
 from astro_scc.report import write_report
-from astro_scc.report.answer import headline
+from astro_scc.report.answer import facts, headline
 from astro_scc.report.figures import Picture
-from astro_scc.report.tables import in_easy_units
+from astro_scc.report.tables import epoch_rows, in_easy_units
 from astro_scc.report.words import with_error
 from astro_scc.simulation import simulate_two_fluid
 
@@ -350,12 +350,36 @@ def test_columns_that_are_new_are_shown(result, tmp_path, quick):
 
 def test_only_ssps_of_the_region_are_counted(result, tmp_path, quick):
     n = len(result.ssps)
-    assert f"{n} significant" in words_of(result, result.components, tmp_path)
+    words = words_of(result, result.components, tmp_path)
+    assert f"{n} significant" in words
+    assert "outside the region" not in words
     ssps = result.ssps.copy()
     ssps["in_region"] = np.arange(n) < 5
     other = replace(result)
     object.__setattr__(other, "ssps", ssps)
-    assert "; 5 significant" in words_of(other, result.components, tmp_path)
+    words = words_of(other, result.components, tmp_path)
+    assert "; 5 significant" in words
+    assert f"on 3 scales, of {n} in the images" in words
+
+
+@pytest.mark.parametrize("n_inside", [0, 5, None])
+def test_the_epochs_add_up_to_the_number_of_ssps_in_the_head(result, n_inside):
+    ssps = result.ssps.copy()
+    n = len(ssps)
+    inside = n if n_inside is None else n_inside
+    ssps["in_region"] = np.arange(n) < inside
+    other = replace(result)
+    object.__setattr__(other, "ssps", ssps)
+    table = epoch_rows(other)
+    said = facts(other)[-1]
+    column = table["head"].index("SSPs")
+    assert said.startswith(f"{inside} significant")
+    assert sum(int(row[column]) for row in table["rows"]) == inside
+    if n_inside is None:
+        assert table["head"][-1] == "SSPs"
+    else:
+        assert table["head"][-1] == "SSPs outside the region"
+        assert sum(int(row[-1]) for row in table["rows"]) == n - inside
 
 
 def test_epochs_have_their_names_only_where_these_are_not_their_dates(
@@ -401,8 +425,8 @@ def test_what_cannot_be_completed_leaves_what_was_there(
         (5.5687, 0.4323, "5.57 ± 0.43"),
         (117.3, 12.2, "117 ± 12"),
         (0.01234, 0.00098, "0.01234 ± 0.00098"),
-        (5.5687, np.nan, "5.57"),
-        (5.5687, np.inf, "5.57"),
+        (5.5687, np.nan, "5.57 ± ?"),
+        (5.5687, np.inf, "5.57 ± ?"),
         (5.5687, 0.0, "5.57"),
         (np.nan, 0.1, "-"),
     ],

@@ -65,9 +65,11 @@ def with_error(value, error):
     --------
     >>> from astro_scc.cli.summary import with_error
     >>> with_error(6.08744, 0.1234), with_error(0.3, float("nan"))
-    ('6.09 +- 0.12', '0.3 +- nan')
+    ('6.09 +- 0.12', '0.3 +- ?')
     """
-    if not (math.isfinite(error) and error > 0):
+    if not math.isfinite(error):
+        return f"{value:.3g} +- ?"
+    if error <= 0:
         return f"{value:.3g} +- {error:.2g}"
     digits = max(0, 1 - math.floor(math.log10(error)))
     return f"{value:.{digits}f} +- {error:.{digits}f}"

@@ -3,6 +3,8 @@
 
 from html import escape
 
+import numpy as np
+
 __all__ = ["result_html"]
 
 #: Columns of the components that fit on a screen, and how they are printed.
@@ -44,7 +46,7 @@ def result_html(result):
     lines = [
         f"SCCResult {title}{found or 'no component'}",
         repr(cube)[1:-1],
-        f"{len(result.pairs)} pairs of epochs, {len(result.matched.ssps)} SSPs, "
+        f"{len(result.pairs)} pairs of epochs, {np.sum(result.matched.select)} SSPs, "
         f"{result.meta.get('n_trials')} trials, seed {result.meta.get('seed')}",
     ]
     text = "<br>".join(escape(line) for line in lines)

@@ -377,13 +377,11 @@ class SCCResult:
         velocity = np.array([peak.v1, peak.v2])
         where = self.frame, self.position_angle
         row.update(_vectors(velocity, self.errors[number - 1], *where))
-        shifted = _vectors(velocity, _covariance(jitter), *where)["pm_err"]
-        # Without a maximum in the trials the paper's error is not bounded.
-        row["pm_err_jitter"] = shifted if np.isfinite(shifted) else np.inf
+        row["pm_err_jitter"] = _vectors(velocity, _covariance(jitter), *where)["pm_err"]
         parts = self.error_parts[number - 1]
         for name in ("alignment", "epochs"):
-            of_speed = _vectors(velocity, getattr(parts, name), *where)["pm_err"]
-            row[f"pm_err_{name}"] = of_speed if np.isfinite(of_speed) else np.inf
+            covariance = getattr(parts, name)
+            row[f"pm_err_{name}"] = _vectors(velocity, covariance, *where)["pm_err"]
         return row
 
     @staticmethod
@@ -426,11 +424,14 @@ def _root(variance):
 
 
 def _vectors(velocity, covariance, frame, position_angle):
-    """Components of a velocity and their errors, on the sky and to the jet."""
-    if np.any(np.isinf(covariance)):
+    """
+    Components of a velocity and their errors, on the sky and to the jet.
+
+    Errors that the data do not give are NaN.
+    """
+    if not np.all(np.isfinite(covariance)):
         row = _vectors(velocity, np.zeros((2, 2)), frame, position_angle)
-        row.update(dict.fromkeys([n for n in row if n.endswith("_err")], np.inf))
-        row["pm_pa_err"] = 180.0 if frame.uniform else np.nan
+        row.update(dict.fromkeys([n for n in row if n.endswith("_err")], np.nan))
         return row
     if frame.uniform:
         to_sky = np.linalg.inv(frame.matrix(0.0, 0.0))

@@ -109,7 +109,7 @@ def stack_matches(
     -----
     `~astro_scc.exceptions.MeasurementWarning`
         If the trials or the epochs are so few that no ``p_global`` can be as
-        small as ``level``.
+        small as ``level``, or the matches so few that a velocity has no error.
 
     Examples
     --------
@@ -178,6 +178,7 @@ def stack_matches(
             )
         )
         maxima.append(replace(peak, coefficient=float(scc[peak.row, peak.column])))
+    _warn_of_unknown_errors(errors)
     return SCCResult(
         matched=matched,
         frame=frame,
@@ -227,6 +228,23 @@ def _warn_of_limits(n_epochs, n_trials, level, nulls):
     else:
         return
     warnings.warn(what, MeasurementWarning, stacklevel=5)
+
+
+def _warn_of_unknown_errors(errors):
+    """Tell which components have no error, and what gives them one."""
+    without = [
+        str(number)
+        for number, parts in enumerate(errors, start=1)
+        if not np.all(np.isfinite(parts.total))
+    ]
+    if without:
+        warnings.warn(
+            f"component {', '.join(without)}: too few matches for an error of the "
+            "velocity, pm_err is NaN; measure more scales, a larger region, more "
+            "epochs or a wider baseline",
+            MeasurementWarning,
+            stacklevel=5,
+        )
 
 
 def velocity_frame(matched, position_angle):

@@ -148,14 +148,13 @@ def edge_remarks(result, components, kinds):
 def facts(result):
     cube = result.cube
     dates = cube.times.strftime("%Y-%m-%d")
-    used = result.ssps
-    if "in_region" in used.colnames:
-        used = used[np.asarray(used["in_region"], bool)]
+    inside = np.asarray(result.ssps["in_region"], bool)
     scales = np.unique(np.asarray(result.ssps["scale"], dtype=float))
+    where = "" if inside.all() else f", of {len(inside)} in the images"
     n = len(result.pairs)
     return [
         f"{len(cube)} epochs, {dates[0]} to {dates[-1]}",
         f"{n} {plural(n, 'pair')} of epochs compared",
-        f"{len(used)} significant structural patterns (SSPs) on "
-        f"{len(scales)} {plural(len(scales), 'scale')}",
+        f"{inside.sum()} significant structural patterns (SSPs) compared on "
+        f"{len(scales)} {plural(len(scales), 'scale')}{where}",
     ]

@@ -124,9 +124,8 @@ def _cell(components, row, name, digits):
 
 def epoch_rows(result):
     table = result.cube.epochs
-    counts = np.bincount(
-        np.asarray(result.ssps["epoch"], dtype=int), minlength=len(result.cube)
-    )
+    epoch = np.asarray(result.ssps["epoch"], dtype=int)
+    inside = np.asarray(result.ssps["in_region"], bool)
     days = [date.strftime("%Y-%m-%d") for date in table["date"]]
     times = [date.strftime("%Y-%m-%d %H:%M") for date in table["date"]]
     head = ["Date"]
@@ -149,7 +148,13 @@ def epoch_rows(result):
     head.append(f"Noise ({unit})" if unit else "Noise")
     columns.append([f"{value:.2g}" for value in noise.value])
     head.append("SSPs")
-    columns.append([str(count) for count in counts])
+    counted = [inside]
+    if not inside.all():
+        head.append("SSPs outside the region")
+        counted.append(~inside)
+    for some in counted:
+        counts = np.bincount(epoch[some], minlength=len(result.cube))
+        columns.append([str(count) for count in counts])
     return {"head": head, "rows": list(zip(*columns, strict=True))}
 
 

@@ -22,7 +22,9 @@ def with_error(value, error):
     """A value and its error, to two digits of the error."""
     if not math.isfinite(value):
         return "-"
-    if not (math.isfinite(error) and error > 0):
+    if not math.isfinite(error):
+        return f"{value:.3g} \N{PLUS-MINUS SIGN} ?"
+    if error <= 0:
         return f"{value:.3g}"
     digits = max(0, 1 - math.floor(math.log10(error)))
     return f"{value:.{digits}f} \N{PLUS-MINUS SIGN} {error:.{digits}f}"

@@ -97,13 +97,13 @@ def number_of_ssps(displacements, pairs, order=None):
     Returns
     -------
     float or `~numpy.ndarray`, shape (...)
-        ``sum_t w_t N_SSP(t)``, w the weights of the pairs; at least the
-        smallest positive number, so that it can divide.
+        ``sum_t w_t N_SSP(t)``, w the weights of the pairs; infinite where
+        there are none, so that a stack of nothing is zero.
     """
     order = np.arange(pairs.n_dates) if order is None else order
     reference, _ = pairs.images(order)
     number = (displacements.n_ssps[reference] * pairs.weight).sum(axis=-1)
-    return np.maximum(number, np.finfo(float).tiny)
+    return np.where(number > 0, number, np.inf)
 
 
 def stack(displacements, pairs, grid, *, order=None):

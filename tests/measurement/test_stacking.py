@@ -3,6 +3,7 @@
 
 import re
 import warnings
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -101,3 +102,64 @@ def test_jets_without_common_speeds_have_no_component(seed):
     cube = simulate_unrelated(n_epochs=6, rng=seed).cube
     found = scc()(cube, n_trials=50, rng=1)
     assert set(found.components["kind"]) <= {"uncertain"}
+
+
+def chosen(ssps, which):
+    """One or two SSPs, of all epochs or of each."""
+    select = np.zeros(len(ssps), dtype=bool)
+    epochs = [np.flatnonzero(ssps.epoch == k) for k in np.unique(ssps.epoch)]
+    places = {
+        "one": [epochs[0][3]],
+        "one that only earlier epochs know": [epochs[-1][9]],
+        "two that only earlier epochs know": epochs[-1][[9, 16]],
+        "one an epoch": [own[0] for own in epochs],
+        "two an epoch": [k for own in epochs for k in own[[0, 9]]],
+    }
+    select[places[which]] = True
+    return select
+
+
+@pytest.mark.parametrize(
+    ("which", "known"),
+    [
+        ("one", True),
+        ("one that only earlier epochs know", False),
+        ("two that only earlier epochs know", False),
+        ("one an epoch", True),
+        ("two an epoch", True),
+    ],
+)
+@pytest.mark.parametrize("nulls", [("scramble", "shuffle"), ("shuffle",)])
+def test_one_or_two_ssps_have_a_finite_error_or_none_and_a_word(
+    matched, which, known, nulls
+):
+    few = replace(matched, select=chosen(matched.ssps, which))
+    measure = scc(scales=[1, 2], nulls=nulls)
+    with np.errstate(over="raise", divide="raise", invalid="raise"):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            found = measure.stack(few, n_trials=20, rng=1)
+    said = [text for one in said if "too few matches" in (text := str(one.message))]
+    table = found.components
+    assert len(table) >= 1
+    for name in table.colnames:
+        if "_err" in name:
+            assert not np.isinf(np.asarray(table[name], dtype=float)).any()
+    assert np.isfinite(table["pm"]).all()
+    assert np.isfinite(table["pm_err"]).all() == known
+    assert said == (
+        []
+        if known
+        else [
+            "component 1: too few matches for an error of the velocity, pm_err is NaN; "
+            "measure more scales, a larger region, more epochs or a wider baseline"
+        ]
+    )
+
+
+def test_two_epochs_have_no_error_by_leaving_out_epochs(matched):
+    cube = matched.cube[:2]
+    with pytest.warns(MeasurementWarning, match="2 epochs allow no p_global"):
+        table = scc()(cube, n_trials=20, rng=1).components
+    assert np.isnan(table["pm_err_epochs"]).all()
+    assert np.isfinite(table["pm_err"]).all()

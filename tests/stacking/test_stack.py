@@ -122,6 +122,14 @@ def test_number_of_ssps_of_many_orders(random_displacements):
     assert number_of_ssps(d, pairs) == expected[0]
 
 
+def test_orders_without_ssps_have_a_stack_of_zero(random_displacements):
+    d = random_displacements(np.random.default_rng(3))
+    pairs = consecutive_pairs([0.0, 0.4, 1.0, 1.1])
+    nothing = replace(d, n_ssps=np.zeros(4, dtype=int))
+    with np.errstate(all="raise", under="ignore"):
+        np.testing.assert_array_equal(stack(nothing, pairs, GRID), 0.0)
+
+
 def test_without_matches_or_ssps_it_is_zero(random_displacements):
     none = random_displacements(np.random.default_rng(4)).select(slice(0, 0))
     pairs = consecutive_pairs([0.0, 0.4, 1.0, 1.1])
