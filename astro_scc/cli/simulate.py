@@ -31,7 +31,7 @@ FLOW = {
     "n_features": (float, "number of moving features in view at a time; default 8"),
     "standing": (int, "number of standing features; default 0"),
     "acceleration": (float, "speed at the jet's end over that at the core; default 1"),
-    "flux_variation": (float, "scatter of ln(flux) in time; default 0.3"),
+    "flux_variation": (float, "scatter of ln(flux) in time; default 0.35"),
     "alignment_error": (float, "shift of each image, rms in beams; default 0"),
     "noise": (float, "median rms in Jy per beam; the core has 1 Jy; default 0.0003"),
 }

@@ -88,7 +88,7 @@ class Flow:
     fading: float = 0.8
     size: float = 0.25
     widening: float = 0.6
-    width: float = 0.4
+    width: float = 0.6
     offset: float = 0.0
 
     def __post_init__(self):
