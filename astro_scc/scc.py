@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, fields
 import astropy.units as u
 import numpy as np
 
+from astro_scc.config.settings import require
 from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.correlation.workers import workers_of
 from astro_scc.decomposition import Decomposer
@@ -27,7 +28,6 @@ from astro_scc.measurement.plan import (
     ssps_inside,
 )
 from astro_scc.measurement.provenance import selection_digest
-from astro_scc.measurement.requirements import REQUIREMENTS, different_scales
 from astro_scc.measurement.selection import warn_of_none_inside
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
@@ -43,11 +43,12 @@ class StackedCrossCorrelation:
     """
     Measure velocity components by stacked cross-correlation.
 
-    The settings are kept; calling the object on a cube measures it.
+    The settings are kept; calling the object on a cube measures it.  Those
+    with a unit may be text, as on the command line.
 
     Parameters
     ----------
-    scales : sequence of float, optional
+    scales : sequence of float or str, optional
         Wavelet scales by number (j means 2^j pixels, j + 1/2 means
         1.5 x 2^j) or as an angle `~astropy.units.Quantity`.
     max_speed : `~astropy.units.Quantity`, optional
@@ -123,8 +124,9 @@ class StackedCrossCorrelation:
     common_beam: bool = True
 
     def __post_init__(self):
-        for name, require in REQUIREMENTS.items():
-            object.__setattr__(self, name, require(getattr(self, name)))
+        for field in fields(self):
+            value = require(field.name, getattr(self, field.name))
+            object.__setattr__(self, field.name, value)
         # Their own settings are checked where they are used.
         self._decomposer((1,) if isinstance(self.scales, u.Quantity) else self.scales)
         self._correlator()
@@ -192,7 +194,7 @@ class StackedCrossCorrelation:
             If an angle is not within 20% of a scale's size, or two are of the
             same scale.
         """
-        return different_scales(scales_of_pixels(self.scales, cube.pixel_scale))
+        return require("scales", scales_of_pixels(self.scales, cube.pixel_scale))
 
     def date_pairs(self, cube):
         """
@@ -418,6 +420,8 @@ class StackedCrossCorrelation:
             If no two epochs make a pair, their beams differ, or a setting
             does not fit the images.
         """
+        # Before the long part.
+        n_trials = require("n_trials", n_trials)
         matched = self.match(
             cube,
             region=region,

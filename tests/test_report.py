@@ -193,7 +193,7 @@ def test_the_table_has_a_row_for_each_component(page, components):
     assert with_error(components["p_global"][2], components["p_global_err"][2]) in words
     assert "from the scatter of the features" in words
     # Descriptions speak of headings, not of names of columns.
-    assert "speed (c): the speed in units of c" in words
+    assert "speed (c): apparent speed, in units of c" in words
     assert "part of the error of the speed by the alignment" in words
 
 

@@ -134,43 +134,59 @@ def result(cube):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"max_speed": 0 * PM}, "max_speed must be one positive speed, got 0"),
-        ({"max_speed": -2 * PM}, "max_speed must be one positive speed"),
-        ({"max_speed": np.inf * PM}, "max_speed must be one positive speed"),
-        ({"max_speed": np.nan * PM}, "max_speed must be one positive speed"),
-        ({"max_speed": [1, 2] * PM}, "max_speed must be one positive speed"),
-        ({"baseline": 1 * u.yr}, "baseline must be a shortest and a longest time"),
-        ({"baseline": [1, 2, 3] * u.yr}, "baseline must be a shortest and a longest"),
-        ({"baseline": [2, 1] * u.yr}, "baseline must be a shortest and a longest"),
-        ({"baseline": [-1, 1] * u.yr}, "baseline must be a shortest and a longest"),
-        ({"baseline": [0, np.nan] * u.yr}, "baseline must be a shortest"),
+        ({"max_speed": 0 * PM}, "max_speed = 0.0 mas / yr must be finite and above"),
+        ({"max_speed": -2 * PM}, "max_speed = .* must be finite and above 0"),
+        ({"max_speed": np.inf * PM}, "max_speed = .* must be finite and above 0"),
+        ({"max_speed": np.nan * PM}, "max_speed = .* must be finite and above 0"),
+        ({"max_speed": [1, 2] * PM}, "must be an angle per time with a unit"),
+        ({"baseline": 1 * u.yr}, "baseline = .* must be a shortest and a longest time"),
+        (
+            {"baseline": [1, 2, 3] * u.yr},
+            "baseline = .* must be a shortest and a longest",
+        ),
+        ({"baseline": [2, 1] * u.yr}, "baseline = .* must be a shortest and a longest"),
+        (
+            {"baseline": [-1, 1] * u.yr},
+            "baseline = .* must be a shortest and a longest",
+        ),
+        ({"baseline": [0, np.nan] * u.yr}, "baseline = .* must be a shortest"),
         (
             {"position_angle": "west"},
-            "must be an angle, 'radial', 'ridge' or 'fit', got 'west'",
+            "position_angle = 'west' has 'west' where a number is expected; it must be "
+            "radial, ridge, fit or an angle with a unit, such as '65 deg'",
         ),
-        ({"position_angle": [1, 2] * u.deg}, "position_angle must be one finite"),
-        ({"position_angle": np.nan * u.deg}, "position_angle must be one finite"),
-        ({"kernel": 0}, "kernel must be a part of the beam, got 0"),
-        ({"kernel": 5}, "kernel must be a part of the beam, got 5"),
-        ({"kernel": np.nan}, "kernel must be a part of the beam"),
-        ({"level": 0.0}, r"level must be between 0 and 1, got 0\.0"),
-        ({"level": 1}, "level must be between 0 and 1, got 1"),
-        ({"level": -0.1}, "level must be between 0 and 1"),
-        ({"level": np.nan}, "level must be between 0 and 1"),
-        ({"scales": []}, "at least one wavelet scale"),
+        (
+            {"position_angle": [1, 2] * u.deg},
+            "position_angle = .* must be radial, ridge",
+        ),
+        (
+            {"position_angle": np.nan * u.deg},
+            "position_angle = .* must be radial, ridge",
+        ),
+        ({"kernel": 0}, "kernel = 0 must be a part of the beam between"),
+        ({"kernel": 5}, "kernel = 5 must be a part of the beam between"),
+        ({"kernel": np.nan}, "kernel = nan must be a finite"),
+        ({"level": 0.0}, r"level = 0\.0 must be between 0 and 1"),
+        ({"level": 1}, "level = 1 must be between 0 and 1"),
+        ({"level": -0.1}, "level = -0.1 must be between 0 and 1"),
+        ({"level": np.nan}, "level = nan must be a finite number"),
+        ({"scales": []}, "must be scale numbers such as 1,2,3"),
         ({"scales": [-1]}, "-1"),
         ({"scales": [0.3]}, r"0\.3"),
-        ({"scales": [0] * u.mas}, "scales must be positive angles"),
-        ({"scales": [] * u.mas}, "scales must be positive angles"),
-        ({"scales": [0.1, np.nan] * u.mas}, "scales must be positive angles"),
-        ({"scales": [0.2] * u.mas, "wavelet": "b2"}, "unknown wavelet kernel 'b2'"),
-        ({"wavelet": "b2"}, "unknown wavelet kernel 'b2'"),
-        ({"noise": "none"}, "unknown noise 'none'"),
+        ({"scales": [0] * u.mas}, "scales = .* must be above 0"),
+        ({"scales": [] * u.mas}, "must be scale numbers such as"),
+        ({"scales": [0.1, np.nan] * u.mas}, "must be scale numbers such as"),
+        (
+            {"scales": [0.2] * u.mas, "wavelet": "b2"},
+            "wavelet = 'b2' must be one of b1, b3",
+        ),
+        ({"wavelet": "b2"}, "wavelet = 'b2' must be one of b1, b3"),
+        ({"noise": "none"}, "noise = 'none' must be one of plane"),
         ({"detection": 2.0}, "detection"),
         ({"segmentation": 0.0}, "segmentation"),
         ({"kappa": 1.0}, "kappa must be between 0 and 1"),
-        ({"target": "image"}, "unknown target 'image'"),
-        ({"min_overlap": 0.0}, "min_overlap must be above 0"),
+        ({"target": "image"}, "target = 'image' must be one of seg"),
+        ({"min_overlap": 0.0}, "min_overlap = 0.0 must be above 0"),
     ],
 )
 def test_a_setting_that_cannot_be_meant(settings, message):
@@ -179,22 +195,20 @@ def test_a_setting_that_cannot_be_meant(settings, message):
 
 
 @pytest.mark.parametrize(
-    ("settings", "unit"),
+    ("settings", "wanted"),
     [
-        ({"max_speed": 2.0}, "mas / yr"),
-        ({"max_speed": 2 * u.km / u.s}, "mas / yr"),
-        ({"baseline": [1, 2]}, "yr"),
-        ({"baseline": [1, 2] * u.mas}, "yr"),
-        ({"position_angle": 65}, "deg"),
-        ({"position_angle": 1 * u.yr}, "deg"),
-        ({"scales": [1, 2] * u.s}, "mas"),
+        ({"max_speed": 2.0}, "an angle per time with a unit, such as '2 mas/yr'"),
+        ({"max_speed": 2 * u.km / u.s}, "an angle per time with a unit"),
+        ({"baseline": [1, 2]}, "a shortest and a longest time, such as '0.2 yr 1.0"),
+        ({"baseline": [1, 2] * u.mas}, "a shortest and a longest time"),
+        ({"position_angle": 65}, "radial, ridge, fit or an angle with a unit"),
+        ({"position_angle": 1 * u.yr}, "radial, ridge, fit or an angle with a unit"),
+        ({"scales": [1, 2] * u.s}, "scale numbers such as 1,2,3 or angles such as"),
     ],
 )
-def test_a_unit_that_does_not_fit(settings, unit):
+def test_a_unit_that_does_not_fit(settings, wanted):
     (name,) = settings
-    with pytest.raises(
-        u.UnitConversionError, match=f"{name} must be in a unit like {unit}, got"
-    ):
+    with pytest.raises(u.UnitConversionError, match=f"{name} = .* must be {wanted}"):
         StackedCrossCorrelation(**settings)
 
 
@@ -221,10 +235,10 @@ def test_settings_are_kept_in_the_units_of_the_package():
     assert StackedCrossCorrelation(max_speed="2 mas/yr").max_speed == 2 * PM
 
 
-@pytest.mark.parametrize("n_trials", [-3, 0, 1])
+@pytest.mark.parametrize("n_trials", [-3, 0, 1, "many", 10.5, True])
 def test_needs_two_trials_or_more(cube, n_trials):
     with pytest.raises(
-        ValueError, match=f"n_trials must be at least 2, got {n_trials}"
+        ValueError, match=f"n_trials = {n_trials!r} must be (2 to|a who)"
     ):
         measure(cube, n_trials=n_trials)
 

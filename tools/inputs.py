@@ -509,7 +509,9 @@ def _options(*words, **texts):
     return make
 
 
-refused("a scale twice", "scales must differ, got 1, 2, 1")(_options("--scales=1,2,1"))
+refused("a scale twice", "--scales '1,2,1': must differ: leave out")(
+    _options("--scales=1,2,1")
+)
 refused("no scale", "--scales '': must be scale numbers such as 1,2,3")(
     _options("--scales=")
 )
@@ -528,8 +530,42 @@ refused("largest speed below any that is seen", "max_speed moves .* give a large
 case("position angle of the jet beyond 360 degrees")(
     _options("--position-angle=630 deg")
 )
+case("position angle below zero, as an option may be")(
+    _options("--position-angle", "-90deg")
+)
+refused("position angle without a unit", "'-90': has no unit at its end; it must be")(
+    _options("--position-angle", "-90")
+)
+refused("a speed of two numbers", "--max-speed '1 5 mas/yr': must be an angle per")(
+    _options("--max-speed=1 5 mas/yr")
+)
 refused("redshift beyond any", "--redshift '1e300': must be below 1090")(
     _options("--redshift=1e300")
+)
+refused("redshift as a velocity", "is a velocity.* give the redshift, 0.158 if it is")(
+    _options("--redshift=47367 km/s")
+)
+refused("redshift as a velocity without its unit", "must be below 1090; of a velocity")(
+    _options("--redshift=47367")
+)
+refused("redshift as a distance", "'600 Mpc': is a length; give it as the distance")(
+    _options("--redshift=600 Mpc")
+)
+case("redshift in per cent")(_options("--redshift=15.8 %"))
+refused("distance without a unit", "--distance '16.7': has no unit at its end; it")(
+    _options("--distance=16.7")
+)
+refused("distance with a blank for its point", "'16 7 Mpc': must be one distance")(
+    _options("--distance=16 7 Mpc")
+)
+refused("a cosmology that nobody knows", "'Planck': is no cosmology; give H0=71,Om0")(
+    _options("--redshift=0.158", "--cosmology=Planck")
+)
+refused("a redshift and a distance", "distance needs neither redshift nor cosmology")(
+    _options("--redshift=0.158", "--distance=16.7 Mpc")
+)
+refused("redshift as a velocity in a file", "c.toml: redshift = '47367 km/s' is a vel")(
+    _options("--config={folder}/c.toml", c_toml="redshift = '47367 km/s'")
 )
 refused("a region outside the image", "r.reg: ")(
     _options("--region={folder}/r.reg", r_reg="image\ncircle(999,999,3)\n")

@@ -3,6 +3,7 @@
 
 import argparse
 import os
+import re
 import sys
 
 from astro_scc import __version__
@@ -32,6 +33,8 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **options):
         options.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         super().__init__(allow_abbrev=False, **options)
+        # "-112deg" is an angle and no option, as argparse takes "-112" for one.
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message):
         """Leave with one line and status 2."""

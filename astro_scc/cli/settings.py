@@ -84,7 +84,7 @@ def settings_of(args, reporter):
         If one makes no sense, some do not go together, or there are no epochs.
     """
     from astro_scc.config import read_config
-    from astro_scc.config.measuring import PAPER_COSMOLOGY, settings_over
+    from astro_scc.config.measuring import settings_over
 
     config, written_by = read_config(args.config) if args.config else ({}, {})
     _compare_versions(written_by, args, reporter)
@@ -94,12 +94,8 @@ def settings_of(args, reporter):
         if (value := getattr(args, name, None)) not in (None, [])
     }
     config = settings_over(config, given)
-    if "distance" in config and ("redshift" in config or "cosmology" in config):
-        raise ValueError("--distance needs neither --redshift nor --cosmology")
     if "cosmology" in config and "redshift" not in config:
         raise ValueError("--cosmology needs a --redshift")
-    if "redshift" in config:
-        config.setdefault("cosmology", PAPER_COSMOLOGY)
     if not config.get("epochs"):
         raise ValueError("no epochs were given; name the FITS files, or a --config")
     return config

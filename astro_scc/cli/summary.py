@@ -3,7 +3,7 @@
 
 import math
 
-__all__ = ["component_lines", "profile_lines", "table_lines"]
+__all__ = ["component_lines", "profile_lines", "speed_lines", "table_lines"]
 
 # What stands beside the numbers of each kind of component.
 REMARKS = {"moving": "", "stationary": "stationary, no discovery"}
@@ -107,7 +107,7 @@ def component_lines(components):
             f"{n} of {len(components)} rows of components.ecsv may be chance "
             f"(p_global above {components.meta['settings']['level']:g})"
         )
-    return lines
+    return [*lines, *speed_lines(components.meta)]
 
 
 def profile_lines(components):
@@ -137,13 +137,44 @@ def profile_lines(components):
             with_error(row["pm_parallel"].value, row["pm_parallel_err"].value),
         ]
         if in_c:
-            cells.append(with_error(row["beta_app"], row["beta_app_err"]))
+            cells.append(with_error(row["beta_app"].value, row["beta_app_err"].value))
         cells += [f"{row['p_global']:.2g}", f"{row['p_fdr']:.2g}", str(row["n_ssp"])]
         rows.append([*cells, {"uncertain": "may be chance"}.get(
             str(row["kind"]), REMARKS.get(str(row["kind"]), ""))])  # fmt: skip
     if not rows:
         return ["No velocity could be tested in any bin."]
-    return [*table_lines(head, rows), *PROFILE_EXPLANATION]
+    how = speed_lines(components.meta)
+    return [*table_lines(head, rows), *PROFILE_EXPLANATION, *how]
+
+
+def speed_lines(meta):
+    """
+    Return what speeds in units of c were made with, as lines.
+
+    Parameters
+    ----------
+    meta : dict
+        Of a table, or the settings of a measurement.
+
+    Returns
+    -------
+    list of str
+        None where there are no such speeds.
+
+    Examples
+    --------
+    >>> from astro_scc.cli.summary import speed_lines
+    >>> speed_lines({"redshift": 0.158, "cosmology": "H0=71,Om0=0.27"})[0]
+    'speeds in c: redshift 0.158, FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0 = 0.27'
+    """
+    from astro_scc.kinematics import cosmology_text
+
+    if "distance" in meta:
+        return [f"speeds in c: distance {meta['distance']:g}"]
+    if "redshift" in meta:
+        how = cosmology_text(meta["cosmology"])
+        return [f"speeds in c: redshift {meta['redshift']:g}, {how}"]
+    return []
 
 
 def _found_lines(components, kinds):
@@ -163,7 +194,7 @@ def _found_lines(components, kinds):
             f"{angle:.0f}" if math.isfinite(angle) else "-",
         ]
         if in_c:
-            cells.append(with_error(row["beta_app"], row["beta_app_err"]))
+            cells.append(with_error(row["beta_app"].value, row["beta_app_err"].value))
         cells += [f"{row['p_global']:.2g}", f"{row['z_score']:.1f}", str(row["n_ssp"])]
         rows.append([*cells, REMARKS[kind]])
     return table_lines(head, rows)

@@ -134,7 +134,11 @@ def _cluster(n_workers, n_local, reporter):
 
 def _summary(table):
     """Numbers of sources, and of the components that are discoveries."""
+    from collections import Counter
+
     import numpy as np
+
+    from astro_scc.kinematics import cosmology_text
 
     status = np.asarray(table["status"], dtype=str)
     source = np.asarray(table["source"], dtype=str)
@@ -149,3 +153,9 @@ def _summary(table):
             found = np.asarray(with_p["kind"], dtype=str) == kind
             small = found & (np.asarray(with_p["p_fdr"]) <= 0.05)
             yield (f"{kind}: {int(found.sum())}, with p_fdr <= 0.05 {int(small.sum())}")
+    how = (
+        cosmology_text(meta["cosmology"]) if "cosmology" in meta else "distances"
+        for meta in table.meta["speeds_in_c"].values()
+    )
+    for text, n in Counter(how).items():
+        yield f"speeds in c: {text}, sources {n}"

@@ -12,8 +12,8 @@ from astro_scc.cli.arguments import (
     add_votable,
     add_workers,
 )
-from astro_scc.cli.settings import draw_seed, settings_of, workers_of
-from astro_scc.cli.summary import table_lines
+from astro_scc.cli.settings import draw_seed, parse_option, settings_of, workers_of
+from astro_scc.cli.summary import speed_lines, table_lines
 
 __all__ = ["add_parser", "run"]
 
@@ -41,6 +41,8 @@ PRODUCTS = (
 )
 #: Settings of a measurement that tracking has no use for.
 UNUSED = dict.fromkeys(("baseline", "kernel"))
+#: Settings of the tracker alone.
+TRACKER = ("along", "across", "tolerance", "max_gap", "max_interval", "min_epochs")
 N_TRIALS = 20
 
 
@@ -134,7 +136,7 @@ def run(args, reporter):
     config = settings_of(args, reporter)
     n_workers = workers_of(args)
     tracker = _tracker(args, config)
-    half_width = _quantity(args, "half_width", "mas")
+    half_width = args.half_width and parse_option("half_width", args.half_width)
     stack = None if args.profile is None else _stack_profile(args.profile)
     with product_folder(
         args.output, overwrite=args.overwrite, stale=PRODUCTS
@@ -147,7 +149,7 @@ def run(args, reporter):
         )
         if not args.no_figures:
             draw_tracks(tracking, profile, config, folder, stack=stack)
-    for line in _summary(tracking):
+    for line in (*_summary(tracking), *speed_lines(config)):
         reporter.say(line)
     reporter.say(f"\nTables{'' if args.no_figures else ' and figures'}: {args.output}")
 
@@ -163,48 +165,16 @@ def _tracker(args, config):
         # That of a measurement is for stacks.
         del settings["kappa"]
     settings |= {
-        "along": _quantity(args, "along", "mas/yr", 2),
-        "across": _quantity(args, "across", "mas/yr", 2),
-        "max_interval": _quantity(args, "max_interval", "yr"),
+        name: parse_option(name, value)
+        for name in TRACKER
+        if (value := getattr(args, name)) is not None
     }
-    for name, kind in (("tolerance", float), ("max_gap", int), ("min_epochs", int)):
-        text = getattr(args, name)
-        if text is not None:
-            option = f"--{name.replace('_', '-')}"
-            try:
-                settings[name] = kind(text)
-            except ValueError:
-                what = "a whole number" if kind is int else "a number"
-                raise ValueError(f"{option} {text!r}: must be {what}") from None
     if settings.get("along") is None and settings.get("across") is None:
         # A measurement's axes that need more than tracking has are no matter.
         angle = settings.get("position_angle")
         if args.position_angle is None and isinstance(angle, str):
             del settings["position_angle"]
     return FeatureTracker(**settings)
-
-
-def _quantity(args, name, unit, number=1):
-    """One or two quantities of an option, None if it was not given."""
-    import astropy.units as u
-
-    from astro_scc.config import parse_quantities
-
-    text = getattr(args, name)
-    if text is None:
-        return None
-    option = f"--{name.replace('_', '-')}"
-    wanted = f"must be {'one value' if number == 1 else 'two values'} in {unit}"
-    try:
-        values = parse_quantities(text)
-    except ValueError as error:
-        raise ValueError(f"{option} {text!r}: {error}; it {wanted}") from None
-    good = len(values) == number and all(v.unit.is_equivalent(unit) for v in values)
-    if not good:
-        raise ValueError(f"{option} {text!r}: {wanted}")
-    if name == "half_width" and not values[0].value > 0:
-        raise ValueError(f"{option} {text!r}: must be above 0")
-    return values[0] if number == 1 else u.Quantity(values).to(unit)
 
 
 def _stack_profile(path):

@@ -36,6 +36,7 @@ def write_tracks(tracking, config, folder, *, half_width=None, votable=False):
 
     from astro_scc.config import distance_of, plain_settings
     from astro_scc.measurement import versions, write_votable
+    from astro_scc.measurement.products import plain_meta
     from astro_scc.tracking import plain_table
 
     how = distance_of(config)
@@ -47,7 +48,7 @@ def write_tracks(tracking, config, folder, *, half_width=None, votable=False):
     profile = tracking.profile(radii * longest, half_width=half_width)
     meta = {
         "configuration": plain_settings(config),
-        **{k: _plain(v) for k, v in {**tracks.meta, **profile.meta}.items()},
+        **plain_meta({**tracks.meta, **profile.meta}),
         "versions": versions(),
     }
     tables = {
@@ -62,19 +63,6 @@ def write_tracks(tracking, config, folder, *, half_width=None, votable=False):
         if votable and name != "track_profile":
             write_votable(plain_table(table), folder / f"{name}.vot", overwrite=True)
     return profile
-
-
-def _plain(value):
-    """What ECSV readers understand without astropy's classes."""
-    from astro_scc.measurement import plain_cosmology
-
-    if hasattr(value, "unit"):
-        return str(value) if value.isscalar else [str(v) for v in value]
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if hasattr(value, "to_format"):
-        return plain_cosmology(value)
-    return value
 
 
 def draw_tracks(tracking, profile, config, folder, *, stack=None):

@@ -14,7 +14,7 @@ from astro_scc.config.measuring import (
     settings_as_used,
 )
 from astro_scc.config.settings import parse_setting, plain_settings
-from astro_scc.config.text import parse_quantities, to_cosmology, to_time
+from astro_scc.quantities import parse_quantities, to_time
 
 __all__ = [
     "distance_of",
@@ -26,6 +26,5 @@ __all__ = [
     "read_epochs",
     "select_epochs",
     "settings_as_used",
-    "to_cosmology",
     "to_time",
 ]

@@ -4,7 +4,12 @@
 import tomllib
 from pathlib import Path
 
-from astro_scc.config.settings import SETTINGS, parse_setting, plain_settings
+from astro_scc.config.settings import (
+    SETTINGS,
+    parse_setting,
+    plain_settings,
+    shortened,
+)
 
 __all__ = ["format_config", "read_config", "read_toml"]
 
@@ -54,7 +59,7 @@ def read_config(path):
         try:
             settings[name] = parse_setting(name, value)
         except ValueError as error:
-            raise ValueError(f"{path}: {name} = {_short(value)} {error}") from None
+            raise ValueError(f"{path}: {name} = {shortened(value)} {error}") from None
     return settings, versions
 
 
@@ -87,11 +92,6 @@ def read_toml(path):
     except ValueError as error:
         # Of the encoding, of TOML, of numbers with thousands of digits.
         raise ValueError(f"{path}: is not a TOML file: {error}") from None
-
-
-def _short(value):
-    text = repr(value)
-    return text if len(text) < 80 else f"{text[:70]}..."
 
 
 def _nearest(name):

@@ -5,8 +5,7 @@ from dataclasses import fields
 
 __all__ = ["distance_of", "read_epochs", "select_epochs", "settings_as_used"]
 
-
-#: That of Mertens & Lobanov (2016), for a redshift without another.
+#: `~astro_scc.kinematics.paper_cosmology`, as it stands in a file.
 PAPER_COSMOLOGY = "H0=71,Om0=0.27"
 
 
@@ -22,13 +21,23 @@ def settings_over(config, own):
     -------
     dict
         One kind of distance in ``own``, by redshift or not, replaces the
-        other.
+        other; a redshift has a cosmology.
+
+    Raises
+    ------
+    ValueError
+        If there are both a distance and a redshift.
     """
     if "distance" in own:
         config = {k: v for k, v in config.items() if k not in ("redshift", "cosmology")}
     elif "redshift" in own:
         config = {k: v for k, v in config.items() if k != "distance"}
-    return {**config, **own}
+    config = {**config, **own}
+    if "distance" in config and ("redshift" in config or "cosmology" in config):
+        raise ValueError("distance needs neither redshift nor cosmology; leave one out")
+    if "redshift" in config:
+        config.setdefault("cosmology", PAPER_COSMOLOGY)
+    return config
 
 
 def read_epochs(config, *, files=None, note=None):
@@ -139,7 +148,7 @@ def select_epochs(cube, config):
     >>> len(late), len(left_out)
     (2, 2)
     """
-    from astro_scc.config.text import to_time
+    from astro_scc.quantities import to_time
 
     left_out = {}
     # In atomic time, as far dates are.
@@ -216,13 +225,5 @@ def distance_of(config):
     >>> sorted(distance_of(settings))
     ['distance']
     """
-    from astro_scc.config.text import to_cosmology
-
-    if "distance" in config:
-        return {"distance": config["distance"]}
-    if "redshift" in config:
-        return {
-            "redshift": config["redshift"],
-            "cosmology": to_cosmology(config["cosmology"]),
-        }
-    return {}
+    names = ("distance",) if "distance" in config else ("redshift", "cosmology")
+    return {name: config[name] for name in names if name in config}

@@ -1,29 +1,22 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The settings of a measurement: what each may be, and how it is written."""
 
+import operator
 import re
 from datetime import date
 
-from astro_scc.config.text import (
-    NUMBER,
-    parse_quantities,
-    parse_unit,
-    to_cosmology,
-    to_time,
-)
+from astro_scc.quantities import to_quantity, to_time
 
-__all__ = ["SETTINGS", "parse_setting", "plain_settings"]
+__all__ = ["SETTINGS", "parse_setting", "plain_settings", "require", "shortened"]
 
-#: Redshift of the microwave background, beyond which nothing is seen.
-LAST_SCATTERING = 1090
 # FITS and TOML keep integers of 64 bits.
 _LARGEST_SEED = 2**63 - 1
 
 
 # -- what a setting may be -------------------------------------------------------
 #
-# Each function takes what a TOML file or the command line has and returns the
-# value, or raises a ValueError that continues "NAME = VALUE ...".
+# Each function takes what a TOML file, the command line or Python has and returns
+# the value, or raises a ValueError that continues "NAME = VALUE ...".
 
 
 def _text(value):
@@ -40,9 +33,10 @@ def _paths(value):
 
 
 def _boolean(value):
-    if not isinstance(value, bool):
+    # That of numpy is another class.
+    if type(value).__name__ not in ("bool", "bool_"):
         raise ValueError("must be true or false")
-    return value
+    return bool(value)
 
 
 def _number(value):
@@ -66,23 +60,27 @@ def _positive(value):
     return number
 
 
-def _redshift(value):
-    number = _positive(value)
-    if not number < LAST_SCATTERING:
-        raise ValueError(f"must be below {LAST_SCATTERING}")
-    return number
+def _fraction(largest, of=""):
+    def parse(value):
+        number = _number(value)
+        if not 0 < number < largest:
+            raise ValueError(f"must be {of}between 0 and {largest}")
+        return number
+
+    return parse
 
 
-def _integer(smallest, largest):
+def _integer(smallest, largest=None):
     def parse(value):
         try:
-            if not isinstance(value, str | int) or isinstance(value, bool):
+            if isinstance(value, bool):
                 raise TypeError
-            number = int(value)
+            number = int(value) if isinstance(value, str) else operator.index(value)
         except (TypeError, ValueError):
             raise ValueError("must be a whole number") from None
-        if not smallest <= number <= largest:
-            raise ValueError(f"must be {smallest} to {largest}")
+        if not smallest <= number <= (number if largest is None else largest):
+            limit = "or more" if largest is None else f"to {largest}"
+            raise ValueError(f"must be {smallest} {limit}")
         return number
 
     return parse
@@ -90,126 +88,137 @@ def _integer(smallest, largest):
 
 def _choice(*choices):
     def parse(value):
-        if value not in choices:
+        if not isinstance(value, str) or value not in choices:
             raise ValueError(f"must be one of {', '.join(choices)}")
         return value
 
     return parse
 
 
-def _quantity(value, kind, example, positive=True):
-    """One quantity, whose unit may have blanks in it."""
-    import astropy.units as u
+def _quantity(kind, example):
+    """One positive quantity of the kind of an example."""
 
-    wanted = f"must be {kind} with a unit, such as {example!r}"
-    if not isinstance(value, str):
-        raise ValueError(wanted)
-    match = re.fullmatch(rf"\s*({NUMBER})\s*(\D.*?)\s*", value)
-    if match is None:
-        raise ValueError(wanted)
-    unit = parse_unit(match.group(2))
-    if not unit.is_equivalent(u.Quantity(example).unit):
-        raise ValueError(wanted)
-    found = u.Quantity(float(match.group(1)), unit)
-    if positive and not found.value > 0:
-        raise ValueError("must be above 0")
-    return found
+    def parse(value):
+        import astropy.units as u
 
+        wanted = f"must be {kind} with a unit, such as {example!r}"
+        found = to_quantity(value, u.Quantity(example).unit, wanted)
+        if not found.isscalar:
+            raise ValueError(wanted)
+        if not 0 < found.value < float("inf"):
+            raise ValueError("must be finite and above 0")
+        return found
 
-def _speed(value):
-    return _quantity(value, "an angle per time", "2 mas/yr")
-
-
-def _distance(value):
-    return _quantity(value, "a length", "16.7 Mpc")
-
-
-def _position_angle(value):
-    if value in ("radial", "ridge", "fit"):
-        return value
-    example = "65 deg"
-    kind = "radial, ridge, fit or an angle"
-    return _quantity(value, kind, example, positive=False)
+    return parse
 
 
 def _quantities(value, unit, wanted):
-    """Several quantities of one kind, as one `~astropy.units.Quantity`."""
-    import astropy.units as u
+    """Finite quantities of one kind."""
+    import numpy as np
 
-    if isinstance(value, list | tuple) and all(isinstance(v, str) for v in value):
-        value = " ".join(value)
-    if not isinstance(value, str):
+    found = to_quantity(value, unit, wanted)
+    if found.size == 0 or found.ndim > 1 or not np.all(np.isfinite(found)):
         raise ValueError(wanted)
-    try:
-        items = parse_quantities(value)
-    except ValueError as error:
-        raise ValueError(f"{error}; it {wanted}") from None
-    if not all(item.unit.is_equivalent(unit) for item in items):
+    return found
+
+
+def _position_angle(value):
+    # A frame of astro_scc.kinematics says itself what it is.
+    if hasattr(value, "matrix") or (
+        isinstance(value, str) and value in ("radial", "ridge", "fit")
+    ):
+        return value
+    wanted = "must be radial, ridge, fit or an angle with a unit, such as '65 deg'"
+    angle = _quantities(value, "deg", wanted)
+    if not angle.isscalar:
         raise ValueError(wanted)
-    return u.Quantity(items)
+    return angle
 
 
 def _baseline(value):
-    import astropy.units as u
-
     wanted = "must be a shortest and a longest time, such as '0.2 yr 1.0 yr'"
-    times = _quantities(value, u.yr, wanted)
-    if len(times) != 2 or not 0 <= times[0] < times[1]:
+    times = _quantities(value, "yr", wanted)
+    if times.shape != (2,) or not 0 <= times[0] <= times[1]:
         raise ValueError(wanted)
     return times
 
 
+def _speeds(value):
+    wanted = "must be a smallest and a largest speed, such as '-1 4 mas/yr'"
+    speeds = _quantities(value, "mas/yr", wanted)
+    if speeds.shape != (2,) or not speeds[0] < speeds[1]:
+        raise ValueError(wanted)
+    return speeds
+
+
 def _nulls(value):
+    from astro_scc.stacking import NULL_HYPOTHESES
+
     names = re.split(r"[\s,]+", value.strip()) if isinstance(value, str) else value
-    if not isinstance(names, list | tuple) or not set(names) <= set(NULLS):
-        raise ValueError(f"must be of {', '.join(NULLS)}")
+    known = isinstance(names, list | tuple) and set(names) <= set(NULL_HYPOTHESES)
+    if not names or not known:
+        raise ValueError(f"must be of {', '.join(NULL_HYPOTHESES)}")
     return tuple(names)
 
 
 def _alignment_error(value):
-    import astropy.units as u
-
-    if isinstance(value, str):
-        return _quantity(value, "an angle", "0.02 mas")
     wanted = "must be an angle or a list of them, such as '0.02 mas'"
-    return _quantities(value, u.mas, wanted)
+    errors = _quantities(value, "mas", wanted)
+    if not (errors >= 0).all():
+        raise ValueError("must be 0 or above")
+    return errors
 
 
 def _bins(value):
-    import astropy.units as u
-
     wanted = "must be increasing distances, such as '0.5 1.5 2.5 mas'"
-    edges = _quantities(value, u.mas, wanted)
+    edges = _quantities(value, "mas", wanted).reshape(-1)
     if not (edges[0] >= 0 and all(edges[1:] > edges[:-1])):
         raise ValueError(wanted)
     return edges
 
 
-def _window(value):
-    return _quantity(value, "an angle", "2 mas")
-
-
 def _scales(value):
-    import astropy.units as u
-
     wanted = "must be scale numbers such as 1,2,3 or angles such as '0.2,0.4 mas'"
+    items = value
     if isinstance(value, str):
-        value = [word for word in re.split(r"[\s,]+", value.strip()) if word]
-    elif not isinstance(value, list | tuple):
-        value = [value]
-    if not value:
-        raise ValueError(wanted)
+        items = re.findall(r"[^\s,]+", value)
+    elif not hasattr(value, "__len__"):
+        items = [value]
     try:
-        return tuple(_number(item) for item in value)
-    except ValueError:
-        pass
-    angles = _quantities(value, u.deg, wanted)
-    if not all(angles > 0):
-        raise ValueError("must be above 0")
-    return angles
+        numbers = tuple(_number(item) for item in items)
+    except (TypeError, ValueError):
+        angles = _quantities(value, "mas", wanted).reshape(-1)
+        if not (angles > 0).all():
+            raise ValueError("must be above 0") from None
+        return angles
+    if not numbers:
+        raise ValueError(wanted)
+    if len(set(numbers)) < len(numbers):
+        raise ValueError("must differ: leave out what is there twice")
+    return numbers
+
+
+def _redshift(value):
+    from astro_scc.kinematics import to_redshift
+
+    redshift = to_redshift(value)
+    if not isinstance(redshift, float):
+        raise ValueError("must be one redshift")
+    return redshift
+
+
+def _distance(value):
+    from astro_scc.kinematics.cosmology import to_distance
+
+    distance = to_distance(value)
+    if not distance.isscalar:
+        raise ValueError("must be one distance")
+    return distance
 
 
 def _cosmology(value):
+    from astro_scc.kinematics import to_cosmology
+
     to_cosmology(_text(value))
     return value.strip()
 
@@ -221,8 +230,9 @@ def _date(value):
     return text.strip()
 
 
-#: Null hypotheses, as `astro_scc.stacking.NULL_HYPOTHESES` names them.
-NULLS = ("scramble", "shuffle", "blocks", "reversal", "paper")
+_speed = _quantity("an angle per time", "2 mas/yr")
+_angle = _quantity("an angle", "2 mas")
+
 #: Name of each setting, and the function that makes its value.
 SETTINGS = {
     "epochs": _paths,
@@ -236,7 +246,7 @@ SETTINGS = {
     "max_speed": _speed,
     "position_angle": _position_angle,
     "baseline": _baseline,
-    "kernel": _positive,
+    "kernel": _fraction(5, "a part of the beam "),
     "kappa": _positive,
     "target": _choice("segments", "plane"),
     "min_overlap": _positive,
@@ -244,7 +254,7 @@ SETTINGS = {
     "detection": _positive,
     "segmentation": _positive,
     "noise": _choice("plane", "local", "propagated"),
-    "level": _positive,
+    "level": _fraction(1),
     "nulls": _nulls,
     "alignment_error": _alignment_error,
     "small_displacement_correction": _boolean,
@@ -254,7 +264,27 @@ SETTINGS = {
     "cosmology": _cosmology,
     "distance": _distance,
     "bins": _bins,
-    "window": _window,
+    "window": _angle,
+}
+#: Those of tracking alone, which no file has.
+TRACKING = {
+    "along": _speeds,
+    "across": _speeds,
+    "tolerance": _fraction(5, "a part of the beam "),
+    "max_gap": _integer(0),
+    "max_interval": _quantity("a time", "1 yr"),
+    "min_epochs": _integer(3),
+    "half_width": _angle,
+}
+#: Units that are computed with.
+UNITS = {
+    "max_speed": "mas / yr",
+    "position_angle": "deg",
+    "baseline": "yr",
+    "alignment_error": "mas",
+    "along": "mas / yr",
+    "across": "mas / yr",
+    "max_interval": "yr",
 }
 
 
@@ -265,9 +295,9 @@ def parse_setting(name, value):
     Parameters
     ----------
     name : str
-        Key of the configuration.
+        Key of the configuration, or option of the tracking.
     value
-        As TOML gives it, or as text.
+        As TOML gives it, or as text, or what it is in Python.
 
     Returns
     -------
@@ -278,7 +308,8 @@ def parse_setting(name, value):
     Raises
     ------
     ValueError
-        With what the value must be, to follow after its name.
+        With what the value must be, to follow after its name; a
+        `~astropy.units.UnitConversionError` if it is the unit.
     KeyError
         If there is no such setting.
 
@@ -290,7 +321,61 @@ def parse_setting(name, value):
     >>> parse_setting("scales", "1,2,3")
     (1.0, 2.0, 3.0)
     """
-    return SETTINGS[name](value)
+    return (SETTINGS | TRACKING)[name](value)
+
+
+def require(name, value):
+    """
+    Return the value of a setting that is given in Python.
+
+    Parameters
+    ----------
+    name : str
+        See `parse_setting`.
+    value : object
+        None stays None.
+
+    Returns
+    -------
+    object
+        Quantities in the units that are computed with.
+
+    Raises
+    ------
+    ValueError
+        In one line with name, value and what it must be; a
+        `~astropy.units.UnitConversionError` if it is the unit.
+
+    Examples
+    --------
+    >>> from astro_scc.config.settings import require
+    >>> require("baseline", "73.05 d 1 yr")
+    <Quantity [0.2, 1. ] yr>
+    """
+    if value is None:
+        return None
+    try:
+        found = parse_setting(name, value)
+    except ValueError as error:
+        raise type(error)(f"{name} = {shortened(value)} {error}") from None
+    return found.to(UNITS[name]) if name in UNITS and hasattr(found, "to") else found
+
+
+def shortened(value):
+    """
+    Return a value as text that fits in a line.
+
+    Parameters
+    ----------
+    value : object
+
+    Returns
+    -------
+    str
+    """
+    text = str(value) if hasattr(value, "unit") else repr(value)
+    text = " ".join(text.split())
+    return text if len(text) < 80 else f"{text[:70]}..."
 
 
 def plain_settings(settings):

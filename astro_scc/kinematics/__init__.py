@@ -3,16 +3,24 @@
 
 from astro_scc.kinematics.cosmology import (
     apparent_speed,
+    cosmology_text,
+    paper_cosmology,
+    table_in_c,
+    to_cosmology,
+    to_redshift,
+)
+from astro_scc.kinematics.expansion import ExpansionFrame
+from astro_scc.kinematics.flow import (
     beta_intrinsic,
     doppler_factor,
+    intrinsic_table,
     lorentz_factor,
     maximum_viewing_angle,
     minimum_lorentz_factor,
-    paper_cosmology,
+    two_sided_jet,
+    two_sided_ratio,
     viewing_angle,
 )
-from astro_scc.kinematics.expansion import ExpansionFrame
-from astro_scc.kinematics.flow import intrinsic_table, two_sided_jet, two_sided_ratio
 from astro_scc.kinematics.frames import (
     PositionAngleFrame,
     RadialFrame,
@@ -34,6 +42,7 @@ __all__ = [
     "SkyFrame",
     "apparent_speed",
     "beta_intrinsic",
+    "cosmology_text",
     "doppler_factor",
     "find_ridge_line",
     "fit_position_angle",
@@ -44,6 +53,9 @@ __all__ = [
     "maximum_viewing_angle",
     "minimum_lorentz_factor",
     "paper_cosmology",
+    "table_in_c",
+    "to_cosmology",
+    "to_redshift",
     "two_sided_jet",
     "two_sided_ratio",
     "viewing_angle",

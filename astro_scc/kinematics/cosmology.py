@@ -1,25 +1,35 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""From proper motions to apparent speeds, Lorentz factors and viewing angles."""
+"""Redshifts, cosmologies and distances, and the apparent speeds that follow."""
+
+import re
 
 import astropy.units as u
 import numpy as np
 from astropy import constants
 
+from astro_scc.quantities import NUMBER, parse_quantities, to_quantity
+
 __all__ = [
     "apparent_speed",
-    "beta_intrinsic",
-    "doppler_factor",
-    "lorentz_factor",
-    "maximum_viewing_angle",
-    "minimum_lorentz_factor",
+    "cosmology_text",
+    "named",
     "paper_cosmology",
-    "viewing_angle",
+    "table_in_c",
+    "to_cosmology",
+    "to_distance",
+    "to_redshift",
 ]
+
+#: Redshift of the microwave background, beyond which nothing is seen.
+LAST_SCATTERING = 1090
+_PARAMETER = re.compile(rf"\s*(\w+)\s*=\s*({NUMBER})\s*")
 
 
 def paper_cosmology():
     """
-    The cosmology of Mertens & Lobanov (2016).
+    Return the cosmology of Mertens & Lobanov (2016).
+
+    It is the one of every redshift that comes without a cosmology.
 
     Returns
     -------
@@ -37,9 +47,163 @@ def paper_cosmology():
     return FlatLambdaCDM(H0=71, Om0=0.27)
 
 
+def to_cosmology(value=None):
+    """
+    Return a cosmology from its name or its parameters.
+
+    Parameters
+    ----------
+    value : `~astropy.cosmology.FLRW`, str or dict, optional
+        A cosmology, which is returned as it is; the name of a realization of
+        `astropy.cosmology`, such as ``Planck18``; parameters in km/s/Mpc and
+        as fractions, ``H0=71, Om0=0.27`` for a flat universe and with
+        ``Ode0`` for any; or what the meta of a table has.  Without it the
+        cosmology is `paper_cosmology`, whatever astropy's own default is.
+
+    Returns
+    -------
+    `~astropy.cosmology.FLRW`
+
+    Raises
+    ------
+    ValueError
+        If it is none of these.
+
+    Examples
+    --------
+    >>> from astro_scc.kinematics import to_cosmology
+    >>> to_cosmology("H0=70, Om0=0.3").H0
+    <Quantity 70. km / (Mpc s)>
+    >>> to_cosmology("Planck18").name
+    'Planck18'
+    """
+    from astropy.cosmology import (
+        FLRW,
+        Cosmology,
+        FlatLambdaCDM,
+        LambdaCDM,
+        realizations,
+    )
+
+    if value is None:
+        return paper_cosmology()
+    if isinstance(value, FLRW):
+        return value
+    if isinstance(value, dict):
+        try:
+            return Cosmology.from_format(value, format="mapping")
+        except (KeyError, TypeError, ValueError):
+            value = ""
+    name = value.strip() if isinstance(value, str) else ""
+    if name in realizations.available:
+        return getattr(realizations, name)
+    matches = [_PARAMETER.fullmatch(part) for part in name.split(",")]
+    if all(matches):
+        values = {m.group(1): float(m.group(2)) for m in matches}
+        known = len(values) == len(matches) and np.all(np.isfinite([*values.values()]))
+        if known and values.get("H0", 0) > 0:
+            if set(values) == {"H0", "Om0"}:
+                return FlatLambdaCDM(**values)
+            if set(values) == {"H0", "Om0", "Ode0"}:
+                return LambdaCDM(**values)
+    raise ValueError(
+        "is no cosmology; give H0=71,Om0=0.27 (and Ode0 unless it is flat) or one of "
+        f"{', '.join(sorted(realizations.available))}"
+    )
+
+
+def cosmology_text(cosmology):
+    """
+    Return a cosmology in a few words.
+
+    Parameters
+    ----------
+    cosmology : `~astropy.cosmology.FLRW`, str or dict
+        See `to_cosmology`.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> from astro_scc.kinematics import cosmology_text
+    >>> cosmology_text("Planck18")
+    'Planck18, FlatLambdaCDM with H0 = 67.66 km/s/Mpc, Om0 = 0.30966'
+    """
+    cosmology = to_cosmology(cosmology)
+    name = f"{cosmology.name}, " if cosmology.name else ""
+    hubble = cosmology.H0.to_value(u.km / u.s / u.Mpc)
+    curved = "" if cosmology.is_flat else f", Ode0 = {cosmology.Ode0:g}"
+    return (
+        f"{name}{type(cosmology).__name__} with H0 = {hubble:g} km/s/Mpc, "
+        f"Om0 = {cosmology.Om0:g}{curved}"
+    )
+
+
+def to_redshift(value):
+    """
+    Return a redshift as a plain number.
+
+    Parameters
+    ----------
+    value : float, str or `~astropy.units.Quantity`
+        A number, per cent, or in the unit ``redshift`` of
+        `astropy.cosmology.units`.
+
+    Returns
+    -------
+    float or `~numpy.ndarray`
+
+    Raises
+    ------
+    ValueError
+        If it is none, or outside 0 to 1090.  A velocity is refused, because
+        there are three definitions of it (c z, the radio convention and the
+        relativistic one), and a length, which is a distance.
+
+    Examples
+    --------
+    >>> from astro_scc.kinematics import to_redshift
+    >>> to_redshift("15.8 %")
+    0.158
+    """
+    import astropy.cosmology.units as cu
+
+    wanted = "must be a redshift, a number such as 0.158"
+    try:
+        if isinstance(value, bool | np.bool_):
+            raise TypeError
+        if isinstance(value, str):
+            if re.fullmatch(rf"\s*{NUMBER}\s*", value):
+                value = float(value)
+            else:
+                (value,) = parse_quantities(value)
+        z = u.Quantity(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(wanted) from None
+    if z.unit.is_equivalent(u.m):
+        raise u.UnitConversionError("is a length; give it as the distance")
+    if z.unit.is_equivalent(u.m / u.s):
+        found = (z / constants.c).to_value(u.one)
+        raise u.UnitConversionError(
+            f"is a velocity, which may be defined in three ways; give the redshift, "
+            f"{found:.4g} if it is c z"
+        )
+    try:
+        z = z.to_value(cu.redshift, cu.dimensionless_redshift())
+    except u.UnitConversionError:
+        raise u.UnitConversionError(wanted) from None
+    if not np.all(z > 0):
+        raise ValueError("must be above 0; give the distance of a nearby source")
+    if not np.all(z < LAST_SCATTERING):
+        raise ValueError(f"must be below {LAST_SCATTERING}; of a velocity c z give z")
+    return z if np.ndim(z) else float(z)
+
+
 def apparent_speed(proper_motion, *, redshift=None, cosmology=None, distance=None):
     """
-    Apparent speed of a proper motion, in units of c.
+    Return the apparent speed of a proper motion, in units of c.
 
     ``beta_app = mu D_M / c = mu D_A (1 + z) / c``, with the transverse
     comoving distance ``D_M`` of the redshift (in a flat universe the
@@ -50,11 +214,12 @@ def apparent_speed(proper_motion, *, redshift=None, cosmology=None, distance=Non
     ----------
     proper_motion : `~astropy.units.Quantity`
         Angle per time, of any shape.
-    redshift : float, optional
-        Needs ``cosmology``.
-    cosmology : `~astropy.cosmology.FLRW`, optional
-        There is no default: the result depends on it by several per cent.
-    distance : `~astropy.units.Quantity`, optional
+    redshift : float, str or `~astropy.units.Quantity`, optional
+        See `to_redshift`.
+    cosmology : `~astropy.cosmology.FLRW`, str or dict, optional
+        Of the redshift, see `to_cosmology`; by default `paper_cosmology`.
+        The result depends on it by several per cent.
+    distance : `~astropy.units.Quantity` or str, optional
         Length, instead of a redshift and a cosmology.
 
     Returns
@@ -65,220 +230,151 @@ def apparent_speed(proper_motion, *, redshift=None, cosmology=None, distance=Non
     Raises
     ------
     ValueError
-        If there is neither a redshift nor a distance, or both; a redshift
-        without a cosmology; or either is not positive.
+        If there is neither a redshift nor a distance, or both; a cosmology
+        without a redshift; or one of them is not what it must be.
 
     Examples
     --------
     >>> import astropy.units as u
-    >>> from astro_scc.kinematics import apparent_speed, paper_cosmology
-    >>> apparent_speed(
-    ...     1 * u.mas / u.yr, redshift=0.158, cosmology=paper_cosmology()
-    ... ).round(2)
+    >>> from astro_scc.kinematics import apparent_speed
+    >>> apparent_speed(1 * u.mas / u.yr, redshift=0.158).round(2)
     <Quantity 10.2>
+    >>> apparent_speed(1 * u.mas / u.yr, redshift=0.158, cosmology="Planck18").round(2)
+    <Quantity 10.65>
     >>> apparent_speed(1 * u.mas / u.yr, distance=16.7 * u.Mpc).round(3)
     <Quantity 0.264>
     """
+    motion = named(
+        "proper_motion",
+        lambda value: to_quantity(
+            value, u.mas / u.yr, "must be an angle per time, such as '2 mas/yr'"
+        ),
+        proper_motion,
+    )
+    how = _how(redshift, cosmology, distance)
+    if "redshift" in how:
+        distance = how["cosmology"].comoving_transverse_distance(how["redshift"])
+    else:
+        distance = how["distance"]
+    motion = motion.to_value(u.rad / u.yr) / u.yr
+    return (motion * distance.to(u.Mpc) / constants.c).to(u.dimensionless_unscaled)
+
+
+def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
+    """
+    Return a table of proper motions with apparent speeds in units of c.
+
+    Parameters
+    ----------
+    table : `~astropy.table.QTable`
+        With the columns ``pm`` and ``pm_err``.
+    redshift, cosmology, distance : optional
+        Of the source, see `apparent_speed`.
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        A copy with the columns ``beta_app`` and ``beta_app_err``, of
+        dimensionless quantities.  The redshift and the cosmology, or the
+        distance, are in its meta; the cosmology as a dictionary that any
+        reader of ECSV understands, and that `to_cosmology` takes.
+
+    Raises
+    ------
+    ValueError
+        As `apparent_speed` does, and if there is more than one redshift or
+        distance.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> from astro_scc.kinematics import table_in_c
+    >>> table = QTable({"pm": [1] * u.mas / u.yr, "pm_err": [0.1] * u.mas / u.yr})
+    >>> found = table_in_c(table, redshift=0.158)
+    >>> found["beta_app"].round(1), found.meta["cosmology"]["Om0"]
+    (<Quantity [10.2]>, 0.27)
+    """
+    how = _how(redshift, cosmology, distance)
+    for name, value in how.items():
+        if np.size(value) > 1:
+            raise ValueError(f"{name} must be one value, that of the source")
+    table = table.copy()
+    for name, what in (("", "apparent speed"), ("_err", "standard error of beta_app")):
+        table[f"beta_app{name}"] = apparent_speed(table[f"pm{name}"], **how)
+        table[f"beta_app{name}"].info.description = f"{what}, in units of c"
+    if "cosmology" in how:
+        plain = how["cosmology"].to_format("mapping", cosmology_as_str=True)
+        # A cosmology itself could not be read before astropy.cosmology is imported.
+        how["cosmology"] = {
+            k: v for k, v in plain.items() if k != "meta" and v is not None
+        }
+    table.meta.update(how)
+    return table
+
+
+def _how(redshift, cosmology, distance):
+    """Return what was given as a redshift and a cosmology, or as a distance."""
     if (redshift is None) == (distance is None):
         raise ValueError(
-            "an apparent speed needs either a redshift with a cosmology, or a distance"
+            "an apparent speed needs either a redshift, of which the cosmology may be "
+            "given, or a distance"
         )
     if distance is None:
-        if cosmology is None:
-            raise ValueError(
-                "a redshift needs a cosmology, such as FlatLambdaCDM(H0=71, Om0=0.27)"
-            )
-        if not (np.all(np.isfinite(redshift)) and np.all(np.asarray(redshift) > 0)):
-            raise ValueError(
-                f"the redshift must be positive, got {redshift}; give the distance of "
-                "a nearby source"
-            )
-        distance = cosmology.comoving_transverse_distance(redshift)
-    elif cosmology is not None:
+        return {
+            "redshift": named("redshift", to_redshift, redshift),
+            "cosmology": named("cosmology", to_cosmology, cosmology),
+        }
+    if cosmology is not None:
         raise ValueError("a distance needs no cosmology; leave it out")
-    distance = u.Quantity(distance).to(u.Mpc)
-    if not np.all(distance > 0):
-        raise ValueError(f"the distance must be positive, got {distance}")
-    motion = u.Quantity(proper_motion).to_value(u.rad / u.yr) / u.yr
-    return (motion * distance / constants.c).to(u.dimensionless_unscaled)
+    return {"distance": named("distance", to_distance, distance)}
 
 
-def beta_intrinsic(beta_app, viewing_angle):
+def to_distance(value):
     """
-    Speed of a flow from its apparent speed, in units of c.
-
-    ``beta = beta_app / (sin t + beta_app cos t)``, the inverse of
-    ``beta_app = beta sin t / (1 - beta cos t)``.
+    Return a distance, checked.
 
     Parameters
     ----------
-    beta_app : array_like or `~astropy.units.Quantity`
-        Apparent speeds in units of c, not negative.
-    viewing_angle : `~astropy.units.Quantity`
-        Angle between the flow and the line of sight.
+    value : `~astropy.units.Quantity` or str
 
     Returns
     -------
     `~astropy.units.Quantity`
-        Dimensionless; NaN where no speed below c gives ``beta_app``.
 
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc.kinematics import beta_intrinsic
-    >>> beta_intrinsic([4, 10], 15 * u.deg).round(4)
-    <Quantity [0.9703,    nan]>
+    Raises
+    ------
+    ValueError
+        If it is no length, or not positive.
     """
-    beta_app = _dimensionless(beta_app)
-    angle = u.Quantity(viewing_angle).to_value(u.rad)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        beta = beta_app / (np.sin(angle) + beta_app * np.cos(angle))
-    possible = (beta >= 0) & (beta < 1)
-    return np.where(possible, beta, np.nan) * u.one
+    wanted = "must be a length with a unit, such as '16.7 Mpc'"
+    distance = to_quantity(value, u.Mpc, wanted)
+    if not np.all((distance > 0) & np.isfinite(distance)):
+        raise ValueError("must be finite and above 0")
+    return distance
 
 
-def lorentz_factor(beta):
+def named(name, parse, value):
     """
-    Lorentz factor ``1 / sqrt(1 - beta^2)`` of a speed.
+    Return what a parser makes of an argument, or name the argument.
 
     Parameters
     ----------
-    beta : array_like or `~astropy.units.Quantity`
-        Speeds in units of c.
+    name : str
+    parse : callable
+        Raises a ValueError that goes on after the value.
+    value : object
 
     Returns
     -------
-    `~astropy.units.Quantity`
-        Dimensionless; NaN where ``abs(beta) >= 1``.
+    object
 
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc.kinematics import beta_intrinsic, lorentz_factor
-    >>> lorentz_factor(beta_intrinsic([4, 6], 15 * u.deg)).round(2)
-    <Quantity [4.13, 7.48]>
+    Raises
+    ------
+    ValueError
+        Of the class that ``parse`` raised.
     """
-    beta = _dimensionless(beta)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gamma = 1 / np.sqrt(1 - beta**2)
-    return np.where(np.abs(beta) < 1, gamma, np.nan) * u.one
-
-
-def minimum_lorentz_factor(beta_app):
-    """
-    Smallest Lorentz factor that can show an apparent speed.
-
-    ``Gamma_min = sqrt(1 + beta_app^2)``, at the viewing angle with
-    ``cos t = beta``.
-
-    Parameters
-    ----------
-    beta_app : array_like or `~astropy.units.Quantity`
-        Apparent speeds in units of c.
-
-    Returns
-    -------
-    `~astropy.units.Quantity`
-        Dimensionless.
-
-    Notes
-    -----
-    Read the other way, a Lorentz factor shows at most ``sqrt(Gamma^2 - 1)``:
-    5.92 c for a Lorentz factor of 6.  Mertens & Lobanov (2016) let a jet
-    with that Lorentz factor go from 4 c to 6 c by a change of viewing angle,
-    which is not possible; 6 c needs 6.08 at least, and 7.48 at 15 degrees.
-
-    Examples
-    --------
-    >>> from astro_scc.kinematics import minimum_lorentz_factor
-    >>> minimum_lorentz_factor(6).round(2)
-    <Quantity 6.08>
-    """
-    return np.sqrt(1 + _dimensionless(beta_app) ** 2) * u.one
-
-
-def doppler_factor(beta, viewing_angle):
-    """
-    Doppler factor ``1 / (Gamma (1 - beta cos t))`` of a flow.
-
-    Parameters
-    ----------
-    beta : array_like or `~astropy.units.Quantity`
-        Speeds of the flow in units of c.
-    viewing_angle : `~astropy.units.Quantity`
-        Angle between the flow and the line of sight.
-
-    Returns
-    -------
-    `~astropy.units.Quantity`
-        Dimensionless; NaN where ``abs(beta) >= 1``.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc.kinematics import doppler_factor
-    >>> doppler_factor(0.9, 10 * u.deg).round(2)
-    <Quantity 3.83>
-    """
-    angle = u.Quantity(viewing_angle).to_value(u.rad)
-    beta = _dimensionless(beta)
-    return 1 / (lorentz_factor(beta) * (1 - beta * np.cos(angle)))
-
-
-def maximum_viewing_angle(beta_app):
-    """
-    Largest angle to the line of sight that allows an apparent speed.
-
-    ``t_max = 2 atan(1 / beta_app)``, reached as the flow's speed
-    approaches c.
-
-    Parameters
-    ----------
-    beta_app : array_like or `~astropy.units.Quantity`
-        Apparent speeds in units of c, not negative.
-
-    Returns
-    -------
-    `~astropy.units.Quantity`
-        Angles; 180 deg for no apparent speed.
-
-    Examples
-    --------
-    >>> from astro_scc.kinematics import maximum_viewing_angle
-    >>> maximum_viewing_angle(6).round(1)
-    <Quantity 18.9 deg>
-    """
-    return np.degrees(2 * np.arctan2(1, _dimensionless(beta_app))) * u.deg
-
-
-def viewing_angle(beta_app, doppler):
-    """
-    Angle to the line of sight from apparent speed and Doppler factor.
-
-    ``tan t = 2 beta_app / (beta_app^2 + delta^2 - 1)``.
-
-    Parameters
-    ----------
-    beta_app : array_like or `~astropy.units.Quantity`
-        Apparent speeds in units of c, not negative.
-    doppler : array_like or `~astropy.units.Quantity`
-        Doppler factors.
-
-    Returns
-    -------
-    `~astropy.units.Quantity`
-        Angles between 0 and 180 deg.
-
-    Examples
-    --------
-    >>> from astro_scc.kinematics import viewing_angle
-    >>> viewing_angle(5, 10).round(1)
-    <Quantity 4.6 deg>
-    """
-    beta_app, doppler = _dimensionless(beta_app), _dimensionless(doppler)
-    angle = np.arctan2(2 * beta_app, beta_app**2 + doppler**2 - 1)
-    return np.degrees(angle) * u.deg
-
-
-def _dimensionless(value):
-    return u.Quantity(value).to_value(u.one)
+    try:
+        return parse(value)
+    except ValueError as error:
+        raise type(error)(f"{name} = {value} {error}") from None

@@ -5,15 +5,197 @@ import astropy.units as u
 import numpy as np
 from astropy import constants
 
-from astro_scc.kinematics.cosmology import (
-    beta_intrinsic,
-    doppler_factor,
-    lorentz_factor,
-    maximum_viewing_angle,
-    minimum_lorentz_factor,
-)
+from astro_scc.kinematics.cosmology import named, to_distance
+from astro_scc.quantities import to_quantity
 
-__all__ = ["intrinsic_table", "two_sided_jet", "two_sided_ratio"]
+__all__ = [
+    "beta_intrinsic",
+    "doppler_factor",
+    "intrinsic_table",
+    "lorentz_factor",
+    "maximum_viewing_angle",
+    "minimum_lorentz_factor",
+    "two_sided_jet",
+    "two_sided_ratio",
+    "viewing_angle",
+]
+
+
+def beta_intrinsic(beta_app, viewing_angle):
+    """
+    Speed of a flow from its apparent speed, in units of c.
+
+    ``beta = beta_app / (sin t + beta_app cos t)``, the inverse of
+    ``beta_app = beta sin t / (1 - beta cos t)``.
+
+    Parameters
+    ----------
+    beta_app : array_like or `~astropy.units.Quantity`
+        Apparent speeds in units of c, not negative.
+    viewing_angle : `~astropy.units.Quantity`
+        Angle between the flow and the line of sight.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+        Dimensionless; NaN where no speed below c gives ``beta_app``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.kinematics import beta_intrinsic
+    >>> beta_intrinsic([4, 10], 15 * u.deg).round(4)
+    <Quantity [0.9703,    nan]>
+    """
+    beta_app = in_units_of_c(beta_app)
+    angle = u.Quantity(viewing_angle).to_value(u.rad)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        beta = beta_app / (np.sin(angle) + beta_app * np.cos(angle))
+    possible = (beta >= 0) & (beta < 1)
+    return np.where(possible, beta, np.nan) * u.one
+
+
+def lorentz_factor(beta):
+    """
+    Lorentz factor ``1 / sqrt(1 - beta^2)`` of a speed.
+
+    Parameters
+    ----------
+    beta : array_like or `~astropy.units.Quantity`
+        Speeds in units of c.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+        Dimensionless; NaN where ``abs(beta) >= 1``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.kinematics import beta_intrinsic, lorentz_factor
+    >>> lorentz_factor(beta_intrinsic([4, 6], 15 * u.deg)).round(2)
+    <Quantity [4.13, 7.48]>
+    """
+    beta = in_units_of_c(beta)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gamma = 1 / np.sqrt(1 - beta**2)
+    return np.where(np.abs(beta) < 1, gamma, np.nan) * u.one
+
+
+def minimum_lorentz_factor(beta_app):
+    """
+    Smallest Lorentz factor that can show an apparent speed.
+
+    ``Gamma_min = sqrt(1 + beta_app^2)``, at the viewing angle with
+    ``cos t = beta``.
+
+    Parameters
+    ----------
+    beta_app : array_like or `~astropy.units.Quantity`
+        Apparent speeds in units of c.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+        Dimensionless.
+
+    Notes
+    -----
+    Read the other way, a Lorentz factor shows at most ``sqrt(Gamma^2 - 1)``:
+    5.92 c for a Lorentz factor of 6.  Mertens & Lobanov (2016) let a jet
+    with that Lorentz factor go from 4 c to 6 c by a change of viewing angle,
+    which is not possible; 6 c needs 6.08 at least, and 7.48 at 15 degrees.
+
+    Examples
+    --------
+    >>> from astro_scc.kinematics import minimum_lorentz_factor
+    >>> minimum_lorentz_factor(6).round(2)
+    <Quantity 6.08>
+    """
+    return np.sqrt(1 + in_units_of_c(beta_app) ** 2) * u.one
+
+
+def doppler_factor(beta, viewing_angle):
+    """
+    Doppler factor ``1 / (Gamma (1 - beta cos t))`` of a flow.
+
+    Parameters
+    ----------
+    beta : array_like or `~astropy.units.Quantity`
+        Speeds of the flow in units of c.
+    viewing_angle : `~astropy.units.Quantity`
+        Angle between the flow and the line of sight.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+        Dimensionless; NaN where ``abs(beta) >= 1``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.kinematics import doppler_factor
+    >>> doppler_factor(0.9, 10 * u.deg).round(2)
+    <Quantity 3.83>
+    """
+    angle = u.Quantity(viewing_angle).to_value(u.rad)
+    beta = in_units_of_c(beta)
+    return 1 / (lorentz_factor(beta) * (1 - beta * np.cos(angle)))
+
+
+def maximum_viewing_angle(beta_app):
+    """
+    Largest angle to the line of sight that allows an apparent speed.
+
+    ``t_max = 2 atan(1 / beta_app)``, reached as the flow's speed
+    approaches c.
+
+    Parameters
+    ----------
+    beta_app : array_like or `~astropy.units.Quantity`
+        Apparent speeds in units of c, not negative.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+        Angles; 180 deg for no apparent speed.
+
+    Examples
+    --------
+    >>> from astro_scc.kinematics import maximum_viewing_angle
+    >>> maximum_viewing_angle(6).round(1)
+    <Quantity 18.9 deg>
+    """
+    return np.degrees(2 * np.arctan2(1, in_units_of_c(beta_app))) * u.deg
+
+
+def viewing_angle(beta_app, doppler):
+    """
+    Angle to the line of sight from apparent speed and Doppler factor.
+
+    ``tan t = 2 beta_app / (beta_app^2 + delta^2 - 1)``.
+
+    Parameters
+    ----------
+    beta_app : array_like or `~astropy.units.Quantity`
+        Apparent speeds in units of c, not negative.
+    doppler : array_like or `~astropy.units.Quantity`
+        Doppler factors.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+        Angles between 0 and 180 deg.
+
+    Examples
+    --------
+    >>> from astro_scc.kinematics import viewing_angle
+    >>> viewing_angle(5, 10).round(1)
+    <Quantity 4.6 deg>
+    """
+    beta_app, doppler = in_units_of_c(beta_app), in_units_of_c(doppler)
+    angle = np.arctan2(2 * beta_app, beta_app**2 + doppler**2 - 1)
+    return np.degrees(angle) * u.deg
 
 
 def intrinsic_table(
@@ -62,8 +244,8 @@ def intrinsic_table(
     from astropy import uncertainty
     from astropy.table import QTable
 
-    beta = np.atleast_1d(np.asarray(beta_app, dtype=float))
-    s = np.broadcast_to(np.asarray(error, dtype=float), beta.shape)
+    beta = np.atleast_1d(in_units_of_c(beta_app))
+    s = np.broadcast_to(in_units_of_c(error), beta.shape)
     if not (np.all(np.isfinite(beta) & (beta >= 0)) and np.all(np.isfinite(s))):
         raise ValueError("apparent speeds and errors must be finite and not negative")
     if np.any(s < 0):
@@ -91,6 +273,32 @@ def intrinsic_table(
     table["possible"] = np.isfinite(many[0]).mean(axis=1)
     table.meta.update({"viewing_angle": angle, "angle_error": angle_error})
     return table
+
+
+def in_units_of_c(value):
+    """
+    Return speeds as plain numbers in units of c.
+
+    Parameters
+    ----------
+    value : array_like or `~astropy.units.Quantity`
+
+    Returns
+    -------
+    float or `~numpy.ndarray`
+
+    Raises
+    ------
+    `~astropy.units.UnitConversionError`
+        If they have another unit.
+    """
+    speed = u.Quantity(value, dtype=float)
+    if not speed.unit.is_equivalent(u.one):
+        raise u.UnitConversionError(
+            f"speeds must be in units of c, got {speed.unit}: divide them by "
+            "astropy.constants.c"
+        )
+    return speed.to_value(u.one)
 
 
 def _at_angle(beta_app, angle):
@@ -139,7 +347,10 @@ def two_sided_jet(approaching, receding, distance=None, *, errors=(0.0, 0.0),
     Raises
     ------
     ValueError
-        If the receding motion is not positive, or not the smaller one.
+        If the receding motion is not positive, or not the smaller one, or the
+        distance is not positive.
+    `~astropy.units.UnitConversionError`
+        If a motion, an error other than 0 or the distance has another unit.
 
     Examples
     --------
@@ -152,7 +363,7 @@ def two_sided_jet(approaching, receding, distance=None, *, errors=(0.0, 0.0),
     >>> round(found["beta"][0], 2), found["angle"][0].round(0)
     (0.92, <Quantity 69. deg>)
     """
-    a, r = (u.Quantity(v).to_value(u.rad / u.s) for v in (approaching, receding))
+    a, r = _motion("approaching", approaching), _motion("receding", receding)
     if not 0 < r <= a:
         raise ValueError(
             "the receding motion must be positive and not larger than the approaching "
@@ -162,7 +373,8 @@ def two_sided_jet(approaching, receding, distance=None, *, errors=(0.0, 0.0),
     trials = []
     for value, error in zip((a, r), errors, strict=True):
         # No error is 0, whatever its unit.
-        s = error.to_value(u.rad / u.s) if hasattr(error, "unit") else 0.0
+        none = isinstance(error, int | float) and error == 0
+        s = 0.0 if none else _motion("errors", error)
         trials.append(np.abs(rng.normal(value, s, n_trials)))
     found = {"beta_cos": _with_error(_beta_cos(a, r), _beta_cos(*trials))}
     speed = constants.c.to_value(u.m / u.s)
@@ -170,13 +382,19 @@ def two_sided_jet(approaching, receding, distance=None, *, errors=(0.0, 0.0),
     farthest = speed / np.sqrt(a * r) * u.m
     found["beta_max_distance"] = farthest.to(u.kpc)
     if distance is not None:
-        d = u.Quantity(distance).to_value(u.m) / speed
+        d = named("distance", to_distance, distance).to_value(u.m) / speed
         value = _angle_and_beta(a, r, d)
         many = _angle_and_beta(*trials, d)
         angle, error = _with_error(value[0], many[0])
         found["angle"] = angle * u.deg, error * u.deg
         found["beta"] = _with_error(value[1], many[1])
     return found
+
+
+def _motion(name, value):
+    wanted = "must be an angle per time with a unit, such as '9 mas/d'"
+    motion = named(name, lambda v: to_quantity(v, u.rad / u.s, wanted), value)
+    return motion.to_value(u.rad / u.s)
 
 
 def _beta_cos(a, r):

@@ -16,7 +16,6 @@ from astro_scc.measurement.patterns import (
     write_ssp_regions,
 )
 from astro_scc.measurement.products import (
-    plain_cosmology,
     product_folder,
     velocity_hdus,
     write_products,
@@ -40,7 +39,6 @@ __all__ = [
     "component_table",
     "false_discovery_rate",
     "match_provenance",
-    "plain_cosmology",
     "position_errors",
     "product_folder",
     "read_matches",

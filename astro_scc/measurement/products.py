@@ -15,7 +15,7 @@ from astropy.io import fits
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.partial import partial_folder, remove_left
 
-__all__ = ["plain_cosmology", "product_folder", "velocity_hdus", "write_products"]
+__all__ = ["plain_meta", "product_folder", "velocity_hdus", "write_products"]
 
 # Of the disk, which do not always come with the name of a file.
 DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
@@ -203,53 +203,17 @@ def _table_meta(result, given, configuration):
         meta.pop("settings", None)
         meta = {"configuration": configuration, **meta}
     meta["history"] = list(result.cube.meta.get("history", ()))
-    if meta.get("cosmology") is not None:
-        meta["cosmology"] = plain_cosmology(meta["cosmology"])
-    return {key: _plain(value) for key, value in meta.items()}
+    return {key: plain_meta(value) for key, value in meta.items()}
 
 
-def plain_cosmology(cosmology):
-    """
-    A cosmology as a dictionary.
-
-    Tables with a `~astropy.cosmology.Cosmology` in their meta cannot be read
-    before `astropy.cosmology` is imported; with this they can.
-
-    Parameters
-    ----------
-    cosmology : `~astropy.cosmology.Cosmology` or dict
-        A dictionary is returned as it is.
-
-    Returns
-    -------
-    dict
-        Which ``Cosmology.from_format(..., format="mapping")`` takes.
-
-    Examples
-    --------
-    >>> from astropy.cosmology import Cosmology
-    >>> from astro_scc.kinematics import paper_cosmology
-    >>> from astro_scc.measurement import plain_cosmology
-    >>> plain = plain_cosmology(paper_cosmology())
-    >>> plain["cosmology"], plain["Om0"]
-    ('FlatLambdaCDM', 0.27)
-    >>> Cosmology.from_format(plain, format="mapping") == paper_cosmology()
-    True
-    """
-    if isinstance(cosmology, dict):
-        return cosmology
-    plain = cosmology.to_format("mapping", cosmology_as_str=True)
-    return {k: v for k, v in plain.items() if k != "meta" and v is not None}
-
-
-def _plain(value):
-    """Scalars of Python, lists and quantities, which ECSV keeps as text."""
+def plain_meta(value):
+    """Return scalars of Python, lists and quantities, which ECSV keeps as text."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain_meta(item) for key, item in value.items()}
     if isinstance(value, u.Quantity):
-        return [_plain(item) for item in value] if value.shape else value
+        return [plain_meta(item) for item in value] if value.shape else value
     if isinstance(value, tuple | list | np.ndarray):
-        return [_plain(item) for item in value]
+        return [plain_meta(item) for item in value]
     return value.item() if isinstance(value, np.generic) else value
 
 

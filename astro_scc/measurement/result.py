@@ -8,13 +8,12 @@ from functools import cached_property
 import astropy.units as u
 import numpy as np
 from astropy.nddata import NDData
-from astropy.table import Column
 from astropy.wcs import WCS
 
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube
-from astro_scc.measurement.products import plain_cosmology
+from astro_scc.kinematics import table_in_c
 from astro_scc.measurement.tables import component_table, ssp_table
 from astro_scc.measurement.velocity_error import VelocityError
 from astro_scc.stacking import (
@@ -243,39 +242,29 @@ class SCCResult:
 
         Parameters
         ----------
-        redshift : float, optional
-            Needs a ``cosmology``.
-        cosmology : `~astropy.cosmology.FLRW`, optional
-        distance : `~astropy.units.Quantity`, optional
-            Of a nearby source, instead of both.
+        redshift : float, str or `~astropy.units.Quantity`, optional
+        cosmology : `~astropy.cosmology.FLRW` or str, optional
+            Of the redshift, or its name; by default
+            `~astro_scc.kinematics.paper_cosmology`.
+        distance : `~astropy.units.Quantity` or str, optional
+            Of a nearby source, instead of a redshift.
 
         Returns
         -------
         `~astropy.table.QTable`
             `components` with the columns ``beta_app`` and ``beta_app_err``,
-            the speed ``pm`` in units of c.  The cosmology is in its meta as a
-            dictionary, from which ``Cosmology.from_format(...,
-            format="mapping")`` makes it again.
+            the speed ``pm`` in units of c, see
+            `~astro_scc.kinematics.table_in_c`.  What it was made with is in
+            its meta.
 
         Raises
         ------
         ValueError
-            If neither a redshift with a cosmology nor a distance is given.
+            If neither a redshift nor a distance is given, or one is none.
         """
-        from astro_scc.kinematics import apparent_speed
-
-        how = {"redshift": redshift, "cosmology": cosmology, "distance": distance}
-        table = self.components.copy()
-        for name in ("pm", "pm_err"):
-            speed = apparent_speed(table[name], **how)
-            table[name.replace("pm", "beta_app")] = Column(
-                u.Quantity(speed).to_value(u.dimensionless_unscaled),
-                description=f"{name} in units of c",
-            )
-        if cosmology is not None:
-            how["cosmology"] = plain_cosmology(cosmology)
-        table.meta.update({k: v for k, v in how.items() if v is not None})
-        return table
+        return table_in_c(
+            self.components, redshift=redshift, cosmology=cosmology, distance=distance
+        )
 
     def velocity_map(self, which="coefficient"):
         """

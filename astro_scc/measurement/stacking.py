@@ -8,6 +8,7 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 
+from astro_scc.config.settings import require
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import (
     PositionAngleFrame,
@@ -42,8 +43,6 @@ from astro_scc.stacking import (
 
 __all__ = ["stack_matches", "velocity_frame"]
 
-#: Frames that are found in the images, or need nothing.
-NAMED_FRAMES = ("radial", "ridge", "fit")
 #: No level asks for more epochs than these.
 MANY = 100
 #: Shift of the paper's correction for small displacements, in beams.
@@ -125,8 +124,7 @@ def stack_matches(
     >>> result.components["pm"].unit
     Unit("mas / yr")
     """
-    if n_trials < 2:
-        raise ValueError(f"n_trials must be at least 2, got {n_trials}")
+    n_trials = require("n_trials", n_trials)
     _warn_of_limits(pairs.n_dates, n_trials, level, nulls)
     if rng is None:
         rng = int(np.random.SeedSequence().entropy % 2**63)

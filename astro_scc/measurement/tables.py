@@ -7,6 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 import astropy.units as u
 import numpy as np
 from astropy.table import Column, QTable
+from astropy.time import Time
 
 from astro_scc.decomposition import scale_size
 from astro_scc.epochs import beam_fwhm, position_errors, ssp_offsets
@@ -80,9 +81,9 @@ def ssp_table(ssps, cube, *, select=None):
     Returns
     -------
     `~astropy.table.QTable`
-        One row an SSP.  Positions ``east`` and ``north`` are offsets of the
-        maximum from the reference pixel, with thermal errors
-        ``beam / (sqrt(2) SNR)``.
+        One row an SSP, its ``date`` a `~astropy.time.Time`.  Positions
+        ``east`` and ``north`` are offsets of the maximum from the reference
+        pixel, with thermal errors ``beam / (sqrt(2) SNR)``.
 
     Examples
     --------
@@ -104,12 +105,11 @@ def ssp_table(ssps, cube, *, select=None):
     fwhm = beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
     error = position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
     size = np.array([scale_size(s) for s in ssps.scale], dtype=float)
-    dates = cube.times.isot[ssps.epoch] if n else np.empty(0, dtype="U23")
     table = QTable(
         {
             "ssp": np.arange(n),
             "epoch": ssps.epoch,
-            "date": dates,
+            "date": Time(cube.times[ssps.epoch], format="isot"),
             "scale": ssps.scale,
             "scale_size": size * cube.pixel_scale,
             "x": ssps.x * u.pix,

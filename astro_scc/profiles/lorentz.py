@@ -8,6 +8,7 @@ import numpy as np
 from astropy.table import QTable
 
 from astro_scc.kinematics import beta_intrinsic, lorentz_factor
+from astro_scc.kinematics.flow import in_units_of_c
 
 __all__ = ["LorentzProfile", "lorentz_profile"]
 
@@ -71,7 +72,7 @@ def lorentz_profile(
     ----------
     distance : `~astropy.units.Quantity`, shape (n,)
         Projected distances; a constant angle changes a, not k.
-    beta_app, error : array_like, shape (n,)
+    beta_app, error : array_like or `~astropy.units.Quantity`, shape (n,)
         In units of c.
     viewing_angle : `~astropy.units.Quantity`
     angle_error : `~astropy.units.Quantity`, optional
@@ -103,7 +104,7 @@ def lorentz_profile(
     (0.3, 0.08)
     """
     r = np.atleast_1d(u.Quantity(distance)).to_value(u.mas)
-    beta, s = (np.atleast_1d(np.asarray(a, dtype=float)) for a in (beta_app, error))
+    beta, s = (np.atleast_1d(in_units_of_c(v)) for v in (beta_app, error))
     angle = u.Quantity(viewing_angle).to(u.deg)
     if len(r) < 2:
         raise ValueError(f"a power law needs two speeds or more, got {len(r)}")

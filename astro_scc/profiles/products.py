@@ -5,10 +5,9 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
-from astropy.cosmology import Cosmology
 
 from astro_scc.kinematics import RidgeLine, apparent_speed
-from astro_scc.measurement import plain_cosmology, ssp_offsets
+from astro_scc.measurement import ssp_offsets
 from astro_scc.profiles.fits import fit_profile
 from astro_scc.stacking import stack
 
@@ -74,8 +73,6 @@ def write_profile(profile, components, directory, *, configuration=None, text=No
     if configuration is not None:
         table.meta.pop("settings", None)
         table.meta = {"configuration": configuration, **table.meta}
-    if table.meta.get("cosmology") is not None:
-        table.meta["cosmology"] = plain_cosmology(table.meta["cosmology"])
     paths = [directory / "profile.ecsv"]
     table.write(paths[0], format="ascii.ecsv", overwrite=True)
     result = next(r for r in profile.results if r is not None)
@@ -85,9 +82,6 @@ def write_profile(profile, components, directory, *, configuration=None, text=No
         for k in ("redshift", "cosmology", "distance")
         if components.meta.get(k) is not None
     }
-    if isinstance(how.get("cosmology"), dict):
-        plain = how["cosmology"]
-        how["cosmology"] = Cosmology.from_format(plain, format="mapping")
     if how:
         beta = float(apparent_speed(1 * u.mas / u.yr, **how))
     maps, grid = scale_maps(profile)

@@ -8,6 +8,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Column, QTable, vstack
 
+from astro_scc.kinematics import table_in_c
 from astro_scc.measurement import component_table, false_discovery_rate, select_ssps
 
 __all__ = ["Profile", "bins_of", "measure_profile"]
@@ -134,12 +135,9 @@ class Profile:
         -------
         `~astropy.table.QTable`
         """
-        how = {"redshift": redshift, "cosmology": cosmology, "distance": distance}
-        table = self._joined([r and r.components_in_c(**how) for r in self.results])
-        if "beta_app" not in table.colnames:
-            for name in ("beta_app", "beta_app_err"):
-                table[name] = np.empty(0)
-        return table
+        return table_in_c(
+            self.components, redshift=redshift, cosmology=cosmology, distance=distance
+        )
 
     @property
     def main(self):

@@ -6,6 +6,7 @@ import re
 import astropy.units as u
 import numpy as np
 
+from astro_scc.kinematics import cosmology_text
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.report.words import listed, plain_value, row_text, unit_text
 
@@ -182,4 +183,6 @@ def _text(value):
         return ", ".join(_text(v) for v in value)
     if isinstance(value, float):
         return f"{value:.6g}"
+    if isinstance(value, dict) and "cosmology" in value:
+        return cosmology_text(value)
     return " ".join(str(value).split())

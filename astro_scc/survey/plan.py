@@ -9,7 +9,7 @@ from pathlib import Path
 
 from astro_scc.config import parse_setting, plain_settings
 from astro_scc.config.files import read_toml
-from astro_scc.config.measuring import PAPER_COSMOLOGY, settings_over
+from astro_scc.config.measuring import settings_over
 from astro_scc.config.settings import SETTINGS
 from astro_scc.measurement import versions
 from astro_scc.survey.names import folder_names
@@ -263,16 +263,15 @@ def _path(text, folder):
 
 
 def _source(name, folder, own, defaults, where):
-    config = settings_over({"seed": SEED, "n_trials": 1000, **defaults}, own)
+    try:
+        config = settings_over({"seed": SEED, "n_trials": 1000, **defaults}, own)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
     regions = config.pop("regions", None) or {WHOLE: None}
     groups = config.pop("scale_groups", None) or {WHOLE: None}
     if not config.get("epochs"):
         raise ValueError(f"{where} has no epochs; name the FITS files")
-    if "distance" in config and ("redshift" in config or "cosmology" in own):
-        raise ValueError(f"{where}: distance needs neither redshift nor cosmology")
-    if "redshift" in config:
-        config.setdefault("cosmology", PAPER_COSMOLOGY)
-    else:
+    if "redshift" not in config:
         config.pop("cosmology", None)
     if "scales" not in config and WHOLE not in groups:
         config["scales"] = _all_scales(groups.values(), where)

@@ -3,6 +3,7 @@
 
 from pathlib import Path
 
+import astropy.units as u
 from astropy.table import Column, QTable, vstack
 
 from astro_scc.measurement import component_table, false_discovery_rate, versions
@@ -18,6 +19,7 @@ HEAD = {
     "message": "why there is no component",
 }
 IN_C = ("beta_app", "beta_app_err")
+HOW = ("redshift", "cosmology", "distance")
 
 
 def survey_table(outcomes, output):
@@ -58,7 +60,7 @@ def survey_table(outcomes, output):
     empty, *_ = false_discovery_rate([component_table([])])
     for name in IN_C:
         if any(name in table.colnames for table in adjusted.values()):
-            empty[name] = Column([], dtype=float, description=f"{name} in units of c")
+            empty[name] = [] * u.one
     rows = [_with_head(empty, None)]
     for outcome in outcomes:
         own = adjusted.get(outcome)
@@ -70,6 +72,12 @@ def survey_table(outcomes, output):
     table.meta["versions"] = versions()
     searched = sum(max(len(own), 1) for own in adjusted.values())
     table.meta["false_discovery"] = {"method": "bh", "n_tests": searched}
+    # A source has one redshift and cosmology, or one distance, in all its parts.
+    table.meta["speeds_in_c"] = {
+        outcome.source: {name: own.meta[name] for name in HOW if name in own.meta}
+        for outcome, own in tables.items()
+        if "beta_app" in own.colnames
+    }
     return table
 
 

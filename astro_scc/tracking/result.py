@@ -10,6 +10,7 @@ from astropy.table import QTable
 
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube, beam_fwhm, position_errors, ssp_offsets
+from astro_scc.kinematics import table_in_c
 from astro_scc.tracking.chains import track_names
 from astro_scc.tracking.confidence import LinkedShare
 from astro_scc.tracking.fits import fit_motion
@@ -188,22 +189,12 @@ class Tracking:
         Returns
         -------
         `~astropy.table.QTable`
-            `tracks` with the columns ``beta_app`` and ``beta_app_err``.
+            `tracks` with the columns ``beta_app`` and ``beta_app_err``, see
+            `~astro_scc.kinematics.table_in_c`.
         """
-        from astro_scc.kinematics import apparent_speed
-
-        how = {"redshift": redshift, "cosmology": cosmology, "distance": distance}
-        table = self.tracks.copy()
-        for name, speed in (("beta_app", "pm"), ("beta_app_err", "pm_err")):
-            value = apparent_speed(table[speed], **how)
-            table[name] = np.asarray(u.Quantity(value).to_value(u.one))
-            table[name].info.description = (
-                "apparent speed in units of c"
-                if speed == "pm"
-                else "standard error of beta_app"
-            )
-        table.meta.update({k: v for k, v in how.items() if v is not None})
-        return table
+        return table_in_c(
+            self.tracks, redshift=redshift, cosmology=cosmology, distance=distance
+        )
 
     @cached_property
     def confidence(self):

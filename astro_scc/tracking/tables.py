@@ -24,8 +24,8 @@ COLUMNS = (
     ("track", "U64", "name: date, scale and place of the first feature"),
     ("scale", float, "wavelet scale number"),
     ("n_epochs", int, "epochs at which the feature is seen"),
-    ("first", "U23", "date of the first one"),
-    ("last", "U23", "date of the last one"),
+    ("first", Time, "date of the first one"),
+    ("last", Time, "date of the last one"),
     ("n_gaps", int, "epochs between them at which it is not seen"),
     ("flux", "brightness", "median of the fluxes, sums of wavelet coefficients"),
     ("r", u.mas, "mean distance from the reference pixel"),
@@ -78,7 +78,7 @@ def motion_row(tracking, number):
     Returns
     -------
     dict
-        Plain numbers, None where there is none.
+        Plain numbers, None where there is none; of dates, the epochs.
     """
     own = tracking.members(number)
     ssps, cube, links = tracking.ssps, tracking.cube, tracking.links
@@ -98,8 +98,8 @@ def motion_row(tracking, number):
         "track": tracking.names[number],
         "scale": ssps.scale[own[0]],
         "n_epochs": len(own),
-        "first": cube.times[epochs[0]].isot,
-        "last": cube.times[epochs[-1]].isot,
+        "first": epochs[0],
+        "last": epochs[-1],
         "n_gaps": int(links.gap[is_link].sum()),
         "flux": np.median(ssps.flux[own]),
         "r": np.mean(np.hypot(east, north)),
@@ -195,6 +195,10 @@ def track_table(rows, cube, *, meta=None):
                 column = Masked(column, mask=np.array(missing, dtype=bool))
             table[name] = column
             table[name].info.description = description
+        elif kind is Time:
+            at = np.array(values, dtype=int)
+            table[name] = Time(cube.times[at], format="isot")
+            table[name].info.description = description
         else:
             table[name] = Column(np.array(values, dtype=kind), description=description)
     table.meta.update(meta or {})
@@ -212,10 +216,10 @@ def feature_table(tracking):
     Returns
     -------
     `~astropy.table.QTable`
-        By track and date.  ``sky`` is a `~astropy.coordinates.SkyCoord` with
-        the proper motion of the track; ``link`` says how the feature follows
-        from the one before it: "first", "link", or "gap" where epochs lie
-        between.
+        By track and date, which is a `~astropy.time.Time`.  ``sky`` is a
+        `~astropy.coordinates.SkyCoord` with the proper motion of the track;
+        ``link`` says how the feature follows from the one before it: "first",
+        "link", or "gap" where epochs lie between.
     """
     from astropy.coordinates import SkyCoord
 
@@ -237,13 +241,12 @@ def feature_table(tracking):
     first[1:] = track[1:] != track[:-1]
     kind = np.where(first, "first", np.where(gap[own] > 0, "gap", "link"))
     names = np.array(tracking.names, dtype="U64")
-    dates = cube.times.isot
     place = cube.wcs.pixel_to_world(ssps.x[own], ssps.y[own]).icrs
     table = QTable(
         {
             "track": names[track] if len(own) else np.empty(0, "U64"),
             "epoch": ssps.epoch[own].astype(int),
-            "date": dates[ssps.epoch[own]] if len(own) else np.empty(0, "U23"),
+            "date": Time(cube.times[ssps.epoch[own]], format="isot"),
             "scale": ssps.scale[own],
             "ssp": own,
             "link": kind.astype("U5"),

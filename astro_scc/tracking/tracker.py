@@ -1,11 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Tracking the features of a cube: settings, windows, and the one call."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 
 import astropy.units as u
 import numpy as np
 
+from astro_scc.config.settings import require
 from astro_scc.correlation import Correlator, Matches, landing_ssps
 from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs.beam import require_common_beam
@@ -37,7 +38,8 @@ class FeatureTracker:
     Follow the SSPs of a cube from epoch to epoch.
 
     The settings are kept; calling the object on a cube and its
-    decompositions tracks it.
+    decompositions tracks it.  Those with a unit may be text, as on the
+    command line.
 
     Parameters
     ----------
@@ -102,45 +104,16 @@ class FeatureTracker:
     common_beam: bool = True
 
     def __post_init__(self):
-        for name, unit in (("max_speed", PM_UNIT), ("max_interval", u.yr)):
-            value = getattr(self, name)
-            if value is not None:
-                value = u.Quantity(value).to(unit)
-                if not (value.isscalar and 0 < value.value < np.inf):
-                    raise ValueError(f"{name} must be one positive value, got {value}")
-                object.__setattr__(self, name, value)
-        for name in ("along", "across"):
-            value = getattr(self, name)
-            if value is not None:
-                value = u.Quantity(value).to(PM_UNIT)
-                if value.shape != (2,) or not value[0] < value[1]:
-                    raise ValueError(
-                        f"{name} must be a smallest and a largest speed, got {value}"
-                    )
-                object.__setattr__(self, name, value)
-        if isinstance(self.position_angle, str):
-            if self.position_angle != "radial":
-                raise ValueError(
-                    "position_angle must be an angle or 'radial', "
-                    f"got {self.position_angle!r}"
-                )
-        elif self.position_angle is None:
-            if self.along is not None or self.across is not None:
-                raise ValueError("along and across need a position_angle")
-        else:
-            angle = PositionAngleFrame(self.position_angle).pa
-            object.__setattr__(self, "position_angle", angle)
-        if not 0 < self.tolerance < 5:
+        for field in fields(self):
+            value = require(field.name, getattr(self, field.name))
+            object.__setattr__(self, field.name, value)
+        if isinstance(self.position_angle, str) and self.position_angle != "radial":
             raise ValueError(
-                f"tolerance must be a part of the beam, got {self.tolerance}"
+                f"position_angle = {self.position_angle!r} must be an angle or 'radial'"
             )
-        if self.max_gap < 0:
-            raise ValueError(f"max_gap must be 0 or more, got {self.max_gap}")
-        if self.min_epochs < 3:
-            raise ValueError(
-                f"min_epochs must be 3 or more, got {self.min_epochs}: two positions "
-                "fit any line"
-            )
+        limited = self.along is not None or self.across is not None
+        if limited and self.position_angle is None:
+            raise ValueError("along and across need a position_angle")
         self._correlator()
 
     def _correlator(self):

@@ -48,6 +48,13 @@ def test_an_option_of_several_commands_is_explained_alike():
     assert len(said) > 25
 
 
+@pytest.mark.parametrize("angle", ["-112deg", "-112 deg", "-.5rad", "-112", "radial"])
+def test_angles_below_zero_are_no_options(angle):
+    words = ["measure", "a.fits", "-o", "out", "--position-angle", angle, "--quiet"]
+    args = build_parser().parse_args(words)
+    assert (args.position_angle, args.quiet) == (angle, True)
+
+
 @pytest.mark.parametrize(
     ("argv", "line"),
     [

@@ -1,9 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """``astro-scc track``: what it writes, and what it refuses."""
 
+import astropy.units as u
 import numpy as np
 import pytest
 from astropy.table import QTable
+from astropy.time import Time
 
 from astro_scc.cli import main
 from astro_scc.cli.track import PRODUCTS
@@ -51,7 +53,13 @@ def test_all_products_are_written(astro_scc, jet, tmp_path):
     assert len(features) == np.sum(tracks["n_epochs"])
     assert np.all(np.isfinite(tracks["beta_app"]))
     assert tracks.meta["configuration"]["seed"] == 1
-    assert tracks.meta["settings"]["along"] == ["-6.0 mas / yr", "36.0 mas / yr"]
+    along = u.Quantity(tracks.meta["settings"]["along"])
+    assert np.all(along == [-6, 36] * u.mas / u.yr)
+    assert "speeds in c: redshift 0.1, FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0" in out
+    assert tracks.meta["cosmology"]["Om0"] == 0.27
+    assert isinstance(tracks["beta_app"], u.Quantity)
+    assert isinstance(features["date"], Time)
+    assert np.all(tracks["first"] < tracks["last"])
     assert tracks.meta["versions"]
     seen = QTable.read(tmp_path / "out" / "tracks.vot")
     assert len(seen) == len(tracks)
@@ -86,20 +94,26 @@ def test_a_configuration_of_a_measurement_is_understood(astro_scc, jet, tmp_path
     status, _, _ = astro_scc(*jet, "-o", "out", "--config", "jet.toml", "--no-figures")
     assert status == 0
     settings = QTable.read(tmp_path / "out" / "tracks.ecsv").meta["settings"]
-    assert settings["max_speed"] == "30.0 mas / yr"
+    assert settings["max_speed"] == 30 * u.mas / u.yr
     assert settings["kappa"] == 0.5
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--along", "5 mas/yr"], "--along '5 mas/yr': must be two values in mas/yr"),
+        (
+            ["--along", "5 mas/yr"],
+            "--along '5 mas/yr': must be a smallest and a largest",
+        ),
         (["--across", "0 5"], "--across '0 5': has no unit at its end"),
-        (["--max-interval", "3 mas"], "must be one value in yr"),
+        (["--max-interval", "3 mas"], "must be a time with a unit, such as '1 yr'"),
         (["--max-gap", "x"], "--max-gap 'x': must be a whole number"),
         (["--tolerance", "x"], "--tolerance 'x': must be a number"),
-        (["--min-epochs", "1"], "min_epochs must be 3 or more"),
-        (["--half-width", "-1 mas"], "--half-width '-1 mas': must be above 0"),
+        (["--min-epochs", "1"], "--min-epochs '1': must be 3 or more"),
+        (
+            ["--half-width", "-1 mas"],
+            "--half-width '-1 mas': must be finite and above 0",
+        ),
         (["--profile", "none.ecsv"], "none.ecsv: does not exist"),
         (["--profile", "bad.ecsv"], "bad.ecsv: is no ECSV table"),
         (["--profile", "other.ecsv"], "is no profile, it has no r_mid"),

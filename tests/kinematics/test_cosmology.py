@@ -3,18 +3,23 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy import constants
-from astropy.cosmology import FlatLambdaCDM, LambdaCDM
+from astropy.cosmology import FlatLambdaCDM, LambdaCDM, Planck18, default_cosmology
+from astropy.cosmology import units as cu
+from astropy.table import Column, QTable
 from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc.kinematics import (
     apparent_speed,
     beta_intrinsic,
+    cosmology_text,
     doppler_factor,
     lorentz_factor,
     maximum_viewing_angle,
     minimum_lorentz_factor,
     paper_cosmology,
+    table_in_c,
+    to_cosmology,
     viewing_angle,
 )
 
@@ -61,23 +66,39 @@ def test_arrays_and_other_units():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "either a redshift with a cosmology, or a distance"),
+        ({}, "either a redshift, of which the cosmology may be given, or a distance"),
         ({"redshift": 0.1, "distance": 1 * u.Mpc}, "either a redshift"),
-        ({"redshift": 0.1}, "a redshift needs a cosmology"),
+        ({"cosmology": "Planck18"}, "either a redshift"),
+        ({"redshift": -0.1}, "redshift = -0.1 must be above 0; give the distance"),
+        ({"redshift": 0.0}, "redshift = 0.0 must be above 0"),
+        ({"redshift": np.nan}, "redshift = nan must be above 0"),
+        ({"redshift": 47367}, "redshift = 47367 must be below 1090; of a velocity"),
+        ({"redshift": "high"}, "redshift = high must be a redshift, a number such as"),
+        ({"redshift": ""}, "must be a redshift, a number such as 0.158"),
+        ({"redshift": "0.1 0.2"}, "must be a redshift, a number such as 0.158"),
+        ({"redshift": True}, "redshift = True must be a redshift"),
+        ({"redshift": 1 * u.yr}, "redshift = 1.0 yr must be a redshift"),
         (
-            {"redshift": -0.1, "cosmology": paper_cosmology()},
-            "the redshift must be positive",
+            {"redshift": 47367 * u.km / u.s},
+            "redshift = 47367.0 km / s is a velocity, which may be defined in three "
+            "ways; give the redshift, 0.158 if it is c z",
+        ),
+        ({"redshift": "47367 km/s"}, "47367 km/s is a velocity.* 0.158 if it is c z"),
+        ({"redshift": 600 * u.Mpc}, "redshift = 600.0 Mpc is a length; give it as the"),
+        ({"redshift": "600 Mpc"}, "600 Mpc is a length; give it as the distance"),
+        (
+            {"redshift": 0.1, "cosmology": "Planck"},
+            "cosmology = Planck is no cosmology",
         ),
         (
-            {"redshift": 0.0, "cosmology": paper_cosmology()},
-            "the redshift must be positive",
+            {"redshift": 0.1, "cosmology": 0.27},
+            "cosmology = 0.27 is no cosmology; give",
         ),
-        (
-            {"redshift": np.nan, "cosmology": paper_cosmology()},
-            "the redshift must be positive",
-        ),
-        ({"distance": 0 * u.Mpc}, "distance must be positive"),
-        ({"distance": np.nan * u.Mpc}, "distance must be positive"),
+        ({"redshift": 0.1, "cosmology": {"H0": 71}}, "is no cosmology; give H0=71"),
+        ({"redshift": 0.1, "cosmology": default_cosmology}, "is no cosmology; give H0"),
+        ({"distance": 0 * u.Mpc}, "distance = 0.0 Mpc must be finite and above 0"),
+        ({"distance": np.nan * u.Mpc}, "distance = nan Mpc must be finite and above"),
+        ({"distance": 16.7}, "distance = 16.7 must be a length with a unit, such as"),
         (
             {"distance": 1 * u.Mpc, "cosmology": paper_cosmology()},
             "a distance needs no cosmology",
@@ -90,10 +111,86 @@ def test_what_is_missing_or_too_much(options, message):
 
 
 def test_wrong_units():
-    with pytest.raises(u.UnitConversionError):
+    with pytest.raises(u.UnitConversionError, match="proper_motion = 1.0 km / s must"):
         apparent_speed(1 * u.km / u.s, distance=1 * u.Mpc)
-    with pytest.raises(u.UnitConversionError):
+    with pytest.raises(
+        u.UnitConversionError, match="distance = 1.0 s must be a length"
+    ):
         apparent_speed(MU, distance=1 * u.s)
+    for speed in (lorentz_factor, minimum_lorentz_factor, maximum_viewing_angle):
+        with pytest.raises(u.UnitConversionError, match="divide them by astropy.const"):
+            speed(100 * u.km / u.s)
+    assert lorentz_factor(60 * u.percent).value == pytest.approx(1.25)
+
+
+@pytest.mark.parametrize(
+    "redshift",
+    ["0.158", "15.8 %", 15.8 * u.percent, 0.158 * cu.redshift, 0.158 * u.one,
+     np.float32(0.158), Column([0.158])[0]],
+)  # fmt: skip
+def test_redshifts_as_people_give_them(redshift):
+    assert apparent_speed(MU, redshift=redshift).value == pytest.approx(10.20, rel=5e-4)
+
+
+def test_redshifts_of_many_sources():
+    several = apparent_speed(MU, redshift=[3.3, 15.8] * u.percent)
+    np.testing.assert_allclose(several.value, [2.188, 10.20], rtol=5e-4)
+
+
+def test_distances_as_text():
+    expected = apparent_speed(MU, distance=16.7 * u.Mpc)
+    assert apparent_speed("1 mas/yr", distance="16.7 Mpc") == expected
+    # astropy reads 16 x 7 Mpc.
+    assert u.Quantity("16 7 Mpc").to_value(u.Mpc) == pytest.approx(112)
+    table = QTable({"pm": [1] * MU, "pm_err": [1] * MU})
+    with pytest.raises(ValueError, match="distance must be one value, that of the sou"):
+        table_in_c(table, distance="16 7 Mpc")
+
+
+def test_one_cosmology_without_another():
+    """Whatever the default of astropy is."""
+    paper = FlatLambdaCDM(H0=71, Om0=0.27)
+    expected = apparent_speed(MU, redshift=0.158, cosmology=paper)
+    with default_cosmology.set(Planck18):
+        assert apparent_speed(MU, redshift=0.158) == expected
+        own = default_cosmology.get()
+    planck = apparent_speed(MU, redshift=0.158, cosmology=own)
+    assert planck.value == pytest.approx(10.65, abs=0.01)
+    for name in ("Planck18", "H0=67.66, Om0=0.30966"):
+        speed = apparent_speed(MU, redshift=0.158, cosmology=name)
+        assert speed.value == pytest.approx(planck.value, rel=5e-4)
+
+
+@pytest.mark.parametrize("cosmology", [None, Planck18, "H0=65,Om0=0.3,Ode0=0.5"])
+def test_tables_say_what_they_were_made_with(cosmology, tmp_path):
+    table = QTable({"pm": [1, 2] * MU, "pm_err": [0.1, np.inf] * MU}, meta={"seed": 1})
+    found = table_in_c(table, redshift="15.8 %", cosmology=cosmology)
+    expected = apparent_speed(table["pm"], redshift=0.158, cosmology=cosmology)
+    assert np.all(found["beta_app"] == expected)
+    assert found["beta_app_err"][1] == np.inf
+    assert found["beta_app"].unit == found["beta_app_err"].unit == u.one
+    assert "units of c" in found["beta_app"].info.description
+    assert found.meta["redshift"] == 0.158
+    assert found.meta["seed"] == 1
+    assert table.colnames == ["pm", "pm_err"]
+    for path in (tmp_path / "a.ecsv", tmp_path / "a.fits"):
+        if path.suffix == ".fits":
+            found.meta = {}
+        found.write(path)
+        read = QTable.read(path)
+        assert isinstance(read["beta_app"], u.Quantity)
+        assert np.all(read["beta_app"] == expected)
+        if path.suffix == ".ecsv":
+            own = read.meta["cosmology"]
+            again = table_in_c(table, redshift=read.meta["redshift"], cosmology=own)
+            assert np.all(again["beta_app"] == expected)
+            assert cosmology_text(own) == cosmology_text(cosmology)
+
+
+def test_cosmologies_in_words():
+    assert cosmology_text(None) == "FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0 = 0.27"
+    curved = cosmology_text("H0=65,Om0=0.3,Ode0=0.5")
+    assert curved == "LambdaCDM with H0 = 65 km/s/Mpc, Om0 = 0.3, Ode0 = 0.5"
 
 
 def test_paper_cosmology():
@@ -143,3 +240,38 @@ def test_no_motion():
     assert beta_intrinsic(0, 15 * u.deg) == 0
     assert maximum_viewing_angle(0) == 180 * u.deg
     assert lorentz_factor(0) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("Planck18", Planck18),
+        ("H0=71,Om0=0.27", FlatLambdaCDM(H0=71, Om0=0.27)),
+        (" H0 = 70 , Om0 = .3 ", FlatLambdaCDM(H0=70, Om0=0.3)),
+        ("H0=70,Om0=0.3,Ode0=0.6", LambdaCDM(H0=70, Om0=0.3, Ode0=0.6)),
+    ],
+)
+def test_cosmologies(text, expected):
+    assert to_cosmology(text) == expected
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Planck",
+        "H0=71",
+        "H0=71,Om0",
+        "H0=71,Om0=0.3,w=1",
+        "H0=0,Om0=0.3",
+        "",
+        "H0=1e999,Om0=0.3",
+    ],
+)
+def test_cosmologies_that_are_none(text):
+    with pytest.raises(ValueError, match=r"is no cosmology; give H0=71,Om0=0.27.*Pla"):
+        to_cosmology(text)
+
+
+def test_cosmologies_that_astropy_refuses():
+    with pytest.raises(ValueError, match="cosmology = H0=71,Om0=-1 .*Om0"):
+        apparent_speed(MU, redshift=0.1, cosmology="H0=71,Om0=-1")

@@ -8,16 +8,15 @@ import warnings
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.cosmology import Cosmology, Planck18
+from astropy.cosmology import Planck18
 from astropy.io import fits
 from astropy.table import QTable
 from astropy.wcs import WCS
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.kinematics import paper_cosmology
+from astro_scc.kinematics import to_cosmology
 from astro_scc.measurement import (
-    plain_cosmology,
     product_folder,
     velocity_hdus,
     write_products,
@@ -204,6 +203,12 @@ def test_tables_are_read_without_this_package(written):
     assert done.stdout.splitlines() == ["mas / yr Planck18", "mas"]
 
 
+def cosmologies_agree(plain, cosmology):
+    z = [0.01, 0.158, 2]
+    same = to_cosmology(plain).comoving_transverse_distance(z)
+    return np.array_equal(same, cosmology.comoving_transverse_distance(z))
+
+
 def test_tables_are_the_ones_of_the_result(written, result):
     table = QTable.read(written / "components.ecsv")
     expected = result.components_in_c(redshift=0.158, cosmology=Planck18)
@@ -218,7 +223,7 @@ def test_tables_are_the_ones_of_the_result(written, result):
     assert meta["jet_position_angle"] == 270 * u.deg
     assert {"astro_scc", "numpy", "astropy"} <= set(meta["versions"])
     assert meta["history"] == ["simulated: two-fluid"]
-    assert Cosmology.from_format(meta["cosmology"], format="mapping").H0 == Planck18.H0
+    assert cosmologies_agree(meta["cosmology"], Planck18)
     ssps = QTable.read(written / "ssps.ecsv")
     assert len(ssps) == len(result.ssps)
     assert ssps.meta["configuration"] == meta["configuration"]
@@ -238,17 +243,6 @@ def test_a_table_without_components_keeps_its_columns(cube, tmp_path):
         assert table[name].dtype.kind == components[name].dtype.kind
     assert table.meta["distance"] == 16.7 * u.Mpc
     assert table.meta["settings"]["detection"] == 1e6
-
-
-@pytest.mark.parametrize("cosmology", [paper_cosmology(), Planck18])
-def test_cosmologies_come_back(cosmology):
-    plain = plain_cosmology(cosmology)
-    assert plain_cosmology(plain) is plain
-    again = Cosmology.from_format(plain, format="mapping")
-    z = [0.01, 0.158, 2]
-    np.testing.assert_array_equal(
-        again.comoving_transverse_distance(z), cosmology.comoving_transverse_distance(z)
-    )
 
 
 # -- maps --------------------------------------------------------------------------

@@ -34,11 +34,11 @@ def test_a_wrong_answer_would_be_seen(inputs):
 def test_scales_must_differ_as_numbers_and_as_angles(inputs, tmp_path):
     import astropy.units as u
 
-    with pytest.raises(ValueError, match="scales must differ, got 2, 2: leave out"):
+    with pytest.raises(ValueError, match=r"scales = .* must differ: leave out"):
         StackedCrossCorrelation(scales=[2, 2.0])
     cube = EpochCube.read(inputs.series(tmp_path, n=2))
     scc = StackedCrossCorrelation(scales=[0.39, 0.41] * u.mas)
-    with pytest.raises(ValueError, match="scales must differ, got 2, 2: leave out"):
+    with pytest.raises(ValueError, match=r"scales = .* must differ: leave out"):
         scc.scale_numbers(cube)
 
 

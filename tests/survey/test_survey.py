@@ -102,7 +102,10 @@ def test_every_source_region_and_group_has_a_row(serial):
     gone = table[-1]
     assert "gone/*.fits" in gone["message"]
     assert gone["pm"].mask
-    assert gone["beta_app"] is np.ma.masked
+    assert gone["beta_app"].mask
+    assert table["beta_app"].unit == u.one
+    one = table.meta["speeds_in_c"]["One/../../up"]
+    assert (one["redshift"], one["cosmology"]["Om0"]) == (0.1, 0.27)
     measured = table[table["status"] == "measured"]
     assert not np.any(getattr(measured["pm"], "mask", False))
     assert np.all(np.isfinite(measured["p_fdr"]))
@@ -419,6 +422,18 @@ def test_a_cluster_of_which_a_worker_dies_gives_the_same(serial, folder, tmp_pat
             "[sources.A]\nepochs = 'a'\ndistance = '3 Mpc'\nredshift = 0.1",
             "distance needs neither redshift nor cosmology",
         ),
+        (
+            "[sources.A]\nepochs = 'a'\nredshift = '47367 km/s'",
+            "sources.A: redshift = '47367 km/s' is a velocity, which may be defined",
+        ),
+        (
+            "[sources.A]\nepochs = 'a'\nredshift = '600 Mpc'",
+            "sources.A: redshift = '600 Mpc' is a length; give it as the distance",
+        ),
+        (
+            "[sources.A]\nepochs = 'a'\nredshift = 0.1\ncosmology = 'Planck'",
+            "sources.A: cosmology = 'Planck' is no cosmology; give H0=71,Om0=0.27",
+        ),
     ],
 )
 def test_files_that_make_no_sense(tmp_path, monkeypatch, capsys, text, reason):
@@ -437,6 +452,7 @@ def test_defaults_and_what_replaces_them(tmp_path):
         "[sources.A]\nepochs = ['a*', '/b']\ndistance = '3 Mpc'\n"
         "[sources.B]\nepochs = 'b'\nscale_groups = {x = '0.2 mas', y = '0.1,0.4 mas'}\n"
         "[sources.C]\nepochs = 'c'\nalign = 'core'\nscale_groups = {x = [3, 1]}\n"
+        "redshift = '15.8 %'\nposition_angle = '-112deg'\n"
     )
     a, b, c = read_survey(tmp_path / "s.toml").sources
     assert a.config["distance"] == 3 * u.Mpc
@@ -446,6 +462,8 @@ def test_defaults_and_what_replaces_them(tmp_path):
     assert b.config["cosmology"] == "Planck18"
     assert b.config["scales"].to_value(u.mas).tolist() == [0.1, 0.2, 0.4]
     assert c.config["scales"] == (1, 3)
+    assert c.config["redshift"] == 0.158
+    assert c.config["position_angle"] == -112 * u.deg
     assert c.config["align"] == "core"
 
 

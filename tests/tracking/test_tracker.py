@@ -202,21 +202,55 @@ def test_only_selected_ssps_are_tracked(tracker, tracking):
 @pytest.mark.parametrize(
     ("setting", "error", "message"),
     [
-        ({"max_speed": -1 * PM}, ValueError, "max_speed must be one positive value"),
-        ({"max_speed": 1 * u.mas}, u.UnitConversionError, "not convertible"),
-        ({"max_interval": [1, 2] * u.yr}, ValueError, "max_interval must be one"),
-        ({"along": [1, 0] * PM}, ValueError, "along must be a smallest and a largest"),
+        (
+            {"max_speed": -1 * PM},
+            ValueError,
+            "max_speed = -1.0 mas / yr must be finite and",
+        ),
+        (
+            {"max_speed": 1 * u.mas},
+            u.UnitConversionError,
+            "max_speed = 1.0 mas must be an angle per time",
+        ),
+        (
+            {"max_interval": [1, 2] * u.yr},
+            ValueError,
+            "max_interval = .* must be a time with a unit",
+        ),
+        (
+            {"along": [1, 0] * PM},
+            ValueError,
+            "along = .* must be a smallest and a largest",
+        ),
         ({"along": [0, 1] * PM}, ValueError, "along and across need a position_angle"),
-        ({"position_angle": "up"}, ValueError, "must be an angle or 'radial'"),
-        ({"tolerance": 0}, ValueError, "tolerance must be a part of the beam"),
-        ({"max_gap": -1}, ValueError, "max_gap must be 0 or more"),
-        ({"min_epochs": 2}, ValueError, "min_epochs must be 3 or more"),
+        ({"position_angle": "ridge"}, ValueError, "must be an angle or 'radial'"),
+        (
+            {"position_angle": "up"},
+            ValueError,
+            "or an angle with a unit, such as '65 deg'",
+        ),
+        ({"tolerance": 0}, ValueError, "tolerance = 0 must be a part of the beam"),
+        ({"max_gap": -1}, ValueError, "max_gap = -1 must be 0 or more"),
+        ({"min_epochs": 2}, ValueError, "min_epochs = 2 must be 3 or more"),
         ({"kappa": 2}, ValueError, "kappa must be between 0 and 1"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(setting, error, message):
     with pytest.raises(error, match=message):
         FeatureTracker(**setting)
+
+
+def test_settings_may_be_text():
+    text = FeatureTracker(
+        max_speed="2 mas/yr",
+        position_angle="-112deg",
+        along="-1 4 mas/yr",
+        max_interval="365.25 d",
+    )
+    assert text.max_speed == 2 * PM
+    assert text.position_angle == -112 * u.deg
+    assert (text.max_interval, text.along.unit) == (1 * u.yr, PM)
+    assert text.along.value.tolist() == [-1, 4]
 
 
 def test_what_does_not_go_together_is_refused(tracker):

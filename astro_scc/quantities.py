@@ -1,14 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Quantities, cosmologies and dates as people write them."""
+"""Quantities and dates as people write them."""
 
 import re
 import warnings
 
-__all__ = ["NUMBER", "parse_quantities", "parse_unit", "to_cosmology", "to_time"]
+__all__ = ["NUMBER", "parse_quantities", "parse_unit", "to_quantity", "to_time"]
 
 #: Regular expression of a number.
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_PARAMETER = re.compile(rf"\s*(\w+)\s*=\s*({NUMBER})\s*")
 
 
 def parse_quantities(text):
@@ -35,27 +34,74 @@ def parse_quantities(text):
     >>> from astro_scc.config import parse_quantities
     >>> parse_quantities("1.0 mas 0.5 mas -7 deg")
     [<Quantity 1. mas>, <Quantity 0.5 mas>, <Quantity -7. deg>]
-    >>> parse_quantities("0.5, 1.5 yr")
-    [<Quantity 0.5 yr>, <Quantity 1.5 yr>]
+    >>> parse_quantities("0.5, 1.5 mas / yr")
+    [<Quantity 0.5 mas / yr>, <Quantity 1.5 mas / yr>]
     """
     import astropy.units as u
 
     numbers, units = [], []
-    for word in re.split(r"[\s,]+", text.strip()):
-        match = re.fullmatch(rf"({NUMBER})?(.*)", word)
-        number, unit = match.groups()
+    # Of printed pages, where minus is a letter of its own.
+    text = text.replace("\N{MINUS SIGN}", "-")
+    for word in re.findall(r"[^\s,]+", text):
+        number, unit = re.fullmatch(rf"({NUMBER})?(.*)", word).groups()
         if number is not None:
             numbers.append(float(number))
-            units.append(None)
-        if unit and (not units or units[-1] is not None):
+            units.append(unit)
+        elif not units:
             raise ValueError(f"has {unit!r} where a number is expected")
-        if unit:
-            units[-1] = parse_unit(unit)
-    if not units or units[-1] is None:
+        else:
+            # A unit may have blanks in it.
+            units[-1] = f"{units[-1]} {unit}".strip()
+    if not units or not units[-1]:
         raise ValueError("has no unit at its end")
     for i in reversed(range(len(units))):
-        units[i] = units[i] or units[i + 1]
+        units[i] = parse_unit(units[i]) if units[i] else units[i + 1]
     return [u.Quantity(*pair) for pair in zip(numbers, units, strict=True)]
+
+
+def to_quantity(value, unit, wanted):
+    """
+    Return a quantity that is given as one, or as text.
+
+    Parameters
+    ----------
+    value : str, list of str or `~astropy.units.Quantity`
+        Text of several quantities gives an array, text of one a scalar.
+        `~astropy.units.Quantity` itself reads "1 7 Mpc" as 1 x 7 Mpc.
+    unit : unit-like
+        Of the kind that it must have; it keeps its own.
+    wanted : str
+        What it must be, for the message.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+
+    Raises
+    ------
+    ValueError
+        If it is no quantity, a `~astropy.units.UnitConversionError` if its
+        unit is of another kind or missing.
+    """
+    import astropy.units as u
+
+    if isinstance(value, list | tuple) and all(isinstance(v, str) for v in value):
+        value, scalar = " ".join(value), False
+    else:
+        scalar = True
+    if isinstance(value, str):
+        try:
+            found = parse_quantities(value)
+        except ValueError as error:
+            raise ValueError(f"{error}; it {wanted}") from None
+        value = found[0] if scalar and len(found) == 1 else found
+    try:
+        found = u.Quantity(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(wanted) from None
+    if not found.unit.is_equivalent(unit):
+        raise u.UnitConversionError(wanted)
+    return found
 
 
 def parse_unit(text):
@@ -81,51 +127,6 @@ def parse_unit(text):
         return u.Unit(text)
     except (ValueError, TypeError):
         raise ValueError(f"has the unknown unit {text!r}") from None
-
-
-def to_cosmology(text):
-    """
-    A cosmology from its name or its parameters.
-
-    Parameters
-    ----------
-    text : str
-        Name of a realization of `astropy.cosmology`, such as ``Planck18``,
-        or parameters in km/s/Mpc and as fractions, ``H0=71, Om0=0.27`` for
-        a flat universe and with ``Ode0`` for any.
-
-    Returns
-    -------
-    `~astropy.cosmology.FLRW`
-
-    Raises
-    ------
-    ValueError
-        If it is neither.
-
-    Examples
-    --------
-    >>> from astro_scc.config import to_cosmology
-    >>> to_cosmology("H0=71, Om0=0.27").H0
-    <Quantity 71. km / (Mpc s)>
-    """
-    from astropy.cosmology import FlatLambdaCDM, LambdaCDM, realizations
-
-    name = text.strip()
-    if name in realizations.available:
-        return getattr(realizations, name)
-    matches = [_PARAMETER.fullmatch(part) for part in name.split(",")]
-    if all(matches):
-        values = {m.group(1): float(m.group(2)) for m in matches}
-        if len(values) == len(matches) and values.get("H0", 0) > 0:
-            if set(values) == {"H0", "Om0"}:
-                return FlatLambdaCDM(**values)
-            if set(values) == {"H0", "Om0", "Ode0"}:
-                return LambdaCDM(**values)
-    raise ValueError(
-        "is no cosmology; give H0=71,Om0=0.27 (and Ode0 unless it is flat) or one of "
-        f"{', '.join(sorted(realizations.available))}"
-    )
 
 
 def to_time(text):
