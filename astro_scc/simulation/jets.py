@@ -95,7 +95,7 @@ class JetSimulation:
     position_angle : `~astropy.units.Quantity`, optional
         Direction of the jet, north through east; the jet is turned about
         its start.
-    variation : float, optional
+    flux_variation : float, optional
         Standard deviation of the logarithms of all flux densities, in time.
     memory : float, optional
         Time in intervals over which variations are correlated: those of two
@@ -156,7 +156,7 @@ class JetSimulation:
     taper: float = 10.0
     core: float = 0.0
     position_angle: u.Quantity = 270 * u.deg
-    variation: float = 0.0
+    flux_variation: float = 0.0
     memory: float = 0.0
     alignment_error: float = 0.0
     ripple: float = 0.0
@@ -186,7 +186,7 @@ class JetSimulation:
         if not self.extent[0] < self.extent[1]:
             raise ValueError(f"extent must be (start, end), got {self.extent}")
         check_not_negative(
-            self, "noise taper core variation memory alignment_error ripple bowl"
+            self, "noise taper core flux_variation memory alignment_error ripple bowl"
         )
         object.__setattr__(self, "streams", tuple(self.streams))
         object.__setattr__(self, "dates", dates)
@@ -316,8 +316,10 @@ class JetSimulation:
             at = np.zeros((1, self.n_epochs))
             parts.append(self.place("core", at, at, at + self.core, at))
         features = Features(*map(np.concatenate, zip(*parts, strict=True)))
-        if self.variation:
-            factor = np.exp(self.variation * self._series(len(features.x), flux_rng))
+        if self.flux_variation:
+            factor = np.exp(
+                self.flux_variation * self._series(len(features.x), flux_rng)
+            )
             features = features._replace(flux=features.flux * factor)
         turn = (self.position_angle - 270 * u.deg).to_value(u.rad)
         if turn:

@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The simulated jets: those of the paper's tests, and those that look real."""
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 from astropy.time import Time
@@ -216,11 +218,6 @@ def simulate_jet(
     interval_scatter=0.8,
     dates=None,
     streams=None,
-    speed=0.6,
-    dispersion=0.1,
-    distribution="normal",
-    n_features=8,
-    acceleration=1.0,
     standing=0,
     core_flux=1.0,
     flux_variation=0.35,
@@ -236,6 +233,7 @@ def simulate_jet(
     pixel_scale=0.1 * u.mas,
     shape=None,
     rng=None,
+    **flow,
 ):
     """
     A jet as surveys of blazars see it.
@@ -257,10 +255,7 @@ def simulate_jet(
     dates : `~astropy.time.Time`, optional
         Dates of the epochs, instead of random ones.
     streams : sequence of `Flow`, optional
-        Instead of one flow of the ``speed``, ``dispersion``,
-        ``distribution``, ``n_features`` and ``acceleration``.
-    speed, dispersion, distribution, n_features, acceleration : optional
-        Of the flow; see `Flow`.
+        Instead of one flow.
     standing : int or sequence of float, optional
         Number of standing features, at random distances from the core, or
         their distances.
@@ -288,6 +283,9 @@ def simulate_jet(
         all sides.
     rng : `numpy.random.Generator`, seed or None, optional
         Passed to `numpy.random.default_rng`.
+    **flow
+        Parameters of the one flow: ``speed``, ``dispersion``, ``distribution``,
+        ``n_features``, ``acceleration`` and the others of `Flow`.
 
     Returns
     -------
@@ -296,7 +294,8 @@ def simulate_jet(
     Raises
     ------
     ValueError
-        If a parameter is outside its range.
+        If a parameter is outside its range, or those of one flow come with
+        ``streams``.
 
     Examples
     --------
@@ -317,46 +316,34 @@ def simulate_jet(
         steps = np.exp(interval_scatter * date_rng.standard_normal(n_epochs - 1))
         dates = Time("2000-01-01") + np.cumsum([0, *steps]) * interval
     if streams is None:
-        streams = [
-            Flow(
-                speed=speed,
-                dispersion=dispersion,
-                distribution=distribution,
-                n_features=n_features,
-                acceleration=acceleration,
-            )
-        ]
+        streams = [Flow(**flow)]
+    elif flow:
+        raise ValueError(f"{', '.join(flow)}: give them to each of the streams")
     kind = "n_features" if np.ndim(standing) == 0 else "positions"
-    streams = [*streams, Flow("standing", speed=0.0, **{kind: standing})]
-    beams = (beam,) * len(dates) if isinstance(beam, Beam) else tuple(beam)
-    setting = JetSimulation(streams, dates=dates, beams=beams, pixel_scale=pixel_scale)
-    angle = u.Quantity(position_angle).to_value(u.rad)
-    tip = length * setting.beam_length * np.array([-np.sin(angle), np.cos(angle)])
-    if shape is None:
-        nx, ny = np.round(np.abs(tip) + 16 * setting.beam_length).astype(int).tolist()
-        shape = ny, nx
-    # The middle of the jet is that of the image.
-    x0, y0 = np.floor((np.array(shape[::-1]) - tip) / 2)
     jet = JetSimulation(
-        streams,
+        [*streams, Flow("standing", speed=0.0, **{kind: standing})],
         name="jet",
         interval=interval,
         dates=dates,
-        shape=shape,
         pixel_scale=pixel_scale,
-        beams=beams,
+        beams=beam,
         noise=noise * np.exp(noise_scatter * noise_rng.standard_normal(len(dates))),
-        extent=(x0, x0 + length * setting.beam_length),
-        axis=y0,
         core=core_flux,
         position_angle=position_angle,
-        variation=flux_variation,
+        flux_variation=flux_variation,
         memory=memory,
         alignment_error=alignment_error,
         ripple=ripple,
         bowl=bowl,
     )
-    return jet.run(rng=rng)
+    # The middle of the jet is that of the image.
+    beam_length, angle = jet.beam_length, u.Quantity(position_angle).to_value(u.rad)
+    tip = length * beam_length * np.array([-np.sin(angle), np.cos(angle)])
+    if shape is None:
+        shape = np.round(np.abs(tip) + 16 * beam_length).astype(int).tolist()[::-1]
+    x0, y0 = np.floor((np.array(shape[::-1]) - tip) / 2)
+    extent = x0, x0 + length * beam_length
+    return replace(jet, shape=tuple(shape), extent=extent, axis=y0).run(rng=rng)
 
 
 def _run(name, streams, rng, options):

@@ -4,6 +4,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.time import Time
 
 from astro_scc.epochs import Beam
 from astro_scc.simulation import Flow, simulate_jet
@@ -36,6 +37,15 @@ def test_dates_are_log_normal():
     )
     assert np.median(steps) == pytest.approx(0.2, rel=0.15)
     assert np.std(np.log(steps)) == pytest.approx(0.8, rel=0.1)
+
+
+def test_given_dates():
+    dates = Time(["2001-03-01", "2001-05-10", "2001-12-24"])
+    jet = simulate_jet(dates=dates, dispersion=0.0, width=0.0, rng=1)
+    assert np.all(jet.cube.times == dates)
+    moving = jet.truth[jet.truth["group"] == "flow"]
+    speeds = moving["pm_east"][np.isfinite(moving["pm_east"])].to_value(u.mas / u.yr)
+    np.testing.assert_allclose(speeds, -0.6 * 0.8 / 0.2)
 
 
 def test_peaks_are_where_the_truth_has_them():
@@ -114,7 +124,7 @@ def test_truth_has_the_speeds_of_the_features_in_view():
 def test_acceleration(acceleration):
     truth = simulate_jet(
         rng=1, dispersion=0.0, acceleration=acceleration, interval_scatter=0.0,
-        streams=None, interval=0.01 * u.yr, speed=0.03, n_features=60, **BARE,
+        interval=0.01 * u.yr, speed=0.03, n_features=60, **BARE,
     ).truth  # fmt: skip
     slope, start = np.polyfit(
         np.abs(truth["east"].value), -truth["pm_east"].value * 0.01 / 0.8 / 0.03, 1
@@ -124,6 +134,15 @@ def test_acceleration(acceleration):
     assert start + slope * length == pytest.approx(
         2 * acceleration / (1 + acceleration), rel=0.02
     )
+
+
+def test_features_differ_in_flux():
+    jet = simulate_jet(rng=1, shape=(8, 8)).simulation
+    at = {"speed": 0.0, "positions": (3.0,) * 2000}
+    flow = Flow(**at, flux=0.3, flux_scatter=0.7, fading=0.0)
+    logs = np.log(flow.features(jet, np.random.default_rng(1)).flux[:, 0])
+    assert logs.mean() == pytest.approx(np.log(0.3), abs=0.05)
+    assert logs.std() == pytest.approx(0.7, rel=0.05)
 
 
 def test_features_fade_and_widen():
@@ -217,8 +236,12 @@ def test_bad_flows(options, message):
     [
         ({"n_epochs": 0}, "n_epochs must be at least 1"),
         ({"alignment_error": -1.0}, "alignment_error must be zero or positive"),
-        ({"flux_variation": np.nan}, "variation must be zero or positive"),
+        ({"flux_variation": np.nan}, "flux_variation must be zero or positive"),
         ({"length": 0.0}, "extent must be"),
+        (
+            {"streams": [Flow()], "speed": 1.0, "size": 0.1},
+            "speed, size: give them to each of the streams",
+        ),
         ({"length": np.nan}, "length must be zero or positive"),
         ({"noise_scatter": -1}, "noise_scatter must be zero or positive"),
         ({"noise": -0.001}, r"noise must be zero or positive, got -0.00\d+$"),

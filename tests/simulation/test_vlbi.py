@@ -103,6 +103,15 @@ def test_a_perfect_observation_gives_the_image_of_the_features():
     assert np.abs(seen.cube.data - jet.cube.data).max() < 0.02 * jet.cube.data.max()
 
 
+def test_the_beam_shrinks_with_the_frequency():
+    jet = simulate_jet(rng=1, **SMALL)
+    low, high = (
+        observe(jet, frequency=f * u.GHz, n_iterations=0, rng=1).cube.beams[0]
+        for f in (8.4, 15.4)
+    )
+    assert (low.area / high.area).value == pytest.approx((15.4 / 8.4) ** 2, rel=0.1)
+
+
 def test_noise_is_that_of_the_simulation():
     jet = simulate_jet(rng=1, **SMALL, noise=0.002, noise_scatter=0, n_features=0)
     seen = observe(jet, gain_error=0.0, rng=1)
