@@ -593,6 +593,19 @@ def _nothing(folder):
 refused("a region file that is none", "r.reg: ")(
     _options("--region={folder}/r.reg", r_reg="<html></html>")
 )
+refused("a FITS region file", "r.fits: is not a text file; give a DS9 or CRTF region")(
+    _options("--region={folder}/r.fits", r_fits="SIMPLE  =                    T")
+)
+refused(
+    "a region of mas in CRTF with the digits that are written by default",
+    "r.crtf: a CircleSkyRegion of .* is written in steps of 3.6 mas, which moves it",
+)(
+    _options(
+        "--region={folder}/r.crtf",
+        r_crtf="#CRTFv0\nglobal coord=J2000\n"
+        "circle[[10.000000deg, -0.000001deg], 0.000001deg]\n",
+    )
+)
 refused("a table of offsets that is none", "t.csv: ")(
     _options("--align={folder}/t.csv", t_csv="\0\1\2")
 )

@@ -141,6 +141,105 @@ def test_crtf_files(tmp_path):
     assert_array_equal(region_mask(make(), path), expected)
 
 
+SKY = SkyCoord("12h30m49.423382s +12d23m28.0443217s")
+LON, LAT = SKY.ra.deg, SKY.dec.deg
+CORNERS = [(x, y) for x in (-1, 1) for y in (-x, x)]
+SQUARE = [(LON + x * 6e-7, LAT + y * 6e-7) for x, y in CORNERS]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "enough"),
+    [
+        # What regions and CARTA write as CRTF, and DS9 in degrees and in hours.
+        ("r.crtf", f"circle[[{LON:.6f}deg, {LAT:.6f}deg], 0.000001deg]", False),
+        ("r.crtf", f"circle[[{LON:.12f}deg, {LAT:.12f}deg], 0.000000555556deg]", True),
+        ("r.crtf", f"circle[[{LON:.12f}deg, {LAT:.12f}deg], 0.0020arcsec]", True),
+        ("r.reg", f'icrs\ncircle({LON:.7f},{LAT:.7f},0.0020")', False),
+        ("r.reg", f'icrs\ncircle({LON:.8f},{LAT:.8f},0.0020")', True),
+        ("r.reg", 'icrs\ncircle(12:30:49.4234,+12:23:28.044,0.0020")', False),
+        ("r.reg", 'icrs\ncircle(12:30:49.423382,+12:23:28.04432,0.0020")', True),
+        ("r.reg", f'icrs\nellipse({LON:.9f},{LAT:.9f},0.002",0.002",12.34567)', True),
+        ("r.reg", "icrs\npolygon(%s)", False),
+    ],
+)
+def test_regions_of_too_few_digits_are_refused(tmp_path, name, text, enough):
+    cube = EpochCube.from_arrays(
+        np.ones((1, 90, 90)), ["2000-01-01"], pixel_scale=0.1 * u.mas, position=SKY
+    )
+    if "%s" in text:
+        text %= ",".join(f"{value:.6f}" for corner in SQUARE for value in corner)
+    text = "#CRTFv0\nglobal coord=ICRS\n" * name.endswith("crtf") + text
+    (tmp_path / name).write_text(text)
+    if enough:
+        yy, xx = np.indices((90, 90)) - 44.5
+        wrong = region_mask(cube, tmp_path / name) != (xx**2 + yy**2 < 20**2)
+        assert wrong.sum() < 40
+    else:
+        with pytest.raises(
+            ValueError, match=rf"{name}: a \w+ of .* is written in steps"
+        ):
+            region_mask(cube, tmp_path / name)
+
+
+def test_round_numbers_that_somebody_wrote_are_meant(tmp_path):
+    cube = make()
+    for text in (
+        'icrs\ncircle(187.0,12.0,0.0018")',
+        'icrs\ncircle(187,12,0.0018")',
+        'icrs\ncircle(12:28:00.0,+12:00:00.0,0.0018")',
+    ):
+        path = tmp_path / "r.reg"
+        path.write_text(text)
+        assert np.sum(region_mask(cube, path) != disc(20, 15, 18)) < 4
+
+
+def test_what_regions_writes_by_default(tmp_path):
+    cube = make(25)
+    region = CircleSkyRegion(cube.wcs.pixel_to_world(24.3, 18.2), 0.52 * u.mas)
+    Regions([region]).write(tmp_path / "r.crtf", format="crtf")
+    # The radius has become 0.
+    with pytest.raises(ValueError, match=r"r.crtf: cannot be read .* strictly posit"):
+        region_mask(cube, tmp_path / "r.crtf")
+    Regions([region]).write(tmp_path / "r.reg", format="ds9")
+    # Eight decimals are 0.04 mas.
+    moved = region_mask(cube, tmp_path / "r.reg") != disc(24.3, 18.2, 5.2)
+    assert moved.sum() < 4
+
+
+def test_fits_region_files_are_refused(tmp_path):
+    path = tmp_path / "r.fits"
+    Regions([CirclePixelRegion(PixCoord(20, 20), 8)]).write(path, format="fits")
+    with pytest.raises(
+        ValueError, match=r"r.fits: is not a text file; give a DS9 or CR"
+    ):
+        region_mask(make(), path)
+
+
+def test_regions_on_the_sphere():
+    regions = pytest.importorskip("regions", minversion="0.12")
+    cube = make(25)
+    centre = cube.wcs.pixel_to_world(24.3, 18.2)
+    circle = regions.CircleSphericalSkyRegion(centre, 0.52 * u.mas)
+    hole = regions.CircleSphericalSkyRegion(
+        centre, 0.2 * u.mas, meta=RegionMeta({"include": False})
+    )
+    assert_array_equal(region_mask(cube, circle), disc(24.3, 18.2, 5.2))
+    expected = disc(24.3, 18.2, 5.2) & ~disc(24.3, 18.2, 2)
+    assert_array_equal(region_mask(cube, [circle, hole]), expected)
+    corners = cube.wcs.pixel_to_world([10.5, 30.5, 30.5, 10.5], [5.5, 5.5, 20.5, 20.5])
+    square = regions.PolygonSphericalSkyRegion(corners)
+    assert region_mask(cube, square).sum() == 20 * 15
+    assert region_mask(cube, circle | square).sum() == 320
+    between = regions.RangeSphericalSkyRegion(
+        longitude_range=[1, 2] * u.deg, frame="icrs"
+    )
+    with pytest.raises(
+        ValueError, match="RangeSphericalSkyRegion cannot be laid on"
+    ) as e:
+        region_mask(cube, between)
+    assert "\n" not in str(e.value)
+
+
 def test_lines_that_are_left_out_are_told(tmp_path):
     path = tmp_path / "jet.reg"
     path.write_text("image\ncircle(21,21,8.5)\nblob(3,4)\n")

@@ -2,6 +2,7 @@
 """Parts of the images: regions as masks, and cubes cropped to them."""
 
 import os
+import re
 import warnings
 from pathlib import Path
 
@@ -9,10 +10,17 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
+from astro_scc.epochs.description import readable_angle
 from astro_scc.epochs.grids.resampling import cut_wcs
 from astro_scc.exceptions import EpochWarning
 
 __all__ = ["box", "crop", "crop_line", "distance_mask", "refuse_pixels", "region_mask"]
+
+
+#: Decimal places of degrees that are more than somebody writes by hand.
+DECIMALS = 5
+#: Part of its size by which rounding may move a region.
+MOVED = 0.02
 
 
 def region_mask(cube, region=None):
@@ -24,9 +32,9 @@ def region_mask(cube, region=None):
     cube : `~astro_scc.epochs.EpochCube`
         Its ``wcs`` places regions of the sky.
     region : optional
-        One of: None (everything), a `regions.Region` of pixels or of the
-        sky, a sequence of them (a `regions.Regions`), the path of a DS9 or
-        CRTF region file, or an array of bool of the images' shape.
+        One of: None (everything), a `regions.Region` of pixels, of the sky or
+        of the sphere, a sequence of them (a `regions.Regions`), the path of a
+        DS9 or CRTF region file, or an array of bool of the images' shape.
 
     Returns
     -------
@@ -37,8 +45,9 @@ def region_mask(cube, region=None):
     ------
     ValueError
         If the region holds no pixel of the image, an array has another
-        shape, a file holds no region or cannot be understood, or a shape
-        has no inside (points, lines, text).
+        shape, a file holds no region, cannot be understood or was written
+        with too few digits for the size of its regions, or a shape has no
+        inside (points, lines, text).
     TypeError
         If ``region`` is none of the above.
     OSError
@@ -75,10 +84,11 @@ def region_mask(cube, region=None):
             )
         inside = region.copy()
     else:
+        places = ()
         if isinstance(region, str | os.PathLike):
             name = str(region)
-            region = _read(region)
-        inside = _combine(cube, _as_list(region), name)
+            region, places = _read(region)
+        inside = _combine(cube, _as_list(region), name, places)
     if not inside.any():
         raise ValueError(
             f"{name}: holds no pixel of the {shape[1]} x {shape[0]} image; "
@@ -103,37 +113,88 @@ def _as_list(region):
     return items
 
 
-def _combine(cube, items, name):
-    from regions import SkyRegion
+def _combine(cube, items, name, places):
+    from regions import PixelRegion, SkyRegion
 
     shape = cube.shape[1:]
     included = np.zeros(shape, dtype=bool)
     excluded = np.zeros(shape, dtype=bool)
     only_excluded = True
     for item in items:
-        pixel = item.to_pixel(cube.wcs) if isinstance(item, SkyRegion) else item
+        wanted = bool(item.meta.get("include", True))
+        only_excluded &= not wanted
+        combined = included if wanted else excluded
         try:
+            # Images are so small that spherical regions are plane in them.
+            pixel = item if isinstance(item, PixelRegion) else item.to_pixel(cube.wcs)
             mask = pixel.to_mask(mode="center")
         except NotImplementedError:
             raise ValueError(
                 f"{name}: a {type(item).__name__} has no inside; "
                 "use circles, ellipses, rectangles or polygons"
             ) from None
+        except ValueError as error:
+            reason = " ".join(str(error).split())
+            raise ValueError(
+                f"{name}: a {type(item).__name__} cannot be laid on the image "
+                f"({reason}); use circles, ellipses, rectangles or polygons"
+            ) from None
         except OverflowError:
             raise ValueError(
                 f"{name}: a {type(item).__name__} of a size or place without end; "
                 "correct its numbers"
             ) from None
+        if places and isinstance(item, SkyRegion):
+            _refuse_rounded(item, min(mask.shape), cube.wcs, places, name)
         # Masks ignore "include", and have no part in the image outside it.
-        wanted = bool(item.meta.get("include", True))
-        only_excluded &= not wanted
         target, source = mask.get_overlap_slices(shape)
         if target is not None:
-            (included if wanted else excluded)[target] |= mask.data[source] > 0
+            combined[target] |= mask.data[source] > 0
     return ~excluded if only_excluded else included & ~excluded
 
 
+def _refuse_rounded(item, size, wcs, places, name):
+    """
+    Refuse a region of which a file has too few digits.
+
+    Writers round: CRTF to 1e-6 deg by default, which is a whole jet.
+    """
+    side = np.sqrt(abs(np.linalg.det(wcs.pixel_scale_matrix)))
+    where = getattr(item, "vertices", getattr(item, "center", None)).spherical
+    lon, lat = np.atleast_1d(where.lon.deg), np.atleast_1d(where.lat.deg)
+    names = ("radius", "width", "height", "outer_radius", "outer_width", "outer_height")
+    sizes = [getattr(item, n).to_value(u.deg) for n in names if hasattr(item, n)]
+    # Hours, minutes and seconds are tried where degrees do not come out even.
+    step = _step([*lon, *lat], places, DECIMALS) or max(
+        _step(lon * 240, places, DECIMALS - 2) / 240,
+        _step(lat * 3600, places, DECIMALS - 2) / 3600,
+    )
+    step = max(step, _step(sizes, places, DECIMALS))
+    if step / 2 > max(side, MOVED * size * side):
+        raise ValueError(
+            f"{name}: a {type(item).__name__} of {readable_angle(size * side * u.deg)} "
+            f"is written in steps of {readable_angle(step * u.deg)}, which moves it; "
+            "write it with more digits (regions: precision=13)"
+        )
+
+
+def _step(values, places, fewest):
+    """
+    To what numbers were rounded that a file writes with so many decimal places.
+
+    Nothing, 0, for those that end before the ``fewest`` places, as what is written
+    by hand does, and for those that do not end.
+    """
+    for end in range(10):
+        ratio = np.multiply(values, 10.0**end)
+        if np.all(np.abs(ratio - np.rint(ratio)) <= 1e-3 * np.minimum(1, abs(ratio))):
+            places = [place for place in places if place >= end >= fewest]
+            return 10.0 ** -min(places) if places else 0.0
+    return 0.0
+
+
 def _read(path):
+    """Regions of a file, and the decimal places of the numbers in it."""
     from regions import Regions
 
     path = Path(path)
@@ -141,9 +202,12 @@ def _read(path):
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
+        text = None
+    if text is None or text.startswith("SIMPLE  ="):
         raise ValueError(
-            f"{path}: is not a text file; give a DS9 or CRTF region file"
-        ) from None
+            f"{path}: is not a text file; give a DS9 or CRTF region file (FITS regions "
+            "are in pixels of the image that they were drawn on)"
+        )
     file_format = "crtf" if text.startswith("#CRTF") else "ds9"
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -162,7 +226,7 @@ def _read(path):
             EpochWarning,
             stacklevel=4,
         )
-    return found
+    return found, {len(digits) for digits in re.findall(r"\.(\d+)", text)}
 
 
 def box(cube, region, pad=0):
@@ -301,7 +365,7 @@ def refuse_pixels(path):
     """
     from regions import PixelRegion
 
-    if any(isinstance(item, PixelRegion) for item in _read(path)):
+    if any(isinstance(item, PixelRegion) for item in _read(path)[0]):
         raise ValueError(
             f"{path}: is in pixels, which are others in a part of the images (crop); "
             "give it in celestial coordinates"
