@@ -23,17 +23,32 @@ JETS = {
         "as surveys see them: uneven dates, a core, features about a flow",
     ),
 }
-# Option of simulate_jet -> its type and its help.
+# Option -> the parameter of simulate_jet, its type and its help.
 FLOW = {
-    "speed": (float, "mean speed in beams per median interval; default 0.6"),
-    "dispersion": (float, "scatter of the speeds, a fraction of the mean; default 0.1"),
-    "distribution": (str, "of the speeds: normal (default), lognormal or uniform"),
-    "n_features": (float, "number of moving features in view at a time; default 8"),
-    "standing": (int, "number of standing features; default 0"),
-    "acceleration": (float, "speed at the jet's end over that at the core; default 1"),
-    "flux_variation": (float, "scatter of ln(flux) in time; default 0.35"),
-    "alignment_error": (float, "shift of each image, rms in beams; default 0"),
-    "noise": (float, "median rms in Jy per beam; the core has 1 Jy; default 0.0003"),
+    "--motion": ("speed", float, "mean, in beams per median interval; default 0.6"),
+    "--dispersion": ("dispersion", float, "of the speeds, over the mean; default 0.1"),
+    "--distribution": (
+        "distribution",
+        str,
+        "of the speeds: normal (default), lognormal or uniform",
+    ),
+    "--features": ("n_features", float, "moving ones in view at a time; default 8"),
+    "--standing": ("standing", int, "number of standing features; default 0"),
+    "--acceleration": (
+        "acceleration",
+        float,
+        "speed at the jet's end over that at the core; default 1",
+    ),
+    "--flux-variation": (
+        "flux_variation",
+        float,
+        "scatter of ln(flux) in time; default 0.35",
+    ),
+    "--alignment-error": (
+        "alignment_error",
+        float,
+        "shift of each image, rms in beams; default 0",
+    ),
 }
 
 
@@ -48,7 +63,7 @@ def add_parser(commands):
         "feature.\n\njets:\n"
         + "\n".join(f"  {name:{width}}  {what}" for name, (_, what) in JETS.items()),
         epilog="examples:\n  astro-scc simulate two-fluid jet --seed 1 --epochs 10\n"
-        "  astro-scc simulate jet jet --speed 0.4 --dispersion 0.2 --standing 2 --vlba",
+        "  astro-scc simulate jet jet --motion 0.4 --dispersion 0.2 --vlba",
     )
     parser.add_argument("jet", choices=JETS, metavar="JET", help="one of the above")
     parser.add_argument("output", metavar="DIR", help="folder for the images")
@@ -64,14 +79,16 @@ def add_parser(commands):
     parser.add_argument(
         "--dense",
         action="store_true",
+        default=None,
         help="more and brighter features in the two-fluid jet",
     )
     group = parser.add_argument_group("options of the jet 'jet'")
-    for name, (kind, text) in FLOW.items():
-        group.add_argument(_option(name), metavar="X", dest=name, type=kind, help=text)
+    for option, (name, kind, text) in FLOW.items():
+        group.add_argument(option, metavar="X", dest=name, type=kind, help=text)
     group.add_argument(
         "--vlba",
         action="store_true",
+        default=None,
         help="image it from visibilities of the VLBA, with CLEAN",
     )
     return parser
@@ -114,26 +131,23 @@ def run(args, reporter):
 
     if args.epochs is not None and args.epochs < 1:
         raise ValueError(f"--epochs must be at least 1, got {args.epochs}")
-    options = {"n_epochs": args.epochs, "dense": args.dense or None}
-    options |= {name: getattr(args, name) for name in FLOW}
-    options = {name: v for name, v in options.items() if v is not None}
-    own = {"two-fluid": {"dense"}, "jet": {*FLOW, "vlba"}}
-    given = {*options} - {"n_epochs"} | ({"vlba"} if args.vlba else set())
-    for name in sorted(given - own.get(args.jet, set())):
-        whose = next(jet for jet in own if name in own[jet])
-        raise ValueError(f"{_option(name)} is for {whose}, not for {args.jet}")
+    own = {name: (option, "jet") for option, (name, *_) in FLOW.items()}
+    own |= {"vlba": ("--vlba", "jet"), "dense": ("--dense", "two-fluid")}
+    given = {name: value for name in own if (value := getattr(args, name)) is not None}
+    for option, whose in map(own.get, given):
+        if args.jet != whose:
+            raise ValueError(f"{option} is for {whose}, not for {args.jet}")
+    vlba = given.pop("vlba", False)
+    if args.epochs is not None:
+        given["n_epochs"] = args.epochs
     seed = draw_seed() if args.seed is None else parse_option("seed", args.seed)
     folder = Path(args.output)
     with product_folder(folder, overwrite=args.overwrite) as part:
-        jet = simulated(args.jet, seed=seed, **options)
-        if args.vlba:
+        jet = simulated(args.jet, seed=seed, **given)
+        if vlba:
             jet = observe(jet, rng=seed)
         *images, _ = write_simulation(jet, part)
     reporter.say(
         f"{len(images)} epochs and truth.ecsv in {folder} (seed {seed}); next:\n"
         f"  astro-scc measure {folder}/*.fits -o {folder}-measured"
     )
-
-
-def _option(name):
-    return "--" + name.removeprefix("n_").replace("_", "-")

@@ -35,8 +35,9 @@ def test_simulate_and_its_seed(astro_scc, here):
 
 
 def test_simulate_a_real_jet(astro_scc, here):
-    options = ["--speed", 0.4, "--features", 5, "--standing", 2, "--seed", 1]
+    options = ["--motion", 0.4, "--features", 5, "--standing", 2, "--seed", 1]
     options += ["--epochs", 3, "--dispersion", 0.2, "--distribution", "lognormal"]
+    options += ["--flux-variation", 0]
     assert astro_scc("simulate", "jet", "a", *options)[::2] == (0, "")
     assert astro_scc("simulate", "jet", "b", *options, "--vlba")[::2] == (0, "")
     a, b = (QTable.read(here / name / "truth.ecsv") for name in "ab")
@@ -45,6 +46,8 @@ def test_simulate_a_real_jet(astro_scc, here):
     assert (flow["speed"], flow["dispersion"], flow["n_features"]) == (0.4, 0.2, 5.0)
     assert flow["distribution"] == "lognormal"
     assert standing["n_features"] == 2
+    core = a["flux"][a["group"] == "core"]
+    assert np.all(core == 1 * u.Jy)
     cubes = [EpochCube.read(here / name / "*.fits") for name in "ab"]
     assert cubes[0].beams[0] == cubes[0].beams[1] != cubes[1].beams[0]
     assert cubes[1].data.max() == pytest.approx(cubes[0].data.max(), rel=0.1)
@@ -63,11 +66,10 @@ def test_every_jet_is_simulated(astro_scc, here, jet):
     ("options", "reason"),
     [
         (["static", "x", "--dense"], "--dense is for two-fluid, not for static"),
-        (["static", "x", "--speed", "1"], "--speed is for jet, not for static"),
+        (["static", "x", "--motion", "1"], "--motion is for jet, not for static"),
         (["two-fluid", "x", "--vlba"], "--vlba is for jet, not for two-fluid"),
         (["jet", "x", "--dense"], "--dense is for two-fluid, not for jet"),
-        (["jet", "x", "--speed", "-1"], "speed must be zero or positive, got -1.0"),
-        (["jet", "x", "--noise", "-1"], "noise must be zero or positive, got -"),
+        (["jet", "x", "--motion", "-1"], "speed must be zero or positive, got -1.0"),
         (["jet", "x", "--distribution", "flat"], "distribution must be one of normal,"),
         (["static", "x", "--epochs", "0"], "--epochs must be at least 1"),
         (["static", "x", "--seed", "one"], "--seed 'one': must be a whole number"),
