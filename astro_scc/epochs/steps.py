@@ -49,17 +49,20 @@ class EpochSteps:
 
         return align(self, method, **kwargs)
 
-    def reproject_to(self, wcs, shape, order="bicubic"):
+    def reproject_to(self, wcs, shape=None, order=None, *, method="interp"):
         """
         Resample to another grid, see `~astro_scc.epochs.reproject_cube`.
 
         Parameters
         ----------
-        wcs : `~astropy.wcs.WCS`
-            Celestial WCS of the new grid.
-        shape : (int, int)
-            Shape (ny, nx) of the new grid.
+        wcs : `~astropy.wcs.WCS`, `~astropy.io.fits.Header` or `EpochCube`
+            The new grid, celestial.
+        shape : (int, int), optional
+            Shape (ny, nx) of the new grid, by default its own.
         order : {"bicubic", "biquadratic", "bilinear", "nearest-neighbor"}, optional
+            Of the interpolation.
+        method : {"interp", "exact", "adaptive"}, optional
+            Averages for larger pixels by the last two.
 
         Returns
         -------
@@ -67,7 +70,7 @@ class EpochSteps:
         """
         from astro_scc.epochs.grids.reprojection import reproject_cube
 
-        return reproject_cube(self, wcs, shape, order=order)
+        return reproject_cube(self, wcs, shape, order, method=method)
 
     def crop(self, region, pad=0):
         """

@@ -428,7 +428,7 @@ def test_steps_are_those_of_their_modules(monkeypatch):
     assert calls == [
         ("beam", (), {"beam": ROUND}),
         ("align", ("wcs",), {"table": 1}),
-        ("reproject", ("w", (1, 2)), {"order": "bilinear"}),
+        ("reproject", ("w", (1, 2), "bilinear"), {"method": "interp"}),
         ("crop", ("r",), {"pad": 3}),
         ("region", ("m",), {}),
     ]

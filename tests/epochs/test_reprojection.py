@@ -1,9 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Resampling inside a grid and onto another one."""
 
+import warnings
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.io import fits
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel
 from hypothesis import given
@@ -13,6 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.epochs.grids.reprojection import reproject_cube, shared_grid
 from astro_scc.epochs.grids.resampling import fill_masked, shift_image
+from astro_scc.exceptions import EpochWarning
 
 DATES = ["2000-01-01", "2001-01-01"]
 MAS = u.mas.to(u.deg)
@@ -128,6 +133,68 @@ def test_onto_finer_and_turned_pixels(order):
     assert f"0.05 mas ({order})" in result.meta["history"][-1]
 
 
+@pytest.mark.parametrize("method", ["exact", "adaptive"])
+def test_averages_over_larger_pixels(method):
+    shape, new_shape = (64, 80), (32, 40)
+    cube = cube_of(grid((40.5, 32.5)), shape, unit=u.Jy / u.beam)
+    bad = np.zeros((2, *shape), dtype=bool)
+    bad[0, 20, 30] = True
+    cube = EpochCube(
+        np.where(bad, np.nan, cube.data), DATES, cube.wcs, unit=u.ct / u.pix
+    )
+    new = grid((20.5, 16.5), pixel=0.2)
+    result = reproject_cube(cube, new, new_shape, method=method)
+    assert f"0.2 mas ({method})" in result.meta["history"][-1]
+    assert result.mask[0, 10, 15]
+    assert np.sum(result.mask[0] & ~result.mask[1]) < (2 if method == "exact" else 20)
+    # Sums of four pixels.
+    sums = cube_of(grid((40.5, 32.5)), shape).data.reshape(2, 32, 2, 40, 2)
+    good = ~result.mask
+    tolerance = 1e-4 if method == "exact" else 0.3
+    assert_allclose(result.data[good], sums.sum(axis=(2, 4))[good], atol=tolerance)
+
+
+def test_white_noise_on_coarser_pixels():
+    noise = np.random.default_rng(1).normal(size=(1, 128, 128))
+    cube = EpochCube(noise, DATES[:1], grid((64.5, 64.5)))
+    coarse = grid((16.5, 16.5), pixel=0.4), (32, 32)
+    with pytest.warns(
+        EpochWarning, match="pixels of 0.1 mas are interpolated at steps "
+    ):
+        taken = reproject_cube(cube, *coarse)
+    assert np.nanstd(taken.data) > 0.5
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.nanstd(reproject_cube(cube, *coarse, method="exact").data) < 0.28
+        assert np.nanstd(reproject_cube(cube, *coarse, method="adaptive").data) < 0.28
+        # A beam that is sampled is all there is.
+        for fwhm in (0.8, 2.0):
+            beams = Beam(fwhm * u.mas, fwhm * u.mas)
+            reproject_cube(replace(cube, beams=beams), *coarse)
+        reproject_cube(cube, grid((64.5, 64.5), turn=5), (128, 128))
+    with pytest.warns(
+        EpochWarning, match="use method='exact' or 'adaptive' to average"
+    ):
+        reproject_cube(replace(cube, beams=Beam(0.7 * u.mas, 0.6 * u.mas)), *coarse)
+
+
+def test_grids_of_headers_cubes_and_coordinates():
+    cube = cube_of(grid((40, 32)), (64, 80))
+    new = grid((70.25, 50), pixel=0.05, turn=20)
+    expected = reproject_cube(cube, new, (100, 140))
+    header = new.to_header()
+    header.update({"NAXIS": 2, "NAXIS1": 140, "NAXIS2": 100, "CTYPE2": "DEC---SIN"})
+    shaped = new.deepcopy()
+    shaped.array_shape = (100, 140)
+    other = cube_of(new, (100, 140))
+    for target in (header, shaped, other, other[0]):
+        result = cube.reproject_to(target)
+        assert_array_equal(result.mask, expected.mask)
+        good = ~result.mask
+        assert_allclose(result.data[good], expected.data[good], atol=1e-6)
+    assert cube.reproject_to(header, (50, 60), "bilinear").shape == (2, 50, 60)
+
+
 def test_beams_units_and_meta_are_kept_and_noise_is_not():
     beams = [Beam(1 * u.mas, 0.5 * u.mas), Beam(1 * u.mas, 0.7 * u.mas)]
     unit = u.mJy / u.beam
@@ -221,8 +288,22 @@ def test_what_cannot_be_a_grid_is_refused():
     for shape in ((64,), (64, 0), (2.5, 3)):
         with pytest.raises(ValueError, match="two positive integers"):
             reproject_cube(cube, cube.wcs, shape)
-    with pytest.raises(ValueError, match="celestial and two-dimensional"):
+    with pytest.raises(ValueError, match="method='flux' is not one of interp, exact"):
+        reproject_cube(cube, cube.wcs, (64, 80), method="flux")
+    with pytest.raises(ValueError, match="method='exact' has no order; leave it out"):
+        reproject_cube(cube, cube.wcs, (64, 80), "bilinear", method="exact")
+    with pytest.raises(ValueError, match=r"no shape of its own; give shape=\(ny, nx\)"):
+        reproject_cube(cube, cube.wcs)
+    with pytest.raises(ValueError, match="must have celestial axes"):
         reproject_cube(cube, WCS(naxis=2), (64, 80))
+    with pytest.raises(
+        TypeError, match="must be an astropy WCS, or one sliced, got in"
+    ):
+        reproject_cube(cube, 3, (64, 80))
+    with pytest.raises(
+        ValueError, match="the header of the new grid: it has no celest"
+    ):
+        reproject_cube(cube, fits.Header({"NAXIS1": 3, "NAXIS2": 3}))
     galactic = grid((40, 32))
     galactic.wcs.ctype = ["GLON-SIN", "GLAT-SIN"]
     with pytest.raises(ValueError, match="another celestial frame"):

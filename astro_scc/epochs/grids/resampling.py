@@ -215,9 +215,9 @@ def cut_wcs(wcs, window, shape):
     return part
 
 
-def resample(data, bad, wcs, new_wcs, *, shape, order="bicubic"):
+def resample(data, bad, wcs, new_wcs, *, shape, method="bicubic"):
     """
-    Interpolate images with bad pixels on another grid.
+    Lay images with bad pixels on another grid.
 
     Parameters
     ----------
@@ -226,22 +226,26 @@ def resample(data, bad, wcs, new_wcs, *, shape, order="bicubic"):
     wcs, new_wcs : `~astropy.wcs.WCS`
     shape : (int, int)
         Of the new grid.
-    order : str, optional
-        As in `reproject.reproject_interp`.
+    method : str, optional
+        ``"exact"``, ``"adaptive"``, or an order of `reproject.reproject_interp`.
 
     Returns
     -------
     data, bad : `~numpy.ndarray`, shape (n, *shape)
         NaN where bad.
     """
-    from reproject import reproject_interp
+    import reproject
 
     filled = np.stack([fill_masked(d, b) for d, b in zip(data, bad, strict=True)])
     options = {"shape_out": shape, "return_footprint": False}
-    moved = reproject_interp((filled, wcs), new_wcs, order=order, **options)
+    if method in ("exact", "adaptive"):
+        lay, order, linear = getattr(reproject, f"reproject_{method}"), {}, {}
+    else:
+        lay, order, linear = (
+            reproject.reproject_interp, {"order": method}, {"order": "bilinear"}
+        )  # fmt: skip
     # reproject broadcasts the images over one mapping of the pixels.
-    weight = reproject_interp(
-        (bad.astype(float), wcs), new_wcs, order="bilinear", **options
-    )
+    moved = lay((filled, wcs), new_wcs, **order, **options)
+    weight = lay((bad.astype(float), wcs), new_wcs, **linear, **options)
     mask = ~(weight <= BAD_WEIGHT) | ~np.isfinite(moved)
     return np.where(mask, np.nan, moved), mask
