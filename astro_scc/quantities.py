@@ -4,7 +4,16 @@
 import re
 import warnings
 
-__all__ = ["NUMBER", "parse_quantities", "parse_unit", "to_quantity", "to_time"]
+__all__ = [
+    "NUMBER",
+    "named",
+    "one_quantity",
+    "parse_quantities",
+    "parse_unit",
+    "shortened",
+    "to_quantity",
+    "to_time",
+]
 
 #: Regular expression of a number.
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -84,6 +93,8 @@ def to_quantity(value, unit, wanted):
         unit is of another kind or missing.
     """
     import astropy.units as u
+    import numpy as np
+    from astropy.utils.masked import Masked
 
     if isinstance(value, list | tuple) and all(isinstance(v, str) for v in value):
         value, scalar = " ".join(value), False
@@ -97,6 +108,9 @@ def to_quantity(value, unit, wanted):
         value = found[0] if scalar and len(found) == 1 else found
     try:
         found = u.Quantity(value, dtype=float)
+        if np.ma.is_masked(value):
+            # Of a column, which Quantity forgets.
+            found = Masked(found, mask=value.mask)
     except (TypeError, ValueError):
         raise ValueError(wanted) from None
     if not found.unit.is_equivalent(unit):
@@ -127,6 +141,85 @@ def parse_unit(text):
         return u.Unit(text)
     except (ValueError, TypeError):
         raise ValueError(f"has the unknown unit {text!r}") from None
+
+
+def one_quantity(value, kind, example, positive=True):
+    """
+    Return one finite quantity, see `to_quantity`.
+
+    Parameters
+    ----------
+    value : str or `~astropy.units.Quantity`
+    kind, example : str
+        For the message, "an angle" and "2 mas", whose unit is of the kind
+        that it must have.
+    positive : bool, optional
+        Whether it must be above 0.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    import astropy.units as u
+
+    wanted = f"must be {kind} with a unit, such as {example!r}"
+    found = to_quantity(value, u.Quantity(example).unit, wanted)
+    if not found.isscalar:
+        raise ValueError(wanted)
+    if not (0 if positive else float("-inf")) < found.value < float("inf"):
+        raise ValueError(f"must be finite{' and above 0' * positive}")
+    return found
+
+
+def named(name, parse, value, *more):
+    """
+    Return what a parser makes of an argument, or name the argument.
+
+    Parameters
+    ----------
+    name : str
+    parse : callable
+        Takes the value and ``more``; raises a ValueError that goes on after
+        the value.
+    value : object
+    *more
+        Of ``parse``.
+
+    Returns
+    -------
+    object
+
+    Raises
+    ------
+    ValueError
+        Of the class that ``parse`` raised.
+    """
+    try:
+        return parse(value, *more)
+    except ValueError as error:
+        raise type(error)(f"{name} = {shortened(value)} {error}") from None
+
+
+def shortened(value):
+    """
+    Return a value as text that fits in a line.
+
+    Parameters
+    ----------
+    value : object
+
+    Returns
+    -------
+    str
+    """
+    text = str(value) if hasattr(value, "unit") else repr(value)
+    text = " ".join(text.split())
+    return text if len(text) < 80 else f"{text[:70]}..."
 
 
 def to_time(text):

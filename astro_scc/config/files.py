@@ -4,12 +4,8 @@
 import tomllib
 from pathlib import Path
 
-from astro_scc.config.settings import (
-    SETTINGS,
-    parse_setting,
-    plain_settings,
-    shortened,
-)
+from astro_scc.config.settings import SETTINGS, parse_setting, plain_settings
+from astro_scc.quantities import shortened
 
 __all__ = ["format_config", "read_config", "read_toml"]
 

@@ -5,9 +5,9 @@ import operator
 import re
 from datetime import date
 
-from astro_scc.quantities import to_quantity, to_time
+from astro_scc.quantities import named, one_quantity, to_quantity, to_time
 
-__all__ = ["SETTINGS", "parse_setting", "plain_settings", "require", "shortened"]
+__all__ = ["SETTINGS", "parse_setting", "plain_settings", "require"]
 
 # FITS and TOML keep integers of 64 bits.
 _LARGEST_SEED = 2**63 - 1
@@ -96,20 +96,7 @@ def _choice(*choices):
 
 
 def _quantity(kind, example):
-    """One positive quantity of the kind of an example."""
-
-    def parse(value):
-        import astropy.units as u
-
-        wanted = f"must be {kind} with a unit, such as {example!r}"
-        found = to_quantity(value, u.Quantity(example).unit, wanted)
-        if not found.isscalar:
-            raise ValueError(wanted)
-        if not 0 < found.value < float("inf"):
-            raise ValueError("must be finite and above 0")
-        return found
-
-    return parse
+    return lambda value: one_quantity(value, kind, example)
 
 
 def _quantities(value, unit, wanted):
@@ -128,11 +115,7 @@ def _position_angle(value):
         isinstance(value, str) and value in ("radial", "ridge", "fit")
     ):
         return value
-    wanted = "must be radial, ridge, fit or an angle with a unit, such as '65 deg'"
-    angle = _quantities(value, "deg", wanted)
-    if not angle.isscalar:
-        raise ValueError(wanted)
-    return angle
+    return one_quantity(value, "radial, ridge, fit or an angle", "65 deg", False)
 
 
 def _baseline(value):
@@ -354,28 +337,8 @@ def require(name, value):
     """
     if value is None:
         return None
-    try:
-        found = parse_setting(name, value)
-    except ValueError as error:
-        raise type(error)(f"{name} = {shortened(value)} {error}") from None
+    found = named(name, (SETTINGS | TRACKING)[name], value)
     return found.to(UNITS[name]) if name in UNITS and hasattr(found, "to") else found
-
-
-def shortened(value):
-    """
-    Return a value as text that fits in a line.
-
-    Parameters
-    ----------
-    value : object
-
-    Returns
-    -------
-    str
-    """
-    text = str(value) if hasattr(value, "unit") else repr(value)
-    text = " ".join(text.split())
-    return text if len(text) < 80 else f"{text[:70]}..."
 
 
 def plain_settings(settings):

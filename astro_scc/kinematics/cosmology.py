@@ -7,12 +7,11 @@ import astropy.units as u
 import numpy as np
 from astropy import constants
 
-from astro_scc.quantities import NUMBER, parse_quantities, to_quantity
+from astro_scc.quantities import NUMBER, named, parse_quantities, to_quantity
 
 __all__ = [
     "apparent_speed",
     "cosmology_text",
-    "named",
     "paper_cosmology",
     "table_in_c",
     "to_cosmology",
@@ -179,6 +178,8 @@ def to_redshift(value):
                 value = float(value)
             else:
                 (value,) = parse_quantities(value)
+        if np.any(getattr(value, "mask", False)):
+            raise TypeError
         z = u.Quantity(value, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(wanted) from None
@@ -244,13 +245,8 @@ def apparent_speed(proper_motion, *, redshift=None, cosmology=None, distance=Non
     >>> apparent_speed(1 * u.mas / u.yr, distance=16.7 * u.Mpc).round(3)
     <Quantity 0.264>
     """
-    motion = named(
-        "proper_motion",
-        lambda value: to_quantity(
-            value, u.mas / u.yr, "must be an angle per time, such as '2 mas/yr'"
-        ),
-        proper_motion,
-    )
+    wanted = "must be an angle per time, such as '2 mas/yr'"
+    motion = named("proper_motion", to_quantity, proper_motion, "mas/yr", wanted)
     how = _how(redshift, cosmology, distance)
     if "redshift" in how:
         distance = how["cosmology"].comoving_transverse_distance(how["redshift"])
@@ -352,29 +348,3 @@ def to_distance(value):
     if not np.all((distance > 0) & np.isfinite(distance)):
         raise ValueError("must be finite and above 0")
     return distance
-
-
-def named(name, parse, value):
-    """
-    Return what a parser makes of an argument, or name the argument.
-
-    Parameters
-    ----------
-    name : str
-    parse : callable
-        Raises a ValueError that goes on after the value.
-    value : object
-
-    Returns
-    -------
-    object
-
-    Raises
-    ------
-    ValueError
-        Of the class that ``parse`` raised.
-    """
-    try:
-        return parse(value)
-    except ValueError as error:
-        raise type(error)(f"{name} = {value} {error}") from None

@@ -7,6 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.kinematics.frames import RadialFrame
+from astro_scc.quantities import named, one_quantity
 
 __all__ = ["ExpansionFrame"]
 
@@ -60,10 +61,8 @@ class ExpansionFrame:
 
     def __post_init__(self):
         object.__setattr__(self, "centre", RadialFrame(self.centre).origin)
-        radius = u.Quantity(self.radius).to(u.mas)
-        if not (radius.isscalar and 0 < radius.value < np.inf):
-            raise ValueError(f"the radius must be one positive angle, got {radius}")
-        object.__setattr__(self, "radius", radius)
+        radius = named("radius", one_quantity, self.radius, "an angle", "100 arcsec")
+        object.__setattr__(self, "radius", radius.to(u.mas))
 
     @property
     def axis_names(self):

@@ -5,8 +5,8 @@ import astropy.units as u
 import numpy as np
 from astropy import constants
 
-from astro_scc.kinematics.cosmology import named, to_distance
-from astro_scc.quantities import to_quantity
+from astro_scc.kinematics.cosmology import to_distance
+from astro_scc.quantities import named, to_quantity
 
 __all__ = [
     "beta_intrinsic",
@@ -393,8 +393,7 @@ def two_sided_jet(approaching, receding, distance=None, *, errors=(0.0, 0.0),
 
 def _motion(name, value):
     wanted = "must be an angle per time with a unit, such as '9 mas/d'"
-    motion = named(name, lambda v: to_quantity(v, u.rad / u.s, wanted), value)
-    return motion.to_value(u.rad / u.s)
+    return named(name, to_quantity, value, "rad/s", wanted).to_value(u.rad / u.s)
 
 
 def _beta_cos(a, r):

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import astropy.units as u
 import numpy as np
 
+from astro_scc.quantities import named, one_quantity, to_quantity
+
 __all__ = ["PositionAngleFrame", "RadialFrame", "SkyFrame", "frame_displacements"]
 
 
@@ -130,12 +132,8 @@ class PositionAngleFrame:
     uniform = True
 
     def __post_init__(self):
-        pa = u.Quantity(self.pa).to(u.deg)
-        if not (pa.isscalar and np.isfinite(pa)):
-            raise ValueError(
-                f"the position angle must be one finite angle, got {self.pa}"
-            )
-        object.__setattr__(self, "pa", pa)
+        pa = named("pa", one_quantity, self.pa, "an angle", "65 deg", False)
+        object.__setattr__(self, "pa", pa.to(u.deg))
 
     @property
     def axis_names(self):
@@ -212,12 +210,10 @@ class RadialFrame:
     uniform = False
 
     def __post_init__(self):
-        origin = u.Quantity(self.origin).to(u.mas)
+        wanted = "must be (east, north), two finite angles with a unit"
+        origin = named("origin", to_quantity, self.origin, u.mas, wanted).to(u.mas)
         if origin.shape != (2,) or not np.all(np.isfinite(origin)):
-            raise ValueError(
-                f"the origin must be (east, north), two finite angles, got "
-                f"{self.origin}"
-            )
+            raise ValueError(f"origin = {origin} {wanted}")
         object.__setattr__(self, "origin", origin)
 
     def __eq__(self, other):

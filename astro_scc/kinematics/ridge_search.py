@@ -4,7 +4,9 @@
 import astropy.units as u
 import numpy as np
 
+from astro_scc.kinematics.frames import PositionAngleFrame, RadialFrame
 from astro_scc.kinematics.ridge_line import RidgeLine
+from astro_scc.quantities import named, one_quantity
 
 __all__ = ["find_ridge_line", "fit_position_angle", "limb_masks"]
 
@@ -145,15 +147,15 @@ def find_ridge_line(
     image, noise = _mean(cube)
     width = _width(cube)
     step = STEP * width
-    half = 1.5 * width if half_width is None else u.Quantity(half_width).to_value(u.mas)
-    smooth = 2 * width if smoothing is None else u.Quantity(smoothing).to_value(u.mas)
+    half = 1.5 * width if half_width is None else _length("half_width", half_width)
+    smooth = 2 * width if smoothing is None else _length("smoothing", smoothing)
     # No jet is longer than twice the image is wide; lines could go in circles.
     longest = 2 * np.hypot(*cube.shape[1:]) * cube.pixel_scale.value
     if r_max is not None:
-        longest = min(longest, u.Quantity(r_max).to_value(u.mas))
+        longest = min(longest, _length("r_max", r_max))
     if position_angle is None:
         position_angle, _ = fit_position_angle(cube, origin=origin, threshold=threshold)
-    angle = u.Quantity(position_angle).to_value(u.rad)
+    angle = PositionAngleFrame(position_angle).pa.to_value(u.rad)
     points = [_origin(origin)]
     snr = [np.nan]
     direction = np.array([np.sin(angle), np.cos(angle)])
@@ -224,9 +226,7 @@ def limb_masks(cube, ridge, half_width):
     >>> sorted(masks), int(masks["spine"][:, 100].sum())
     (['north', 'south', 'spine'], 11)
     """
-    half = u.Quantity(half_width).to(u.mas)
-    if not half > 0:
-        raise ValueError(f"the spine must have a width, got half_width {half_width}")
+    half = _length("half_width", half_width) * u.mas
     _, n = ridge.coordinates(*cube.offsets())
     if _normal_points_south(ridge):
         n = -n
@@ -313,7 +313,8 @@ def _width(cube):
 def _origin(origin):
     if origin is None:
         return np.zeros(2)
-    origin = u.Quantity(origin).to_value(u.mas)
-    if origin.shape != (2,):
-        raise ValueError("origin must be a pair of offsets (east, north)")
-    return origin
+    return RadialFrame(origin).origin.to_value(u.mas)
+
+
+def _length(name, value):
+    return named(name, one_quantity, value, "an angle", "2 mas").to_value(u.mas)

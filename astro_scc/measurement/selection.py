@@ -8,6 +8,7 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 
+from astro_scc.config.settings import require
 from astro_scc.epochs import ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.plan import centroids_inside, scales_of_pixels
@@ -113,6 +114,7 @@ def select_ssps(
         r = ssp_distances(matched, origin=origin, ridge=ridge)
         select &= (r >= low) & (r < high)
     if scales is not None:
+        scales = require("scales", scales)
         numbers = scales_of_pixels(scales, matched.cube.pixel_scale)
         have = matched.scales
         missing = [s for s in numbers if s not in have]

@@ -66,7 +66,9 @@ def write_votable(table, path, *, overwrite=False):
 
 def _column(values):
     if isinstance(values, Time):
-        return Column(values.isot, description=values.info.description)
+        # Of no dates, text is not known to be text.
+        dates = np.asarray(values.isot, dtype=str if len(values) else "U23")
+        return Column(dates, description=values.info.description)
     plain = getattr(values, "value", values)
     masked = {"mask": values.mask} if hasattr(values, "mask") else {}
     column = (MaskedColumn if masked else Column)(

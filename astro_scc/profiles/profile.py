@@ -8,6 +8,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Column, QTable, vstack
 
+from astro_scc.config.settings import require
 from astro_scc.kinematics import table_in_c
 from astro_scc.measurement import component_table, false_discovery_rate, select_ssps
 
@@ -48,17 +49,12 @@ def bins_of(edges, *, window=None):
     <Quantity [[0.25, 1.75],
                [1.25, 2.75]] mas>
     """
-    edges = u.Quantity(edges).to(u.mas)
-    least = 1 if window is not None else 2
-    if edges.ndim != 1 or len(edges) < least or not np.all(np.isfinite(edges)):
-        raise ValueError(f"bins need {least} distance(s) or more, got {edges}")
-    if not (np.all(np.diff(edges) > 0) and edges[0] >= 0):
-        raise ValueError(f"the edges of bins must increase, from 0 or more: {edges}")
+    edges = require("bins", edges).to(u.mas)
     if window is None:
+        if len(edges) < 2:
+            raise ValueError(f"bins need 2 distances or more, got {edges}")
         return np.stack([edges[:-1], edges[1:]], axis=1)
-    window = u.Quantity(window).to(u.mas)
-    if not 0 < window.value < np.inf:
-        raise ValueError(f"the window must have a width, got {window}")
+    window = require("window", window).to(u.mas)
     low = np.maximum(edges - window / 2, 0 * u.mas)
     return np.stack([low, edges + window / 2], axis=1)
 

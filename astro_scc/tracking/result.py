@@ -8,9 +8,11 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from astro_scc.config.settings import require
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube, beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics import table_in_c
+from astro_scc.quantities import named, to_quantity
 from astro_scc.tracking.chains import track_names
 from astro_scc.tracking.confidence import LinkedShare
 from astro_scc.tracking.fits import fit_motion
@@ -231,14 +233,16 @@ class Tracking:
         radial = np.stack([east, north]) / np.maximum(distance, 1e-30)
         error = np.sqrt(np.sum((radial * self.offset_errors[:, own]) ** 2, axis=0))
         error = np.maximum(error, self.offset_errors[:, own].min(axis=0))
-        radii = u.Quantity(radii).to(u.mas)
+        wanted = "must be distances with a unit, such as '1 2 3 mas'"
+        radii = named("radii", to_quantity, radii, u.mas, wanted).to(u.mas).reshape(-1)
+        half_width = require("half_width", half_width)
         speed, speed_err, n_tracks = track_profile(
             self.cube.years.to_value(u.yr)[self.ssps.epoch[own]],
             distance,
             error,
             self.track[own],
             radii.value,
-            half_width=u.Quantity(half_width).to_value(u.mas),
+            half_width=half_width.to_value(u.mas),
             min_epochs=self.settings["min_epochs"],
             scale=self.ssps.scale[own],
         )
@@ -251,7 +255,7 @@ class Tracking:
                 "n_tracks": n_tracks[use],
             }
         )
-        table.meta["half_width"] = u.Quantity(half_width).to(u.mas)
+        table.meta["half_width"] = half_width.to(u.mas)
         return table
 
     def _meta(self):

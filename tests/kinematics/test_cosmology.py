@@ -5,7 +5,8 @@ import pytest
 from astropy import constants
 from astropy.cosmology import FlatLambdaCDM, LambdaCDM, Planck18, default_cosmology
 from astropy.cosmology import units as cu
-from astropy.table import Column, QTable
+from astropy.table import Column, MaskedColumn, QTable
+from astropy.utils.masked import Masked
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -73,9 +74,13 @@ def test_arrays_and_other_units():
         ({"redshift": 0.0}, "redshift = 0.0 must be above 0"),
         ({"redshift": np.nan}, "redshift = nan must be above 0"),
         ({"redshift": 47367}, "redshift = 47367 must be below 1090; of a velocity"),
-        ({"redshift": "high"}, "redshift = high must be a redshift, a number such as"),
+        (
+            {"redshift": "high"},
+            "redshift = 'high' must be a redshift, a number such as",
+        ),
         ({"redshift": ""}, "must be a redshift, a number such as 0.158"),
         ({"redshift": "0.1 0.2"}, "must be a redshift, a number such as 0.158"),
+        ({"redshift": MaskedColumn([0.1], mask=[True])}, "must be a redshift"),
         ({"redshift": True}, "redshift = True must be a redshift"),
         ({"redshift": 1 * u.yr}, "redshift = 1.0 yr must be a redshift"),
         (
@@ -83,12 +88,12 @@ def test_arrays_and_other_units():
             "redshift = 47367.0 km / s is a velocity, which may be defined in three "
             "ways; give the redshift, 0.158 if it is c z",
         ),
-        ({"redshift": "47367 km/s"}, "47367 km/s is a velocity.* 0.158 if it is c z"),
+        ({"redshift": "47367 km/s"}, "'47367 km/s' is a velocity.* 0.158 if it is c z"),
         ({"redshift": 600 * u.Mpc}, "redshift = 600.0 Mpc is a length; give it as the"),
-        ({"redshift": "600 Mpc"}, "600 Mpc is a length; give it as the distance"),
+        ({"redshift": "600 Mpc"}, "'600 Mpc' is a length; give it as the distance"),
         (
             {"redshift": 0.1, "cosmology": "Planck"},
-            "cosmology = Planck is no cosmology",
+            "cosmology = 'Planck' is no cosmology",
         ),
         (
             {"redshift": 0.1, "cosmology": 0.27},
@@ -145,6 +150,16 @@ def test_distances_as_text():
     table = QTable({"pm": [1] * MU, "pm_err": [1] * MU})
     with pytest.raises(ValueError, match="distance must be one value, that of the sou"):
         table_in_c(table, distance="16 7 Mpc")
+
+
+def test_what_is_masked_stays_masked():
+    for motion in (
+        MaskedColumn([1.0, 2.0], mask=[True, False], unit="mas/yr"),
+        Masked([1, 2] * MU, mask=[True, False]),
+    ):
+        speed = apparent_speed(motion, redshift=0.158)
+        assert speed.mask.tolist() == [True, False]
+        assert speed.unmasked[1].value == pytest.approx(20.40, rel=5e-4)
 
 
 def test_one_cosmology_without_another():
@@ -273,5 +288,5 @@ def test_cosmologies_that_are_none(text):
 
 
 def test_cosmologies_that_astropy_refuses():
-    with pytest.raises(ValueError, match="cosmology = H0=71,Om0=-1 .*Om0"):
+    with pytest.raises(ValueError, match="cosmology = 'H0=71,Om0=-1' Om0"):
         apparent_speed(MU, redshift=0.1, cosmology="H0=71,Om0=-1")

@@ -49,11 +49,11 @@ def test_rate_and_axes():
     ("centre", "radius", "message"),
     [
         ([1.0] * u.mas, RADIUS, "two finite angles"),
-        (CENTRE, -1 * u.mas, "one positive angle"),
-        (CENTRE, [1, 2] * u.mas, "one positive angle"),
-        (CENTRE, 0 * u.mas, "one positive angle"),
-        (CENTRE, np.inf * u.mas, "one positive angle"),
-        (CENTRE, np.nan * u.mas, "one positive angle"),
+        (CENTRE, -1 * u.mas, "radius = .* must be finite and above 0"),
+        (CENTRE, [1, 2] * u.mas, "radius = .* must be an angle with a unit"),
+        (CENTRE, 0 * u.mas, "radius = .* must be finite and above 0"),
+        (CENTRE, np.inf * u.mas, "radius = .* must be finite and above 0"),
+        (CENTRE, np.nan * u.mas, "radius = .* must be finite and above 0"),
     ],
 )
 def test_no_frame(centre, radius, message):

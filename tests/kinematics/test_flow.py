@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc.kinematics import intrinsic_table, two_sided_jet, two_sided_ratio
+from astro_scc.profiles import lorentz_profile
 
 
 def test_errors_are_those_of_small_changes():
@@ -44,6 +45,21 @@ def test_speeds_that_cannot_be(beta, error):
         intrinsic_table(beta, error)
 
 
+def test_speeds_are_in_units_of_c():
+    table = intrinsic_table([400, 600] * u.percent, 10 * u.percent, rng=1)
+    np.testing.assert_allclose(table["gamma_min"].value, np.sqrt([17, 37]))
+    np.testing.assert_allclose(table["beta_app_err"].value, 0.1)
+    with pytest.raises(
+        u.UnitConversionError, match="units of c, got km / s: divide t"
+    ):
+        intrinsic_table([1e6] * u.km / u.s, [0.1])
+    distance, angle = [1, 7] * u.mas, 15 * u.deg
+    found = lorentz_profile(distance, [400, 600] * u.percent, [0.2, 0.4], angle, rng=1)
+    np.testing.assert_allclose(found.table["gamma"].value, [4.13, 7.48], atol=5e-3)
+    with pytest.raises(u.UnitConversionError, match="must be in units of c"):
+        lorentz_profile(distance, [1e6, 2e6] * u.km / u.s, [0.2, 0.4], angle)
+
+
 @given(beta=st.floats(0.1, 0.999), theta=st.floats(1, 89))
 def test_two_sided_jet_there_and_back(beta, theta):
     t, d = np.radians(theta), 10 * u.kpc
@@ -64,6 +80,16 @@ def test_two_sided_errors_and_refusals():
     assert found["angle"][1].value == pytest.approx(2, abs=1.5)
     assert 0 < found["beta"][1] < 0.05
     assert "beta" not in two_sided_jet(2 * day, 1 * day)
+    with pytest.raises(
+        u.UnitConversionError, match="errors = 0.4 must be an angle p"
+    ):
+        two_sided_jet(17.6 * day, 9.0 * day, errors=(0.4, 0.1))
+    with pytest.raises(u.UnitConversionError, match="receding = 9.0 must be an angle"):
+        two_sided_jet(17.6 * day, 9.0)
+    with pytest.raises(
+        ValueError, match="distance = -1.0 kpc must be finite and abov"
+    ):
+        two_sided_jet(17.6 * day, 9.0 * day, -1 * u.kpc)
     for receding in (0.0, 18.0):
         with pytest.raises(ValueError, match="receding motion must be positive"):
             two_sided_jet(17.6 * day, receding * day)

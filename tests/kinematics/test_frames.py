@@ -96,22 +96,34 @@ def test_radial_frames_compare():
     assert RadialFrame() != SkyFrame()
 
 
-@pytest.mark.parametrize("pa", [[1, 2] * u.deg, np.nan * u.deg])
-def test_bad_position_angle(pa):
-    with pytest.raises(ValueError, match="position angle must be one finite angle"):
+@pytest.mark.parametrize(
+    ("pa", "message"),
+    [
+        ([1, 2] * u.deg, "pa = .* must be an angle with a unit, such as '65 deg'"),
+        (np.nan * u.deg, "pa = nan deg must be finite"),
+        ("65", "pa = '65' has no unit at its end; it must be an angle"),
+        ("1 12 deg", "pa = '1 12 deg' must be an angle with a unit"),
+    ],
+)
+def test_bad_position_angle(pa, message):
+    with pytest.raises(ValueError, match=message):
         PositionAngleFrame(pa)
+
+
+def test_a_position_angle_as_text():
+    assert PositionAngleFrame("-112deg") == PositionAngleFrame(-112 * u.deg)
 
 
 @pytest.mark.parametrize("origin", [1 * u.mas, [1, np.nan] * u.mas, [1, 2, 3] * u.mas])
 def test_bad_origin(origin):
-    with pytest.raises(ValueError, match=r"the origin must be \(east, north\)"):
+    with pytest.raises(ValueError, match=r"origin = .* must be \(east, north\)"):
         RadialFrame(origin)
 
 
 def test_wrong_units():
     with pytest.raises(u.UnitConversionError):
         PositionAngleFrame(1 * u.Jy)
-    with pytest.raises(u.UnitConversionError):
+    with pytest.raises(u.UnitConversionError, match="pa = 65 must be an angle with a"):
         PositionAngleFrame(65)
     with pytest.raises(u.UnitConversionError):
         RadialFrame([1, 2] * u.Jy)

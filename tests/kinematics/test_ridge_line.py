@@ -177,7 +177,7 @@ def test_nothing_to_follow():
         fit_position_angle(cube, threshold=10)
     with pytest.raises(ValueError, match="less than three beams"):
         find_ridge_line(cube, position_angle=90 * u.deg, threshold=10)
-    with pytest.raises(ValueError, match="pair of offsets"):
+    with pytest.raises(ValueError, match=r"origin = 3.0 mas must be \(east, north\)"):
         fit_position_angle(cube, origin=3 * u.mas)
 
 
@@ -202,8 +202,15 @@ def test_limbs():
     again = limb_masks(cube, turned, 0.5 * u.mas)
     x, y = cube.offset_to_pixel(*(v * u.mas for v in on_circle(0.7, 1.0)))
     assert again["north"][round(float(y)), round(float(x))]
-    with pytest.raises(ValueError, match="must have a width"):
+    with pytest.raises(
+        ValueError, match="half_width = 0.0 mas must be finite and"
+    ):
         limb_masks(cube, circle(), 0 * u.mas)
+    for option in ("half_width", "smoothing", "r_max"):
+        with pytest.raises(ValueError, match=f"{option} = nan mas must be finite"):
+            find_ridge_line(cube, **{option: np.nan * u.mas})
+    with pytest.raises(ValueError, match="pa = nan deg must be finite"):
+        find_ridge_line(cube, position_angle=np.nan * u.deg)
 
 
 def test_no_beam():

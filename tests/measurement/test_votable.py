@@ -48,6 +48,8 @@ def test_dates_and_short_numbers(tmp_path):
     read = QTable.read(path)
     assert read["date"][0] == "2000-01-01T00:00:00.000"
     assert read["sign"][0] == -1
+    write_votable(table[:0], path, overwrite=True)
+    assert QTable.read(path)["date"].dtype.kind in "OU"
 
 
 def test_what_a_row_has_not_stays_masked(tmp_path):

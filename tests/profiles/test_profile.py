@@ -31,16 +31,21 @@ def profile(scc, matched):
     ("edges", "window", "message"),
     [
         ([1.0], None, "2 distance"),
-        ([2.0, 1.0], None, "must increase"),
-        ([-1.0, 1.0], None, "from 0 or more"),
-        ([1.0, np.nan], None, "2 distance"),
-        ([1.0, 2.0], 0.0, "must have a width"),
+        ([2.0, 1.0], None, "bins = .* must be increasing distances"),
+        ([-1.0, 1.0], None, "bins = .* must be increasing distances"),
+        ([1.0, np.nan], None, "bins = .* must be increasing distances"),
+        ([1.0, 2.0], 0.0, "window = 0.0 mas must be finite and above 0"),
     ],
 )
 def test_bins_that_make_no_sense(edges, window, message):
     window = window if window is None else window * u.mas
     with pytest.raises(ValueError, match=message):
         bins_of(edges * u.mas, window=window)
+
+
+def test_bins_as_text():
+    assert np.all(bins_of("0.5 1.5 2.5 mas") == [[0.5, 1.5], [1.5, 2.5]] * u.mas)
+    assert np.all(bins_of("2 mas", window="1 mas") == [[1.5, 2.5]] * u.mas)
 
 
 def test_windows_overlap():
