@@ -161,7 +161,7 @@ def result(cube):
         ),
         (
             {"position_angle": np.nan * u.deg},
-            "position_angle = .* must be radial, ridge",
+            "position_angle = nan deg must be finite",
         ),
         ({"kernel": 0}, "kernel = 0 must be a part of the beam between"),
         ({"kernel": 5}, "kernel = 5 must be a part of the beam between"),

@@ -49,9 +49,7 @@ def test_speeds_are_in_units_of_c():
     table = intrinsic_table([400, 600] * u.percent, 10 * u.percent, rng=1)
     np.testing.assert_allclose(table["gamma_min"].value, np.sqrt([17, 37]))
     np.testing.assert_allclose(table["beta_app_err"].value, 0.1)
-    with pytest.raises(
-        u.UnitConversionError, match="units of c, got km / s: divide t"
-    ):
+    with pytest.raises(u.UnitConversionError, match="units of c, got km / s: divide t"):
         intrinsic_table([1e6] * u.km / u.s, [0.1])
     distance, angle = [1, 7] * u.mas, 15 * u.deg
     found = lorentz_profile(distance, [400, 600] * u.percent, [0.2, 0.4], angle, rng=1)
@@ -80,15 +78,11 @@ def test_two_sided_errors_and_refusals():
     assert found["angle"][1].value == pytest.approx(2, abs=1.5)
     assert 0 < found["beta"][1] < 0.05
     assert "beta" not in two_sided_jet(2 * day, 1 * day)
-    with pytest.raises(
-        u.UnitConversionError, match="errors = 0.4 must be an angle p"
-    ):
+    with pytest.raises(u.UnitConversionError, match="errors = 0.4 must be an angle p"):
         two_sided_jet(17.6 * day, 9.0 * day, errors=(0.4, 0.1))
     with pytest.raises(u.UnitConversionError, match="receding = 9.0 must be an angle"):
         two_sided_jet(17.6 * day, 9.0)
-    with pytest.raises(
-        ValueError, match="distance = -1.0 kpc must be finite and abov"
-    ):
+    with pytest.raises(ValueError, match="distance = -1.0 kpc must be finite and abov"):
         two_sided_jet(17.6 * day, 9.0 * day, -1 * u.kpc)
     for receding in (0.0, 18.0):
         with pytest.raises(ValueError, match="receding motion must be positive"):
