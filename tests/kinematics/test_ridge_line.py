@@ -202,9 +202,7 @@ def test_limbs():
     again = limb_masks(cube, turned, 0.5 * u.mas)
     x, y = cube.offset_to_pixel(*(v * u.mas for v in on_circle(0.7, 1.0)))
     assert again["north"][round(float(y)), round(float(x))]
-    with pytest.raises(
-        ValueError, match="half_width = 0.0 mas must be finite and"
-    ):
+    with pytest.raises(ValueError, match="half_width = 0.0 mas must be finite and"):
         limb_masks(cube, circle(), 0 * u.mas)
     for option in ("half_width", "smoothing", "r_max"):
         with pytest.raises(ValueError, match=f"{option} = nan mas must be finite"):
