@@ -16,7 +16,9 @@ from astro_scc.stacking.components import (
 from astro_scc.stacking.contrast import Contrast
 from astro_scc.stacking.displacements import Displacements
 from astro_scc.stacking.expansion import Expansion, fit_expansion
-from astro_scc.stacking.features import count_features
+from astro_scc.stacking.features import Feature, find_features
+from astro_scc.stacking.diagram import AxisDisplacements, Diagram, EpochPermutations
+from astro_scc.stacking.search import SearchSettings
 from astro_scc.stacking.grid import VelocityGrid
 from astro_scc.stacking.groups import GroupSpeeds, compare_groups, paired_p_value
 from astro_scc.stacking.jitter import JitteredVelocity, jitter_positions
@@ -42,7 +44,8 @@ from astro_scc.stacking.sampling import sampling_scatter
 from astro_scc.stacking.scatter import epoch_scatter, feature_scatter
 from astro_scc.stacking.shuffle import ShuffledStacks, random_orders, shuffle_epochs
 from astro_scc.stacking.sightings import Sightings
-from astro_scc.stacking.significance import Finding, find_velocities
+from astro_scc.stacking.significance import Search, Stream, find_streams
+from astro_scc.stacking.streams import Population, random_effects, separate_streams
 from astro_scc.stacking.stack import gaussian_sum, stack
 from astro_scc.stacking.witnesses import Witnesses, find_witnesses
 
@@ -57,7 +60,6 @@ __all__ = [
     "DatePairs",
     "Displacements",
     "Expansion",
-    "Finding",
     "GroupSpeeds",
     "JitteredVelocity",
     "LagTest",
@@ -77,11 +79,9 @@ __all__ = [
     "compare_groups",
     "component_near",
     "consecutive_pairs",
-    "count_features",
     "epoch_scatter",
     "feature_scatter",
     "find_components",
-    "find_velocities",
     "find_witnesses",
     "fit_acceleration",
     "fit_expansion",
