@@ -7,7 +7,10 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-__all__ = ["AxisDisplacements", "Diagram", "EpochPermutations"]
+from astro_scc.stacking.permutations import number_of_orders, permutations_of_epochs
+from astro_scc.stacking.search import SearchSettings
+
+__all__ = ["AxisDisplacements", "Diagram", "EpochPermutations", "Rays"]
 
 #: Grid points of the displacement in one smoothing length.
 POINTS = 3
@@ -132,7 +135,7 @@ class Diagram:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import AxisDisplacements, Diagram, SearchSettings
+    >>> from astro_scc.stacking import AxisDisplacements, Diagram, Rays, SearchSettings
     >>> years = np.array([0.0, 1.0, 2.5])
     >>> ssp, to = np.array([0, 0, 1]), np.array([1, 2, 2])
     >>> d = AxisDisplacements(
@@ -140,7 +143,8 @@ class Diagram:
     ...     reference=ssp, target=to, ssp=ssp, target_ssp=to,
     ...     position=np.zeros((3, 2)), epoch=np.arange(3), scale=np.ones(3),
     ...     years=years)
-    >>> diagram = Diagram.of(d, 1.5, SearchSettings())
+    >>> rays = Rays.of(years, 1.5, SearchSettings())
+    >>> diagram = Diagram.of(d, rays, SearchSettings())
     >>> diagram.displacement[diagram.excess.argmax(axis=1)].round(1)
     array([0.4, 0.6, 1. ])
     """
@@ -152,23 +156,22 @@ class Diagram:
     excess: np.ndarray
 
     @classmethod
-    def of(cls, displacements, radius, settings):
+    def of(cls, displacements, rays, settings):
         """
         The diagram of the epochs in their order.
 
         Parameters
         ----------
         displacements : `AxisDisplacements`
-        radius : float
-            Largest displacement in beams.
+        rays : `Rays`
         settings : `~astro_scc.stacking.SearchSettings`
 
         Returns
         -------
         `Diagram`
         """
-        bins = IntervalBins.of(displacements.years, settings.interval_step)
-        density = PairDensity.of(displacements, radius, settings)
+        bins = rays.bins
+        density = PairDensity.of(displacements, rays.radius, settings)
         observed = bins.sums(density.pairs, np.arange(len(displacements.years))[None])
         return cls(
             displacement=density.grid,
@@ -240,11 +243,11 @@ class IntervalBins:
     number: np.ndarray
 
     @classmethod
-    def of(cls, years, step):
+    def of(cls, years, step, intervals):
         first, second = np.triu_indices(len(years), 1)
         interval = years[second] - years[first]
-        first, second = first[interval > 0], second[interval > 0]
-        interval = interval[interval > 0]
+        use = (interval > 0) & (interval >= intervals[0]) & (interval <= intervals[1])
+        first, second, interval = first[use], second[use], interval[use]
         number = np.floor(np.log(interval / interval.min(initial=np.inf)) / step + 1e-9)
         _, which = np.unique(number, return_inverse=True)
         count = np.bincount(which)
@@ -263,53 +266,132 @@ class IntervalBins:
         return (sums @ pairs).reshape(n, n_bins, -1)
 
 
-def speed_grid(years, radius, settings):
+@dataclass(frozen=True, eq=False, repr=False)
+class Rays:
     """
-    Speeds that are searched, in beams a year: both directions, even in log.
+    Which speeds are searched, and in which intervals each of them.
 
-    From that which moves ``slowest`` beams in the whole time to that which
-    moves ``radius`` in the shorter quarter of the intervals between epochs.
+    Attributes
+    ----------
+    speed : `~numpy.ndarray`, shape (n_v,)
+        In beams a year, both directions, even in the logarithm: from that
+        which moves ``slowest`` beams in the whole time to that which moves
+        ``radius`` in the shorter quarter of the intervals between epochs.
+    bins : `IntervalBins`
+    radius : float
+        Largest displacement in beams.
+    shortest : float
+        Intervals up to this one are the shortest there are, in years.
+    intervals : tuple of float
+        Shortest and longest interval that is used.
+    settings : `~astro_scc.stacking.SearchSettings`
     """
-    gaps = np.diff(years)
-    gaps = gaps[gaps > 0]
-    fastest = radius / np.quantile(gaps, 0.25)
-    slowest = min(settings.slowest / (years[-1] - years[0]), 0.25 * fastest)
-    n = int(np.ceil(np.log(fastest / slowest) / settings.speed_step))
-    speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
-    return np.concatenate([-speed[::-1], speed])
 
+    speed: np.ndarray
+    bins: "IntervalBins"
+    radius: float
+    shortest: float
+    intervals: tuple
+    settings: SearchSettings
 
-def ray_weight(motion, interval, shortest, radius, settings):
-    """Weight of intervals for speeds: those in which they move as far as counts."""
-    motion = np.abs(motion)
-    soft = 0.25 * settings.nearest
-    near = np.clip((motion - settings.nearest) / (2 * soft) + 0.5, 0, 1)
-    far = np.clip((settings.farthest - motion) / (4 * soft) + 0.5, 0, 1)
-    # What moves farther even in the shortest intervals is looked for there.
-    far = np.where((interval <= shortest) & (motion <= radius), 1.0, far)
-    return near * far
+    @classmethod
+    def of(
+        cls, years, radius, settings, fastest=np.inf, intervals=(0.0, np.inf)
+    ):
+        """
+        The rays for some dates.
 
+        Parameters
+        ----------
+        years : `~numpy.ndarray`, shape (n_epochs,)
+        radius : float
+        settings : `~astro_scc.stacking.SearchSettings`
+        fastest : float, optional
+            Largest speed.
+        intervals : tuple of float, optional
 
-def ray_sums(speeds, bins, grid, shortest, settings):
-    """The sum of a diagram over rays, as a matrix: (n_speeds, n_tau * n_d)."""
-    motion = speeds[:, None] * bins.mean
-    weight = ray_weight(motion, bins.mean, shortest, grid[-1], settings)
-    step, n = grid[1] - grid[0], len(grid)
-    place = (np.clip(motion, grid[0], grid[-1]) - grid[0]) / step
-    low = np.minimum(np.floor(place).astype(int), n - 2)
-    part = place - low
-    row, column = np.nonzero(weight)
-    cell = column * n + low[row, column]
-    value, part = weight[row, column], part[row, column]
-    values = np.concatenate([value * (1 - part), value * part])
-    where = np.concatenate([row, row]), np.concatenate([cell, cell + 1])
-    return csr_array((values, where), shape=(len(speeds), len(bins.mean) * n))
+        Returns
+        -------
+        `Rays`
 
+        Raises
+        ------
+        ValueError
+            If no two epochs are as far apart as ``intervals`` ask.
+        """
+        bins = IntervalBins.of(years, settings.interval_step, intervals)
+        if len(bins.mean) == 0:
+            raise ValueError(
+                f"no two epochs are {intervals[0]:g} to {intervals[1]:g} yr apart"
+            )
+        gaps = np.diff(years)
+        gaps = gaps[(gaps > 0) & (gaps >= intervals[0])]
+        used = bins.mean.min() if len(gaps) == 0 else np.quantile(gaps, 0.25)
+        longest = min(years[-1] - years[0], intervals[1])
+        fastest = min(radius / used, fastest)
+        slowest = min(settings.slowest / longest, 0.25 * fastest)
+        n = int(np.ceil(np.log(fastest / slowest) / settings.speed_step))
+        speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
+        return cls(
+            speed=np.concatenate([-speed[::-1], speed]),
+            bins=bins,
+            radius=radius,
+            shortest=1.05 * used,
+            intervals=intervals,
+            settings=settings,
+        )
 
-def shortest_interval(years):
-    """Intervals up to this one are the shortest there are."""
-    gaps = np.diff(years)
-    return 1.05 * np.quantile(gaps[gaps > 0], 0.25)
+    def weight(self, motion, interval):
+        """
+        Weight of intervals: those in which a speed moves as far as counts.
+
+        Parameters
+        ----------
+        motion, interval : array_like
+            Displacement in beams, and interval in years.
+
+        Returns
+        -------
+        `~numpy.ndarray`
+            Between 0 and 1.
+        """
+        settings = self.settings
+        motion, interval = np.abs(motion), np.abs(interval)
+        soft = 0.25 * settings.nearest
+        near = np.clip((motion - settings.nearest) / (2 * soft) + 0.5, 0, 1)
+        far = np.clip((settings.farthest - motion) / (4 * soft) + 0.5, 0, 1)
+        # What moves farther even in the shortest intervals is looked for there.
+        far = np.where((interval <= self.shortest) & (motion <= self.radius), 1.0, far)
+        used = (interval >= self.intervals[0]) & (interval <= self.intervals[1])
+        return near * far * used
+
+    def matrix(self, speed, grid):
+        """
+        Sums of a diagram over rays, as a matrix.
+
+        Parameters
+        ----------
+        speed : `~numpy.ndarray`, shape (n_v,)
+        grid : `~numpy.ndarray`, shape (n_d,)
+            Displacements of the diagram.
+
+        Returns
+        -------
+        `~scipy.sparse.csr_array`, shape (n_v, n_tau * n_d)
+        """
+        interval = self.bins.mean
+        motion = speed[:, None] * interval
+        weight = self.weight(motion, np.broadcast_to(interval, motion.shape))
+        step, n = grid[1] - grid[0], len(grid)
+        place = (np.clip(motion, grid[0], grid[-1]) - grid[0]) / step
+        low = np.minimum(np.floor(place).astype(int), n - 2)
+        part = place - low
+        row, column = np.nonzero(weight)
+        cell = column * n + low[row, column]
+        value, part = weight[row, column], part[row, column]
+        values = np.concatenate([value * (1 - part), value * part])
+        where = np.concatenate([row, row]), np.concatenate([cell, cell + 1])
+        return csr_array((values, where), shape=(len(speed), len(interval) * n))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -333,7 +415,7 @@ class EpochPermutations:
     --------
     >>> import numpy as np
     >>> from astro_scc.stacking import (AxisDisplacements, EpochPermutations,
-    ...                                 SearchSettings)
+    ...                                 Rays, SearchSettings)
     >>> years = np.arange(6.0)
     >>> ssp, to = (k[~np.eye(6, dtype=bool)] for k in np.indices((6, 6)))
     >>> d = AxisDisplacements(
@@ -341,7 +423,8 @@ class EpochPermutations:
     ...     reference=ssp, target=to, ssp=ssp, target_ssp=to,
     ...     position=np.zeros((6, 2)), epoch=np.arange(6), scale=np.ones(6),
     ...     years=years)
-    >>> test = EpochPermutations.of([d], 1.5, 99, np.random.default_rng(1),
+    >>> rays = Rays.of(years, 1.5, SearchSettings())
+    >>> test = EpochPermutations.of([d], rays, 99, np.random.default_rng(1),
     ...                             SearchSettings())
     >>> axis, speed = test.largest()
     >>> axis, round(speed, 1), test.p_values(axis, speed)[1] < 0.05
@@ -354,7 +437,7 @@ class EpochPermutations:
     smallest_p: float
 
     @classmethod
-    def of(cls, axes, radius, n_trials, rng, settings, *, outward=False):
+    def of(cls, axes, rays, n_trials, rng, settings, *, outward=False):
         """
         Permute the epochs.
 
@@ -362,8 +445,7 @@ class EpochPermutations:
         ----------
         axes : sequence of `AxisDisplacements`
             The same matches along each axis that is searched.
-        radius : float
-            Largest displacement in beams.
+        rays : `Rays`
         n_trials : int
             Number of permutations; all there are if they are fewer.
         rng : `~numpy.random.Generator`
@@ -375,26 +457,19 @@ class EpochPermutations:
         -------
         `EpochPermutations`
         """
-        from astro_scc.stacking.orders import AllOrders
-
-        years = axes[0].years
-        speed = speed_grid(years, radius, settings)
-        speed = speed[speed > 0] if outward else speed
-        bins = IntervalBins.of(years, settings.interval_step)
-        orders = AllOrders().draw(len(years), n_trials, rng)
+        years, bins = axes[0].years, rays.bins
+        speed = rays.speed[rays.speed > 0] if outward else rays.speed
+        orders = permutations_of_epochs(len(years), n_trials, rng)
         orders = np.concatenate([np.arange(len(years))[None], orders])
-        shortest = shortest_interval(years)
         sums = []
         for axis in axes:
-            density = PairDensity.of(axis, radius, settings)
-            rays = ray_sums(speed, bins, density.grid, shortest, settings)
-            chance = rays @ (bins.number[:, None] * density.mean).ravel()
+            density = PairDensity.of(axis, rays.radius, settings)
+            matrix = rays.matrix(speed, density.grid)
+            chance = matrix @ (bins.number[:, None] * density.mean).ravel()
             size = max(1, int(BYTES // (8 * len(bins.mean) * len(density.grid))))
             parts = [
-                rays @ bins.sums(density.pairs, orders[k : k + size])
-                .reshape(len(orders[k : k + size]), -1)
-                .T
-                for k in range(0, len(orders), size)
+                matrix @ bins.sums(density.pairs, some).reshape(len(some), -1).T
+                for some in np.split(orders, np.arange(size, len(orders), size))
             ]
             sums.append(np.concatenate(parts, axis=1).T - chance)
         sums = np.stack(sums, axis=1)
@@ -404,9 +479,7 @@ class EpochPermutations:
             speed=speed,
             z=z[0],
             permuted=z[1:].astype(np.float32),
-            smallest_p=max(
-                1 / len(orders), 1 / max(AllOrders().number(len(years)), 1)
-            ),
+            smallest_p=max(1 / len(orders), 1 / number_of_orders(len(years))),
         )
 
     @cached_property

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from astro_scc.stacking.diagram import ray_weight, shortest_interval
-
 __all__ = ["Feature", "find_features"]
 
 #: Speeds that single SSPs are given, relative step.
@@ -99,7 +97,7 @@ class Feature:
         )
 
 
-def find_features(displacements, radius, settings, prior):
+def find_features(displacements, rays, settings, prior):
     """
     Find features that move, each with a speed of its own.
 
@@ -112,8 +110,7 @@ def find_features(displacements, radius, settings, prior):
     Parameters
     ----------
     displacements : `~astro_scc.stacking.AxisDisplacements`
-    radius : float
-        Largest displacement in beams.
+    rays : `~astro_scc.stacking.Rays`
     settings : `~astro_scc.stacking.SearchSettings`
     prior : callable
         Weight between 0 and 1 of an array of speeds.
@@ -124,13 +121,13 @@ def find_features(displacements, radius, settings, prior):
         Those of several scales that are the same only once.
     """
     d = displacements
-    keep = (np.abs(d.across) <= settings.across) & (np.abs(d.along) <= radius)
+    keep = (np.abs(d.across) <= settings.across) & (np.abs(d.along) <= rays.radius)
     keep &= (d.target_ssp >= 0) & (d.interval != 0)
     links = _Links.of(d.select(keep))
     if len(links.ssp) == 0:
         return []
-    speeds = _speeds(d.years, radius, settings)
-    excess = _excess(links, d, speeds, radius, settings) * prior(speeds)
+    speeds = _speeds(rays)
+    excess = _excess(links, d, speeds, rays) * prior(speeds)
     best, fastest = excess.max(axis=1), speeds[excess.argmax(axis=1)]
     free = np.ones(len(d.epoch), dtype=bool)
     found = []
@@ -212,20 +209,20 @@ class _Links:
         return np.concatenate(parts) if parts else np.zeros(0, dtype=int)
 
 
-def _speeds(years, radius, settings):
-    fastest = radius / shortest_interval(years)
-    slowest = min(0.5 * settings.slowest / (years[-1] - years[0]), 0.25 * fastest)
+def _speeds(rays):
+    """Speeds of single features: somewhat beyond those of streams."""
+    fastest, slowest = 1.1 * rays.speed.max(), 0.5 * np.abs(rays.speed).min()
     n = int(np.ceil(np.log(fastest / slowest) / SPEED_STEP))
     speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
     return np.concatenate([-speed[::-1], speed])
 
 
-def _excess(links, d, speeds, radius, settings):
+def _excess(links, d, speeds, rays):
     """Matches of each SSP on rays, less those that permutations give."""
-    n, n_epochs, sigma = len(d.epoch), len(d.years), settings.smoothing
-    shortest = shortest_interval(d.years)
+    n, n_epochs, sigma = len(d.epoch), len(d.years), rays.settings.smoothing
     step = sigma / 2
-    grid = np.arange(-np.ceil(radius / step) - 2, np.ceil(radius / step) + 3) * step
+    half = np.ceil(rays.radius / step) + 2
+    grid = np.arange(-half, half + 1) * step
     cell = np.rint((links.along - grid[0]) / step).astype(int)
     density = np.zeros((n, len(grid)))
     np.add.at(density, (links.ssp, cell), links.weight)
@@ -235,16 +232,14 @@ def _excess(links, d, speeds, radius, settings):
     interval = d.years[:, None] - d.years
     for k, speed in enumerate(speeds):
         expected = speed * links.interval
-        size = np.abs(links.interval)
-        weight = ray_weight(expected, size, shortest, radius, settings)
+        weight = rays.weight(expected, links.interval)
         use = np.flatnonzero(weight)
         value = weight[use] * links.weight[use]
         value *= np.exp(-0.5 * ((links.along[use] - expected[use]) / sigma) ** 2)
         found[:, k] = np.bincount(links.ssp[use], value, n)
         # The share of each cell of displacement, of the dates seen from each.
         motion = speed * interval
-        share = ray_weight(motion, np.abs(interval), shortest, radius, settings)
-        share = np.where(interval == 0, 0.0, share)
+        share = np.where(interval == 0, 0.0, rays.weight(motion, interval))
         cells = np.rint((np.clip(motion, grid[0], grid[-1]) - grid[0]) / step)
         chance = np.zeros((n_epochs, len(grid)))
         row = np.broadcast_to(np.arange(n_epochs), interval.shape)

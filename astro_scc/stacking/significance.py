@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from astro_scc.stacking.diagram import Diagram, EpochPermutations
+from astro_scc.stacking.diagram import Diagram, EpochPermutations, Rays
 from astro_scc.stacking.features import find_features, standing_features
 from astro_scc.stacking.search import SearchSettings
 from astro_scc.stacking.streams import (
@@ -103,6 +103,8 @@ def find_streams(
     n_trials=1000,
     rng,
     outward=False,
+    fastest=np.inf,
+    intervals=(0.0, np.inf),
     settings=None,
 ):
     """
@@ -131,11 +133,20 @@ def find_streams(
     rng : `~numpy.random.Generator`
     outward : bool, optional
         Search positive speeds only.
+    fastest : float, optional
+        Largest speed, in beams a year.
+    intervals : tuple of float, optional
+        Shortest and longest interval between epochs that is used, in years.
     settings : `~astro_scc.stacking.SearchSettings`, optional
 
     Returns
     -------
     `Search`
+
+    Raises
+    ------
+    ValueError
+        If no two epochs are as far apart as ``intervals`` ask.
 
     Examples
     --------
@@ -161,8 +172,9 @@ def find_streams(
     settings = SearchSettings() if settings is None else settings
     test_rng, model_rng = rng.spawn(2)
     axes = [project(angle) for angle in angles]
+    rays = Rays.of(axes[0].years, radius, settings, fastest, intervals)
     permutations = EpochPermutations.of(
-        axes, radius, n_trials, test_rng, settings, outward=outward
+        axes, rays, n_trials, test_rng, settings, outward=outward
     )
     axis, speed = permutations.largest()
     p_local, p_global = permutations.p_values(axis, speed)
@@ -172,7 +184,7 @@ def find_streams(
         z = permutations.significance(axis, speeds)
         return np.clip(z / settings.full_prior, LEAST_PRIOR, 1.0)
 
-    features = find_features(d, radius, settings, prior)
+    features = find_features(d, rays, settings, prior)
     if len(angles) > 1 and features:
         # The axes are some degrees apart: along the features' own direction.
         near = [f for f in features if f.speed * speed > 0] or features
@@ -180,7 +192,7 @@ def find_streams(
         turn = (turn + np.pi / 2) % np.pi - np.pi / 2
         if abs(turn) <= np.pi / len(angles):
             angle, d = angle + turn, project(angle + turn)
-            features = find_features(d, radius, settings, prior)
+            features = find_features(d, rays, settings, prior)
     streams = []
     for group, p_distinct in _groups(
         features, permutations, axis, speed, alpha, n_trials, model_rng
@@ -209,7 +221,7 @@ def find_streams(
     streams += _standing(d, streams, angle, settings)
     return Search(
         streams=tuple(streams),
-        diagram=Diagram.of(d, radius, settings),
+        diagram=Diagram.of(d, rays, settings),
         angle=float(angle),
         permutations=permutations,
     )

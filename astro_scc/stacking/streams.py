@@ -107,6 +107,31 @@ def feature_speeds(features):
     return speed, np.hypot(INFLATION * error, BIAS * np.abs(speed))
 
 
+def alignment_response(stream, epoch, n_epochs):
+    """
+    Change of a stream's mean speed for a displacement of whole epochs.
+
+    Parameters
+    ----------
+    stream : `~astro_scc.stacking.Stream`
+    epoch : `~numpy.ndarray` of int, shape (n_ssps,)
+    n_epochs : int
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n_epochs,)
+        In 1/yr.
+    """
+    response = np.zeros(n_epochs)
+    if not stream.features:
+        return response
+    _, error = feature_speeds(stream.features)
+    weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
+    for feature, w in zip(stream.features, weight / weight.sum(), strict=True):
+        response[epoch[feature.ssp]] += w * feature.response
+    return response
+
+
 def separate_streams(features, n_trials, rng):
     """
     Whether the features' speeds are of two streams rather than one.
