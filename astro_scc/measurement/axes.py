@@ -99,9 +99,7 @@ class AxisProjection:
 
 
 def _turn(angle):
-    return np.array(
-        [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-    )
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
 def _positions(frame, east, north):

@@ -295,9 +295,7 @@ class Rays:
     settings: SearchSettings
 
     @classmethod
-    def of(
-        cls, years, radius, settings, fastest=np.inf, intervals=(0.0, np.inf)
-    ):
+    def of(cls, years, radius, settings, fastest=np.inf, intervals=(0.0, np.inf)):
         """
         The rays for some dates.
 
@@ -499,8 +497,10 @@ class EpochPermutations:
         """
         axis, k = np.unravel_index(self.z.argmax(), self.z.shape)
         speed = self.speed[k]
-        if 0 < k < len(self.speed) - 1 and speed * self.speed[k - 1] > 0 and (
-            speed * self.speed[k + 1] > 0
+        if (
+            0 < k < len(self.speed) - 1
+            and speed * self.speed[k - 1] > 0
+            and (speed * self.speed[k + 1] > 0)
         ):
             below, here, above = self.z[axis, k - 1 : k + 2]
             bend = below - 2 * here + above

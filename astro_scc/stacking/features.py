@@ -257,9 +257,10 @@ def _follow(seed, speed, links, d, free, settings):
         index = links.of_ssps(front)
         index = index[free[links.to[index]]]
         off = links.along[index] - speed * links.interval[index]
-        index, off = index[np.abs(off) <= 2 * settings.smoothing], off[
-            np.abs(off) <= 2 * settings.smoothing
-        ]
+        index, off = (
+            index[np.abs(off) <= 2 * settings.smoothing],
+            off[np.abs(off) <= 2 * settings.smoothing],
+        )
         to = links.to[index]
         time = d.years[d.epoch[to]] - when
         line = here + np.stack([speed * time, across * time], axis=1)

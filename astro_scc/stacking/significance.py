@@ -305,9 +305,7 @@ def _without_features(permutations, axis, speed, angle, alpha, settings):
     along = Population(float(speed), np.nan, np.nan, np.nan)
     kind, reason = classify(along, p_global, (), permutations, alpha, settings)
     z = float(permutations.significance(axis, speed))
-    return Stream(
-        kind, reason, angle, along, unknown, z, p_local, p_global, p_global
-    )
+    return Stream(kind, reason, angle, along, unknown, z, p_local, p_global, p_global)
 
 
 def _standing(d, streams, angle, settings):
