@@ -459,7 +459,7 @@ class EpochPermutations:
         speed = rays.speed[rays.speed > 0] if outward else rays.speed
         orders = permutations_of_epochs(len(years), n_trials, rng)
         orders = np.concatenate([np.arange(len(years))[None], orders])
-        sums = []
+        sums, largest = [], 1e-300
         for axis in axes:
             density = PairDensity.of(axis, rays.radius, settings)
             matrix = rays.matrix(speed, density.grid)
@@ -470,9 +470,11 @@ class EpochPermutations:
                 for some in np.split(orders, np.arange(size, len(orders), size))
             ]
             sums.append(np.concatenate(parts, axis=1).T - chance)
+            largest = max(largest, chance.max())
         sums = np.stack(sums, axis=1)
         std = sums.std(axis=0)
-        z = sums / np.maximum(std, 1e-6 * std.max(initial=1e-300))
+        # Epochs that are all the same differ by rounding only.
+        z = sums / np.maximum(std, 1e-6 * largest)
         return cls(
             speed=speed,
             z=z[0],
