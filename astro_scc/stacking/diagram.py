@@ -323,7 +323,7 @@ class Rays:
                 f"no two epochs are {intervals[0]:g} to {intervals[1]:g} yr apart"
             )
         gaps = np.diff(years)
-        gaps = gaps[(gaps > 0) & (gaps >= intervals[0])]
+        gaps = gaps[(gaps > 0) & (gaps >= intervals[0]) & (gaps <= intervals[1])]
         used = bins.mean.min() if len(gaps) == 0 else np.quantile(gaps, 0.25)
         longest = min(years[-1] - years[0], intervals[1])
         fastest = min(radius / used, fastest)

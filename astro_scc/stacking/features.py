@@ -160,6 +160,8 @@ def standing_features(displacements, settings):
     """
     d = displacements
     close = (np.hypot(d.along, d.across) <= settings.nearest) & (d.target_ssp >= 0)
+    # Images of one date say nothing about motion.
+    close &= d.interval != 0
     links = _Links.of(d.select(close))
     free = np.ones(len(d.epoch), dtype=bool)
     least = max(settings.least_epochs, len(d.years) / 2)
