@@ -139,7 +139,9 @@ def find_features(displacements, rays, settings, prior):
         chosen = _follow(seed, fastest[seed], links, d, free, settings)
         free[chosen] = False
         chosen = _on_line(chosen, d, settings)
-        if len(chosen) >= settings.least_epochs:
+        first, last = d.epoch[chosen[0]], d.epoch[chosen[-1]]
+        least = max(settings.least_epochs, settings.least_share * (last - first + 1))
+        if len(chosen) >= least:
             found.append(_feature(chosen, d, settings))
     return _different(found, d)
 

@@ -41,6 +41,10 @@ class SearchSettings:
         Error of an SSP's position beyond noise, by blending.
     least_epochs : int
         Epochs in which a feature is seen.
+    least_share : float
+        Share of the epochs from its first to its last one in which it is
+        seen: of 95% of the features that are followed rightly it is 0.7 or
+        more, SSPs that lie on a line by chance leave most epochs out.
     least_motion : float
         Beams that the fastest feature of a stream moves while it is seen.
     least_score : float
@@ -70,6 +74,7 @@ class SearchSettings:
     line: float = 0.3
     position_error: float = 0.06
     least_epochs: int = 4
+    least_share: float = 0.6
     least_motion: float = 1.0
     least_score: float = 1.5
     full_prior: float = 6.0

@@ -76,7 +76,7 @@ class Search:
     ----------
     streams : tuple of `Stream`
         The moving ones by falling significance, then what stands still; or
-        the strongest speed that is not significant.
+        the strongest speed that is not significant.  Empty without matches.
     diagram : `~astro_scc.stacking.Diagram`
         Along the direction of the first stream.
     angle : float
@@ -214,7 +214,7 @@ def find_streams(
                 features=tuple(group),
             )
         )
-    if not streams:
+    if not streams and permutations.z.any():
         streams.append(
             _without_features(permutations, axis, speed, angle, alpha, settings)
         )
