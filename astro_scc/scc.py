@@ -24,6 +24,7 @@ from astro_scc.measurement.plan import (
     mean_fwhm,
     pairs_of_dates,
     scales_of_pixels,
+    search_radius,
     search_reach,
     ssps_inside,
 )
@@ -52,8 +53,10 @@ class StackedCrossCorrelation:
         Wavelet scales by number (j means 2^j pixels, j + 1/2 means
         1.5 x 2^j) or as an angle `~astropy.units.Quantity`.
     max_speed : `~astropy.units.Quantity`, optional
-        Largest proper motion along either axis.  By default four beams
-        over the median interval of the pairs of epochs.
+        Largest proper motion along either axis.  Without it speeds are
+        searched that move up to 1.5 beams in the shorter quarter of the
+        intervals between epochs, and up to four beams in the median interval
+        of at most 20 epochs.
     position_angle : `~astropy.units.Quantity`, str or frame, optional
         Direction of the jet, north through east, for velocity axes along
         and across it, or "fit" for that of the mean image; "radial" for
@@ -61,8 +64,9 @@ class StackedCrossCorrelation:
         the ridge line of the mean image; or a frame of
         `astro_scc.kinematics`.  The axes are east and north without it.
     baseline : `~astropy.units.Quantity`, shape (2,), optional
-        Shortest and longest time between two epochs that are paired.
-        Consecutive epochs are paired without it.
+        Shortest and longest time between two epochs that are compared.
+        Without it each speed is searched in all intervals in which it moves
+        0.2 to 1 beam.
     kernel : float, optional
         Smallest standard error of a displacement, in beams.
     kappa, target, min_overlap
@@ -71,10 +75,9 @@ class StackedCrossCorrelation:
         ``kernel`` and the rest of `~astro_scc.decomposition.Decomposer`.
     level : float, optional
         Velocities whose ``p_global`` is at most this are components.
-    nulls : sequence of str, optional
-        The null hypotheses that a component must be told from, names of
-        `astro_scc.stacking.NULL_HYPOTHESES`: "scramble", and one of
-        "shuffle", "blocks" and "reversal".
+    outward : bool, optional
+        Search speeds away from the core only, where the direction of the jet
+        is given.
     alignment_error : `~astropy.units.Quantity`, optional
         Standard error, on either axis, of how epochs are laid on one
         another: one, or one an epoch.  By default what `EpochCube.align`
@@ -118,7 +121,7 @@ class StackedCrossCorrelation:
     segmentation: float = 3.0
     noise: str = "plane"
     level: float = 0.05
-    nulls: tuple = ("scramble", "shuffle")
+    outward: bool = False
     alignment_error: u.Quantity | None = None
     small_displacement_correction: bool = False
     common_beam: bool = True
@@ -233,6 +236,13 @@ class StackedCrossCorrelation:
         interval = np.median(self.date_pairs(cube).interval)
         return BEAMS_PER_INTERVAL * self._fwhm(cube) / interval * PM_UNIT
 
+    @property
+    def _given_speed(self):
+        return None if self.max_speed is None else self.max_speed.to_value(PM_UNIT)
+
+    def _radius(self, cube):
+        return search_radius(cube, self._given_speed, self._fwhm(cube))
+
     def _fwhm(self, cube):
         return mean_fwhm(cube, max(self.scale_numbers(cube)))
 
@@ -279,7 +289,7 @@ class StackedCrossCorrelation:
             require_common_beam(cube)
         pairs = self.date_pairs(cube)
         reach = search_reach(
-            cube, pairs, self.speed_limit(cube).value, self._fwhm(cube), self.kernel
+            cube, pairs, self._radius(cube), self._fwhm(cube), self._given_speed
         )
         inside = None if region is None else cube.region_mask(region)
         decomposer = self._decomposer(self.scale_numbers(cube))
@@ -343,12 +353,16 @@ class StackedCrossCorrelation:
             return stack_matches(
                 matched,
                 self.date_pairs(matched.cube),
-                speed=self.speed_limit(matched.cube).value,
+                radius=self._radius(matched.cube),
                 fwhm=self._fwhm(matched.cube),
+                max_speed=self._given_speed,
+                baseline=(
+                    None if self.baseline is None else self.baseline.to_value(u.yr)
+                ),
                 position_angle=self.position_angle,
                 kernel=self.kernel,
                 level=self.level,
-                nulls=self.nulls,
+                outward=self.outward,
                 alignment_error=self.alignment_error,
                 small_displacement_correction=self.small_displacement_correction,
                 n_trials=n_trials,

@@ -35,7 +35,7 @@ The folder gets components.ecsv, ssps.ecsv, scc.fits, report.html with its figur
 and config.toml: with it, and the same images, the same tables come out to the bit.
 Every option of a measurement may stand in a configuration file, with _ for -, and
 some that have no option: target, min_overlap, wavelet, detection, segmentation,
-noise, level, nulls, alignment_error,
+noise, level, outward, alignment_error,
 small_displacement_correction (see the documentation).  What the
 command line says comes before what the file says.
 """

@@ -3,13 +3,14 @@
 
 import math
 
+import numpy as np
+
 __all__ = ["component_lines", "profile_lines", "speed_lines", "table_lines"]
 
 # What stands beside the numbers of each kind of component.
 REMARKS = {"moving": "", "stationary": "stationary, no discovery"}
 EXPLANATION = (
-    "p_global: probability of as much at any velocity, if features share no speed or",
-    "epochs have no order; the larger of the two",
+    "p_global: probability that epochs in permuted order show as much at any velocity",
 )
 PROFILE_EXPLANATION = (
     "p_fdr: p_global adjusted for all bins, the share of false discoveries up to it",
@@ -91,21 +92,20 @@ def component_lines(components):
     from astro_scc.visualization.style import component_kinds
 
     kinds = component_kinds(components)
-    found = [kind != "uncertain" for kind in kinds]
+    found = [kind != "not significant" for kind in kinds]
     if any(found):
         lines = _found_lines(components[found], [k for k in kinds if k in REMARKS])
         lines += EXPLANATION
     else:
         lines = [
-            "No velocity component stands out.  Other scales, a --baseline that suits "
-            "the speed",
-            "(see astro-scc inspect) or a --region may help; so may more epochs.",
+            "No significant velocity component.  More epochs, other scales or a",
+            "--region may help.",
         ]
     n = len(components) - sum(found)
     if n:
         lines.append(
-            f"{n} of {len(components)} rows of components.ecsv may be chance "
-            f"(p_global above {components.meta['settings']['level']:g})"
+            f"Not significant: {n} of {len(components)} rows of components.ecsv, "
+            f"{_notes(components[~np.array(found)])}"
         )
     return [*lines, *speed_lines(components.meta)]
 
@@ -130,7 +130,7 @@ def profile_lines(components):
     head += ["p_global", "p_fdr", "SSPs", ""]
     rows = []
     for row in components:
-        if row["kind"] == "uncertain" and not row["main"]:
+        if row["kind"] == "not significant" and not row["main"]:
             continue
         cells = [
             f"{row['r_min'].value:g} to {row['r_max'].value:g}",
@@ -139,7 +139,7 @@ def profile_lines(components):
         if in_c:
             cells.append(with_error(row["beta_app"].value, row["beta_app_err"].value))
         cells += [f"{row['p_global']:.2g}", f"{row['p_fdr']:.2g}", str(row["n_ssp"])]
-        rows.append([*cells, {"uncertain": "may be chance"}.get(
+        rows.append([*cells, {"not significant": "not significant"}.get(
             str(row["kind"]), REMARKS.get(str(row["kind"]), ""))])  # fmt: skip
     if not rows:
         return ["No velocity could be tested in any bin."]
@@ -177,6 +177,10 @@ def speed_lines(meta):
     return []
 
 
+def _notes(components):
+    return "; ".join(dict.fromkeys(str(note) for note in components["note"]))
+
+
 def _found_lines(components, kinds):
     from astro_scc.visualization.style import speed_unit
 
@@ -184,7 +188,7 @@ def _found_lines(components, kinds):
     unit = speed_unit(components["pm"].value.max())
     head = ["component", f"proper motion ({unit})", "PA (deg)"]
     head += ["speed (c)"] if in_c else []
-    head += ["p_global", "z score", "SSPs", ""]
+    head += [f"dispersion ({unit})", "p_global", "z score", "features", ""]
     rows = []
     for row, kind in zip(components, kinds, strict=True):
         angle = row["pm_pa"].value
@@ -195,6 +199,12 @@ def _found_lines(components, kinds):
         ]
         if in_c:
             cells.append(with_error(row["beta_app"].value, row["beta_app_err"].value))
-        cells += [f"{row['p_global']:.2g}", f"{row['z_score']:.1f}", str(row["n_ssp"])]
+        spread = row["dispersion"].to_value(unit)
+        cells.append(f"{spread:.2g}" if math.isfinite(spread) else "-")
+        cells += [
+            f"{row['p_global']:.2g}" if kind == "moving" else "-",
+            f"{row['z_score']:.1f}",
+            str(row["n_features"]),
+        ]
         rows.append([*cells, REMARKS[kind]])
     return table_lines(head, rows)

@@ -202,7 +202,6 @@ def settings_as_used(scc, config, cube, *, seed):
         "seed": seed,
         **{field.name: getattr(scc, field.name) for field in fields(scc)},
         **config,
-        "max_speed": config.get("max_speed", scc.speed_limit(cube)),
     }
 
 

@@ -55,7 +55,7 @@ def false_discovery_rate(tables, *, method="bh"):
     -----
     ``p_global`` enters because it has paid already for all the velocities at
     which one region was searched; ``p_local`` has not.  Every velocity that
-    was tested counts, the "uncertain" ones too, and an empty table counts as
+    was tested counts, those "not significant" too, and an empty table counts as
     one test with a probability of 1.  Were only those counted that are
     significant by themselves, a lone false alarm among twenty regions would
     have nothing to pay for the other nineteen.  ``kind`` is not changed: a
@@ -73,7 +73,8 @@ def false_discovery_rate(tables, *, method="bh"):
     --------
     >>> from astropy.table import QTable
     >>> from astro_scc.measurement import false_discovery_rate
-    >>> inner = QTable({"kind": ["moving", "uncertain"], "p_global": [0.004, 0.3]})
+    >>> kinds = ["moving", "not significant"]
+    >>> inner = QTable({"kind": kinds, "p_global": [0.004, 0.3]})
     >>> outer = QTable({"kind": ["moving"], "p_global": [0.04]})
     >>> inner, outer = false_discovery_rate([inner, outer])
     >>> inner["p_fdr"].tolist(), outer["p_fdr"].tolist()

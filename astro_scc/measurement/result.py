@@ -15,25 +15,22 @@ from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube
 from astro_scc.kinematics import table_in_c
 from astro_scc.measurement.tables import component_table, ssp_table
-from astro_scc.measurement.velocity_error import VelocityError
+from astro_scc.measurement.velocity_error import StreamVelocity
 from astro_scc.stacking import (
     Component,
     DatePairs,
     Displacements,
-    Finding,
     JitteredVelocity,
+    Search,
     ShuffledStacks,
     VelocityGrid,
 )
-from astro_scc.stacking.significance import RESOLVED
 from astro_scc.stacking.stack import velocities
 
 __all__ = ["MatchedEpochs", "SCCResult"]
 
 #: A match belongs to a component within this many of its standard errors.
 MEMBER_SIGMA = 2.0
-#: Squared distance from rest in standard errors, of 95% in two dimensions.
-STATIONARY = 5.991
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -159,12 +156,12 @@ class SCCResult:
     coefficient, z_score : `~numpy.ndarray`, shape ``grid.shape``
         The stack and its significance.
     shuffled : `~astro_scc.stacking.ShuffledStacks`
+    search : `~astro_scc.stacking.Search`
+        The streams, and the displacement-interval diagram they are found on.
+    velocities : tuple of `~astro_scc.measurement.StreamVelocity`
+        Of the streams, with their errors.
     maxima : tuple of `~astro_scc.stacking.Component`
-        Of the stack, one at each velocity that was tested.
-    findings : tuple of `~astro_scc.stacking.Finding`
-        The velocities that were tested, strongest first.
-    error_parts : tuple of `VelocityError`
-        Of what the covariance of each velocity is made.
+        Of the stack, the nearest one to each velocity.
     jitters : tuple of `~astro_scc.stacking.JitteredVelocity`
         The paper's uncertainty: SSPs shifted by their position errors.
     meta : dict
@@ -180,7 +177,7 @@ class SCCResult:
     >>> result = scc(cube, n_trials=20, rng=1)
     >>> result.coefficient.shape == result.grid.shape
     True
-    >>> len(result.components) == len(result.findings)
+    >>> len(result.components) == len(result.search.streams)
     True
     """
 
@@ -193,9 +190,9 @@ class SCCResult:
     coefficient: np.ndarray
     z_score: np.ndarray
     shuffled: ShuffledStacks
+    search: Search
+    velocities: tuple[StreamVelocity, ...]
     maxima: tuple[Component, ...]
-    findings: tuple[Finding, ...]
-    error_parts: tuple[VelocityError, ...]
     jitters: tuple[JitteredVelocity, ...]
     meta: dict = field(default_factory=dict)
 
@@ -210,7 +207,7 @@ class SCCResult:
     @property
     def errors(self):
         """Covariance of each velocity, as it is quoted."""
-        return tuple(parts.total for parts in self.error_parts)
+        return tuple(velocity.covariance for velocity in self.velocities)
 
     @property
     def cube(self):
@@ -227,11 +224,11 @@ class SCCResult:
         """
         The velocity components, a `~astropy.table.QTable`.
 
-        One row a velocity that was tested, in the order of the search,
-        strongest first: those of the ``kind`` "moving" and "stationary" are
-        significant, an "uncertain" one is the strongest that is not.  Zero
-        rows with all columns if nothing could be tested.  Its meta holds the
-        settings, the seed and the versions.
+        One row a stream, those that move first, by falling significance, then
+        what stands still.  If nothing moves significantly, the first row is
+        the strongest speed that was tested, "not significant", and its
+        ``note`` says why.  The meta holds the settings, the seed and the
+        versions.
         """
         rows = [self._row(number) for number in range(1, len(self.maxima) + 1)]
         return component_table(rows, meta=dict(self.meta))
@@ -308,9 +305,10 @@ class SCCResult:
         Returns
         -------
         `~numpy.ndarray` of int
-            Indices into ``displacements``: matches between dates of the
-            stack within two standard errors of the component's velocity on
-            both axes.
+            Indices into ``displacements``: matches between SSPs of one
+            feature of the stream; where no feature was followed, those
+            between dates of the map within two standard errors of the
+            velocity on both axes.
 
         Raises
         ------
@@ -319,10 +317,17 @@ class SCCResult:
         """
         if not 1 <= number <= len(self.maxima):
             raise ValueError(f"no component {number}: there are {len(self.maxima)}")
-        peak = self.maxima[number - 1]
-        index, v1, v2, s1, s2, _ = velocities(self.displacements, self.pairs)
-        near = (np.abs(v1 - peak.v1) <= MEMBER_SIGMA * s1) & (
-            np.abs(v2 - peak.v2) <= MEMBER_SIGMA * s2
+        d, features = self.displacements, self.search.streams[number - 1].features
+        if features:
+            label = np.full(len(self.matched.ssps), -1)
+            for k, feature in enumerate(features):
+                label[feature.ssp] = k
+            there = np.where(d.target_ssp >= 0, label[d.target_ssp], -1)
+            return np.flatnonzero((there >= 0) & (label[d.ssp] == there))
+        v = self.velocities[number - 1].value
+        index, v1, v2, s1, s2, _ = velocities(d, self.pairs)
+        near = (np.abs(v1 - v[0]) <= MEMBER_SIGMA * s1) & (
+            np.abs(v2 - v[1]) <= MEMBER_SIGMA * s2
         )
         return index[near]
 
@@ -344,58 +349,40 @@ class SCCResult:
         return plot_velocity_map(self, **kwargs)
 
     def _row(self, number):
-        peak, finding = self.maxima[number - 1], self.findings[number - 1]
-        jitter = self.jitters[number - 1]
+        peak, stream = self.maxima[number - 1], self.search.streams[number - 1]
+        velocity, jitter = self.velocities[number - 1], self.jitters[number - 1]
         member = self.members(number)
         d = self.displacements
+        p, n = stream.p_global, len(self.search.permutations.permuted)
         row = {
             "component": number,
-            "kind": self._kind(finding, peak, self.errors[number - 1], self._kernel),
+            "kind": stream.kind,
+            "dispersion": velocity.dispersion,
+            "dispersion_err": velocity.dispersion_error,
             "coefficient": peak.coefficient,
             "z_score": float(self.z_score[peak.row, peak.column]),
-            "p_local": finding.p_local,
-            "p_global": finding.p_global,
-            "p_global_err": finding.p_error,
-            "p_smallest": _smallest(finding),
+            "p_local": stream.p_local,
+            "p_global": p,
+            "p_global_err": np.sqrt(p * (1 - p) / n),
+            "p_distinct": stream.p_distinct,
+            "p_smallest": self.search.permutations.smallest_p,
             "n_ssp": len(np.unique(d.ssp[member])),
             "n_pairs": len(
                 np.unique(d.reference[member] * d.n_epochs + d.target[member])
             ),
-            "n_features": finding.n_features,
+            "n_features": len(stream.features),
+            "note": stream.reason,
         }
-        velocity = np.array([peak.v1, peak.v2])
         where = self.frame, self.position_angle
-        row.update(_vectors(velocity, self.errors[number - 1], *where))
-        row["pm_err_jitter"] = _vectors(velocity, _covariance(jitter), *where)["pm_err"]
-        parts = self.error_parts[number - 1]
-        for name in ("alignment", "epochs"):
-            covariance = getattr(parts, name)
-            row[f"pm_err_{name}"] = _vectors(velocity, covariance, *where)["pm_err"]
+        row.update(_vectors(velocity.value, velocity.covariance, *where))
+        for name, covariance in (
+            ("jitter", _covariance(jitter)),
+            ("alignment", velocity.alignment),
+        ):
+            row[f"pm_err_{name}"] = _vectors(velocity.value, covariance, *where)[
+                "pm_err"
+            ]
         return row
-
-    @staticmethod
-    def _kind(finding, peak, covariance, kernel):
-        """The kind, of what is not told from rest if its errors are small too."""
-        velocity = np.array([peak.v1, peak.v2])
-        if finding.kind == "moving" and np.all(np.isfinite(covariance)):
-            within = velocity @ np.linalg.pinv(covariance) @ velocity < STATIONARY
-            if within and np.hypot(*(velocity / kernel)) <= RESOLVED:
-                return "stationary"
-        return finding.kind
-
-    @cached_property
-    def _kernel(self):
-        """Median standard error of a match's velocity, along both axes."""
-        _, _, _, s1, s2, _ = velocities(self.displacements, self.pairs)
-        return np.array([np.median(s1), np.median(s2)]) if len(s1) else np.ones(2)
-
-
-def _smallest(finding):
-    """The smallest ``p_global`` that the tests which count can give."""
-    tests = finding.tests
-    if finding.kind == "stationary":
-        tests = {"scramble": tests["scramble"]}
-    return max(test.smallest for test in tests.values())
 
 
 def _covariance(jitter):

@@ -18,7 +18,7 @@ PM_UNIT = u.mas / u.yr
 
 DESCRIPTIONS = {
     "component": "number of the component, in the order of the search",
-    "kind": "moving, stationary (no motion within the errors) or uncertain",
+    "kind": "moving, stationary (no motion within the errors) or not significant",
     "pm_ra_cosdec": "proper motion to the east",
     "pm_dec": "proper motion to the north",
     "pm": "proper motion, its length",
@@ -27,14 +27,16 @@ DESCRIPTIONS = {
     "pm_transverse": "proper motion across the jet, positive to larger angles",
     "coefficient": "stacked correlation coefficient",
     "z_score": "(coefficient - mean) / std of shuffled epochs (paper)",
-    "p_local": "probability of as much at this velocity, largest of the nulls",
-    "p_global": "probability of as much at any velocity, largest of the nulls",
+    "dispersion": "standard deviation of the features' speeds, without their errors",
+    "p_local": "probability that permuted epochs show as much at this velocity",
+    "p_global": "probability that permuted epochs show as much at any velocity",
+    "p_distinct": "probability that one stream fewer shows features as separate",
+    "note": "why it is not significant",
     "p_global_err": "Monte Carlo standard error of p_global",
-    "n_features": "number of different features that the SSPs are of, at least",
-    "p_smallest": "smallest p_global that trials and number of epochs allow",
+    "n_features": "number of features that were followed",
+    "p_smallest": "smallest p_global that permutations and epochs allow",
     "pm_err_jitter": "standard error of pm from shifted SSPs (paper)",
     "pm_err_alignment": "part of pm_err by the alignment of the epochs",
-    "pm_err_epochs": "standard error of pm from leaving out epochs in turn",
     "n_ssp": "SSPs with a match at the component's velocity",
     "n_pairs": "pairs of epochs with a match at the component's velocity",
 }
@@ -159,7 +161,8 @@ def component_table(rows, *, meta=None):
                  "pm_transverse"):  # fmt: skip
         unit = u.deg if name == "pm_pa" else PM_UNIT
         units[name] = units[f"{name}_err"] = unit
-    for name in ("jitter", "alignment", "epochs"):
+    units["dispersion"] = units["dispersion_err"] = PM_UNIT
+    for name in ("jitter", "alignment"):
         units[f"pm_err_{name}"] = PM_UNIT
     names = [
         "component",
@@ -170,13 +173,15 @@ def component_table(rows, *, meta=None):
         "p_local",
         "p_global",
         "p_global_err",
+        "p_distinct",
         "p_smallest",
         "n_ssp",
         "n_pairs",
         "n_features",
+        "note",
     ]
     dtypes = dict.fromkeys(("component", "n_ssp", "n_pairs", "n_features"), int)
-    dtypes["kind"] = "U10"
+    dtypes["kind"], dtypes["note"] = "U15", str
     table = QTable()
     for name in names:
         values = np.array([row[name] for row in rows], dtype=dtypes.get(name, float))

@@ -182,7 +182,7 @@ def _main(table):
     """Which row stands for the bin."""
     kind = np.asarray(table["kind"], dtype=str)
     chosen = np.zeros(len(table), dtype=bool)
-    for wanted in ("moving", "uncertain"):
+    for wanted in ("moving", "not significant"):
         rows = np.flatnonzero((kind == wanted) & (table["pm"] > table["pm_err"]))
         if len(rows):
             best = np.asarray(table["coefficient"], dtype=float)[rows].argmax()

@@ -84,7 +84,7 @@ def recovered(result, own, velocity, *, tolerance, level, paths, fwhm):
         Number of the component, from 1; the nearest if there are several.
     """
     left = {
-        number: np.array([result.maxima[number - 1].v1, result.maxima[number - 1].v2])
+        number: result.velocities[number - 1].value
         for number in moving_components(result, level)
     }
     for v in np.reshape(own, (-1, 2)):

@@ -22,20 +22,19 @@ __all__ = ["answers", "chances", "edge_remarks", "facts", "headline"]
 def headline(kinds):
     moving, standing = kinds.count("moving"), kinds.count("stationary")
     if moving:
-        text = f"{number_word(moving).capitalize()} {plural(moving, 'speed')} "
-        text += "stand out" if moving > 1 else "stands out"
-        beside = ", beside what does not move within its errors" if standing else ""
-        return f"{text}{beside}."
+        text = f"{number_word(moving).capitalize()} significant velocity "
+        beside = ", beside features that stand still" if standing else ""
+        return f"{text}{plural(moving, 'component')}{beside}."
     if standing:
-        return "No speed stands out: what patterns share does not move."
-    return "No speed stands out" + (" from chance." if kinds else ".")
+        return "No significant motion: features stand still within their errors."
+    return "No significant motion."
 
 
 def answers(components, kinds):
     """One sentence in two parts for each component that was found."""
     answers = []
     for row, kind in zip(components, kinds, strict=True):
-        if kind == "uncertain":
+        if kind == "not significant":
             continue
         speed = f"{row_text(row, 'pm')} {unit_text(components['pm'].unit)}"
         if "beta_app" in components.colnames:
@@ -47,11 +46,13 @@ def answers(components, kinds):
             more = f"towards position angle {with_error(angle, max(error, 1))} deg"
         else:
             more = "outward" if plain_value(row["pm_parallel"]) > 0 else "inward"
-        if "p_global" in components.colnames:
+        if kind == "moving" and plain_value(row["dispersion"]) > 0:
+            more += f"; dispersion {row_text(row, 'dispersion')}"
+        if kind == "moving":
             more += f"; p_global {plain_value(row['p_global']):.2g}"
         more += (
-            f"; {int(row['n_ssp'])} SSPs in {int(row['n_pairs'])} "
-            f"{plural(int(row['n_pairs']), 'pair')} of epochs"
+            f"; {int(row['n_features'])} {plural(int(row['n_features']), 'feature')}, "
+            f"{int(row['n_ssp'])} SSPs"
         )
         answers.append((int(row["component"]), speed, more))
     return answers
@@ -64,9 +65,8 @@ def chances(result, components, kinds):
     level = result.meta["settings"]["level"]
     n_trials = result.meta["n_trials"]
     said = [
-        "p_global is the probability that a jet whose features move but share no "
-        "speed (scramble), or whose epochs have no order (shuffle), shows as much at "
-        "any velocity: the larger of the two; "
+        "p_global is the probability that epochs in permuted order show as much at "
+        "any velocity; "
         f"{n_trials} trials show none below {1 / (n_trials + 1):.2g}."
     ]
     said += _limits(result, components, kinds, level)
@@ -76,11 +76,9 @@ def chances(result, components, kinds):
             f"{who} of the table, stationary, {'do' if more else 'does'} not move "
             f"within {'their' if more else 'its'} errors: no discovery of a speed."
         )
-    who, _ = _numbers(components, kinds, "uncertain")
+    who, _ = _numbers(components, kinds, "not significant")
     if who:
-        said.append(
-            f"{who} of the table, with p_global above {level:g}, may be chance."
-        )
+        said.append(f"{who} of the table: {_reason(components, kinds)}.")
     return said
 
 
@@ -107,6 +105,13 @@ def _limits(result, components, kinds, level):
     ]
 
 
+def _reason(components, kinds):
+    """Why the row that is not significant is none."""
+    k = list(kinds).index("not significant")
+    note = str(components["note"][k]) if "note" in components.colnames else ""
+    return f"not significant, {note}" if note else "not significant"
+
+
 def _numbers(components, kinds, kind):
     """The components of a kind as text, and whether they are several."""
     numbers = [
@@ -127,7 +132,7 @@ def edge_remarks(result, components, kinds):
     if tuple(result.frame.axis_names) == ("east", "north"):
         columns = ("pm_ra_cosdec", "pm_dec")
     near = np.zeros(len(components), bool)
-    found = [kind != "uncertain" for kind in kinds]
+    found = [kind != "not significant" for kind in kinds]
     for name, end, step in zip(
         columns, result.grid.v_max, result.grid.step, strict=True
     ):

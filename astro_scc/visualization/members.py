@@ -81,7 +81,7 @@ def plot_members(
         raise ValueError(f"max_panels must be at least 1, got {max_panels}")
     components = result.components if components is None else components
     kinds = component_kinds(components)
-    order = sorted(range(len(kinds)), key=lambda k: kinds[k] == "uncertain")
+    order = sorted(range(len(kinds)), key=lambda k: kinds[k] == "not significant")
     panels = [(int(components["component"][k]), kinds[k]) for k in order[:max_panels]]
     cube = result.cube
     points = ssp_points(cube, result.ssps)
@@ -122,7 +122,7 @@ def _draw_members(ax, result, number, kind, points, unit):
         "nai,na->ni", axes, np.stack([d.d1[member], d.d2[member]], axis=-1)
     )
     factor = u.mas.to(unit)
-    color = VERMILLION if kind != "uncertain" else BLUE
+    color = VERMILLION if kind != "not significant" else BLUE
     ax.quiver(
         east * factor,
         north * factor,
@@ -145,7 +145,7 @@ def _draw_members(ax, result, number, kind, points, unit):
         0.02,
         0.95,
         f"{number}: {speed.value:.3g} {unit_name(speed.unit)}, {n_ssp} SSPs"
-        + (", may be chance" if kind == "uncertain" else ""),
+        + (", not significant" if kind == "not significant" else ""),
         transform=ax.transAxes,
         va="top",
         fontsize="small",

@@ -36,7 +36,7 @@ MAP_LABELS = {
 KINDS = {
     "moving": ("+", "o", "component"),
     "stationary": ("s", "s", "stationary"),
-    "uncertain": ("x", "x", "may be chance"),
+    "not significant": ("x", "x", "not significant"),
 }
 #: Corners for the legend, the first ones preferred, and the last ones for the arrow.
 CORNERS = {
@@ -192,7 +192,7 @@ def _draw_components(ax, result, components, kinds, unit):
     for k, (number, kind) in enumerate(
         zip(plain(components, "component"), kinds, strict=True)
     ):
-        strong = kind != "uncertain"
+        strong = kind != "not significant"
         if np.isfinite([e1[k], e2[k]]).all():
             ax.add_patch(
                 Ellipse(
