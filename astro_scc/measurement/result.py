@@ -12,7 +12,7 @@ from astropy.wcs import WCS
 
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
-from astro_scc.epochs import EpochCube
+from astro_scc.epochs import EpochCube, name_by_frame
 from astro_scc.kinematics import table_in_c
 from astro_scc.measurement.tables import component_table, ssp_table
 from astro_scc.measurement.velocity_error import VelocityError
@@ -234,7 +234,7 @@ class SCCResult:
         settings, the seed and the versions.
         """
         rows = [self._row(number) for number in range(1, len(self.maxima) + 1)]
-        return component_table(rows, meta=dict(self.meta))
+        return name_by_frame(component_table(rows, meta=dict(self.meta)), self.cube)
 
     def components_in_c(self, *, redshift=None, cosmology=None, distance=None):
         """
