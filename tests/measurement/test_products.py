@@ -286,7 +286,8 @@ def test_tables_are_the_ones_of_the_result(written, result):
 
 
 def test_a_table_without_components_keeps_its_columns(cube, tmp_path):
-    result = measured(cube, detection=1e6, segmentation=1e6)
+    scc = StackedCrossCorrelation(scales=[2], detection=1e6, segmentation=1e6)
+    result = scc.stack(scc.match(cube), n_trials=20, rng=1)
     components = result.components_in_c(distance=16.7 * u.Mpc)
     assert len(components) == 0
     paths = write_products(result, components, tmp_path)

@@ -272,6 +272,11 @@ def test_settings_may_be_text():
 
 def test_what_does_not_go_together_is_refused(tracker):
     cube, decompositions = jet(n_epochs=3)
+    nothing = [Decomposer(scales=[1, 2])(0 * image) for image in cube.data]
+    with pytest.raises(
+        ValueError, match=r"no significant pattern \(SSP\) in any epoch"
+    ):
+        tracker(cube, nothing)
     with pytest.raises(ValueError, match="2 decompositions for 3 epochs"):
         tracker(cube, decompositions[:2])
     with pytest.raises(ValueError, match="n_trials must be 0 or more"):
