@@ -91,6 +91,13 @@ def test_columns_are_named_by_the_frame(of_the_sun, results):
     assert sorted(shown) == pytest.approx(sorted(ssps["lon_offset"][here].value))
 
 
+def test_axes_of_the_map_are_named_by_the_frame(of_the_sun, results):
+    theirs, ours = of_the_sun.velocity_map(), results["sky"].velocity_map()
+    assert list(theirs.wcs.wcs.ctype) == ["LON", "LAT"]
+    assert theirs.meta["axes"] == ("lon", "lat")
+    assert list(ours.wcs.wcs.ctype) == ["EAST", "NORTH"]
+
+
 def test_the_page_of_the_report_has_the_columns(of_the_sun):
     kinds = list(of_the_sun.components["kind"])
     tables, _ = component_rows(of_the_sun.components, kinds)
