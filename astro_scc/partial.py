@@ -7,13 +7,22 @@ import platform
 import re
 import secrets
 import shutil
+import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["hold", "partial_folder", "remove_left", "replace_when_complete"]
+__all__ = [
+    "hold",
+    "is_held",
+    "partial_folder",
+    "remove_left",
+    "replace_when_complete",
+]
 
 #: Of names, after what they begin with: the machine and something of its own.
 _END = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}")
+#: Seconds that a folder must be held for to count as held.
+PATIENCE = 1.0
 
 
 @contextmanager
@@ -177,6 +186,33 @@ def hold(folder):
         yield lock is not None
     finally:
         _release(lock)
+
+
+def is_held(folder):
+    """
+    Whether a process holds a folder.
+
+    The workers of a process that was killed hold what it held until they end,
+    which is waited for.
+
+    Parameters
+    ----------
+    folder : path
+
+    Returns
+    -------
+    bool
+        False also where that cannot be known.
+    """
+    limit = time.monotonic() + PATIENCE
+    while True:
+        try:
+            with hold(folder):
+                return False
+        except BlockingIOError:
+            if time.monotonic() > limit:
+                return True
+            time.sleep(PATIENCE / 50)
 
 
 def _lock(folder):

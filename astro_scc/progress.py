@@ -1,20 +1,26 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Progress of long work, on standard error."""
 
+import sys
+import threading
+import time
 from contextlib import contextmanager
 
 __all__ = ["progress"]
+
+#: Seconds between two lines where there is no terminal.
+EVERY = 30
 
 
 @contextmanager
 def progress(total, label, *, show=True):
     """
-    Show a progress bar for a while.
+    Show a progress bar for a while, or lines where there is no terminal.
 
     Parameters
     ----------
-    total : int
-        Number of steps.
+    total : int or None
+        Number of steps, if it is known.
     label : str
     show : bool, optional
         Nothing is shown, and nothing imported, if False.
@@ -33,7 +39,37 @@ def progress(total, label, *, show=True):
     if not show or total == 0:
         yield lambda number: None
         return
+    # A notebook is no terminal, and shows a bar all the same.
+    if not (sys.stderr.isatty() or "ipykernel" in sys.modules):
+        with _lines(total, label) as update:
+            yield update
+        return
     from tqdm import tqdm
 
     with tqdm(total=total, desc=label, dynamic_ncols=True) as bar:
         yield bar.update
+
+
+@contextmanager
+def _lines(total, label):
+    """Print a line now and then, also when no step ends for long."""
+    done, begun, ended = 0, time.monotonic(), threading.Event()
+
+    def update(number):
+        nonlocal done
+        done += number
+
+    def tell():
+        while not ended.wait(EVERY):
+            steps = f"{done} of {total}" if total else f"{done} done"
+            minutes = (time.monotonic() - begun) / 60
+            sys.stderr.write(f"{label}: {steps}, {minutes:.1f} min\n")
+            sys.stderr.flush()
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield update
+    finally:
+        ended.set()
+        teller.join()

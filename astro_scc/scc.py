@@ -10,6 +10,7 @@ from astro_scc.config.settings import require
 from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.correlation.workers import workers_of
 from astro_scc.decomposition import Decomposer
+from astro_scc.decomposition.ssp import require_ssps
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.measurement import (
     MatchCache,
@@ -19,7 +20,11 @@ from astro_scc.measurement import (
     stack_matches,
     velocity_frame,
 )
-from astro_scc.measurement.decomposing import LazyDecompositions, decompose_epochs
+from astro_scc.measurement.decomposing import (
+    LazyDecompositions,
+    allow_for_structure,
+    decompose_epochs,
+)
 from astro_scc.measurement.plan import (
     mean_fwhm,
     pairs_of_dates,
@@ -292,7 +297,9 @@ class StackedCrossCorrelation:
             cube, pairs, self._radius(cube), self._fwhm(cube), self._given_speed
         )
         inside = None if region is None else cube.region_mask(region)
-        decomposer = self._decomposer(self.scale_numbers(cube))
+        decomposer = allow_for_structure(
+            cube, self._decomposer(self.scale_numbers(cube))
+        )
         correlator = self._correlator()
         provenance = match_provenance(cube, decomposer, correlator, reach, inside)
         blocks = None
@@ -431,8 +438,8 @@ class StackedCrossCorrelation:
         Raises
         ------
         ValueError
-            If no two epochs make a pair, their beams differ, or a setting
-            does not fit the images.
+            If no two epochs make a pair, their beams differ, no epoch shows
+            an SSP, or a setting does not fit the images.
         """
         # Before the long part.
         n_trials = require("n_trials", n_trials)
@@ -443,6 +450,7 @@ class StackedCrossCorrelation:
             cache=cache,
             progress_bar=progress_bar,
         )
+        require_ssps(matched.ssps, matched.scales)
         return self.stack(
             matched, n_trials=n_trials, rng=rng, progress_bar=progress_bar
         )

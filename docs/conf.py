@@ -3,7 +3,14 @@
 
 import os
 
+from docutils import nodes
+from docutils.utils.math import MathError
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.util import logging
+
 import astro_scc
+
+LOGGER = logging.getLogger(__name__)
 
 project = "astro_scc"
 author = "The astro_scc developers"
@@ -13,7 +20,6 @@ version = ".".join(release.split(".")[:2])
 
 extensions = [
     "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
     "sphinx_automodapi.automodapi",
     "numpydoc",
     "pytest_doctestplus.sphinx.doctestplus",
@@ -21,6 +27,8 @@ extensions = [
 ]
 exclude_patterns = ["_build"]
 default_role = "obj"
+# In the pages themselves, for readers without a network.
+html_math_renderer = "mathml"
 nitpicky = False
 
 # Builds must pass without a network; Read the Docs has one.
@@ -93,5 +101,16 @@ def resolve_top_level(app, env, node, contnode):
     return python.resolve_xref(env, *where, "obj", target, node, contnode)
 
 
+def visit_math(translator, node):
+    """Write an equation as MathML, which browsers show without any script."""
+    block = isinstance(node, nodes.math_block)
+    try:
+        translator.body.append(tex2mathml(node.astext(), as_block=block))
+    except MathError as error:
+        LOGGER.warning("%s: %s", node.astext(), error, location=node)
+    raise nodes.SkipNode
+
+
 def setup(app):
+    app.add_html_math_renderer("mathml", (visit_math, None), (visit_math, None))
     app.connect("missing-reference", resolve_top_level)

@@ -70,8 +70,8 @@ def measure(n_trials=200):
     )
     result = scc(cube, n_trials=n_trials, rng=1)
     table = result.components_in_c(distance=1 * u.au)
-    table["west"] = table["pm_ra_cosdec"].to(u.arcsec / u.hour)
-    table["north"] = table["pm_dec"].to(u.arcsec / u.hour)
+    table["west"] = table["pm_lon_coslat"].to(u.arcsec / u.hour)
+    table["north"] = table["pm_lat"].to(u.arcsec / u.hour)
     for name in ("", "_err"):
         table[f"speed{name}"] = (table[f"beta_app{name}"] * c).to(u.km / u.s)
     columns = "west", "north", "speed", "speed_err", "p_global", "n_features"

@@ -152,6 +152,8 @@ def test_pages_of_nouns_have_equations_sources_and_a_figure(name):
 
 def calibrated(name):
     path = REPOSITORY / "benchmarks" / "calibration" / "results" / f"{name}_table.csv"
+    if not path.is_file():
+        pytest.skip("the benchmarks are not part of this copy")
     with open(path, encoding="utf-8") as file:
         return list(csv.DictReader(file))
 

@@ -146,6 +146,19 @@ def test_documented_bounds_are_those_of_the_metadata():
         assert f"oldestdeps: {name}=={oldest}" in tox, name
 
 
+def test_the_extra_for_the_documentation_is_complete():
+    with open(REPOSITORY / "pyproject.toml", "rb") as file:
+        project = tomllib.load(file)["project"]
+    asked = [*project["dependencies"], *project["optional-dependencies"]["docs"]]
+    installed = {re.match(r"[\w-]+", line)[0].replace("-", "_") for line in asked}
+    text = (REPOSITORY / "docs" / "conf.py").read_text(encoding="utf-8")
+    extensions = re.search(r"^extensions = \[(.*?)\]", text, re.DOTALL | re.MULTILINE)
+    names = set(re.findall(r'^    "(\w+)', extensions[1], re.MULTILINE))
+    names |= set(re.findall(r"^(?:from|import) (\w+)", text, re.MULTILINE))
+    theme = re.search(r'^html_theme = "(\w+)"', text, re.MULTILINE)[1]
+    assert {*names, theme} <= installed | {"astro_scc"} | sys.stdlib_module_names
+
+
 def test_every_module_has_a_layer():
     config = configparser.ConfigParser()
     config.read(REPOSITORY / "setup.cfg")

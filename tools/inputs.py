@@ -370,8 +370,12 @@ refused("images of one pixel", "e0.fits: has no more than two different values")
 refused("images of three by three pixels", "scale")(
     lambda folder: series(folder, lambda i: {"data": image(i)[19:22, 11:14]})
 )
-each("noise without a source", velocity=None)(
-    lambda i: {"data": np.random.default_rng(i).normal(0, 1, SHAPE)}
+refused(
+    "noise without a source", r"no significant pattern \(SSP\) in any epoch on scale"
+)(
+    lambda folder: series(
+        folder, lambda i: {"data": np.random.default_rng(i).normal(0, 1, SHAPE)}
+    )
 )
 refused("several frequencies in a file", "e0.fits: has 4 planes on axis FREQ; write")(
     lambda folder: series(folder, lambda i: {"data": np.stack([image(i)] * 4)[None]})
@@ -577,11 +581,7 @@ case(
 )(_options("--region={folder}/r.reg", r_reg="image\ncircle(3,3,2)\n"))
 
 
-@case(
-    "a region, and no patterns at all",
-    "warning: r.reg: no significant pattern has its centroid inside, nor anywhere",
-    velocity=None,
-)
+@refused("a region, and no patterns at all", r"no significant pattern \(SSP\) in any")
 def _nothing(folder):
     (folder / "r.reg").write_text("image\ncircle(20,20,9)\n")
     paths = series(

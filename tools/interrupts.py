@@ -2,9 +2,9 @@
 """
 Stop measurements at random moments, start them again, and compare what they give.
 
-``astro-scc measure --resume`` and ``astro-scc survey`` are each stopped ten times, five
-times by SIGINT and five times by SIGKILL, at moments drawn over the time that an
-undisturbed run takes::
+``astro-scc measure --resume`` and ``astro-scc survey`` are each stopped five times by
+SIGINT, by SIGTERM and by SIGKILL, at moments drawn over the time that an undisturbed run
+takes::
 
     python tools/interrupts.py --seed 1 --table benchmarks/results/interrupts.csv
 
@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 from astropy.io import fits
 
-SIGNALS = (signal.SIGINT, signal.SIGKILL)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 #: The rest of a run: settings, states and what is kept for the next one.
 TABLES = (".ecsv", ".fits")
 WORK = ".astro_scc-work"

@@ -4,7 +4,9 @@
 import argparse
 import os
 import re
+import signal
 import sys
+from contextlib import ExitStack, contextmanager, suppress
 
 from astro_scc import __version__
 from astro_scc.cli import (
@@ -24,6 +26,9 @@ __all__ = ["main"]
 # What a user gets wrong, extras that are not installed among it; other exceptions
 # are mistakes of the program.
 USER_ERRORS = (ValueError, TypeError, OSError, MemoryError, ImportError)
+# What ends a run as an interrupt does: of `kill` and of batch systems, and of a
+# terminal that is closed.
+SIGNALS = ("SIGTERM", "SIGHUP")
 COMMANDS = (demo, simulate, restore, inspect, measure, profile, track, survey)
 
 
@@ -39,6 +44,27 @@ class Parser(argparse.ArgumentParser):
     def error(self, message):
         """Leave with one line and status 2."""
         self.exit(2, f"{self.prog}: error: {message}; see {self.prog} --help\n")
+
+
+class Ended(KeyboardInterrupt):
+    """One of `SIGNALS`, its number the argument."""
+
+
+def _end(number, frame):
+    raise Ended(number)
+
+
+@contextmanager
+def _ended_by_signals():
+    """Clean up after `SIGNALS`, where nobody else handles or ignores them."""
+    with ExitStack() as stack:
+        for name in SIGNALS:
+            number = getattr(signal, name, None)
+            # Only the main thread may; elsewhere the host decides.
+            with suppress(ValueError):
+                if number and signal.getsignal(number) is signal.SIG_DFL:
+                    stack.callback(signal.signal, number, signal.signal(number, _end))
+        yield
 
 
 def build_parser():
@@ -87,7 +113,8 @@ def main(argv=None):
     Returns
     -------
     int
-        Exit status: 0, 2 for what the user can mend, 130 when interrupted.
+        Exit status: 0, 2 for what the user can mend, 130 when interrupted, 143
+        when terminated.
 
     Raises
     ------
@@ -97,14 +124,14 @@ def main(argv=None):
     args = build_parser().parse_args(argv)
     reporter = Reporter(f"astro-scc {args.command}", quiet=args.quiet)
     try:
-        with reporter.warnings_as_lines():
+        with _ended_by_signals(), reporter.warnings_as_lines():
             args.run(args, reporter)
         sys.stdout.flush()
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         if args.debug:
             raise
         reporter.error(reporter.on_interrupt)
-        return 130
+        return 128 + (error.args[0] if isinstance(error, Ended) else signal.SIGINT)
     except BrokenPipeError:
         # The reader of the output has gone, as `head` does.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

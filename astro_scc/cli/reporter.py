@@ -62,7 +62,9 @@ class Reporter:
     warnings : list of str
         All that were issued, each once.
     progress : bool
-        Whether to show progress bars.
+        Whether to show progress.
+    bars : bool
+        Whether it is shown as bars, on a terminal.
     on_interrupt : str
         What is said of an interrupt.
     """
@@ -72,7 +74,8 @@ class Reporter:
         self.quiet = quiet
         self.warnings = []
         self.on_interrupt = "interrupted, nothing was written"
-        self.progress = not quiet and sys.stderr.isatty()
+        self.progress = not quiet
+        self.bars = self.progress and sys.stderr.isatty()
 
     def say(self, text=""):
         """Print a result."""

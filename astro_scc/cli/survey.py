@@ -88,7 +88,7 @@ def run(args, reporter):
         failed = {o.message for o in outcomes if o.status == "failed"}
         for message in sorted(failed):
             reporter.warn(f"{name}: {message}")
-        if not failed and not reporter.progress:
+        if not failed and not reporter.bars:
             reporter.say(f"{name}: {'finished before' if before else 'done'}")
 
     with _cluster(n_workers, args.workers, reporter) as workers:

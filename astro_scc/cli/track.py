@@ -199,7 +199,10 @@ def _stack_profile(path):
 
 def _track(cube, tracker, config, reporter, n_workers):
     from astro_scc.decomposition import Decomposer
-    from astro_scc.measurement.decomposing import decompose_epochs
+    from astro_scc.measurement.decomposing import (
+        allow_for_structure,
+        decompose_epochs,
+    )
     from astro_scc.measurement.plan import scales_of_pixels, ssps_inside
     from astro_scc.measurement.selection import warn_of_none_inside
 
@@ -209,7 +212,8 @@ def _track(cube, tracker, config, reporter, n_workers):
     scales = scales_of_pixels(config.get("scales", (1, 2, 3, 4)), cube.pixel_scale)
     region = config.get("region")
     inside = None if region is None else cube.region_mask(region)
-    decompositions = decompose_epochs(cube, Decomposer(scales=scales, **options))
+    decomposer = allow_for_structure(cube, Decomposer(scales=scales, **options))
+    decompositions = decompose_epochs(cube, decomposer)
     ssps, select = ssps_inside(decompositions, cube, inside)
     warn_of_none_inside(ssps, select, region)
     return tracker(

@@ -33,8 +33,10 @@ DIED = (
 
 
 def _start():
-    # The parent ends on an interrupt, and then its workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # The parent ends on what its terminal sends, and then ends its workers.
+    for name in ("SIGINT", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     # One that is killed cannot end them.
     threading.Thread(target=_end_with_parent, daemon=True).start()

@@ -2,7 +2,12 @@
 """Segmented wavelet decomposition: an image as significant structural patterns."""
 
 from astro_scc.decomposition.decompose import Decomposer, Decomposition
-from astro_scc.decomposition.noise import local_noise, plane_noise, propagated_noise
+from astro_scc.decomposition.noise import (
+    local_noise,
+    plane_noise,
+    propagated_noise,
+    shared_variance,
+)
 from astro_scc.decomposition.segmentation import find_ssps, quadratic_peak
 from astro_scc.decomposition.ssp import SSPs
 from astro_scc.decomposition.wavelet import (
@@ -24,5 +29,6 @@ __all__ = [
     "propagated_noise",
     "quadratic_peak",
     "scale_size",
+    "shared_variance",
     "wavelet_planes",
 ]

@@ -5,7 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from astro_scc.decomposition.noise import local_noise, plane_noise, propagated_noise
+from astro_scc.decomposition.noise import (
+    local_noise,
+    plane_noise,
+    propagated_noise,
+    shared_variance,
+)
 from astro_scc.decomposition.segmentation import check_thresholds, find_ssps
 from astro_scc.decomposition.ssp import SSPs
 from astro_scc.decomposition.wavelet import scale_kernel, wavelet_planes
@@ -121,6 +126,9 @@ class Decomposer:
     noise : {"plane", "local", "propagated"}
         Whether sigma is one number from the plane itself, a map of it, or
         follows from the rms of the image and its beam.
+    noise_factors : sequence of float, optional
+        Factor on the sigma of "plane" and "local" for each scale, where
+        what looks like noise in one image is structure (`shared_variance`).
 
     Raises
     ------
@@ -143,6 +151,7 @@ class Decomposer:
     detection: float = 4.0
     segmentation: float = 3.0
     noise: str = "plane"
+    noise_factors: tuple | None = None
 
     def __post_init__(self):
         scales = tuple(sorted({float(scale) for scale in self.scales}))
@@ -156,6 +165,14 @@ class Decomposer:
                 f"unknown noise {self.noise!r}: use 'plane', 'local' or 'propagated'"
             )
         object.__setattr__(self, "scales", scales)
+        if self.noise_factors is not None:
+            factors = tuple(float(factor) for factor in self.noise_factors)
+            if len(factors) != len(scales) or not all(0 <= f <= 1 for f in factors):
+                raise ValueError(
+                    "noise_factors must be a number from 0 to 1 for each of the "
+                    f"{len(scales)} scales, got {self.noise_factors}"
+                )
+            object.__setattr__(self, "noise_factors", factors)
 
     def __call__(self, image, *, mask=None, rms=None, beam_covariance=None):
         """
@@ -181,25 +198,9 @@ class Decomposer:
             If the image is too small for the scales or has no valid pixel,
             the mask has not its shape, or ``rms`` is missing.
         """
-        image = np.asarray(image, dtype=float)
-        missing = ~np.isfinite(image)
-        if mask is not None:
-            mask = np.asarray(mask, dtype=bool)
-            if mask.shape != image.shape:
-                raise ValueError(
-                    f"the mask has shape {mask.shape}, the image {image.shape}: "
-                    "give one value for each pixel"
-                )
-            missing |= mask
-        if missing.all():
-            raise ValueError("the image has no valid pixel")
-        # An offset would cost the digits that single precision has.
-        offset = np.median(image[~missing])
-        image = np.where(missing, 0.0, image - offset)
-        missing = missing if missing.any() else None
-        planes = wavelet_planes(image, self.scales, kernel=self.kernel, mask=missing)
+        planes, missing, largest = self._planes(image, mask)
         noise = self._noise(planes, missing, rms, beam_covariance)
-        floor = ROUNDING * max(np.ptp(image), abs(offset))
+        floor = ROUNDING * largest
         noise = tuple(np.maximum(sigma, floor) for sigma in noise)
         ssps = SSPs.concatenate(
             [
@@ -218,6 +219,50 @@ class Decomposer:
             self.scales, planes.astype(np.float32), noise, ssps, missing
         )
 
+    def shared_variance(self, images, *, masks=(None, None)):
+        """
+        What two images share beside bright sources, see `shared_variance`.
+
+        Parameters
+        ----------
+        images : pair of array_like, shape (ny, nx)
+            Of two epochs.
+        masks : pair of array_like of bool, shape (ny, nx), or None
+
+        Returns
+        -------
+        share, chance : `~numpy.ndarray`, shape (n_scales,)
+        """
+        each = [self._planes(*of)[:2] for of in zip(images, masks, strict=True)]
+        (one, other), masks = zip(*each, strict=True)
+        found = [
+            shared_variance(planes, scale, masks=masks)
+            for *planes, scale in zip(one, other, self.scales, strict=True)
+        ]
+        share, chance = np.array(found).T
+        return share, chance
+
+    def _planes(self, image, mask):
+        """The planes, what is missing, and the largest value there was."""
+        image = np.asarray(image, dtype=float)
+        missing = ~np.isfinite(image)
+        if mask is not None:
+            mask = np.asarray(mask, dtype=bool)
+            if mask.shape != image.shape:
+                raise ValueError(
+                    f"the mask has shape {mask.shape}, the image {image.shape}: "
+                    "give one value for each pixel"
+                )
+            missing |= mask
+        if missing.all():
+            raise ValueError("the image has no valid pixel")
+        # An offset would cost the digits that single precision has.
+        offset = np.median(image[~missing])
+        image = np.where(missing, 0.0, image - offset)
+        missing = missing if missing.any() else None
+        planes = wavelet_planes(image, self.scales, kernel=self.kernel, mask=missing)
+        return planes, missing, max(np.ptp(image), abs(offset))
+
     def _noise(self, planes, missing, rms, beam_covariance):
         if self.noise == "propagated":
             if rms is None or not 0 < rms < np.inf:
@@ -228,7 +273,8 @@ class Decomposer:
                 rms, self.scales, beam_covariance=beam_covariance, kernel=self.kernel
             )
         estimate = plane_noise if self.noise == "plane" else local_noise
+        factors = self.noise_factors or (1.0,) * len(self.scales)
         return [
-            estimate(plane, scale, mask=missing)
-            for plane, scale in zip(planes, self.scales, strict=True)
+            factor * estimate(plane, scale, mask=missing)
+            for plane, scale, factor in zip(planes, self.scales, factors, strict=True)
         ]

@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from astro_scc.decomposition.wavelet import KERNELS, scale_kernel, scale_size
 
-__all__ = ["local_noise", "plane_noise", "propagated_noise"]
+__all__ = ["local_noise", "plane_noise", "propagated_noise", "shared_variance"]
 
 MAD_TO_SIGMA = 1.482602218505602
 #: Share of a Gaussian's absolute values below ``DECILE_TO_SIGMA`` is a tenth.
@@ -133,6 +133,64 @@ def plane_noise(plane, scale, *, mask=None):
     1.0
     """
     return source_free(plane, scale, mask=mask)[1]
+
+
+def shared_variance(planes, scale, *, masks=(None, None)):
+    r"""
+    Share of the variance beside bright sources that two images have in common.
+
+    With a and b the two planes where neither shows a source (see
+    `plane_noise`) and zero elsewhere, it is the largest correlation at any
+    displacement,
+
+    .. math:: \max_d \frac{\sum_x a(x + d)\, b(x)}
+              {\sqrt{\sum a^2 \sum b^2}},
+
+    over the whole image, which is taken as periodic.  Noise is of one image
+    alone; what both show is structure that moves or stands still.
+
+    Parameters
+    ----------
+    planes : pair of `~numpy.ndarray`, shape (ny, nx)
+        Of two epochs, of one scale.
+    scale : float
+        Scale number.
+    masks : pair of array_like of bool, shape (ny, nx), or None
+        True marks missing pixels.
+
+    Returns
+    -------
+    share : float
+        The variance of the noise is ``1 - share`` of the plane's, or less if
+        structure moves at different velocities or changes.
+    chance : float
+        Standard deviation of what independent planes would give at one
+        displacement, the root mean square over all displacements; infinite
+        if a plane is zero.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.decomposition import shared_variance
+    >>> rng = np.random.default_rng(0)
+    >>> texture, *noise = rng.normal(size=(3, 64, 64))
+    >>> moved = np.roll(3 * texture, 5, axis=1)
+    >>> share, chance = shared_variance([3 * texture + noise[0], moved + noise[1]], 1)
+    >>> round(share, 1), bool(chance < 0.03)
+    (0.9, True)
+    """
+    skies, parts = [], []
+    for plane, mask in zip(planes, masks, strict=True):
+        free, _ = source_free(plane, scale, mask=mask)
+        skies.append(np.where(free, plane, 0.0))
+        parts.append(free.mean())
+    norm = np.sqrt(np.prod([np.sum(sky**2) for sky in skies]))
+    if norm == 0:
+        return 0.0, np.inf
+    one, other = (np.fft.rfft2(sky) for sky in skies)
+    correlation = np.fft.irfft2(one * other.conj(), s=skies[0].shape) / norm
+    chance = np.sqrt(np.mean(correlation**2) / min(parts))
+    return float(correlation.max()), float(chance)
 
 
 def local_noise(plane, scale, *, mask=None, box_size=None):

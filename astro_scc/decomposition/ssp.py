@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-__all__ = ["SSPs"]
+__all__ = ["SSPs", "require_ssps"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -142,4 +142,29 @@ class SSPs:
                 replace(d.ssps, epoch=np.full(len(d.ssps), epoch))
                 for epoch, d in enumerate(decompositions)
             ]
+        )
+
+
+def require_ssps(ssps, scales):
+    """
+    Refuse epochs that show no SSP at all.
+
+    Parameters
+    ----------
+    ssps : `SSPs`
+        Of all epochs.
+    scales : sequence of float
+        Where they were looked for.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    if len(ssps) == 0:
+        raise ValueError(
+            "no significant pattern (SSP) in any epoch on scale "
+            f"{', '.join(f'{scale:g}' for scale in scales)}: try other scales, or a "
+            "lower detection; if the images have no empty sky, give their noise and "
+            "noise='propagated'"
         )

@@ -17,7 +17,13 @@ from astro_scc.epochs.grids.reprojection import reproject_cube, shared_grid
 from astro_scc.epochs.grids.smoothing import common_beam, smallest_common_beam
 from astro_scc.epochs.intervals import IntervalPlan, plan_intervals
 from astro_scc.epochs.offset_grid import offset_wcs
-from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
+from astro_scc.epochs.positions import (
+    beam_fwhm,
+    name_by_frame,
+    position_errors,
+    sky_columns,
+    ssp_offsets,
+)
 from astro_scc.epochs.statistics import measure_noise
 
 __all__ = [
@@ -34,6 +40,7 @@ __all__ = [
     "distance_mask",
     "inspect_epochs",
     "measure_noise",
+    "name_by_frame",
     "offset_wcs",
     "plan_intervals",
     "position_errors",
@@ -43,6 +50,7 @@ __all__ = [
     "reproject_cube",
     "restore",
     "shared_grid",
+    "sky_columns",
     "smallest_common_beam",
     "ssp_offsets",
     "write_epochs",

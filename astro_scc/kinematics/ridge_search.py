@@ -25,7 +25,7 @@ def fit_position_angle(cube, *, origin=None, threshold=5.0):
     The direction of the mean offset, weighted by brightness, of the pixels
     above a threshold that lie more than a beam from the core,
 
-    .. math:: \tan p = \sum I\, \Delta_\mathrm{east} \big/ \sum I\,
+    .. math:: \tan p = \sum I\, \Delta_\mathrm{east} / \sum I\,
               \Delta_\mathrm{north}.
 
     Parameters

@@ -16,7 +16,7 @@ def false_discovery_rate(tables, *, method="bh"):
     Adjust the probabilities of components of regions searched together.
 
     Of m velocities that were tested in all regions, bins or groups of
-    scales together, with :math:`p_{(1)} \\le \\dots \\le p_{(m)}` their
+    scales together, with :math:`p_{(1)} \\le \\ldots \\le p_{(m)}` their
     ``p_global``, the k-th smallest becomes
 
     .. math:: q_{(k)} = \\min_{l \\ge k}\\ \\min(1,\\ c_m\\, m\\, p_{(l)} / l),

@@ -13,7 +13,7 @@ import numpy as np
 from astropy.io import fits
 
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.partial import partial_folder, remove_left
+from astro_scc.partial import is_held, partial_folder, remove_left
 
 __all__ = ["plain_meta", "product_folder", "velocity_hdus", "write_products"]
 
@@ -46,14 +46,14 @@ def product_folder(path, *, overwrite=False, stale=()):
     Raises
     ------
     OSError
-        If the folder has files and ``overwrite`` is False, is a file, or
-        cannot be written to.
+        If the folder has files and ``overwrite`` is False, is a file,
+        cannot be written to, or another run is at work for it.
 
     Warns
     -----
     `~astro_scc.exceptions.MeasurementWarning`
-        If there is a folder of another run for the same products that may
-        not be done.  What killed runs left on this machine is taken away.
+        If there is what a run on another machine may have left.  What killed
+        runs left on this machine is taken away.
 
     Examples
     --------
@@ -72,13 +72,7 @@ def product_folder(path, *, overwrite=False, stale=()):
     # On the disk of the target, so that things only have to be renamed.
     outside = target.parent, f".{target.name}.partial-"
     inside = target, ".partial-"
-    for left in remove_left(*outside) + remove_left(*inside):
-        warnings.warn(
-            f"{left}: is of another run, which goes on or was killed; delete it if "
-            "nothing runs any more",
-            MeasurementWarning,
-            stacklevel=3,
-        )
+    _refuse_others(path, outside, inside)
     with ExitStack() as stack:
         try:
             filled = exists and any(target.iterdir())
@@ -86,6 +80,10 @@ def product_folder(path, *, overwrite=False, stale=()):
                 target.parent.mkdir(parents=True, exist_ok=True)
                 part = partial_folder(*(inside if exists else outside))
                 folder = stack.enter_context(part)
+                _refuse_others(path, outside, inside, own=folder)
+        except BlockingIOError:
+            _remove(made)
+            raise
         except OSError as error:
             _remove(made)
             raise OSError(f"{path}: cannot be made or used: {error.strerror}") from None
@@ -103,12 +101,36 @@ def product_folder(path, *, overwrite=False, stale=()):
         except BaseException as error:
             stack.close()
             _remove(made)
+            if isinstance(error, OSError) and error.filename2 == str(target):
+                raise OSError(
+                    f"{path}: cannot be made: another run has written there; choose "
+                    "another folder"
+                ) from None
             if isinstance(error, OSError) and error.errno in DISK_ERRORS:
                 raise OSError(
                     f"{path}: cannot be written: {error.strerror}; make room there or "
                     "choose another folder"
                 ) from None
             raise
+
+
+def _refuse_others(path, *places, own=None):
+    """Refuse what another run is at work for; warn of what may be such a run."""
+    for left in (left for place in places for left in remove_left(*place)):
+        if left == own:
+            continue
+        if is_held(left):
+            raise BlockingIOError(
+                f"{path}: another run is at work for this folder; wait for it, or "
+                "choose another folder"
+            )
+        if own is None:
+            warnings.warn(
+                f"{left}: is of another run, which goes on or was killed; delete it "
+                "if nothing runs any more",
+                MeasurementWarning,
+                stacklevel=4,
+            )
 
 
 def _remove(folders):

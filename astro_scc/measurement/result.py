@@ -12,7 +12,8 @@ from astropy.wcs import WCS
 
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
-from astro_scc.epochs import EpochCube
+from astro_scc.epochs import EpochCube, name_by_frame
+from astro_scc.epochs.positions import axis_words
 from astro_scc.kinematics import table_in_c
 from astro_scc.measurement.tables import component_table, ssp_table
 from astro_scc.measurement.velocity_error import StreamVelocity
@@ -231,7 +232,7 @@ class SCCResult:
         versions.
         """
         rows = [self._row(number) for number in range(1, len(self.maxima) + 1)]
-        return component_table(rows, meta=dict(self.meta))
+        return name_by_frame(component_table(rows, meta=dict(self.meta)), self.cube)
 
     def components_in_c(self, *, redshift=None, cosmology=None, distance=None):
         """
@@ -284,14 +285,15 @@ class SCCResult:
         if which not in ("coefficient", "z_score"):
             raise ValueError(f"unknown map {which!r}: use 'coefficient' or 'z_score'")
         wcs = WCS(naxis=2)
-        wcs.wcs.ctype = [name.upper()[:8] for name in self.frame.axis_names]
+        names = list(self.frame.axis_names)
+        if names == ["east", "north"] and axis_words(self.cube)[0] != "east":
+            names = ["lon", "lat"]
+        wcs.wcs.ctype = [name.upper()[:8] for name in names]
         wcs.wcs.cunit = ["mas/yr", "mas/yr"]
         wcs.wcs.crpix = [(n + 1) / 2 for n in self.grid.shape[::-1]]
         wcs.wcs.crval = [0.0, 0.0]
         wcs.wcs.cdelt = self.grid.step
-        return NDData(
-            getattr(self, which), wcs=wcs, meta={"axes": self.frame.axis_names}
-        )
+        return NDData(getattr(self, which), wcs=wcs, meta={"axes": tuple(names)})
 
     def members(self, number):
         """

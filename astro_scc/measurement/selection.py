@@ -129,7 +129,7 @@ def select_ssps(
 
 def warn_of_none_inside(ssps, select, region):
     """
-    Say so if a region was asked for that holds no SSP.
+    Say so if a region was asked for that holds none of the SSPs.
 
     Parameters
     ----------
@@ -143,16 +143,12 @@ def warn_of_none_inside(ssps, select, region):
     -----
     `~astro_scc.exceptions.MeasurementWarning`
     """
-    if region is None or np.any(select):
+    if region is None or np.any(select) or len(ssps) == 0:
         return
     name = region if isinstance(region, str | os.PathLike) else "the region"
-    where = (
-        f"{len(ssps)} in the rest of the images: check where it lies, or make it larger"
-        if len(ssps)
-        else "nor anywhere else: try other scales, or a lower detection"
-    )
     warnings.warn(
-        f"{name}: no significant pattern has its centroid inside, {where}",
+        f"{name}: no significant pattern has its centroid inside, {len(ssps)} in the "
+        "rest of the images: check where it lies, or make it larger",
         MeasurementWarning,
         stacklevel=3,
     )

@@ -10,7 +10,7 @@ from astropy.table import Column, QTable
 from astropy.time import Time
 
 from astro_scc.decomposition import scale_size
-from astro_scc.epochs import beam_fwhm, position_errors, ssp_offsets
+from astro_scc.epochs import beam_fwhm, name_by_frame, position_errors, ssp_offsets
 
 __all__ = ["PM_UNIT", "component_table", "ssp_table", "versions"]
 
@@ -85,7 +85,9 @@ def ssp_table(ssps, cube, *, select=None):
     `~astropy.table.QTable`
         One row an SSP, its ``date`` a `~astropy.time.Time`.  Positions
         ``east`` and ``north`` are offsets of the maximum from the reference
-        pixel, with thermal errors ``beam / (sqrt(2) SNR)``.
+        pixel, with thermal errors ``beam / (sqrt(2) SNR)``.  In frames
+        without right ascension columns are called as
+        `~astro_scc.epochs.name_by_frame` says.
 
     Examples
     --------
@@ -130,7 +132,7 @@ def ssp_table(ssps, cube, *, select=None):
         }
     )
     table["flux"].info.description = "sum of the wavelet coefficients of the pixels"
-    return table
+    return name_by_frame(table, cube)
 
 
 def component_table(rows, *, meta=None):

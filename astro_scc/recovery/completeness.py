@@ -178,10 +178,15 @@ def completeness(
     seed = int(rng) if isinstance(rng, (int, np.integer)) else None
     own_rng, root = np.random.default_rng(rng).spawn(2)
 
+    def stacked(images, rng):
+        # Not in one call, which refuses epochs that show nothing.
+        matched = scc.match(images, region=setup.region)
+        return scc.stack(matched, n_trials=n_trials, rng=rng)
+
     with warnings.catch_warnings():
         # Features are put in where there were none as well.
         warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
-        bare = scc(cube, region=setup.region, n_trials=n_trials, rng=own_rng)
+        bare = stacked(cube, own_rng)
     area = area_for_features(bare.matched, setup.region)
     numbers = moving_components(bare, scc.level)
     own = np.reshape([bare.velocities[k - 1].value for k in numbers], (-1, 2))
@@ -205,12 +210,7 @@ def completeness(
             scatter=scatter * setup.fwhm * u.mas,
             rng=path_rng,
         )
-        result = scc(
-            inject(cube, paths, flux * cube.unit, fwhm=fwhm),
-            region=setup.region,
-            n_trials=n_trials,
-            rng=trial_rng,
-        )
+        result = stacked(inject(cube, paths, flux * cube.unit, fwhm=fwhm), trial_rng)
         number = recovered(
             result,
             own,

@@ -6,6 +6,7 @@ import math
 import astropy.units as u
 import numpy as np
 
+from astro_scc.epochs import sky_columns
 from astro_scc.report.words import (
     listed,
     number_word,
@@ -130,7 +131,7 @@ def edge_remarks(result, components, kinds):
         return []
     columns = ("pm_parallel", "pm_transverse")
     if tuple(result.frame.axis_names) == ("east", "north"):
-        columns = ("pm_ra_cosdec", "pm_dec")
+        columns = sky_columns(components)
     near = np.zeros(len(components), bool)
     found = [kind != "not significant" for kind in kinds]
     for name, end, step in zip(

@@ -28,6 +28,8 @@ COLUMNS = (
     ("pm_transverse", "across ({unit})", 3),
     ("pm_ra_cosdec", "east ({unit})", 3),
     ("pm_dec", "north ({unit})", 3),
+    ("pm_lon_coslat", "longitude ({unit})", 3),
+    ("pm_lat", "latitude ({unit})", 3),
     ("coefficient", "coefficient", 3),
     ("pm_err_jitter", "paper's error of the speed ({unit})", 3),
     ("pm_err_alignment", "error by alignment ({unit})", 3),

@@ -115,7 +115,7 @@ def fit_acceleration(sightings, distance, v_max, *, a_max=None, centre=None):
     speed at the mean date, so
 
     .. math:: C(v_0, a) = \frac{\sum_i w_i \Delta t_i^2\,
-              g\big(v_i - v(x_i; v_0, a),\ 4 \sigma_i\big)\, g(u_i, \sigma_i)}
+              g\bigl(v_i - v(x_i; v_0, a),\ 4 \sigma_i\bigr)\, g(u_i, \sigma_i)}
               {\sum_i w_i \Delta t_i^2},
 
     with the distance :math:`x_i` at the mean date, :math:`v(x)` of

@@ -88,7 +88,11 @@ def run_survey(
         with replace_when_complete(output / PLAN, overwrite=True) as part:
             part.write_text(survey.text, encoding="utf-8")
         jobs = [Job(source, str(output), write_report) for source in survey.sources]
-        found = _outcomes(jobs, n_workers, report, progress_bar)
+        try:
+            found = _outcomes(jobs, n_workers, report, progress_bar)
+        finally:
+            # Of workers that were ended.
+            _clean(output)
         table = survey_table([o for k in range(len(jobs)) for o in found[k]], output)
         with replace_when_complete(output / TABLE, overwrite=True) as part:
             table.write(part, format="ascii.ecsv")

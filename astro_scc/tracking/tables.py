@@ -7,6 +7,8 @@ from astropy.table import Column, MaskedColumn, QTable
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
+from astro_scc.epochs import name_by_frame
+from astro_scc.epochs.positions import axis_words
 from astro_scc.tracking.ejection import (
     SIGNIFICANT,
     ejection_epoch,
@@ -202,7 +204,7 @@ def track_table(rows, cube, *, meta=None):
         else:
             table[name] = Column(np.array(values, dtype=kind), description=description)
     table.meta.update(meta or {})
-    return table
+    return name_by_frame(table, cube)
 
 
 def feature_table(tracking):
@@ -217,9 +219,11 @@ def feature_table(tracking):
     -------
     `~astropy.table.QTable`
         By track and date, which is a `~astropy.time.Time`.  ``sky`` is a
-        `~astropy.coordinates.SkyCoord` with the proper motion of the track;
-        ``link`` says how the feature follows from the one before it: "first",
-        "link", or "gap" where epochs lie between.
+        `~astropy.coordinates.SkyCoord` with the proper motion of the track; in
+        frames without right ascension there are ``lon`` and ``lat`` in its
+        place, with ``pm_lon_coslat`` and ``pm_lat``.  ``link`` says how the
+        feature follows from the one before it: "first", "link", or "gap" where
+        epochs lie between.
     """
     from astropy.coordinates import SkyCoord
 
@@ -241,7 +245,6 @@ def feature_table(tracking):
     first[1:] = track[1:] != track[:-1]
     kind = np.where(first, "first", np.where(gap[own] > 0, "gap", "link"))
     names = np.array(tracking.names, dtype="U64")
-    place = cube.wcs.pixel_to_world(ssps.x[own], ssps.y[own]).icrs
     table = QTable(
         {
             "track": names[track] if len(own) else np.empty(0, "U64"),
@@ -259,17 +262,19 @@ def feature_table(tracking):
             "peak": ssps.peak[own] * cube.unit,
             "flux": ssps.flux[own] * cube.unit,
             "snr": ssps.snr[own],
-            "sky": SkyCoord(
-                ra=place.ra,
-                dec=place.dec,
-                pm_ra_cosdec=velocity[track, 0] * PM_UNIT,
-                pm_dec=velocity[track, 1] * PM_UNIT,
-                frame="icrs",
-            ),
         }
     )
     table["flux"].info.description = "sum of the wavelet coefficients of the pixels"
-    return table
+    vx, vy = velocity[track].T * PM_UNIT
+    if axis_words(cube)[0] == "east":
+        place = cube.wcs.pixel_to_world(ssps.x[own], ssps.y[own]).icrs
+        motion = {"pm_ra_cosdec": vx, "pm_dec": vy}
+        table["sky"] = SkyCoord(ra=place.ra, dec=place.dec, frame="icrs", **motion)
+        return table
+    lon, lat = cube.wcs.pixel_to_world_values(ssps.x[own], ssps.y[own])
+    table["lon"], table["lat"] = lon * u.deg, lat * u.deg
+    table["pm_ra_cosdec"], table["pm_dec"] = vx, vy
+    return name_by_frame(table, cube)
 
 
 def share_table(shares):

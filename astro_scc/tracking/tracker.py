@@ -9,6 +9,7 @@ import numpy as np
 from astro_scc.config.settings import require
 from astro_scc.correlation import Correlator, Matches, landing_ssps
 from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.decomposition.ssp import require_ssps
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.progress import progress
@@ -358,8 +359,8 @@ class FeatureTracker:
         ------
         ValueError
             If there is not one decomposition an epoch, ``select`` has not one
-            value an SSP, no two epochs have different dates, or their beams
-            differ and ``common_beam`` is True.
+            value an SSP, no epoch shows an SSP, no two epochs have different
+            dates, or their beams differ and ``common_beam`` is True.
         """
         if self.common_beam:
             require_common_beam(cube)
@@ -373,6 +374,7 @@ class FeatureTracker:
         rng = np.random.default_rng(rng)
         ssps = SSPs.of_epochs(decompositions)
         scales = decompositions[0].scales
+        require_ssps(ssps, scales)
         select = np.ones(len(ssps), bool) if select is None else np.asarray(select)
         if select.shape != (len(ssps),) or select.dtype != bool:
             raise ValueError(

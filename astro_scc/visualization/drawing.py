@@ -4,11 +4,11 @@
 import astropy.units as u
 import numpy as np
 
+from astro_scc.epochs.positions import axis_words
 from astro_scc.visualization.style import (
     BLACK,
     HEIGHT,
     WIDTH,
-    first_axis,
     unit_name,
 )
 
@@ -39,7 +39,7 @@ def draw_image(ax, cube, values, norm, unit, limits):
         transform=Affine2D(to_offset) + ax.transData,
     )
     (east0, east1), (north0, north1) = (limits * u.mas).to_value(unit)
-    _, to_the_left = first_axis(cube)
+    _, _, to_the_left = axis_words(cube)
     ax.set_xlim((east1, east0) if to_the_left else (east0, east1))
     ax.set_ylim(north0, north1)
     ax.set_aspect("equal")
@@ -71,20 +71,22 @@ def draw_beam(ax, beam, unit, limits):
 
 def label_offsets(ax, cube, unit):
     """Name the two axes of an image."""
-    ax.set_xlabel(f"Offset to {_direction(cube)} ({unit_name(unit)})")
-    ax.set_ylabel(f"Offset to the north ({unit_name(unit)})")
+    across, up = offset_labels(cube, unit)
+    ax.set_xlabel(across)
+    ax.set_ylabel(up)
 
 
-def _direction(cube):
-    name, _ = first_axis(cube)
-    return name if " " in name else f"the {name}"
+def offset_labels(cube, unit):
+    """What the two axes of an image are called."""
+    names = (n if " " in n else f"the {n}" for n in axis_words(cube)[:2])
+    return tuple(f"Offset to {name} ({unit_name(unit)})" for name in names)
 
 
 def label_panels(figure, cube, unit):
     """Name the axes that all panels share."""
-    label = f"Offset to {_direction(cube)} ({unit_name(unit)})"
-    figure.supxlabel(label, fontsize="medium")
-    figure.supylabel(f"Offset to the north ({unit_name(unit)})", fontsize="medium")
+    across, up = offset_labels(cube, unit)
+    figure.supxlabel(across, fontsize="medium")
+    figure.supylabel(up, fontsize="medium")
 
 
 def panels_size(rows, columns, limits, *, aside, above=0.0):

@@ -23,7 +23,10 @@ def ssp_points(cube, ssps):
         east, north = cube.pixel_to_offset(ssps.x, ssps.y)
         epoch, scale, snr = ssps.epoch, ssps.scale, ssps.snr
     else:
-        east, north = u.Quantity(ssps["east"]), u.Quantity(ssps["north"])
+        names = "east", "north"
+        if "lon_offset" in ssps.colnames:
+            names = "lon_offset", "lat_offset"
+        east, north = (u.Quantity(ssps[name]) for name in names)
         epoch, scale, snr = (np.asarray(ssps[n]) for n in ("epoch", "scale", "snr"))
         if "in_region" in ssps.colnames:
             used = np.asarray(ssps["in_region"], bool)

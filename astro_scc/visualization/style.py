@@ -29,8 +29,15 @@ def figure_and_axes(ax, figsize):
     """
     The axes to draw on and their figure, new ones where none are given.
 
+    Those of a WCS are refused.
+
     Figures are made without pyplot: nothing is registered, shown or set.
     """
+    if hasattr(ax, "wcs"):
+        raise TypeError(
+            "ax is a WCSAxes, which counts pixels, and the figures are in offsets and "
+            "speeds; give plain axes, without projection="
+        )
     if ax is not None:
         return ax.get_figure(), ax
     figure = new_figure(figsize)
@@ -69,18 +76,6 @@ def speed_unit(fastest, unit=None):
             f"unit must be an angle over a time, such as 'mas/yr', got {unit}"
         )
     return unit
-
-
-def first_axis(cube):
-    """
-    Where longitude grows: its name, and whether that is to the left.
-
-    On the sky to the east, which is to the left; in coordinates of the Sun to
-    the west, which is to the right.
-    """
-    if str(cube.wcs.wcs.ctype[0])[:4] in ("HPLN", "HGLN", "CRLN"):
-        return "solar west", False
-    return "east", True
 
 
 def unit_name(unit):

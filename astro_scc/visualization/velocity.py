@@ -4,6 +4,8 @@
 import astropy.units as u
 import numpy as np
 
+from astro_scc.epochs import sky_columns
+from astro_scc.epochs.positions import axis_words
 from astro_scc.visualization.style import (
     BLACK,
     PM_UNIT,
@@ -12,7 +14,6 @@ from astro_scc.visualization.style import (
     add_speed_axis,
     component_kinds,
     figure_and_axes,
-    first_axis,
     outline,
     speed_unit,
     unit_name,
@@ -22,7 +23,6 @@ __all__ = ["plot_velocity_map"]
 
 AXIS_LABELS = {
     "east": "Proper motion to the east",
-    "solar west": "Proper motion to solar west",
     "north": "Proper motion to the north",
     "parallel": "Proper motion parallel to the jet",
     "transverse": "Transverse proper motion",
@@ -130,9 +130,10 @@ def plot_velocity_map(
 def axis_label(result, axis, unit):
     """Label of an axis of velocities."""
     name = result.frame.axis_names[axis]
-    if name == "east":
-        name, _ = first_axis(result.cube)
-    return f"{AXIS_LABELS.get(name, f'Proper motion, {name}')} ({unit_name(unit)})"
+    label = AXIS_LABELS.get(name, f"Proper motion, {name}")
+    if on_sky(result) and (word := axis_words(result.cube)[axis]) != name:
+        label = f"Proper motion to {word}"
+    return f"{label} ({unit_name(unit)})"
 
 
 def on_sky(result):
@@ -163,7 +164,7 @@ def _draw_map(ax, result, which, unit):
     ax.axhline(0, color="white", linewidth=0.6, alpha=0.6)
     ax.axvline(0, color="white", linewidth=0.6, alpha=0.6)
     ax.set_aspect("equal")
-    to_the_left = on_sky(result) and first_axis(result.cube)[1]
+    to_the_left = on_sky(result) and axis_words(result.cube)[2]
     ax.set_xlim((right, left) if to_the_left else (left, right))
     ax.set_ylim(bottom, top)
     ax.set_xlabel(axis_label(result, 0, unit))
@@ -177,7 +178,7 @@ def _draw_components(ax, result, components, kinds, unit):
 
     first, second = ("pm_parallel", "pm_transverse")
     if on_sky(result):
-        first, second = ("pm_ra_cosdec", "pm_dec")
+        first, second = sky_columns(components)
     v1, v2 = (plain(components, name, unit) for name in (first, second))
     e1, e2 = (plain(components, f"{name}_err", unit) for name in (first, second))
     # Where the components are as parts of the axes, for what is written beside them.
@@ -231,7 +232,7 @@ def _draw_jet(ax, result, corner):
     """An arrow in a corner of the axes in the jet's direction."""
     if on_sky(result):
         angle = u.Quantity(result.position_angle).to_value(u.rad)
-        side = -1 if first_axis(result.cube)[1] else 1
+        side = -1 if axis_words(result.cube)[2] else 1
         direction = np.array([side * np.sin(angle), np.cos(angle)])
     else:
         direction = np.array([1.0, 0.0])

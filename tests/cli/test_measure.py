@@ -139,9 +139,9 @@ def test_the_command_line_comes_before_the_file(measured, astro_scc, here):
 
 
 def test_a_distance_in_the_file_gives_way_to_a_redshift(jet, astro_scc, here):
-    (here / "jet.toml").write_text(
-        "distance = '16.7 Mpc'\ndetection = 1e6\nsegmentation = 1e6\n"
-    )
+    # Where there are no patterns.
+    (here / "corner.reg").write_text("image\ncircle(3,3,2)\n")
+    (here / "jet.toml").write_text("distance = '16.7 Mpc'\nregion = 'corner.reg'\n")
     status, out, _ = astro_scc(
         "measure", *epochs(jet)[:5], *QUICK, "-o", "out", "--no-report",
         "--config", "jet.toml", "--redshift", "0.1", "--cosmology", "Planck18",

@@ -1,9 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The program: help, arguments, errors, warnings."""
 
+import os
 import re
+import signal
 import subprocess
 import sys
+import threading
 import warnings
 
 import pytest
@@ -88,6 +91,47 @@ def test_an_interrupt_is_one_line(astro_scc, here, monkeypatch):
     assert not list(here.iterdir())
     with pytest.raises(KeyboardInterrupt):
         main(["simulate", "static", "out", "--debug"])
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_signal_that_ends_is_one_line(astro_scc, here, monkeypatch, name):
+    number = getattr(signal, name)
+    monkeypatch.setattr(
+        "astro_scc.simulation.simulate_static",
+        lambda *a, **k: os.kill(os.getpid(), number),
+    )
+    before = signal.getsignal(number)
+    status, out, err = astro_scc("simulate", "static", "out")
+    assert (status, out) == (128 + number, "")
+    assert err == "astro-scc simulate: error: interrupted, nothing was written\n"
+    assert not list(here.iterdir())
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_signal_that_somebody_handles_is_theirs(astro_scc, here, monkeypatch):
+    received = []
+    before = signal.signal(signal.SIGTERM, lambda *args: received.append(args[0]))
+    try:
+        monkeypatch.setattr(
+            "astro_scc.simulation.simulate_static",
+            lambda *a, **k: os.kill(os.getpid(), signal.SIGTERM) or 1 / 0,
+        )
+        with pytest.raises(ZeroDivisionError):
+            main(["simulate", "static", "out"])
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert received == [signal.SIGTERM]
+
+
+def test_beside_the_main_thread(astro_scc, here):
+    """Where no handler of signals can be set."""
+    status = []
+    run = threading.Thread(target=lambda: status.append(astro_scc("inspect", "none")))
+    run.start()
+    run.join()
+    assert status[0][0] == 2
 
 
 @pytest.mark.parametrize("error", [ValueError, TypeError, OSError, MemoryError])

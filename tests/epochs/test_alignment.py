@@ -241,6 +241,14 @@ def test_the_core_is_found_though_it_is_blended_and_not_the_brightest(turn, core
     assert result.meta["alignment"][0]["shift_east_err_mas"] > 0
 
 
+@pytest.mark.parametrize("distance", [0.6, 0.78, 0.84, 0.9, 1.08])
+def test_a_core_before_a_brighter_feature_that_hides_its_maximum(distance):
+    """Up to 1.4 beams there is but one maximum, four times as bright."""
+    cube = images([[(0, 0, 1.0), (distance, 0, 4.0)]], noise=1e-3)
+    found = core_positions(cube, jet_pa=90 * u.deg)
+    assert_allclose(found["east"].value, 0, atol=0.02)
+
+
 def test_a_lonely_core_and_its_errors():
     """Residuals are as large as the errors say."""
     n = 4

@@ -95,6 +95,14 @@ class TestXarray:
         assert all(isinstance(value, str) for value in dataset.attrs.values())
         assert_same(cube, EpochCube.from_xarray(dataset))
 
+    def test_offsets_on_the_sun_are_no_east(self):
+        cube = make_cube()
+        cube.wcs.wcs.ctype = "HPLN-TAN", "HPLT-TAN"
+        dataset = cube.to_xarray()
+        assert "east" not in dataset.coords
+        assert dataset["lon_offset"].values[5] == pytest.approx(-0.1)
+        assert_same(cube, EpochCube.from_xarray(dataset))
+
     def test_netcdf(self, tmp_path):
         pytest.importorskip("h5netcdf")
         cube = full_cube()

@@ -18,6 +18,7 @@ from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import to_cosmology
 from astro_scc.measurement import (
     product_folder,
+    products,
     velocity_hdus,
     write_products,
 )
@@ -143,16 +144,71 @@ def test_what_a_killed_run_left_is_taken_away(tmp_path, exists):
     assert [p.name for p in out.iterdir()] == ["a.txt"]
 
 
-def test_what_another_run_has_is_told(tmp_path):
+@pytest.mark.parametrize("exists", [True, False])
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_a_second_run_at_once_is_refused(tmp_path, monkeypatch, exists, overwrite):
     pytest.importorskip("fcntl")
-    out = tmp_path / "out"
+    monkeypatch.setattr("astro_scc.partial.PATIENCE", 0.01)
+    out = tmp_path / "deep" / "out"
+    if exists:
+        out.mkdir(parents=True)
     with product_folder(out) as first:
-        line = rf"{first}: is of another run, which goes on or was killed; delete it"
-        with pytest.warns(MeasurementWarning, match=line), product_folder(out) as other:
-            (other / "a.txt").write_text("a")
-        assert first.is_dir()
-        (out / "a.txt").unlink()
-    assert list(out.iterdir()) == []
+        (first / "a.txt").write_text("first")
+        with (
+            pytest.raises(OSError, match="out: another run is at work for this folder"),
+            product_folder(out, overwrite=overwrite),
+        ):
+            pass
+    assert [(p.name, p.read_text()) for p in out.iterdir()] == [("a.txt", "first")]
+
+
+def test_two_runs_that_begin_in_one_moment(tmp_path, monkeypatch):
+    """The second looks before the first has made its folder, and looks again."""
+    pytest.importorskip("fcntl")
+    monkeypatch.setattr("astro_scc.partial.PATIENCE", 0.01)
+    out, real, looked = tmp_path / "out", products.remove_left, []
+
+    def look(parent, prefix):
+        looked.append(prefix)
+        return [] if len(looked) <= 2 else real(parent, prefix)
+
+    with product_folder(out):
+        monkeypatch.setattr(products, "remove_left", look)
+        with (
+            pytest.raises(OSError, match="out: another run is at work for this folder"),
+            product_folder(out),
+        ):
+            pass
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_what_may_be_a_run_elsewhere_is_told(tmp_path):
+    left = tmp_path / ".out.partial-01234567-0123abcd"
+    left.mkdir()
+    line = rf"{left}: is of another run, which goes on or was killed; delete it"
+    with (
+        pytest.warns(MeasurementWarning, match=line) as said,
+        product_folder(tmp_path / "out") as folder,
+    ):
+        (folder / "a.txt").write_text("a")
+    assert [warning.filename for warning in said] == [__file__]
+    assert left.is_dir()
+
+
+def test_another_run_was_quicker(tmp_path):
+    out = tmp_path / "out"
+
+    def other():
+        out.mkdir()
+        (out / "a.txt").write_text("other")
+
+    with (
+        pytest.raises(OSError, match="out: cannot be made: another run has written"),
+        product_folder(out),
+    ):
+        other()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert (out / "a.txt").read_text() == "other"
 
 
 def test_a_file_is_no_folder(tmp_path):
@@ -230,7 +286,8 @@ def test_tables_are_the_ones_of_the_result(written, result):
 
 
 def test_a_table_without_components_keeps_its_columns(cube, tmp_path):
-    result = measured(cube, detection=1e6, segmentation=1e6)
+    scc = StackedCrossCorrelation(scales=[2], detection=1e6, segmentation=1e6)
+    result = scc.stack(scc.match(cube), n_trials=20, rng=1)
     components = result.components_in_c(distance=16.7 * u.Mpc)
     assert len(components) == 0
     paths = write_products(result, components, tmp_path)

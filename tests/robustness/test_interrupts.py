@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 import warnings
+from pathlib import Path
 
 import pytest
 
@@ -34,6 +35,8 @@ def start(argv, log):
     status = 70
     try:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        for how in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(how, signal.SIG_DFL)
         sys.stdout = sys.stderr = log.open("a", encoding="utf-8")
         status = main(argv)
         sys.stdout.close()
@@ -73,18 +76,20 @@ def check_interrupts(usual, tmp_path, how, n, seed):
         ends.append(stop(child, rng.uniform(0, 1.1 * seconds), how))
         # All of it, or nothing.
         assert not out.exists() or contents(out) == expected
-        if how == signal.SIGINT and not out.exists():
+        if how != signal.SIGKILL and not out.exists():
             assert not out.parent.exists()
     assert main([*argv, str(out), "--overwrite"]) == 0
     assert contents(out) == expected
     return set(ends), log.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_an_interrupt_leaves_nothing(usual, tmp_path, seed):
-    ends, said = check_interrupts(usual, tmp_path, signal.SIGINT, 3, seed)
-    # 70: before the command began.
-    assert ends <= {0, 130, 70, -signal.SIGINT}
+@pytest.mark.parametrize(
+    ("how", "seed"), [(signal.SIGINT, 1), (signal.SIGINT, 2), (signal.SIGTERM, 3)]
+)
+def test_an_interrupt_leaves_nothing(usual, tmp_path, how, seed):
+    ends, said = check_interrupts(usual, tmp_path, how, 3, seed)
+    # 70 and the signal itself: before the command began.
+    assert ends <= {0, 128 + how, 70, -how}
     assert "Traceback" not in said
     for line in said.splitlines():
         if "error" in line:
@@ -97,7 +102,7 @@ def test_a_kill_leaves_nothing_that_looks_complete(usual, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_ten_moments(usual, tmp_path, how):
     check_interrupts(usual, tmp_path, how, 10, 4)
 
@@ -134,6 +139,47 @@ def contents_of_files(folder):
     return {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP])
+def test_workers_end_with_a_run_that_is_told_to(usual, tmp_path, how):
+    argv, _, _ = usual
+    out, log = tmp_path / "here" / "out", tmp_path / "log"
+    child = start([*argv, str(out), "--workers", "2"], log)
+    workers, limit = [], time.monotonic() + 60
+    while len(workers) < 2 and time.monotonic() < limit:
+        text = Path(f"/proc/{child}/task/{child}/children").read_text()
+        workers = text.split()
+    assert len(workers) == 2
+    # Not while they are forked, when Python tells of exceptions and goes on.
+    assert stop(child, 0.2, how) == 128 + how
+    assert not out.parent.exists()
+    for worker in workers:
+        state = Path(f"/proc/{worker}/stat")
+        assert (
+            not state.exists() or state.read_text().rpartition(")")[2].split()[0] == "Z"
+        )
+    assert log.read_text().splitlines()[-1] == (
+        "astro-scc measure: error: interrupted, nothing was written"
+    )
+
+
+def test_a_second_run_at_once_says_so(usual, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("astro_scc.partial.PATIENCE", 0.01)
+    argv, expected, _ = usual
+    out, log = tmp_path / "here" / "out", tmp_path / "log"
+    out.parent.mkdir()
+    child = start([*argv, str(out)], log)
+    limit = time.monotonic() + 60
+    while not list(out.parent.iterdir()) and time.monotonic() < limit:
+        time.sleep(0.001)
+    capsys.readouterr()
+    assert main([*argv, str(out)]) == 2
+    line = f"astro-scc measure: error: {out}: another run is at work for this folder;"
+    assert line in capsys.readouterr().err
+    assert os.waitpid(child, 0)[1] == 0
+    assert contents(out) == expected
+
+
 # -- with what is kept ----------------------------------------------------------------
 
 
@@ -143,11 +189,11 @@ def check_trials(interrupts, words, folder, *, number, seed):
     for trial, seconds in interrupts.trials(words, folder, **options):
         assert trial.good, trial
         assert 0 < trial.after < seconds
-        assert trial.status in (130, 70, -trial.how)
+        assert trial.status in (128 + trial.how, 70, -trial.how)
         assert trial.again == 0
         assert "Traceback" not in trial.said
         found.append(trial.how)
-    assert found == [signal.SIGINT, signal.SIGKILL] * number
+    assert found == [signal.SIGINT, signal.SIGTERM, signal.SIGKILL] * number
 
 
 def resumed(inputs, epochs):

@@ -205,6 +205,8 @@ def test_interrupted_and_started_again(serial, folder, tmp_path, capsys, monkeyp
 
     def interrupted(job):
         if job.source.name == "Two":
+            # As a process leaves it that is ended.
+            (out / ".astro_scc-work" / "partial-Two-1").mkdir()
             raise KeyboardInterrupt
         return measure_source(job)
 
@@ -214,6 +216,7 @@ def test_interrupted_and_started_again(serial, folder, tmp_path, capsys, monkeyp
         assert run_main(*argv, "--quiet") == 130
     assert "the same command goes on" in capsys.readouterr().err
     assert not (out / "survey.ecsv").exists()
+    assert not list((out / ".astro_scc-work").glob("partial-*"))
     # Half-written when the machine went down.
     (out / ".astro_scc-work" / "partial-Two-0").mkdir()
     assert run_main(*argv) == 0

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The whole of tracking, on jets whose features are known."""
 
+from dataclasses import replace
 from functools import cache
 
 import astropy.units as u
@@ -84,6 +85,22 @@ def test_ejection_epochs_accelerations_and_speeds(tracking):
     assert not np.any(tracks["pm_dot_parallel"].mask)
     assert not np.any(tracks["accelerated"])
     assert tracks["beta_app"] == pytest.approx(10.20 * tracks["pm"].value, rel=0.01)
+
+
+def test_features_of_the_sun_need_no_solar_library(tracking):
+    wcs = tracking.cube.wcs.deepcopy()
+    wcs.wcs.ctype = "HPLN-TAN", "HPLT-TAN"
+    sun = replace(tracking, cube=replace(tracking.cube, wcs=wcs))
+    features, ours = sun.features, tracking.features
+    assert "sky" not in features.colnames
+    assert features["lon"].unit == u.deg
+    x, y = wcs.world_to_pixel_values(features["lon"].value, features["lat"].value)
+    east, _ = tracking.cube.pixel_to_offset(x, y)
+    assert east.value == pytest.approx(features["lon_offset"].value, abs=1e-3)
+    assert features["pm_lat"].value == pytest.approx(ours["sky"].pm_dec.to_value(PM))
+    assert {"pm_lon_coslat", "pm_lat_err", "lon_offset"} <= set(sun.tracks.colnames)
+    assert "scatter_lat_offset" in sun.tracks.colnames
+    assert not {"pm_dec", "east", "scatter_north"} & set(sun.tracks.colnames)
 
 
 def test_features_have_places_and_motions_on_the_sky(tracking):
@@ -255,6 +272,11 @@ def test_settings_may_be_text():
 
 def test_what_does_not_go_together_is_refused(tracker):
     cube, decompositions = jet(n_epochs=3)
+    nothing = [Decomposer(scales=[1, 2])(0 * image) for image in cube.data]
+    with pytest.raises(
+        ValueError, match=r"no significant pattern \(SSP\) in any epoch"
+    ):
+        tracker(cube, nothing)
     with pytest.raises(ValueError, match="2 decompositions for 3 epochs"):
         tracker(cube, decompositions[:2])
     with pytest.raises(ValueError, match="n_trials must be 0 or more"):

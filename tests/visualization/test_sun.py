@@ -1,11 +1,17 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""On the Sun longitude grows to the west, which figures show to the right."""
+"""Axes of figures and columns of tables are named by the celestial frame."""
 
 from dataclasses import replace
 
 import astropy.units as u
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
+from astro_scc.epochs import sky_columns
+from astro_scc.epochs.positions import axis_words
+from astro_scc.report.answer import edge_remarks
+from astro_scc.report.tables import component_rows
 from astro_scc.visualization import (
     plot_epoch,
     plot_epochs,
@@ -15,15 +21,16 @@ from astro_scc.visualization import (
 from astro_scc.visualization.style import speed_unit
 
 
+def in_frame(result, *ctype):
+    wcs = result.cube.wcs.deepcopy()
+    wcs.wcs.ctype = ctype
+    cube = replace(result.cube, wcs=wcs)
+    return replace(result, matched=replace(result.matched, cube=cube))
+
+
 @pytest.fixture(scope="module")
 def of_the_sun(results):
-    cube = results["sky"].cube
-    wcs = cube.wcs.deepcopy()
-    wcs.wcs.ctype = ["HPLN-TAN", "HPLT-TAN"]
-    return replace(
-        results["sky"],
-        matched=replace(results["sky"].matched, cube=replace(cube, wcs=wcs)),
-    )
+    return in_frame(results["sky"], "HPLN-TAN", "HPLT-TAN")
 
 
 def test_images_have_west_to_the_right(of_the_sun):
@@ -31,6 +38,7 @@ def test_images_have_west_to_the_right(of_the_sun):
     ax = plot_epoch(cube, 0).axes[0]
     assert ax.get_xlabel() == "Offset to solar west (mas)"
     assert not ax.xaxis_inverted()
+    assert ax.get_ylabel() == "Offset to solar north (mas)"
     for figure in (plot_epochs(cube), plot_members(of_the_sun)):
         assert figure.get_supxlabel() == "Offset to solar west (mas)"
         assert not figure.axes[0].xaxis_inverted()
@@ -39,9 +47,71 @@ def test_images_have_west_to_the_right(of_the_sun):
 def test_velocities_have_west_to_the_right(of_the_sun, results):
     ax, sky = (plot_velocity_map(r).axes[0] for r in (of_the_sun, results["sky"]))
     assert ax.get_xlabel() == "Proper motion to solar west (mas/yr)"
+    assert ax.get_ylabel() == "Proper motion to solar north (mas/yr)"
+    assert sky.get_ylabel() == "Proper motion to the north (mas/yr)"
     assert sky.get_xlabel() == "Proper motion to the east (mas/yr)"
     assert not ax.xaxis_inverted()
     assert sky.xaxis_inverted()
+
+
+def test_other_frames_are_named(results):
+    galactic = in_frame(results["sky"], "GLON-SIN", "GLAT-SIN")
+    ax = plot_epoch(galactic.cube, 0).axes[0]
+    assert ax.get_xlabel() == "Offset to galactic east (mas)"
+    assert ax.get_ylabel() == "Offset to galactic north (mas)"
+    assert ax.xaxis_inverted()
+    label = plot_velocity_map(galactic).axes[0].get_xlabel()
+    assert label == "Proper motion to galactic east (mas/yr)"
+    mars = in_frame(results["sky"], "MALN-TAN", "MALT-TAN").cube
+    assert axis_words(mars) == ("larger longitude", "larger latitude", True)
+
+
+def test_columns_are_named_by_the_frame(of_the_sun, results):
+    theirs, ours = of_the_sun.components, results["sky"].components
+    assert len(theirs) > 0
+    for name, own in (("pm_lon_coslat", "pm_ra_cosdec"), ("pm_lat", "pm_dec")):
+        assert np.array_equal(theirs[name], ours[own])
+        assert np.array_equal(theirs[f"{name}_err"], ours[f"{own}_err"])
+        assert own not in theirs.colnames
+        assert sky_columns(ours)[name == "pm_lat"] == own
+    assert sky_columns(theirs) == ("pm_lon_coslat", "pm_lat")
+    described = {name: theirs[name].info.description for name in theirs.colnames}
+    assert described["pm_lon_coslat"] == "proper motion to solar west"
+    assert described["pm_lat_err"] == "standard error of pm_lat"
+    assert described["pm_pa"].endswith("north through solar west")
+    assert ours["pm_ra_cosdec"].info.description == "proper motion to the east"
+    ssps = of_the_sun.ssps
+    assert np.array_equal(ssps["lon_offset"], results["sky"].ssps["east"])
+    for name in ("lat_offset", "lon_offset_err", "lat_offset_centroid"):
+        assert ssps[name].unit == u.mas
+    assert not {"east", "north", "east_err"} & set(ssps.colnames)
+    lines = plot_epoch(of_the_sun.cube, 0, ssps).axes[0].lines
+    shown = np.concatenate([line.get_xdata() for line in lines])
+    here = ssps["epoch"] == 0
+    assert sorted(shown) == pytest.approx(sorted(ssps["lon_offset"][here].value))
+
+
+def test_axes_of_the_map_are_named_by_the_frame(of_the_sun, results):
+    theirs, ours = of_the_sun.velocity_map(), results["sky"].velocity_map()
+    assert list(theirs.wcs.wcs.ctype) == ["LON", "LAT"]
+    assert theirs.meta["axes"] == ("lon", "lat")
+    assert list(ours.wcs.wcs.ctype) == ["EAST", "NORTH"]
+
+
+def test_the_page_of_the_report_has_the_columns(of_the_sun):
+    kinds = list(of_the_sun.components["kind"])
+    tables, _ = component_rows(of_the_sun.components, kinds)
+    heads = [head for table, _ in tables for head in table]
+    assert {"longitude (mas/yr)", "latitude (mas/yr)"} <= set(heads)
+    assert edge_remarks(of_the_sun, of_the_sun.components, kinds) == []
+
+
+def test_axes_of_a_wcs_are_refused(results):
+    ax = Figure().add_subplot(projection=results["sky"].cube.wcs)
+    with pytest.raises(TypeError, match="ax is a WCSAxes, .* without projection="):
+        plot_epoch(results["sky"].cube, 0, ax=ax)
+    with pytest.raises(TypeError, match="ax is a WCSAxes, .* without projection="):
+        plot_velocity_map(results["sky"], ax=ax)
 
 
 def jet_arrow(ax):

@@ -16,6 +16,7 @@ from astro_scc.epochs.files.serialize import (
 from astro_scc.epochs.grids.resampling import moved_wcs
 from astro_scc.epochs.interchange.optional import optional
 from astro_scc.epochs.offset_grid import offset_wcs
+from astro_scc.epochs.positions import axis_words
 
 __all__ = ["from_xarray", "to_xarray"]
 __doctest_requires__ = {("from_xarray", "to_xarray"): ["xarray"]}
@@ -42,7 +43,8 @@ def to_xarray(cube):
         has them ``noise``, ``beam_major``, ``beam_minor`` and ``beam_pa``
         over time, each with ``units``.  Coordinates are ``time`` (UTC),
         ``label``, the pixels ``x`` and ``y`` and the offsets ``east`` and
-        ``north`` in mas.  Attributes are text, as netCDF needs them.
+        ``north`` in mas (``lon_offset`` and ``lat_offset`` in frames without
+        right ascension).  Attributes are text, as netCDF needs them.
 
     Raises
     ------
@@ -77,13 +79,16 @@ def to_xarray(cube):
         east, north = ("x", east[0]), ("y", north[:, 0])
     else:
         east, north = (("y", "x"), east), (("y", "x"), north)
+    names = "east", "north"
+    if axis_words(cube)[:2] != names:
+        names = "lon_offset", "lat_offset"
     coordinates = {
         "time": cube.times.utc.to_value("datetime64").astype("datetime64[ns]"),
         "label": ("time", list(cube.labels)),
         "y": np.arange(ny),
         "x": np.arange(nx),
-        "east": (*east, {"units": "mas"}),
-        "north": (*north, {"units": "mas"}),
+        names[0]: (*east, {"units": "mas"}),
+        names[1]: (*north, {"units": "mas"}),
         "facts": ("time", [pack_facts(facts) for facts in cube.epoch_meta]),
     }
     if cube.epoch_wcs:
