@@ -353,6 +353,7 @@ class SCCResult:
         velocity, jitter = self.velocities[number - 1], self.jitters[number - 1]
         member = self.members(number)
         d = self.displacements
+        pairs = np.stack([d.reference[member], d.target[member]])
         p, n = stream.p_global, len(self.search.permutations.permuted)
         row = {
             "component": number,
@@ -368,7 +369,7 @@ class SCCResult:
             "p_smallest": self.search.permutations.smallest_p,
             "n_ssp": len(np.unique(d.ssp[member])),
             "n_pairs": len(
-                np.unique(d.reference[member] * d.n_epochs + d.target[member])
+                np.unique(pairs.min(axis=0) * d.n_epochs + pairs.max(axis=0))
             ),
             "n_features": len(stream.features),
             "note": stream.reason,

@@ -18,7 +18,7 @@ PM_UNIT = u.mas / u.yr
 
 DESCRIPTIONS = {
     "component": "number of the component, in the order of the search",
-    "kind": "moving, stationary (no motion within the errors) or not significant",
+    "kind": "moving, stationary (within its errors) or not significant",
     "pm_ra_cosdec": "proper motion to the east",
     "pm_dec": "proper motion to the north",
     "pm": "proper motion, its length",
