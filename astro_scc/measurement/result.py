@@ -372,7 +372,8 @@ class SCCResult:
                 np.unique(pairs.min(axis=0) * d.n_epochs + pairs.max(axis=0))
             ),
             "n_features": len(stream.features),
-            "note": stream.reason,
+            # ECSV takes empty text for a missing value.
+            "note": stream.reason or "-",
         }
         where = self.frame, self.position_angle
         row.update(_vectors(velocity.value, velocity.covariance, *where))
