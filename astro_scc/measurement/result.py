@@ -14,6 +14,7 @@ from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube
 from astro_scc.kinematics import table_in_c
+from astro_scc.measurement.diagram_image import diagram_image
 from astro_scc.measurement.tables import component_table, ssp_table
 from astro_scc.measurement.velocity_error import StreamVelocity
 from astro_scc.stacking import (
@@ -292,6 +293,38 @@ class SCCResult:
         return NDData(
             getattr(self, which), wcs=wcs, meta={"axes": self.frame.axis_names}
         )
+
+    def diagram(self):
+        """
+        The displacement-interval diagram along the direction of the streams.
+
+        What moves at a constant speed lies on a ray from the origin, what
+        stands still at no displacement.
+
+        Returns
+        -------
+        `~astropy.nddata.NDData`
+            Matches per pair of dates beyond those of permuted epochs, weighted
+            by their coefficients, shape (n_displacements, n_intervals); NaN at
+            intervals that no two dates have.  The axes of the WCS are the
+            interval, logarithmic as its bins are (FITS ``-LOG``), and the
+            displacement in mas.  The meta holds the mean ``interval`` and the
+            ``n_pairs`` of each bin, the ``beam`` along the displacement, its
+            ``direction`` on the axes of the frame, and its ``position_angle``
+            if that is the same everywhere, else None.
+
+        Examples
+        --------
+        >>> import astropy.units as u
+        >>> from astro_scc import StackedCrossCorrelation
+        >>> from astro_scc.simulation import simulate_two_fluid
+        >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+        >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=20, rng=1)
+        >>> diagram = result.diagram()
+        >>> diagram.data.shape[1] == len(diagram.meta["n_pairs"])
+        True
+        """
+        return diagram_image(self)
 
     def members(self, number):
         """
