@@ -117,6 +117,9 @@ def _positions(frame, east, north):
         length = frame.radius.to_value(u.mas)
         distance = length * np.log(distance / length)
     else:
-        length = np.mean(distance)
+        length = distance.sum() / max(len(distance), 1)
     # What moves away from a point keeps its direction, not its arc.
-    return np.stack([distance, length * np.arctan2(x, y)], axis=1)
+    angle = np.arctan2(x, y)
+    # Angles are cut opposite to where most SSPs are.
+    angle = (angle - np.angle(np.exp(1j * angle).sum()) + np.pi) % (2 * np.pi)
+    return np.stack([distance, length * angle], axis=1)

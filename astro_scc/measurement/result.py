@@ -15,6 +15,7 @@ from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube, name_by_frame
 from astro_scc.epochs.positions import axis_words
 from astro_scc.kinematics import table_in_c
+from astro_scc.measurement.diagram_image import diagram_image
 from astro_scc.measurement.tables import component_table, ssp_table
 from astro_scc.measurement.velocity_error import StreamVelocity
 from astro_scc.stacking import (
@@ -295,6 +296,38 @@ class SCCResult:
         wcs.wcs.cdelt = self.grid.step
         return NDData(getattr(self, which), wcs=wcs, meta={"axes": tuple(names)})
 
+    def diagram(self):
+        """
+        The displacement-interval diagram along the direction of the streams.
+
+        What moves at a constant speed lies on a ray from the origin, what
+        stands still at no displacement.
+
+        Returns
+        -------
+        `~astropy.nddata.NDData`
+            Matches per pair of dates beyond those of permuted epochs, weighted
+            by their coefficients, shape (n_displacements, n_intervals); NaN at
+            intervals that no two dates have.  The axes of the WCS are the
+            interval, logarithmic as its bins are (FITS ``-LOG``), and the
+            displacement in mas.  The meta holds the mean ``interval`` and the
+            ``n_pairs`` of each bin, the ``beam`` along the displacement, its
+            ``direction`` on the axes of the frame, and its ``position_angle``
+            if that is the same everywhere, else None.
+
+        Examples
+        --------
+        >>> import astropy.units as u
+        >>> from astro_scc import StackedCrossCorrelation
+        >>> from astro_scc.simulation import simulate_two_fluid
+        >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+        >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=20, rng=1)
+        >>> diagram = result.diagram()
+        >>> diagram.data.shape[1] == len(diagram.meta["n_pairs"])
+        True
+        """
+        return diagram_image(self)
+
     def members(self, number):
         """
         The matches that make a component.
@@ -355,6 +388,7 @@ class SCCResult:
         velocity, jitter = self.velocities[number - 1], self.jitters[number - 1]
         member = self.members(number)
         d = self.displacements
+        pairs = np.stack([d.reference[member], d.target[member]])
         p, n = stream.p_global, len(self.search.permutations.permuted)
         row = {
             "component": number,
@@ -370,10 +404,11 @@ class SCCResult:
             "p_smallest": self.search.permutations.smallest_p,
             "n_ssp": len(np.unique(d.ssp[member])),
             "n_pairs": len(
-                np.unique(d.reference[member] * d.n_epochs + d.target[member])
+                np.unique(pairs.min(axis=0) * d.n_epochs + pairs.max(axis=0))
             ),
             "n_features": len(stream.features),
-            "note": stream.reason,
+            # ECSV takes empty text for a missing value.
+            "note": stream.reason or "-",
         }
         where = self.frame, self.position_angle
         row.update(_vectors(velocity.value, velocity.covariance, *where))

@@ -162,7 +162,7 @@ def stack_matches(
         for stream in search.streams
     )
     fastest = max((np.hypot(*v.value) for v in velocities), default=0.0)
-    if baseline is None and search.streams[0].kind == "moving":
+    if baseline is None and any(s.kind == "moving" for s in search.streams[:1]):
         main = fwhm / np.hypot(*velocities[0].value)
         found = baseline_pairs(
             cube.years.to_value(u.yr),

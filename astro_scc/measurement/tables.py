@@ -18,7 +18,7 @@ PM_UNIT = u.mas / u.yr
 
 DESCRIPTIONS = {
     "component": "number of the component, in the order of the search",
-    "kind": "moving, stationary (no motion within the errors) or not significant",
+    "kind": "moving, stationary (within its errors) or not significant",
     "pm_ra_cosdec": "proper motion to the east",
     "pm_dec": "proper motion to the north",
     "pm": "proper motion, its length",
@@ -31,7 +31,7 @@ DESCRIPTIONS = {
     "p_local": "probability that permuted epochs show as much at this velocity",
     "p_global": "probability that permuted epochs show as much at any velocity",
     "p_distinct": "probability that one stream fewer shows features as separate",
-    "note": "why it is not significant",
+    "note": "why it is not significant, or -",
     "p_global_err": "Monte Carlo standard error of p_global",
     "n_features": "number of features that were followed",
     "p_smallest": "smallest p_global that permutations and epochs allow",

@@ -79,7 +79,7 @@ def chances(result, components, kinds):
         )
     who, _ = _numbers(components, kinds, "not significant")
     if who:
-        said.append(f"{who} of the table: {_reason(components, kinds)}.")
+        said.append(f"{who} of the table: not significant, {_reasons(components)}.")
     return said
 
 
@@ -106,11 +106,10 @@ def _limits(result, components, kinds, level):
     ]
 
 
-def _reason(components, kinds):
-    """Why the row that is not significant is none."""
-    k = list(kinds).index("not significant")
-    note = str(components["note"][k]) if "note" in components.colnames else ""
-    return f"not significant, {note}" if note else "not significant"
+def _reasons(components):
+    """Why those that are not significant are none."""
+    notes = map(str, components["note"])
+    return "; ".join(dict.fromkeys(note for note in notes if note != "-"))
 
 
 def _numbers(components, kinds, kind):

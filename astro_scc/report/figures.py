@@ -12,10 +12,18 @@ from astro_scc.report.words import plural
 
 __all__ = ["CAPTIONS", "Picture", "draw_pictures"]
 
-#: Dots per inch of the figures, which are six inches wide.
+#: Dots per inch of the figures, which are up to six inches wide.
 DPI = 150
 #: Title of each figure, and how it is read.
 CAPTIONS = {
+    "diagram": (
+        "Displacement against interval",
+        "Red is where more patterns match than in permuted epochs, at each "
+        "displacement and time between two epochs.  A line from the origin is a "
+        "speed, numbered as in the table: solid if it is significant and dotted if "
+        "not, between thin lines for its dispersion, and dashed where structure "
+        "stands still.",
+    ),
     "velocity_map": (
         "Velocity map",
         "How well the patterns of the images agree when they are moved at each "
@@ -101,6 +109,7 @@ def draw_pictures(result, components):
 
     shared = {"components": components, "beta_per_pm": _beta_per_pm(components)}
     figures = {
+        "diagram": show.plot_diagram(result, components=components),
         "velocity_map": show.plot_velocity_map(result, **shared),
         "significance": show.plot_significance(result, **shared),
         "members": show.plot_members(result, components=components),
@@ -124,6 +133,8 @@ def _alts(result, components):
     marked = f"{n} {plural(n, 'component')} marked" if n else "no component marked"
     one, other = result.frame.axis_names
     return {
+        "diagram": "Diagram of the displacements of matched patterns against the "
+        f"interval between their epochs, {marked} by lines",
         "velocity_map": f"Map of the stacked correlation over the velocities {one} "
         f"and {other}, {marked}",
         "significance": "Curve of the z score against the velocity along the jet, "

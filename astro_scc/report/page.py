@@ -49,10 +49,10 @@ def write_report(
         ``result.components``, or the table with apparent speeds of
         ``result.components_in_c``.
     directory : path
-        Gets ``report.html``, and ``velocity_map.png``, ``significance.png``,
-        ``members.png``, ``epochs.png`` and ``intervals.png``, which the page
-        holds too.  It is made if need be; files of these names are replaced,
-        each when the new one is complete.
+        Gets ``report.html``, and ``diagram.png``, ``velocity_map.png``,
+        ``significance.png``, ``members.png``, ``epochs.png`` and
+        ``intervals.png``, which the page holds too.  It is made if need be;
+        files of these names are replaced, each when the new one is complete.
     title : str
         Heading of the page, the name of the object.
     warnings : sequence of str, optional

@@ -94,9 +94,9 @@ def random_effects(values, errors):
     spread = max(q / (n - 1), 1e-12)
     error = np.sqrt(spread / w.sum()) * student.ppf(0.8413, n - 1)
     # Of the sum of squares, chi-square with n - 1 degrees of freedom.
-    total = high + 1 / w.mean()
+    total = 1 / w.mean()
     tau = np.sqrt(high)
-    tau_error = total / np.sqrt(2 * (n - 1)) / max(tau, np.sqrt(total) / 2) / 2
+    tau_error = total / np.sqrt(2 * (n - 1)) / max(tau, np.sqrt(total) / 2)
     return Population(float(m), float(error), float(tau), float(tau_error))
 
 

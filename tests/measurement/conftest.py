@@ -3,35 +3,35 @@ import astropy.units as u
 import pytest
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.simulation import simulate_two_fluid
+from astro_scc.simulation import JetSimulation, Stream
+
+OPTIONS = {"scales": [1, 2], "max_speed": 30 * u.mas / u.yr}
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="session")
 def matched():
-    """Six epochs of the paper's jet, correlated on two scales."""
-    cube = simulate_two_fluid(n_epochs=6, rng=3).cube
-    return StackedCrossCorrelation(scales=[1, 2], max_speed=30 * u.mas / u.yr).match(
-        cube
+    """Eight epochs of a core and of features that move 0.6 beam an epoch west."""
+    flow = Stream("flow", dx=6.0, sigma=3.0, density=0.6, jitter=0.5)
+    jet = JetSimulation(
+        [flow], n_epochs=8, core=1.0, shape=(48, 160), extent=(20.0, 140.0), axis=24.0
     )
+    return StackedCrossCorrelation(**OPTIONS).match(jet.run(rng=2).cube)
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="session")
 def stacked(matched):
     """Measure the same matches with other settings."""
 
     def run(position_angle=None, **settings):
         scc = StackedCrossCorrelation(
-            scales=[1, 2],
-            max_speed=30 * u.mas / u.yr,
-            position_angle=position_angle,
-            **settings,
+            **{**OPTIONS, "position_angle": position_angle, **settings}
         )
-        return scc.stack(matched, n_trials=30, rng=1)
+        return scc.stack(matched, n_trials=40, rng=1)
 
     return run
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="session")
 def sky_result(stacked):
     """Stacked along east and north."""
     return stacked()

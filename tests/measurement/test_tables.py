@@ -28,18 +28,21 @@ CONTRACT = [
     "p_local",
     "p_global",
     "p_global_err",
+    "p_distinct",
     "p_smallest",
+    "dispersion",
     "pm_err_jitter",
+    "pm_err_alignment",
     "n_ssp",
     "n_pairs",
     "n_features",
+    "note",
 ]
 
 
 def row(number):
-    names = [*CONTRACT, *(f"{name}_err" for name in MOTIONS)]
-    names += ["pm_err_alignment", "pm_err_epochs"]
-    return {**dict.fromkeys(names, number), "kind": "uncertain"}
+    names = [*CONTRACT, *(f"{name}_err" for name in (*MOTIONS, "dispersion"))]
+    return {**dict.fromkeys(names, number), "kind": "not significant", "note": "few"}
 
 
 def same(read, written):
@@ -65,24 +68,25 @@ def test_components_have_all_columns_with_units_and_descriptions(n):
     for name in CONTRACT:
         assert name in table.colnames
         assert table[name].info.description
-    for name in PROPER_MOTIONS:
+    for name in (*PROPER_MOTIONS, "dispersion"):
         for column in (name, f"{name}_err"):
             assert isinstance(table[column], u.Quantity)
             assert table[column].unit == PM
     assert table["pm_pa"].unit == table["pm_pa_err"].unit == u.deg
     assert table["pm_err"].info.description == "standard error of pm"
     assert table["pm_err_jitter"].unit == PM
-    assert list(table["kind"]) == ["uncertain"] * n
-    assert table["kind"].dtype.kind == "U"
+    for name, value in (("kind", "not significant"), ("note", "few")):
+        assert list(table[name]) == [value] * n
+        assert table[name].dtype.kind == "U"
     for name in ("component", "n_ssp", "n_pairs", "n_features"):
         assert table[name].dtype.kind == "i"
-    for name in ("coefficient", "z_score", "p_local", "p_global", "p_smallest"):
+    for name in ("coefficient", "p_local", "p_global", "p_distinct", "p_smallest"):
         assert table[name].dtype.kind == "f"
 
 
 def test_errors_stand_beside_their_values():
     names = component_table([]).colnames
-    for name in MOTIONS:
+    for name in (*MOTIONS, "dispersion"):
         assert names[names.index(name) + 1] == f"{name}_err"
 
 
@@ -138,7 +142,7 @@ def test_components_round_trip_in_ecsv(stacked, tmp_path):
         settings["baseline"], ([20, 70] * u.day).to(u.yr), strict=False
     )
     assert read.meta["seed"] == 1
-    assert read.meta["n_trials"] == 30
+    assert read.meta["n_trials"] == 40
     assert read.meta["versions"] == versions()
     assert read.meta["jet_position_angle"] == 270 * u.deg
     # The settings are what a measurement can be repeated with.
