@@ -49,6 +49,7 @@ PRODUCTS = (
     "scc.fits",
     "config.toml",
     "report.html",
+    "diagram.png",
     "velocity_map.png",
     "significance.png",
     "members.png",

@@ -42,7 +42,7 @@ def plot_members(
     Draw the displacements that make each component on the mean image.
 
     A panel a component: each arrow goes from an SSP to where its match is in
-    the later epoch.
+    the next epoch in which its feature is seen.
 
     Parameters
     ----------
@@ -112,9 +112,12 @@ def plot_members(
 
 
 def _draw_members(ax, result, number, kind, points, unit):
-    member = result.members(number)
-    d = result.displacements
-    owner = d.ssp[member]
+    member, d = result.members(number), result.displacements
+    n_ssp = len(np.unique(d.ssp[member]))
+    member = member[d.target[member] > d.reference[member]]
+    member = member[np.argsort(d.target[member], kind="stable")]
+    owner, first = np.unique(d.ssp[member], return_index=True)
+    member = member[first]
     east, north = points["east"][owner], points["north"][owner]
     axes = np.broadcast_to(result.frame.matrix(east, north), (len(owner), 2, 2))
     # Orthogonal, so its transpose leads back to the sky.
@@ -138,7 +141,6 @@ def _draw_members(ax, result, number, kind, points, unit):
         minlength=0.5,
         alpha=0.75,
     )
-    n_ssp = len(np.unique(owner))
     speed = result.components["pm"][number - 1]
     speed = speed.to(speed_unit(speed.to_value(PM_UNIT)))
     ax.text(

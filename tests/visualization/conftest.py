@@ -8,18 +8,24 @@ import numpy as np
 import pytest
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.simulation import simulate_two_fluid
+from astro_scc.simulation import JetSimulation, Stream
+
+OPTIONS = {"scales": [1, 2, 3], "max_speed": 30 * u.mas / u.yr}
 
 
 @pytest.fixture(scope="session")
 def cube():
-    return simulate_two_fluid(n_epochs=5, rng=1).cube
+    """A core and features that move 0.6 beam an epoch to the west."""
+    flow = Stream("flow", dx=6.0, sigma=3.0, density=0.6, jitter=0.5)
+    jet = JetSimulation(
+        [flow], n_epochs=8, core=1.0, shape=(96, 180), extent=(20.0, 140.0), axis=48.0
+    )
+    return jet.run(rng=2).cube
 
 
 @pytest.fixture(scope="session")
 def matched(cube):
-    scc = StackedCrossCorrelation(scales=[1, 2, 3], max_speed=36 * u.mas / u.yr)
-    return scc.match(cube)
+    return StackedCrossCorrelation(**OPTIONS).match(cube)
 
 
 @pytest.fixture(scope="session")
@@ -27,11 +33,11 @@ def results(matched):
     """Results of the same matches by the kind of their axes."""
     angles = {"jet": 270 * u.deg, "sky": None, "radial": "radial"}
     return {
-        name: StackedCrossCorrelation(
-            scales=[1, 2, 3], max_speed=36 * u.mas / u.yr, position_angle=angle
-        ).stack(matched, n_trials=40, rng=1)
+        name: StackedCrossCorrelation(**OPTIONS, position_angle=angle).stack(
+            matched, n_trials=40, rng=1
+        )
         for name, angle in angles.items()
-    }  # fmt: skip
+    }
 
 
 @pytest.fixture(scope="session")
@@ -42,7 +48,7 @@ def result(results):
 @pytest.fixture(scope="session")
 def empty(result):
     """A result without components."""
-    return replace(result, maxima=(), findings=(), error_parts=(), jitters=())
+    return replace(result, maxima=(), velocities=(), jitters=())
 
 
 @pytest.fixture(scope="session")
