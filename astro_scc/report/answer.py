@@ -3,10 +3,8 @@
 
 import math
 
-import astropy.units as u
 import numpy as np
 
-from astro_scc.epochs import sky_columns
 from astro_scc.report.words import (
     listed,
     number_word,
@@ -18,6 +16,9 @@ from astro_scc.report.words import (
 )
 
 __all__ = ["answers", "chances", "edge_remarks", "facts", "headline"]
+
+#: Speeds beyond this part of the largest one that was searched are told.
+EDGE = 0.9
 
 
 def headline(kinds):
@@ -61,7 +62,7 @@ def answers(components, kinds):
 
 def chances(result, components, kinds):
     """Sentences on how sure the answer is."""
-    if not len(components) or "p_global" not in components.colnames:
+    if not len(components):
         return []
     level = result.meta["settings"]["level"]
     n_trials = result.meta["n_trials"]
@@ -88,7 +89,7 @@ def _limits(result, components, kinds, level):
     smallest = [
         plain_value(row["p_smallest"])
         for row, kind in zip(components, kinds, strict=True)
-        if kind != "stationary" and "p_smallest" in components.colnames
+        if kind != "stationary"
     ]
     worst = max(smallest, default=0.0)
     if worst <= level:
@@ -125,28 +126,21 @@ def _numbers(components, kinds, kind):
 
 
 def edge_remarks(result, components, kinds):
-    """What to do about components that were found where the map ends."""
-    if not len(components):
-        return []
-    columns = ("pm_parallel", "pm_transverse")
-    if tuple(result.frame.axis_names) == ("east", "north"):
-        columns = sky_columns(components)
-    near = np.zeros(len(components), bool)
-    found = [kind != "not significant" for kind in kinds]
-    for name, end, step in zip(
-        columns, result.grid.v_max, result.grid.step, strict=True
-    ):
-        speed = np.abs(u.Quantity(components[name]).to_value(u.mas / u.yr))
-        near |= speed > end - 2 * step
-    numbers = [str(int(n)) for n in np.asarray(components["component"])[near & found]]
+    """What to do about components as fast as anything that was searched."""
+    fastest = result.search.permutations.speed.max()
+    numbers = [
+        str(int(number))
+        for number, kind in zip(components["component"], kinds, strict=True)
+        if kind == "moving"
+        and abs(result.search.streams[int(number) - 1].along.mean) > EDGE * fastest
+    ]
     if not numbers:
         return []
     which = f"{plural(len(numbers), 'Component')} {listed(numbers)}"
-    verb = "is" if len(numbers) == 1 else "are"
+    verb, what = ("is", "it") if len(numbers) == 1 else ("are", "them")
     return [
-        f"{which} {verb} at the edge of the velocity map, where maxima are cut off: "
-        "measure with a larger max_speed before you believe "
-        + ("it." if len(numbers) == 1 else "them.")
+        f"{which} {verb} as fast as anything that was searched: measure with a larger "
+        f"max_speed before you believe {what}."
     ]
 
 
@@ -156,7 +150,7 @@ def facts(result):
     inside = np.asarray(result.ssps["in_region"], bool)
     scales = np.unique(np.asarray(result.ssps["scale"], dtype=float))
     where = "" if inside.all() else f", of {len(inside)} in the images"
-    n = len(result.pairs)
+    n = int(result.search.diagram.n_pairs.sum())
     return [
         f"{len(cube)} epochs, {dates[0]} to {dates[-1]}",
         f"{n} {plural(n, 'pair')} of epochs compared",

@@ -27,10 +27,9 @@ CAPTIONS = {
     "velocity_map": (
         "Velocity map",
         "How well the patterns of the images agree when they are moved at each "
-        "velocity.  A bright spot is a speed that many patterns share; its number is "
-        "that of the table, and the ellipse is one standard error.  A square is "
-        "structure that stands still; an oblique cross with a dotted ellipse may be "
-        "chance.",
+        "velocity.  Components have their number of the table and an ellipse of one "
+        "standard error.  A square is structure that stands still; an oblique cross "
+        "with a dotted ellipse is not significant.",
     ),
     "significance": (
         "Significance along the jet",
@@ -40,9 +39,8 @@ CAPTIONS = {
     ),
     "members": (
         "Which patterns make which component",
-        "Each arrow leads from a pattern (SSP) to its match in a later epoch, drawn on "
-        "the mean image.  A speed that is real has arrows in many places or all along "
-        "a part of the jet.",
+        "Each arrow leads from a pattern (SSP) to its match in the next epoch in which "
+        "its feature is seen, drawn on the mean image.",
     ),
     "epochs": (
         "Epochs and their patterns",
@@ -51,8 +49,8 @@ CAPTIONS = {
     ),
     "intervals": (
         "Dates and pairs of epochs",
-        "Ticks are epochs.  Each bar joins two epochs that are compared, as high as "
-        "the time between them.",
+        "Ticks are epochs.  Each bar joins two epochs that the velocity map compares, "
+        "as high as the time between them.",
     ),
 }
 

@@ -19,11 +19,11 @@ COLUMNS = (
     ("pm", "speed ({unit})", 3),
     ("beta_app", "speed (c)", 3),
     ("pm_pa", "PA ({unit})", 0),
+    ("dispersion", "dispersion ({unit})", 3),
     ("p_global", "p_global", 3),
-    ("z_score", "z", 1),
+    ("n_features", "features", 0),
     ("n_ssp", "SSPs", 0),
     ("n_pairs", "pairs", 0),
-    ("n_features", "features", 0),
     ("pm_parallel", "along ({unit})", 3),
     ("pm_transverse", "across ({unit})", 3),
     ("pm_ra_cosdec", "east ({unit})", 3),
@@ -31,11 +31,13 @@ COLUMNS = (
     ("pm_lon_coslat", "longitude ({unit})", 3),
     ("pm_lat", "latitude ({unit})", 3),
     ("coefficient", "coefficient", 3),
+    ("z_score", "z", 1),
     ("pm_err_jitter", "paper's error of the speed ({unit})", 3),
     ("pm_err_alignment", "error by alignment ({unit})", 3),
-    ("pm_err_epochs", "error by epochs ({unit})", 3),
     ("p_local", "p_local", 3),
+    ("p_distinct", "p_distinct", 3),
     ("p_smallest", "smallest p_global", 3),
+    ("note", "note", 0),
 )
 
 

@@ -14,6 +14,9 @@ __all__ = ["AxisDisplacements", "Diagram", "EpochPermutations", "Rays"]
 
 #: Grid points of the displacement in one smoothing length.
 POINTS = 3
+#: Standard deviations of the permutations are at least this share of the largest
+#: of any axis at the same speed: single matches across the flow are no surprise.
+STD_FLOOR = 0.3
 #: Bytes of permuted diagrams that are made at once.
 BYTES = 2**26
 
@@ -474,7 +477,7 @@ class EpochPermutations:
         sums = np.stack(sums, axis=1)
         std = sums.std(axis=0)
         # Epochs that are all the same differ by rounding only.
-        z = sums / np.maximum(std, 1e-6 * largest)
+        z = sums / np.maximum(std, STD_FLOOR * std.max(axis=0) + 1e-6 * largest)
         return cls(
             speed=speed,
             z=z[0],

@@ -6,13 +6,13 @@ import math
 import astropy.units as u
 import numpy as np
 
+from astro_scc.epochs.positions import axis_words
 from astro_scc.visualization.style import (
     BLACK,
     GREY,
     PM_UNIT,
     component_kinds,
     figure_and_axes,
-    first_axis,
     offset_unit,
     outline,
     speed_unit,
@@ -197,7 +197,7 @@ def _direction(result, image):
         jet = result.frame.axis_names[0] == "parallel"
         return f"Displacement {'along the jet' if jet else 'outward'}"
     angle = image.meta["position_angle"].to_value(u.deg)
-    axis, to_the_left = first_axis(result.cube)
+    axis, _, to_the_left = axis_words(result.cube)
     if to_the_left:
         return f"Displacement towards PA {angle:.0f}°"
     return f"Displacement {angle:.0f}° from north to {axis}"

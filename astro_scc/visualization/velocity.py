@@ -64,7 +64,7 @@ def plot_velocity_map(
     Draw the stacked cross-correlation as a map of velocities.
 
     Components have their numbers of the table, a sign for their kind (moving,
-    stationary, perhaps chance), and an ellipse of one standard error along
+    stationary, not significant), and an ellipse of one standard error along
     each axis.  The arrow is the direction of the jet.
 
     Parameters

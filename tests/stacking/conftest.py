@@ -103,3 +103,36 @@ def _lines():
 @pytest.fixture(scope="session", name="axis_matches")
 def _axis_matches():
     return axis_matches
+
+
+def jet(rng, years, streams=(), *, still=0, chance=0, length=8.0, seen=1.0):
+    """
+    Matches of features that move, of some that do not, and of chance.
+
+    Streams are ``(number, speed, dispersion)``, the dispersion relative.
+    Every position has an error of 0.04, every feature is missing in some
+    epochs.  Chance SSPs are others in every epoch, so that without streams
+    the epochs are exchangeable.
+    """
+    speeds = [
+        v * np.exp(rng.normal(0, tau, n)) for n, v, tau in (*streams, (still, 0, 0))
+    ]
+    speeds = np.concatenate(speeds)
+    starts = rng.uniform(0, length, len(speeds))
+    position, epoch = lines(speeds, starts, years, scatter=0.04, rng=rng)
+    there = rng.random(len(epoch)) <= seen
+    others = np.stack(
+        [
+            rng.uniform(0, length, chance * len(years)),
+            rng.uniform(-0.5, 0.5, chance * len(years)),
+        ],
+        axis=1,
+    )
+    position = np.concatenate([position[there], others])
+    epoch = np.concatenate([epoch[there], np.repeat(np.arange(len(years)), chance)])
+    return axis_matches(position, epoch, years)
+
+
+@pytest.fixture(scope="session", name="jet")
+def _jet():
+    return jet

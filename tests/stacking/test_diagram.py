@@ -433,6 +433,27 @@ class TestEpochPermutations:
             test.maxima, np.sort(test.permuted.reshape(99, -1).max(axis=1))
         )
 
+    def test_z_of_an_axis_with_few_matches(self, d, rays):
+        """Its standard deviation is at least 0.3 of that of the others."""
+        few = d.select(np.arange(5))
+        alone, other = (permute(k, rays) for k in (few, d))
+        sums, std = [], []
+        for axis, test in ((few, alone), (d, other)):
+            density = PairDensity.of(axis, 1.5, SEARCH)
+            matrix = rays.matrix(rays.speed, density.grid)
+            excess = Diagram.of(axis, rays, SEARCH).excess
+            sums.append(matrix @ excess.ravel())
+            # Of all 120 orders, from a z that no other axis limits.
+            seen = test.z[0] != 0
+            std.append(np.zeros(len(seen)))
+            std[-1][seen] = sums[-1][seen] / test.z[0, seen]
+        assert np.any(std[0] < 0.3 * std[1])
+        both = EpochPermutations.of(
+            [few, d], rays, 119, np.random.default_rng(0), SEARCH
+        )
+        wanted = np.array(sums) / np.maximum(std, 0.3 * np.max(std, axis=0))
+        np.testing.assert_allclose(both.z, wanted, atol=1e-4)
+
     @pytest.mark.parametrize("true", [0.61, -0.61])
     def test_the_largest_is_between_grid_points(self, true):
         speed = np.geomspace(0.25, 2, 30)

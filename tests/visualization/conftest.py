@@ -8,36 +8,22 @@ import numpy as np
 import pytest
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.simulation import JetSimulation, Stream
-
-OPTIONS = {"scales": [1, 2, 3], "max_speed": 30 * u.mas / u.yr}
 
 
 @pytest.fixture(scope="session")
-def cube():
-    """A core and features that move 0.6 beam an epoch to the west."""
-    flow = Stream("flow", dx=6.0, sigma=3.0, density=0.6, jitter=0.5)
-    jet = JetSimulation(
-        [flow], n_epochs=8, core=1.0, shape=(96, 180), extent=(20.0, 140.0), axis=48.0
-    )
-    return jet.run(rng=2).cube
+def cube(jet_cube):
+    return jet_cube
 
 
 @pytest.fixture(scope="session")
-def matched(cube):
-    return StackedCrossCorrelation(**OPTIONS).match(cube)
+def matched(jet_matched):
+    return jet_matched
 
 
 @pytest.fixture(scope="session")
-def results(matched):
+def results(jet_results):
     """Results of the same matches by the kind of their axes."""
-    angles = {"jet": 270 * u.deg, "sky": None, "radial": "radial"}
-    return {
-        name: StackedCrossCorrelation(**OPTIONS, position_angle=angle).stack(
-            matched, n_trials=40, rng=1
-        )
-        for name, angle in angles.items()
-    }
+    return jet_results
 
 
 @pytest.fixture(scope="session")

@@ -154,7 +154,7 @@ def test_inward_motion_is_below(drawn):
 
 
 def test_a_speed_without_an_error(drawn, result):
-    rows = result.components[:1]
+    rows = result.components[:1].copy()
     rows["pm_err"] = np.nan * u.mas / u.yr
     rows["kind"] = "not significant"
     figure = plot_diagram(result, components=rows)

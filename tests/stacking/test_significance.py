@@ -1,0 +1,449 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The search for streams on matches whose streams are known."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from astro_scc.stacking import (
+    Diagram,
+    EpochPermutations,
+    Feature,
+    Population,
+    Rays,
+    SearchSettings,
+    find_streams,
+    random_effects,
+    separate_streams,
+)
+from astro_scc.stacking.significance import classify
+from astro_scc.stacking.streams import feature_speeds
+
+SEARCH = SearchSettings()
+#: Ten uneven dates.
+YEARS = np.cumsum([0, 1.0, 0.7, 1.3, 0.9, 1.4, 0.6, 1.1, 1.0, 0.8])
+
+
+def search(d, angles=(0.0,), *, seed=0, n_trials=99, **options):
+    """Find streams; ``d`` are matches along the axis, or a function of the angle."""
+    project = d if callable(d) else lambda angle: d
+    rng = np.random.default_rng(seed)
+    return find_streams(project, angles, 1.5, n_trials=n_trials, rng=rng, **options)
+
+
+def kinds(found):
+    return [stream.kind for stream in found.streams]
+
+
+@pytest.fixture(scope="module")
+def one(jet):
+    """A stream of ten features among four that stand still."""
+    rng = np.random.default_rng(2)
+    return jet(rng, YEARS, [(10, 0.5, 0.1)], still=4, chance=2, length=20.0, seen=0.9)
+
+
+@pytest.fixture(scope="module")
+def two(jet):
+    rng = np.random.default_rng(1)
+    streams = [(8, 0.3, 0.05), (6, 1.0, 0.05)]
+    return jet(rng, YEARS, streams, chance=1, length=16.0, seen=0.95)
+
+
+def feature(speed, motion=2.0):
+    return Feature(np.arange(4), speed, 0.02, 0.0, 0.02, 0.0, motion, np.zeros(4))
+
+
+class TestClassify:
+    """Of what is significant in every respect, one thing after the other is not."""
+
+    def kind(self, mean=0.5, p_global=0.01, motions=(0.4, 1.2), smallest_p=0.01):
+        along = Population(mean, 0.1, 0.05, 0.02)
+        features = [feature(mean, motion) for motion in motions]
+        permutations = SimpleNamespace(smallest_p=smallest_p)
+        return classify(along, p_global, features, permutations, 0.05, SEARCH)
+
+    def test_moving(self):
+        assert self.kind() == ("moving", "")
+        assert self.kind(mean=-0.11) == ("moving", "")
+        # Alpha itself is small enough.
+        assert self.kind(p_global=0.05, smallest_p=0.05) == ("moving", "")
+        assert self.kind(motions=(1.0,)) == ("moving", "")
+
+    @pytest.mark.parametrize(
+        ("change", "reason"),
+        [
+            (
+                {"smallest_p": 1 / 12},
+                "too few epochs or trials: no p_global below 0.083",
+            ),
+            ({"p_global": 0.06}, "permuted epochs show as much (p_global above alpha)"),
+            ({"motions": ()}, "no single feature is seen to move at this speed"),
+            (
+                {"motions": (0.5, 0.99)},
+                "no feature is seen to move 1 beam: blends of standing features drift "
+                "as far",
+            ),
+            ({"mean": -0.1}, "the speed is within its error of rest"),
+        ],
+    )
+    def test_every_reason(self, change, reason):
+        assert self.kind(**change) == ("not significant", reason)
+
+    def test_the_first_reason_is_given(self):
+        changes = {"smallest_p": 0.1, "p_global": 0.5, "motions": (), "mean": 0.0}
+        words = ["too few", "permuted", "no single feature", "within its error"]
+        for (name, _), word in zip(list(changes.items()), words, strict=True):
+            assert word in self.kind(**changes)[1]
+            changes.pop(name)
+
+
+class TestOneStream:
+    def test_it_is_found_with_its_speed(self, one):
+        found = search(one)
+        first, still = found.streams
+        assert (first.kind, first.reason) == ("moving", "")
+        assert first.along.mean == pytest.approx(0.5, abs=3 * first.along.error)
+        assert 0 < first.along.error < 0.05
+        assert first.along.dispersion == pytest.approx(0.05, abs=0.03)
+        assert abs(first.across.mean) < 3 * first.across.error
+        assert len(first.features) >= 6
+        assert first.p_global == first.p_distinct == 0.01
+        assert first.p_local <= first.p_global
+        assert still.kind == "stationary"
+        assert abs(still.along.mean) < 3 * still.along.error
+        assert np.isnan(still.z)
+        assert len(still.features) >= 3
+
+    def test_its_numbers_are_those_of_its_features_at_the_quoted_speed(self, one):
+        found = search(one)
+        for stream in found.streams:
+            speed, error = feature_speeds(stream.features)
+            assert stream.along == random_effects(speed, error)
+            across = [[f.across, f.across_error] for f in stream.features]
+            assert stream.across == random_effects(*np.transpose(across))
+            assert (stream.angle, found.angle) == (0, 0)
+        first, test = found.streams[0], found.permutations
+        mean = first.along.mean
+        assert (first.p_local, first.p_global) == test.p_values(0, mean)
+        assert first.z == test.significance(0, mean)
+
+    def test_the_diagram_and_the_permutations_are_of_the_matches(self, one):
+        found = search(one)
+        rays = Rays.of(YEARS, 1.5, SEARCH)
+        wanted = Diagram.of(one, rays, SEARCH)
+        np.testing.assert_array_equal(found.diagram.excess, wanted.excess)
+        rng = np.random.default_rng(0).spawn(1)[0]
+        test = EpochPermutations.of([one], rays, 99, rng, SEARCH)
+        np.testing.assert_array_equal(found.permutations.z, test.z)
+        np.testing.assert_array_equal(found.permutations.permuted, test.permuted)
+
+    def test_no_ssp_both_moves_and_stands(self, one):
+        first, still = search(one).streams
+        moving = np.concatenate([f.ssp for f in first.features])
+        standing = np.concatenate([f.ssp for f in still.features])
+        assert len(np.unique(moving)) == len(moving)
+        assert not np.intersect1d(moving, standing).size
+
+    def test_the_same_seed_gives_the_same_streams(self, two):
+        a, b = search(two, seed=3), search(two, seed=3)
+        for one, other in zip(a.streams, b.streams, strict=True):
+            assert one.along == other.along
+            assert one.p_distinct == other.p_distinct
+
+    def test_settings_are_used(self, one):
+        far = replace(SEARCH, least_motion=50.0)
+        found = search(one, settings=far)
+        assert found.streams[0].reason.startswith("no feature is seen to move 50 beam")
+
+    def test_a_stricter_level_needs_more_trials(self, one):
+        assert "too few" in search(one, alpha=0.001).streams[0].reason
+        found = search(one, alpha=0.001, n_trials=999).streams[0]
+        assert (found.kind, found.p_global) == ("moving", 0.001)
+
+
+class TestTwoStreams:
+    def test_both_are_found(self, two):
+        found = search(two)
+        slow, fast = sorted(found.streams, key=lambda s: s.along.mean)
+        for stream, speed, least in ((slow, 0.3, 5), (fast, 1.0, 3)):
+            assert stream.kind == "moving"
+            assert stream.along.mean == pytest.approx(speed, rel=0.1)
+            assert len(stream.features) >= least
+        first, second = found.streams
+        assert first.z >= second.z
+        assert first.p_distinct == first.p_global
+        assert 0.01 <= second.p_distinct <= 0.05
+
+    @pytest.mark.parametrize(("n", "first"), [((10, 5), 0.3), ((4, 12), 1.0)])
+    def test_the_more_significant_one_is_first(self, jet, n, first):
+        streams = [(n[0], 0.3, 0.05), (n[1], 1.0, 0.05)]
+        d = jet(np.random.default_rng(0), YEARS, streams, length=16.0)
+        found = search(d).streams
+        assert [s.kind for s in found[:2]] == ["moving", "moving"]
+        assert found[0].along.mean == pytest.approx(first, rel=0.1)
+        assert found[0].z >= found[1].z
+
+    def test_the_second_is_as_distinct_as_the_bootstrap_says(self, two):
+        found = search(two)
+        first, second = found.streams
+        p, fast = separate_streams(
+            (*first.features, *second.features),
+            99,
+            np.random.default_rng(0).spawn(2)[1],
+        )
+        # The features are in another order, so the trials are others.
+        assert second.p_distinct == pytest.approx(p, abs=0.03)
+        faster = abs(second.along.mean) > abs(first.along.mean)
+        np.testing.assert_array_equal(
+            fast[: len(first.features)], np.full(len(first.features), not faster)
+        )
+
+    def test_speeds_whose_mean_is_none_of_theirs(self, monkeypatch, two):
+        """Where they cannot be told apart those near the largest z are the stream."""
+        import sys
+
+        module = sys.modules[find_streams.__module__]
+        monkeypatch.setattr(
+            module, "separate_streams", lambda f, n, rng: (1.0, np.zeros(len(f), bool))
+        )
+        test = search(two).permutations
+        axis, speed = test.largest()
+        p_values = EpochPermutations.p_values
+
+        def only_there(self, axis, v):
+            return p_values(self, axis, v) if abs(v / speed - 1) < 0.2 else (1.0, 1.0)
+
+        monkeypatch.setattr(EpochPermutations, "p_values", only_there)
+        (found,) = search(two).streams
+        assert found.kind == "moving"
+        assert found.along.mean == pytest.approx(speed, rel=0.1)
+        assert all(abs(f.speed / speed - 1) <= 0.35 for f in found.features)
+
+
+class TestNotSignificant:
+    def test_chance(self, jet):
+        d = jet(np.random.default_rng(1), YEARS, chance=8)
+        found = search(d)
+        assert kinds(found) == ["not significant"]
+        stream = found.streams[0]
+        assert stream.reason == "permuted epochs show as much (p_global above alpha)"
+        assert stream.p_global > 0.05
+
+    def test_standing_features_only(self, lines, axis_matches):
+        rng, starts = np.random.default_rng(1), 1.2 * np.arange(8)
+        position, epoch = lines([0.0] * 8, starts, YEARS, scatter=0.05, rng=rng)
+        d = axis_matches(position, epoch, YEARS)
+        found = search(d)
+        assert kinds(found)[-1] == "stationary"
+        assert "moving" not in kinds(found)
+        assert len(found.streams[-1].features) == 8
+
+    def test_four_epochs(self, lines, axis_matches):
+        years = YEARS[:4]
+        d = axis_matches(*lines([0.6] * 6, 3.0 * np.arange(6), years), years)
+        found = search(d, n_trials=999)
+        assert kinds(found) == ["not significant"]
+        stream = found.streams[0]
+        assert stream.reason.startswith(
+            "too few epochs or trials: no p_global below 0.08"
+        )
+        # The numbers are given all the same.
+        assert stream.along.mean == pytest.approx(0.6, abs=0.01)
+        assert len(stream.features) == 6
+
+    def test_matches_without_ssps_have_no_features(self, one):
+        d = replace(one, target_ssp=np.full(len(one), -1))
+        found = search(d)
+        (stream,) = found.streams
+        assert stream.kind == "not significant"
+        assert stream.reason == "no single feature is seen to move at this speed"
+        axis, speed = found.permutations.largest()
+        assert stream.along.mean == speed == pytest.approx(0.5, rel=0.15)
+        assert (stream.p_local, stream.p_global) == found.permutations.p_values(
+            axis, speed
+        )
+        assert stream.p_distinct == stream.p_global
+        assert np.isnan(stream.along.error)
+        assert stream.features == ()
+
+    def test_motion_of_less_than_a_beam(self, lines, axis_matches):
+        """Features that are seen for two years each."""
+        rng, parts, years = np.random.default_rng(2), [], np.arange(0, 12, 0.5)
+        for k in range(20):
+            position, epoch = lines([0.4], [3.0 * k], years, scatter=0.01, rng=rng)
+            here = np.arange(k, k + 5)
+            parts.append((position[here], epoch[here]))
+        position, epoch = (np.concatenate(p) for p in zip(*parts, strict=True))
+        found = search(axis_matches(position, epoch, years)).streams[0]
+        assert found.kind == "not significant"
+        assert found.reason.startswith("no feature is seen to move 1 beam")
+        assert found.along.mean == pytest.approx(0.4, abs=0.01)
+
+    def test_without_matches_there_is_no_stream(self, one):
+        found = search(one.select(np.zeros(len(one), dtype=bool)))
+        assert found.streams == ()
+        assert not found.diagram.excess.any()
+
+    def test_epochs_that_are_all_the_same(self, lines, axis_matches):
+        d = axis_matches(*lines([0.0] * 5, 3.0 * np.arange(5), YEARS), YEARS)
+        found = search(d)
+        assert "moving" not in kinds(found)
+        assert len(found.streams[-1].features) == 5
+
+
+class TestRestrictions:
+    def test_outward_only(self, one):
+        assert kinds(search(one, outward=True))[0] == "moving"
+        inward = replace(one, along=-one.along, position=one.position * (-1, 1))
+        assert search(inward).streams[0].along.mean < 0
+        outward = search(inward, outward=True)
+        assert (outward.permutations.speed > 0).all()
+        assert "moving" not in kinds(outward)
+
+    def test_the_largest_speed(self, two):
+        found = search(two, fastest=0.6)
+        assert found.permutations.speed.max() == pytest.approx(0.6)
+        first = found.streams[0]
+        assert first.kind == "moving"
+        assert first.along.mean == pytest.approx(0.3, rel=0.1)
+        assert all(f.speed < 1.1 * 0.6 for f in first.features)
+
+    def test_intervals(self, one):
+        found = search(one, intervals=(0.5, 1.5))
+        assert found.diagram.interval.max() <= 1.5
+        assert found.streams[0].along.mean == pytest.approx(0.5, rel=0.1)
+
+    def test_no_two_epochs_so_far_apart(self, one):
+        with pytest.raises(ValueError, match="no two epochs are 20 to 30 yr apart"):
+            search(one, intervals=(20.0, 30.0))
+
+
+class TestDirection:
+    """Where the direction of the flow is not known several axes are searched."""
+
+    ANGLES = np.arange(12) * np.pi / 12
+
+    @staticmethod
+    def turned(lines, axis_matches, angle, speed=0.6):
+        rng = np.random.default_rng(1)
+        starts = 2.0 * np.arange(8)
+        position, epoch = lines([speed] * 8, starts, YEARS, scatter=0.03, rng=rng)
+
+        def project(axis):
+            turn = angle - axis
+            matrix = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+            return axis_matches(position @ np.transpose(matrix), epoch, YEARS)
+
+        return project
+
+    @pytest.mark.parametrize("degrees", [0, 20, 90, 128, 173])
+    @pytest.mark.parametrize("speed", [0.6, -0.6])
+    def test_it_is_found(self, lines, axis_matches, degrees, speed):
+        angle = np.radians(degrees)
+        found = search(self.turned(lines, axis_matches, angle, speed), self.ANGLES)
+        stream = found.streams[0]
+        assert stream.kind == "moving"
+        east = stream.along.mean * np.exp(1j * stream.angle)
+        assert abs(east - speed * np.exp(1j * angle)) < 0.03
+        assert abs((stream.angle - angle + np.pi / 2) % np.pi - np.pi / 2) < 0.03
+        assert found.angle == stream.angle
+        assert found.permutations.z.shape[0] == 12
+
+    def test_features_far_off_the_axes_do_not_turn_it(self, lines, axis_matches):
+        """Twelve axes that are all in one direction, 30 degrees from the flow."""
+        project = self.turned(lines, axis_matches, np.radians(30), 0.3)
+        angles = 1e-3 * np.arange(12)
+        found = search(project, angles)
+        assert found.angle in angles
+
+    def test_features_of_the_other_direction_alone(self, lines, axis_matches):
+        """What is significant has no SSPs, and what has moves against it."""
+        back = self.turned(lines, axis_matches, 0.0, -0.6)
+        forth = axis_matches(*lines([0.5] * 15, 3.0 * np.arange(15), YEARS), YEARS)
+
+        def project(axis):
+            d, n = back(axis), np.cos(axis)
+            return replace(
+                d,
+                **{
+                    name: np.concatenate([getattr(d, name), getattr(forth, name)])
+                    for name in ("weight", "reference", "target")
+                },
+                along=np.concatenate([d.along, n * forth.along]),
+                across=np.concatenate([d.across, np.sin(axis) * forth.along]),
+                ssp=np.concatenate([d.ssp, np.zeros(len(forth), dtype=int)]),
+                target_ssp=np.concatenate([d.target_ssp, np.full(len(forth), -1)]),
+            )
+
+        found = search(project, [0.0, np.pi / 2])
+        stream = found.streams[0]
+        assert stream.reason == "no single feature is seen to move at this speed"
+        assert stream.along.mean == pytest.approx(0.5, rel=0.15)
+
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+class TestProperties:
+    """With six epochs, of eight noisy features."""
+
+    @staticmethod
+    def matches(lines, axis_matches, seed):
+        rng = np.random.default_rng(seed)
+        years = np.cumsum(rng.uniform(0.7, 1.3, 6))
+        speeds = rng.normal(0.6, 0.05, 8)
+        return axis_matches(
+            *lines(speeds, 3.0 * np.arange(8), years, scatter=0.03, rng=rng), years
+        )
+
+    @given(seeds, st.sampled_from([1 / 365.25, 12.0]))
+    @settings(max_examples=5)
+    def test_years_or_days(self, lines, axis_matches, seed, unit):
+        d = self.matches(lines, axis_matches, seed)
+        a, b = search(d).streams[0], search(replace(d, years=unit * d.years)).streams[0]
+        assert a.kind == b.kind == "moving"
+        assert b.along.mean == pytest.approx(a.along.mean / unit)
+        assert b.along.error == pytest.approx(a.along.error / unit)
+        assert (b.p_global, b.p_local) == (a.p_global, a.p_local)
+
+    @given(seeds)
+    @settings(max_examples=5)
+    def test_the_other_direction_has_the_other_sign(self, lines, axis_matches, seed):
+        d = self.matches(lines, axis_matches, seed)
+        a = search(d).streams[0]
+        b = search(replace(d, along=-d.along, position=d.position * (-1, 1))).streams[0]
+        assert b.along.mean == pytest.approx(-a.along.mean)
+        assert b.across.mean == pytest.approx(a.across.mean)
+        assert (b.kind, b.p_global) == (a.kind, a.p_global)
+
+    @given(seeds)
+    @settings(max_examples=5)
+    def test_the_order_of_the_matches_does_not_matter(self, lines, axis_matches, seed):
+        d = self.matches(lines, axis_matches, seed)
+        order = np.random.default_rng(seed).permutation(len(d))
+        a, b = search(d).streams[0], search(d.select(order)).streams[0]
+        assert b.along.mean == pytest.approx(a.along.mean)
+        assert (b.kind, b.p_global) == (a.kind, a.p_global)
+
+    @given(seeds, st.integers(0, 6))
+    @settings(max_examples=5)
+    def test_an_epoch_without_matches_does_no_harm(
+        self, lines, axis_matches, seed, after
+    ):
+        d = self.matches(lines, axis_matches, seed)
+        ends = np.concatenate([[d.years[0] - 1], d.years, [d.years[-1] + 1]])
+        other = replace(
+            d,
+            years=np.insert(d.years, after, 0.5 * (ends[after] + ends[after + 1])),
+            epoch=d.epoch + (d.epoch >= after),
+            reference=d.reference + (d.reference >= after),
+            target=d.target + (d.target >= after),
+        )
+        a, b = search(d).streams[0], search(other).streams[0]
+        assert b.kind == "moving"
+        assert b.along.mean == pytest.approx(a.along.mean, abs=a.along.error)
+        assert b.p_global <= 0.05
