@@ -69,7 +69,7 @@ class SearchSettings:
     across: float = 0.35
     interval_step: float = 0.08
     speed_step: float = 0.05
-    slowest: float = 2.0
+    slowest: float = 1.0
     n_axes: int = 12
     line: float = 0.3
     position_error: float = 0.06

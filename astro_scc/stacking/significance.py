@@ -280,11 +280,15 @@ def _groups(features, permutations, axis, speed, alpha, n_trials, rng):
             [f for f, fast in zip(moving, second, strict=True) if fast == which]
             for which in (False, True)
         ]
-        own = [
-            permutations.significance(axis, _population(part)[0].mean) for part in parts
-        ]
-        order = (0, 1) if own[0] >= own[1] else (1, 0)
-        return [(parts[order[0]], None), (parts[order[1]], p_two)]
+        # The one with more features first, of equal ones the more significant.
+        parts.sort(
+            key=lambda part: (
+                len(part),
+                permutations.significance(axis, _population(part)[0].mean),
+            ),
+            reverse=True,
+        )
+        return [(parts[0], None), (parts[1], p_two)]
     mean = _population(moving)[0].mean
     if permutations.p_values(axis, mean)[1] > alpha:
         # Speeds so different that their mean is none of theirs.

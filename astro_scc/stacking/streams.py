@@ -18,6 +18,9 @@ TWO = np.array([0.03, 0.06, 0.1, 0.15, 0.2, 0.25])
 INFLATION = 1.3
 #: Relative error of a feature's speed that is left of the pull of the core.
 BIAS = 0.02
+#: Dispersion, relative to the speed, that is assumed of a stream of which one
+#: feature is seen: that of the flows of blazars is 10 to 30%.
+LONE = 0.15
 #: Fewest features of which two streams can be told apart.
 FEWEST = 4
 
@@ -54,7 +57,8 @@ def random_effects(values, errors):
     The dispersion solves ``sum (x - m)^2 / (tau^2 + e^2) = n - 1`` (Paule &
     Mandel 1982, J. Res. NBS 87, 377); the error of the mean is that of
     Hartung & Knapp (2001, Stat. Med. 20, 3875) with Student's t of n - 1
-    degrees of freedom, at 68%.
+    degrees of freedom, at 68%.  Of a single value the error holds a dispersion
+    of 15%.
 
     Parameters
     ----------
@@ -74,7 +78,8 @@ def random_effects(values, errors):
     x, e = np.asarray(values, dtype=float), np.asarray(errors, dtype=float)
     n = len(x)
     if n == 1:
-        return Population(float(x[0]), float(e[0]), np.nan, np.nan)
+        error = np.hypot(e[0], LONE * abs(x[0]))
+        return Population(float(x[0]), float(error), np.nan, np.nan)
 
     def fit(tau2):
         w = 1 / (e**2 + tau2)
@@ -91,7 +96,8 @@ def random_effects(values, errors):
         else:
             high = middle
     m, w, q = fit(high)
-    spread = max(q / (n - 1), 1e-12)
+    # Values that agree by chance do not make the mean better than their errors.
+    spread = max(q / (n - 1), 1.0)
     error = np.sqrt(spread / w.sum()) * student.ppf(0.8413, n - 1)
     # Of the sum of squares, chi-square with n - 1 degrees of freedom.
     total = 1 / w.mean()
@@ -197,7 +203,7 @@ def _two(y, e):
     """Largest log-likelihood of two streams, and where they are split."""
     n = y.shape[1]
     best, where = np.full(len(y), -np.inf), np.zeros(len(y), dtype=int)
-    for split in range(2, n - 1):
+    for split in range(1, n):
         for tau in TWO:
             w = 1 / (e**2 + tau**2)
             parts = []
