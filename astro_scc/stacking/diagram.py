@@ -12,8 +12,8 @@ from astro_scc.stacking.search import SearchSettings
 
 __all__ = ["AxisDisplacements", "Diagram", "EpochPermutations", "Rays"]
 
-#: Grid points of the displacement in one smoothing length.
-POINTS = 3
+#: Grid points of the displacement in one blur.
+POINTS = 4
 #: Standard deviations of the permutations are at least this share of the largest
 #: of any axis at the same speed: single matches across the flow are no surprise.
 STD_FLOOR = 0.3
@@ -215,7 +215,7 @@ class PairDensity:
     @classmethod
     def of(cls, d, radius, settings):
         n = len(d.years)
-        half = int(np.ceil(POINTS * radius / settings.smoothing))
+        half = int(np.ceil(POINTS * radius / settings.blur))
         step = radius / half
         grid = step * np.arange(-half, half + 1)
         use = (np.abs(d.across) <= settings.across) & (np.abs(d.along) <= radius)
@@ -228,7 +228,7 @@ class PairDensity:
         pairs = np.bincount(flat, weight, n * n * len(grid)).reshape(n, n, -1)
         # From the later image's side the same motion has the other sign.
         pairs = pairs + pairs.transpose(1, 0, 2)[:, :, ::-1]
-        kernel = np.exp(-0.5 * ((grid[:, None] - grid) / settings.smoothing) ** 2)
+        kernel = np.exp(-0.5 * ((grid[:, None] - grid) / settings.blur) ** 2)
         pairs = (pairs.reshape(n * n, -1) @ kernel).reshape(n, n, -1)
         mean = pairs[~np.eye(n, dtype=bool)].mean(axis=0)
         return cls(grid, pairs.reshape(n * n, -1), mean)

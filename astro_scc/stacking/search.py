@@ -22,9 +22,11 @@ class SearchSettings:
     nearest, farthest : float
         Displacements that count for a speed: below 0.2 a standing feature
         overlaps itself, beyond 1 chance matches prevail.
+    blur : float
+        Standard deviation of the densities of the diagram: speeds that
+        differ and features that wander are to share a ray.
     smoothing : float
-        Standard deviation of the displacement's density, the scatter of the
-        displacements of one feature.
+        Scatter of the displacements of one feature.
     across : float
         Largest displacement across the flow, three times ``smoothing``.
     interval_step, speed_step : float
@@ -65,6 +67,7 @@ class SearchSettings:
     radius: float = 1.5
     nearest: float = 0.2
     farthest: float = 1.0
+    blur: float = 0.2
     smoothing: float = 0.12
     across: float = 0.35
     interval_step: float = 0.08

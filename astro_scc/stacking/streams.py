@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 __all__ = ["Population", "random_effects", "separate_streams"]
 
@@ -96,9 +96,9 @@ def random_effects(values, errors):
         else:
             high = middle
     m, w, q = fit(high)
-    # Values that agree by chance do not make the mean better than their errors.
-    spread = max(q / (n - 1), 1.0)
-    error = np.sqrt(spread / w.sum()) * student.ppf(0.8413, n - 1)
+    # Values that agree by chance make the mean no better than half their errors.
+    spread = max(q / (n - 1), 0.25)
+    error = np.sqrt(spread / w.sum()) * stdtrit(n - 1, 0.8413)
     # Of the sum of squares, chi-square with n - 1 degrees of freedom.
     total = 1 / w.mean()
     tau = np.sqrt(high)
