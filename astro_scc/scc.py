@@ -21,6 +21,7 @@ from astro_scc.measurement import (
 )
 from astro_scc.measurement.decomposing import LazyDecompositions, decompose_epochs
 from astro_scc.measurement.plan import (
+    largest_speed,
     mean_fwhm,
     pairs_of_dates,
     scales_of_pixels,
@@ -34,9 +35,6 @@ from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
-
-#: Without a largest speed, displacements up to this many beams are tried.
-BEAMS_PER_INTERVAL = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,8 +231,8 @@ class StackedCrossCorrelation:
         """
         if self.max_speed is not None:
             return self.max_speed
-        interval = np.median(self.date_pairs(cube).interval)
-        return BEAMS_PER_INTERVAL * self._fwhm(cube) / interval * PM_UNIT
+        beams = largest_speed(cube, self._radius(cube), self.baseline)
+        return beams * self._fwhm(cube) * PM_UNIT
 
     @property
     def _given_speed(self):

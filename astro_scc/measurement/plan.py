@@ -10,6 +10,7 @@ from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs import beam_fwhm, ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.stacking import (
+    Rays,
     SearchSettings,
     VelocityGrid,
     baseline_pairs,
@@ -19,6 +20,7 @@ from astro_scc.stacking import (
 __all__ = [
     "centroids_inside",
     "flow_direction",
+    "largest_speed",
     "map_grid",
     "mean_fwhm",
     "pairs_of_dates",
@@ -170,6 +172,34 @@ def search_radius(cube, max_speed, fwhm):
     elif len(cube) <= FEW_EPOCHS:
         far = FAR_BEAMS * short / np.median(gaps)
     return max(settings.radius, far + MARGIN * settings.smoothing)
+
+
+def largest_speed(cube, radius, baseline=None):
+    """
+    Largest speed that is searched for streams if none is given.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    radius : float
+        Largest displacement that is searched, in beams.
+    baseline : `~astropy.units.Quantity`, shape (2,), optional
+
+    Returns
+    -------
+    float
+        In beams a year.
+
+    Raises
+    ------
+    ValueError
+        If no two epochs make a pair.
+    """
+    pairs_of_dates(cube, baseline)
+    intervals = (0.0, np.inf) if baseline is None else baseline.to_value(u.yr)
+    years = cube.years.to_value(u.yr)
+    rays = Rays.of(years, radius, SearchSettings(), intervals=intervals)
+    return float(rays.speed.max())
 
 
 def search_reach(cube, pairs, radius, fwhm, max_speed):
