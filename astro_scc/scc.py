@@ -4,7 +4,6 @@
 from dataclasses import asdict, dataclass, fields
 
 import astropy.units as u
-import numpy as np
 
 from astro_scc.config.settings import require
 from astro_scc.correlation import Correlator, all_pairs
