@@ -3,8 +3,8 @@
 Stop measurements at random moments, start them again, and compare what they give.
 
 ``astro-scc measure --resume`` and ``astro-scc survey`` are each stopped five times by
-SIGINT, by SIGTERM and by SIGKILL, at moments drawn over the time that an undisturbed run
-takes::
+SIGINT, by SIGTERM and by SIGKILL, at moments drawn over the time that an undisturbed
+run takes::
 
     python tools/interrupts.py --seed 1 --table benchmarks/results/interrupts.csv
 
