@@ -206,10 +206,10 @@ def core_ssps(ssps, cube):
     distance /= beam_fwhm(cube, ssps.epoch, ssps.scale, axis[:, None])[:, 0]
     order = np.lexsort((distance, ssps.epoch, ssps.scale))
     nearest = order[_first_of(ssps.scale[order], ssps.epoch[order])]
-    nearest = nearest[distance[nearest] <= CORE_RADIUS]
-    _, number, count = np.unique(
-        ssps.scale[nearest], return_inverse=True, return_counts=True
-    )
+    import os
+    nearest = nearest[distance[nearest] <= float(os.environ.get('CR','0.5'))]
+    _, number = np.unique(ssps.scale[nearest], return_inverse=True)
+    count = np.bincount(number, weights=distance[nearest] <= float(os.environ.get('CT','0.2')))
     core = np.full(len(ssps), -1)
     core[nearest] = np.where(2 * count >= len(cube), np.arange(len(count)), -1)[number]
     return core
