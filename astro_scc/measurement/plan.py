@@ -42,6 +42,9 @@ MOST_MOTION = 10
 GRID_STEP = 0.5
 #: Displacements are searched by so many smoothing lengths beyond the largest.
 MARGIN = 3.0
+#: Matches are made so many beams beyond the largest speed: stacks in speed and
+#: acceleration have kernels of 0.8 beam.
+BEYOND = 1.0
 #: Without a largest speed, series of up to so many epochs are searched to so
 #: many beams in the median interval.
 FEW_EPOCHS = 20
@@ -234,7 +237,7 @@ def search_reach(cube, pairs, radius, fwhm, max_speed):
     limit = np.array(cube.shape[1:]) - 1
     if max_speed is not None:
         _check_speed(max_speed, pairs, side, cube.shape, limit)
-        farthest = max(farthest, max_speed * pairs.interval.max())
+        farthest = max(farthest, max_speed * pairs.interval.max() + BEYOND * fwhm)
     reach = np.ceil(farthest / side).astype(int)[::-1]
     return tuple(int(r) for r in np.minimum(reach, limit))
 
