@@ -37,7 +37,7 @@ def test_an_option_of_several_commands_is_explained_alike():
     (commands,) = (a for a in parser._actions if hasattr(a, "choices") and a.choices)
     # What differs by what a command makes or takes.
     own = {"--output", "--votable", "--region", "--position-angle", "--kappa",
-           "--n-trials", "--seed", "--epochs"}  # fmt: skip
+           "--max-speed", "--n-trials", "--seed", "--epochs"}  # fmt: skip
     said = {}
     for command in commands.choices.values():
         for action in command._actions:
@@ -62,7 +62,7 @@ def test_angles_below_zero_are_no_options(angle):
         (["fly"], "astro-scc: error: argument COMMAND: invalid choice: 'fly'"),
         (["measure", "a.fits"], "astro-scc measure: error: the following arguments"),
         (["measure", "--bins", "3", "-o", "x"], "astro-scc: error: unrecognized arg"),
-        (["simulate", "jet", "x"], "astro-scc simulate: error: argument JET: invalid"),
+        (["simulate", "jets", "x"], "astro-scc simulate: error: argument JET: invalid"),
         (["simulate", "static", "x", "--epochs", "b"], "astro-scc simulate: error: "),
     ],
 )
