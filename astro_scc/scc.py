@@ -4,7 +4,6 @@
 from dataclasses import asdict, dataclass, fields
 
 import astropy.units as u
-import numpy as np
 
 from astro_scc.config.settings import require
 from astro_scc.correlation import Correlator, all_pairs
@@ -26,6 +25,7 @@ from astro_scc.measurement.decomposing import (
     decompose_epochs,
 )
 from astro_scc.measurement.plan import (
+    largest_speed,
     mean_fwhm,
     pairs_of_dates,
     scales_of_pixels,
@@ -39,9 +39,6 @@ from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
-
-#: Without a largest speed, displacements up to this many beams are tried.
-BEAMS_PER_INTERVAL = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,8 +235,8 @@ class StackedCrossCorrelation:
         """
         if self.max_speed is not None:
             return self.max_speed
-        interval = np.median(self.date_pairs(cube).interval)
-        return BEAMS_PER_INTERVAL * self._fwhm(cube) / interval * PM_UNIT
+        beams = largest_speed(cube, self._radius(cube), self.baseline)
+        return beams * self._fwhm(cube) * PM_UNIT
 
     @property
     def _given_speed(self):

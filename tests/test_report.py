@@ -173,7 +173,7 @@ def test_the_answer_comes_first(page, components):
         f"{speed} mas/yr = {beta} c",
         f"; dispersion {spread}; p_global 0.024; 6 features, ",
         "stationary: no motion within the errors; 1 feature, ",
-        "epochs in permuted order show as much at any velocity; 40 trials show none "
+        "epochs in permuted order show as much at any velocity; here it cannot be "
         "below 0.024.",
         "Component 2 of the table, stationary, does not move within its errors: no ",
         f"Component 1 of the table: not significant, {CHANCE}.",

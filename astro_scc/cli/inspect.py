@@ -236,7 +236,7 @@ def _speed_lines(cube, plan, speed):
         text = f'"{_below(first)} {_above(last)}"'
         rows.append([*cells, text, str(_n_pairs(cube, first, last))])
     head = [f"speed ({plan.slowest.unit})", "beams in the median interval"]
-    return table_lines([*head, "best --baseline", "pairs"], rows)
+    return table_lines([*head, "--baseline for it alone", "pairs"], rows)
 
 
 def _below(interval):

@@ -101,7 +101,11 @@ def add_measurement(parser):
     """
     add_images(parser, verb="measure")
     group = parser.add_argument_group("measurement")
-    add_patterns(group, kappa=0.6)
+    add_patterns(
+        group,
+        kappa=0.6,
+        speed="1.5 beams in the shorter intervals, four of up to 20 epochs",
+    )
     group.add_argument(
         "--position-angle",
         metavar='"65 deg"|fit|ridge|radial',
@@ -112,7 +116,8 @@ def add_measurement(parser):
     group.add_argument(
         "--baseline",
         metavar='"0.2 yr 1.0 yr"',
-        help="pair epochs this far apart in time; default consecutive epochs",
+        help="compare epochs only that are this far apart in time; by default each "
+        "speed has the intervals in which it moves 0.2 to 1 beam",
     )
     group.add_argument(
         "--kernel",
@@ -239,7 +244,7 @@ def measure(
     # A region file that cannot be used is better known before the long part.
     region = region or config.get("region")
     cube.region_mask(region)
-    config = settings_as_used(scc, config, cube, seed=kept_seed(work))
+    config = settings_as_used(scc, config, seed=kept_seed(work))
     result = scc(
         cube,
         region=region,

@@ -114,7 +114,7 @@ def _measure(cube, config, folder, reporter, n_workers):
     how = distance_of(config)
     region = config.get("region")
     cube.region_mask(region)
-    config = settings_as_used(scc, config, cube, seed=draw_seed())
+    config = settings_as_used(scc, config, seed=draw_seed())
     matched = scc.match(
         cube, region=region, n_workers=n_workers, progress_bar=reporter.progress
     )

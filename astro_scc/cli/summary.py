@@ -3,8 +3,6 @@
 
 import math
 
-import numpy as np
-
 __all__ = ["component_lines", "profile_lines", "speed_lines", "table_lines"]
 
 # What stands beside the numbers of each kind of component.
@@ -92,20 +90,21 @@ def component_lines(components):
     from astro_scc.visualization.style import component_kinds
 
     kinds = component_kinds(components)
-    found = [kind != "not significant" for kind in kinds]
-    if any(found):
-        lines = _found_lines(components[found], [k for k in kinds if k in REMARKS])
+    found = [k for k, kind in enumerate(kinds) if kind in REMARKS]
+    others = [k for k, kind in enumerate(kinds) if kind not in REMARKS]
+    if found:
+        lines = _found_lines(components[found], [kinds[k] for k in found])
         lines += EXPLANATION
     else:
         lines = [
             "No significant velocity component.  More epochs, other scales or a",
             "--region may help.",
         ]
-    n = len(components) - sum(found)
-    if n:
+    if others:
+        notes = "; ".join(dict.fromkeys(str(components["note"][k]) for k in others))
         lines.append(
-            f"Not significant: {n} of {len(components)} rows of components.ecsv, "
-            f"{_notes(components[~np.array(found)])}"
+            f"Not significant: {len(others)} of {len(components)} rows of "
+            f"components.ecsv, {notes}"
         )
     return [*lines, *speed_lines(components.meta)]
 
@@ -138,9 +137,11 @@ def profile_lines(components):
         ]
         if in_c:
             cells.append(with_error(row["beta_app"].value, row["beta_app_err"].value))
-        cells += [f"{row['p_global']:.2g}", f"{row['p_fdr']:.2g}", str(row["n_ssp"])]
-        rows.append([*cells, {"not significant": "not significant"}.get(
-            str(row["kind"]), REMARKS.get(str(row["kind"]), ""))])  # fmt: skip
+        kind = str(row["kind"])
+        for name in ("p_global", "p_fdr"):
+            # What stands still is not tested.
+            cells.append("-" if kind == "stationary" else f"{row[name]:.2g}")
+        rows.append([*cells, str(row["n_ssp"]), REMARKS.get(kind, kind)])
     if not rows:
         return ["No velocity could be tested in any bin."]
     how = speed_lines(components.meta)
@@ -175,10 +176,6 @@ def speed_lines(meta):
         how = cosmology_text(meta["cosmology"])
         return [f"speeds in c: redshift {meta['redshift']:g}, {how}"]
     return []
-
-
-def _notes(components):
-    return "; ".join(dict.fromkeys(str(note) for note in components["note"]))
 
 
 def _found_lines(components, kinds):

@@ -10,6 +10,7 @@ from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs import beam_fwhm, ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.stacking import (
+    Rays,
     SearchSettings,
     VelocityGrid,
     baseline_pairs,
@@ -19,6 +20,7 @@ from astro_scc.stacking import (
 __all__ = [
     "centroids_inside",
     "flow_direction",
+    "largest_speed",
     "map_grid",
     "mean_fwhm",
     "pairs_of_dates",
@@ -40,6 +42,9 @@ MOST_MOTION = 10
 GRID_STEP = 0.5
 #: Displacements are searched by so many smoothing lengths beyond the largest.
 MARGIN = 3.0
+#: Matches are made so many beams beyond the largest speed: stacks in speed and
+#: acceleration have kernels of 0.8 beam.
+BEYOND = 1.0
 #: Without a largest speed, series of up to so many epochs are searched to so
 #: many beams in the median interval.
 FEW_EPOCHS = 20
@@ -172,6 +177,34 @@ def search_radius(cube, max_speed, fwhm):
     return max(settings.radius, far + MARGIN * settings.smoothing)
 
 
+def largest_speed(cube, radius, baseline=None):
+    """
+    Largest speed that is searched for streams if none is given.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    radius : float
+        Largest displacement that is searched, in beams.
+    baseline : `~astropy.units.Quantity`, shape (2,), optional
+
+    Returns
+    -------
+    float
+        In beams a year.
+
+    Raises
+    ------
+    ValueError
+        If no two epochs make a pair.
+    """
+    pairs_of_dates(cube, baseline)
+    intervals = (0.0, np.inf) if baseline is None else baseline.to_value(u.yr)
+    years = cube.years.to_value(u.yr)
+    rays = Rays.of(years, radius, SearchSettings(), intervals=intervals)
+    return float(rays.speed.max())
+
+
 def search_reach(cube, pairs, radius, fwhm, max_speed):
     """
     Largest displacement in pixels that is matched, whatever the dates.
@@ -204,7 +237,7 @@ def search_reach(cube, pairs, radius, fwhm, max_speed):
     limit = np.array(cube.shape[1:]) - 1
     if max_speed is not None:
         _check_speed(max_speed, pairs, side, cube.shape, limit)
-        farthest = max(farthest, max_speed * pairs.interval.max())
+        farthest = max(farthest, max_speed * pairs.interval.max() + BEYOND * fwhm)
     reach = np.ceil(farthest / side).astype(int)[::-1]
     return tuple(int(r) for r in np.minimum(reach, limit))
 

@@ -65,11 +65,10 @@ def chances(result, components, kinds):
     if not len(components):
         return []
     level = result.meta["settings"]["level"]
-    n_trials = result.meta["n_trials"]
+    smallest = max(plain_value(p) for p in components["p_smallest"])
     said = [
         "p_global is the probability that epochs in permuted order show as much at "
-        "any velocity; "
-        f"{n_trials} trials show none below {1 / (n_trials + 1):.2g}."
+        f"any velocity; here it cannot be below {smallest:.2g}."
     ]
     said += _limits(result, components, kinds, level)
     who, more = _numbers(components, kinds, "stationary")

@@ -508,11 +508,9 @@ class EpochPermutations:
             and (speed * self.speed[k + 1] > 0)
         ):
             below, here, above = self.z[axis, k - 1 : k + 2]
-            bend = below - 2 * here + above
-            if bend < 0:
-                shift = 0.5 * (below - above) / bend
-                step = np.log(abs(self.speed[k + 1] / speed))
-                speed *= np.exp(np.clip(shift, -1, 1) * step)
+            # The first of the largest: the one below is less.
+            shift = 0.5 * (below - above) / (below - 2 * here + above)
+            speed *= np.exp(shift * np.log(abs(self.speed[k + 1] / speed)))
         return int(axis), float(speed)
 
     def significance(self, axis, speed):

@@ -70,6 +70,17 @@ def test_velocities_that_are_not_significant_count_too():
     assert second["p_fdr"][0] == pytest.approx(0.5)
 
 
+def test_what_stands_still_is_not_tested():
+    both = table([0.01, 1.0], kind=["moving", "stationary"])
+    still = table([1.0], kind=["stationary"])
+    first, second, third = false_discovery_rate([both, still, table([0.02])])
+    # Three searches: of 0.01, of nothing, and of 0.02.
+    assert first["p_fdr"].tolist() == pytest.approx([0.03, 1.0])
+    assert second["p_fdr"].tolist() == [1.0]
+    assert third["p_fdr"].tolist() == pytest.approx([0.03])
+    assert first.meta["false_discovery"]["n_tests"] == 3
+
+
 def test_returns_copies_that_can_be_adjusted_again():
     own = table([0.01, 0.2])
     (once,) = false_discovery_rate([own])

@@ -173,8 +173,8 @@ def test_windows_reach_as_far_as_is_searched_whatever_the_dates():
     pairs = pairs_of_dates(cube, None)
     assert search_reach(cube, pairs, 1.5, 1.0, None) == (15, 15)
     assert search_reach(cube, pairs, 1.51, 2.0, None) == (31, 31)
-    # As far as the map of a largest speed asks: 5 mas/yr in 0.4 yr.
-    longest = int(np.ceil(5 * 146 / YEAR / 0.1))
+    # As far as the map of a largest speed asks, 5 mas/yr in 0.4 yr, and a beam.
+    longest = int(np.ceil((5 * 146 / YEAR + 1.0) / 0.1))
     assert search_reach(cube, pairs, 1.5, 1.0, 5.0) == (longest, longest)
 
 
@@ -184,12 +184,12 @@ def test_windows_of_pixels_that_are_not_square():
         pixel_matrix=np.array([[-0.2, 0.0], [0.0, 0.1]]) * u.mas, shape=cube.shape
     )
     pairs = consecutive_pairs([0.0, 1.0])
-    assert search_reach(wide, pairs, 1.0, 1.0, 2.0) == (20, 10)
+    assert search_reach(wide, pairs, 0.1, 0.1, 1.9) == (20, 10)
     # Rotated, the sides are the same.
     c, s = np.cos(0.5), np.sin(0.5)
     turn = np.array([[c, -s], [s, c]])
     wide.pixel_matrix = turn @ np.diag([-0.2, 0.1]) * u.mas
-    assert search_reach(wide, pairs, 1.0, 1.0, 1.99) == (20, 10)
+    assert search_reach(wide, pairs, 0.1, 0.1, 1.89) == (20, 10)
     assert search_reach(wide, pairs, 1.99, 1.0, None) == (20, 10)
 
 
