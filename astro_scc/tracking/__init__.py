@@ -2,7 +2,7 @@
 """Tracking: features followed from epoch to epoch, one by one (WISE)."""
 
 from astro_scc.tracking.assignment import assign, groups_of
-from astro_scc.tracking.candidates import Candidates, find_candidates
+from astro_scc.tracking.candidates import Candidates, core_ssps, find_candidates
 from astro_scc.tracking.chains import chain, track_names
 from astro_scc.tracking.confidence import (
     LinkedShare,
@@ -17,7 +17,7 @@ from astro_scc.tracking.linking import Links, link
 from astro_scc.tracking.nesting import parents
 from astro_scc.tracking.paths import Transitions, link_gains
 from astro_scc.tracking.profile import average_with_scatter, track_profile
-from astro_scc.tracking.result import Tracking
+from astro_scc.tracking.result import Tracking, mean_fwhm
 from astro_scc.tracking.sharing import company_gain, shared_seats
 from astro_scc.tracking.tables import plain_table
 from astro_scc.tracking.tracker import FeatureTracker
@@ -36,6 +36,7 @@ __all__ = [
     "chain",
     "chance_density",
     "company_gain",
+    "core_ssps",
     "ejection_epoch",
     "find_candidates",
     "fit_motion",
@@ -44,6 +45,7 @@ __all__ = [
     "link_gains",
     "linked_counts",
     "linked_share",
+    "mean_fwhm",
     "parents",
     "plain_table",
     "shared_seats",

@@ -5,7 +5,12 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-__all__ = ["Candidates", "find_candidates"]
+from astro_scc.epochs import beam_fwhm, ssp_offsets
+
+__all__ = ["Candidates", "core_ssps", "find_candidates"]
+
+#: Features are told apart from the core beyond this part of a beam, its half width.
+CORE_RADIUS = 0.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -161,6 +166,53 @@ def find_candidates(
     size = np.diff([*start, len(order)])[: len(start)]
     rank = np.arange(len(order)) - np.repeat(start, size)
     return found.select(np.sort(order[rank < most]))
+
+
+def core_ssps(ssps, cube):
+    """
+    The SSPs that are the core of a jet.
+
+    On each scale and at each epoch the nearest one to the reference pixel,
+    if it is no farther from it than half the width of the beam; on scales
+    on which there is one at half of the epochs at least, because what
+    passes by is no core.
+
+    Parameters
+    ----------
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+    cube : `~astro_scc.epochs.EpochCube`
+        Aligned on the core, if it has one.
+
+    Returns
+    -------
+    `~numpy.ndarray` of int, shape (n_ssps,)
+        Number of the scale for the core's SSPs, from 0, and -1 for others.
+
+    Examples
+    --------
+    >>> from astro_scc.decomposition import Decomposer, SSPs
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.tracking import core_ssps
+    >>> cube = simulate_two_fluid(n_epochs=3, core=5.0, rng=1).cube
+    >>> ssps = SSPs.of_epochs([Decomposer(scales=[2])(image) for image in cube.data])
+    >>> (core_ssps(ssps, cube) == 0).sum().item()
+    3
+    """
+    offset = np.stack(ssp_offsets(ssps, cube), axis=1)
+    distance = np.hypot(*offset.T)
+    away = np.arctan2(*offset.T)
+    axis = np.stack([np.sin(away), np.cos(away)], axis=1)
+    distance /= beam_fwhm(cube, ssps.epoch, ssps.scale, axis[:, None])[:, 0]
+    order = np.lexsort((distance, ssps.epoch, ssps.scale))
+    nearest = order[_first_of(ssps.scale[order], ssps.epoch[order])]
+    nearest = nearest[distance[nearest] <= CORE_RADIUS]
+    _, number, count = np.unique(
+        ssps.scale[nearest], return_inverse=True, return_counts=True
+    )
+    core = np.full(len(ssps), -1)
+    core[nearest] = np.where(2 * count >= len(cube), np.arange(len(count)), -1)[number]
+    return core
 
 
 def _first_of(*keys):

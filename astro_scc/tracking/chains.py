@@ -6,7 +6,7 @@ import numpy as np
 __all__ = ["chain", "track_names"]
 
 
-def chain(links, n_ssps, *, min_epochs=1):
+def chain(links, n_ssps, *, min_epochs=1, one=None):
     """
     Number the tracks that one-to-one links make.
 
@@ -16,6 +16,10 @@ def chain(links, n_ssps, *, min_epochs=1):
     n_ssps : int
     min_epochs : int, optional
         Tracks of fewer SSPs than this are none.
+    one : array_like of int, shape (n_ssps,), optional
+        SSPs with the same number, if it is not negative, are one feature:
+        those of them that are linked at all make one track, however long it
+        is not seen.
 
     Returns
     -------
@@ -36,12 +40,22 @@ def chain(links, n_ssps, *, min_epochs=1):
     follower[links.source[own]] = links.target[own]
     begins = np.ones(n_ssps, bool)
     begins[links.target[own]] = False
-    track = np.full(n_ssps, -1)
-    number = 0
+    pieces = []
+    of_one = {}
     for start in np.flatnonzero(begins):
         members = [start]
         while follower[members[-1]] >= 0:
             members.append(follower[members[-1]])
+        key = -1 if one is None or len(members) < 2 else one[start]
+        if key in of_one:
+            of_one[key] += members
+            continue
+        if key >= 0:
+            of_one[key] = members
+        pieces.append(members)
+    track = np.full(n_ssps, -1)
+    number = 0
+    for members in pieces:
         if len(members) >= min_epochs:
             track[members] = number
             number += 1

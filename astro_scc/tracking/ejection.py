@@ -11,7 +11,7 @@ SIGNIFICANT = 3.0
 RADIAL = 15.0
 
 
-def ejection_epoch(fit, *, accelerated=False):
+def ejection_epoch(fit, beam, *, accelerated=False):
     r"""
     The date at which a feature that moves radially was at the origin.
 
@@ -22,12 +22,16 @@ def ejection_epoch(fit, *, accelerated=False):
     in MOJAVE (Lister et al. 2009, AJ 138, 1874; 2019, ApJ 874, 43) there is
     none unless the speed is three standard errors or more, the motion is
     not accelerated, and it points outward within 15 degrees with two
-    standard errors of the angle to spare.
+    standard errors of the angle to spare.  Far out 15 degrees are several
+    beams: the straight line must pass the origin within one as well, nearer
+    than which a feature is not told from the core.
 
     Parameters
     ----------
     fit : `~astro_scc.tracking.MotionFit`
         Of degree 1; the first axis is east, the second north.
+    beam : float
+        Width of the beam, in the unit of the positions.
     accelerated : bool, optional
 
     Returns
@@ -42,7 +46,7 @@ def ejection_epoch(fit, *, accelerated=False):
     >>> from astro_scc.tracking import ejection_epoch, fit_motion
     >>> time = np.arange(2000.0, 2006.0)
     >>> fit = fit_motion(time, [0.3 * (time - 1998), 0 * time], np.full((2, 6), 0.01))
-    >>> round(ejection_epoch(fit)[0], 3)
+    >>> round(ejection_epoch(fit, 0.5)[0], 3)
     1998.0
     """
     r, v = fit.coefficients[:, 0], fit.coefficients[:, 1]
@@ -51,7 +55,8 @@ def ejection_epoch(fit, *, accelerated=False):
     if accelerated or speed < SIGNIFICANT * speed_err:
         return None, None
     distance = np.hypot(*r)
-    if distance == 0:
+    passes = np.abs(r[0] * v[1] - r[1] * v[0]) / speed
+    if distance == 0 or passes > beam:
         return None, None
     # The direction to the mean position has an error of its own.
     across = np.array([r[1], -r[0]]) / distance**2

@@ -16,8 +16,9 @@ class Evidence:
     """
     Log-likelihood ratios of candidates: the same feature against chance.
 
-    The widths are those of features and of chance pairs in simulated jets of
-    two streams; see the documentation.
+    The widths are those of features in simulated jets of two streams; what
+    chance gives is measured on the SSPs themselves, but for the correlation.
+    See the documentation.
 
     Parameters
     ----------
@@ -27,21 +28,19 @@ class Evidence:
     decorrelation, chance_decorrelation : float, optional
         Means of one minus the correlation coefficient, taken as
         exponential, of the same feature and of chance pairs.
-    variability, diversity : float, optional
+    variability : float, optional
         Half width of the Lorentzian of the logarithm of the ratio of peaks
-        of the same feature; standard deviation of that of chance pairs.
+        of the same feature.
     missing : float, optional
         Cost of an epoch at which the feature is not seen.
     follow : float, optional
         Probability that a pattern moves with the larger one that it lies in.
-    floor : float, optional
-        No single piece of evidence counts less than this.
 
     Raises
     ------
     ValueError
         If a width is not positive, ``follow`` no probability below 1, or
-        ``floor`` or ``missing`` of the wrong sign.
+        ``missing`` negative.
 
     Examples
     --------
@@ -57,23 +56,18 @@ class Evidence:
     decorrelation: float = 0.06
     chance_decorrelation: float = 0.15
     variability: float = 0.15
-    diversity: float = 1.0
     missing: float = 2.0
     follow: float = 0.5
-    floor: float = -6.0
 
     def __post_init__(self):
         for name in ("tolerance", "decorrelation", "chance_decorrelation",
-                     "variability", "diversity"):  # fmt: skip
+                     "variability"):  # fmt: skip
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
         if not 0 <= self.follow < 1:
             raise ValueError(f"follow must be 0 or more, below 1, got {self.follow}")
-        if not (self.missing >= 0 and self.floor <= 0):
-            raise ValueError(
-                "missing must be 0 or more and floor 0 or less, "
-                f"got {self.missing} and {self.floor}"
-            )
+        if not self.missing >= 0:
+            raise ValueError(f"missing must be 0 or more, got {self.missing}")
 
     def looks(self, candidates, ssps):
         """
@@ -81,8 +75,10 @@ class Evidence:
 
         With correlation coefficients c and ratios r of the peaks, the sum of
         ``ln(b/a) - (1 - c)(1/a - 1/b)``, the ratio of two exponentials of
-        means a and b; of a Lorentzian over a normal distribution in
-        ``ln r``; and of ``-missing`` an epoch.
+        means a and b; of `brightness` less the logarithm of the density that
+        ``ln r`` has between any two SSPs of the scale, so that a core and a
+        feature a hundred times fainter are no likely pair; and of
+        ``-missing`` an epoch.
 
         Parameters
         ----------
@@ -95,18 +91,33 @@ class Evidence:
         """
         a, b = self.decorrelation, self.chance_decorrelation
         shape = np.log(b / a) - (1 - candidates.coefficient) * (1 / a - 1 / b)
-        light = self.brightness(
-            np.log(ssps.peak[candidates.target] / ssps.peak[candidates.source])
+        log_ratio = np.log(ssps.peak[candidates.target] / ssps.peak[candidates.source])
+        light = self.brightness(log_ratio)
+        scale = ssps.scale[candidates.source]
+        for value in np.unique(scale):
+            own = scale == value
+            light[own] -= np.log(
+                self._chance(log_ratio[own], np.log(ssps.peak[ssps.scale == value]))
+            )
+        return shape + light - self.missing * candidates.gap
+
+    def _chance(self, log_ratio, log_peak):
+        """Density of ratios between any two peaks, as variable as features are."""
+        step = self.variability / 4
+        place = np.rint((log_peak - log_peak.min()) / step).astype(int)
+        share = np.bincount(place) / len(place)
+        pairs = np.convolve(share, share[::-1])
+        lags = np.arange(len(pairs)) - len(share) + 1
+        kernel = np.exp(
+            self.brightness(step * np.arange(2 * lags[0], 2 * lags[-1] + 1))
         )
-        return (
-            np.maximum(shape, self.floor)
-            + np.maximum(light, self.floor)
-            - self.missing * candidates.gap
+        return np.interp(
+            log_ratio / step, lags, np.convolve(pairs, kernel, mode="valid")
         )
 
     def brightness(self, log_ratio):
         """
-        Evidence of a change of brightness alone.
+        Log-likelihood of a change of brightness of one feature.
 
         Parameters
         ----------
@@ -117,37 +128,39 @@ class Evidence:
         -------
         `~numpy.ndarray`
         """
-        w, s = self.variability, self.diversity
-        same = -np.log(np.pi * w * (1 + (log_ratio / w) ** 2))
-        chance = -0.5 * (log_ratio / s) ** 2 - 0.5 * np.log(2 * np.pi) - np.log(s)
-        return same - chance
+        w = self.variability
+        return -np.log(np.pi * w * (1 + (log_ratio / w) ** 2))
 
-    def steadiness(self, step, interval, density):
+    def steadiness(self, motion, interval, velocity, weight, density):
         """
-        Evidence of a difference between two velocities.
+        Evidence of a displacement, given the mean velocity of the rest of a track.
 
-        The density of a two-dimensional normal distribution of the
-        difference over that of chance landings.
+        The density of a two-dimensional normal distribution about the
+        displacement that the mean velocity predicts, over that of chance
+        landings.  Displacements have the standard deviation ``tolerance``
+        each, whatever their times t, so that the mean weights them by
+        ``t^2``, and has the variance ``tolerance^2`` over the sum of these.
 
         Parameters
         ----------
-        step : `~numpy.ndarray`, shape (2, n, 2)
-            Displacements (y, x) before and after.
-        interval : `~numpy.ndarray`, shape (2, n)
+        motion : `~numpy.ndarray`, shape (n, 2)
+            Displacements (y, x).
+        interval : `~numpy.ndarray`, shape (n,)
             Their times.
+        velocity : `~numpy.ndarray`, shape (n, 2)
+            Mean velocities of the tracks that they continue.
+        weight : `~numpy.ndarray`, shape (n,)
+            Sums of the squares of the times of these.
         density : `~numpy.ndarray`, shape (n,)
-            SSPs per square pixel where the second one lands.
+            SSPs per square pixel where the displacement leads to.
 
         Returns
         -------
         `~numpy.ndarray`, shape (n,)
         """
-        # As a place where the second displacement leads to.
-        ahead = interval[1] / interval[0]
-        variance = self.tolerance**2 * (1 + ahead**2)
-        away = np.sum((step[1] - ahead[:, None] * step[0]) ** 2, axis=1)
-        value = -0.5 * away / variance - np.log(2 * np.pi * variance * density)
-        return np.maximum(value, self.floor)
+        variance = self.tolerance**2 * (1 + interval**2 / weight)
+        away = np.sum((motion - interval[:, None] * velocity) ** 2, axis=1)
+        return -0.5 * away / variance - np.log(2 * np.pi * variance * density)
 
     def guidance(self, away, width, density):
         """

@@ -4,6 +4,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from astro_scc.decomposition import scale_size
 from astro_scc.tracking.assignment import assign
@@ -80,7 +82,8 @@ def link(candidates, ssps, *, parent=None, place=None, evidence=None):
     add to the best paths through several epochs (`link_gains`), and the
     choice of the largest sum is made for each pair of epochs (`assign`),
     consecutive ones first.  Then candidates are judged anew, each by the
-    paths of the links that were chosen, until nothing changes or five times.
+    links that were chosen and their mean velocity, before it and after it,
+    until nothing changes or five times.
     What is left without a partner may merge or split (`shared_seats`).
 
     Parameters
@@ -143,15 +146,9 @@ def link(candidates, ssps, *, parent=None, place=None, evidence=None):
 def _link_scale(part, worth, step, density, evidence):
     n_nodes = len(step)
     transitions = Transitions.of(part.source, part.target, n_nodes)
-    before, after = transitions.before, transitions.after
-    motion = np.stack([part.dy, part.dx], axis=1)
-    between = evidence.steadiness(
-        np.stack([motion[before], motion[after]]),
-        np.stack([part.interval[before], part.interval[after]]),
-        density[part.target[after]],
-    )
     use, chosen, gain = None, np.zeros(len(part), bool), np.zeros(len(part))
     for _ in range(ROUNDS):
+        between = _steadiness(part, chosen, transitions, step, density, evidence)
         gain = link_gains(
             part.source, part.target, worth, transitions, between, step, n_nodes,
             use=use,
@@ -161,6 +158,42 @@ def _link_scale(part, worth, step, density, evidence):
             break
         use = chosen = now
     return chosen, gain
+
+
+def _steadiness(part, chosen, transitions, step, density, evidence):
+    """Each transition by the track before it, and by the track after it."""
+    motion = np.stack([part.dy, part.dx], axis=1)
+    weight = part.interval**2
+    total = motion * part.interval[:, None]
+    own = np.flatnonzero(chosen)
+    # The links of one track after another, each in time order.
+    ends = part.source[own], part.target[own]
+    graph = coo_array((np.ones(len(own)), ends), shape=(len(step),) * 2)
+    track = connected_components(graph, directed=False)[1][ends[0]]
+    order = np.lexsort((step[ends[0]], track))
+    own, track = own[order], track[order]
+    between = []
+    for one, other, end, way in (
+        (transitions.before, transitions.after, part.target, slice(None)),
+        (transitions.after, transitions.before, part.source, slice(None, None, -1)),
+    ):
+        sums = np.column_stack([weight, total])
+        sums[own[way]] = _running_sums(sums[own[way]], track[way])
+        between.append(
+            evidence.steadiness(
+                motion[other], part.interval[other],
+                sums[one, 1:] / sums[one, :1], sums[one, 0], density[end[other]],
+            )
+        )  # fmt: skip
+    return np.stack(between)
+
+
+def _running_sums(values, group):
+    """Sums of the rows up to each one, within its group."""
+    sums = np.cumsum(values, axis=0)
+    first = np.flatnonzero(np.diff(group, prepend=-1))
+    size = np.diff([*first, len(group)])
+    return sums - np.repeat(sums[first] - values[first], size, axis=0)
 
 
 def _choose(part, gain, step, n_nodes):

@@ -69,8 +69,8 @@ def link_gains(source, target, value, transitions, between, step, n_nodes, *, us
     source, target : `~numpy.ndarray` of int, shape (n,)
     value : `~numpy.ndarray`, shape (n,)
     transitions : `Transitions`
-    between : `~numpy.ndarray`, shape (n_transitions,)
-        Values of the transitions.
+    between : `~numpy.ndarray`, shape (2, n_transitions)
+        Values of the transitions, forward and back in time.
     step : `~numpy.ndarray` of int, shape (n_nodes,)
         Place in time of each SSP.
     n_nodes : int
@@ -91,7 +91,7 @@ def link_gains(source, target, value, transitions, between, step, n_nodes, *, us
     >>> from astro_scc.tracking import Transitions, link_gains
     >>> source, target = np.array([0, 1, 1]), np.array([1, 2, 3])
     >>> steps = Transitions.of(source, target, 4)
-    >>> link_gains(source, target, np.array([2.0, 3.0, 1.0]), steps, np.zeros(2),
+    >>> link_gains(source, target, np.array([2.0, 3.0, 1.0]), steps, np.zeros((2, 2)),
     ...            np.array([0, 1, 2, 2]), 4).tolist()
     [2.0, 3.0, 1.0]
     """
@@ -99,11 +99,11 @@ def link_gains(source, target, value, transitions, between, step, n_nodes, *, us
     before, after = transitions.before, transitions.after
     forward, ending = _sweep(
         source, target, value, before[use[before]], after[use[before]],
-        between[use[before]], step, n_nodes, use,
+        between[0, use[before]], step, n_nodes, use,
     )  # fmt: skip
     back, beginning = _sweep(
         target, source, value, after[use[after]], before[use[after]],
-        between[use[after]], -step, n_nodes, use,
+        between[1, use[after]], -step, n_nodes, use,
     )  # fmt: skip
     return forward + back - value - ending[source] - beginning[target]
 

@@ -9,7 +9,7 @@ import numpy as np
 from astropy.table import QTable
 
 from astro_scc.config.settings import require
-from astro_scc.decomposition import SSPs
+from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs import EpochCube, beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics import table_in_c
 from astro_scc.quantities import named, to_quantity
@@ -25,12 +25,40 @@ from astro_scc.tracking.tables import (
     track_table,
 )
 
-__all__ = ["Tracking"]
+__all__ = ["Tracking", "mean_fwhm"]
 
 #: Positions are not known better than to this part of a beam (Lister et al. 2009).
 POSITION_FLOOR = 0.05
 #: Tracks of so many epochs get an accelerated fit.
 ACCELERATED_EPOCHS = 10
+
+
+def mean_fwhm(cube, scales):
+    """
+    Size of the resolution, the mean beam or twice the middle scale.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    scales : sequence of float
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+        In mas.
+
+    Examples
+    --------
+    >>> from astro_scc.simulation import simulate_static
+    >>> from astro_scc.tracking import mean_fwhm
+    >>> mean_fwhm(simulate_static(n_epochs=2, rng=1).cube, [1, 2])
+    <Quantity 1. mas>
+    """
+    if cube.beams is None:
+        middle = np.exp(np.mean(np.log([scale_size(s) for s in scales])))
+        return 2 * middle * cube.pixel_scale
+    areas = [(b.major * b.minor).to_value(u.mas**2) for b in cube.beams]
+    return np.sqrt(np.mean(areas)) * u.mas
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -119,6 +147,11 @@ class Tracking:
                 decimals=max(0, int(np.ceil(-np.log10(scale)))),
             )
         )
+
+    @cached_property
+    def fwhm(self):
+        """Size of the resolution in mas, see `mean_fwhm`."""
+        return mean_fwhm(self.cube, np.unique(self.ssps.scale))
 
     @cached_property
     def offsets(self):

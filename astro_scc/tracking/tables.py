@@ -51,7 +51,7 @@ COLUMNS = (
     ("pm_dot_transverse", PM_DOT_UNIT, "acceleration to larger position angles"),
     ("pm_dot_transverse_err", PM_DOT_UNIT, "standard error of pm_dot_transverse"),
     ("accelerated", bool, "an acceleration of three standard errors or more"),
-    ("t_ej", u.yr, "Julian year at which the feature was at the reference pixel"),
+    ("t_ej", u.yr, "Julian year at which the feature passed the reference pixel"),
     ("t_ej_err", u.yr, "standard error of t_ej"),
     ("coefficient", float, "mean correlation of its links"),
     ("gain", float, "mean log-likelihood by which its links better no link"),
@@ -91,7 +91,7 @@ def motion_row(tracking, number):
     (x, vx), (y, vy) = fit.coefficients
     speed_err, angle_err = speed_errors(fit)
     parallel, transverse, accelerated = _acceleration(tracking, number)
-    epoch, epoch_err = ejection_epoch(fit, accelerated=accelerated)
+    epoch, epoch_err = ejection_epoch(fit, tracking.fwhm.value, accelerated=accelerated)
     is_link = (links.kind == "link") & np.isin(links.source, own)
     is_link &= np.isin(links.target, own)
     into = np.isin(links.target, own) & (links.kind == "merge")
@@ -102,7 +102,7 @@ def motion_row(tracking, number):
         "n_epochs": len(own),
         "first": epochs[0],
         "last": epochs[-1],
-        "n_gaps": int(links.gap[is_link].sum()),
+        "n_gaps": int(epochs[-1] - epochs[0] + 1 - len(own)),
         "flux": np.median(ssps.flux[own]),
         "r": np.mean(np.hypot(east, north)),
         "pa": _angle(east.mean(), north.mean()),
@@ -237,13 +237,9 @@ def feature_table(tracking):
     velocity = np.array(
         [fit.coefficients[:, 1] for fit in tracking.fits], dtype=float
     ).reshape(-1, 2)
-    links = tracking.links
-    is_link = links.kind == "link"
-    gap = np.full(len(ssps), -1)
-    gap[links.target[is_link]] = links.gap[is_link]
-    first = np.ones(len(own), bool)
-    first[1:] = track[1:] != track[:-1]
-    kind = np.where(first, "first", np.where(gap[own] > 0, "gap", "link"))
+    first = np.diff(track, prepend=-1) != 0
+    after = np.diff(ssps.epoch[own], prepend=0)
+    kind = np.where(first, "first", np.where(after > 1, "gap", "link"))
     names = np.array(tracking.names, dtype="U64")
     table = QTable(
         {

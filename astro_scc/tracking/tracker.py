@@ -8,18 +8,18 @@ import numpy as np
 
 from astro_scc.config.settings import require
 from astro_scc.correlation import Correlator, Matches, landing_ssps
-from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.ssp import require_ssps
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.progress import progress
-from astro_scc.tracking.candidates import find_candidates
+from astro_scc.tracking.candidates import core_ssps, find_candidates
 from astro_scc.tracking.chains import chain
 from astro_scc.tracking.confidence import linked_counts, linked_share, shuffled_orders
 from astro_scc.tracking.evidence import Evidence
 from astro_scc.tracking.linking import link
 from astro_scc.tracking.nesting import parents
-from astro_scc.tracking.result import Tracking
+from astro_scc.tracking.result import Tracking, mean_fwhm
 
 __all__ = ["FeatureTracker"]
 
@@ -132,26 +132,6 @@ class FeatureTracker:
         """
         return asdict(self)
 
-    def fwhm(self, cube, scales):
-        """
-        Size of the resolution, the mean beam or twice the middle scale.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-        scales : sequence of float
-
-        Returns
-        -------
-        `~astropy.units.Quantity`
-            In mas.
-        """
-        if cube.beams is None:
-            middle = np.exp(np.mean(np.log([scale_size(s) for s in scales])))
-            return 2 * middle * cube.pixel_scale
-        areas = [(b.major * b.minor).to_value(u.mas**2) for b in cube.beams]
-        return np.sqrt(np.mean(areas)) * u.mas
-
     def speed_limit(self, cube, scales):
         """
         The largest speed that is searched.
@@ -179,7 +159,7 @@ class FeatureTracker:
             )
         if self.max_speed is not None:
             return self.max_speed
-        fwhm = self.fwhm(cube, scales).value
+        fwhm = mean_fwhm(cube, scales).value
         return BEAMS_PER_INTERVAL * fwhm / np.median(steps[steps > 0]) * PM_UNIT
 
     def pairs(self, cube, *, orders=()):
@@ -242,7 +222,7 @@ class FeatureTracker:
         """
         pairs, interval = self.pairs(cube, orders=orders)
         scales = decompositions[0].scales
-        margin = (MARGIN + 1) * self.tolerance * self.fwhm(cube, scales)
+        margin = (MARGIN + 1) * self.tolerance * mean_fwhm(cube, scales)
         margin = float(margin / cube.pixel_scale)
         reach = self._fastest(cube, scales) * interval[:, None] + margin
         reach = np.array(WINDOWS)[np.searchsorted(WINDOWS[:-1], reach)]
@@ -300,7 +280,7 @@ class FeatureTracker:
         sky = np.stack([candidates.dx, candidates.dy], axis=1) @ matrix.T
         moved = np.einsum("nai,ni->na", axes, sky)
         limit = self.speed_limit(cube, scales).value
-        spare = MARGIN * self.tolerance * self.fwhm(cube, scales).value
+        spare = MARGIN * self.tolerance * mean_fwhm(cube, scales).value
         time = candidates.interval
         inside = np.ones(len(candidates), bool)
         for k, ends in enumerate((self.along, self.across)):
@@ -335,7 +315,8 @@ class FeatureTracker:
         Parameters
         ----------
         cube : `~astro_scc.epochs.EpochCube`
-            Aligned; distances are from its reference pixel.
+            Aligned; distances are from its reference pixel, and what stands
+            there is the core, see `core_ssps`.
         decompositions : sequence of `~astro_scc.decomposition.Decomposition`
             One an epoch.
         matches : `~astro_scc.correlation.Matches`, optional
@@ -394,30 +375,35 @@ class FeatureTracker:
         landed = np.where((landed >= 0) & select[landed], landed, -1)
         parent = parents(ssps, cube.shape[2])
         years = cube.years.to_value(u.yr)
-        fwhm = self.fwhm(cube, scales) / cube.pixel_scale
+        fwhm = mean_fwhm(cube, scales) / cube.pixel_scale
         evidence = Evidence(tolerance=self.tolerance * float(fwhm))
 
-        def links_of(place):
+        core = core_ssps(ssps, cube)
+
+        def inside(found):
+            # Nothing jumps into the core or out of it.
+            same = core[found.source] == core[found.target]
+            return same & self._inside(found, ssps, cube, scales)
+
+        def tracks_of(place):
             candidates = find_candidates(
                 matches, landed, ssps, years, place=place, max_gap=self.max_gap,
-                inside=lambda found: self._inside(found, ssps, cube, scales),
+                inside=inside,
             )  # fmt: skip
-            return link(candidates, ssps, parent=parent, place=place, evidence=evidence)
-
-        def counts_of(links, track, place):
-            return linked_counts(
+            links = link(
+                candidates, ssps, parent=parent, place=place, evidence=evidence
+            )
+            track = chain(links, len(ssps), min_epochs=self.min_epochs, one=core)
+            counts = linked_counts(
                 links, ssps, scales, len(cube), track=track, select=select, place=place
             )
+            return links, track, counts
 
-        links = links_of(np.arange(len(cube)))
-        track = chain(links, len(ssps), min_epochs=self.min_epochs)
-        counts = counts_of(links, track, None)
+        links, track, counts = tracks_of(np.arange(len(cube)))
         trials = []
         with progress(n_trials, "Shuffling", show=progress_bar) as done:
             for place in orders:
-                found = links_of(place)
-                own = chain(found, len(ssps), min_epochs=self.min_epochs)
-                trials.append(counts_of(found, own, place))
+                trials.append(tracks_of(place)[2])
                 done(1)
         return Tracking(
             cube=cube,

@@ -1,11 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Candidates, against loops."""
 
+from dataclasses import replace
+
+import astropy.units as u
 import numpy as np
 import pytest
 
+from astro_scc import Beam
 from astro_scc.correlation import Matches
-from astro_scc.tracking import find_candidates
+from astro_scc.simulation import simulate_static
+from astro_scc.tracking import Links, chain, core_ssps, find_candidates
 
 
 def random_matches(rng, ssps, n):
@@ -77,3 +82,58 @@ def test_what_makes_no_sense_is_refused(ssps):
         find_candidates(matches, landed, ssps, np.arange(4.0), most=0)
     with pytest.raises(ValueError, match="dates of the epochs must not decrease"):
         find_candidates(matches, landed, ssps, [1.0, 0, 2, 3])
+
+
+# -- the core ----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cube():
+    """Six epochs with the reference pixel at (20, 64) and a beam of ten pixels."""
+    return simulate_static(n_epochs=6, rng=1).cube
+
+
+def rows_at(places):
+    """A pattern an epoch, at (x, y) from the reference pixel."""
+    return [
+        [k, 64 + y, 20 + x, 1.0] for k, (x, y) in enumerate(places) if x is not None
+    ]
+
+
+def test_the_core_is_the_nearest_within_half_a_beam(catalogue, cube):
+    near = rows_at([(0, 0), (4.9, 0), (0, -4.9), (5.1, 0), (-3, -3), (None, None)])
+    beside = rows_at([(4, 0), (0, 0), (4.9, 0.5), (9, 9), (30, 0), (4, 4)])
+    ssps = catalogue(near + beside)
+    wanted = [0, -1, 0, -1, 0, -1, 0, -1, -1, -1, -1]
+    assert core_ssps(ssps, cube).tolist() == wanted
+
+
+def test_what_is_near_at_few_epochs_is_no_core(catalogue, cube):
+    passing = rows_at([(-6, 0), (-2, 0), (2, 0), (6, 0), (10, 0), (14, 0)])
+    standing = rows_at([(1, 0), (0, 1), (1, 1), (7, 0), (8, 0), (9, 0)])
+    ssps = catalogue(passing + standing, scale=[1.0] * 6 + [2.0] * 6)
+    assert core_ssps(ssps, cube).tolist() == [-1] * 6 + [1] * 3 + [-1] * 3
+    assert len(core_ssps(ssps.empty(), cube)) == 0
+
+
+def test_half_of_a_long_beam_reaches_farther_along_it(catalogue, cube):
+    beam = Beam(2 * u.mas, 0.5 * u.mas, 0 * u.deg)
+    cube = replace(cube, beams=(beam,) * 6)
+    north, west = rows_at([(0, 9)] * 6), rows_at([(3, 0)] * 6)
+    assert np.all(core_ssps(catalogue(north), cube) == 0)
+    assert np.all(core_ssps(catalogue(west), cube) == -1)
+    # Without a beam twice the scale, 8 pixels on scale 2.
+    plain = replace(cube, beams=None)
+    assert np.all(core_ssps(catalogue(west, scale=2.0), plain) == 0)
+    assert np.all(core_ssps(catalogue(north, scale=2.0), plain) == -1)
+
+
+def test_pieces_of_one_feature_make_one_track():
+    source, target = np.array([0, 3, 5, 1, 7]), np.array([2, 4, 6, 8, 9])
+    links = Links(source, target, np.full(5, "link"), *(np.zeros(5) for _ in range(4)))
+    one = np.array([0, -1, 0, 0, 0, 1, 1, 1, -1, 1, 0])
+    # SSP 10 has no link at all.
+    wanted = [0, 1, 0, 0, 0, 2, 2, 2, 1, 2, -1]
+    assert chain(links, 11, min_epochs=2, one=one).tolist() == wanted
+    wanted = [0, -1, 0, 0, 0, 1, 1, 1, -1, 1, -1]
+    assert chain(links, 11, min_epochs=4, one=one).tolist() == wanted

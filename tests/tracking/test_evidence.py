@@ -19,25 +19,59 @@ def candidates_of(ssps, pairs, coefficient=1.0):
 
 
 def test_looks_are_ratios_of_densities(catalogue):
-    ssps = catalogue([[0, 10, 10, 1.0], [1, 10, 14, 1.3], [3, 10, 20, 0.9]])
-    found = Evidence().looks(candidates_of(ssps, [(0, 1), (1, 2)], 0.8), ssps)
-    for value, ratio, gap in zip(found, (np.log(1.3), np.log(0.9 / 1.3)), (0, 1),
-                                 strict=True):  # fmt: skip
-        shape = stats.expon.logpdf(0.2, scale=0.06) - stats.expon.logpdf(
-            0.2, scale=0.15
-        )
-        light = stats.cauchy.logpdf(ratio, scale=0.15) - stats.norm.logpdf(ratio)
-        assert value == pytest.approx(shape + light - 2.0 * gap)
+    # On one scale a core, a hundred times the others; what is on another is no matter.
+    peak = np.array([100.0, 1.0, 1.3, 0.9, 110.0, 2.0])
+    rows = np.column_stack([[0, 0, 1, 3, 3, 3], np.full(6, 10), 9 * np.arange(6), peak])
+    ssps = catalogue(rows, scale=[1, 1, 1, 1, 1, 2])
+    pairs = [(0, 4), (0, 2), (1, 2), (2, 3)]
+    found = Evidence().looks(candidates_of(ssps, pairs, 0.8), ssps)
+    same = stats.cauchy(scale=0.15)
+    of_scale = np.log(peak[:5])
+    shape = stats.expon.logpdf(0.2, scale=0.06) - stats.expon.logpdf(0.2, scale=0.15)
+    for (i, k), value in zip(pairs, found, strict=True):
+        ratio = np.log(peak[k] / peak[i])
+        chance = same.pdf(ratio - (of_scale[:, None] - of_scale)).mean()
+        gap = ssps.epoch[k] - ssps.epoch[i] - 1
+        wanted = shape + same.logpdf(ratio) - np.log(chance) - 2.0 * gap
+        # The ratios are counted in bins of a quarter of the half width.
+        assert value == pytest.approx(wanted, abs=0.1)
+
+
+def test_a_core_does_not_become_what_is_hundreds_of_times_fainter(catalogue):
+    peak = np.tile([1.0, 0.01, 0.003, 0.002], 5)
+    rows = np.column_stack([np.repeat(np.arange(5), 4), np.zeros((20, 2)), peak])
+    ssps = catalogue(rows + [0, 50, 50, 0])
+    looks = Evidence().looks(candidates_of(ssps, [(0, k) for k in (4, 5, 6, 7)]), ssps)
+    assert looks[0] > 1
+    assert np.all(looks[1:] < -3)
 
 
 def test_steadiness_is_a_ratio_of_densities():
-    step = np.array([[[3.0, 1.0]], [[7.0, 1.5]]])
-    interval = np.array([[1.0], [2.0]])
-    found = Evidence(tolerance=1.5).steadiness(step, interval, np.array([0.01]))
+    # Two displacements in a row: the velocity of the first is that of the track.
+    step, interval = np.array([[3.0, 1.0], [7.0, 1.5]]), np.array([1.0, 2.0])
+    found = Evidence(tolerance=1.5).steadiness(
+        step[1:], interval[1:], step[:1] / interval[0], interval[:1] ** 2,
+        np.array([0.01]),
+    )  # fmt: skip
     normal = stats.multivariate_normal([6.0, 2.0], 1.5**2 * (1 + 4))
     assert found == pytest.approx(normal.logpdf([7.0, 1.5]) - np.log(0.01))
-    far = Evidence(floor=-3.0).steadiness(100 * step, interval, np.array([0.01]))
-    assert far == pytest.approx(-3.0)
+
+
+def test_steadiness_knows_the_error_of_a_mean_velocity():
+    # Of many tracks of uneven intervals the next displacement is as far from the
+    # weighted mean as the variance says.
+    rng, interval = np.random.default_rng(1), np.array([0.3, 1.0, 0.5, 2.0])
+    steps = rng.normal(0, 1.5, (4000, 4, 2))
+    weight = np.sum(interval[:3] ** 2)
+    mean = np.einsum("nki,k->ni", steps[:, :3], interval[:3]) / weight
+    away = steps[:, 3] - interval[3] * mean
+    variance = 1.5**2 * (1 + interval[3] ** 2 / weight)
+    assert np.var(away) == pytest.approx(variance, rel=0.05)
+    value = Evidence(tolerance=1.5).steadiness(
+        steps[:1, 3], interval[3:], mean[:1], np.array([weight]), np.ones(1)
+    )
+    normal = stats.multivariate_normal(np.zeros(2), variance)
+    assert value == pytest.approx(normal.logpdf(away[0]))
 
 
 def test_guidance_helps_where_it_agrees_and_never_forbids():
@@ -51,10 +85,9 @@ def test_guidance_helps_where_it_agrees_and_never_forbids():
     ("setting", "message"),
     [
         ({"tolerance": 0}, "tolerance must be above 0"),
-        ({"diversity": -1}, "diversity must be above 0"),
+        ({"variability": -1}, "variability must be above 0"),
         ({"follow": 1.0}, "follow must be 0 or more, below 1"),
         ({"missing": -1}, "missing must be 0 or more"),
-        ({"floor": 1}, "floor 0 or less"),
     ],
 )
 def test_what_makes_no_sense_is_refused(setting, message):

@@ -104,7 +104,7 @@ def radial_fit(*, turn=0.0, speed=0.3, noise=0.01):
 
 
 def test_a_radial_feature_was_at_the_core():
-    epoch, error = ejection_epoch(radial_fit())
+    epoch, error = ejection_epoch(radial_fit(), 0.5)
     assert epoch == pytest.approx(1997.5)
     assert 0 < error < 0.2
 
@@ -113,9 +113,10 @@ def test_the_error_of_the_epoch_is_that_of_trials():
     rng = np.random.default_rng(5)
     time = np.arange(2000.0, 2008.0)
     exact = np.stack([0.3 * (time - 1997.5), 0.2 * (time - 1997.5)])
+    error = np.full((2, 8), 0.02)
     found = [
         ejection_epoch(
-            fit_motion(time, exact + rng.normal(0, 0.02, (2, 8)), np.full((2, 8), 0.02))
+            fit_motion(time, exact + rng.normal(0, 0.02, (2, 8)), error), 0.5
         )
         for _ in range(150)
     ]
@@ -134,13 +135,27 @@ def test_the_error_of_the_epoch_is_that_of_trials():
     ],
 )
 def test_there_is_no_epoch_without_radial_steady_motion(fit, accelerated):
-    assert ejection_epoch(fit, accelerated=accelerated) == (None, None)
+    assert ejection_epoch(fit, 0.5, accelerated=accelerated) == (None, None)
+
+
+@pytest.mark.parametrize("beam", [0.3, 0.7, 1.2, 3.0])
+def test_a_line_that_misses_the_core_by_more_than_a_beam_has_no_epoch(beam):
+    # To the north at 6 to 9 mas, and 1 mas beside the core: 8 degrees off the radius.
+    time = np.arange(2000.0, 2008.0)
+    for side in (-1, 1):
+        position = np.stack([np.full(8, side * 1.0), 6 + 0.4 * (time - 2000)])
+        fit = fit_motion(time, position, np.full((2, 8), 0.01))
+        epoch, _ = ejection_epoch(fit, beam)
+        if beam < 1:
+            assert epoch is None
+        else:
+            assert epoch == pytest.approx(1985)
 
 
 def test_a_feature_on_the_core_has_no_epoch():
     time = np.arange(-3.0, 4.0)
     fit = fit_motion(time, [0.3 * time, 0 * time], np.full((2, 7), 0.01))
-    assert ejection_epoch(fit) == (None, None)
+    assert ejection_epoch(fit, 0.5) == (None, None)
 
 
 def test_a_feature_at_rest_has_any_direction():

@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Links of features whose motions are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,19 @@ def test_streams_of_two_speeds_are_told_apart(catalogue, seed):
     assert np.array_equal(feature[links.source], feature[links.target])
     assert np.all(links.gap == 0)
     assert set(links.kind) == {"link"}
+
+
+@pytest.mark.parametrize(("x", "linked"), [(124, True), (112, False)])
+def test_a_track_foretells_more_than_its_last_step(catalogue, x, linked):
+    # Steady, but for a last step that is too short; then eight times the interval.
+    # The mean velocity leads to 124, the last step to 112.
+    rows = [[t, 50, 50 + 4.0 * t, 1] for t in range(12)]
+    rows[11][2] -= 1.5
+    ssps = catalogue([*rows, [12, 50, x, 1]])
+    pairs = everything(ssps, most=60.0, max_gap=0)
+    pairs = replace(pairs, interval=np.where(ssps.epoch[pairs.target] == 12, 8.0, 1.0))
+    found = link(pairs, ssps, evidence=Evidence(tolerance=1.0))
+    assert list(found.source) == list(range(12 if linked else 11))
 
 
 def test_a_feature_that_is_missing_at_a_date_is_taken_up_again(catalogue):

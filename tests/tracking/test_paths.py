@@ -55,7 +55,9 @@ def test_gains_are_those_of_all_paths(seed):
         zip(zip(transitions.before.tolist(), transitions.after.tolist(), strict=True),
             values, strict=True)
     )  # fmt: skip
-    gains = link_gains(source, target, value, transitions, values, step, 7, use=use)
+    gains = link_gains(
+        source, target, value, transitions, np.stack([values, values]), step, 7, use=use
+    )
     assert gains == pytest.approx(slow_gains(source, target, value, between, use))
 
 
@@ -71,5 +73,6 @@ def test_no_candidates_no_gains():
     none = np.empty(0, dtype=int)
     found = Transitions.of(none, none, 3)
     assert len(found.before) == 0
-    gains = link_gains(none, none, np.empty(0), found, np.empty(0), np.arange(3), 3)
+    between = np.empty((2, 0))
+    gains = link_gains(none, none, np.empty(0), found, between, np.arange(3), 3)
     assert len(gains) == 0

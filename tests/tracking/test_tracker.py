@@ -13,6 +13,7 @@ from astropy.time import Time
 from astro_scc import Beam, EpochCube
 from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.decomposition import Decomposer
+from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import paper_cosmology
 from astro_scc.tracking import FeatureTracker, plain_table
 
@@ -160,6 +161,75 @@ def test_a_missing_feature_is_a_gap(tracker):
     assert np.sum(tracking.features["link"] == "gap") == 2
     apart = FeatureTracker(max_speed=1.5 * PM, max_gap=0)(cube, decompositions)
     assert np.sum(apart.tracks["pm"].value > 0.5) == 4
+
+
+@cache
+def core_jet(dark=()):
+    """A core, one feature that fades, and flashes that are seen at one date each."""
+    years = np.array([0, 0.7, 1.0, 1.5, 2.2, 2.4, 3.0, 4.3, 5.2, 7.4])
+    y, x = np.mgrid[:96, :160]
+    images = np.random.default_rng(2).normal(0, 2e-3, (10, 96, 160))
+    for k, t in enumerate(years):
+        at = [(20, 48, 0 if k in dark else 30.0), (34 + 6 * t, 48, 0.2 * 0.8**t)]
+        if k in (3, 6, 8):
+            at.append((70 + 3 * k, 50 + k, 0.05))
+        for x0, y0, peak in at:
+            images[k] += peak * np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / 24.5)
+    cube = EpochCube.from_arrays(
+        images, Time(2000.0 + years, format="jyear"), pixel_scale=0.1 * u.mas,
+        unit=u.Jy / u.beam, reference_pixel=(20, 48),
+        beams=Beam(0.82 * u.mas, 0.82 * u.mas),
+    )  # fmt: skip
+    return cube, [Decomposer(scales=[1, 2], detection=5)(d) for d in cube.data]
+
+
+def test_the_core_is_one_track_and_nothing_jumps_into_it():
+    tracking = FeatureTracker()(*core_jet())
+    tracks = tracking.tracks
+    assert np.sum(tracks["r"].value < 0.1) == 2
+    for number in range(tracking.n_tracks):
+        r = np.hypot(*tracking.offsets[:, tracking.members(number)])
+        assert len(r) == 10 if r[0] < 0.5 else len(r) >= 6
+        assert np.all(r < 0.1) or np.all(r > 1)
+    moving = tracks[tracks["r"].value > 1]
+    assert len(moving) == 2
+    assert moving["pm"].value == pytest.approx([0.6, 0.6], abs=0.03)
+    assert tracks["pm"][tracks["r"].value < 0.1].value == pytest.approx(0, abs=0.01)
+    assert np.all(tracks["t_ej"].mask[tracks["r"].value < 0.1])
+
+
+def test_the_core_is_one_track_however_long_it_is_not_seen():
+    tracking = FeatureTracker(max_gap=1)(*core_jet(dark=(3, 4, 5)))
+    core = tracking.tracks[tracking.tracks["r"].value < 0.1]
+    assert core["n_epochs"].tolist() == [7, 7]
+    assert core["n_gaps"].tolist() == [3, 3]
+    features = tracking.features
+    own = features[features["track"] == core["track"][0]]
+    assert own["link"].tolist() == ["first", *["link"] * 2, "gap", *["link"] * 3]
+
+
+def test_features_of_0003_380_are_those_of_the_survey(shared_data):
+    cube = EpochCube.read(str(shared_data / "0003+380" / "*.fits"))
+    with pytest.warns(MeasurementWarning, match="the core is blended with the jet"):
+        cube = cube.to_common_beam().align("core")
+    decompositions = [Decomposer(scales=[1, 2])(d) for d in cube.data]
+    tracking = FeatureTracker()(cube, decompositions)
+    tracks = tracking.tracks
+    speed, error = tracks["pm"].value, tracks["pm_err"].value
+    core = tracks["r"].value < 0.5
+    # Nothing within a beam of the core moves: 0.003 and 0.013 mas/yr in the survey.
+    assert tracks["n_epochs"][core].tolist() == [10, 10]
+    assert np.all(speed[core] < 0.02)
+    for number in np.flatnonzero(core):
+        assert np.hypot(*tracking.offsets[:, tracking.members(number)]).max() < 0.2
+    # One feature at 1.8 mas, 0.316 +- 0.026 mas/yr to 120 degrees.
+    near = (np.abs(tracks["r"].value - 1.8) < 0.3) & (tracks["n_epochs"] >= 4)
+    assert np.sum(near) == 2
+    assert np.all(np.abs(speed[near] - 0.316) < np.hypot(error[near], 0.026))
+    assert np.all(np.abs(tracks["pm_pa"][near].value - 120) < 10)
+    # And nothing faster, or inwards.
+    assert np.all(speed < 0.5)
+    assert np.all((tracks["turn"].value < 30) | core)
 
 
 def test_names_stay_when_epochs_are_added(tracker, tracking):
