@@ -124,7 +124,11 @@ def test_no_code_runs_other_code(path):
             for keyword in node.keywords:
                 if keyword.arg in ("allow_pickle", "shell"):
                     assert getattr(keyword.value, "value", None) is False
-        names = [alias.name for alias in getattr(node, "names", []) if alias.name]
+        names = [
+            alias.name
+            for alias in getattr(node, "names", [])
+            if isinstance(alias, ast.alias)
+        ]
         if isinstance(node, ast.ImportFrom):
             names = [node.module or ""]
         if isinstance(node, ast.Import | ast.ImportFrom):
