@@ -761,7 +761,9 @@ def test_one_call_gives_the_table(cube, result):
     same_tables(table, result.components)
 
 
-def test_progress_is_shown_when_asked_for(cube, capsys):
+def test_progress_is_shown_when_asked_for(cube, capsys, monkeypatch):
+    # Without a terminal there is a line every half minute only.
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     make_scc()(cube, n_trials=20, rng=1, progress_bar=True)
     shown = capsys.readouterr()
     assert shown.out == ""
