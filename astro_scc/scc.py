@@ -23,6 +23,7 @@ from astro_scc.measurement.decomposing import (
     LazyDecompositions,
     allow_for_structure,
     decompose_epochs,
+    refuse_too_much,
 )
 from astro_scc.measurement.plan import (
     largest_speed,
@@ -280,6 +281,9 @@ class StackedCrossCorrelation:
         ------
         ValueError
             If the beams of the epochs differ and ``common_beam`` is True.
+        MemoryError
+            If this machine has less memory than the work takes, by an
+            estimate.
 
         Warns
         -----
@@ -307,8 +311,11 @@ class StackedCrossCorrelation:
                 return matched
             blocks = cache.blocks()
         with workers_of(n_workers) as workers:
+            refuse_too_much(cube, decomposer, workers)
             decompositions = decompose_epochs(cube, decomposer, n_workers=workers)
             ssps, select = ssps_inside(decompositions, cube, inside)
+            windows = int(np.sum(select)) * (len(cube) - 1)
+            refuse_too_much(cube, decomposer, workers, n_windows=windows)
             with progress(len(cube), "Correlating", show=progress_bar) as done:
                 matches = correlator(
                     decompositions,

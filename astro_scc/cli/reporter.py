@@ -31,7 +31,7 @@ def one_line(error):
     text = str(error)
     if isinstance(error, OSError) and error.strerror and error.filename is not None:
         text = f"{error.filename}: {error.strerror}"
-    elif isinstance(error, MemoryError):
+    elif isinstance(error, MemoryError) and "this machine has" not in text:
         text = f"not enough memory; --crop reads a part of the images ({text})"
     return " ".join(text.split()) or type(error).__name__
 

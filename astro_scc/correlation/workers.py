@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Work in several processes, of this machine or of a cluster."""
 
+import math
 import multiprocessing
 import os
 import signal
@@ -8,9 +9,10 @@ import threading
 from collections import deque
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import wait as wait_for
 from numbers import Integral
+from pathlib import Path
 
 from astro_scc.correlation.cluster import (
     is_client,
@@ -19,17 +21,47 @@ from astro_scc.correlation.cluster import (
     result_of,
 )
 
-__all__ = ["as_done", "in_order", "workers_of"]
+__all__ = ["as_done", "in_order", "machine_memory", "workers_of"]
 
 #: Pieces that wait for each worker; bounds memory, and how long an
 #: interrupted run takes to end.
 WAITING = 2
 
+#: Limits of containers and of the jobs of batch systems.
+CONTROL_GROUPS = (
+    "/sys/fs/cgroup/memory.max",
+    "/sys/fs/cgroup/memory/memory.limit_in_bytes",
+)
 DIED = (
     "a worker process died: stopped by the system for want of memory (fewer workers "
     "take less), or it cannot import what it works with, as in a script that does not "
     "begin its work under if __name__ == '__main__'"
 )
+
+
+def machine_memory():
+    """
+    Memory that this process may take, in bytes.
+
+    Returns
+    -------
+    float
+        That of the machine, or of the container or job if these have less;
+        infinite where the system does not say.
+    """
+    limits = [math.inf]
+    with suppress(AttributeError, ValueError, OSError):
+        limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    for name in CONTROL_GROUPS:
+        # "max" where there is no limit.
+        with suppress(ValueError, OSError):
+            limits.append(int(Path(name).read_text(encoding="ascii")))
+    with suppress(ImportError):
+        import resource
+
+        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+        limits.append(math.inf if limit == resource.RLIM_INFINITY else limit)
+    return min(limits)
 
 
 def _start():

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from astro_scc.correlation.correlator import STACK_BYTES
 from astro_scc.correlation.workers import in_order
 from astro_scc.decomposition import Decomposer
 from astro_scc.exceptions import MeasurementWarning
@@ -16,8 +17,20 @@ __all__ = [
     "allow_for_structure",
     "decompose_epochs",
     "noise_facts",
+    "refuse_too_much",
+    "working_memory",
 ]
 
+#: Bytes of this package with the libraries that it works with, in each process.
+LIBRARIES = 250e6
+#: Bytes of maps that a stack keeps, and what is made of them, at most.
+STACK = 500e6
+#: Bytes of what comes from one window, on average: matches and displacements.
+WINDOW = 500.0
+#: Blocks of work that are in memory for each process.
+BLOCKS = 3
+#: Images in double precision, beside the planes, that a decomposition works with.
+IMAGES = 8
 #: So much of what looks like noise in one epoch must be in others too...
 SHARED = 0.5
 #: ... and so many times what noise has in common by chance.  The largest of a noise's
@@ -81,6 +94,72 @@ def allow_for_structure(cube, decomposer):
         stacklevel=4,
     )
     return replace(decomposer, noise_factors=tuple(np.sqrt(1 - share).tolist()))
+
+
+def working_memory(cube, decomposer, n_workers, *, n_windows=0):
+    """
+    About how many bytes a measurement takes on this machine.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+    n_workers : int, str or `dask.distributed.Client`
+        The workers of a scheduler are taken to be elsewhere.
+    n_windows : int, optional
+        SSPs times epochs that each is correlated with.
+
+    Returns
+    -------
+    float
+    """
+    n, pixels = len(cube), float(np.prod(cube.shape[1:]))
+    scales = len(decomposer.scales)
+    images = cube.data.nbytes + cube.mask.nbytes
+    planes = 4 * n * scales * pixels
+    if decomposer.noise == "local":
+        planes *= 3
+    processes = n_workers if isinstance(n_workers, int) else 0
+    work = planes + processes * 8 * (scales + IMAGES) * pixels
+    if processes > 1:
+        work += processes * (LIBRARIES + BLOCKS * min(STACK_BYTES, planes))
+    return LIBRARIES + images + WINDOW * n_windows + max(work, STACK)
+
+
+def refuse_too_much(cube, decomposer, n_workers, *, n_windows=0):
+    """
+    Refuse what the machine cannot hold, before it comes to a standstill.
+
+    Parameters
+    ----------
+    cube, decomposer, n_workers, n_windows
+        See `working_memory`.
+
+    Raises
+    ------
+    MemoryError
+        If it is more than the machine has.
+    """
+    from astro_scc.correlation.workers import machine_memory
+
+    need = working_memory(cube, decomposer, n_workers, n_windows=n_windows)
+    have = machine_memory()
+    if need <= have:
+        return
+    ny, nx = cube.shape[1:]
+    what = f"{len(cube)} epochs of {nx} x {ny} pixels"
+    what += f" on {len(decomposer.scales)} scales"
+    less = "a part of the images (--crop), fewer scales"
+    if n_windows:
+        what += f" with {n_windows:.2g} windows of SSPs"
+        less += ", a region"
+    workers = n_workers if isinstance(n_workers, int) else 0
+    with_workers = f" with {workers} workers" if workers > 1 else ""
+    less += " or fewer workers" if workers > 1 else ""
+    raise MemoryError(
+        f"{what} take about {need / 1e9:.2g} GB{with_workers}, this machine has "
+        f"{have / 1e9:.2g}; {less} take less"
+    )
 
 
 def decompose_epochs(cube, decomposer, *, n_workers=1):

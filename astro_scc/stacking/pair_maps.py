@@ -252,6 +252,8 @@ class PairMaps:
                     total[trial] += stretch(
                         maps, rows[trial], here, flipped[trial], pairs.weight
                     )
+            # Before the next part is made.
+            del maps
         number = number_of_ssps(self.displacements, pairs, orders)
         total /= number[:, None, None]
         return total

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Work in other processes: the same, in order, and nothing left behind."""
 
+import math
 import multiprocessing
 import operator
 import os
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from astro_scc.correlation.workers import WAITING, in_order
+from astro_scc.correlation.workers import WAITING, in_order, machine_memory
 
 
 def test_in_this_process():
@@ -73,6 +74,27 @@ def test_workers_have_one_thread_each(context):
 def test_needs_a_worker(n_workers):
     with pytest.raises(ValueError, match="n_workers must be at least 1"):
         list(in_order(operator.neg, [1], n_workers))
+
+
+def test_memory_of_the_machine_and_of_a_job(monkeypatch, tmp_path):
+    resource = pytest.importorskip("resource")
+    whole = machine_memory()
+    assert 1e8 < whole < 1e15
+    names = [str(tmp_path / name) for name in ("v1", "v2", "none")]
+    (tmp_path / "v1").write_text("max\n")
+    (tmp_path / "v2").write_text("12345\n")
+    monkeypatch.setattr("astro_scc.correlation.workers.CONTROL_GROUPS", names[::2])
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY,) * 2)
+    assert machine_memory() >= whole
+    monkeypatch.setattr("astro_scc.correlation.workers.CONTROL_GROUPS", names)
+    assert machine_memory() == 12345
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1234, -1))
+    assert machine_memory() == 1234
+    # As on Windows.
+    monkeypatch.setattr("astro_scc.correlation.workers.CONTROL_GROUPS", ())
+    monkeypatch.setitem(sys.modules, "resource", None)
+    monkeypatch.delattr("os.sysconf")
+    assert machine_memory() == math.inf
 
 
 SCRIPT = """

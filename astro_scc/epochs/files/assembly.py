@@ -190,22 +190,16 @@ def _grid(path, time, hdu):
 
 def _refuse_too_many(shape, n):
     """Refuse what the machine cannot hold, before it comes to a standstill."""
+    from astro_scc.correlation.workers import machine_memory
+
     need = n * np.prod(shape, dtype=float) * BYTES
-    have = _memory()
+    have = machine_memory()
     if need > have:
         ny, nx = shape
         raise MemoryError(
             f"{n} images of {nx} x {ny} pixels are {need / 1e9:.3g} GB, this machine "
             f"has {have / 1e9:.3g}; read a region of them (region=, --crop)"
         )
-
-
-def _memory():
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        # Windows does not say.
-        return np.inf
 
 
 def cube_from_images(images, *, times, beams, frame, check):
