@@ -10,6 +10,7 @@ from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.correlation.workers import workers_of
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.ssp import require_ssps
+from astro_scc.epochs.alignment.misalignment import warn_of_misalignment
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.measurement import (
     MatchCache,
@@ -288,11 +289,13 @@ class StackedCrossCorrelation:
         Warns
         -----
         `~astro_scc.exceptions.MeasurementWarning`
-            If the file ``cache`` is there and cannot be used, or no SSP lies
-            in the region.
+            If the file ``cache`` is there and cannot be used, no SSP lies in
+            the region, structure fills the images, or the epochs lie on one
+            another to 0.2 beams or worse.
         """
         if self.common_beam:
             require_common_beam(cube)
+        warn_of_misalignment(cube)
         pairs = self.date_pairs(cube)
         reach = search_reach(
             cube, pairs, self._radius(cube), self._fwhm(cube), self._given_speed

@@ -3,7 +3,13 @@
 
 import math
 
-__all__ = ["component_lines", "profile_lines", "speed_lines", "table_lines"]
+__all__ = [
+    "component_lines",
+    "misalignment_text",
+    "profile_lines",
+    "speed_lines",
+    "table_lines",
+]
 
 # What stands beside the numbers of each kind of component.
 REMARKS = {"moving": "", "stationary": "stationary, no discovery"}
@@ -106,7 +112,7 @@ def component_lines(components):
             f"Not significant: {len(others)} of {len(components)} rows of "
             f"components.ecsv, {notes}"
         )
-    return [*lines, *speed_lines(components.meta)]
+    return [*lines, *speed_lines(components.meta), *_misalignment(components.meta)]
 
 
 def profile_lines(components):
@@ -144,8 +150,37 @@ def profile_lines(components):
         rows.append([*cells, str(row["n_ssp"]), REMARKS.get(kind, kind)])
     if not rows:
         return ["No velocity could be tested in any bin."]
-    how = speed_lines(components.meta)
+    how = [*speed_lines(components.meta), *_misalignment(components.meta)]
     return [*table_lines(head, rows), *PROFILE_EXPLANATION, *how]
+
+
+def _misalignment(meta):
+    scatter = meta.get("misalignment_beams")
+    return [] if scatter is None else [misalignment_text(scatter)]
+
+
+def misalignment_text(scatter):
+    """
+    How well epochs lie on one another, as a line.
+
+    Parameters
+    ----------
+    scatter : float or None
+        In beams, see `astro_scc.EpochCube.misalignment`.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> from astro_scc.cli.summary import misalignment_text
+    >>> misalignment_text(0.0312)
+    'The epochs lie on one another to 0.03 beams.'
+    """
+    if scatter is None:
+        return "How well the epochs lie on one another, the images do not tell."
+    return f"The epochs lie on one another to {scatter:.2f} beams."
 
 
 def speed_lines(meta):

@@ -211,6 +211,7 @@ def stack_matches(
             "seed": seed,
             "versions": versions(),
             "jet_position_angle": angle,
+            "misalignment_beams": cube.misalignment,
         },
     )
 
