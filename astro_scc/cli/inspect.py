@@ -136,9 +136,9 @@ def _alignment(cube, of_core):
 
     scatter = cube.misalignment
     lines = ["", misalignment_text(scatter)]
-    if max(scatter or 0, of_core if scatter is None else 0) < LARGEST:
+    if max(scatter or 0, of_core) < LARGEST:
         return lines
-    if scatter is None:
+    if of_core >= LARGEST:
         lines.append(f"The core as it is fitted scatters by {of_core:.2f} beams.")
     return [
         *lines,

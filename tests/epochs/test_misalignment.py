@@ -69,12 +69,10 @@ def test_an_alignment_mends_it(jet):
     assert misalignment(aligned) < 0.05
 
 
-@pytest.mark.parametrize("a_beam_in", [5, 12])
-def test_a_drift_of_everything_is_seen_by_the_core(jet, a_beam_in):
-    """As where the reference pixel is on a feature that moves."""
-    drift = 10 * np.arange(12) / a_beam_in
-    found = misalignment(shifted(jet, drift))
-    assert found == pytest.approx(np.std(drift) / 10, rel=0.2)
+def test_a_steady_drift_is_motion(jet):
+    drift = 12 * jet.years.value
+    assert np.std(drift) > 10
+    assert (misalignment(shifted(jet, drift)) or 0) < 0.1
 
 
 def test_brightness_that_goes_from_feature_to_feature_is_no_misalignment():

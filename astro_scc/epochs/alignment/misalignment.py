@@ -21,7 +21,7 @@ LARGEST = 0.2
 ENOUGH = 24
 #: The core is searched for in so many epochs and their neighbours, and believed if it
 #: agrees with them to so many beams.
-CORES, AGREE = 3, 0.05
+CORES, AGREE = 4, 0.05
 #: An epoch that resembles its neighbours less, once it lies on them, does not tell
 #: where it is: with a core they resemble one another by 0.97, without by 0.4 to 0.7.
 ALIKE = 0.9
@@ -46,10 +46,11 @@ def misalignment(cube):
     is the variance of the positions of epochs along an axis, d the
     displacements.
 
-    A drift of all that is seen cannot be told from motion so, nor where
-    epochs are that lie too far apart to resemble one another.  There the
-    core (`~astro_scc.epochs.core_positions`) tells, if it is found for
-    certain: if some epochs with its positions taken away lie on one another.
+    Epochs that lie too far apart do not resemble one another.  There the
+    core (`~astro_scc.epochs.core_positions`) tells in the same way, if it is
+    found for certain: if some epochs with its positions taken away lie on
+    one another.  A steady drift of all that is seen cannot be told from
+    motion and does not count.
 
     Parameters
     ----------
@@ -77,19 +78,22 @@ def misalignment(cube):
     if cube.beams is None or len(middle) == 0:
         return None
     width = np.mean([np.sqrt(b.major * b.minor).to_value(u.mas) for b in cube.beams])
-    beams = Neighbours(cube, years, cube.noise_rms().value, width)
-    scatter = beams.scatter(_spread(middle, ENOUGH))
+    epochs = _Neighbours(cube, years, cube.noise_rms().value, width)
+    scatter = epochs.scatter(_spread(middle, ENOUGH))
+    if scatter is not None:
+        return scatter
     some = _spread(middle, CORES)
-    epochs = np.unique([some - 1, some, some + 1])
+    every = np.unique([some - 1, some, some + 1])
     try:
-        found = core_positions(cube[epochs])
+        found = core_positions(cube[every])
     except ValueError:
-        return scatter
+        return None
     core = np.stack([found[name].to_value(u.mas) for name in ("east", "north")], axis=1)
-    certain = beams.scatter(some, dict(zip(epochs, core, strict=True)))
+    core = dict(zip(every, core, strict=True))
+    certain = epochs.scatter(some, core)
     if certain is None or certain > AGREE:
-        return scatter
-    return max(scatter or 0.0, float(np.sqrt(np.mean(core.var(axis=0))) / width))
+        return None
+    return epochs.scatter_of_positions(some, core)
 
 
 def _spread(values, most):
@@ -99,7 +103,7 @@ def _spread(values, most):
 
 
 @dataclass(frozen=True, eq=False)
-class Neighbours:
+class _Neighbours:
     """Epochs among their neighbours in time; ``width`` is that of the beam in mas."""
 
     cube: object
@@ -107,21 +111,35 @@ class Neighbours:
     noise: np.ndarray
     width: float
 
+    def weights(self, k):
+        """Of an epoch's neighbours, by time."""
+        t = self.years[k - 1 : k + 2]
+        return (t[2] - t[1]) / (t[2] - t[0]), (t[1] - t[0]) / (t[2] - t[0])
+
     def scatter(self, epochs, positions=None):
         """In beams, without positions in mas; None if most epochs do not tell."""
-        squares = []
+        told = {k: self._shift(k, positions) for k in epochs}
+        told = {k: shift for k, shift in told.items() if shift is not None}
+        return self.rms(told) if 2 * len(told) > len(epochs) else None
+
+    def scatter_of_positions(self, epochs, positions):
+        """In beams, of positions in mas about those of their neighbours."""
+        shifts = {}
         for k in epochs:
-            t = self.years[k - 1 : k + 2]
-            before = (t[2] - t[1]) / (t[2] - t[0])
-            shift = self._shift(k, before, positions)
-            if shift is not None:
-                weight = 1 + before**2 + (1 - before) ** 2
-                squares.append(np.mean(shift**2) / weight)
-        if 2 * len(squares) <= len(epochs):
-            return None
+            before, after = self.weights(k)
+            expected = before * positions[k - 1] + after * positions[k + 1]
+            shifts[k] = positions[k] - expected
+        return self.rms(shifts)
+
+    def rms(self, shifts):
+        """Of one epoch, of displacements from neighbours that scatter as much."""
+        squares = [
+            np.mean(shift**2) / (1 + np.sum(np.square(self.weights(k))))
+            for k, shift in shifts.items()
+        ]
         return float(np.sqrt(np.mean(squares)) / self.width)
 
-    def _shift(self, k, before, positions):
+    def _shift(self, k, positions):
         matrix = self.cube.pixel_matrix.to_value(u.mas)
         three = slice(k - 1, k + 2)
         images = list(map(fill_masked, self.cube.data[three], self.cube.mask[three]))
@@ -129,7 +147,8 @@ class Neighbours:
             for i, image in enumerate(images):
                 x, y = np.linalg.solve(matrix, positions[k - 1 + i])
                 images[i] = ndimage.shift(image, (-y, -x), order=3)
-        reference = before * images[0] + (1 - before) * images[2]
+        before, after = self.weights(k)
+        reference = before * images[0] + after * images[2]
         source = ~self.cube.mask[three].any(axis=0)
         source &= reference > SOURCE_SNR * self.noise[k]
         reach = self.width / np.sqrt(abs(np.linalg.det(matrix)))
