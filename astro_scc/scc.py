@@ -317,7 +317,7 @@ class StackedCrossCorrelation:
             refuse_too_much(cube, decomposer, workers)
             decompositions = decompose_epochs(cube, decomposer, n_workers=workers)
             ssps, select = ssps_inside(decompositions, cube, inside)
-            windows = int(np.sum(select)) * (len(cube) - 1)
+            windows = int(select.sum()) * (len(cube) - 1)
             refuse_too_much(cube, decomposer, workers, n_windows=windows)
             with progress(len(cube), "Correlating", show=progress_bar) as done:
                 matches = correlator(

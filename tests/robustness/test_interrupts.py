@@ -139,8 +139,6 @@ def contents_of_files(folder):
     return {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
 
 
-# The pool of processes may wait for ever for workers that a signal has ended.
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP])
 def test_workers_end_with_a_run_that_is_told_to(usual, tmp_path, how):
