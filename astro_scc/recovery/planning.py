@@ -133,8 +133,8 @@ def plan(
     the field,
 
     - "epochs": 2 / N! is above the level;
-    - "rest": v T < 2 b, the slower stream is not searched, as standing features
-      that blend drift, too (`~astro_scc.stacking.SearchSettings`);
+    - "rest": v T < b, the slower stream is not searched, as standing features
+      that blend drift, too (``slowest`` of `~astro_scc.stacking.SearchSettings`);
     - "field": features of the faster stream cross more than half of the field
       between consecutive epochs;
     - "difference": (V - v) T < 0.5 b, the speeds of features scatter as much.
@@ -147,16 +147,16 @@ def plan(
     >>> import astropy.units as u
     >>> from astro_scc.recovery import plan
     >>> table = plan(speeds=[0.5, 1] * u.mas / u.yr, beam=0.8 * u.mas,
-    ...              n_epochs=[4, 8, 15], intervals=[0.25, 0.5] * u.yr, n_jets=0)
+    ...              n_epochs=[4, 8, 15], intervals=[0.2, 0.5] * u.yr, n_jets=0)
     >>> table["n_epochs", "interval", "motion_slow", "motion_fast", "limit"].pprint()
     n_epochs interval motion_slow motion_fast limit
                 yr
     -------- -------- ----------- ----------- ------
-           4     0.25     0.15625      0.3125 epochs
+           4      0.2       0.125        0.25 epochs
            4      0.5      0.3125       0.625 epochs
-           8     0.25     0.15625      0.3125   rest
+           8      0.2       0.125        0.25   rest
            8      0.5      0.3125       0.625
-          15     0.25     0.15625      0.3125
+          15      0.2       0.125        0.25
           15      0.5      0.3125       0.625
     >>> table.meta["smallest"]["n_epochs"], table.meta["smallest"]["interval"]
     (8, <Quantity 0.5 yr>)

@@ -8,9 +8,12 @@ from astropy.table import QTable
 
 from astro_scc.epochs import Beam
 from astro_scc.recovery import plan, smallest_plan
+from astro_scc.stacking import Rays, SearchSettings
 
 PM = u.mas / u.yr
-SPEEDS = [0.8, 1.6] * PM
+# The slowest speed that is searched in 2.5 yr, for a beam of 1 mas.
+SLOW = SearchSettings().slowest / 2.5
+SPEEDS = [SLOW, 2 * SLOW] * PM
 BASE = {"speeds": SPEEDS, "beam": 1 * u.mas, "n_epochs": [4, 6, 9],
         "intervals": [0.25, 0.5] * u.yr}  # fmt: skip
 
@@ -24,10 +27,10 @@ def test_rows_are_what_was_asked_for():
     assert table["n_epochs"].tolist() == [4, 4, 6, 6, 9, 9]
     assert u.allclose(table["interval"], [0.25, 0.5] * 3 * u.yr)
     assert u.allclose(table["total_time"], [0.75, 1.5, 1.25, 2.5, 2, 4] * u.yr)
-    np.testing.assert_allclose(table["motion_slow"], [0.2, 0.4] * 3)
-    np.testing.assert_allclose(table["motion_fast"], [0.4, 0.8] * 3)
+    np.testing.assert_allclose(table["motion_slow"], SLOW * np.array([0.25, 0.5] * 3))
+    np.testing.assert_allclose(table["motion_fast"], SLOW * np.array([0.5, 1] * 3))
     np.testing.assert_allclose(table["p_smallest"][::2], [1 / 12, 1 / 360, 2 / 362880])
-    # 0.8 mas/yr are two beams in 2.5 yr.
+    # In 2.5 yr or more the slower stream moves far enough.
     assert table["limit"].tolist() == ["epochs", "epochs", "rest", "", "rest", ""]
     assert not table["n_jets"].any()
     for name in ("slow", "fast", "both"):
@@ -44,9 +47,9 @@ def test_rows_are_what_was_asked_for():
         ({"n_epochs": 4}, "epochs"),
         ({"n_epochs": 4, "level": 0.1}, "rest"),
         ({"n_epochs": 4, "level": 0.1, "intervals": 1 * u.yr}, ""),
-        ({"speeds": [0.79, 1.6] * PM}, "rest"),
-        ({"speeds": [0.8, 0.99] * PM}, "difference"),
-        ({"speeds": [0.8, 1.0] * PM}, ""),
+        ({"speeds": [0.99 * SLOW, 2 * SLOW] * PM}, "rest"),
+        ({"speeds": [SLOW, SLOW + 0.19] * PM}, "difference"),
+        ({"speeds": [SLOW, SLOW + 0.2] * PM}, ""),
         ({"speeds": [1.6, 20.1] * PM}, "field"),
         ({"speeds": [1.6, 20] * PM}, ""),
         ({"speeds": [1.6, 5.1] * PM, "field": 5 * u.mas}, "field"),
@@ -56,6 +59,15 @@ def test_rows_are_what_was_asked_for():
 def test_what_cannot_be_told_apart(changes, limit):
     table = estimate(**{"n_epochs": 6, "intervals": 0.5 * u.yr, **changes})
     assert table["limit"].tolist() == [limit]
+
+
+def test_what_moves_too_little_is_what_the_search_leaves_out():
+    rays = Rays.of(0.5 * np.arange(6), SearchSettings().radius, SearchSettings())
+    slowest = rays.speed[rays.speed > 0].min()
+    for factor, limit in ((0.999, "rest"), (1.001, "")):
+        speeds = [factor * slowest, 3 * slowest] * PM
+        table = estimate(speeds=speeds, n_epochs=6, intervals=0.5 * u.yr)
+        assert table["limit"].tolist() == [limit]
 
 
 def test_the_beam_lies_as_it_does_to_the_jet():
