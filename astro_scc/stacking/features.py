@@ -119,6 +119,27 @@ def find_features(displacements, rays, settings, prior):
     -------
     list of `Feature`
         Those of several scales that are the same only once.
+
+    Examples
+    --------
+    Two features of different speeds, seen in six epochs:
+
+    >>> import numpy as np
+    >>> from astro_scc.stacking import (AxisDisplacements, Rays, SearchSettings,
+    ...                                 find_features)
+    >>> years = np.arange(6.0)
+    >>> epoch, feature = (k.ravel() for k in np.indices((6, 2)))
+    >>> place = 3.0 * feature + np.array([0.3, 0.5])[feature] * years[epoch]
+    >>> ssp, to = np.nonzero((feature[:, None] == feature) & (epoch[:, None] != epoch))
+    >>> d = AxisDisplacements(
+    ...     along=place[to] - place[ssp], across=np.zeros(len(to)),
+    ...     weight=np.ones(len(to)), reference=epoch[ssp], target=epoch[to], ssp=ssp,
+    ...     target_ssp=to, position=np.stack([place, 0 * place], axis=1), epoch=epoch,
+    ...     scale=np.ones(12), years=years)
+    >>> rays = Rays.of(years, 1.5, SearchSettings())
+    >>> found = find_features(d, rays, SearchSettings(), np.ones_like)
+    >>> [(round(feature.speed, 2), len(feature)) for feature in found]
+    [(0.3, 6), (0.5, 6)]
     """
     d = displacements
     keep = (np.abs(d.across) <= settings.across) & (np.abs(d.along) <= rays.radius)

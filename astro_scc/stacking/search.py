@@ -54,8 +54,6 @@ class SearchSettings:
     full_prior : float
         Significance, in standard deviations of the permutations, from which
         on a speed counts fully for single features.
-    max_streams : int
-        Streams that are told apart at most.
 
     Examples
     --------
@@ -81,4 +79,3 @@ class SearchSettings:
     least_motion: float = 1.0
     least_score: float = 1.5
     full_prior: float = 6.0
-    max_streams: int = 3

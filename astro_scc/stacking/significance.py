@@ -85,7 +85,23 @@ class Search:
 
     Examples
     --------
-    See `find_streams`.
+    One feature that moves half a beam a year through eight epochs:
+
+    >>> import numpy as np
+    >>> from astro_scc.stacking import AxisDisplacements, find_streams
+    >>> years = np.arange(8.0)
+    >>> ssp, to = (k[~np.eye(8, dtype=bool)] for k in np.indices((8, 8)))
+    >>> d = AxisDisplacements(
+    ...     along=0.5 * (to - ssp), across=np.zeros(56), weight=np.ones(56),
+    ...     reference=ssp, target=to, ssp=ssp, target_ssp=to,
+    ...     position=np.outer(0.5 * years, [1, 0]), epoch=np.arange(8),
+    ...     scale=np.ones(8), years=years)
+    >>> search = find_streams(lambda angle: d, [0.0], 1.5, n_trials=99,
+    ...                       rng=np.random.default_rng(1))
+    >>> [(stream.kind, round(stream.along.mean, 2)) for stream in search.streams]
+    [('moving', 0.5)]
+    >>> search.angle, search.diagram.interval
+    (0.0, array([1., 2., 3., 4., 5., 6., 7.]))
     """
 
     streams: tuple

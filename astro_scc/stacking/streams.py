@@ -57,8 +57,9 @@ def random_effects(values, errors):
     The dispersion solves ``sum (x - m)^2 / (tau^2 + e^2) = n - 1`` (Paule &
     Mandel 1982, J. Res. NBS 87, 377); the error of the mean is that of
     Hartung & Knapp (2001, Stat. Med. 20, 3875) with Student's t of n - 1
-    degrees of freedom, at 68%.  Of a single value the error holds a dispersion
-    of 15%.
+    degrees of freedom, at 68%, where values that agree by chance count as if
+    they scattered by half their errors.  Of a single value the error holds a
+    dispersion of 15%.
 
     Parameters
     ----------
@@ -162,6 +163,18 @@ def separate_streams(features, n_trials, rng):
         1 with fewer than four features.
     second : `~numpy.ndarray` of bool, shape (n,)
         Features that are of the faster stream, where two fit better.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Feature, separate_streams
+    >>> epoch = np.arange(4)
+    >>> features = [
+    ...     Feature.through(epoch, epoch, np.outer(epoch, [speed, 0]), 0.06)
+    ...     for speed in [0.3, 1.05, 0.32, 0.33, 1.0, 0.98]]
+    >>> p_value, second = separate_streams(features, 99, np.random.default_rng(1))
+    >>> p_value < 0.05, second
+    (True, array([False,  True, False, False,  True,  True]))
     """
     speed, error = feature_speeds(features)
     if len(speed) < FEWEST:
