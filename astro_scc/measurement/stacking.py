@@ -30,6 +30,7 @@ from astro_scc.stacking import (
     component_near,
     find_streams,
     jitter_positions,
+    number_of_orders,
     shuffle_epochs,
     stack,
 )
@@ -220,7 +221,7 @@ def _warn_of_limits(smallest, n_epochs, n_trials, level):
     """Tell when no probability can be as small as the level."""
     if smallest <= level:
         return
-    if 1 / (n_trials + 1) > level:
+    if 1 / number_of_orders(n_epochs) <= level:
         what = (
             f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, "
             f"so no component can reach level {level:g}: give n_trials of "

@@ -11,10 +11,8 @@ __all__ = ["Feature", "find_features"]
 SPEED_STEP = 0.06
 #: Degrees of freedom that the assumed position error counts as.
 PRIOR_FREEDOM = 3
-#: Features of several scales closer than this many beams are one.
+#: Features closer than this many beams to the line of a longer one are parts of it.
 SAME_FEATURE = 0.5
-#: Share of a feature's epochs in which it must be close to be the same.
-SHARED_EPOCHS = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,19 +334,16 @@ def _feature(chosen, d, settings):
 
 
 def _different(features, d):
-    """The longest of those that follow one another on several scales."""
+    """The longest of those that follow one another on one line or several scales."""
     kept = []
     # The finer scale of two as long is blended less.
     for feature in sorted(features, key=lambda f: (-len(f), d.scale[f.ssp[0]])):
-        epochs = d.epoch[feature.ssp]
+        years, place = d.years[d.epoch[feature.ssp]], d.position[feature.ssp]
         for other in kept:
-            _, i, j = np.intersect1d(
-                epochs, d.epoch[other.ssp], assume_unique=True, return_indices=True
-            )
-            if len(i) < max(2, SHARED_EPOCHS * len(feature)):
-                continue
-            away = d.position[feature.ssp[i]] - d.position[other.ssp[j]]
-            if np.median(np.hypot(*away.T)) < SAME_FEATURE:
+            time = years - d.years[d.epoch[other.ssp]].mean()
+            velocity = np.array([other.speed, other.across])
+            line = d.position[other.ssp].mean(axis=0) + time[:, None] * velocity
+            if np.median(np.hypot(*(place - line).T)) < SAME_FEATURE:
                 break
         else:
             kept.append(feature)

@@ -12,6 +12,8 @@ __all__ = ["number_of_orders", "permutations_of_epochs"]
 
 #: Factorials beyond this one are as good as endless.
 MOST = 20
+#: Up to so many epochs all orders are taken: a sample of few has a poor variance.
+ALL_ORDERS_OF = 6
 
 
 def number_of_orders(n_epochs):
@@ -47,7 +49,8 @@ def permutations_of_epochs(n_epochs, n_trials, rng):
     Returns
     -------
     `~numpy.ndarray` of int, shape (n, n_epochs)
-        All but the observed one if there are no more than ``n_trials``.
+        All but the observed one of up to six epochs, or if there are no more
+        than ``n_trials``.
 
     Examples
     --------
@@ -56,6 +59,6 @@ def permutations_of_epochs(n_epochs, n_trials, rng):
     >>> permutations_of_epochs(3, 10, np.random.default_rng(1)).tolist()
     [[0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]]
     """
-    if math.factorial(min(n_epochs, MOST)) <= n_trials + 1:
+    if n_epochs <= ALL_ORDERS_OF or math.factorial(min(n_epochs, MOST)) <= n_trials + 1:
         return np.array(list(itertools.permutations(range(n_epochs))))[1:]
     return random_orders(n_epochs, n_trials, rng)

@@ -48,7 +48,9 @@ class SearchSettings:
         seen: of 95% of the features that are followed rightly it is 0.7 or
         more, SSPs that lie on a line by chance leave most epochs out.
     least_motion : float
-        Beams that the fastest feature of a stream moves while it is seen.
+        Beams that the features of a stream move while they are seen, added in
+        squares: three that move one beam, or one that moves farther than the
+        blends of standing features drift.
     least_score : float
         Smallest excess of matches over chance with which a feature begins.
     full_prior : float
@@ -76,6 +78,6 @@ class SearchSettings:
     position_error: float = 0.06
     least_epochs: int = 4
     least_share: float = 0.6
-    least_motion: float = 1.0
+    least_motion: float = 1.75
     least_score: float = 1.5
     full_prior: float = 6.0

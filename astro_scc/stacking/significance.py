@@ -9,6 +9,7 @@ from astro_scc.stacking.diagram import Diagram, EpochPermutations, Rays
 from astro_scc.stacking.features import find_features, standing_features
 from astro_scc.stacking.search import SearchSettings
 from astro_scc.stacking.streams import (
+    LONE,
     Population,
     feature_speeds,
     random_effects,
@@ -22,6 +23,8 @@ LEAST_PRIOR = 0.15
 #: Speeds less significant than this, in standard deviations of the
 #: permutations, are not those of a feature of the stream.
 LEAST_Z = 1.5
+#: Streams differ by so many standard deviations of what a flow scatters.
+APART = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,11 +212,21 @@ def find_streams(
         if abs(turn) <= np.pi / len(angles):
             angle, d = angle + turn, project(angle + turn)
             features = find_features(d, rays, settings, prior)
-    streams = []
+    streams, searched = [], permutations
     for group, p_distinct in _groups(
         features, permutations, axis, speed, alpha, n_trials, model_rng
     ):
         along, across = _population(group)
+        if streams:
+            # What the faster or slower one shows beside the first.
+            ssps = np.concatenate([f.ssp for f in streams[0].features])
+            rest = d.without_ssps(np.isin(np.arange(len(d.epoch)), ssps))
+            axis, permutations = (
+                0,
+                EpochPermutations.of(
+                    [rest], rays, n_trials, test_rng, settings, outward=outward
+                ),
+            )
         p_local, p_global = permutations.p_values(axis, along.mean)
         kind, reason = classify(along, p_global, group, permutations, alpha, settings)
         streams.append(
@@ -239,7 +252,7 @@ def find_streams(
         streams=tuple(streams),
         diagram=Diagram.of(d, rays, settings),
         angle=float(angle),
-        permutations=permutations,
+        permutations=searched,
     )
 
 
@@ -268,10 +281,12 @@ def classify(along, p_global, features, permutations, alpha, settings):
         reason = "permuted epochs show as much (p_global above alpha)"
     elif not features:
         reason = "no single feature is seen to move at this speed"
-    elif max(f.motion for f in features) < settings.least_motion:
+    elif (
+        moved := np.hypot.reduce([f.motion for f in features])
+    ) < settings.least_motion:
         reason = (
-            f"no feature is seen to move {settings.least_motion:g} beam: blends of "
-            "standing features drift as far"
+            f"its features move {moved:.1f} beams, added in squares, less than "
+            f"{settings.least_motion:g}: blends of standing features drift as far"
         )
     elif abs(along.mean) <= along.error:
         reason = "the speed is within its error of rest"
@@ -291,11 +306,11 @@ def _groups(features, permutations, axis, speed, alpha, n_trials, rng):
     if not moving:
         return []
     p_two, second = separate_streams(moving, n_trials, rng)
-    if p_two <= alpha:
-        parts = [
-            [f for f, fast in zip(moving, second, strict=True) if fast == which]
-            for which in (False, True)
-        ]
+    parts = [
+        [f for f, fast in zip(moving, second, strict=True) if fast == which]
+        for which in (False, True)
+    ]
+    if p_two <= alpha and _apart(*parts):
         # The one with more features first, of equal ones the more significant.
         parts.sort(
             key=lambda part: (
@@ -306,11 +321,18 @@ def _groups(features, permutations, axis, speed, alpha, n_trials, rng):
         )
         return [(parts[0], None), (parts[1], p_two)]
     mean = _population(moving)[0].mean
-    if permutations.p_values(axis, mean)[1] > alpha:
+    if permutations.p_values(axis, mean)[1] > max(alpha, permutations.smallest_p):
         # Speeds so different that their mean is none of theirs.
         near = [f for f in moving if abs(f.speed / speed - 1) <= 0.35]
         return [(near or moving, None)]
     return [(moving, None)]
+
+
+def _apart(one, other):
+    """Whether the speeds differ by more than those of so few of one flow may."""
+    (v, _), (w, _) = map(feature_speeds, (one, other))
+    difference = np.log(abs(np.mean(v) / np.mean(w)))
+    return abs(difference) > APART * LONE * np.sqrt(1 / len(one) + 1 / len(other))
 
 
 def _population(features):

@@ -144,8 +144,8 @@ def separate_streams(features, n_trials, rng):
     Whether the features' speeds are of two streams rather than one.
 
     The statistic is the ratio of the largest likelihoods of a mixture of two
-    normal distributions of one dispersion of at most 25% and of one of any
-    dispersion, in the logarithm of the speed.  Its distribution under one
+    log-normal distributions of one dispersion of at most 25% and of a normal
+    or log-normal one of any dispersion.  Its distribution under one
     stream is simulated: as many features, with their errors, drawn from the
     one stream that fits (parametric bootstrap; McLachlan 1987, Appl. Stat.
     36, 318).
@@ -181,10 +181,13 @@ def separate_streams(features, n_trials, rng):
         return 1.0, np.zeros(len(speed), dtype=bool)
     order = np.argsort(np.abs(speed))
     y, e = np.log(np.abs(speed))[order], (error / np.abs(speed))[order]
-    one, mean, tau = (v[0] for v in _one(y[None], e[None]))
+    one, mean, tau, linear = (v[0] for v in _one(y[None], e[None]))
     two, split = (v[0] for v in _two(y[None], e[None]))
     width = np.sqrt(tau**2 * len(y) / (len(y) - 1) + e**2)
-    trials = mean + width * rng.normal(size=(n_trials, len(y)))
+    trials = width * rng.normal(size=(n_trials, len(y)))
+    # A stream has speeds of one direction.
+    trials = np.log(np.abs(1 + trials)) if linear else trials
+    trials += mean
     sort = np.argsort(trials, axis=1)
     trials = np.take_along_axis(trials, sort, axis=1)
     errors = np.take_along_axis(np.broadcast_to(e, trials.shape), sort, axis=1)
@@ -201,15 +204,31 @@ def _log_normal(y, e, m, tau):
 
 
 def _one(y, e):
-    """Largest log-likelihood of one stream, its mean and dispersion, by trial."""
-    best = np.full((3, len(y)), -np.inf)
+    """
+    Largest log-likelihood of one stream by trial, normal or log-normal.
+
+    With the logarithm of its mean, its relative dispersion, and whether it is
+    normal.
+    """
+    best = np.full((4, len(y)), -np.inf)
+    v, size = np.exp(y), np.exp(y).mean(axis=1, keepdims=True)
     for tau in ONE:
         w = 1 / (e**2 + tau**2)
         m = (w * y).sum(axis=1) / w.sum(axis=1)
         value = _log_normal(y, e, m[:, None], tau).sum(axis=1)
-        better = value > best[0]
-        best[:, better] = np.stack([value, m, np.full(len(y), tau)])[:, better]
+        _keep_better(best, value, m, tau, 0)
+        # As a density of the logarithm too.
+        w = 1 / ((e * v) ** 2 + (tau * size) ** 2)
+        m = (w * v).sum(axis=1, keepdims=True) / w.sum(axis=1, keepdims=True)
+        value = y - 0.5 * (w * (v - m) ** 2 - np.log(w))
+        _keep_better(best, value.sum(axis=1), np.log(m[:, 0]), tau, 1)
     return best
+
+
+def _keep_better(best, value, *what):
+    better = value > best[0]
+    for row, new in zip(best, (value, *what), strict=True):
+        row[better] = np.broadcast_to(new, len(value))[better]
 
 
 def _two(y, e):

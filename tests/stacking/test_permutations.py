@@ -16,18 +16,20 @@ def rng(seed=0):
     return np.random.default_rng(seed)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
-def test_few_epochs_are_gone_through_in_every_order(n):
-    orders = permutations_of_epochs(n, math.factorial(n) - 1, rng())
+@pytest.mark.parametrize(
+    ("n", "trials"), [(1, 2), (2, 2), (3, 5), (4, 2), (5, 40), (6, 99), (7, 5039)]
+)
+def test_few_epochs_are_gone_through_in_every_order(n, trials):
+    orders = permutations_of_epochs(n, trials, rng())
     assert orders.shape == (math.factorial(n) - 1, n)
     every = {tuple(order) for order in orders.tolist()}
     assert every == set(permutations(range(n))) - {tuple(range(n))}
 
 
 def test_more_epochs_are_drawn():
-    orders = permutations_of_epochs(5, 118, rng())
-    assert orders.shape == (118, 5)
-    np.testing.assert_array_equal(np.sort(orders, axis=1), [range(5)] * 118)
+    orders = permutations_of_epochs(7, 118, rng())
+    assert orders.shape == (118, 7)
+    np.testing.assert_array_equal(np.sort(orders, axis=1), [range(7)] * 118)
     assert permutations_of_epochs(60, 20, rng()).shape == (20, 60)
 
 
@@ -56,7 +58,8 @@ def test_draws_are_even():
 @given(st.integers(1, 30), st.integers(2, 40), st.integers(0, 2**32 - 1))
 def test_every_order_is_one_of_the_epochs(n, n_trials, seed):
     orders = permutations_of_epochs(n, n_trials, rng(seed))
-    assert len(orders) == min(n_trials, math.factorial(n) - 1)
+    every = math.factorial(n) - 1
+    assert len(orders) == (every if n <= 6 else min(n_trials, every))
     np.testing.assert_array_equal(
         np.sort(orders, axis=1), np.tile(np.arange(n), (len(orders), 1))
     )

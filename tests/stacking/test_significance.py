@@ -60,7 +60,7 @@ def feature(speed, motion=2.0):
 class TestClassify:
     """Of what is significant in every respect, one thing after the other is not."""
 
-    def kind(self, mean=0.5, p_global=0.01, motions=(0.4, 1.2), smallest_p=0.01):
+    def kind(self, mean=0.5, p_global=0.01, motions=(1.2, 1.3), smallest_p=0.01):
         along = Population(mean, 0.1, 0.05, 0.02)
         features = [feature(mean, motion) for motion in motions]
         permutations = SimpleNamespace(smallest_p=smallest_p)
@@ -71,7 +71,8 @@ class TestClassify:
         assert self.kind(mean=-0.11) == ("moving", "")
         # Alpha itself is small enough.
         assert self.kind(p_global=0.05, smallest_p=0.05) == ("moving", "")
-        assert self.kind(motions=(1.0,)) == ("moving", "")
+        assert self.kind(motions=(1.75,)) == ("moving", "")
+        assert self.kind(motions=(1.1, 1.1, 1.1)) == ("moving", "")
 
     @pytest.mark.parametrize(
         ("change", "reason"),
@@ -83,9 +84,9 @@ class TestClassify:
             ({"p_global": 0.06}, "permuted epochs show as much (p_global above alpha)"),
             ({"motions": ()}, "no single feature is seen to move at this speed"),
             (
-                {"motions": (0.5, 0.99)},
-                "no feature is seen to move 1 beam: blends of standing features drift "
-                "as far",
+                {"motions": (0.6, 0.8, 1.0)},
+                "its features move 1.4 beams, added in squares, less than 1.75: blends "
+                "of standing features drift as far",
             ),
             ({"mean": -0.1}, "the speed is within its error of rest"),
         ],
@@ -157,7 +158,9 @@ class TestOneStream:
     def test_settings_are_used(self, one):
         far = replace(SEARCH, least_motion=50.0)
         found = search(one, settings=far)
-        assert found.streams[0].reason.startswith("no feature is seen to move 50 beam")
+        assert found.streams[0].reason.endswith(
+            "less than 50: blends of standing features drift as far"
+        )
 
     def test_a_stricter_level_needs_more_trials(self, one):
         assert "too few" in search(one, alpha=0.001).streams[0].reason
@@ -270,17 +273,17 @@ class TestNotSignificant:
         assert np.isnan(stream.along.error)
         assert stream.features == ()
 
-    def test_motion_of_less_than_a_beam(self, lines, axis_matches):
+    def test_motion_no_farther_than_blends_drift(self, lines, axis_matches):
         """Features that are seen for two years each."""
         rng, parts, years = np.random.default_rng(2), [], np.arange(0, 12, 0.5)
-        for k in range(20):
+        for k in range(0, 20, 5):
             position, epoch = lines([0.4], [3.0 * k], years, scatter=0.01, rng=rng)
             here = np.arange(k, k + 5)
             parts.append((position[here], epoch[here]))
         position, epoch = (np.concatenate(p) for p in zip(*parts, strict=True))
         found = search(axis_matches(position, epoch, years)).streams[0]
         assert found.kind == "not significant"
-        assert found.reason.startswith("no feature is seen to move 1 beam")
+        assert found.reason.startswith("its features move 1.6 beams, added in squares")
         assert found.along.mean == pytest.approx(0.4, abs=0.01)
 
     def test_without_matches_there_is_no_stream(self, one):
