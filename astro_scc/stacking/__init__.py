@@ -4,8 +4,6 @@
 from astro_scc.stacking.acceleration import (
     Acceleration,
     fit_acceleration,
-    flow_blocks,
-    flow_speed,
 )
 from astro_scc.stacking.components import (
     Component,
@@ -23,9 +21,7 @@ from astro_scc.stacking.displacements import Displacements
 from astro_scc.stacking.expansion import Expansion, fit_expansion
 from astro_scc.stacking.features import Feature, find_features
 from astro_scc.stacking.grid import VelocityGrid
-from astro_scc.stacking.groups import GroupSpeeds, compare_groups, paired_p_value
 from astro_scc.stacking.jitter import JitteredVelocity, jitter_positions
-from astro_scc.stacking.lags import LagTest, lag_test
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.pairs import DatePairs, baseline_pairs, consecutive_pairs
 from astro_scc.stacking.permutations import number_of_orders, permutations_of_epochs
@@ -46,9 +42,7 @@ __all__ = [
     "EpochPermutations",
     "Expansion",
     "Feature",
-    "GroupSpeeds",
     "JitteredVelocity",
-    "LagTest",
     "PairMaps",
     "Population",
     "Rays",
@@ -59,7 +53,6 @@ __all__ = [
     "Stream",
     "VelocityGrid",
     "baseline_pairs",
-    "compare_groups",
     "component_near",
     "consecutive_pairs",
     "find_components",
@@ -68,13 +61,9 @@ __all__ = [
     "fit_acceleration",
     "fit_expansion",
     "fit_gaussian",
-    "flow_blocks",
-    "flow_speed",
     "gaussian_sum",
     "jitter_positions",
-    "lag_test",
     "number_of_orders",
-    "paired_p_value",
     "permutations_of_epochs",
     "random_effects",
     "random_orders",

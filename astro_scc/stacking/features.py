@@ -9,6 +9,8 @@ __all__ = ["Feature", "find_features"]
 
 #: Speeds that single SSPs are given, relative step.
 SPEED_STEP = 0.06
+#: Fewest SSPs of a feature of which an acceleration is known.
+ACCELERATED = 5
 #: Degrees of freedom that the assumed position error counts as.
 PRIOR_FREEDOM = 3
 #: Features closer than this many beams to the line of a longer one are parts of it.
@@ -34,6 +36,9 @@ class Feature:
         Beams moved while it is seen.
     response : `~numpy.ndarray`, shape (n_epochs,)
         Change of the speed for a displacement of each SSP by one beam.
+    acceleration, acceleration_error : float
+        Along the axis, in beams/yr^2, of a parabola; NaN with fewer than five
+        SSPs.
 
     Examples
     --------
@@ -53,6 +58,8 @@ class Feature:
     place: float
     motion: float
     response: np.ndarray
+    acceleration: float = np.nan
+    acceleration_error: float = np.nan
 
     def __len__(self):
         return len(self.ssp)
@@ -80,9 +87,20 @@ class Feature:
         response = time / (time @ time)
         velocity = response @ position
         left = position - position.mean(axis=0) - time[:, None] * velocity
-        freedom = max(len(ssp) - 2, 0) + PRIOR_FREEDOM
-        variance = (left**2).sum(axis=0) + PRIOR_FREEDOM * position_error**2
-        error = np.sqrt(variance / freedom * (response @ response))
+
+        def variance(left, n_parameters):
+            freedom = max(len(ssp) - n_parameters, 0) + PRIOR_FREEDOM
+            total = (left**2).sum(axis=0) + PRIOR_FREEDOM * position_error**2
+            return total / freedom
+
+        error = np.sqrt(variance(left, 2) * (response @ response))
+        bend = bend_error = np.nan
+        if len(ssp) >= ACCELERATED:
+            design = np.stack([np.ones(len(ssp)), time, time**2 / 2], axis=1)
+            inverse = np.linalg.inv(design.T @ design)
+            curve = inverse @ design.T @ position[:, 0]
+            left = position[:, 0] - design @ curve
+            bend, bend_error = curve[2], np.sqrt(inverse[2, 2] * variance(left, 3))
         return cls(
             ssp=ssp,
             speed=float(velocity[0]),
@@ -92,6 +110,8 @@ class Feature:
             place=float(position[:, 0].mean()),
             motion=float(abs(velocity[0]) * np.ptp(years)),
             response=response,
+            acceleration=float(bend),
+            acceleration_error=float(bend_error),
         )
 
 

@@ -85,6 +85,9 @@ class Search:
     angle : float
         Of that direction from the first axis of the frame, in radians.
     permutations : `~astro_scc.stacking.EpochPermutations`
+    axis : int
+        Of the permutations, the one nearest to that direction.
+    rays : `~astro_scc.stacking.Rays`
 
     Examples
     --------
@@ -111,6 +114,29 @@ class Search:
     diagram: Diagram
     angle: float
     permutations: EpochPermutations
+    axis: int
+    rays: Rays
+
+    def follow(self, displacements):
+        """
+        Follow the features of some of the SSPs along the first stream.
+
+        Parameters
+        ----------
+        displacements : `~astro_scc.stacking.AxisDisplacements`
+            Along the direction of that stream.
+
+        Returns
+        -------
+        list of `~astro_scc.stacking.Feature`
+            Those that move in the direction of the stream, at speeds that the
+            epochs show.
+        """
+        if not self.streams:
+            return []
+        found = _follow(displacements, self.rays, self.permutations, self.axis)
+        speed = self.streams[0].along.mean
+        return _moving(found, self.permutations, self.axis, speed)
 
 
 def find_streams(
@@ -198,12 +224,7 @@ def find_streams(
     axis, speed = permutations.largest()
     p_local, p_global = permutations.p_values(axis, speed)
     angle, d = angles[axis], axes[axis]
-
-    def prior(speeds):
-        z = permutations.significance(axis, speeds)
-        return np.clip(z / settings.full_prior, LEAST_PRIOR, 1.0)
-
-    features = find_features(d, rays, settings, prior)
+    features = _follow(d, rays, permutations, axis)
     if len(angles) > 1 and features:
         # The axes are some degrees apart: along the features' own direction.
         near = [f for f in features if f.speed * speed > 0] or features
@@ -211,8 +232,8 @@ def find_streams(
         turn = (turn + np.pi / 2) % np.pi - np.pi / 2
         if abs(turn) <= np.pi / len(angles):
             angle, d = angle + turn, project(angle + turn)
-            features = find_features(d, rays, settings, prior)
-    streams, searched = [], permutations
+            features = _follow(d, rays, permutations, axis)
+    streams, searched, first_axis = [], permutations, axis
     for group, p_distinct in _groups(
         features, permutations, axis, speed, alpha, n_trials, model_rng
     ):
@@ -253,7 +274,29 @@ def find_streams(
         diagram=Diagram.of(d, rays, settings),
         angle=float(angle),
         permutations=searched,
+        axis=first_axis,
+        rays=rays,
     )
+
+
+def _follow(d, rays, permutations, axis):
+    """Features along an axis, of which the significant speeds count more."""
+
+    def prior(speeds):
+        z = permutations.significance(axis, speeds)
+        return np.clip(z / rays.settings.full_prior, LEAST_PRIOR, 1.0)
+
+    return find_features(d, rays, rays.settings, prior)
+
+
+def _moving(features, permutations, axis, speed):
+    """Those that move in the direction of a speed, as the epochs show."""
+    z = permutations.significance(axis, np.array([f.speed for f in features]))
+    return [
+        f
+        for f, own in zip(features, z, strict=True)
+        if f.speed * speed > 0 and own >= LEAST_Z
+    ]
 
 
 def classify(along, p_global, features, permutations, alpha, settings):
@@ -297,12 +340,7 @@ def classify(along, p_global, features, permutations, alpha, settings):
 
 def _groups(features, permutations, axis, speed, alpha, n_trials, rng):
     """Features of each stream, and the probability that it is none of its own."""
-    z = permutations.significance(axis, np.array([f.speed for f in features]))
-    moving = [
-        f
-        for f, own in zip(features, z, strict=True)
-        if f.speed * speed > 0 and own >= LEAST_Z
-    ]
+    moving = _moving(features, permutations, axis, speed)
     if not moving:
         return []
     p_two, second = separate_streams(moving, n_trials, rng)

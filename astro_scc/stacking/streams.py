@@ -81,30 +81,62 @@ def random_effects(values, errors):
     if n == 1:
         error = np.hypot(e[0], LONE * abs(x[0]))
         return Population(float(x[0]), float(error), np.nan, np.nan)
+    (m,), covariance, tau, w = scattered_fit(np.ones((n, 1)), x, e)
+    error = np.sqrt(covariance[0, 0]) * stdtrit(n - 1, 0.8413)
+    # Of the sum of squares, chi-square with n - 1 degrees of freedom.
+    total = 1 / w.mean()
+    tau_error = total / np.sqrt(2 * (n - 1)) / max(tau, np.sqrt(total) / 2)
+    return Population(float(m), float(error), float(tau), float(tau_error))
+
+
+def scattered_fit(design, values, errors):
+    """
+    Fit a linear model to values that scatter by more than their errors.
+
+    Parameters
+    ----------
+    design : `~numpy.ndarray`, shape (n, k)
+    values, errors : `~numpy.ndarray`, shape (n,)
+        With n above k.
+
+    Returns
+    -------
+    coefficients : `~numpy.ndarray`, shape (k,)
+    covariance : `~numpy.ndarray`, shape (k, k)
+        Of Hartung & Knapp, for Student's t of n - k degrees of freedom.
+    tau : float
+        Scatter beyond the errors, of Paule & Mandel.
+    weight : `~numpy.ndarray`, shape (n,)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking.streams import scattered_fit
+    >>> x = np.arange(4.0)
+    >>> design = np.stack([np.ones(4), x], axis=1)
+    >>> scattered_fit(design, 1 + 2 * x, np.full(4, 0.1))[0].round(6).tolist()
+    [1.0, 2.0]
+    """
+    freedom = len(values) - design.shape[1]
 
     def fit(tau2):
-        w = 1 / (e**2 + tau2)
-        m = (w * x).sum() / w.sum()
-        return m, w, (w * (x - m) ** 2).sum()
+        w = 1 / (errors**2 + tau2)
+        inverse = np.linalg.inv((design.T * w) @ design)
+        found = inverse @ (design.T @ (w * values))
+        return found, inverse, w, (w * (values - design @ found) ** 2).sum()
 
-    low, high = 0.0, 10 * x.var() + 1e-30
-    if fit(0.0)[2] <= n - 1:
+    low, high = 0.0, 10 * values.var() + 1e-30
+    if fit(0.0)[3] <= freedom:
         high = 0.0
     for _ in range(60 if high else 0):
         middle = 0.5 * (low + high)
-        if fit(middle)[2] > n - 1:
+        if fit(middle)[3] > freedom:
             low = middle
         else:
             high = middle
-    m, w, q = fit(high)
-    # Values that agree by chance make the mean no better than half their errors.
-    spread = max(q / (n - 1), 0.25)
-    error = np.sqrt(spread / w.sum()) * stdtrit(n - 1, 0.8413)
-    # Of the sum of squares, chi-square with n - 1 degrees of freedom.
-    total = 1 / w.mean()
-    tau = np.sqrt(high)
-    tau_error = total / np.sqrt(2 * (n - 1)) / max(tau, np.sqrt(total) / 2)
-    return Population(float(m), float(error), float(tau), float(tau_error))
+    found, inverse, w, squares = fit(high)
+    # Values that agree by chance make no error less than half of what theirs say.
+    return found, inverse * max(squares / freedom, 0.25), np.sqrt(high), w
 
 
 def feature_speeds(features):
