@@ -7,6 +7,7 @@ __all__ = [
     "component_lines",
     "misalignment_text",
     "profile_lines",
+    "scale_lines",
     "speed_lines",
     "table_lines",
 ]
@@ -152,6 +153,33 @@ def profile_lines(components):
         return ["No velocity could be tested in any bin."]
     how = [*speed_lines(components.meta), *_misalignment(components.meta)]
     return [*table_lines(head, rows), *PROFILE_EXPLANATION, *how]
+
+
+def scale_lines(of_scales):
+    """
+    The speeds of groups of scales beside one another, as lines.
+
+    Parameters
+    ----------
+    of_scales : `~astropy.table.QTable`
+        See `~astro_scc.stratification.compare_speeds`.
+
+    Returns
+    -------
+    list of str
+    """
+    lines = []
+    for row in of_scales:
+        speeds = [
+            f"{with_error(row[f'{k}_speed'].value, row[f'{k}_speed_err'].value)} "
+            f"({row[f'{k}_n_features']} features)"
+            for k in ("first", "second")
+        ]
+        lines.append(
+            f"speeds of the {row['first']} and {row['second']} scales: {speeds[0]} and "
+            f"{speeds[1]} mas/yr, p {row['p_value']:.2g}"
+        )
+    return lines
 
 
 def _misalignment(meta):
