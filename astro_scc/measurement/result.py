@@ -226,7 +226,7 @@ class SCCResult:
         """
         The velocity components, a `~astropy.table.QTable`.
 
-        One row a stream, those that move first, by falling significance, then
+        One row a stream, those that move first, by their number of features, then
         what stands still.  If nothing moves significantly, the first row is
         the strongest speed that was tested, "not significant", and its
         ``note`` says why.  The meta holds the settings, the seed and the

@@ -35,7 +35,14 @@ class FlowAcceleration:
 
     Examples
     --------
-    See `measure_acceleration`.
+    >>> import astropy.units as u
+    >>> from astro_scc.profiles import FlowAcceleration
+    >>> found = FlowAcceleration(
+    ...     speed=2 * u.mas / u.yr, centre=5 * u.mas, gradient=0.1 / u.yr,
+    ...     gradient_err=0.02 / u.yr, acceleration=0.2 * u.mas / u.yr**2,
+    ...     acceleration_err=0.04 * u.mas / u.yr**2, p_value=0.001, n_features=9)
+    >>> print(found)
+    acceleration: 0.2 +- 0.04 mas/yr^2 at 5 mas, p 0.001, 9 features
     """
 
     speed: u.Quantity

@@ -43,7 +43,10 @@ class Acceleration:
 
     Examples
     --------
-    See `fit_acceleration`.
+    >>> from astro_scc.stacking import Acceleration, fit_acceleration
+    >>> found = fit_acceleration([])
+    >>> isinstance(found, Acceleration), found.n_features
+    (True, 0)
     """
 
     gradient: float

@@ -23,6 +23,8 @@ LEAST_PRIOR = 0.15
 #: Speeds less significant than this, in standard deviations of the
 #: permutations, are not those of a feature of the stream.
 LEAST_Z = 1.5
+#: The direction is that of the features after so many steps at most.
+TURNS = 4
 #: Streams differ by so many standard deviations of what a flow scatters.
 APART = 3.0
 
@@ -78,8 +80,8 @@ class Search:
     Attributes
     ----------
     streams : tuple of `Stream`
-        The moving ones by falling significance, then what stands still; or
-        the strongest speed that is not significant.  Empty without matches.
+        The moving ones, that with more features first, then what stands still;
+        or the strongest speed that is not significant.  Empty without matches.
     diagram : `~astro_scc.stacking.Diagram`
         Along the direction of the first stream.
     angle : float
@@ -168,7 +170,8 @@ def find_streams(
         The `~astro_scc.stacking.AxisDisplacements` along an angle in radians
         from the first axis of the frame.
     angles : sequence of float
-        Axes to search; one if the direction of the flow is known.
+        Axes to search, evenly over half a turn from the first axis of the
+        frame; one if the direction of the flow is known.
     radius : float
         Largest displacement in beams.
     alpha : float, optional
@@ -225,14 +228,22 @@ def find_streams(
     p_local, p_global = permutations.p_values(axis, speed)
     angle, d = angles[axis], axes[axis]
     features = _follow(d, rays, permutations, axis)
-    if len(angles) > 1 and features:
-        # The axes are some degrees apart: along the features' own direction.
+    # Displacements along a wrong axis are shorter: along the features' own direction.
+    for _ in range(TURNS if len(angles) > 1 else 0):
         near = [f for f in features if f.speed * speed > 0] or features
-        turn = np.arctan2(sum(f.across for f in near), sum(f.speed for f in near))
-        turn = (turn + np.pi / 2) % np.pi - np.pi / 2
-        if abs(turn) <= np.pi / len(angles):
-            angle, d = angle + turn, project(angle + turn)
-            features = _follow(d, rays, permutations, axis)
+        if not near:
+            break
+        mean = np.mean([(f.speed, f.across) for f in near], axis=0)
+        turn = np.arctan(mean[1] / mean[0])
+        half_turns, axis = divmod(
+            round((angle + turn) * len(angles) / np.pi), len(angles)
+        )
+        angle += turn - half_turns * np.pi
+        speed = float(np.hypot(*mean) * np.sign(mean[0]) * (-1) ** half_turns)
+        d = project(angle)
+        features = _follow(d, rays, permutations, axis)
+        if abs(turn) < np.pi / len(angles) / 2:
+            break
     streams, searched, first_axis = [], permutations, axis
     for group, p_distinct in _groups(
         features, permutations, axis, speed, alpha, n_trials, model_rng

@@ -88,7 +88,6 @@ def test_sectors(sectors):
     assert np.all(table["p_fdr"] >= table["p_global"])
 
 
-@pytest.mark.xfail(reason="no feature of the shell moves by a whole resolution")
 def test_an_expansion_by_less_than_the_resolution_is_a_motion(sectors):
     assert set(sectors["kind"]) == {"moving"}
 

@@ -356,12 +356,14 @@ class TestDirection:
         assert found.angle == stream.angle
         assert found.permutations.z.shape[0] == 12
 
-    def test_features_far_off_the_axes_do_not_turn_it(self, lines, axis_matches):
-        """Twelve axes that are all in one direction, 30 degrees from the flow."""
-        project = self.turned(lines, axis_matches, np.radians(30), 0.3)
-        angles = 1e-3 * np.arange(12)
-        found = search(project, angles)
-        assert found.angle in angles
+    @pytest.mark.parametrize("degrees", [40, 88, 140])
+    def test_it_is_that_of_the_features(self, lines, axis_matches, degrees):
+        """Three axes, and a flow that is far from them."""
+        project = self.turned(lines, axis_matches, np.radians(degrees), 0.3)
+        found = search(project, np.arange(3) * np.pi / 3)
+        assert abs((np.degrees(found.angle) - degrees + 90) % 180 - 90) < 2
+        assert found.axis == round(degrees / 60) % 3
+        assert found.streams[0].along.mean == pytest.approx(0.3, abs=0.02)
 
     def test_features_of_the_other_direction_alone(self, lines, axis_matches):
         """What is significant has no SSPs, and what has moves against it."""
