@@ -108,7 +108,7 @@ def measure_expansion(
     >>> table = measure_expansion(
     ...     scc, matched, shell.centre, shell.radius, n_trials=119, rng=1)
     >>> table["rate"].round(2)[0]
-    <Quantity 0.1 % / yr>
+    <Quantity 0.11 % / yr>
     """
     limits = _limits(sectors)
     frame = ExpansionFrame(centre, radius)

@@ -26,7 +26,9 @@ import numpy as np
 from astro_scc import StackedCrossCorrelation
 from astro_scc import simulation as sim
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.profiles import measure_acceleration
 from astro_scc.simulation import Flow
+from astro_scc.stratification import compare_speeds, scale_groups
 
 RESULTS = Path(__file__).parent / "results"
 #: Seeds below were used to choose the constants of the search.
@@ -74,8 +76,52 @@ KINDS["two-fluid-dense"] = lambda seed: sim.simulate_two_fluid(dense=True, rng=s
 KINDS["unrelated"] = lambda seed: sim.simulate_unrelated(rng=seed)
 
 
+LONG = {"n_epochs": 30, "n_features": 10, "dispersion": 0.1}
+#: Speeds at the middle are the same.
+KINDS["accelerated"] = jet(acceleration=1.6, **LONG)
+KINDS["steady"] = jet(**LONG)
+
+
+def layers(spine, sheath):
+    """Small features of one speed, and large ones of another, by seed."""
+    return streams(
+        ("spine", {"speed": spine, "n_features": 5, "size": 0.2, "widening": 0.1}),
+        ("sheath", {"speed": sheath, "n_features": 5, "size": 1.2, "widening": 0.1,
+                    "flux": 0.3}),
+        n_epochs=30,
+    )  # fmt: skip
+
+
+KINDS["layers"] = layers(0.9, 0.3)
+KINDS["one-layer"] = layers(0.6, 0.6)
+FLOW = ("accelerated", "steady", "layers", "one-layer")
+FLOW_COLUMNS = ("seed", "rows", "gradient", "gradient_err", "p_acceleration", "fine",
+                "coarse", "p_scales")  # fmt: skip
+
+
+def measure_flow(kind, seed, n_trials):
+    """Acceleration in 1/yr and speeds of the scales in beams an interval, of a jet."""
+    cube = KINDS[kind](seed).cube
+    scc = StackedCrossCorrelation(scales=[1, 2, 3, 4], position_angle=270 * u.deg)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MeasurementWarning)
+        result = scc(cube, n_trials=n_trials, rng=seed)
+    found = measure_acceleration(result)
+    groups = {"fine": [1], "coarse": [2, 3, 4]}
+    (row,) = compare_speeds(result, scale_groups(result.matched, groups))
+    beam = np.sqrt(cube.beams[0].major * cube.beams[0].minor)
+    unit = (beam / (0.2 * u.yr)).to(u.mas / u.yr)
+    fine, coarse = ((row[f"{k}_speed"] / unit).value for k in ("first", "second"))
+    n = int(np.sum(result.components["kind"] == "moving"))
+    numbers = (found.gradient.value, found.gradient_err.value, found.p_value, fine,
+               coarse, row["p_value"])  # fmt: skip
+    return [[seed, n, *(f"{x:.4g}" for x in numbers)]]
+
+
 def measure(kind, seed, n_trials):
     """Rows of one jet; speeds in beams a median interval, or pixels an epoch."""
+    if kind in FLOW:
+        return measure_flow(kind, seed, n_trials)
     jet = KINDS[kind](seed)
     cube = jet.cube.to_common_beam() if kind == "vlba" else jet.cube
     paper = kind in ("two-fluid-dense", "unrelated")
@@ -137,7 +183,7 @@ def main():
             with open(path, "a", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file, lineterminator="\n")
                 if not done:
-                    writer.writerow(COLUMNS)
+                    writer.writerow(FLOW_COLUMNS if kind in FLOW else COLUMNS)
                 writer.writerows(rows)
 
 

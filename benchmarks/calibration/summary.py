@@ -5,8 +5,8 @@ Summarise the calibration: the tables and the figure of the documentation.
     python benchmarks/calibration/summary.py
 
 Reads ``results/*.csv``, which ``run.py`` writes, and writes tables beside them:
-``speeds_table.csv``, ``streams_table.csv``, ``static_table.csv``, and the figure
-``calibration.png``.
+``speeds_table.csv``, ``streams_table.csv``, ``static_table.csv``, ``flow_table.csv``,
+and the figure ``calibration.png``.
 """
 
 import csv
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from astropy.stats import binom_conf_interval
 from matplotlib.figure import Figure
-from run import KINDS
+from run import FLOW, KINDS
 
 RESULTS = Path(__file__).parent / "results"
 ALPHA = 0.05
@@ -105,6 +105,16 @@ def static_row(kind, jets):
     return [kind, n, share(sum(bool(moving(j)) for j in jets), n), share(below, n)]
 
 
+def flow_row(kind, jets):
+    """How often an acceleration is found, and a difference between scales."""
+    n = len(jets)
+    found = [
+        sum(jet[0][p] <= ALPHA for jet in jets) for p in ("p_acceleration", "p_scales")
+    ]
+    two = sum(jet[0]["rows"] > 1 for jet in jets)
+    return [kind, n, *(share(number, n) for number in (*found, two))]
+
+
 def write(name, header, rows):
     """A table for the documentation."""
     with open(RESULTS / f"{name}.csv", "w", newline="", encoding="utf-8") as file:
@@ -154,6 +164,11 @@ def main():
         "static_table",
         ["jets", "n", "moving row", "p_global at most 0.05"],
         [static_row(k, have[k]) for k in have if k.startswith(("static", "unrelated"))],
+    )
+    write(
+        "flow_table",
+        ["jets", "n", "acceleration", "scales differ", "two streams"],
+        [flow_row(k, have[k]) for k in have if k in FLOW],
     )
     draw(single)
 
