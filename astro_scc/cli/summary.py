@@ -113,6 +113,13 @@ def component_lines(components):
             f"Not significant: {len(others)} of {len(components)} rows of "
             f"components.ecsv, {notes}"
         )
+    for row in components:
+        limit = row["pm_limit"]
+        if math.isfinite(limit.value):
+            lines.append(
+                f"Row {row['component']}: slower than {limit.value:.2g} {limit.unit} "
+                "at 95%"
+            )
     return [*lines, *speed_lines(components.meta), *_misalignment(components.meta)]
 
 

@@ -33,6 +33,8 @@ __all__ = ["MatchedEpochs", "SCCResult"]
 
 #: A match belongs to a component within this many of its standard errors.
 MEMBER_SIGMA = 2.0
+#: Errors of a normal distribution above its mean at the one-sided limit of 95%.
+LIMIT = 1.645
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -419,6 +421,8 @@ class SCCResult:
             row[f"pm_err_{name}"] = _vectors(velocity.value, covariance, *where)[
                 "pm_err"
             ]
+        still = stream.kind != "moving"
+        row["pm_limit"] = row["pm"] + LIMIT * row["pm_err"] if still else np.nan
         return row
 
 

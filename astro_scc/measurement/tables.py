@@ -28,6 +28,7 @@ DESCRIPTIONS = {
     "coefficient": "stacked correlation coefficient",
     "z_score": "(coefficient - mean) / std of shuffled epochs (paper)",
     "dispersion": "standard deviation of the features' speeds, without their errors",
+    "pm_limit": "95% upper limit of the speed of what is not seen to move",
     "p_local": "probability that permuted epochs show as much at this velocity",
     "p_global": "probability that permuted epochs show as much at any velocity",
     "p_distinct": "probability that one stream fewer shows features as separate",
@@ -163,7 +164,8 @@ def component_table(rows, *, meta=None):
                  "pm_transverse"):  # fmt: skip
         unit = u.deg if name == "pm_pa" else PM_UNIT
         units[name] = units[f"{name}_err"] = unit
-    units["dispersion"] = units["dispersion_err"] = PM_UNIT
+    for name in ("dispersion", "dispersion_err", "pm_limit"):
+        units[name] = PM_UNIT
     for name in ("jitter", "alignment"):
         units[f"pm_err_{name}"] = PM_UNIT
     names = [

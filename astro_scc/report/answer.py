@@ -80,7 +80,29 @@ def chances(result, components, kinds):
     who, _ = _numbers(components, kinds, "not significant")
     if who:
         said.append(f"{who} of the table: not significant, {_reasons(components)}.")
-    return said
+    return said + limits(components)
+
+
+def limits(components):
+    """
+    Upper limits of the speeds of what is not seen to move, in sentences.
+
+    Parameters
+    ----------
+    components : `~astropy.table.QTable`
+
+    Returns
+    -------
+    list of str
+    """
+    unit = components["pm"].unit
+    return [
+        f"What row {int(row['component'])} follows, {int(row['n_features'])} "
+        f"{plural(int(row['n_features']), 'feature')}, is slower than "
+        f"{row['pm_limit'].to_value(unit):.2g} {unit_text(unit)} at 95%."
+        for row in components
+        if math.isfinite(row["pm_limit"].value)
+    ]
 
 
 def _limits(result, components, kinds, level):

@@ -32,6 +32,7 @@ COLUMNS = (
     ("pm_lat", "latitude ({unit})", 3),
     ("coefficient", "coefficient", 3),
     ("z_score", "z", 1),
+    ("pm_limit", "upper limit, 95% ({unit})", 3),
     ("pm_err_jitter", "paper's error of the speed ({unit})", 3),
     ("pm_err_alignment", "error by alignment ({unit})", 3),
     ("p_local", "p_local", 3),

@@ -31,6 +31,7 @@ CONTRACT = [
     "p_distinct",
     "p_smallest",
     "dispersion",
+    "pm_limit",
     "pm_err_jitter",
     "pm_err_alignment",
     "n_ssp",
