@@ -143,7 +143,7 @@ def test_it_fits_narrow_screens_and_paper(page, folder):
     assert "figure img { display: block; width: 100%;" in screen
     assert ".wide { overflow: visible; }" in paper
     assert "break-inside: avoid" in paper
-    assert page.all("div").count({"class": "wide"}) == len(page.all("table")) == 4
+    assert page.all("div").count({"class": "wide"}) == len(page.all("table")) == 5
 
 
 def test_the_figures_are_beside_it(page, folder):
@@ -266,6 +266,25 @@ def test_what_does_not_move_is_no_discovery(result, tmp_path, quick):
     assert "table: not significant" not in words
 
 
+def test_each_feature_has_its_own_speed(result, folder):
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    part = text.split("<h2>Features</h2>")[1].split("</section>")[0]
+    assert part.count("<tr>") == len(result.features) + 1
+    for row in result.features:
+        assert row["first"].strftime("%Y-%m-%d") in part
+
+
+def test_what_does_not_move_has_a_limit(result, tmp_path, quick):
+    table = result.components.copy()
+    limit = table["pm_limit"][1]
+    assert table["kind"][1] == "stationary"
+    assert limit == table["pm"][1] + 1.645 * table["pm_err"][1]
+    assert np.isnan(table["pm_limit"][0])
+    said = words_of(result, table, tmp_path)
+    assert "What row 2 follows, " in said
+    assert " is slower than " in said
+
+
 def test_too_few_epochs_are_named(result, tmp_path, quick):
     few = replace(result, matched=replace(result.matched, cube=result.cube[:4]))
     table = result.components.copy()
@@ -278,6 +297,7 @@ def test_too_few_epochs_are_named(result, tmp_path, quick):
     )
     ssps = result.ssps[result.ssps["epoch"] < 4]
     object.__setattr__(few, "ssps", ssps)
+    object.__setattr__(few, "features", result.features)
     assert line in words_of(few, table, tmp_path)
     # What stands still is told without an order of the epochs.
     assert "with so few" not in words_of(few, table[1:], tmp_path)

@@ -31,10 +31,10 @@ examples:
       --distance "16.7 Mpc"
   astro-scc measure --config out/config.toml -o again
 
-The folder gets components.ecsv, ssps.ecsv, scc.fits, report.html with its figures,
-and config.toml: with it, and the same images, the same tables come out to the bit.
-Every option of a measurement may stand in a configuration file, with _ for -, and
-some that have no option: target, min_overlap, wavelet, detection, segmentation,
+The folder gets components.ecsv, features.ecsv, ssps.ecsv, scc.fits, report.html with
+its figures, and config.toml: with it, and the same images, the same tables come out to
+the bit.  Every option of a measurement may stand in a configuration file, with _ for
+-, and some that have no option: target, min_overlap, wavelet, detection, segmentation,
 noise, level, outward, alignment_error,
 small_displacement_correction (see the documentation).  What the
 command line says comes before what the file says.
@@ -45,6 +45,7 @@ REMARKS = (
 )
 PRODUCTS = (
     "components.ecsv",
+    "features.ecsv",
     "ssps.ecsv",
     "scc.fits",
     "config.toml",

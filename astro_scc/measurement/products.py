@@ -27,7 +27,7 @@ MOTION = "direction of the proper motion"
 DIAGRAM = (
     "Matches per pair of dates beyond those of permuted epochs, weighted by",
     "their correlation coefficients, and smoothed along the displacement by",
-    "a Gaussian with a standard deviation of {smoothing:g} BEAM.  What moves at a",
+    "a Gaussian with a standard deviation of {blur:g} BEAM.  What moves at a",
     "constant speed is at displacement = speed * interval.",
     "INTV-LOG: interval = CRVAL1 * exp(CDELT1 * (pixel - CRPIX1) / CRVAL1).",
     "NaN: no two dates have this interval.  The table INTERVALS has the mean",
@@ -189,8 +189,8 @@ def write_products(result, components, directory, *, configuration=None, text=No
     Returns
     -------
     list of `~pathlib.Path`
-        ``components.ecsv``, ``ssps.ecsv``, ``scc.fits`` and, with a
-        ``text``, ``config.toml``.
+        ``components.ecsv``, ``features.ecsv``, ``ssps.ecsv``, ``scc.fits``
+        and, with a ``text``, ``config.toml``.
 
     Raises
     ------
@@ -214,20 +214,25 @@ def write_products(result, components, directory, *, configuration=None, text=No
     >>> result = scc(cube, n_trials=20, rng=1)
     >>> Path("out").mkdir()
     >>> [path.name for path in write_products(result, result.components, "out")]
-    ['components.ecsv', 'ssps.ecsv', 'scc.fits']
+    ['components.ecsv', 'features.ecsv', 'ssps.ecsv', 'scc.fits']
     """
     directory = Path(directory)
-    paths = [directory / name for name in ("components.ecsv", "ssps.ecsv", "scc.fits")]
-    for table, path in zip((components, result.ssps), paths, strict=False):
+    tables = {
+        "components.ecsv": components,
+        "features.ecsv": result.features,
+        "ssps.ecsv": result.ssps,
+    }
+    paths = [directory / name for name in (*tables, "scc.fits")]
+    for table, path in zip(tables.values(), paths, strict=False):
         table = table.copy(copy_data=False)
         table.meta = _table_meta(result, components.meta, configuration)
         table.write(path, format="ascii.ecsv", overwrite=True)
     velocity_hdus(result, text=text).writeto(
-        paths[2], output_verify="exception", overwrite=True
+        paths[-1], output_verify="exception", overwrite=True
     )
     if text is not None:
         paths.append(directory / "config.toml")
-        paths[3].write_text(text, encoding="utf-8")
+        paths[-1].write_text(text, encoding="utf-8")
     return paths
 
 
@@ -309,7 +314,7 @@ def _diagram_hdus(result):
             "[deg] position angle of the displacement",
         )
     for line in DIAGRAM:
-        header.add_comment(line.format(smoothing=SearchSettings().smoothing))
+        header.add_comment(line.format(blur=SearchSettings().blur))
     columns = QTable({name: image.meta[name] for name in ("interval", "n_pairs")})
     table = fits.table_to_hdu(columns)
     table.name = "INTERVALS"

@@ -16,7 +16,7 @@ from astro_scc.epochs import EpochCube, name_by_frame
 from astro_scc.epochs.positions import axis_words
 from astro_scc.kinematics import table_in_c
 from astro_scc.measurement.diagram_image import diagram_image
-from astro_scc.measurement.tables import component_table, ssp_table
+from astro_scc.measurement.tables import component_table, feature_table, ssp_table
 from astro_scc.measurement.velocity_error import StreamVelocity
 from astro_scc.stacking import (
     Component,
@@ -222,6 +222,11 @@ class SCCResult:
     def ssps(self):
         """The SSPs of all epochs as a `~astropy.table.QTable`."""
         return ssp_table(self.matched.ssps, self.cube, select=self.matched.select)
+
+    @cached_property
+    def features(self):
+        """The features that were followed, a `~astropy.table.QTable`."""
+        return feature_table(self)
 
     @cached_property
     def components(self):

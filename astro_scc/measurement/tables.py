@@ -11,8 +11,9 @@ from astropy.time import Time
 
 from astro_scc.decomposition import scale_size
 from astro_scc.epochs import beam_fwhm, name_by_frame, position_errors, ssp_offsets
+from astro_scc.measurement.axes import AxisProjection
 
-__all__ = ["PM_UNIT", "component_table", "ssp_table", "versions"]
+__all__ = ["PM_UNIT", "component_table", "feature_table", "ssp_table", "versions"]
 
 PM_UNIT = u.mas / u.yr
 
@@ -134,6 +135,72 @@ def ssp_table(ssps, cube, *, select=None):
     )
     table["flux"].info.description = "sum of the wavelet coefficients of the pixels"
     return name_by_frame(table, cube)
+
+
+def feature_table(result):
+    """
+    The features that were followed, each with its own speed.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        A row a feature: the ``component`` that it is of, its ``scale``, the
+        number of epochs and its ``first`` and ``last`` date, its mean
+        ``distance`` from the reference pixel along the component, the
+        ``motion`` in that time, its speed ``pm`` along and ``pm_transverse``
+        across the component with errors, and its ``acceleration``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=6, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], position_angle=270 * u.deg)
+    >>> features = scc(cube, n_trials=20, rng=1).features
+    >>> features.colnames[:5]
+    ['component', 'scale', 'n_epochs', 'first', 'last']
+    """
+    ssps, cube = result.matched.ssps, result.cube
+    project = AxisProjection(result.displacements, ssps, cube, result.frame)
+    rows = [
+        (number, feature, project.beam(stream.angle))
+        for number, stream in enumerate(result.search.streams, 1)
+        for feature in stream.features
+    ]
+    features = [feature for _, feature, _ in rows]
+    beam = np.reshape([beam for *_, beam in rows], (-1, 2)).T * u.mas
+    ends = np.reshape([ssps.epoch[f.ssp[[0, -1]]] for f in features], (-1, 2))
+    first, last = (Time(cube.times[k], format="isot") for k in ends.T.astype(int))
+    per_beam = {
+        "distance": ("place", 0, u.one),
+        "motion": ("motion", 0, u.one),
+        "pm": ("speed", 0, 1 / u.yr),
+        "pm_err": ("error", 0, 1 / u.yr),
+        "pm_transverse": ("across", 1, 1 / u.yr),
+        "pm_transverse_err": ("across_error", 1, 1 / u.yr),
+        "acceleration": ("acceleration", 0, 1 / u.yr**2),
+        "acceleration_err": ("acceleration_error", 0, 1 / u.yr**2),
+    }
+    table = QTable(
+        {
+            "component": np.array([number for number, *_ in rows], dtype=int),
+            "scale": np.array([ssps.scale[f.ssp[0]] for f in features], dtype=float),
+            "n_epochs": np.array([len(f) for f in features], dtype=int),
+            "first": first,
+            "last": last,
+        }
+    )
+    for name, (attribute, axis, unit) in per_beam.items():
+        values = np.array([getattr(f, attribute) for f in features], dtype=float)
+        table[name] = (values * beam[axis] * unit).to(unit * u.mas)
+    table["pm"].info.description = "along the component"
+    table["pm_transverse"].info.description = "across the component"
+    return table
 
 
 def component_table(rows, *, meta=None):

@@ -10,6 +10,7 @@ from astro_scc.report.figures import draw_pictures
 from astro_scc.report.tables import (
     component_rows,
     epoch_rows,
+    feature_rows,
     in_easy_units,
     setting_rows,
 )
@@ -19,6 +20,7 @@ __all__ = ["write_report"]
 #: What else may be in the folder, in this order.
 PRODUCTS = (
     "components.ecsv",
+    "features.ecsv",
     "components.vot",
     "ssps.ecsv",
     "ssps.vot",
@@ -118,6 +120,7 @@ def write_report(
         tables=tables,
         notes=notes,
         epochs=epoch_rows(result),
+        features=feature_rows(easy, result.features),
         left_out=[(w, "") if isinstance(w, str) else tuple(w) for w in left_out],
         settings=setting_rows(result, components),
         rerun=rerun,

@@ -8,9 +8,21 @@ import numpy as np
 
 from astro_scc.kinematics import cosmology_text
 from astro_scc.measurement.tables import PM_UNIT
-from astro_scc.report.words import listed, plain_value, row_text, unit_text
+from astro_scc.report.words import (
+    listed,
+    plain_value,
+    row_text,
+    unit_text,
+    with_error,
+)
 
-__all__ = ["component_rows", "epoch_rows", "in_easy_units", "setting_rows"]
+__all__ = [
+    "component_rows",
+    "epoch_rows",
+    "feature_rows",
+    "in_easy_units",
+    "setting_rows",
+]
 
 #: Columns of the page: name, heading with {unit}, decimals where there is no error.
 COLUMNS = (
@@ -126,6 +138,38 @@ def _cell(components, row, name, digits):
         return row_text(row, name)
     # A probability may be small, but is never rounded to nothing.
     return f"{value:.2g}" if name.startswith("p_") else f"{value:.{digits}f}"
+
+
+def feature_rows(components, features):
+    """
+    The features that were followed, each with its own speed.
+
+    Parameters
+    ----------
+    components : `~astropy.table.QTable`
+        Of which the speeds have their unit.
+    features : `~astropy.table.QTable`
+        See `~astro_scc.measurement.feature_table`.
+
+    Returns
+    -------
+    head : list of str
+    rows : list of list of str
+    """
+    unit = components["pm"].unit
+    head = ["Component", "scale", "epochs", "first", "last",
+            f"distance ({unit_text(u.mas)})", f"motion ({unit_text(u.mas)})",
+            f"speed ({unit_text(unit)})"]  # fmt: skip
+    rows = [
+        [
+            str(row["component"]), f"{row['scale']:g}", str(row["n_epochs"]),
+            *(row[k].strftime("%Y-%m-%d") for k in ("first", "last")),
+            *(f"{row[k].to_value(u.mas):.3g}" for k in ("distance", "motion")),
+            with_error(row["pm"].to_value(unit), row["pm_err"].to_value(unit)),
+        ]
+        for row in features
+    ]  # fmt: skip
+    return head, rows
 
 
 def epoch_rows(result):

@@ -18,7 +18,7 @@ from astro_scc.epochs import Beam
 from astro_scc.simulation import simulate_jet, write_simulation
 
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
-TABLES = ("components.ecsv", "ssps.ecsv")
+TABLES = ("components.ecsv", "features.ecsv", "ssps.ecsv")
 
 
 def epochs(folder):
