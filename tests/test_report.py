@@ -249,9 +249,11 @@ def test_nor_need_any_be_more_than_chance(result, tmp_path, quick):
     assert "No significant motion." in words
     why = f"Components 1 and 2 of the table: not significant, {CHANCE}."
     assert why in words
-    table = with_notes(table, [CHANCE, "the speed is within its error of rest"])
+    table = with_notes(
+        table, [CHANCE, "rest is within 1.645 errors of the speed (95%)"]
+    )
     words = words_of(result, table, tmp_path)
-    assert f"{CHANCE}; the speed is within its error of rest." in words
+    assert f"{CHANCE}; rest is within 1.645 errors of the speed (95%)." in words
 
 
 def test_what_does_not_move_is_no_discovery(result, tmp_path, quick):

@@ -25,6 +25,8 @@ LEAST_PRIOR = 0.15
 LEAST_Z = 1.5
 #: The direction is that of the features after so many steps at most.
 TURNS = 4
+#: Errors that a speed is from rest: at 95%, one-sided.
+REST = 1.645
 #: Streams differ by so many standard deviations of what a flow scatters.
 APART = 3.0
 
@@ -342,8 +344,8 @@ def classify(along, p_global, features, permutations, alpha, settings):
             f"its features move {moved:.1f} beams, added in squares, less than "
             f"{settings.least_motion:g}: blends of standing features drift as far"
         )
-    elif abs(along.mean) <= along.error:
-        reason = "the speed is within its error of rest"
+    elif abs(along.mean) <= REST * along.error:
+        reason = "rest is within 1.645 errors of the speed (95%)"
     else:
         return "moving", ""
     return "not significant", reason

@@ -68,7 +68,7 @@ class TestClassify:
 
     def test_moving(self):
         assert self.kind() == ("moving", "")
-        assert self.kind(mean=-0.11) == ("moving", "")
+        assert self.kind(mean=-0.17) == ("moving", "")
         # Alpha itself is small enough.
         assert self.kind(p_global=0.05, smallest_p=0.05) == ("moving", "")
         assert self.kind(motions=(1.75,)) == ("moving", "")
@@ -88,7 +88,7 @@ class TestClassify:
                 "its features move 1.4 beams, added in squares, less than 1.75: blends "
                 "of standing features drift as far",
             ),
-            ({"mean": -0.1}, "the speed is within its error of rest"),
+            ({"mean": -0.16}, "rest is within 1.645 errors of the speed (95%)"),
         ],
     )
     def test_every_reason(self, change, reason):
@@ -96,7 +96,7 @@ class TestClassify:
 
     def test_the_first_reason_is_given(self):
         changes = {"smallest_p": 0.1, "p_global": 0.5, "motions": (), "mean": 0.0}
-        words = ["too few", "permuted", "no single feature", "within its error"]
+        words = ["too few", "permuted", "no single feature", "rest is within"]
         for (name, _), word in zip(list(changes.items()), words, strict=True):
             assert word in self.kind(**changes)[1]
             changes.pop(name)
