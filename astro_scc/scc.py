@@ -4,13 +4,13 @@
 from dataclasses import asdict, dataclass, fields
 
 import astropy.units as u
-import numpy as np
 
 from astro_scc.config.settings import require
 from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.correlation.workers import workers_of
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.ssp import require_ssps
+from astro_scc.epochs.alignment.misalignment import warn_of_misalignment
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.measurement import (
     MatchCache,
@@ -27,9 +27,11 @@ from astro_scc.measurement.decomposing import (
     refuse_too_much,
 )
 from astro_scc.measurement.plan import (
+    largest_speed,
     mean_fwhm,
     pairs_of_dates,
     scales_of_pixels,
+    search_radius,
     search_reach,
     ssps_inside,
 )
@@ -39,9 +41,6 @@ from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
-
-#: Without a largest speed, displacements up to this many beams are tried.
-BEAMS_PER_INTERVAL = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +57,10 @@ class StackedCrossCorrelation:
         Wavelet scales by number (j means 2^j pixels, j + 1/2 means
         1.5 x 2^j) or as an angle `~astropy.units.Quantity`.
     max_speed : `~astropy.units.Quantity`, optional
-        Largest proper motion along either axis.  By default four beams
-        over the median interval of the pairs of epochs.
+        Largest proper motion along either axis.  Without it speeds are
+        searched that move up to 1.5 beams in the shorter quarter of the
+        intervals between epochs, and up to four beams in the median interval
+        of at most 20 epochs.
     position_angle : `~astropy.units.Quantity`, str or frame, optional
         Direction of the jet, north through east, for velocity axes along
         and across it, or "fit" for that of the mean image; "radial" for
@@ -67,8 +68,9 @@ class StackedCrossCorrelation:
         the ridge line of the mean image; or a frame of
         `astro_scc.kinematics`.  The axes are east and north without it.
     baseline : `~astropy.units.Quantity`, shape (2,), optional
-        Shortest and longest time between two epochs that are paired.
-        Consecutive epochs are paired without it.
+        Shortest and longest time between two epochs that are compared.
+        Without it each speed is searched in all intervals in which it moves
+        0.2 to 1 beam.
     kernel : float, optional
         Smallest standard error of a displacement, in beams.
     kappa, target, min_overlap
@@ -77,10 +79,9 @@ class StackedCrossCorrelation:
         ``kernel`` and the rest of `~astro_scc.decomposition.Decomposer`.
     level : float, optional
         Velocities whose ``p_global`` is at most this are components.
-    nulls : sequence of str, optional
-        The null hypotheses that a component must be told from, names of
-        `astro_scc.stacking.NULL_HYPOTHESES`: "scramble", and one of
-        "shuffle", "blocks" and "reversal".
+    outward : bool, optional
+        Search speeds away from the core only, where the direction of the jet
+        is given.
     alignment_error : `~astropy.units.Quantity`, optional
         Standard error, on either axis, of how epochs are laid on one
         another: one, or one an epoch.  By default what `EpochCube.align`
@@ -124,7 +125,7 @@ class StackedCrossCorrelation:
     segmentation: float = 3.0
     noise: str = "plane"
     level: float = 0.05
-    nulls: tuple = ("scramble", "shuffle")
+    outward: bool = False
     alignment_error: u.Quantity | None = None
     small_displacement_correction: bool = False
     common_beam: bool = True
@@ -236,8 +237,15 @@ class StackedCrossCorrelation:
         """
         if self.max_speed is not None:
             return self.max_speed
-        interval = np.median(self.date_pairs(cube).interval)
-        return BEAMS_PER_INTERVAL * self._fwhm(cube) / interval * PM_UNIT
+        beams = largest_speed(cube, self._radius(cube), self.baseline)
+        return beams * self._fwhm(cube) * PM_UNIT
+
+    @property
+    def _given_speed(self):
+        return None if self.max_speed is None else self.max_speed.to_value(PM_UNIT)
+
+    def _radius(self, cube):
+        return search_radius(cube, self._given_speed, self._fwhm(cube))
 
     def _fwhm(self, cube):
         return mean_fwhm(cube, max(self.scale_numbers(cube)))
@@ -281,14 +289,16 @@ class StackedCrossCorrelation:
         Warns
         -----
         `~astro_scc.exceptions.MeasurementWarning`
-            If the file ``cache`` is there and cannot be used, or no SSP lies
-            in the region.
+            If the file ``cache`` is there and cannot be used, no SSP lies in
+            the region, structure fills the images, or the epochs lie on one
+            another to 0.2 beams or worse.
         """
         if self.common_beam:
             require_common_beam(cube)
+        warn_of_misalignment(cube)
         pairs = self.date_pairs(cube)
         reach = search_reach(
-            cube, pairs, self.speed_limit(cube).value, self._fwhm(cube), self.kernel
+            cube, pairs, self._radius(cube), self._fwhm(cube), self._given_speed
         )
         inside = None if region is None else cube.region_mask(region)
         decomposer = allow_for_structure(
@@ -307,7 +317,7 @@ class StackedCrossCorrelation:
             refuse_too_much(cube, decomposer, workers)
             decompositions = decompose_epochs(cube, decomposer, n_workers=workers)
             ssps, select = ssps_inside(decompositions, cube, inside)
-            windows = int(np.sum(select)) * (len(cube) - 1)
+            windows = int(select.sum()) * (len(cube) - 1)
             refuse_too_much(cube, decomposer, workers, n_windows=windows)
             with progress(len(cube), "Correlating", show=progress_bar) as done:
                 matches = correlator(
@@ -357,12 +367,16 @@ class StackedCrossCorrelation:
             return stack_matches(
                 matched,
                 self.date_pairs(matched.cube),
-                speed=self.speed_limit(matched.cube).value,
+                radius=self._radius(matched.cube),
                 fwhm=self._fwhm(matched.cube),
+                max_speed=self._given_speed,
+                baseline=(
+                    None if self.baseline is None else self.baseline.to_value(u.yr)
+                ),
                 position_angle=self.position_angle,
                 kernel=self.kernel,
                 level=self.level,
-                nulls=self.nulls,
+                outward=self.outward,
                 alignment_error=self.alignment_error,
                 small_displacement_correction=self.small_displacement_correction,
                 n_trials=n_trials,

@@ -10,7 +10,6 @@ speeds are known, and a shell with two rates of expansion::
 """
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 import astropy.units as u
@@ -34,7 +33,6 @@ from astro_scc.epochs import read_components, restore
 from astro_scc.kinematics import apparent_speed
 from astro_scc.measurement import select_ssps
 from astro_scc.profiles import (
-    check_lags,
     fit_profile,
     lorentz_profile,
     measure_acceleration,
@@ -81,10 +79,7 @@ def main():
 def settings(source):
     """How the paper's jets are measured."""
     return StackedCrossCorrelation(
-        scales=(1, 2, 3, 4),
-        max_speed=source.max_speed * PM_UNIT,
-        position_angle=source.position_angle * u.deg,
-        baseline=source.baseline * u.yr,
+        scales=(1, 2, 3, 4), position_angle=source.position_angle * u.deg
     )
 
 
@@ -111,7 +106,7 @@ def acceleration_of_3c120(args):
     """Speed against distance in 3C 120, ten bins."""
     source = SOURCE["3C 120"]
     k = source.per_c
-    cube = images(source, args.folder, args.seed)
+    cube = images(source, args.folder, args.seed, BEFORE)
     scc = settings(source)
     matched = scc.match(cube)
     edges = np.arange(0.5, 11.0) * u.mas
@@ -131,7 +126,7 @@ def acceleration_of_3c120(args):
     bins_of_3c120("profile_3c120", profile, 0.5, beside, k)
     bins_of_3c120("profile_3c120_windows", windows, 0.5 * WINDOW.value, beside, k)
     features_of_3c120(args)
-    accelerations(scc, matched, k)
+    accelerations(scc, matched, k, args)
     rows = []
     inside = profile.main[profile.main["r_mid"] < 7.6 * u.mas]
     for what, table in (("0.5 to 10.5", profile.main), ("0.5 to 7.5", inside)):
@@ -168,23 +163,6 @@ def acceleration_of_3c120(args):
               "p of a constant"]  # fmt: skip
     write_table("profile_3c120_fits", header, rows)
     figure_3c120(profile, matched, radii, speed, error, n, k)
-    wide = replace(scc, baseline=[0.1, 1.2] * u.yr)
-    table = check_lags(
-        wide, matched, [2.0, 0.0] * PM_UNIT, r_min=0.5 * u.mas, r_max=10.5 * u.mas
-    )
-    rows = [
-        [
-            f"{row['lag'].value:.2f}",
-            measured(row["displacement"].value, row["displacement_err"].value),
-            f"{row['displacement'].value / row['lag'].value:.2f}",
-        ]
-        for row in table
-    ]
-    meta = table.meta
-    if meta["p_offset"] is not None:
-        rows.append(["0", measured(meta["offset"].value, meta["offset_err"].value),
-                     f"p of no offset {p_text(meta['p_offset'])}"])  # fmt: skip
-    write_table("profile_3c120_lags", ["lag (yr)", "displacement (mas)", "ratio"], rows)
 
 
 def bins_of_3c120(name, profile, half, beside, k):
@@ -231,24 +209,21 @@ def features_of_3c120(args, half_width=2.0):
     write_table("profile_3c120_features", header, rows)
 
 
-def accelerations(scc, matched, k):
-    """The stack in speed and acceleration, over stretches of 3C 120."""
+def accelerations(scc, matched, k, args):
+    """The acceleration of the features, over stretches of 3C 120."""
     rows = []
     for low, high in ((0.5, 10.5), (0.5, 7.5), (1.5, 7.5), (5.5, 10.5)):
-        found = measure_acceleration(
-            scc, matched, r_min=low * u.mas, r_max=high * u.mas
-        )
-        inner, outer = (
-            [k * plain(v, PM_UNIT) for v in found.at(r * u.mas)] for r in (low, high)
-        )
+        part = select_ssps(matched, r_min=low * u.mas, r_max=high * u.mas)
+        found = measure_acceleration(scc.stack(part, n_trials=200, rng=args.seed))
         rows.append([
-            f"{low:g} to {high:g}",
+            f"{low:g} to {high:g}", found.n_features,
+            measured(k * found.speed.value, np.nan, 1), f"{found.centre.value:.1f}",
+            measured(found.gradient.value, found.gradient_err.value, 3),
             measured(found.acceleration.value, found.acceleration_err.value, 3),
-            p_text(found.p_value), found.n_blocks,
-            measured(*inner, 1), measured(*outer, 1),
+            p_text(found.p_value),
         ])  # fmt: skip
-    header = ["distance (mas)", "acceleration (mas/yr^2)", "p", "blocks",
-              "inner speed (c)", "outer speed (c)"]  # fmt: skip
+    header = ["distance (mas)", "features", "speed (c)", "at (mas)", "dv/dx (1/yr)",
+              "acceleration (mas/yr^2)", "p"]  # fmt: skip
     write_table("profile_3c120_acceleration", header, rows)
 
 
@@ -279,22 +254,27 @@ def streams_of_3c273(args):
     """Speeds and places of small and large scales in 3C 273."""
     source = SOURCE["3C 273"]
     k = source.per_c
-    cube = images(source, args.folder, args.seed)
+    cube = images(source, args.folder, args.seed, BEFORE)
     scc = settings(source)
     matched = scc.match(cube)
     groups = scale_groups(matched, {"1, 2": [1, 2], "3, 4": [3, 4]})
     rows, places = [], []
     for low, high in ((1, 6), (6, 11), (11, 16), (1, 16)):
         limits = {"r_min": low * u.mas, "r_max": high * u.mas}
-        row = compare_speeds(
-            scc, matched, groups, **limits, n_trials=1000, rng=args.seed
-        )[0]
+        part = select_ssps(matched, **limits)
+        result = scc.stack(part, n_trials=200, rng=args.seed)
+        (row,) = compare_speeds(result, groups)
         cells = [
             measured(k * plain(row[c], PM_UNIT), k * plain(row[f"{c}_err"], PM_UNIT), 1)
-            for c in ("first_speed", "second_speed", "difference")
+            + n
+            for c, n in (
+                ("first_speed", f" ({row['first_n_features']})"),
+                ("second_speed", f" ({row['second_n_features']})"),
+                ("difference", ""),
+            )
         ]
         rows.append([f"{low} to {high}", *cells, p_text(row["p_value"]),
-                     row["n_blocks"], "about 7.5 and 9 c"])  # fmt: skip
+                     "about 7.5 and 9 c"])  # fmt: skip
         table = compare_positions(
             scc, matched, groups, **limits, speed=0.85 * PM_UNIT, n_trials=200,
             rng=args.seed,
@@ -307,7 +287,7 @@ def streams_of_3c273(args):
                 p_text(r["p_ksamp"]), p_text(r["p_paired"]),
             ])  # fmt: skip
     header = ["distance (mas)", "scales 1, 2 (c)", "scales 3, 4 (c)", "difference (c)",
-              "p, paired", "blocks", "paper"]  # fmt: skip
+              "p", "paper"]  # fmt: skip
     write_table("stratification_3c273", header, rows)
     header = ["distance (mas)", "quantity", "unit", "scales 1, 2: median ± spread",
               "scales 3, 4", "p, Anderson-Darling", "p, paired"]  # fmt: skip

@@ -31,7 +31,7 @@ from astro_scc.simulation import JetSimulation, Stream
 
 HEADER = ["speed (mas/yr)", "peak / noise", "found", "of", "fraction", "95% interval",
           "bias", "scatter", "coverage"]  # fmt: skip
-PLAN_HEADER = ["epochs", "interval", "total", "slow, fast (beams)", "baseline", "limit",
+PLAN_HEADER = ["epochs", "interval", "total", "slow, fast (beams)", "limit",
                "jets", "slow found", "fast found", "both", "95% interval"]  # fmt: skip
 COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00")
 #: Half of the width of the jet of 0003+380, and how far it is seen, in mas.
@@ -113,7 +113,6 @@ def campaigns(args):
                 f"{row['interval'].value * 12:.0f} months",
                 f"{row['total_time'].value:.1f} yr",
                 f"{row['motion_slow']:.2f}, {row['motion_fast']:.2f}",
-                f"{row['baseline'].value:.2f} yr",
                 row["limit"],
                 row["n_jets"],
                 *shares,

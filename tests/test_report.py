@@ -9,20 +9,20 @@ from html.parser import HTMLParser
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.table import Column, vstack
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc import StackedCrossCorrelation
 from astro_scc.kinematics import paper_cosmology
 from astro_scc.report import write_report
 from astro_scc.report.answer import facts, headline
 from astro_scc.report.figures import Picture
 from astro_scc.report.tables import epoch_rows, in_easy_units
 from astro_scc.report.words import with_error
-from astro_scc.simulation import simulate_two_fluid
 
+CHANCE = "permuted epochs show as much (p_global above alpha)"
 HOSTILE = "<script>alert('1')</script> & \"more\""
-FIGURES = ("velocity_map", "significance", "members", "epochs", "intervals")
+FIGURES = ("diagram", "velocity_map", "significance", "members", "epochs", "intervals")
 VOID = {"meta", "img", "br", "link", "hr"}
 
 
@@ -57,22 +57,28 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def result():
-    cube = simulate_two_fluid(n_epochs=5, rng=1).cube
-    labels = (HOSTILE, *(f"epoch{k}.fits" for k in range(4)))
+def result(jet_results):
+    """Of epochs with names that are code."""
+    measured = jet_results["jet"]
+    cube = measured.cube
+    labels = (HOSTILE, *(f"epoch{k}.fits" for k in range(len(cube) - 1)))
     cube = replace(cube, labels=labels).with_step(f"tested with {HOSTILE}")
-    scc = StackedCrossCorrelation(
-        scales=[1, 2, 3], max_speed=36 * u.mas / u.yr, position_angle=270 * u.deg
-    )
-    return scc(cube, n_trials=40, rng=1)
+    return replace(measured, matched=replace(measured.matched, cube=cube))
 
 
 @pytest.fixture(scope="module")
 def components(result):
     """Three kinds of components."""
     table = result.components_in_c(redshift=0.033, cosmology=paper_cosmology())
-    assert list(table["kind"]) == ["moving", "moving", "uncertain"]
-    table["kind"][1] = "stationary"
+    assert list(table["kind"]) == ["moving", "stationary"]
+    table = vstack([table, table[:1]])
+    table["kind"][2] = "not significant"
+    return with_notes(table, ["-", "-", CHANCE])
+
+
+def with_notes(table, notes):
+    description = table["note"].info.description
+    table.replace_column("note", Column(notes, description=description))
     return table
 
 
@@ -116,11 +122,11 @@ def test_the_page_stands_alone(page, folder):
 
 def test_who_cannot_see_it_hears_what_the_figures_show(page):
     alts = [img["alt"] for img in page.all("img")]
-    assert alts[0] == (
+    assert alts[1] == (
         "Map of the stacked correlation over the velocities parallel and transverse, "
         "3 components marked"
     )
-    assert alts[3] == "Images of 5 epochs with circles about their patterns"
+    assert alts[4] == "Images of 8 epochs with circles about their patterns"
     assert len(set(alts)) == len(FIGURES)
     assert page.all("html") == [{"lang": "en"}]
     assert all(th["scope"] == "col" for th in page.all("th"))
@@ -137,7 +143,7 @@ def test_it_fits_narrow_screens_and_paper(page, folder):
     assert "figure img { display: block; width: 100%;" in screen
     assert ".wide { overflow: visible; }" in paper
     assert "break-inside: avoid" in paper
-    assert page.all("div").count({"class": "wide"}) == len(page.all("table")) == 4
+    assert page.all("div").count({"class": "wide"}) == len(page.all("table")) == 5
 
 
 def test_the_figures_are_beside_it(page, folder):
@@ -159,14 +165,18 @@ def test_the_answer_comes_first(page, components):
     words = page.words
     speed = with_error(components["pm"][0].value, components["pm_err"][0].value)
     beta = with_error(components["beta_app"][0], components["beta_app_err"][0])
+    spread = with_error(
+        components["dispersion"][0].value, components["dispersion_err"][0].value
+    )
     order = [
-        "One speed stands out, beside what does not move within its errors.",
+        "One significant velocity component, beside features that stand still.",
         f"{speed} mas/yr = {beta} c",
-        "stationary: no motion within the errors; p_global 0.024; ",
-        "share no speed (scramble), or whose epochs have no order (shuffle), shows",
-        "the larger of the two; 40 trials show none below 0.024.",
+        f"; dispersion {spread}; p_global 0.024; 6 features, ",
+        "stationary: no motion within the errors; 1 feature, ",
+        "epochs in permuted order show as much at any velocity; here it cannot be "
+        "below 0.024.",
         "Component 2 of the table, stationary, does not move within its errors: no ",
-        "Component 3 of the table, with p_global above 0.05, may be chance.",
+        f"Component 1 of the table: not significant, {CHANCE}.",
         "beware of",
         "Components",
         "Velocity map.",
@@ -185,13 +195,15 @@ def test_the_answer_comes_first(page, components):
 def test_the_table_has_a_row_for_each_component(page, components):
     kinds = [tr.get("class") for tr in page.all("tr") if tr.get("class")]
     # What the answer is made of, and the rest.
-    assert kinds == 2 * ["moving", "stationary", "uncertain"]
+    assert kinds == 2 * ["moving", "stationary", "not-significant"]
     for name in ("speed (mas/yr)", "speed (c)", "PA (deg)", "z", "p_global", "SSPs",
-                 "kind", "paper's error of the speed (mas/yr)"):  # fmt: skip
+                 "dispersion (mas/yr)", "p_distinct", "note", "kind",
+                 "paper's error of the speed (mas/yr)"):  # fmt: skip
         assert name in page.text
     words = page.words
     assert with_error(components["p_global"][2], components["p_global_err"][2]) in words
-    assert "from the scatter of the features" in words
+    assert "from the scatter of the speeds of features" in words
+    assert words.count(CHANCE) == 2
     # Descriptions speak of headings, not of names of columns.
     assert "speed (c): apparent speed, in units of c" in words
     assert "part of the error of the speed by the alignment" in words
@@ -221,35 +233,58 @@ def words_of(result, components, folder, **kwargs):
 
 
 def test_no_component_is_an_answer_too(result, tmp_path):
-    empty = replace(result, maxima=(), findings=(), error_parts=(), jitters=())
+    empty = replace(result, maxima=(), velocities=(), jitters=())
     words = words_of(empty, empty.components, tmp_path)
-    assert "No speed stands out." in words
-    assert "None: too few patterns have matches to test a velocity." in words
+    assert "No significant motion." in words
+    assert "None: no pattern has a match in another epoch." in words
     assert "p_global is" not in words
     assert not (tmp_path / "members.png").exists()
 
 
 def test_nor_need_any_be_more_than_chance(result, tmp_path, quick):
-    table = result.components[:2].copy()
-    table["kind"] = "uncertain"
+    table = result.components.copy()
+    table["kind"] = "not significant"
+    table = with_notes(table, [CHANCE, CHANCE])
     words = words_of(result, table, tmp_path)
-    assert "No speed stands out from chance." in words
-    assert "Components 1 and 2 of the table, with p_global above 0.05, may" in words
-    meta = {**result.meta, "settings": {**result.meta["settings"], "level": 0.01}}
-    words = words_of(replace(result, meta=meta), table, tmp_path)
-    assert "with p_global above 0.01, may" in words
+    assert "No significant motion." in words
+    why = f"Components 1 and 2 of the table: not significant, {CHANCE}."
+    assert why in words
+    table = with_notes(
+        table, [CHANCE, "rest is within 1.645 errors of the speed (95%)"]
+    )
+    words = words_of(result, table, tmp_path)
+    assert f"{CHANCE}; rest is within 1.645 errors of the speed (95%)." in words
 
 
 def test_what_does_not_move_is_no_discovery(result, tmp_path, quick):
-    table = result.components[:2].copy()
+    table = result.components.copy()
     table["kind"] = "stationary"
     words = words_of(result, table, tmp_path)
-    assert "No speed stands out: what patterns share does not move." in words
+    assert "No significant motion: features stand still within their errors." in words
     assert (
         "Components 1 and 2 of the table, stationary, do not move within their errors: "
         "no discovery of a speed."
     ) in words
-    assert "may be chance" not in words.split("Velocity map.")[0].split("Rows")[0]
+    assert "table: not significant" not in words
+
+
+def test_each_feature_has_its_own_speed(result, folder):
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    part = text.split("<h2>Features</h2>")[1].split("</section>")[0]
+    assert part.count("<tr>") == len(result.features) + 1
+    for row in result.features:
+        assert row["first"].strftime("%Y-%m-%d") in part
+
+
+def test_what_does_not_move_has_a_limit(result, tmp_path, quick):
+    table = result.components.copy()
+    limit = table["pm_limit"][1]
+    assert table["kind"][1] == "stationary"
+    assert limit == table["pm"][1] + 1.645 * table["pm_err"][1]
+    assert np.isnan(table["pm_limit"][0])
+    said = words_of(result, table, tmp_path)
+    assert "What row 2 follows, " in said
+    assert " is slower than " in said
 
 
 def test_too_few_epochs_are_named(result, tmp_path, quick):
@@ -257,16 +292,17 @@ def test_too_few_epochs_are_named(result, tmp_path, quick):
     table = result.components.copy()
     assert "with so few" not in words_of(result, table, tmp_path)
     table["p_smallest"] = 2 / 24
-    table["kind"] = ["stationary", "uncertain", "uncertain"]
+    table["kind"] = ["not significant", "stationary"]
     line = (
         "With 4 epochs p_global cannot be below 0.083 (2/N!): with so few no component "
         "that moves can be significant; measure more epochs."
     )
     ssps = result.ssps[result.ssps["epoch"] < 4]
     object.__setattr__(few, "ssps", ssps)
+    object.__setattr__(few, "features", result.features)
     assert line in words_of(few, table, tmp_path)
     # What stands still is told without an order of the epochs.
-    assert "with so few" not in words_of(few, table[:1], tmp_path)
+    assert "with so few" not in words_of(few, table[1:], tmp_path)
 
 
 def test_too_few_trials_are_named(result, tmp_path, quick):
@@ -289,15 +325,21 @@ def test_small_probabilities_are_not_rounded_to_nothing(result, tmp_path, quick)
 @pytest.mark.parametrize(
     ("kinds", "words"),
     [
-        ([], "No speed stands out."),
-        (["uncertain"], "No speed stands out from chance."),
-        (["moving"], "One speed stands out."),
-        (["moving"] * 2 + ["uncertain"], "Two speeds stand out."),
-        (["moving"] * 12, "12 speeds stand out."),
-        (["stationary"], "No speed stands out: what patterns share does not move."),
+        ([], "No significant motion."),
+        (["not significant"], "No significant motion."),
+        (["moving"], "One significant velocity component."),
+        (
+            ["moving"] * 2 + ["not significant"],
+            "Two significant velocity components.",
+        ),
+        (["moving"] * 12, "12 significant velocity components."),
+        (
+            ["stationary"],
+            "No significant motion: features stand still within their errors.",
+        ),
         (
             ["moving", "stationary"],
-            "One speed stands out, beside what does not move within its errors.",
+            "One significant velocity component, beside features that stand still.",
         ),
     ],
 )
@@ -306,47 +348,42 @@ def test_headlines(kinds, words):
 
 
 def test_a_radial_speed_is_outward_or_inward(result, tmp_path, quick):
-    table = result.components[:2].copy()
+    table = result.components.copy()
+    table["kind"] = "moving"
     table["pm_pa"] = np.nan * u.deg
     table["pm_parallel"] = [5, -5] * u.mas / u.yr
     words = words_of(result, table, tmp_path)
-    assert "outward; p_global" in words
+    assert "outward; dispersion" in words
+    # A single feature has none.
     assert "inward; p_global" in words
 
 
-def test_a_component_at_the_edge_of_the_map_is_pointed_out(result, tmp_path, quick):
-    table = result.components[:2].copy()
-    words = words_of(result, table, tmp_path)
-    assert "edge of the velocity map" not in words
-    table["pm_parallel"][1] = 35.9 * u.mas / u.yr
-    words = words_of(result, table, tmp_path)
-    assert "Component 2 is at the edge of the velocity map" in words
-    table["pm_transverse"][0] = -35.9 * u.mas / u.yr
-    words = words_of(result, table, tmp_path)
-    assert "Components 1 and 2 are at the edge" in words
-    table["kind"] = "uncertain"
-    assert "edge of" not in words_of(result, table, tmp_path)
-
-
-def test_on_the_sky_the_edges_are_east_and_north(result, tmp_path, quick):
-    from astro_scc.kinematics import SkyFrame
-
-    sky = replace(result, frame=SkyFrame())
-    table = result.components[:1].copy()
-    table["pm_dec"] = 35.9 * u.mas / u.yr
-    assert "Component 1 is at the edge" in words_of(sky, table, tmp_path)
+def test_a_component_as_fast_as_the_search_is_pointed_out(
+    result, jet_stacked, tmp_path, quick
+):
+    line = (
+        "Component 1 is as fast as anything that was searched: measure with a larger "
+        "max_speed before you believe it."
+    )
+    table = result.components
+    assert "anything that was searched" not in words_of(result, table, tmp_path)
+    # The features move at 7.3 mas/yr.
+    close = jet_stacked(270 * u.deg, max_speed=7.5 * u.mas / u.yr)
+    assert close.components["kind"][0] == "moving"
+    assert line in words_of(close, close.components, tmp_path)
+    chance = close.components.copy()
+    chance["kind"] = "not significant"
+    assert "anything that" not in words_of(close, chance, tmp_path)
 
 
 def test_columns_that_are_new_are_shown(result, tmp_path, quick):
     table = result.components[:1].copy()
     table["gamma_min"] = 1.2345
-    table["note"] = "<b>good</b>"
-    table.remove_columns(["p_global", "p_global_err", "p_smallest"])
+    table = with_notes(table, ["<b>good</b>"])
     words = words_of(result, table, tmp_path)
     assert "gamma_min" in words
     assert "1.234" in words or "1.235" in words
     assert "<b>good</b>" in words
-    assert "p_global" not in words
 
 
 def test_only_ssps_of_the_region_are_counted(result, tmp_path, quick):
@@ -451,7 +488,7 @@ def test_fast_motion_has_a_unit_that_can_be_read(components):
         fast[name] = components[name] * 1e5
         fast[name].info.description = components[name].info.description
     easy = in_easy_units(fast)
-    assert str(easy["pm"].unit) == str(easy["pm_err_epochs"].unit) == "arcsec / yr"
+    assert str(easy["pm"].unit) == str(easy["dispersion"].unit) == "arcsec / yr"
     assert easy["pm"][0] == fast["pm"][0]
     assert easy["pm"].info.description == components["pm"].info.description
     assert str(fast["pm"].unit) == "mas / yr"

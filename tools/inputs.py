@@ -34,7 +34,7 @@ DAYS = ("2001-01-01", "2001-01-31", "2001-03-02", "2001-04-01", "2001-05-01")
 SPEED = 0.2 * 365.25 / 30
 SHAPE = (40, 48)
 FEATURES = ((20, 12, 1.0, 1.8), (12, 24, 0.6, 1.6), (28, 32, 0.5, 2.0))
-QUICK = ("--scales=1,2", "--max-speed=5 mas/yr", "--n-trials=2", "--seed=1")
+QUICK = ("--scales=1,2", "--max-speed=5 mas/yr", "--n-trials=119", "--seed=1")
 CARDS = {
     "OBJECT": "J0000+00",
     "BUNIT": "JY/BEAM",

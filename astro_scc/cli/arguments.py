@@ -169,7 +169,7 @@ def add_images(parser, *, verb):
     )
 
 
-def add_patterns(group, *, kappa):
+def add_patterns(group, *, kappa, speed):
     """
     Add ``--scales``, ``--max-speed`` and ``--kappa``.
 
@@ -178,6 +178,8 @@ def add_patterns(group, *, kappa):
     group : argument group
     kappa : float
         Smallest correlation without the option.
+    speed : str
+        Largest speed without the option.
     """
     group.add_argument(
         "--scales",
@@ -188,7 +190,7 @@ def add_patterns(group, *, kappa):
     group.add_argument(
         "--max-speed",
         metavar='"2 mas/yr"',
-        help="largest proper motion; default four beams in the median interval",
+        help=f"largest proper motion; default {speed}",
     )
     group.add_argument(
         "--kappa",

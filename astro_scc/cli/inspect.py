@@ -4,12 +4,10 @@
 import math
 
 from astro_scc.cli.arguments import add_epochs
-from astro_scc.cli.summary import table_lines
+from astro_scc.cli.summary import misalignment_text, table_lines
 
 __all__ = ["add_parser", "run"]
 
-# Cores that scatter by more than this part of the beam want an alignment.
-SCATTER = 0.05
 #: Speeds that are explained when none is given.
 N_SPEEDS = 4
 #: In years; so much intervals are wrong by that are given in days.
@@ -71,7 +69,7 @@ def run(args, reporter):
             more = f" (and {len(table) - 1} more like it)" if len(table) > 1 else ""
             raise ValueError(f"{problems[0]}{more}")
         rows = [_file_cells(*pair) for pair in zip(names, table, strict=True)]
-    cores, scatter = _cores(cube)
+    cores, of_core = _cores(cube)
     for name, row in zip(names, rows, strict=True):
         row.append(cores.get(name, "-"))
     head = ["epoch", "date", "pixels", "pixel", "beam", f"noise ({unit})", "peak"]
@@ -85,7 +83,7 @@ def run(args, reporter):
         reporter.say(f"  {problem}")
     if cube is not None:
         reporter.say()
-        for line in [*_plan(cube, speed), *scatter]:
+        for line in [*_plan(cube, speed), *_alignment(cube, of_core)]:
             reporter.say(line)
 
 
@@ -115,34 +113,38 @@ def _cube(files):
 
 
 def _cores(cube):
-    """Offset of the core of each epoch as text, by label, and what to do about it."""
+    """Offset of the core of each epoch as text, by label, and its scatter in beams."""
     import numpy as np
 
     from astro_scc.epochs.alignment.core import core_positions
 
     if cube is None or cube.beams is None:
-        return {}, []
+        return {}, 0.0
     try:
         found = core_positions(cube)
     except ValueError:
-        return {}, []
-    east, north = found["east"], found["north"]
-    cores = {
-        label: _offset(e.value, n.value)
-        for label, e, n in zip(cube.labels, east, north, strict=True)
-    }
-    scatter = max(east.std(), north.std())
-    width = np.median([np.sqrt(b.major * b.minor).value for b in cube.beams])
-    if scatter.value < SCATTER * width:
-        return cores, []
-    n = int(sum(found["blended"]))
-    blended = f", blended with the jet in {n} of {len(cube)}" if n else ""
-    return cores, [
-        "",
-        f"The core as it is fitted scatters by {scatter:.2g} from epoch to epoch"
-        f"{blended}.  Unless the",
-        "images are aligned already, as restored ones are, measure with --align core "
-        "or a table of its positions.",
+        return {}, 0.0
+    east, north = found["east"].value, found["north"].value
+    width = np.mean([np.sqrt(b.major * b.minor).value for b in cube.beams])
+    cores = dict(zip(cube.labels, map(_offset, east, north), strict=True))
+    return cores, max(east.std(), north.std()) / width
+
+
+def _alignment(cube, of_core):
+    """How well the epochs lie on one another, and what to do about it."""
+    from astro_scc.epochs.alignment.misalignment import LARGEST
+
+    scatter = cube.misalignment
+    lines = ["", misalignment_text(scatter)]
+    if max(scatter or 0, of_core) < LARGEST:
+        return lines
+    if of_core >= LARGEST:
+        lines.append(f"The core as it is fitted scatters by {of_core:.2f} beams.")
+    return [
+        *lines,
+        "Images that are not aligned can make a jet that stands still move: measure "
+        "with --align core",
+        "or a table of core positions, unless they are known to be aligned.",
     ]
 
 
@@ -236,7 +238,7 @@ def _speed_lines(cube, plan, speed):
         text = f'"{_below(first)} {_above(last)}"'
         rows.append([*cells, text, str(_n_pairs(cube, first, last))])
     head = [f"speed ({plan.slowest.unit})", "beams in the median interval"]
-    return table_lines([*head, "best --baseline", "pairs"], rows)
+    return table_lines([*head, "--baseline for it alone", "pairs"], rows)
 
 
 def _below(interval):

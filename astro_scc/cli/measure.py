@@ -31,11 +31,11 @@ examples:
       --distance "16.7 Mpc"
   astro-scc measure --config out/config.toml -o again
 
-The folder gets components.ecsv, ssps.ecsv, scc.fits, report.html with its figures,
-and config.toml: with it, and the same images, the same tables come out to the bit.
-Every option of a measurement may stand in a configuration file, with _ for -, and
-some that have no option: target, min_overlap, wavelet, detection, segmentation,
-noise, level, nulls, alignment_error,
+The folder gets components.ecsv, features.ecsv, ssps.ecsv, scc.fits, report.html with
+its figures, and config.toml: with it, and the same images, the same tables come out to
+the bit.  Every option of a measurement may stand in a configuration file, with _ for
+-, and some that have no option: target, min_overlap, wavelet, detection, segmentation,
+noise, level, outward, alignment_error,
 small_displacement_correction (see the documentation).  What the
 command line says comes before what the file says.
 """
@@ -45,10 +45,12 @@ REMARKS = (
 )
 PRODUCTS = (
     "components.ecsv",
+    "features.ecsv",
     "ssps.ecsv",
     "scc.fits",
     "config.toml",
     "report.html",
+    "diagram.png",
     "velocity_map.png",
     "significance.png",
     "members.png",
@@ -100,7 +102,11 @@ def add_measurement(parser):
     """
     add_images(parser, verb="measure")
     group = parser.add_argument_group("measurement")
-    add_patterns(group, kappa=0.6)
+    add_patterns(
+        group,
+        kappa=0.6,
+        speed="1.5 beams in the shorter intervals, four of up to 20 epochs",
+    )
     group.add_argument(
         "--position-angle",
         metavar='"65 deg"|fit|ridge|radial',
@@ -111,7 +117,8 @@ def add_measurement(parser):
     group.add_argument(
         "--baseline",
         metavar='"0.2 yr 1.0 yr"',
-        help="pair epochs this far apart in time; default consecutive epochs",
+        help="compare epochs only that are this far apart in time; by default each "
+        "speed has the intervals in which it moves 0.2 to 1 beam",
     )
     group.add_argument(
         "--kernel",
@@ -238,7 +245,7 @@ def measure(
     # A region file that cannot be used is better known before the long part.
     region = region or config.get("region")
     cube.region_mask(region)
-    config = settings_as_used(scc, config, cube, seed=kept_seed(work))
+    config = settings_as_used(scc, config, seed=kept_seed(work))
     result = scc(
         cube,
         region=region,

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """``astro-scc profile``: velocities in bins of distance from the core."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 from astro_scc.cli.arguments import (
@@ -11,7 +12,7 @@ from astro_scc.cli.arguments import (
 )
 from astro_scc.cli.measure import add_measurement
 from astro_scc.cli.settings import draw_seed, settings_of, workers_of
-from astro_scc.cli.summary import profile_lines
+from astro_scc.cli.summary import profile_lines, scale_lines
 
 __all__ = ["add_parser", "run"]
 
@@ -25,8 +26,10 @@ examples:
 
 Matches are made once, for all images; each bin is a stack of those of its patterns.
 The folder gets profile.ecsv, a row for each bin and component with p_fdr, which is
-adjusted for all bins; profile.png, velocity_maps.png and position_angles.png; and
-config.toml.  With --position-angle ridge, distances are along the ridge line.
+adjusted for all bins, and in its header the acceleration of the whole stretch;
+scales.ecsv, the speeds of the finest scale and of the others beside one another;
+profile.png, velocity_maps.png and position_angles.png; and config.toml.  With
+--position-angle ridge, distances are along the ridge line.
 """
 REMARKS = (
     "What determined this profile.  To do it again, in the folder it was done in,",
@@ -34,6 +37,7 @@ REMARKS = (
 )
 PRODUCTS = (
     "profile.ecsv",
+    "scales.ecsv",
     "profile.png",
     "velocity_maps.png",
     "position_angles.png",
@@ -91,10 +95,10 @@ def run(args, reporter):
         args.output, overwrite=args.overwrite, stale=PRODUCTS
     ) as folder:
         cube, config, _ = read_epochs(config, note=reporter.note)
-        components = _measure(cube, config, folder, reporter, n_workers)
+        components, lines = _measure(cube, config, folder, reporter, n_workers)
         if args.votable:
             write_votable(components, folder / "profile.vot")
-    for line in profile_lines(components):
+    for line in [*profile_lines(components), "", *lines]:
         reporter.say(line)
     reporter.say(f"\nProfile: {Path(args.output) / 'profile.ecsv'}")
 
@@ -107,14 +111,18 @@ def _measure(cube, config, folder, reporter, n_workers):
         plain_settings,
         settings_as_used,
     )
-    from astro_scc.measurement import versions
-    from astro_scc.profiles import measure_profile, write_profile
+    from astro_scc.measurement import select_ssps, versions
+    from astro_scc.profiles import (
+        measure_acceleration,
+        measure_profile,
+        write_profile,
+    )
 
     scc = StackedCrossCorrelation.from_settings(config)
     how = distance_of(config)
     region = config.get("region")
     cube.region_mask(region)
-    config = settings_as_used(scc, config, cube, seed=draw_seed())
+    config = settings_as_used(scc, config, seed=draw_seed())
     matched = scc.match(
         cube, region=region, n_workers=n_workers, progress_bar=reporter.progress
     )
@@ -132,8 +140,32 @@ def _measure(cube, config, folder, reporter, n_workers):
         progress_bar=reporter.progress,
     )
     components = profile.components_in_c(**how) if how else profile.components
+    bins = profile.bins
+    whole = scc.stack(
+        select_ssps(matched, r_min=bins.min(), r_max=bins.max()),
+        n_trials=config["n_trials"],
+        rng=config["seed"],
+    )
+    acceleration = measure_acceleration(whole)
+    components.meta["acceleration"] = asdict(acceleration)
+    lines = [str(acceleration)]
+    if (of_scales := _of_scales(whole)) is not None:
+        of_scales.write(folder / "scales.ecsv", format="ascii.ecsv")
+        lines += scale_lines(of_scales)
     text = format_config(config, versions=versions(), remarks=REMARKS)
     write_profile(
         profile, components, folder, configuration=plain_settings(config), text=text
     )
-    return components
+    return components, lines
+
+
+def _of_scales(result):
+    """Speeds of the finest scale and of the others, if there are and have any."""
+    from astro_scc.kinematics import SkyFrame
+    from astro_scc.stratification import compare_speeds, scale_groups
+
+    scales = sorted(set(result.matched.ssps.scale.tolist()))
+    if len(scales) < 2 or isinstance(result.frame, SkyFrame):
+        return None
+    groups = {"finest": scales[:1], "coarser": scales[1:]}
+    return compare_speeds(result, scale_groups(result.matched, groups))

@@ -3,13 +3,19 @@
 
 import math
 
-__all__ = ["component_lines", "profile_lines", "speed_lines", "table_lines"]
+__all__ = [
+    "component_lines",
+    "misalignment_text",
+    "profile_lines",
+    "scale_lines",
+    "speed_lines",
+    "table_lines",
+]
 
 # What stands beside the numbers of each kind of component.
 REMARKS = {"moving": "", "stationary": "stationary, no discovery"}
 EXPLANATION = (
-    "p_global: probability of as much at any velocity, if features share no speed or",
-    "epochs have no order; the larger of the two",
+    "p_global: probability that epochs in permuted order show as much at any velocity",
 )
 PROFILE_EXPLANATION = (
     "p_fdr: p_global adjusted for all bins, the share of false discoveries up to it",
@@ -91,23 +97,30 @@ def component_lines(components):
     from astro_scc.visualization.style import component_kinds
 
     kinds = component_kinds(components)
-    found = [kind != "uncertain" for kind in kinds]
-    if any(found):
-        lines = _found_lines(components[found], [k for k in kinds if k in REMARKS])
+    found = [k for k, kind in enumerate(kinds) if kind in REMARKS]
+    others = [k for k, kind in enumerate(kinds) if kind not in REMARKS]
+    if found:
+        lines = _found_lines(components[found], [kinds[k] for k in found])
         lines += EXPLANATION
     else:
         lines = [
-            "No velocity component stands out.  Other scales, a --baseline that suits "
-            "the speed",
-            "(see astro-scc inspect) or a --region may help; so may more epochs.",
+            "No significant velocity component.  More epochs, other scales or a",
+            "--region may help.",
         ]
-    n = len(components) - sum(found)
-    if n:
+    if others:
+        notes = "; ".join(dict.fromkeys(str(components["note"][k]) for k in others))
         lines.append(
-            f"{n} of {len(components)} rows of components.ecsv may be chance "
-            f"(p_global above {components.meta['settings']['level']:g})"
+            f"Not significant: {len(others)} of {len(components)} rows of "
+            f"components.ecsv, {notes}"
         )
-    return [*lines, *speed_lines(components.meta)]
+    for row in components:
+        limit = row["pm_limit"]
+        if math.isfinite(limit.value):
+            lines.append(
+                f"Row {row['component']}: slower than {limit.value:.2g} {limit.unit} "
+                "at 95%"
+            )
+    return [*lines, *speed_lines(components.meta), *_misalignment(components.meta)]
 
 
 def profile_lines(components):
@@ -130,7 +143,7 @@ def profile_lines(components):
     head += ["p_global", "p_fdr", "SSPs", ""]
     rows = []
     for row in components:
-        if row["kind"] == "uncertain" and not row["main"]:
+        if row["kind"] == "not significant" and not row["main"]:
             continue
         cells = [
             f"{row['r_min'].value:g} to {row['r_max'].value:g}",
@@ -138,13 +151,71 @@ def profile_lines(components):
         ]
         if in_c:
             cells.append(with_error(row["beta_app"].value, row["beta_app_err"].value))
-        cells += [f"{row['p_global']:.2g}", f"{row['p_fdr']:.2g}", str(row["n_ssp"])]
-        rows.append([*cells, {"uncertain": "may be chance"}.get(
-            str(row["kind"]), REMARKS.get(str(row["kind"]), ""))])  # fmt: skip
+        kind = str(row["kind"])
+        for name in ("p_global", "p_fdr"):
+            # What stands still is not tested.
+            cells.append("-" if kind == "stationary" else f"{row[name]:.2g}")
+        rows.append([*cells, str(row["n_ssp"]), REMARKS.get(kind, kind)])
     if not rows:
         return ["No velocity could be tested in any bin."]
-    how = speed_lines(components.meta)
+    how = [*speed_lines(components.meta), *_misalignment(components.meta)]
     return [*table_lines(head, rows), *PROFILE_EXPLANATION, *how]
+
+
+def scale_lines(of_scales):
+    """
+    The speeds of groups of scales beside one another, as lines.
+
+    Parameters
+    ----------
+    of_scales : `~astropy.table.QTable`
+        See `~astro_scc.stratification.compare_speeds`.
+
+    Returns
+    -------
+    list of str
+    """
+    lines = []
+    for row in of_scales:
+        speeds = [
+            f"{with_error(row[f'{k}_speed'].value, row[f'{k}_speed_err'].value)} "
+            f"({row[f'{k}_n_features']} features)"
+            for k in ("first", "second")
+        ]
+        lines.append(
+            f"speeds of the {row['first']} and {row['second']} scales: {speeds[0]} and "
+            f"{speeds[1]} mas/yr, p {row['p_value']:.2g}"
+        )
+    return lines
+
+
+def _misalignment(meta):
+    scatter = meta.get("misalignment_beams")
+    return [] if scatter is None else [misalignment_text(scatter)]
+
+
+def misalignment_text(scatter):
+    """
+    How well epochs lie on one another, as a line.
+
+    Parameters
+    ----------
+    scatter : float or None
+        In beams, see `astro_scc.EpochCube.misalignment`.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> from astro_scc.cli.summary import misalignment_text
+    >>> misalignment_text(0.0312)
+    'The epochs lie on one another to 0.03 beams.'
+    """
+    if scatter is None:
+        return "How well the epochs lie on one another, the images do not tell."
+    return f"The epochs lie on one another to {scatter:.2f} beams."
 
 
 def speed_lines(meta):
@@ -184,7 +255,7 @@ def _found_lines(components, kinds):
     unit = speed_unit(components["pm"].value.max())
     head = ["component", f"proper motion ({unit})", "PA (deg)"]
     head += ["speed (c)"] if in_c else []
-    head += ["p_global", "z score", "SSPs", ""]
+    head += [f"dispersion ({unit})", "p_global", "z score", "features", ""]
     rows = []
     for row, kind in zip(components, kinds, strict=True):
         angle = row["pm_pa"].value
@@ -195,6 +266,12 @@ def _found_lines(components, kinds):
         ]
         if in_c:
             cells.append(with_error(row["beta_app"].value, row["beta_app_err"].value))
-        cells += [f"{row['p_global']:.2g}", f"{row['z_score']:.1f}", str(row["n_ssp"])]
+        spread = row["dispersion"].to_value(unit)
+        cells.append(f"{spread:.2g}" if math.isfinite(spread) else "-")
+        cells += [
+            f"{row['p_global']:.2g}" if kind == "moving" else "-",
+            f"{row['z_score']:.1f}",
+            str(row["n_features"]),
+        ]
         rows.append([*cells, REMARKS[kind]])
     return table_lines(head, rows)

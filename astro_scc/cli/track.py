@@ -70,7 +70,7 @@ def add_parser(commands):
 
 
 def _add_tracking(group):
-    add_patterns(group, kappa=0.5)
+    add_patterns(group, kappa=0.5, speed="four beams in the median interval")
     group.add_argument(
         "--position-angle",
         metavar='"65 deg"|radial',

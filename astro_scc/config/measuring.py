@@ -169,7 +169,7 @@ def select_epochs(cube, config):
     return cube[keep], [(cube.labels[i], why) for i, why in left_out.items()]
 
 
-def settings_as_used(scc, config, cube, *, seed):
+def settings_as_used(scc, config, *, seed):
     """
     All settings of a measurement; what was given stays as it was written.
 
@@ -177,7 +177,6 @@ def settings_as_used(scc, config, cube, *, seed):
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
     config : dict
-    cube : `~astro_scc.EpochCube`
     seed : int
         Without one in the configuration.
 
@@ -190,10 +189,8 @@ def settings_as_used(scc, config, cube, *, seed):
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
     >>> from astro_scc.config import settings_as_used
-    >>> from astro_scc.simulation import simulate_two_fluid
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
-    >>> used = settings_as_used(scc, {"max_speed": "36 mas/yr"}, cube, seed=1)
+    >>> used = settings_as_used(scc, {"max_speed": "36 mas/yr"}, seed=1)
     >>> used["max_speed"], used["kappa"], used["seed"]
     ('36 mas/yr', 0.6, 1)
     """
@@ -202,7 +199,6 @@ def settings_as_used(scc, config, cube, *, seed):
         "seed": seed,
         **{field.name: getattr(scc, field.name) for field in fields(scc)},
         **config,
-        "max_speed": config.get("max_speed", scc.speed_limit(cube)),
     }
 
 

@@ -134,16 +134,6 @@ def _speeds(value):
     return speeds
 
 
-def _nulls(value):
-    from astro_scc.stacking import NULL_HYPOTHESES
-
-    names = re.split(r"[\s,]+", value.strip()) if isinstance(value, str) else value
-    known = isinstance(names, list | tuple) and set(names) <= set(NULL_HYPOTHESES)
-    if not names or not known:
-        raise ValueError(f"must be of {', '.join(NULL_HYPOTHESES)}")
-    return tuple(names)
-
-
 def _alignment_error(value):
     wanted = "must be an angle or a list of them, such as '0.02 mas'"
     errors = _quantities(value, "mas", wanted)
@@ -238,7 +228,7 @@ SETTINGS = {
     "segmentation": _positive,
     "noise": _choice("plane", "local", "propagated"),
     "level": _fraction(1),
-    "nulls": _nulls,
+    "outward": _boolean,
     "alignment_error": _alignment_error,
     "small_displacement_correction": _boolean,
     "n_trials": _integer(2, 10**9),

@@ -27,6 +27,10 @@ __all__ = ["as_done", "in_order", "machine_memory", "workers_of"]
 #: interrupted run takes to end.
 WAITING = 2
 
+#: Seconds that a worker has to send a result before it ends: of one that is sent in
+#: part the pool would await the rest for ever.
+GRACE = 0.5
+
 #: Limits of containers and of the jobs of batch systems.
 CONTROL_GROUPS = (
     "/sys/fs/cgroup/memory.max",
@@ -69,13 +73,27 @@ def _start():
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.signal(signal.SIGTERM, _end_soon)
     # One that is killed cannot end them.
     threading.Thread(target=_end_with_parent, daemon=True).start()
     from threadpoolctl import threadpool_limits
 
     # More workers than one already share the processor.
     threadpool_limits(1)
+
+
+def _end_soon(*_):
+    signal.setitimer(signal.ITIMER_REAL, GRACE)
+
+
+def _work(function, piece):
+    """Call the function in a worker, which ends here if it was told to."""
+    result = function(piece)
+    if hasattr(signal, "getitimer") and signal.getitimer(signal.ITIMER_REAL)[0]:
+        os._exit(1)
+    return result
 
 
 def _end_with_parent():
@@ -165,7 +183,7 @@ def _in_processes(function, pieces, n_workers, context):
     try:
         with _processes(n_workers, context) as pool:
             for piece in pieces:
-                waiting.append(pool.submit(function, piece))
+                waiting.append(pool.submit(_work, function, piece))
                 if len(waiting) > WAITING * n_workers:
                     yield waiting.popleft().result()
             while waiting:
@@ -183,8 +201,12 @@ def _processes(n_workers, context):
     try:
         yield pool
     except BaseException:
-        for process in set(multiprocessing.active_children()) - before:
+        ours = set(multiprocessing.active_children()) - before
+        for process in ours:
             process.terminate()
+        for process in ours:
+            process.join(4 * GRACE)
+            process.kill()
         raise
     finally:
         pool.shutdown(cancel_futures=True)
@@ -240,7 +262,7 @@ def _as_done(function, pieces, n_workers, context):
             while not broken:
                 for item in pieces:
                     try:
-                        waiting[pool.submit(function, item[1])] = item
+                        waiting[pool.submit(_work, function, item[1])] = item
                     except BrokenProcessPool:
                         lost.append(item)
                         broken = True
@@ -269,7 +291,7 @@ def _as_done(function, pieces, n_workers, context):
         for index, piece in lost:
             # Alone, so that no other suffers from what it does.
             with _processes(1, context) as pool:
-                result = _outcome(pool.submit(function, piece).result)
+                result = _outcome(pool.submit(_work, function, piece).result)
                 if isinstance(result, BrokenProcessPool):
                     result = ChildProcessError(DIED)
                 yield index, result

@@ -127,7 +127,6 @@ class IntervalPlan:
         -------
         list of str
         """
-        unit = self.span.unit
         low, high = self.consecutive
         lines = [
             f"{self.n_epochs} epochs over {self.span:.3g}, "
@@ -141,13 +140,10 @@ class IntervalPlan:
             ),
             f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}.",
         ]
-        slow = np.sqrt(low * self.slowest)
-        if self.n_epochs > 2 and self.slowest < slow < low:
-            first, last = self.baseline(slow)
+        if self.n_epochs > 2:
             lines.append(
-                f"For slower features pair epochs that are further apart: at "
-                f'{slow:.2g}, --baseline "{first.value:.2g} {unit} '
-                f'{last.value:.2g} {unit}".'
+                "Slower features show in pairs of epochs that are further apart, which "
+                "are used for them."
             )
         return lines
 

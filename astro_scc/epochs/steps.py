@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The operations on epochs as methods, so that they can be chained."""
 
+from functools import cached_property
+
 __all__ = ["EpochSteps"]
 
 
@@ -48,6 +50,18 @@ class EpochSteps:
         from astro_scc.epochs.alignment.shifts import align
 
         return align(self, method, **kwargs)
+
+    @cached_property
+    def misalignment(self):
+        """
+        Scatter of the epochs about where their neighbours put them, in beams.
+
+        None where that cannot be told, see
+        `~astro_scc.epochs.alignment.misalignment.misalignment`.
+        """
+        from astro_scc.epochs.alignment.misalignment import misalignment
+
+        return misalignment(self)
 
     def reproject_to(self, wcs, shape=None, order=None, *, method="interp"):
         """

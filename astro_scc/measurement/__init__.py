@@ -24,20 +24,26 @@ from astro_scc.measurement.provenance import match_provenance
 from astro_scc.measurement.result import MatchedEpochs, SCCResult
 from astro_scc.measurement.selection import select_ssps, ssp_distances
 from astro_scc.measurement.stacking import stack_matches, velocity_frame
-from astro_scc.measurement.tables import component_table, ssp_table, versions
-from astro_scc.measurement.velocity_error import VelocityError, alignment_errors
+from astro_scc.measurement.tables import (
+    component_table,
+    feature_table,
+    ssp_table,
+    versions,
+)
+from astro_scc.measurement.velocity_error import StreamVelocity, alignment_errors
 from astro_scc.measurement.votable import write_votable
 
 __all__ = [
     "MatchCache",
     "MatchedEpochs",
     "SCCResult",
-    "VelocityError",
+    "StreamVelocity",
     "alignment_errors",
     "angular_displacements",
     "beam_fwhm",
     "component_table",
     "false_discovery_rate",
+    "feature_table",
     "match_provenance",
     "position_errors",
     "product_folder",

@@ -55,12 +55,13 @@ def false_discovery_rate(tables, *, method="bh"):
     -----
     ``p_global`` enters because it has paid already for all the velocities at
     which one region was searched; ``p_local`` has not.  Every velocity that
-    was tested counts, the "uncertain" ones too, and an empty table counts as
-    one test with a probability of 1.  Were only those counted that are
-    significant by themselves, a lone false alarm among twenty regions would
-    have nothing to pay for the other nineteen.  ``kind`` is not changed: a
-    component is a discovery of the whole search if it is "moving" or
-    "stationary" *and* its ``p_fdr`` is small.
+    was tested counts, those "not significant" too, and a table without any
+    counts as one test with a probability of 1.  Were only those counted that
+    are significant by themselves, a lone false alarm among twenty regions
+    would have nothing to pay for the other nineteen.  What is "stationary" is
+    not tested and does not count.  ``kind`` is not changed: a component is a
+    discovery of the whole search if it is "moving" *and* its ``p_fdr`` is
+    small.
 
     With n trials no ``p_fdr`` of a lone component is below m / (n + 1).
 
@@ -73,7 +74,8 @@ def false_discovery_rate(tables, *, method="bh"):
     --------
     >>> from astropy.table import QTable
     >>> from astro_scc.measurement import false_discovery_rate
-    >>> inner = QTable({"kind": ["moving", "uncertain"], "p_global": [0.004, 0.3]})
+    >>> kinds = ["moving", "not significant"]
+    >>> inner = QTable({"kind": kinds, "p_global": [0.004, 0.3]})
     >>> outer = QTable({"kind": ["moving"], "p_global": [0.04]})
     >>> inner, outer = false_discovery_rate([inner, outer])
     >>> inner["p_fdr"].tolist(), outer["p_fdr"].tolist()
@@ -93,16 +95,21 @@ def false_discovery_rate(tables, *, method="bh"):
         _probabilities(t, k if names is None else names[k])
         for k, t in enumerate(tables)
     ]
+    moved = [_tested(table) for table in tables]
     # Where nothing could be tested was searched all the same.
-    p = [own if len(own) else np.ones(1) for own in tested]
+    p = [
+        own[use] if use.any() else np.ones(1)
+        for own, use in zip(tested, moved, strict=True)
+    ]
     adjusted = false_discovery_control(np.concatenate(p), method=method) if p else []
     ends = np.cumsum([len(own) for own in p])
     parts = np.split(adjusted, ends[:-1]) if p else []
     meta = {"false_discovery": {"method": method, "n_tests": len(adjusted)}}
-    done = [
-        _with_column(table, q[: len(table)], meta)
-        for table, q in zip(tables, parts, strict=True)
-    ]
+    done = []
+    for table, own, use, q in zip(tables, tested, moved, parts, strict=True):
+        values = own.copy()
+        values[use] = q[: use.sum()]
+        done.append(_with_column(table, values, meta))
     return done if names is None else dict(zip(names, done, strict=True))
 
 
@@ -116,6 +123,13 @@ def _probabilities(table, name):
     if not np.all((p >= 0) & (p <= 1)):
         raise ValueError(f"table {name!r}: p_global must be from 0 to 1, got {p}")
     return p
+
+
+def _tested(table):
+    """Which velocities were tested: not those of what stands still."""
+    if "kind" not in table.colnames:
+        return np.ones(len(table), dtype=bool)
+    return np.asarray(table["kind"], dtype=str) != "stationary"
 
 
 def _with_column(table, values, meta):

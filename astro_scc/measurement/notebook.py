@@ -40,7 +40,7 @@ def result_html(result):
     kinds = [str(kind) for kind in table["kind"]]
     found = ", ".join(
         f"{kinds.count(kind)} {kind}"
-        for kind in ("moving", "stationary", "uncertain")
+        for kind in ("moving", "stationary", "not significant")
         if kind in kinds
     )
     lines = [

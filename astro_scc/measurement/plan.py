@@ -9,15 +9,23 @@ import numpy as np
 from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs import beam_fwhm, ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.stacking import VelocityGrid, baseline_pairs, consecutive_pairs
+from astro_scc.stacking import (
+    Rays,
+    SearchSettings,
+    VelocityGrid,
+    baseline_pairs,
+    consecutive_pairs,
+)
 
 __all__ = [
     "centroids_inside",
     "flow_direction",
+    "largest_speed",
     "map_grid",
     "mean_fwhm",
     "pairs_of_dates",
     "scales_of_pixels",
+    "search_radius",
     "search_reach",
     "ssps_inside",
 ]
@@ -32,9 +40,15 @@ LEAST_MOTION = 0.01
 MOST_MOTION = 10
 #: Spacing of the velocity grid in units of the narrowest kernel.
 GRID_STEP = 0.5
-#: Matches beyond the largest speed are background for it, up to so many
-#: standard errors of a displacement.
-MARGIN = 5.0
+#: Displacements are searched by so many smoothing lengths beyond the largest.
+MARGIN = 3.0
+#: Matches are made so many beams beyond the largest speed: stacks in speed and
+#: acceleration have kernels of 0.8 beam.
+BEYOND = 1.0
+#: Without a largest speed, series of up to so many epochs are searched to so
+#: many beams in the median interval.
+FEW_EPOCHS = 20
+FAR_BEAMS = 4.0
 
 
 def scales_of_pixels(scales, pixel_scale):
@@ -129,24 +143,82 @@ def mean_fwhm(cube, scale):
     return float(np.mean(beam_fwhm(cube, every, np.full(len(cube), scale), np.eye(2))))
 
 
-def search_reach(cube, pairs, speed, fwhm, kernel):
+def search_radius(cube, max_speed, fwhm):
     """
-    Largest displacement in pixels that any order of the epochs needs.
+    Largest displacement between two epochs that is searched, in beams.
 
-    The largest speed in the longest interval, and five standard errors of a
-    displacement more: what lies beyond the largest speed is the background
-    against which it is judged.
+    One and a half, and farther where even the shortest intervals are too
+    long for that: as far as the largest speed moves in the shorter quarter
+    of the intervals between epochs.  Without one, series of up to 20 epochs
+    are searched to four beams in the median interval.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    max_speed : float or None
+        In mas/yr.
+    fwhm : float
+        Resolution in mas.
+
+    Returns
+    -------
+    float
+    """
+    gaps = np.diff(cube.years.to_value(u.yr))
+    gaps = gaps[gaps > 0]
+    settings = SearchSettings()
+    if len(gaps) == 0:
+        return settings.radius
+    short, far = np.quantile(gaps, 0.25), 0.0
+    if max_speed is not None:
+        far = max_speed * short / fwhm
+    elif len(cube) <= FEW_EPOCHS:
+        far = FAR_BEAMS * short / np.median(gaps)
+    return max(settings.radius, far + MARGIN * settings.smoothing)
+
+
+def largest_speed(cube, radius, baseline=None):
+    """
+    Largest speed that is searched for streams if none is given.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    radius : float
+        Largest displacement that is searched, in beams.
+    baseline : `~astropy.units.Quantity`, shape (2,), optional
+
+    Returns
+    -------
+    float
+        In beams a year.
+
+    Raises
+    ------
+    ValueError
+        If no two epochs make a pair.
+    """
+    pairs_of_dates(cube, baseline)
+    intervals = (0.0, np.inf) if baseline is None else baseline.to_value(u.yr)
+    years = cube.years.to_value(u.yr)
+    rays = Rays.of(years, radius, SearchSettings(), intervals=intervals)
+    return float(rays.speed.max())
+
+
+def search_reach(cube, pairs, radius, fwhm, max_speed):
+    """
+    Largest displacement in pixels that is matched, whatever the dates.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     pairs : `~astro_scc.stacking.DatePairs`
-    speed : float
-        Largest speed in mas/yr.
+    radius : float
+        Largest displacement that is searched for streams, in beams.
     fwhm : float
         Resolution in mas.
-    kernel : float
-        Standard error of a displacement in units of the resolution.
+    max_speed : float or None
+        Largest speed in mas/yr of the map of ``pairs``.
 
     Returns
     -------
@@ -159,33 +231,39 @@ def search_reach(cube, pairs, speed, fwhm, kernel):
         If the largest speed is far out of the image in any interval, or
         moves nothing in any.
     """
-    longest, shortest = pairs.interval.max(), pairs.interval.min()
-    farthest = speed * longest
+    farthest = radius * fwhm
     # Pixels may not be square: (x, y) sides.
     side = np.hypot(*cube.pixel_matrix.value)
     limit = np.array(cube.shape[1:]) - 1
-    if speed * shortest > MOST_MOTION * np.hypot(*(side * cube.shape[:0:-1])):
+    if max_speed is not None:
+        _check_speed(max_speed, pairs, side, cube.shape, limit)
+        farthest = max(farthest, max_speed * pairs.interval.max() + BEYOND * fwhm)
+    reach = np.ceil(farthest / side).astype(int)[::-1]
+    return tuple(int(r) for r in np.minimum(reach, limit))
+
+
+def _check_speed(speed, pairs, side, shape, limit):
+    longest, shortest = pairs.interval.max(), pairs.interval.min()
+    if speed * shortest > MOST_MOTION * np.hypot(*(side * shape[:0:-1])):
         raise ValueError(
             f"max_speed moves {speed * shortest:.3g} mas in the shortest interval "
             f"({shortest:.3g} yr), more than {MOST_MOTION} times the image: give a "
             "smaller one"
         )
-    if farthest < LEAST_MOTION * side.min():
+    if speed * longest < LEAST_MOTION * side.min():
         raise ValueError(
-            f"max_speed moves {farthest:.3g} mas in the longest interval "
+            f"max_speed moves {speed * longest:.3g} mas in the longest interval "
             f"({longest:.3g} yr), less than {LEAST_MOTION:g} of a pixel: give a "
             "larger one, or a baseline with longer intervals"
         )
-    if np.any(farthest / side > limit.max() // 2):
+    if np.any(speed * longest / side > limit.max() // 2):
         warnings.warn(
-            f"the largest speed moves {farthest:.3g} mas in the longest interval "
-            f"({longest:.3g} yr), more than half the image: give a smaller "
+            f"the largest speed moves {speed * longest:.3g} mas in the longest "
+            f"interval ({longest:.3g} yr), more than half the image: give a smaller "
             "max_speed, or a baseline that leaves out long intervals",
             MeasurementWarning,
-            stacklevel=5,
+            stacklevel=6,
         )
-    reach = np.ceil((farthest + MARGIN * kernel * fwhm) / side).astype(int)[::-1]
-    return tuple(int(r) for r in np.minimum(reach, limit))
 
 
 def map_grid(displacements, pairs, limit):

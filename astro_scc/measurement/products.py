@@ -11,15 +11,28 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
+from astropy.table import QTable
 
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.partial import is_held, partial_folder, remove_left
+from astro_scc.stacking import SearchSettings
 
 __all__ = ["plain_meta", "product_folder", "velocity_hdus", "write_products"]
 
 # Of the disk, which do not always come with the name of a file.
 DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
 MAPS = (("coefficient", "COEFFICIENT"), ("z_score", "ZSCORE"))
+MOTION = "direction of the proper motion"
+#: What the header of the diagram says about it.
+DIAGRAM = (
+    "Matches per pair of dates beyond those of permuted epochs, weighted by",
+    "their correlation coefficients, and smoothed along the displacement by",
+    "a Gaussian with a standard deviation of {blur:g} BEAM.  What moves at a",
+    "constant speed is at displacement = speed * interval.",
+    "INTV-LOG: interval = CRVAL1 * exp(CDELT1 * (pixel - CRPIX1) / CRVAL1).",
+    "NaN: no two dates have this interval.  The table INTERVALS has the mean",
+    "interval and the number of pairs of dates of each column.",
+)
 
 
 @contextmanager
@@ -176,8 +189,8 @@ def write_products(result, components, directory, *, configuration=None, text=No
     Returns
     -------
     list of `~pathlib.Path`
-        ``components.ecsv``, ``ssps.ecsv``, ``scc.fits`` and, with a
-        ``text``, ``config.toml``.
+        ``components.ecsv``, ``features.ecsv``, ``ssps.ecsv``, ``scc.fits``
+        and, with a ``text``, ``config.toml``.
 
     Raises
     ------
@@ -201,20 +214,25 @@ def write_products(result, components, directory, *, configuration=None, text=No
     >>> result = scc(cube, n_trials=20, rng=1)
     >>> Path("out").mkdir()
     >>> [path.name for path in write_products(result, result.components, "out")]
-    ['components.ecsv', 'ssps.ecsv', 'scc.fits']
+    ['components.ecsv', 'features.ecsv', 'ssps.ecsv', 'scc.fits']
     """
     directory = Path(directory)
-    paths = [directory / name for name in ("components.ecsv", "ssps.ecsv", "scc.fits")]
-    for table, path in zip((components, result.ssps), paths, strict=False):
+    tables = {
+        "components.ecsv": components,
+        "features.ecsv": result.features,
+        "ssps.ecsv": result.ssps,
+    }
+    paths = [directory / name for name in (*tables, "scc.fits")]
+    for table, path in zip(tables.values(), paths, strict=False):
         table = table.copy(copy_data=False)
         table.meta = _table_meta(result, components.meta, configuration)
         table.write(path, format="ascii.ecsv", overwrite=True)
     velocity_hdus(result, text=text).writeto(
-        paths[2], output_verify="exception", overwrite=True
+        paths[-1], output_verify="exception", overwrite=True
     )
     if text is not None:
         paths.append(directory / "config.toml")
-        paths[3].write_text(text, encoding="utf-8")
+        paths[-1].write_text(text, encoding="utf-8")
     return paths
 
 
@@ -241,7 +259,7 @@ def plain_meta(value):
 
 def velocity_hdus(result, *, text=None):
     """
-    The velocity map and its significance as FITS images.
+    The velocity map, its significance and the diagram as FITS extensions.
 
     Parameters
     ----------
@@ -252,8 +270,10 @@ def velocity_hdus(result, *, text=None):
     Returns
     -------
     `~astropy.io.fits.HDUList`
-        The stacked correlation coefficients, and the extension ``ZSCORE``.
-        Both have a linear WCS in mas/yr along the axes of the velocities.
+        The stacked correlation coefficients, and the extension ``ZSCORE``,
+        with a linear WCS in mas/yr along the axes of the velocities; the
+        image ``DIAGRAM`` of `SCCResult.diagram`, and the table ``INTERVALS``
+        of its columns.
 
     Examples
     --------
@@ -263,12 +283,12 @@ def velocity_hdus(result, *, text=None):
     >>> cube = simulate_static(n_epochs=5, rng=1).cube
     >>> result = StackedCrossCorrelation(scales=[2])(cube, n_trials=20, rng=1)
     >>> [hdu.name for hdu in velocity_hdus(result)]
-    ['COEFFICIENT', 'ZSCORE']
+    ['COEFFICIENT', 'ZSCORE', 'DIAGRAM', 'INTERVALS']
     """
     hdus = []
     for which, name in MAPS:
         image = result.velocity_map(which)
-        header = _header(result, image)
+        header = _header(image, (MOTION, MOTION))
         kind = fits.ImageHDU if hdus else fits.PrimaryHDU
         hdus.append(kind(np.asarray(image.data, dtype=float), header))
         hdus[-1].name = name
@@ -279,16 +299,35 @@ def velocity_hdus(result, *, text=None):
         primary.add_history(_ascii(line))
     for line in (text or "").splitlines():
         primary.add_comment(_ascii(line) or " ")
-    return fits.HDUList(hdus)
+    return fits.HDUList([*hdus, *_diagram_hdus(result)])
 
 
-def _header(result, image):
+def _diagram_hdus(result):
+    image = result.diagram()
+    along = result.frame.axis_names[0]
+    along = "DISPPA" if along == "east" else along
+    header = _header(image, ("between two dates", f"of patterns, along {along}"))
+    header["BEAM"] = image.meta["beam"].value, "[mas] FWHM along the displacement"
+    if image.meta["position_angle"] is not None:
+        header["DISPPA"] = (
+            image.meta["position_angle"].value,
+            "[deg] position angle of the displacement",
+        )
+    for line in DIAGRAM:
+        header.add_comment(line.format(blur=SearchSettings().blur))
+    columns = QTable({name: image.meta[name] for name in ("interval", "n_pairs")})
+    table = fits.table_to_hdu(columns)
+    table.name = "INTERVALS"
+    return fits.ImageHDU(image.data, header, name="DIAGRAM"), table
+
+
+def _header(image, comments):
     header = image.wcs.to_header()
     # Of the sky, which these axes are not.
     for key in ("LATPOLE", "LONPOLE", "MJDREF", "RADESYS"):
         header.remove(key, ignore_missing=True)
-    for i, axis in enumerate(result.frame.axis_names, start=1):
-        header[f"CNAME{i}"] = (axis, "direction of the proper motion")
+    for i, named in enumerate(zip(image.meta["axes"], comments, strict=True), start=1):
+        header[f"CNAME{i}"] = named
     return header
 
 

@@ -15,26 +15,26 @@ from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube, name_by_frame
 from astro_scc.epochs.positions import axis_words
 from astro_scc.kinematics import table_in_c
-from astro_scc.measurement.tables import component_table, ssp_table
-from astro_scc.measurement.velocity_error import VelocityError
+from astro_scc.measurement.diagram_image import diagram_image
+from astro_scc.measurement.tables import component_table, feature_table, ssp_table
+from astro_scc.measurement.velocity_error import StreamVelocity
 from astro_scc.stacking import (
     Component,
     DatePairs,
     Displacements,
-    Finding,
     JitteredVelocity,
+    Search,
     ShuffledStacks,
     VelocityGrid,
 )
-from astro_scc.stacking.significance import RESOLVED
 from astro_scc.stacking.stack import velocities
 
 __all__ = ["MatchedEpochs", "SCCResult"]
 
 #: A match belongs to a component within this many of its standard errors.
 MEMBER_SIGMA = 2.0
-#: Squared distance from rest in standard errors, of 95% in two dimensions.
-STATIONARY = 5.991
+#: Errors of a normal distribution above its mean at the one-sided limit of 95%.
+LIMIT = 1.645
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -160,12 +160,12 @@ class SCCResult:
     coefficient, z_score : `~numpy.ndarray`, shape ``grid.shape``
         The stack and its significance.
     shuffled : `~astro_scc.stacking.ShuffledStacks`
+    search : `~astro_scc.stacking.Search`
+        The streams, and the displacement-interval diagram they are found on.
+    velocities : tuple of `~astro_scc.measurement.StreamVelocity`
+        Of the streams, with their errors.
     maxima : tuple of `~astro_scc.stacking.Component`
-        Of the stack, one at each velocity that was tested.
-    findings : tuple of `~astro_scc.stacking.Finding`
-        The velocities that were tested, strongest first.
-    error_parts : tuple of `VelocityError`
-        Of what the covariance of each velocity is made.
+        Of the stack, the nearest one to each velocity.
     jitters : tuple of `~astro_scc.stacking.JitteredVelocity`
         The paper's uncertainty: SSPs shifted by their position errors.
     meta : dict
@@ -181,7 +181,7 @@ class SCCResult:
     >>> result = scc(cube, n_trials=20, rng=1)
     >>> result.coefficient.shape == result.grid.shape
     True
-    >>> len(result.components) == len(result.findings)
+    >>> len(result.components) == len(result.search.streams)
     True
     """
 
@@ -194,9 +194,9 @@ class SCCResult:
     coefficient: np.ndarray
     z_score: np.ndarray
     shuffled: ShuffledStacks
+    search: Search
+    velocities: tuple[StreamVelocity, ...]
     maxima: tuple[Component, ...]
-    findings: tuple[Finding, ...]
-    error_parts: tuple[VelocityError, ...]
     jitters: tuple[JitteredVelocity, ...]
     meta: dict = field(default_factory=dict)
 
@@ -211,7 +211,7 @@ class SCCResult:
     @property
     def errors(self):
         """Covariance of each velocity, as it is quoted."""
-        return tuple(parts.total for parts in self.error_parts)
+        return tuple(velocity.covariance for velocity in self.velocities)
 
     @property
     def cube(self):
@@ -224,15 +224,20 @@ class SCCResult:
         return ssp_table(self.matched.ssps, self.cube, select=self.matched.select)
 
     @cached_property
+    def features(self):
+        """The features that were followed, a `~astropy.table.QTable`."""
+        return feature_table(self)
+
+    @cached_property
     def components(self):
         """
         The velocity components, a `~astropy.table.QTable`.
 
-        One row a velocity that was tested, in the order of the search,
-        strongest first: those of the ``kind`` "moving" and "stationary" are
-        significant, an "uncertain" one is the strongest that is not.  Zero
-        rows with all columns if nothing could be tested.  Its meta holds the
-        settings, the seed and the versions.
+        One row a stream, those that move first, by their number of features, then
+        what stands still.  If nothing moves significantly, the first row is
+        the strongest speed that was tested, "not significant", and its
+        ``note`` says why.  The meta holds the settings, the seed and the
+        versions.
         """
         rows = [self._row(number) for number in range(1, len(self.maxima) + 1)]
         return name_by_frame(component_table(rows, meta=dict(self.meta)), self.cube)
@@ -298,6 +303,38 @@ class SCCResult:
         wcs.wcs.cdelt = self.grid.step
         return NDData(getattr(self, which), wcs=wcs, meta={"axes": tuple(names)})
 
+    def diagram(self):
+        """
+        The displacement-interval diagram along the direction of the streams.
+
+        What moves at a constant speed lies on a ray from the origin, what
+        stands still at no displacement.
+
+        Returns
+        -------
+        `~astropy.nddata.NDData`
+            Matches per pair of dates beyond those of permuted epochs, weighted
+            by their coefficients, shape (n_displacements, n_intervals); NaN at
+            intervals that no two dates have.  The axes of the WCS are the
+            interval, logarithmic as its bins are (FITS ``-LOG``), and the
+            displacement in mas.  The meta holds the mean ``interval`` and the
+            ``n_pairs`` of each bin, the ``beam`` along the displacement, its
+            ``direction`` on the axes of the frame, and its ``position_angle``
+            if that is the same everywhere, else None.
+
+        Examples
+        --------
+        >>> import astropy.units as u
+        >>> from astro_scc import StackedCrossCorrelation
+        >>> from astro_scc.simulation import simulate_two_fluid
+        >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+        >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=20, rng=1)
+        >>> diagram = result.diagram()
+        >>> diagram.data.shape[1] == len(diagram.meta["n_pairs"])
+        True
+        """
+        return diagram_image(self)
+
     def members(self, number):
         """
         The matches that make a component.
@@ -310,9 +347,10 @@ class SCCResult:
         Returns
         -------
         `~numpy.ndarray` of int
-            Indices into ``displacements``: matches between dates of the
-            stack within two standard errors of the component's velocity on
-            both axes.
+            Indices into ``displacements``: matches between SSPs of one
+            feature of the stream; where no feature was followed, those
+            between dates of the map within two standard errors of the
+            velocity on both axes.
 
         Raises
         ------
@@ -321,10 +359,17 @@ class SCCResult:
         """
         if not 1 <= number <= len(self.maxima):
             raise ValueError(f"no component {number}: there are {len(self.maxima)}")
-        peak = self.maxima[number - 1]
-        index, v1, v2, s1, s2, _ = velocities(self.displacements, self.pairs)
-        near = (np.abs(v1 - peak.v1) <= MEMBER_SIGMA * s1) & (
-            np.abs(v2 - peak.v2) <= MEMBER_SIGMA * s2
+        d, features = self.displacements, self.search.streams[number - 1].features
+        if features:
+            label = np.full(len(self.matched.ssps), -1)
+            for k, feature in enumerate(features):
+                label[feature.ssp] = k
+            there = np.where(d.target_ssp >= 0, label[d.target_ssp], -1)
+            return np.flatnonzero((there >= 0) & (label[d.ssp] == there))
+        v = self.velocities[number - 1].value
+        index, v1, v2, s1, s2, _ = velocities(d, self.pairs)
+        near = (np.abs(v1 - v[0]) <= MEMBER_SIGMA * s1) & (
+            np.abs(v2 - v[1]) <= MEMBER_SIGMA * s2
         )
         return index[near]
 
@@ -346,58 +391,44 @@ class SCCResult:
         return plot_velocity_map(self, **kwargs)
 
     def _row(self, number):
-        peak, finding = self.maxima[number - 1], self.findings[number - 1]
-        jitter = self.jitters[number - 1]
+        peak, stream = self.maxima[number - 1], self.search.streams[number - 1]
+        velocity, jitter = self.velocities[number - 1], self.jitters[number - 1]
         member = self.members(number)
         d = self.displacements
+        pairs = np.stack([d.reference[member], d.target[member]])
+        p, n = stream.p_global, len(self.search.permutations.permuted)
         row = {
             "component": number,
-            "kind": self._kind(finding, peak, self.errors[number - 1], self._kernel),
+            "kind": stream.kind,
+            "dispersion": velocity.dispersion,
+            "dispersion_err": velocity.dispersion_error,
             "coefficient": peak.coefficient,
             "z_score": float(self.z_score[peak.row, peak.column]),
-            "p_local": finding.p_local,
-            "p_global": finding.p_global,
-            "p_global_err": finding.p_error,
-            "p_smallest": _smallest(finding),
+            "p_local": stream.p_local,
+            "p_global": p,
+            "p_global_err": np.sqrt(p * (1 - p) / n),
+            "p_distinct": stream.p_distinct,
+            "p_smallest": self.search.permutations.smallest_p,
             "n_ssp": len(np.unique(d.ssp[member])),
             "n_pairs": len(
-                np.unique(d.reference[member] * d.n_epochs + d.target[member])
+                np.unique(pairs.min(axis=0) * d.n_epochs + pairs.max(axis=0))
             ),
-            "n_features": finding.n_features,
+            "n_features": len(stream.features),
+            # ECSV takes empty text for a missing value.
+            "note": stream.reason or "-",
         }
-        velocity = np.array([peak.v1, peak.v2])
         where = self.frame, self.position_angle
-        row.update(_vectors(velocity, self.errors[number - 1], *where))
-        row["pm_err_jitter"] = _vectors(velocity, _covariance(jitter), *where)["pm_err"]
-        parts = self.error_parts[number - 1]
-        for name in ("alignment", "epochs"):
-            covariance = getattr(parts, name)
-            row[f"pm_err_{name}"] = _vectors(velocity, covariance, *where)["pm_err"]
+        row.update(_vectors(velocity.value, velocity.covariance, *where))
+        for name, covariance in (
+            ("jitter", _covariance(jitter)),
+            ("alignment", velocity.alignment),
+        ):
+            row[f"pm_err_{name}"] = _vectors(velocity.value, covariance, *where)[
+                "pm_err"
+            ]
+        still = stream.kind != "moving"
+        row["pm_limit"] = row["pm"] + LIMIT * row["pm_err"] if still else np.nan
         return row
-
-    @staticmethod
-    def _kind(finding, peak, covariance, kernel):
-        """The kind, of what is not told from rest if its errors are small too."""
-        velocity = np.array([peak.v1, peak.v2])
-        if finding.kind == "moving" and np.all(np.isfinite(covariance)):
-            within = velocity @ np.linalg.pinv(covariance) @ velocity < STATIONARY
-            if within and np.hypot(*(velocity / kernel)) <= RESOLVED:
-                return "stationary"
-        return finding.kind
-
-    @cached_property
-    def _kernel(self):
-        """Median standard error of a match's velocity, along both axes."""
-        _, _, _, s1, s2, _ = velocities(self.displacements, self.pairs)
-        return np.array([np.median(s1), np.median(s2)]) if len(s1) else np.ones(2)
-
-
-def _smallest(finding):
-    """The smallest ``p_global`` that the tests which count can give."""
-    tests = finding.tests
-    if finding.kind == "stationary":
-        tests = {"scramble": tests["scramble"]}
-    return max(test.smallest for test in tests.values())
 
 
 def _covariance(jitter):

@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """From matched epochs to velocity components."""
 
-import math
 import warnings
 from dataclasses import replace
 
@@ -17,48 +16,47 @@ from astro_scc.kinematics import (
     find_ridge_line,
     fit_position_angle,
 )
+from astro_scc.measurement.axes import AxisProjection
 from astro_scc.measurement.errors import angular_displacements
-from astro_scc.measurement.plan import flow_direction, map_grid, mean_fwhm
+from astro_scc.measurement.plan import flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
 from astro_scc.measurement.tables import versions
-from astro_scc.measurement.velocity_error import (
-    VelocityError,
-    alignment_errors,
-    sampling_error,
-)
+from astro_scc.measurement.velocity_error import alignment_errors, velocity_of
 from astro_scc.progress import progress
 from astro_scc.stacking import (
-    NULL_HYPOTHESES,
     PairMaps,
-    alignment_scatter,
+    SearchSettings,
+    baseline_pairs,
     component_near,
-    epoch_scatter,
-    feature_scatter,
-    find_velocities,
+    find_streams,
     jitter_positions,
-    sampling_scatter,
+    number_of_orders,
     shuffle_epochs,
     stack,
 )
 
 __all__ = ["stack_matches", "velocity_frame"]
 
-#: No level asks for more epochs than these.
-MANY = 100
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2
+#: The map reaches so many times the largest speed that is found.
+MAP_SPEEDS = 3.0
+#: Fewest pairs of dates of a map.
+FEWEST_PAIRS = 3
 
 
 def stack_matches(
     matched,
     pairs,
     *,
-    speed,
+    radius,
     fwhm,
+    max_speed=None,
+    baseline=None,
     position_angle=None,
     kernel=0.2,
     level=0.05,
-    nulls=("scramble", "shuffle"),
+    outward=False,
     alignment_error=None,
     small_displacement_correction=False,
     n_trials=1000,
@@ -67,24 +65,31 @@ def stack_matches(
     settings=None,
 ):
     """
-    Stack the matches of epochs and measure the velocity components.
+    Search matches of epochs for streams, and stack them.
 
     Parameters
     ----------
     matched : `~astro_scc.measurement.MatchedEpochs`
     pairs : `~astro_scc.stacking.DatePairs`
-    speed : float
-        Largest velocity along either axis, in mas/yr.
+        Of the paper's stack; without a ``baseline`` only where nothing
+        moves, otherwise those in which what moves is displaced by 0.2 to 1
+        beam.
+    radius : float
+        Largest displacement that was matched, in beams.
     fwhm : float
         Resolution in mas.
+    max_speed : float, optional
+        Largest velocity along either axis, in mas/yr.
+    baseline : tuple of float, optional
+        Shortest and longest interval that is used, in years.
     position_angle : `~astropy.units.Quantity`, str, frame or None
         Of the velocity axes, see `~astro_scc.StackedCrossCorrelation`.
     kernel : float
         Smallest standard error of a displacement, in beams.
     level : float
         Largest ``p_global`` of a component.
-    nulls : sequence of str
-        Names of `astro_scc.stacking.NULL_HYPOTHESES`.
+    outward : bool
+        Search positive speeds along the first axis only.
     alignment_error : `~astropy.units.Quantity`, optional
         See `alignment_errors`.
     small_displacement_correction : bool
@@ -108,7 +113,7 @@ def stack_matches(
     -----
     `~astro_scc.exceptions.MeasurementWarning`
         If the trials or the epochs are so few that no ``p_global`` can be as
-        small as ``level``, or the matches so few that a velocity has no error.
+        small as ``level``.
 
     Examples
     --------
@@ -119,13 +124,12 @@ def stack_matches(
     >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
     >>> matched = scc.match(cube)
-    >>> result = stack_matches(matched, scc.date_pairs(cube), speed=36.0, fwhm=1.0,
+    >>> result = stack_matches(matched, scc.date_pairs(cube), radius=3.0, fwhm=1.0,
     ...                        n_trials=20, rng=1)
     >>> result.components["pm"].unit
     Unit("mas / yr")
     """
     n_trials = require("n_trials", n_trials)
-    _warn_of_limits(pairs.n_dates, n_trials, level, nulls)
     if rng is None:
         rng = int(np.random.SeedSequence().entropy % 2**63)
     seed = int(rng) if isinstance(rng, (int, np.integer)) else None
@@ -135,7 +139,44 @@ def stack_matches(
     displacements = angular_displacements(
         matched.matches, matched.ssps, cube, frame, kernel, select=matched.select
     )
-    grid = map_grid(displacements, pairs, speed)
+    project = AxisProjection(displacements, matched.ssps, cube, frame)
+    search_settings = SearchSettings()
+    known = not isinstance(frame, SkyFrame)
+    n_axes = 1 if known else search_settings.n_axes
+    with progress(None, "Searching", show=progress_bar):
+        search = find_streams(
+            project,
+            np.arange(n_axes) * np.pi / n_axes,
+            radius,
+            alpha=level,
+            n_trials=n_trials,
+            rng=search_rng,
+            outward=outward and known,
+            fastest=np.inf if max_speed is None else max_speed / project.beam(0.0)[0],
+            intervals=(0.0, np.inf) if baseline is None else baseline,
+            settings=search_settings,
+        )
+    _warn_of_limits(search.permutations.smallest_p, len(cube), n_trials, level)
+    misaligned = alignment_errors(cube, alignment_error)
+    velocities = tuple(
+        velocity_of(stream, project.beam(stream.angle), misaligned, matched.ssps.epoch)
+        for stream in search.streams
+    )
+    fastest = max((np.hypot(*v.value) for v in velocities), default=0.0)
+    if baseline is None and any(s.kind == "moving" for s in search.streams[:1]):
+        main = fwhm / np.hypot(*velocities[0].value)
+        found = baseline_pairs(
+            cube.years.to_value(u.yr),
+            search_settings.nearest * main,
+            search_settings.farthest * main,
+        )
+        pairs = found if len(found) >= FEWEST_PAIRS else pairs
+    limit = radius * fwhm / np.median(pairs.interval)
+    if max_speed is not None:
+        limit = max_speed
+    elif fastest > 0:
+        limit = min(limit, MAP_SPEEDS * fastest)
+    grid = map_grid(displacements, pairs, max(limit, 1.2 * fastest))
     scc = stack(displacements, pairs, grid)
     maps = PairMaps.of(displacements, grid.v_max, pairs.interval.max())
     shift = (SMALL_SHIFT * fwhm,) * 2 if small_displacement_correction else None
@@ -143,40 +184,14 @@ def stack_matches(
         shuffled = shuffle_epochs(
             maps, pairs, grid, scc, n_trials, rng=paper_rng, shift=shift, progress=done
         )
-    with progress(None, "Searching", show=progress_bar) as done:
-        findings = find_velocities(
-            displacements,
-            pairs,
-            cube.years.to_value(u.yr),
-            grid.v_max,
-            n_trials=n_trials,
-            level=level,
-            rng=search_rng,
-            nulls=[NULL_HYPOTHESES[name] for name in nulls],
-            progress=done,
-        )
     box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
-    misaligned = alignment_errors(cube, alignment_error)
-    sampled = sampling_error(cube, mean_fwhm(cube, min(matched.scales)))
-    maxima, jitters, errors = [], [], []
-    for finding, own in zip(findings, error_rng.spawn(len(findings)), strict=True):
-        # What earlier components explain would pull at the maximum.
-        rest = finding.displacements
-        peak = component_near(
-            stack(rest, pairs, grid), grid, box, finding.v1, finding.v2
-        )
-        jitters.append(jitter_positions(rest, pairs, peak, box, n_trials, rng=own))
-        where = pairs, peak, grid
-        errors.append(
-            VelocityError(
-                features=feature_scatter(rest, pairs, finding.group, peak, grid),
-                alignment=alignment_scatter(rest, *where, misaligned),
-                epochs=epoch_scatter(rest, *where),
-                sampling=sampling_scatter(rest, *where, sampled),
-            )
-        )
+    maxima, jitters = [], []
+    for velocity, own in zip(velocities, error_rng.spawn(len(velocities)), strict=True):
+        peak = component_near(scc, grid, box, *velocity.value)
         maxima.append(replace(peak, coefficient=float(scc[peak.row, peak.column])))
-    _warn_of_unknown_errors(errors)
+        jitters.append(
+            jitter_positions(displacements, pairs, peak, box, n_trials, rng=own)
+        )
     return SCCResult(
         matched=matched,
         frame=frame,
@@ -187,9 +202,9 @@ def stack_matches(
         coefficient=scc,
         z_score=shuffled.z_score(scc),
         shuffled=shuffled,
-        findings=tuple(findings),
+        search=search,
+        velocities=velocities,
         maxima=tuple(maxima),
-        error_parts=tuple(errors),
         jitters=tuple(jitters),
         meta={
             "settings": {**(settings or {}), "level": level},
@@ -197,52 +212,27 @@ def stack_matches(
             "seed": seed,
             "versions": versions(),
             "jet_position_angle": angle,
+            "misalignment_beams": cube.misalignment,
         },
     )
 
 
-def _warn_of_limits(n_epochs, n_trials, level, nulls):
+def _warn_of_limits(smallest, n_epochs, n_trials, level):
     """Tell when no probability can be as small as the level."""
-    orders = {n: getattr(NULL_HYPOTHESES[n], "orders", None) for n in nulls}
-    least = {n: 1 / max(o.number(n_epochs), 1) for n, o in orders.items() if o}
-    name = max(least, key=least.get, default=None)
-    if name is not None and least[name] > level:
-        number = orders[name].number
-        enough = (str(n) for n in range(n_epochs, MANY) if number(n) * level >= 1)
-        why = "2/N!" if name == "shuffle" else f"the orders of {name!r} are so few"
-        what = (
-            f"{n_epochs} epochs allow no p_global below {least[name]:.2g} ({why}), "
-            f"so nothing that moves can reach level {level:g}: measure "
-            f"{next(enough, MANY)} epochs or more"
-        )
-    elif 1 / (n_trials + 1) > level:
-        enough = math.ceil(1 / level) - 1
-        enough += 1 / (enough + 1) > level
+    if smallest <= level:
+        return
+    if 1 / number_of_orders(n_epochs) <= level:
         what = (
             f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, "
-            f"so no component can reach level {level:g}: give n_trials of {enough} "
-            "or more"
+            f"so no component can reach level {level:g}: give n_trials of "
+            f"{int(np.ceil(1 / level))} or more"
         )
     else:
-        return
-    warnings.warn(what, MeasurementWarning, stacklevel=5)
-
-
-def _warn_of_unknown_errors(errors):
-    """Tell which components have no error, and what gives them one."""
-    without = [
-        str(number)
-        for number, parts in enumerate(errors, start=1)
-        if not np.all(np.isfinite(parts.total))
-    ]
-    if without:
-        warnings.warn(
-            f"component {', '.join(without)}: too few matches for an error of the "
-            "velocity, pm_err is NaN; measure more scales, a larger region, more "
-            "epochs or a wider baseline",
-            MeasurementWarning,
-            stacklevel=5,
+        what = (
+            f"{n_epochs} epochs allow no p_global below {smallest:.2g} (2/N!), so "
+            f"nothing that moves can reach level {level:g}: measure more epochs"
         )
+    warnings.warn(what, MeasurementWarning, stacklevel=5)
 
 
 def velocity_frame(matched, position_angle):

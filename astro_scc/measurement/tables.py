@@ -11,14 +11,15 @@ from astropy.time import Time
 
 from astro_scc.decomposition import scale_size
 from astro_scc.epochs import beam_fwhm, name_by_frame, position_errors, ssp_offsets
+from astro_scc.measurement.axes import AxisProjection
 
-__all__ = ["PM_UNIT", "component_table", "ssp_table", "versions"]
+__all__ = ["PM_UNIT", "component_table", "feature_table", "ssp_table", "versions"]
 
 PM_UNIT = u.mas / u.yr
 
 DESCRIPTIONS = {
     "component": "number of the component, in the order of the search",
-    "kind": "moving, stationary (no motion within the errors) or uncertain",
+    "kind": "moving, stationary (within its errors) or not significant",
     "pm_ra_cosdec": "proper motion to the east",
     "pm_dec": "proper motion to the north",
     "pm": "proper motion, its length",
@@ -27,14 +28,17 @@ DESCRIPTIONS = {
     "pm_transverse": "proper motion across the jet, positive to larger angles",
     "coefficient": "stacked correlation coefficient",
     "z_score": "(coefficient - mean) / std of shuffled epochs (paper)",
-    "p_local": "probability of as much at this velocity, largest of the nulls",
-    "p_global": "probability of as much at any velocity, largest of the nulls",
+    "dispersion": "standard deviation of the features' speeds, without their errors",
+    "pm_limit": "95% upper limit of the speed of what is not seen to move",
+    "p_local": "probability that permuted epochs show as much at this velocity",
+    "p_global": "probability that permuted epochs show as much at any velocity",
+    "p_distinct": "probability that one stream fewer shows features as separate",
+    "note": "why it is not significant, or -",
     "p_global_err": "Monte Carlo standard error of p_global",
-    "n_features": "number of different features that the SSPs are of, at least",
-    "p_smallest": "smallest p_global that trials and number of epochs allow",
+    "n_features": "number of features that were followed",
+    "p_smallest": "smallest p_global that permutations and epochs allow",
     "pm_err_jitter": "standard error of pm from shifted SSPs (paper)",
     "pm_err_alignment": "part of pm_err by the alignment of the epochs",
-    "pm_err_epochs": "standard error of pm from leaving out epochs in turn",
     "n_ssp": "SSPs with a match at the component's velocity",
     "n_pairs": "pairs of epochs with a match at the component's velocity",
 }
@@ -133,6 +137,72 @@ def ssp_table(ssps, cube, *, select=None):
     return name_by_frame(table, cube)
 
 
+def feature_table(result):
+    """
+    The features that were followed, each with its own speed.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        A row a feature: the ``component`` that it is of, its ``scale``, the
+        number of epochs and its ``first`` and ``last`` date, its mean
+        ``distance`` from the reference pixel along the component, the
+        ``motion`` in that time, its speed ``pm`` along and ``pm_transverse``
+        across the component with errors, and its ``acceleration``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=6, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], position_angle=270 * u.deg)
+    >>> features = scc(cube, n_trials=20, rng=1).features
+    >>> features.colnames[:5]
+    ['component', 'scale', 'n_epochs', 'first', 'last']
+    """
+    ssps, cube = result.matched.ssps, result.cube
+    project = AxisProjection(result.displacements, ssps, cube, result.frame)
+    rows = [
+        (number, feature, project.beam(stream.angle))
+        for number, stream in enumerate(result.search.streams, 1)
+        for feature in stream.features
+    ]
+    features = [feature for _, feature, _ in rows]
+    beam = np.reshape([beam for *_, beam in rows], (-1, 2)).T * u.mas
+    ends = np.reshape([ssps.epoch[f.ssp[[0, -1]]] for f in features], (-1, 2))
+    first, last = (Time(cube.times[k], format="isot") for k in ends.T.astype(int))
+    per_beam = {
+        "distance": ("place", 0, u.one),
+        "motion": ("motion", 0, u.one),
+        "pm": ("speed", 0, 1 / u.yr),
+        "pm_err": ("error", 0, 1 / u.yr),
+        "pm_transverse": ("across", 1, 1 / u.yr),
+        "pm_transverse_err": ("across_error", 1, 1 / u.yr),
+        "acceleration": ("acceleration", 0, 1 / u.yr**2),
+        "acceleration_err": ("acceleration_error", 0, 1 / u.yr**2),
+    }
+    table = QTable(
+        {
+            "component": np.array([number for number, *_ in rows], dtype=int),
+            "scale": np.array([ssps.scale[f.ssp[0]] for f in features], dtype=float),
+            "n_epochs": np.array([len(f) for f in features], dtype=int),
+            "first": first,
+            "last": last,
+        }
+    )
+    for name, (attribute, axis, unit) in per_beam.items():
+        values = np.array([getattr(f, attribute) for f in features], dtype=float)
+        table[name] = (values * beam[axis] * unit).to(unit * u.mas)
+    table["pm"].info.description = "along the component"
+    table["pm_transverse"].info.description = "across the component"
+    return table
+
+
 def component_table(rows, *, meta=None):
     """
     Velocity components as a table.
@@ -161,7 +231,9 @@ def component_table(rows, *, meta=None):
                  "pm_transverse"):  # fmt: skip
         unit = u.deg if name == "pm_pa" else PM_UNIT
         units[name] = units[f"{name}_err"] = unit
-    for name in ("jitter", "alignment", "epochs"):
+    for name in ("dispersion", "dispersion_err", "pm_limit"):
+        units[name] = PM_UNIT
+    for name in ("jitter", "alignment"):
         units[f"pm_err_{name}"] = PM_UNIT
     names = [
         "component",
@@ -172,13 +244,15 @@ def component_table(rows, *, meta=None):
         "p_local",
         "p_global",
         "p_global_err",
+        "p_distinct",
         "p_smallest",
         "n_ssp",
         "n_pairs",
         "n_features",
+        "note",
     ]
     dtypes = dict.fromkeys(("component", "n_ssp", "n_pairs", "n_features"), int)
-    dtypes["kind"] = "U10"
+    dtypes["kind"], dtypes["note"] = "U15", str
     table = QTable()
     for name in names:
         values = np.array([row[name] for row in rows], dtype=dtypes.get(name, float))

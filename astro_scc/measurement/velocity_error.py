@@ -1,76 +1,84 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What the error of a velocity is made of."""
+"""Velocities of streams on the axes of the frame, and their errors."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
 
-__all__ = ["VelocityError", "alignment_errors", "sampling_error"]
+from astro_scc.stacking.streams import alignment_response
 
-#: Features are drawn to whole pixels by up to this over their width in pixels.
-SAMPLING = 0.15
+__all__ = ["StreamVelocity", "alignment_errors", "velocity_of"]
 
 
 @dataclass(frozen=True, eq=False)
-class VelocityError:
+class StreamVelocity:
     """
-    Covariances of a velocity, in the axes of the frame, in (mas/yr)^2.
+    A stream's velocity in the axes of the frame.
 
     Attributes
     ----------
+    value : `~numpy.ndarray`, shape (2,)
+        In mas/yr.
     features : `~numpy.ndarray`, shape (2, 2)
-        Of the scatter of its features: what each does, and how well it is
-        placed (`~astro_scc.stacking.feature_scatter`).
+        Covariance by the scatter and the errors of its features, in
+        (mas/yr)^2; NaN where it has none.
     alignment : `~numpy.ndarray`, shape (2, 2)
-        Of what moves all features of an epoch together
-        (`~astro_scc.stacking.alignment_scatter`).
-    epochs : `~numpy.ndarray`, shape (2, 2)
-        Of leaving out one epoch after another
-        (`~astro_scc.stacking.epoch_scatter`): it sees both, but of few
-        epochs; not a part of the total.
-    sampling : `~numpy.ndarray`, shape (2, 2)
-        Of what the pixels do to all displacements alike
-        (`~astro_scc.stacking.sampling_scatter`).
+        Covariance by what moves all features of an epoch together.
+    dispersion, dispersion_error : float
+        Of the features' speeds along the stream, in mas/yr.
 
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.measurement import VelocityError
-    >>> error = VelocityError(features=0.04 * np.eye(2), alignment=0.05 * np.eye(2),
-    ...                       epochs=0.1 * np.eye(2))
-    >>> np.sqrt(np.diag(error.total)).round(2).tolist()
+    >>> from astro_scc.measurement import StreamVelocity
+    >>> velocity = StreamVelocity(np.array([1.0, 0.0]), 0.04 * np.eye(2),
+    ...                           0.05 * np.eye(2), 0.1, 0.02)
+    >>> np.sqrt(np.diag(velocity.covariance)).round(2).tolist()
     [0.3, 0.3]
     """
 
+    value: np.ndarray
     features: np.ndarray
     alignment: np.ndarray
-    epochs: np.ndarray
-    sampling: np.ndarray = field(default_factory=lambda: np.zeros((2, 2)))
+    dispersion: float
+    dispersion_error: float
 
     @property
-    def total(self):
-        """The covariance that is quoted: features, alignment and sampling."""
-        return self.features + self.alignment + self.sampling
+    def covariance(self):
+        """The covariance that is quoted."""
+        return self.features + self.alignment
 
 
-def sampling_error(cube, fwhm):
+def velocity_of(stream, beam, misaligned, epoch):
     """
-    Error of a displacement by the pixels of the images, at most.
+    A stream's velocity in mas/yr on the axes of the frame.
 
     Parameters
     ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    fwhm : float
-        Resolution in mas.
+    stream : `~astro_scc.stacking.Stream`
+    beam : array_like, shape (2,)
+        Width of the beam along the stream and across it, in mas.
+    misaligned : `~numpy.ndarray`, shape (n_epochs, 2)
+        Standard error of the alignment of each epoch, in mas.
+    epoch : `~numpy.ndarray` of int, shape (n_ssps,)
 
     Returns
     -------
-    float
-        In mas: 0.15 pixels over the resolution in pixels.
+    `StreamVelocity`
     """
-    pixel = np.sqrt(abs(np.linalg.det(cube.pixel_matrix.to_value(u.mas))))
-    return float(SAMPLING * pixel**2 / fwhm)
+    cos, sin = np.cos(stream.angle), np.sin(stream.angle)
+    to_frame = np.array([[cos, -sin], [sin, cos]])
+    own = np.array([stream.along.mean, stream.across.mean]) * beam
+    errors = np.array([stream.along.error, stream.across.error]) * beam
+    response = alignment_response(stream, epoch, len(misaligned))
+    return StreamVelocity(
+        value=to_frame @ own,
+        features=to_frame @ np.diag(errors**2) @ to_frame.T,
+        alignment=np.diag(response**2 @ misaligned**2),
+        dispersion=stream.along.dispersion * beam[0],
+        dispersion_error=stream.along.dispersion_error * beam[0],
+    )
 
 
 def alignment_errors(cube, error=None):

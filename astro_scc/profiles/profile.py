@@ -112,8 +112,8 @@ class Profile:
         with ``p_fdr``, which is adjusted for all bins, and ``main``: one
         component of each bin, the significant and moving one with the
         largest coefficient or, where there is none, the one with the largest
-        coefficient of those that may be chance and are further from rest
-        than by their error.
+        coefficient of those that are not significant and are further from
+        rest than by their error.
         """
         return self._joined([r and r.components for r in self.results])
 
@@ -182,7 +182,7 @@ def _main(table):
     """Which row stands for the bin."""
     kind = np.asarray(table["kind"], dtype=str)
     chosen = np.zeros(len(table), dtype=bool)
-    for wanted in ("moving", "uncertain"):
+    for wanted in ("moving", "not significant"):
         rows = np.flatnonzero((kind == wanted) & (table["pm"] > table["pm_err"]))
         if len(rows):
             best = np.asarray(table["coefficient"], dtype=float)[rows].argmax()

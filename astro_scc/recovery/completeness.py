@@ -189,9 +189,7 @@ def completeness(
         bare = stacked(cube, own_rng)
     area = area_for_features(bare.matched, setup.region)
     numbers = moving_components(bare, scc.level)
-    own = np.reshape(
-        [(bare.maxima[k - 1].v1, bare.maxima[k - 1].v2) for k in numbers], (-1, 2)
-    )
+    own = np.reshape([bare.velocities[k - 1].value for k in numbers], (-1, 2))
     axis = velocity_along(bare.frame, setup.position_angle)
     cells = [(speed, flux) for speed in speeds for flux in fluxes]
     jobs = [
@@ -224,9 +222,9 @@ def completeness(
         )
         if number is None:
             return None
-        peak = result.maxima[number - 1]
-        error = _error_along(result.errors[number - 1], axis)
-        return axis @ [peak.v1, peak.v2] - speed, error
+        velocity = result.velocities[number - 1]
+        error = _error_along(velocity.covariance, axis)
+        return axis @ velocity.value - speed, error
 
     outcomes = run_all(
         measure,

@@ -12,6 +12,7 @@ from astro_scc.measurement import versions
 from astro_scc.recovery.checks import PM_UNIT, check_trials, in_unit, positive
 from astro_scc.recovery.rates import epochs_needed, partly_known, share, smallest_p
 from astro_scc.recovery.work import run_all
+from astro_scc.stacking import SearchSettings
 
 __all__ = ["plan", "smallest_plan"]
 
@@ -20,18 +21,15 @@ BEAM_PIXELS = 10
 SCALES = (1, 2, 3)
 #: Position angle of the simulated jets.
 JET = 270 * u.deg
-#: Motion that can be told from rest (paper, Sect. 2.2), in beams.
-SMALLEST_SHIFT = 0.2
-#: Two speeds are one peak if their motions in a pair of epochs differ by less
-#: than two errors of a displacement, 0.4 beams, with some to spare.
+#: Features of two streams whose motions in the whole time differ by fewer
+#: beams scatter as much by themselves.
 RESOLVED = 0.5
-#: Pairs are so far apart in time that motions differ by so many beams.
-WELL_APART = 1.0
-#: Share of the field that may be crossed between the epochs of a pair.
+#: Share of the field that may be crossed between consecutive epochs.
 CROSSED = 0.5
 #: Motions larger than the faster one, by so many beams, are searched too.
 MARGIN = 2.0
-#: A component is a stream's within this part of the beam over the interval.
+#: A component is a stream's within this part of its speed, and of the beam
+#: over the interval.
 TOLERANCE = 0.2
 #: Length of the simulated field by default, in beams.
 FIELD = 20.0
@@ -42,7 +40,6 @@ DESCRIPTIONS = {
     "total_time": "time from the first to the last epoch",
     "motion_slow": "motion of the slower stream per interval, in beams",
     "motion_fast": "motion of the faster stream per interval, in beams",
-    "baseline": "time between the epochs that are paired",
     "p_smallest": "smallest p_global of something that moves, 2/N!",
     "limit": "why the speeds cannot be told apart; empty if they may be",
     "n_jets": "simulated jets that were measured",
@@ -116,8 +113,7 @@ def plan(
     `~astropy.table.QTable`
         One row a number of epochs and interval: ``n_epochs``, ``interval``,
         ``total_time``, ``motion_slow`` and ``motion_fast`` (beams per
-        interval), ``baseline`` (the time between the epochs that are
-        paired), ``p_smallest``, ``limit``, ``n_jets``, and the shares
+        interval), ``p_smallest``, ``limit``, ``n_jets``, and the shares
         ``fraction_slow``, ``fraction_fast`` and ``fraction_both``, each with
         its 95% interval ``_low`` and ``_high`` (Jeffreys), masked where
         nothing was simulated.  ``meta["smallest"]`` is the row that
@@ -137,38 +133,33 @@ def plan(
     the field,
 
     - "epochs": 2 / N! is above the level;
-    - "rest": v T < 0.2 b, the slower stream is not told from rest;
+    - "rest": v T < b, the slower stream is not searched, as standing features
+      that blend drift, too (``slowest`` of `~astro_scc.stacking.SearchSettings`);
     - "field": features of the faster stream cross more than half of the field
       between consecutive epochs;
-    - "difference": (V - v) k dt < 0.5 b, the two are one peak.
-
-    Epochs k intervals apart are paired, k the smallest number for which
-    ``(V - v) k dt >= b``, but at most N / 2, and so that the faster stream
-    does not cross more than half of the field.  Where k is more than 1 give
-    ``baseline`` of `~astro_scc.StackedCrossCorrelation` a range about the
-    column ``baseline``.
+    - "difference": (V - v) T < 0.5 b, the speeds of features scatter as much.
 
     A stream is found if there is a component that moves with ``p_global <=
-    level`` within 0.2 beams over the baseline of its velocity.
+    level`` within 20% of its velocity and within 0.2 beams over the interval.
 
     Examples
     --------
     >>> import astropy.units as u
     >>> from astro_scc.recovery import plan
-    >>> table = plan(speeds=[0.2, 1] * u.mas / u.yr, beam=0.8 * u.mas,
-    ...              n_epochs=[4, 6, 10], intervals=[0.25, 0.5] * u.yr, n_jets=0)
-    >>> table["n_epochs", "interval", "motion_fast", "baseline", "limit"].pprint()
-    n_epochs interval motion_fast baseline limit
-                yr                   yr
-    -------- -------- ----------- -------- ------
-           4     0.25      0.3125      0.5 epochs
-           4      0.5       0.625      1.0 epochs
-           6     0.25      0.3125     0.75
-           6      0.5       0.625      1.0
-          10     0.25      0.3125      1.0
-          10      0.5       0.625      1.0
+    >>> table = plan(speeds=[0.5, 1] * u.mas / u.yr, beam=0.8 * u.mas,
+    ...              n_epochs=[4, 8, 15], intervals=[0.2, 0.5] * u.yr, n_jets=0)
+    >>> table["n_epochs", "interval", "motion_slow", "motion_fast", "limit"].pprint()
+    n_epochs interval motion_slow motion_fast limit
+                yr
+    -------- -------- ----------- ----------- ------
+           4      0.2       0.125        0.25 epochs
+           4      0.5      0.3125       0.625 epochs
+           8      0.2       0.125        0.25   rest
+           8      0.5      0.3125       0.625
+          15      0.2       0.125        0.25
+          15      0.5      0.3125       0.625
     >>> table.meta["smallest"]["n_epochs"], table.meta["smallest"]["interval"]
-    (6, <Quantity 0.25 yr>)
+    (8, <Quantity 0.5 yr>)
     """
     slow, fast = _two_speeds(speeds)
     beam, width = _beam(beam, position_angle)
@@ -252,10 +243,10 @@ def smallest_plan(table, wanted=0.9):
     --------
     >>> import astropy.units as u
     >>> from astro_scc.recovery import plan, smallest_plan
-    >>> table = plan(speeds=[1, 4] * u.mas / u.yr, beam=1 * u.mas, n_epochs=[3, 8, 12],
+    >>> table = plan(speeds=[1, 4] * u.mas / u.yr, beam=1 * u.mas, n_epochs=[3, 10],
     ...              intervals=90 * u.day, n_jets=0)
     >>> int(smallest_plan(table)["n_epochs"])
-    8
+    10
     """
     if np.any(table["n_jets"] > 0):
         reached = np.ma.filled(table["fraction_both"], -1.0) >= wanted
@@ -285,28 +276,17 @@ class _Campaign:
         return (self.n_epochs - 1) * self.interval
 
     @property
-    def apart(self):
-        """Difference of the motions in an interval, in beams."""
-        return (self.fast - self.slow) * self.interval / self.width
-
-    @property
-    def lag(self):
-        """Intervals between the epochs of a pair."""
-        # Rounding must neither add an interval nor lose one.
-        wanted = np.ceil(WELL_APART / self.apart * (1 - 1e-9))
-        crossing = CROSSED * self.field / (self.fast * self.interval) * (1 + 1e-9)
-        return int(max(1, min(wanted, self.n_epochs // 2, np.floor(crossing))))
-
-    @property
     def limit(self):
         """Why nothing can come of it, or an empty string."""
         if smallest_p(self.n_epochs) > self.level:
             return "epochs"
-        if self.slow * self.total < SMALLEST_SHIFT * self.width * (1 - 1e-9):
+        # Rounding decides nothing.
+        beam = self.width * (1 - 1e-9)
+        if self.slow * self.total < SearchSettings().slowest * beam:
             return "rest"
         if self.fast * self.interval > CROSSED * self.field * (1 + 1e-9):
             return "field"
-        if self.lag * self.apart < RESOLVED * (1 - 1e-9):
+        if (self.fast - self.slow) * self.total < RESOLVED * beam:
             return "difference"
         return ""
 
@@ -333,24 +313,24 @@ class _Campaign:
                 **options,
             },
         )
-        pair = self.lag * self.interval
+        per_interval = self.width / self.interval
         scc = StackedCrossCorrelation(
             scales=SCALES,
-            max_speed=(self.fast + MARGIN * self.width / pair) * PM_UNIT,
+            max_speed=(self.fast + MARGIN * per_interval) * PM_UNIT,
             position_angle=JET,
-            baseline=[pair - self.interval / 2, pair + self.interval / 2] * u.yr,
             level=self.level,
         )
-        result = scc(jet.cube, n_trials=n_trials, rng=trial_rng)
-        # Velocities without a bounded error have covariances that are infinite.
-        with np.errstate(invalid="ignore"):
-            table = result.components
+        table = scc(jet.cube, n_trials=n_trials, rng=trial_rng).components
         moving = table[table["kind"] == "moving"]
         along = moving["pm_parallel"].to_value(PM_UNIT)
         across = moving["pm_transverse"].to_value(PM_UNIT)
-        tolerance = TOLERANCE * self.width / pair
         return [
-            bool(np.any(np.hypot(along - speed, across) <= tolerance))
+            bool(
+                np.any(
+                    np.hypot(along - speed, across)
+                    <= TOLERANCE * min(speed, per_interval)
+                )
+            )
             for speed in (self.slow, self.fast)
         ]
 
@@ -366,7 +346,6 @@ def _table(campaigns, found, n_jets, interval):
             "total_time": interval * [c.n_epochs - 1 for c in campaigns],
             "motion_slow": beams * [c.slow for c in campaigns],
             "motion_fast": beams * [c.fast for c in campaigns],
-            "baseline": interval * [c.lag for c in campaigns],
             "p_smallest": [smallest_p(c.n_epochs) for c in campaigns],
             "limit": np.array(limits, dtype="U10"),
             "n_jets": done,
@@ -399,7 +378,7 @@ def _table(campaigns, found, n_jets, interval):
 
 def _as_dict(row):
     """A row as ECSV can keep it in a meta."""
-    names = ("n_epochs", "interval", "total_time", "baseline", "fraction_both")
+    names = ("n_epochs", "interval", "total_time", "fraction_both")
     values = {name: row[name] for name in names}
     values["n_epochs"] = int(values["n_epochs"])
     fraction = values.pop("fraction_both")

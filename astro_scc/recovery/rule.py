@@ -46,9 +46,7 @@ def moving_components(result, level):
     list of int
         Their numbers, from 1.
     """
-    # Velocities without a bounded error have covariances that are infinite.
-    with np.errstate(invalid="ignore"):
-        table = result.components
+    table = result.components
     moving = (table["kind"] == "moving") & (table["p_global"] <= level)
     return [int(number) for number in table["component"][moving]]
 
@@ -57,7 +55,7 @@ def recovered(result, own, velocity, *, tolerance, level, paths, fwhm):
     """
     The component that is due to features that were put in.
 
-    It moves with ``p_global <= level`` within the tolerance of their
+    It is moving, with ``p_global <= level``, within the tolerance of their
     velocity; it is none of the components that the epochs have of their
     own, each of which takes the component nearest to it, if one is within
     the tolerance; and more of its SSPs are within half a beam of a feature
@@ -84,7 +82,7 @@ def recovered(result, own, velocity, *, tolerance, level, paths, fwhm):
         Number of the component, from 1; the nearest if there are several.
     """
     left = {
-        number: np.array([result.maxima[number - 1].v1, result.maxima[number - 1].v2])
+        number: result.velocities[number - 1].value
         for number in moving_components(result, level)
     }
     for v in np.reshape(own, (-1, 2)):

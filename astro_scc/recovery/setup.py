@@ -27,7 +27,7 @@ class InjectionSetup:
     fwhm: float
     tolerance: float
     limit: float
-    #: Of a speed, along one of the two velocity axes.
+    #: Of a speed, along the axis that is searched.
     largest_part: float
 
     @classmethod
@@ -53,9 +53,8 @@ class InjectionSetup:
         region = None if region is None else cube.region_mask(region)
         limit = scc.speed_limit(cube).to_value(PM_UNIT)
         largest_part = 1.0
-        if not isinstance(position_angle, str):
-            turn = position_angle - (0 * u.deg if axis is None else axis)
-            largest_part = float(max(abs(np.cos(turn)), abs(np.sin(turn))))
+        if isinstance(axis, u.Quantity):
+            largest_part = float(abs(np.cos(position_angle - axis)))
         return cls(region, position_angle, fwhm, tolerance, limit, largest_part)
 
     def speeds(self, speeds):

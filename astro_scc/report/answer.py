@@ -3,10 +3,8 @@
 
 import math
 
-import astropy.units as u
 import numpy as np
 
-from astro_scc.epochs import sky_columns
 from astro_scc.report.words import (
     listed,
     number_word,
@@ -19,24 +17,26 @@ from astro_scc.report.words import (
 
 __all__ = ["answers", "chances", "edge_remarks", "facts", "headline"]
 
+#: Speeds beyond this part of the largest one that was searched are told.
+EDGE = 0.9
+
 
 def headline(kinds):
     moving, standing = kinds.count("moving"), kinds.count("stationary")
     if moving:
-        text = f"{number_word(moving).capitalize()} {plural(moving, 'speed')} "
-        text += "stand out" if moving > 1 else "stands out"
-        beside = ", beside what does not move within its errors" if standing else ""
-        return f"{text}{beside}."
+        text = f"{number_word(moving).capitalize()} significant velocity "
+        beside = ", beside features that stand still" if standing else ""
+        return f"{text}{plural(moving, 'component')}{beside}."
     if standing:
-        return "No speed stands out: what patterns share does not move."
-    return "No speed stands out" + (" from chance." if kinds else ".")
+        return "No significant motion: features stand still within their errors."
+    return "No significant motion."
 
 
 def answers(components, kinds):
     """One sentence in two parts for each component that was found."""
     answers = []
     for row, kind in zip(components, kinds, strict=True):
-        if kind == "uncertain":
+        if kind == "not significant":
             continue
         speed = f"{row_text(row, 'pm')} {unit_text(components['pm'].unit)}"
         if "beta_app" in components.colnames:
@@ -48,11 +48,13 @@ def answers(components, kinds):
             more = f"towards position angle {with_error(angle, max(error, 1))} deg"
         else:
             more = "outward" if plain_value(row["pm_parallel"]) > 0 else "inward"
-        if "p_global" in components.colnames:
+        if kind == "moving" and plain_value(row["dispersion"]) > 0:
+            more += f"; dispersion {row_text(row, 'dispersion')}"
+        if kind == "moving":
             more += f"; p_global {plain_value(row['p_global']):.2g}"
         more += (
-            f"; {int(row['n_ssp'])} SSPs in {int(row['n_pairs'])} "
-            f"{plural(int(row['n_pairs']), 'pair')} of epochs"
+            f"; {int(row['n_features'])} {plural(int(row['n_features']), 'feature')}, "
+            f"{int(row['n_ssp'])} SSPs"
         )
         answers.append((int(row["component"]), speed, more))
     return answers
@@ -60,15 +62,13 @@ def answers(components, kinds):
 
 def chances(result, components, kinds):
     """Sentences on how sure the answer is."""
-    if not len(components) or "p_global" not in components.colnames:
+    if not len(components):
         return []
     level = result.meta["settings"]["level"]
-    n_trials = result.meta["n_trials"]
+    smallest = max(plain_value(p) for p in components["p_smallest"])
     said = [
-        "p_global is the probability that a jet whose features move but share no "
-        "speed (scramble), or whose epochs have no order (shuffle), shows as much at "
-        "any velocity: the larger of the two; "
-        f"{n_trials} trials show none below {1 / (n_trials + 1):.2g}."
+        "p_global is the probability that epochs in permuted order show as much at "
+        f"any velocity; here it cannot be below {smallest:.2g}."
     ]
     said += _limits(result, components, kinds, level)
     who, more = _numbers(components, kinds, "stationary")
@@ -77,12 +77,32 @@ def chances(result, components, kinds):
             f"{who} of the table, stationary, {'do' if more else 'does'} not move "
             f"within {'their' if more else 'its'} errors: no discovery of a speed."
         )
-    who, _ = _numbers(components, kinds, "uncertain")
+    who, _ = _numbers(components, kinds, "not significant")
     if who:
-        said.append(
-            f"{who} of the table, with p_global above {level:g}, may be chance."
-        )
-    return said
+        said.append(f"{who} of the table: not significant, {_reasons(components)}.")
+    return said + limits(components)
+
+
+def limits(components):
+    """
+    Upper limits of the speeds of what is not seen to move, in sentences.
+
+    Parameters
+    ----------
+    components : `~astropy.table.QTable`
+
+    Returns
+    -------
+    list of str
+    """
+    unit = components["pm"].unit
+    return [
+        f"What row {int(row['component'])} follows, {int(row['n_features'])} "
+        f"{plural(int(row['n_features']), 'feature')}, is slower than "
+        f"{row['pm_limit'].to_value(unit):.2g} {unit_text(unit)} at 95%."
+        for row in components
+        if math.isfinite(row["pm_limit"].value)
+    ]
 
 
 def _limits(result, components, kinds, level):
@@ -90,7 +110,7 @@ def _limits(result, components, kinds, level):
     smallest = [
         plain_value(row["p_smallest"])
         for row, kind in zip(components, kinds, strict=True)
-        if kind != "stationary" and "p_smallest" in components.colnames
+        if kind != "stationary"
     ]
     worst = max(smallest, default=0.0)
     if worst <= level:
@@ -108,6 +128,12 @@ def _limits(result, components, kinds, level):
     ]
 
 
+def _reasons(components):
+    """Why those that are not significant are none."""
+    notes = map(str, components["note"])
+    return "; ".join(dict.fromkeys(note for note in notes if note != "-"))
+
+
 def _numbers(components, kinds, kind):
     """The components of a kind as text, and whether they are several."""
     numbers = [
@@ -121,28 +147,21 @@ def _numbers(components, kinds, kind):
 
 
 def edge_remarks(result, components, kinds):
-    """What to do about components that were found where the map ends."""
-    if not len(components):
-        return []
-    columns = ("pm_parallel", "pm_transverse")
-    if tuple(result.frame.axis_names) == ("east", "north"):
-        columns = sky_columns(components)
-    near = np.zeros(len(components), bool)
-    found = [kind != "uncertain" for kind in kinds]
-    for name, end, step in zip(
-        columns, result.grid.v_max, result.grid.step, strict=True
-    ):
-        speed = np.abs(u.Quantity(components[name]).to_value(u.mas / u.yr))
-        near |= speed > end - 2 * step
-    numbers = [str(int(n)) for n in np.asarray(components["component"])[near & found]]
+    """What to do about components as fast as anything that was searched."""
+    fastest = result.search.permutations.speed.max()
+    numbers = [
+        str(int(number))
+        for number, kind in zip(components["component"], kinds, strict=True)
+        if kind == "moving"
+        and abs(result.search.streams[int(number) - 1].along.mean) > EDGE * fastest
+    ]
     if not numbers:
         return []
     which = f"{plural(len(numbers), 'Component')} {listed(numbers)}"
-    verb = "is" if len(numbers) == 1 else "are"
+    verb, what = ("is", "it") if len(numbers) == 1 else ("are", "them")
     return [
-        f"{which} {verb} at the edge of the velocity map, where maxima are cut off: "
-        "measure with a larger max_speed before you believe "
-        + ("it." if len(numbers) == 1 else "them.")
+        f"{which} {verb} as fast as anything that was searched: measure with a larger "
+        f"max_speed before you believe {what}."
     ]
 
 
@@ -152,7 +171,7 @@ def facts(result):
     inside = np.asarray(result.ssps["in_region"], bool)
     scales = np.unique(np.asarray(result.ssps["scale"], dtype=float))
     where = "" if inside.all() else f", of {len(inside)} in the images"
-    n = len(result.pairs)
+    n = int(result.search.diagram.n_pairs.sum())
     return [
         f"{len(cube)} epochs, {dates[0]} to {dates[-1]}",
         f"{n} {plural(n, 'pair')} of epochs compared",

@@ -12,17 +12,24 @@ from astro_scc.report.words import plural
 
 __all__ = ["CAPTIONS", "Picture", "draw_pictures"]
 
-#: Dots per inch of the figures, which are six inches wide.
+#: Dots per inch of the figures, which are up to six inches wide.
 DPI = 150
 #: Title of each figure, and how it is read.
 CAPTIONS = {
+    "diagram": (
+        "Displacement against interval",
+        "Red is where more patterns match than in permuted epochs, at each "
+        "displacement and time between two epochs.  A line from the origin is a "
+        "speed, numbered as in the table: solid if it is significant and dotted if "
+        "not, between thin lines for its dispersion, and dashed where structure "
+        "stands still.",
+    ),
     "velocity_map": (
         "Velocity map",
         "How well the patterns of the images agree when they are moved at each "
-        "velocity.  A bright spot is a speed that many patterns share; its number is "
-        "that of the table, and the ellipse is one standard error.  A square is "
-        "structure that stands still; an oblique cross with a dotted ellipse may be "
-        "chance.",
+        "velocity.  Components have their number of the table and an ellipse of one "
+        "standard error.  A square is structure that stands still; an oblique cross "
+        "with a dotted ellipse is not significant.",
     ),
     "significance": (
         "Significance along the jet",
@@ -32,9 +39,8 @@ CAPTIONS = {
     ),
     "members": (
         "Which patterns make which component",
-        "Each arrow leads from a pattern (SSP) to its match in a later epoch, drawn on "
-        "the mean image.  A speed that is real has arrows in many places or all along "
-        "a part of the jet.",
+        "Each arrow leads from a pattern (SSP) to its match in the next epoch in which "
+        "its feature is seen, drawn on the mean image.",
     ),
     "epochs": (
         "Epochs and their patterns",
@@ -43,8 +49,8 @@ CAPTIONS = {
     ),
     "intervals": (
         "Dates and pairs of epochs",
-        "Ticks are epochs.  Each bar joins two epochs that are compared, as high as "
-        "the time between them.",
+        "Ticks are epochs.  Each bar joins two epochs that the velocity map compares, "
+        "as high as the time between them.",
     ),
 }
 
@@ -101,6 +107,7 @@ def draw_pictures(result, components):
 
     shared = {"components": components, "beta_per_pm": _beta_per_pm(components)}
     figures = {
+        "diagram": show.plot_diagram(result, components=components),
         "velocity_map": show.plot_velocity_map(result, **shared),
         "significance": show.plot_significance(result, **shared),
         "members": show.plot_members(result, components=components),
@@ -124,6 +131,8 @@ def _alts(result, components):
     marked = f"{n} {plural(n, 'component')} marked" if n else "no component marked"
     one, other = result.frame.axis_names
     return {
+        "diagram": "Diagram of the displacements of matched patterns against the "
+        f"interval between their epochs, {marked} by lines",
         "velocity_map": f"Map of the stacked correlation over the velocities {one} "
         f"and {other}, {marked}",
         "significance": "Curve of the z score against the velocity along the jet, "

@@ -10,6 +10,7 @@ from astro_scc.report.figures import draw_pictures
 from astro_scc.report.tables import (
     component_rows,
     epoch_rows,
+    feature_rows,
     in_easy_units,
     setting_rows,
 )
@@ -19,6 +20,7 @@ __all__ = ["write_report"]
 #: What else may be in the folder, in this order.
 PRODUCTS = (
     "components.ecsv",
+    "features.ecsv",
     "components.vot",
     "ssps.ecsv",
     "ssps.vot",
@@ -49,10 +51,10 @@ def write_report(
         ``result.components``, or the table with apparent speeds of
         ``result.components_in_c``.
     directory : path
-        Gets ``report.html``, and ``velocity_map.png``, ``significance.png``,
-        ``members.png``, ``epochs.png`` and ``intervals.png``, which the page
-        holds too.  It is made if need be; files of these names are replaced,
-        each when the new one is complete.
+        Gets ``report.html``, and ``diagram.png``, ``velocity_map.png``,
+        ``significance.png``, ``members.png``, ``epochs.png`` and
+        ``intervals.png``, which the page holds too.  It is made if need be;
+        files of these names are replaced, each when the new one is complete.
     title : str
         Heading of the page, the name of the object.
     warnings : sequence of str, optional
@@ -118,6 +120,7 @@ def write_report(
         tables=tables,
         notes=notes,
         epochs=epoch_rows(result),
+        features=feature_rows(easy, result.features),
         left_out=[(w, "") if isinstance(w, str) else tuple(w) for w in left_out],
         settings=setting_rows(result, components),
         rerun=rerun,

@@ -8,9 +8,21 @@ import numpy as np
 
 from astro_scc.kinematics import cosmology_text
 from astro_scc.measurement.tables import PM_UNIT
-from astro_scc.report.words import listed, plain_value, row_text, unit_text
+from astro_scc.report.words import (
+    listed,
+    plain_value,
+    row_text,
+    unit_text,
+    with_error,
+)
 
-__all__ = ["component_rows", "epoch_rows", "in_easy_units", "setting_rows"]
+__all__ = [
+    "component_rows",
+    "epoch_rows",
+    "feature_rows",
+    "in_easy_units",
+    "setting_rows",
+]
 
 #: Columns of the page: name, heading with {unit}, decimals where there is no error.
 COLUMNS = (
@@ -19,11 +31,11 @@ COLUMNS = (
     ("pm", "speed ({unit})", 3),
     ("beta_app", "speed (c)", 3),
     ("pm_pa", "PA ({unit})", 0),
+    ("dispersion", "dispersion ({unit})", 3),
     ("p_global", "p_global", 3),
-    ("z_score", "z", 1),
+    ("n_features", "features", 0),
     ("n_ssp", "SSPs", 0),
     ("n_pairs", "pairs", 0),
-    ("n_features", "features", 0),
     ("pm_parallel", "along ({unit})", 3),
     ("pm_transverse", "across ({unit})", 3),
     ("pm_ra_cosdec", "east ({unit})", 3),
@@ -31,11 +43,14 @@ COLUMNS = (
     ("pm_lon_coslat", "longitude ({unit})", 3),
     ("pm_lat", "latitude ({unit})", 3),
     ("coefficient", "coefficient", 3),
+    ("z_score", "z", 1),
+    ("pm_limit", "upper limit, 95% ({unit})", 3),
     ("pm_err_jitter", "paper's error of the speed ({unit})", 3),
     ("pm_err_alignment", "error by alignment ({unit})", 3),
-    ("pm_err_epochs", "error by epochs ({unit})", 3),
     ("p_local", "p_local", 3),
+    ("p_distinct", "p_distinct", 3),
     ("p_smallest", "smallest p_global", 3),
+    ("note", "note", 0),
 )
 
 
@@ -123,6 +138,38 @@ def _cell(components, row, name, digits):
         return row_text(row, name)
     # A probability may be small, but is never rounded to nothing.
     return f"{value:.2g}" if name.startswith("p_") else f"{value:.{digits}f}"
+
+
+def feature_rows(components, features):
+    """
+    The features that were followed, each with its own speed.
+
+    Parameters
+    ----------
+    components : `~astropy.table.QTable`
+        Of which the speeds have their unit.
+    features : `~astropy.table.QTable`
+        See `~astro_scc.measurement.feature_table`.
+
+    Returns
+    -------
+    head : list of str
+    rows : list of list of str
+    """
+    unit = components["pm"].unit
+    head = ["Component", "scale", "epochs", "first", "last",
+            f"distance ({unit_text(u.mas)})", f"motion ({unit_text(u.mas)})",
+            f"speed ({unit_text(unit)})"]  # fmt: skip
+    rows = [
+        [
+            str(row["component"]), f"{row['scale']:g}", str(row["n_epochs"]),
+            *(row[k].strftime("%Y-%m-%d") for k in ("first", "last")),
+            *(f"{row[k].to_value(u.mas):.3g}" for k in ("distance", "motion")),
+            with_error(row["pm"].to_value(unit), row["pm_err"].to_value(unit)),
+        ]
+        for row in features
+    ]  # fmt: skip
+    return head, rows
 
 
 def epoch_rows(result):

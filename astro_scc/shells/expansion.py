@@ -13,7 +13,7 @@ from astro_scc.measurement import false_discovery_rate, ssp_offsets
 __all__ = ["expansion_speed", "measure_expansion"]
 
 KEPT = ("kind", "coefficient", "z_score", "p_local", "p_global", "p_fdr", "n_ssp",
-        "n_pairs")  # fmt: skip
+        "n_pairs", "n_features", "note")  # fmt: skip
 
 
 def expansion_speed(rate, radius, distance):
@@ -79,8 +79,9 @@ def measure_expansion(
     `~astropy.table.QTable`
         A row for each sector and velocity that was tested: ``pa_min``,
         ``pa_max``, ``rate`` and ``rotation`` in per cent a year with
-        errors, ``kind``, probabilities (``p_fdr`` adjusted for all sectors)
-        and, with a distance, ``speed`` and ``speed_err``.
+        errors, ``kind``, probabilities (``p_fdr`` adjusted for all sectors),
+        ``n_features``, ``note`` and, with a distance, ``speed`` and
+        ``speed_err``.
 
     Raises
     ------
@@ -98,16 +99,16 @@ def measure_expansion(
     >>> from astro_scc import StackedCrossCorrelation
     >>> from astro_scc.shells import measure_expansion
     >>> from astro_scc.simulation import simulate_shell
-    >>> shell = simulate_shell(n_epochs=5, interval=10 * u.yr, n_clumps=0, n_knots=25,
+    >>> shell = simulate_shell(n_epochs=6, interval=8 * u.yr, n_clumps=0, n_knots=25,
     ...                        radius=50 * u.arcsec, size=160, rng=4)
     >>> scc = StackedCrossCorrelation(
     ...     scales=[1], max_speed=150 * u.mas / u.yr, kernel=0.1, detection=7,
     ...     segmentation=5)
     >>> matched = scc.match(shell.cube)
     >>> table = measure_expansion(
-    ...     scc, matched, shell.centre, shell.radius, n_trials=20, rng=1)
-    >>> table["kind"].tolist()[0], table["rate"].unit
-    ('moving', Unit("% / yr"))
+    ...     scc, matched, shell.centre, shell.radius, n_trials=119, rng=1)
+    >>> table["rate"].round(2)[0]
+    <Quantity 0.11 % / yr>
     """
     limits = _limits(sectors)
     frame = ExpansionFrame(centre, radius)

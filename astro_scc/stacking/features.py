@@ -1,97 +1,370 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Features: how many different things the sightings of a velocity are at least."""
+"""Features: the SSPs that follow one straight line through the epochs."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["count_features"]
+__all__ = ["Feature", "find_features"]
 
-#: Tracks this close at the date midway may be of one feature, in standard
-#: errors of a displacement...
-PLACE = 3.0
-#: ...and this much more for each interval that lies between them...
-GROWTH = 0.5
-#: ...if their velocities differ by less than this: three standard errors of
-#: a difference, less what one feature wanders in an interval.
-VELOCITY = 2.5
-#: Carried along by the velocity of all, they may be of one feature if they
-#: are this close, times the root of half an interval and those between: a
-#: feature that wanders takes a random walk about its mean motion.
-WANDER = 2.5
+#: Speeds that single SSPs are given, relative step.
+SPEED_STEP = 0.06
+#: Fewest SSPs of a feature of which an acceleration is known.
+ACCELERATED = 5
+#: Degrees of freedom that the assumed position error counts as.
+PRIOR_FREEDOM = 3
+#: Features closer than this many beams to the line of a longer one are parts of it.
+SAME_FEATURE = 0.5
 
 
-def count_features(sightings, group, near):
+@dataclass(frozen=True, eq=False)
+class Feature:
     """
-    Number of features, counted with care, that were seen at a velocity.
+    SSPs of one scale on a straight line in time.
 
-    Witnesses are made with narrow limits: a feature that wanders, or that
-    is seen on several scales at slightly different places, falls into
-    several.  Here whatever may be one feature counts once: the witness with
-    most sightings takes all whose tracks run within three errors of its
-    own, and those that a random walk of one error an interval, about the
-    mean velocity of all, may have taken there; and so on.
-
-    Parameters
+    Attributes
     ----------
-    sightings : `~astro_scc.stacking.Sightings`
-    group : array_like of int, shape (n_sightings,)
-        The witness of each.
-    near : array_like of bool, shape (n_sightings,)
-        Sightings of the velocity in question.
-
-    Returns
-    -------
-    int
-        Never more than there are features; fewer, if some are close to one
-        another.
+    ssp : `~numpy.ndarray` of int, shape (n_epochs,)
+        By epoch.
+    speed, error : float
+        Along the axis, in beams a year, with its standard error.
+    across, across_error : float
+        The same across the axis.
+    place : float
+        Mean position along the axis, in beams.
+    motion : float
+        Beams moved while it is seen.
+    response : `~numpy.ndarray`, shape (n_epochs,)
+        Change of the speed for a displacement of each SSP by one beam.
+    acceleration, acceleration_error : float
+        Along the axis, in beams/yr^2, of a parabola; NaN with fewer than five
+        SSPs.
 
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import (
-    ...     Displacements, Sightings, consecutive_pairs, count_features)
-    >>> one, x = np.ones(3), np.array([0.0, 1.0, 30.0])
-    >>> d = Displacements(
-    ...     d1=5 * one, d2=0 * one, s1=one, s2=one, weight=one,
-    ...     reference=np.zeros(3, int), target=np.ones(3, int), ssp=np.arange(3),
-    ...     target_ssp=np.arange(3), n_ssps=np.array([3, 3]),
-    ...     position=np.stack([x, 0 * x], axis=1),
-    ...     motion=np.stack([5 * one, 0 * one], axis=1))
-    >>> seen = Sightings.of(d, consecutive_pairs([0, 1]), [0, 1], (9, 9))
-    >>> count_features(seen, np.arange(3), np.ones(3, bool))
-    2
+    >>> from astro_scc.stacking import Feature
+    >>> years = np.array([0.0, 1.0, 2.0])
+    >>> place = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
+    >>> Feature.through(np.arange(3), years, place, 0.06).speed
+    0.5
     """
-    near = np.asarray(near)
-    if not near.any():
-        return 0
-    s = sightings.select(near)
-    _, group = np.unique(np.asarray(group)[near], return_inverse=True)
-    number = np.bincount(group)
 
-    def mean(values):
-        return np.bincount(group, values) / number
+    ssp: np.ndarray
+    speed: float
+    error: float
+    across: float
+    across_error: float
+    place: float
+    motion: float
+    response: np.ndarray
+    acceleration: float = np.nan
+    acceleration_error: float = np.nan
 
-    time, interval = mean(s.time), mean(s.interval)
-    place = np.stack([mean(column) for column in s.middle.T], axis=1)
-    velocity = np.stack([mean(column) for column in s.velocity.T], axis=1)
-    sigma, common = np.median(s.sigma), s.velocity.mean(axis=0)
-    free = np.ones(len(number), dtype=bool)
-    features = 0
-    for i in np.argsort(-number, kind="stable"):
-        if not free[i]:
-            continue
-        features += 1
-        delay = 0.5 * (time - time[i])[:, None]
-        mean_interval = np.sqrt(interval * interval[i])
-        here = place[i] + delay * velocity[i]
-        there = place - delay * velocity
-        apart = np.hypot(*(here - there).T)
-        faster = np.hypot(*(velocity - velocity[i]).T)
-        gap = np.abs(time - time[i]) / mean_interval
-        same = (apart <= sigma * (PLACE + GROWTH * gap)) & (
-            faster <= VELOCITY * sigma / mean_interval
+    def __len__(self):
+        return len(self.ssp)
+
+    @classmethod
+    def through(cls, ssp, years, position, position_error):
+        """
+        Fit a straight line to the positions of SSPs.
+
+        The variance of a position is that of the residuals, drawn towards
+        ``position_error`` as if by three more measurements.
+
+        Parameters
+        ----------
+        ssp : `~numpy.ndarray` of int, shape (n,)
+        years : `~numpy.ndarray`, shape (n,)
+        position : `~numpy.ndarray`, shape (n, 2)
+        position_error : float
+
+        Returns
+        -------
+        `Feature`
+        """
+        time = years - years.mean()
+        response = time / (time @ time)
+        velocity = response @ position
+        left = position - position.mean(axis=0) - time[:, None] * velocity
+
+        def variance(left, n_parameters):
+            freedom = max(len(ssp) - n_parameters, 0) + PRIOR_FREEDOM
+            total = (left**2).sum(axis=0) + PRIOR_FREEDOM * position_error**2
+            return total / freedom
+
+        error = np.sqrt(variance(left, 2) * (response @ response))
+        bend = bend_error = np.nan
+        if len(ssp) >= ACCELERATED:
+            design = np.stack([np.ones(len(ssp)), time, time**2 / 2], axis=1)
+            inverse = np.linalg.inv(design.T @ design)
+            curve = inverse @ design.T @ position[:, 0]
+            left = position[:, 0] - design @ curve
+            bend, bend_error = curve[2], np.sqrt(inverse[2, 2] * variance(left, 3))
+        return cls(
+            ssp=ssp,
+            speed=float(velocity[0]),
+            error=float(error[0]),
+            across=float(velocity[1]),
+            across_error=float(error[1]),
+            place=float(position[:, 0].mean()),
+            motion=float(abs(velocity[0]) * np.ptp(years)),
+            response=response,
+            acceleration=float(bend),
+            acceleration_error=float(bend_error),
         )
-        strayed = np.hypot(*(place - place[i] - 2 * delay * common).T)
-        same |= strayed <= WANDER * sigma * np.sqrt(0.5 + gap)
-        same[i] = True
-        free &= ~same
-    return features
+
+
+def find_features(displacements, rays, settings, prior):
+    """
+    Find features that move, each with a speed of its own.
+
+    An SSP has, for each speed, the sum of its matches on the ray of that
+    speed less what its matches would give under permutations of the epochs.
+    The SSP with the largest excess begins a feature; those that its matches
+    lead to along the ray, and theirs, join it as long as they lie on one
+    line; then the next one begins, of what is left.
+
+    Parameters
+    ----------
+    displacements : `~astro_scc.stacking.AxisDisplacements`
+    rays : `~astro_scc.stacking.Rays`
+    settings : `~astro_scc.stacking.SearchSettings`
+    prior : callable
+        Weight between 0 and 1 of an array of speeds.
+
+    Returns
+    -------
+    list of `Feature`
+        Those of several scales that are the same only once.
+
+    Examples
+    --------
+    Two features of different speeds, seen in six epochs:
+
+    >>> import numpy as np
+    >>> from astro_scc.stacking import (AxisDisplacements, Rays, SearchSettings,
+    ...                                 find_features)
+    >>> years = np.arange(6.0)
+    >>> epoch, feature = (k.ravel() for k in np.indices((6, 2)))
+    >>> place = 3.0 * feature + np.array([0.3, 0.5])[feature] * years[epoch]
+    >>> ssp, to = np.nonzero((feature[:, None] == feature) & (epoch[:, None] != epoch))
+    >>> d = AxisDisplacements(
+    ...     along=place[to] - place[ssp], across=np.zeros(len(to)),
+    ...     weight=np.ones(len(to)), reference=epoch[ssp], target=epoch[to], ssp=ssp,
+    ...     target_ssp=to, position=np.stack([place, 0 * place], axis=1), epoch=epoch,
+    ...     scale=np.ones(12), years=years)
+    >>> rays = Rays.of(years, 1.5, SearchSettings())
+    >>> found = find_features(d, rays, SearchSettings(), np.ones_like)
+    >>> [(round(feature.speed, 2), len(feature)) for feature in found]
+    [(0.3, 6), (0.5, 6)]
+    """
+    d = displacements
+    keep = (np.abs(d.across) <= settings.across) & (np.abs(d.along) <= rays.radius)
+    keep &= (d.target_ssp >= 0) & (d.interval != 0)
+    links = _Links.of(d.select(keep))
+    if len(links.ssp) == 0:
+        return []
+    speeds = _speeds(rays)
+    excess = _excess(links, d, speeds, rays) * prior(speeds)
+    best, fastest = excess.max(axis=1), speeds[excess.argmax(axis=1)]
+    free = np.ones(len(d.epoch), dtype=bool)
+    found = []
+    for seed in np.argsort(-best, kind="stable"):
+        if best[seed] < settings.least_score:
+            break
+        if not free[seed]:
+            continue
+        chosen = _follow(seed, fastest[seed], links, d, free, settings)
+        free[chosen] = False
+        chosen = _on_line(chosen, d, settings)
+        first, last = d.epoch[chosen[0]], d.epoch[chosen[-1]]
+        least = max(settings.least_epochs, settings.least_share * (last - first + 1))
+        if len(chosen) >= least:
+            found.append(_feature(chosen, d, settings))
+    return _different(found, d)
+
+
+def standing_features(displacements, settings):
+    """
+    Find features that stand still in at least half of the epochs.
+
+    Parameters
+    ----------
+    displacements : `~astro_scc.stacking.AxisDisplacements`
+    settings : `~astro_scc.stacking.SearchSettings`
+
+    Returns
+    -------
+    list of `Feature`
+        With speeds below two standard errors.
+    """
+    d = displacements
+    close = (np.hypot(d.along, d.across) <= settings.nearest) & (d.target_ssp >= 0)
+    # Images of one date say nothing about motion.
+    close &= d.interval != 0
+    links = _Links.of(d.select(close))
+    free = np.ones(len(d.epoch), dtype=bool)
+    least = max(settings.least_epochs, len(d.years) / 2)
+    found = []
+    number = np.diff(links.start)
+    for seed in np.argsort(-number, kind="stable"):
+        if number[seed] + 1 < least:
+            break
+        if not free[seed]:
+            continue
+        chosen = _follow(seed, 0.0, links, d, free, settings)
+        free[chosen] = False
+        chosen = _on_line(chosen, d, settings)
+        if len(chosen) >= least:
+            feature = _feature(chosen, d, settings)
+            if abs(feature.speed) <= 2 * feature.error:
+                found.append(feature)
+    return _different(found, d)
+
+
+@dataclass(frozen=True, eq=False)
+class _Links:
+    """Matches from both of their SSPs, sorted by the SSP they start from."""
+
+    ssp: np.ndarray
+    to: np.ndarray
+    along: np.ndarray
+    weight: np.ndarray
+    interval: np.ndarray
+    start: np.ndarray
+
+    @classmethod
+    def of(cls, d):
+        ssp = np.concatenate([d.ssp, d.target_ssp])
+        to = np.concatenate([d.target_ssp, d.ssp])
+        along = np.concatenate([d.along, -d.along])
+        weight = np.concatenate([d.weight, d.weight])
+        order = np.argsort(ssp, kind="stable")
+        ssp, to = ssp[order], to[order]
+        interval = d.years[d.epoch[to]] - d.years[d.epoch[ssp]]
+        start = np.searchsorted(ssp, np.arange(len(d.epoch) + 1))
+        return cls(ssp, to, along[order], weight[order], interval, start)
+
+    def of_ssps(self, ssps):
+        """Indices of the links from some SSPs."""
+        parts = [np.arange(self.start[s], self.start[s + 1]) for s in ssps]
+        return np.concatenate(parts) if parts else np.zeros(0, dtype=int)
+
+
+def _speeds(rays):
+    """Speeds of single features: somewhat beyond those of streams."""
+    fastest, slowest = 1.1 * rays.speed.max(), 0.5 * np.abs(rays.speed).min()
+    n = int(np.ceil(np.log(fastest / slowest) / SPEED_STEP))
+    speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
+    return np.concatenate([-speed[::-1], speed])
+
+
+def _excess(links, d, speeds, rays):
+    """Matches of each SSP on rays, less those that permutations give."""
+    n, n_epochs, sigma = len(d.epoch), len(d.years), rays.settings.smoothing
+    step = sigma / 2
+    half = np.ceil(rays.radius / step) + 2
+    grid = np.arange(-half, half + 1) * step
+    cell = np.rint((links.along - grid[0]) / step).astype(int)
+    density = np.zeros((n, len(grid)))
+    np.add.at(density, (links.ssp, cell), links.weight)
+    kernel = np.exp(-0.5 * ((grid[:, None] - grid) / sigma) ** 2)
+    density = density @ kernel / (n_epochs - 1)
+    found = np.zeros((n, len(speeds)))
+    interval = d.years[:, None] - d.years
+    for k, speed in enumerate(speeds):
+        expected = speed * links.interval
+        weight = rays.weight(expected, links.interval)
+        use = np.flatnonzero(weight)
+        value = weight[use] * links.weight[use]
+        value *= np.exp(-0.5 * ((links.along[use] - expected[use]) / sigma) ** 2)
+        found[:, k] = np.bincount(links.ssp[use], value, n)
+        # The share of each cell of displacement, of the dates seen from each.
+        motion = speed * interval
+        share = np.where(interval == 0, 0.0, rays.weight(motion, interval))
+        cells = np.rint((np.clip(motion, grid[0], grid[-1]) - grid[0]) / step)
+        chance = np.zeros((n_epochs, len(grid)))
+        row = np.broadcast_to(np.arange(n_epochs), interval.shape)
+        np.add.at(chance, (row, cells.astype(int)), share)
+        found[:, k] -= np.einsum("sg,sg->s", density, chance[d.epoch])
+    return found
+
+
+def _follow(seed, speed, links, d, free, settings):
+    """SSPs along a line from one of them, one an epoch."""
+    members = {int(d.epoch[seed]): int(seed)}
+    front, here, when = [int(seed)], d.position[seed], d.years[d.epoch[seed]]
+    across = 0.0
+    while front:
+        index = links.of_ssps(front)
+        index = index[free[links.to[index]]]
+        off = links.along[index] - speed * links.interval[index]
+        index, off = (
+            index[np.abs(off) <= 2 * settings.smoothing],
+            off[np.abs(off) <= 2 * settings.smoothing],
+        )
+        to = links.to[index]
+        time = d.years[d.epoch[to]] - when
+        line = here + np.stack([speed * time, across * time], axis=1)
+        away = np.abs(d.position[to] - line)
+        new = ~np.isin(d.epoch[to], list(members)) & np.all(
+            away <= (settings.line, settings.across), axis=1
+        )
+        to, off, index = to[new], off[new], index[new]
+        value = links.weight[index] * np.exp(-0.5 * (off / settings.smoothing) ** 2)
+        which, inverse = np.unique(to, return_inverse=True)
+        total = np.bincount(inverse, value, len(which))
+        front = []
+        for k in np.argsort(-total, kind="stable"):
+            epoch = int(d.epoch[which[k]])
+            if epoch not in members:
+                members[epoch] = int(which[k])
+                front.append(int(which[k]))
+        if len(members) >= 3:
+            chosen = np.array(list(members.values()))
+            years, place = d.years[d.epoch[chosen]], d.position[chosen]
+            time = years - years.mean()
+            speed, across = time @ place / (time @ time)
+            here, when = place.mean(axis=0), years.mean()
+    chosen = np.array([members[epoch] for epoch in sorted(members)])
+    return chosen
+
+
+def _on_line(chosen, d, settings):
+    """Without what lies off the line of the others."""
+    for _ in range(3):
+        if len(chosen) <= settings.least_epochs:
+            break
+        years, place = d.years[d.epoch[chosen]], d.position[chosen]
+        time = years - years.mean()
+        velocity = time @ place / (time @ time)
+        off = np.abs(place - place.mean(axis=0) - time[:, None] * velocity)[:, 0]
+        limit = max(2.5 * 1.4826 * np.median(off), 2 * settings.position_error)
+        good = off <= limit
+        if good.all() or good.sum() < settings.least_epochs:
+            break
+        chosen = chosen[good]
+    return chosen
+
+
+def _feature(chosen, d, settings):
+    years, place = d.years[d.epoch[chosen]], d.position[chosen]
+    return Feature.through(chosen, years, place, settings.position_error)
+
+
+def _different(features, d):
+    """The longest of those that follow one another on one line or several scales."""
+    kept = []
+    # The finer scale of two as long is blended less.
+    for feature in sorted(features, key=lambda f: (-len(f), d.scale[f.ssp[0]])):
+        years, place = d.years[d.epoch[feature.ssp]], d.position[feature.ssp]
+        for other in kept:
+            time = years - d.years[d.epoch[other.ssp]].mean()
+            velocity = np.array([other.speed, other.across])
+            line = d.position[other.ssp].mean(axis=0) + time[:, None] * velocity
+            if np.median(np.hypot(*(place - line).T)) < SAME_FEATURE:
+                break
+        else:
+            kept.append(feature)
+    return kept

@@ -1,307 +1,414 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Which velocities are common to many features: the step-down search."""
+"""Which speeds the epochs show: the search for streams and its significance."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from astro_scc.stacking.contrast import Contrast
-from astro_scc.stacking.displacements import Displacements
-from astro_scc.stacking.features import count_features
-from astro_scc.stacking.nulls import NULLS, REST, Scene
-from astro_scc.stacking.sightings import Sightings
-from astro_scc.stacking.witnesses import find_witnesses
+from astro_scc.stacking.diagram import Diagram, EpochPermutations, Rays
+from astro_scc.stacking.features import find_features, standing_features
+from astro_scc.stacking.search import SearchSettings
+from astro_scc.stacking.streams import (
+    LONE,
+    Population,
+    feature_speeds,
+    random_effects,
+    separate_streams,
+)
 
-__all__ = ["Finding", "find_velocities"]
+__all__ = ["Search", "Stream", "find_streams"]
 
-#: SSPs with a sighting this close to a component are explained by it.
-EXPLAINED = 1.5
-#: Velocities closer to a component than this are not told from it, in the
-#: same unit: half a beam an interval with the default kernel.
-RESOLVED = 2.5
-#: Fewest features whose velocity is a common one: of the handful that a
-#: sparse jet has, three or four often agree by chance.
-FEWEST_FEATURES = 5
-#: Fewer features than these, the scramble moves as one.
-FEW_FEATURES = 3
-#: Fewest witnesses that can be searched.
-FEWEST = 3
+#: Weight of a speed for single features that no permutation test supports.
+LEAST_PRIOR = 0.15
+#: Speeds less significant than this, in standard deviations of the
+#: permutations, are not those of a feature of the stream.
+LEAST_Z = 1.5
+#: The direction is that of the features after so many steps at most.
+TURNS = 4
+#: Errors that a speed is from rest: at 95%, one-sided.
+REST = 1.645
+#: Streams differ by so many standard deviations of what a flow scatters.
+APART = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class Stream:
     """
-    A velocity that was tested.
+    A stream: features whose speeds scatter about one mean.
 
     Attributes
     ----------
-    v1, v2 : float
-        Velocity of the largest contrast, on the grid of the search.
-    kind : {"moving", "stationary", "uncertain"}
-        Whether it is a component that moves, one at rest within its
-        errors, or none that is significant.
+    kind : {"moving", "stationary", "not significant"}
+    reason : str
+        Why it is not significant, or ''.
+    angle : float
+        Direction of the axis from the first axis of the frame, in radians.
+    along, across : `~astro_scc.stacking.Population`
+        Of the speeds of its features, in beams a year.
+    z : float
+        Excess along its ray in standard deviations of the permutations.
     p_local, p_global : float
-        Largest of the null hypotheses; of a stationary component that of
-        the scramble, as no order of the epochs tells what stands still.
-    p_error : float
-        Monte Carlo standard error of ``p_global``.
-    tests : dict of `~astro_scc.stacking.NullTest`
-        By the name of the null hypothesis.
-    n_witnesses : int
-        Witnesses within 1.5 standard errors.
-    n_features : int
-        Different features that they are at least; what moves with fewer
-        than five is uncertain, with a probability of one.
-    everything : `~astro_scc.stacking.Displacements`
-        All that was searched.
-    left : `~numpy.ndarray` of bool, shape (len(everything),)
-        The matches that earlier findings had left to be explained.
-    group : `~numpy.ndarray` of int, shape (len(displacements),)
-        The witness of each match that was left, -1 if it has none.
+        Of the permutation test at exactly this speed, see `EpochPermutations`.
+    p_distinct : float
+        How often one stream fewer would give features as separate; of the
+        first stream its ``p_global``.
+    features : tuple of `~astro_scc.stacking.Feature`
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from astro_scc.stacking import Displacements, consecutive_pairs
-    >>> from astro_scc.stacking import find_velocities
-    >>> rng = np.random.default_rng(1)
-    >>> years = np.arange(6.0)
-    >>> epoch, feature = (k.ravel() for k in np.indices((5, 20)))
-    >>> v = rng.uniform(-6, 6, (20, 2))[feature]
-    >>> v[feature < 12] = 3.0, 0.0
-    >>> start = rng.uniform(0, 90, (20, 2))[feature]
-    >>> moved, one = v + rng.normal(0, 0.1, v.shape), np.ones(100)
-    >>> d = Displacements(
-    ...     d1=moved[:, 0], d2=moved[:, 1], s1=0.3 * one, s2=0.3 * one, weight=one,
-    ...     reference=epoch, target=epoch + 1, ssp=20 * epoch + feature,
-    ...     target_ssp=20 * epoch + 20 + feature, n_ssps=np.full(6, 20),
-    ...     position=start + v * epoch[:, None], motion=moved)
-    >>> pairs = consecutive_pairs(years)
-    >>> found = find_velocities(d, pairs, years, (9.0, 9.0), n_trials=99, rng=rng)[0]
-    >>> found.kind, round(found.v1), sorted(found.tests)
-    ('moving', 3, ['scramble', 'shuffle'])
+    >>> from astro_scc.stacking import Stream, random_effects
+    >>> still = random_effects([0.01, -0.02], [0.02, 0.02])
+    >>> Stream("stationary", "", 0.0, still, still).kind
+    'stationary'
     """
 
-    v1: float
-    v2: float
     kind: str
-    p_local: float
-    p_global: float
-    p_error: float
-    tests: dict
-    n_witnesses: int
-    n_features: int
-    everything: Displacements = field(repr=False)
-    left: np.ndarray = field(repr=False)
-    group: np.ndarray = field(repr=False)
-
-    @property
-    def displacements(self):
-        """What earlier findings had left to be explained, a copy."""
-        return self.everything.select(self.left)
+    reason: str
+    angle: float
+    along: Population
+    across: Population
+    z: float = np.nan
+    p_local: float = 1.0
+    p_global: float = 1.0
+    p_distinct: float = 1.0
+    features: tuple = field(default=(), repr=False)
 
 
-def find_velocities(
-    displacements,
-    pairs,
-    years,
-    v_max,
+@dataclass(frozen=True, eq=False)
+class Search:
+    """
+    What a search for streams found, and what it was found on.
+
+    Attributes
+    ----------
+    streams : tuple of `Stream`
+        The moving ones, that with more features first, then what stands still;
+        or the strongest speed that is not significant.  Empty without matches.
+    diagram : `~astro_scc.stacking.Diagram`
+        Along the direction of the first stream.
+    angle : float
+        Of that direction from the first axis of the frame, in radians.
+    permutations : `~astro_scc.stacking.EpochPermutations`
+    axis : int
+        Of the permutations, the one nearest to that direction.
+    rays : `~astro_scc.stacking.Rays`
+
+    Examples
+    --------
+    One feature that moves half a beam a year through eight epochs:
+
+    >>> import numpy as np
+    >>> from astro_scc.stacking import AxisDisplacements, find_streams
+    >>> years = np.arange(8.0)
+    >>> ssp, to = (k[~np.eye(8, dtype=bool)] for k in np.indices((8, 8)))
+    >>> d = AxisDisplacements(
+    ...     along=0.5 * (to - ssp), across=np.zeros(56), weight=np.ones(56),
+    ...     reference=ssp, target=to, ssp=ssp, target_ssp=to,
+    ...     position=np.outer(0.5 * years, [1, 0]), epoch=np.arange(8),
+    ...     scale=np.ones(8), years=years)
+    >>> search = find_streams(lambda angle: d, [0.0], 1.5, n_trials=99,
+    ...                       rng=np.random.default_rng(1))
+    >>> [(stream.kind, round(stream.along.mean, 2)) for stream in search.streams]
+    [('moving', 0.5)]
+    >>> search.angle, search.diagram.interval
+    (0.0, array([1., 2., 3., 4., 5., 6., 7.]))
+    """
+
+    streams: tuple
+    diagram: Diagram
+    angle: float
+    permutations: EpochPermutations
+    axis: int
+    rays: Rays
+
+    def follow(self, displacements):
+        """
+        Follow the features of some of the SSPs along the first stream.
+
+        Parameters
+        ----------
+        displacements : `~astro_scc.stacking.AxisDisplacements`
+            Along the direction of that stream.
+
+        Returns
+        -------
+        list of `~astro_scc.stacking.Feature`
+            Those that move in the direction of the stream, at speeds that the
+            epochs show.
+        """
+        if not self.streams:
+            return []
+        found = _follow(displacements, self.rays, self.permutations, self.axis)
+        speed = self.streams[0].along.mean
+        return _moving(found, self.permutations, self.axis, speed)
+
+
+def find_streams(
+    project,
+    angles,
+    radius,
     *,
+    alpha=0.05,
     n_trials=1000,
-    level=0.05,
     rng,
-    nulls=NULLS,
-    max_components=8,
-    progress=None,
+    outward=False,
+    fastest=np.inf,
+    intervals=(0.0, np.inf),
+    settings=None,
 ):
     """
-    Search for velocities that many features share, strongest first.
+    Find the streams whose motion permuted epochs do not show.
 
-    Sightings are grouped into witnesses, the velocity with the largest
-    contrast is tested against every null hypothesis, and if it passes all
-    SSPs that it explains are taken away and the search starts again, at
-    velocities more than 2.5 standard errors from those found; it ends with
-    the first velocity of three features or more that the scramble cannot
-    reject.  The
-    probability is that of the strongest of what is left, so later steps
-    hold given that the earlier ones are right.
+    The speed with the largest excess over the permutations, along the rays
+    of the displacement-interval diagram, is tested against the largest of
+    each permutation.  If it is significant, single features are followed
+    along that direction; a stream is the mean and the dispersion of their
+    speeds, and there are two streams where a parametric bootstrap rejects
+    one.  The probability that a stream is given is of its own mean speed.
 
     Parameters
     ----------
-    displacements : `~astro_scc.stacking.Displacements`
-        With ``position`` and ``motion``.
-    pairs : `~astro_scc.stacking.DatePairs`
-    years : array_like, shape (n_dates,)
-        Dates in years.
-    v_max : tuple of float
-        Largest velocities along the two axes.
+    project : callable
+        The `~astro_scc.stacking.AxisDisplacements` along an angle in radians
+        from the first axis of the frame.
+    angles : sequence of float
+        Axes to search, evenly over half a turn from the first axis of the
+        frame; one if the direction of the flow is known.
+    radius : float
+        Largest displacement in beams.
+    alpha : float, optional
+        Largest ``p_global`` of what is significant.
     n_trials : int, optional
-    level : float, optional
-        Largest ``p_global`` of a component.
+        Number of permutations.
     rng : `~numpy.random.Generator`
-    nulls : sequence, optional
-        Null hypotheses with a ``name`` and a method ``test``.
-    max_components : int, optional
-        The search ends after so many steps.
-    progress : callable, optional
-        Called with 1 after each step.
+    outward : bool, optional
+        Search positive speeds only.
+    fastest : float, optional
+        Largest speed, in beams a year.
+    intervals : tuple of float, optional
+        Shortest and longest interval between epochs that is used, in years.
+    settings : `~astro_scc.stacking.SearchSettings`, optional
 
     Returns
     -------
-    list of `Finding`
-        In the order they were found.  The last one may be uncertain, and
-        so may others be before it.
+    `Search`
+
+    Raises
+    ------
+    ValueError
+        If no two epochs are as far apart as ``intervals`` ask.
 
     Examples
     --------
+    Ten features that move half a beam a year through eight epochs:
+
     >>> import numpy as np
-    >>> from astro_scc.stacking import Displacements, consecutive_pairs
-    >>> from astro_scc.stacking import find_velocities
-    >>> rng = np.random.default_rng(1)
-    >>> years = np.arange(6.0)
-    >>> epoch, feature = (k.ravel() for k in np.indices((5, 20)))
-    >>> v = rng.uniform(-6, 6, (20, 2))[feature]
-    >>> v[feature < 12] = 3.0, 0.0
-    >>> start = rng.uniform(0, 90, (20, 2))[feature]
-    >>> moved, one = v + rng.normal(0, 0.1, v.shape), np.ones(100)
-    >>> d = Displacements(
-    ...     d1=moved[:, 0], d2=moved[:, 1], s1=0.3 * one, s2=0.3 * one, weight=one,
-    ...     reference=epoch, target=epoch + 1, ssp=20 * epoch + feature,
-    ...     target_ssp=20 * epoch + 20 + feature, n_ssps=np.full(6, 20),
-    ...     position=start + v * epoch[:, None], motion=moved)
-    >>> pairs = consecutive_pairs(years)
-    >>> findings = find_velocities(d, pairs, years, (9.0, 9.0), n_trials=99, rng=rng)
-    >>> findings[0].kind, round(findings[0].v1), findings[0].p_global
-    ('moving', 3, 0.01)
+    >>> from astro_scc.stacking import AxisDisplacements, find_streams
+    >>> years = np.arange(8.0)
+    >>> epoch, feature = (k.ravel() for k in np.indices((8, 10)))
+    >>> place = 3.0 * feature + 0.5 * years[epoch]
+    >>> ssp, to = np.nonzero((feature[:, None] == feature) & (epoch[:, None] != epoch))
+    >>> d = AxisDisplacements(
+    ...     along=place[to] - place[ssp], across=np.zeros(len(to)),
+    ...     weight=np.ones(len(to)), reference=epoch[ssp], target=epoch[to], ssp=ssp,
+    ...     target_ssp=to, position=np.stack([place, 0 * place], axis=1), epoch=epoch,
+    ...     scale=np.ones(80), years=years)
+    >>> found = find_streams(lambda angle: d, [0.0], 1.5, n_trials=99,
+    ...                      rng=np.random.default_rng(1))
+    >>> stream = found.streams[0]
+    >>> stream.kind, round(stream.along.mean, 2), len(stream.features)
+    ('moving', 0.5, 10)
     """
-    limits = _widened(displacements, v_max, pairs)
-    everything = Sightings.of(displacements, pairs, years, limits)
-    left = np.ones(len(displacements), dtype=bool)
-    # Places are in the sightings: copies of what is left need them no more.
-    placeless = replace(displacements, position=None, motion=None)
-    findings, taken = [], []
-    for step_rng in rng.spawn(max_components):
-        seen = everything.select(left[everything.match])
-        scene = _scene(placeless.select(left), pairs, seen, v_max, taken)
-        if scene is None:
+    settings = SearchSettings() if settings is None else settings
+    test_rng, model_rng = rng.spawn(2)
+    axes = [project(angle) for angle in angles]
+    rays = Rays.of(axes[0].years, radius, settings, fastest, intervals)
+    permutations = EpochPermutations.of(
+        axes, rays, n_trials, test_rng, settings, outward=outward
+    )
+    axis, speed = permutations.largest()
+    p_local, p_global = permutations.p_values(axis, speed)
+    angle, d = angles[axis], axes[axis]
+    features = _follow(d, rays, permutations, axis)
+    # Displacements along a wrong axis are shorter: along the features' own direction.
+    for _ in range(TURNS if len(angles) > 1 else 0):
+        near = [f for f in features if f.speed * speed > 0] or features
+        if not near:
             break
-        group = np.full(len(displacements), -1)
-        group[seen.match] = scene.witnesses.group
-        finding = Finding(
-            **_judged(scene, seen, nulls, n_trials, level, step_rng),
-            everything=displacements,
-            left=left.copy(),
-            group=group[left],
+        mean = np.mean([(f.speed, f.across) for f in near], axis=0)
+        turn = np.arctan(mean[1] / mean[0])
+        half_turns, axis = divmod(
+            round((angle + turn) * len(angles) / np.pi), len(angles)
         )
-        findings.append(finding)
-        if progress is not None:
-            progress(1)
-        if _rejected(finding, level):
+        angle += turn - half_turns * np.pi
+        speed = float(np.hypot(*mean) * np.sign(mean[0]) * (-1) ** half_turns)
+        d = project(angle)
+        features = _follow(d, rays, permutations, axis)
+        if abs(turn) < np.pi / len(angles) / 2:
             break
-        taken.append(scene.velocity)
-        near = everything.near(*scene.velocity, EXPLAINED)
-        left &= ~np.isin(displacements.ssp, everything.ssp[near])
-    return _without_rest(findings)
-
-
-def _without_rest(findings):
-    """Up to the last component, and the first one after it that is none."""
-    last = max((i for i, f in enumerate(findings) if f.kind != "uncertain"), default=-1)
-    return findings[: last + 2]
-
-
-def _rejected(finding, level):
-    """
-    Whether the search ends.
-
-    A velocity that only the shuffle rejects is no component, but what it
-    explains may hide one; and so may what one or two features do, as the
-    scramble moves them whole: in every trial they are the strongest again.
-    """
-    if finding.n_features < FEW_FEATURES:
-        return False
-    first = finding.tests.get("scramble")
-    return (finding.p_global if first is None else first.p_global) > level
-
-
-def _widened(displacements, v_max, pairs):
-    """Limits beyond which a sighting touches no searched velocity."""
-    if len(displacements) == 0 or len(pairs) == 0:
-        return v_max
-    shortest = pairs.interval.min()
-    return (
-        v_max[0] + 10 * displacements.s1.max() / shortest,
-        v_max[1] + 10 * displacements.s2.max() / shortest,
+    streams, searched, first_axis = [], permutations, axis
+    for group, p_distinct in _groups(
+        features, permutations, axis, speed, alpha, n_trials, model_rng
+    ):
+        along, across = _population(group)
+        if streams:
+            # What the faster or slower one shows beside the first.
+            ssps = np.concatenate([f.ssp for f in streams[0].features])
+            rest = d.without_ssps(np.isin(np.arange(len(d.epoch)), ssps))
+            axis, permutations = (
+                0,
+                EpochPermutations.of(
+                    [rest], rays, n_trials, test_rng, settings, outward=outward
+                ),
+            )
+        p_local, p_global = permutations.p_values(axis, along.mean)
+        kind, reason = classify(along, p_global, group, permutations, alpha, settings)
+        streams.append(
+            Stream(
+                kind=kind,
+                reason=reason,
+                angle=angle,
+                along=along,
+                across=across,
+                z=float(permutations.significance(axis, along.mean)),
+                p_local=p_local,
+                p_global=p_global,
+                p_distinct=p_global if p_distinct is None else p_distinct,
+                features=tuple(group),
+            )
+        )
+    if not streams and permutations.z.any():
+        streams.append(
+            _without_features(permutations, axis, speed, angle, alpha, settings)
+        )
+    streams += _standing(d, streams, angle, settings)
+    return Search(
+        streams=tuple(streams),
+        diagram=Diagram.of(d, rays, settings),
+        angle=float(angle),
+        permutations=searched,
+        axis=first_axis,
+        rays=rays,
     )
 
 
-def _scene(displacements, pairs, sightings, v_max, taken):
-    witnesses = find_witnesses(sightings)
-    if len(witnesses) < FEWEST:
-        return None
-    contrast = Contrast.of(witnesses, v_max)
-    observed = contrast.maps(
-        witnesses.v1[None], witnesses.v2[None], witnesses.weight, range(4)
-    )[:, 0]
-    grid = contrast.grid
-    s1, s2 = np.median(witnesses.s1), np.median(witnesses.s2)
-    free = np.ones(grid.shape, dtype=bool)
-    for v1, v2 in taken:
-        away = np.hypot((grid.v1 - v1) / s1, (grid.v2[:, None] - v2) / s2)
-        free &= away > RESOLVED
-    if not free.any():
-        return None
-    least = np.where(free, observed.min(axis=0), -np.inf)
-    row, column = np.unravel_index(least.argmax(), least.shape)
-    return Scene(
-        displacements=displacements,
-        pairs=pairs,
-        witnesses=witnesses,
-        contrast=contrast,
-        observed=observed,
-        row=int(row),
-        column=int(column),
-        free=free,
-    )
+def _follow(d, rays, permutations, axis):
+    """Features along an axis, of which the significant speeds count more."""
+
+    def prior(speeds):
+        z = permutations.significance(axis, speeds)
+        return np.clip(z / rays.settings.full_prior, LEAST_PRIOR, 1.0)
+
+    return find_features(d, rays, rays.settings, prior)
 
 
-def _judged(scene, seen, nulls, n_trials, level, rng):
-    """What a finding says of the strongest velocity of a scene."""
-    v1, v2 = scene.velocity
-    w = scene.witnesses
-    n_features = count_features(seen, w.group, seen.near(v1, v2, EXPLAINED))
-    tests = {
-        null.name: null.test(scene, n_trials, own)
-        for null, own in zip(nulls, rng.spawn(len(nulls)), strict=True)
-    }
-    still = np.hypot(v1 / np.median(w.s1), v2 / np.median(w.s2)) <= REST
-    stood = [t for name, t in tests.items() if name == "scramble"]
-    everything = list(tests.values())
-    if max(t.p_global for t in everything) <= level:
-        kind, counted = "moving", everything
-    elif still and stood and stood[0].p_global <= level:
-        # No order of the epochs tells what stands still.
-        kind, counted = "stationary", stood
+def _moving(features, permutations, axis, speed):
+    """Those that move in the direction of a speed, as the epochs show."""
+    z = permutations.significance(axis, np.array([f.speed for f in features]))
+    return [
+        f
+        for f, own in zip(features, z, strict=True)
+        if f.speed * speed > 0 and own >= LEAST_Z
+    ]
+
+
+def classify(along, p_global, features, permutations, alpha, settings):
+    """
+    Decide the kind of a stream, and say why it is not significant.
+
+    Parameters
+    ----------
+    along : `~astro_scc.stacking.Population`
+    p_global : float
+    features : sequence of `~astro_scc.stacking.Feature`
+    permutations : `~astro_scc.stacking.EpochPermutations`
+    alpha : float
+    settings : `~astro_scc.stacking.SearchSettings`
+
+    Returns
+    -------
+    kind, reason : str
+    """
+    if permutations.smallest_p > alpha:
+        reason = (
+            f"too few epochs or trials: no p_global below {permutations.smallest_p:.2g}"
+        )
+    elif p_global > alpha:
+        reason = "permuted epochs show as much (p_global above alpha)"
+    elif not features:
+        reason = "no single feature is seen to move at this speed"
+    elif (
+        moved := np.hypot.reduce([f.motion for f in features])
+    ) < settings.least_motion:
+        reason = (
+            f"its features move {moved:.1f} beams, added in squares, less than "
+            f"{settings.least_motion:g}: blends of standing features drift as far"
+        )
+    elif abs(along.mean) <= REST * along.error:
+        reason = "rest is within 1.645 errors of the speed (95%)"
     else:
-        kind, counted = "uncertain", everything
-    worst = max(counted, key=lambda t: t.p_global)
-    p_local, p_global, error = (
-        max(t.p_local for t in counted),
-        worst.p_global,
-        worst.error,
-    )
-    if kind == "moving" and n_features < FEWEST_FEATURES:
-        # What one feature does at many dates says nothing of others.
-        kind, p_local, p_global, error = "uncertain", 1.0, 1.0, 0.0
-    near = np.hypot((w.v1 - v1) / w.s1, (w.v2 - v2) / w.s2) <= EXPLAINED
-    return {
-        "v1": float(v1),
-        "v2": float(v2),
-        "kind": kind,
-        "p_local": p_local,
-        "p_global": p_global,
-        "p_error": error,
-        "tests": tests,
-        "n_witnesses": int(near.sum()),
-        "n_features": n_features,
-    }
+        return "moving", ""
+    return "not significant", reason
+
+
+def _groups(features, permutations, axis, speed, alpha, n_trials, rng):
+    """Features of each stream, and the probability that it is none of its own."""
+    moving = _moving(features, permutations, axis, speed)
+    if not moving:
+        return []
+    p_two, second = separate_streams(moving, n_trials, rng)
+    parts = [
+        [f for f, fast in zip(moving, second, strict=True) if fast == which]
+        for which in (False, True)
+    ]
+    if p_two <= alpha and _apart(*parts):
+        # The one with more features first, of equal ones the more significant.
+        parts.sort(
+            key=lambda part: (
+                len(part),
+                permutations.significance(axis, _population(part)[0].mean),
+            ),
+            reverse=True,
+        )
+        return [(parts[0], None), (parts[1], p_two)]
+    mean = _population(moving)[0].mean
+    if permutations.p_values(axis, mean)[1] > max(alpha, permutations.smallest_p):
+        # Speeds so different that their mean is none of theirs.
+        near = [f for f in moving if abs(f.speed / speed - 1) <= 0.35]
+        return [(near or moving, None)]
+    return [(moving, None)]
+
+
+def _apart(one, other):
+    """Whether the speeds differ by more than those of so few of one flow may."""
+    (v, _), (w, _) = map(feature_speeds, (one, other))
+    difference = np.log(abs(np.mean(v) / np.mean(w)))
+    return abs(difference) > APART * LONE * np.sqrt(1 / len(one) + 1 / len(other))
+
+
+def _population(features):
+    speed, error = feature_speeds(features)
+    across = [f.across for f in features], [f.across_error for f in features]
+    return random_effects(speed, error), random_effects(*across)
+
+
+def _without_features(permutations, axis, speed, angle, alpha, settings):
+    p_local, p_global = permutations.p_values(axis, speed)
+    unknown = Population(0.0, np.nan, np.nan, np.nan)
+    along = Population(float(speed), np.nan, np.nan, np.nan)
+    kind, reason = classify(along, p_global, (), permutations, alpha, settings)
+    z = float(permutations.significance(axis, speed))
+    return Stream(kind, reason, angle, along, unknown, z, p_local, p_global, p_global)
+
+
+def _standing(d, streams, angle, settings):
+    """The stream at rest, if features stand still."""
+    taken = np.zeros(len(d.epoch), dtype=bool)
+    for stream in streams:
+        for feature in stream.features if stream.kind == "moving" else ():
+            taken[feature.ssp] = True
+    still = standing_features(d.without_ssps(taken), settings)
+    if not still:
+        return []
+    along, across = _population(still)
+    return [Stream("stationary", "", angle, along, across, features=tuple(still))]

@@ -1,55 +1,52 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Speeds of groups of SSPs, and the probability of their differences."""
 
-from dataclasses import replace
 from itertools import combinations
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
+from scipy.special import stdtr
 
-from astro_scc.kinematics import RadialFrame, RidgeLine
-from astro_scc.measurement import select_ssps
-from astro_scc.stacking import Sightings, compare_groups, flow_blocks
+from astro_scc.kinematics import RadialFrame, RidgeLine, SkyFrame
+from astro_scc.measurement.axes import AxisProjection
+from astro_scc.stacking.features import SAME_FEATURE
+from astro_scc.stacking.streams import feature_speeds, scattered_fit
 from astro_scc.stratification.groups import check_groups
 
 __all__ = ["compare_speeds"]
 
-#: Sightings further across the flow than this many standard errors do not count.
-ACROSS = 5.0
 
-
-def compare_speeds(
-    scc, matched, groups, *, r_min=None, r_max=None, n_trials=1000, rng=None
-):
+def compare_speeds(result, groups):
     """
     Compare the speeds along the jet of groups of SSPs.
 
+    A feature belongs to the group that has more of its brightness than of
+    that of the median feature: of two scale groups, the larger half of the
+    features is of the coarse one.  The mean speed of a group is that of its
+    features by the random-effects model (see `~astro_scc.stacking.random_effects`),
+    the probability of a difference that of Welch's test (1947, Biometrika
+    34, 28).
+
     Parameters
     ----------
-    scc : `~astro_scc.StackedCrossCorrelation`
+    result : `~astro_scc.measurement.SCCResult`
         With a ``position_angle``, "radial", "fit" or "ridge".
-    matched : `~astro_scc.measurement.MatchedEpochs`
     groups : dict of `~numpy.ndarray` of bool, shape (n_ssps,)
         Of `scale_groups`, `limb_groups`, or any others that share no SSP.
-    r_min, r_max : `~astropy.units.Quantity`, optional
-        Of the SSPs, distances from the reference pixel.
-    n_trials : int, optional
-    rng : None, int or `~numpy.random.Generator`, optional
 
     Returns
     -------
     `~astropy.table.QTable`
-        A row for each pair of groups: ``first``, ``second``, their ``n_ssp``
-        and speeds with errors, ``difference`` with its error, ``p_value`` of
-        the paired permutation (see `~astro_scc.stacking.compare_groups`) and
-        ``n_blocks``.
+        A row for each pair of groups: ``first``, ``second``, and of either the
+        numbers of SSPs and of features and the mean speed with its error;
+        ``difference`` with its error, and ``p_value``.  What fewer than two
+        features leave unknown is NaN.
 
     Raises
     ------
     ValueError
-        If the velocity axes are east and north, groups share SSPs, or one
-        has no match.
+        If the velocity axes are east and north, or groups share SSPs.
 
     Examples
     --------
@@ -59,95 +56,91 @@ def compare_speeds(
     >>> from astro_scc.stratification import compare_speeds, scale_groups
     >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr,
     ...                               position_angle=270 * u.deg)
-    >>> matched = scc.match(simulate_two_fluid(n_epochs=6, rng=1).cube)
+    >>> matched = scc.match(simulate_two_fluid(n_epochs=8, rng=1).cube)
     >>> groups = scale_groups(matched, {"fine": [1], "coarse": [2]})
-    >>> compare_speeds(scc, matched, groups, n_trials=99, rng=1)["first", "second"]
+    >>> result = scc.stack(matched, n_trials=99, rng=1)
+    >>> compare_speeds(result, groups)["first", "second"]
     <QTable length=1>
     first second
      str4  str6
     ----- ------
      fine coarse
     """
-    check_groups(groups)
-    part = select_ssps(matched, r_min=r_min, r_max=r_max)
-    select = np.any([part.select & g for g in groups.values()], axis=0)
-    seen, x = flow_sightings(scc, replace(part, select=select))
-    across = np.exp(-0.5 * (seen.v2 / seen.s2) ** 2)
-    limit = scc.speed_limit(matched.cube).to_value(u.mas / u.yr)
-    use = (np.abs(seen.v2) <= ACROSS * seen.s2) & (np.abs(seen.v1) <= limit)
-    weight = np.where(use, seen.weight * seen.interval**2 * across, 0.0)
-    rows = []
-    rngs = np.random.default_rng(rng).spawn(len(groups) * (len(groups) - 1) // 2)
-    for (a, b), own in zip(combinations(groups, 2), rngs, strict=True):
-        member = [groups[name][seen.ssp] & (weight > 0) for name in (a, b)]
-        for name, m in zip((a, b), member, strict=True):
-            if not m.any():
-                raise ValueError(f"group {name!r} has no match in this part of the jet")
-        both = member[0] | member[1]
-        middle = float(np.average(seen.v1[both], weights=weight[both]))
-        found = compare_groups(
-            seen.v1[both],
-            seen.s1[both],
-            weight[both],
-            member[1][both],
-            flow_blocks(seen.select(both), x[both], middle),
-            n_trials=n_trials,
-            rng=own,
-        )
-        rows.append((a, b, found))
-    pm = u.mas / u.yr
-    numbers = {name: int((part.select & g).sum()) for name, g in groups.items()}
-    table = QTable(
-        {
-            "first": [a for a, _, _ in rows],
-            "second": [b for _, b, _ in rows],
-            "first_n_ssp": [numbers[a] for a, _, _ in rows],
-            "second_n_ssp": [numbers[b] for _, b, _ in rows],
-        }
-    )
-    for k, name in enumerate(("first", "second")):
-        table[f"{name}_speed"] = [f.speed[k] for *_, f in rows] * pm
-        table[f"{name}_speed_err"] = [f.error[k] for *_, f in rows] * pm
-    table["difference"] = [f.difference for *_, f in rows] * pm
-    table["difference_err"] = [f.difference_err for *_, f in rows] * pm
-    table["p_value"] = [f.p_value for *_, f in rows]
-    table["n_blocks"] = [f.n_blocks for *_, f in rows]
-    table.meta["n_trials"] = n_trials
-    return table
-
-
-def flow_sightings(scc, matched):
-    """
-    Sightings along a flow, and where along it they are.
-
-    Parameters
-    ----------
-    scc : `~astro_scc.StackedCrossCorrelation`
-    matched : `~astro_scc.measurement.MatchedEpochs`
-
-    Returns
-    -------
-    sightings : `~astro_scc.stacking.Sightings`
-    distance : `~numpy.ndarray`, shape (n,)
-        Along the flow in mas, at the mean dates.
-
-    Raises
-    ------
-    ValueError
-        If the velocity axes are east and north.
-    """
-    displacements, frame = scc.displacements(matched)
-    if tuple(frame.axis_names) == ("east", "north"):
+    if isinstance(result.frame, SkyFrame):
         raise ValueError(
             "the direction of the flow is needed: give position_angle as an angle, "
             "'fit', 'radial' or 'ridge'"
         )
-    limit = scc.speed_limit(matched.cube).to_value(u.mas / u.yr)
-    cube = matched.cube
-    seen = Sightings.of(
-        displacements, scc.date_pairs(cube), cube.years.to_value(u.yr), (2 * limit,) * 2
+    check_groups(groups)
+    matched = result.matched
+    project = AxisProjection(
+        result.displacements, matched.ssps, matched.cube, result.frame
     )
-    return seen, along_flow(frame, *seen.middle.T)
+    d = project(result.search.angle)
+    beam = float(project.beam(result.search.angle)[0])
+    features = result.search.follow(d)
+    belongs = _groups_of(features, d, matched.ssps, list(groups.values()))
+    speeds, columns = {}, {}
+    for k, (name, member) in enumerate(groups.items()):
+        found = [f for f, own in zip(features, belongs, strict=True) if own == k]
+        speeds[name] = _mean(found, beam)
+        columns[name] = int((matched.select & member).sum()), len(found)
+    pairs = list(combinations(groups, 2))
+    table = QTable()
+    for which, names in zip(("first", "second"), zip(*pairs, strict=True), strict=True):
+        table[which] = list(names)
+        table[f"{which}_n_ssp"] = [columns[name][0] for name in names]
+        table[f"{which}_n_features"] = [columns[name][1] for name in names]
+        mean, error, _ = np.array([speeds[name] for name in names]).T
+        table[f"{which}_speed"] = mean * u.mas / u.yr
+        table[f"{which}_speed_err"] = error * u.mas / u.yr
+    differences = np.array([_difference(speeds[a], speeds[b]) for a, b in pairs])
+    table["difference"] = differences[:, 0] * u.mas / u.yr
+    table["difference_err"] = differences[:, 1] * u.mas / u.yr
+    table["p_value"] = differences[:, 2]
+    return table
+
+
+def _groups_of(features, d, ssps, groups):
+    """
+    The group that a feature belongs to: that in which it is brighter than others.
+
+    A small feature is seen on large scales, too, and a large one on small
+    ones: what counts is its share of brightness beside that of the median
+    feature.
+    """
+    total = np.zeros((len(features), len(groups)))
+    for row, feature in zip(total, features, strict=True):
+        for ssp in feature.ssp:
+            here = np.flatnonzero(d.epoch == d.epoch[ssp])
+            away = np.hypot(*(d.position[here] - d.position[ssp]).T)
+            here = here[away <= SAME_FEATURE]
+            row += [ssps.peak[here[g[here]]].max(initial=0) for g in groups]
+    share = np.log(np.maximum(total, np.finfo(float).tiny))
+    share -= share.mean(axis=1, keepdims=True)
+    several = np.count_nonzero(total, axis=1) > 1
+    if several.any():
+        share[several] -= np.median(share[several], axis=0)
+    return np.argmax(share, axis=1)
+
+
+def _mean(features, beam):
+    """Mean speed in mas/yr, its standard error, and the degrees of freedom."""
+    if len(features) < 2:
+        speed = features[0].speed * beam if features else np.nan
+        return abs(speed), np.nan, np.nan
+    speed, error = (x * beam for x in feature_speeds(features))
+    one = np.ones((len(features), 1))
+    (mean,), covariance, _, _ = scattered_fit(one, np.abs(speed), error)
+    return mean, np.sqrt(covariance[0, 0]), len(features) - 1.0
+
+
+def _difference(first, second):
+    """The difference of two means, its error, and the p-value of Welch's test."""
+    (m1, e1, n1), (m2, e2, n2) = first, second
+    error = np.hypot(e1, e2)
+    freedom = error**4 / (e1**4 / n1 + e2**4 / n2)
+    return m2 - m1, error, 2 * stdtr(freedom, -abs(m2 - m1) / error)
 
 
 def along_flow(frame, east, north):

@@ -215,8 +215,7 @@ def _measure(job, part, said):
     source, output = job.source, Path(job.output)
     cube, config, left_out = read_epochs(source.config)
     scc = StackedCrossCorrelation.from_settings(config)
-    used = settings_as_used(scc, config, cube, seed=SEED)
-    scc = replace(scc, max_speed=used["max_speed"])
+    used = settings_as_used(scc, config, seed=SEED)
     masks, failed = {}, {}
     for name, path in source.regions.items():
         try:

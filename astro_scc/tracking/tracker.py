@@ -10,6 +10,7 @@ from astro_scc.config.settings import require
 from astro_scc.correlation import Correlator, Matches, landing_ssps
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.ssp import require_ssps
+from astro_scc.epochs.alignment.misalignment import warn_of_misalignment
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.progress import progress
@@ -342,9 +343,15 @@ class FeatureTracker:
             If there is not one decomposition an epoch, ``select`` has not one
             value an SSP, no epoch shows an SSP, no two epochs have different
             dates, or their beams differ and ``common_beam`` is True.
+
+        Warns
+        -----
+        `~astro_scc.exceptions.MeasurementWarning`
+            If the epochs lie on one another to 0.2 beams or worse.
         """
         if self.common_beam:
             require_common_beam(cube)
+        warn_of_misalignment(cube)
         if len(decompositions) != len(cube):
             raise ValueError(
                 f"{len(decompositions)} decompositions for {len(cube)} epochs: "

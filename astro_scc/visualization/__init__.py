@@ -2,6 +2,7 @@
 """Visualization: one function a figure, each a matplotlib figure of its own."""
 
 from astro_scc.visualization.animation import animate_epochs, write_animation
+from astro_scc.visualization.diagram import plot_diagram
 from astro_scc.visualization.images import plot_epoch, plot_epochs
 from astro_scc.visualization.members import plot_members
 from astro_scc.visualization.profiles import (
@@ -23,6 +24,7 @@ from astro_scc.visualization.velocity import plot_velocity_map
 
 __all__ = [
     "animate_epochs",
+    "plot_diagram",
     "plot_epoch",
     "plot_epochs",
     "plot_intervals",

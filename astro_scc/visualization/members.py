@@ -42,7 +42,7 @@ def plot_members(
     Draw the displacements that make each component on the mean image.
 
     A panel a component: each arrow goes from an SSP to where its match is in
-    the later epoch.
+    the next epoch in which its feature is seen.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def plot_members(
         raise ValueError(f"max_panels must be at least 1, got {max_panels}")
     components = result.components if components is None else components
     kinds = component_kinds(components)
-    order = sorted(range(len(kinds)), key=lambda k: kinds[k] == "uncertain")
+    order = sorted(range(len(kinds)), key=lambda k: kinds[k] == "not significant")
     panels = [(int(components["component"][k]), kinds[k]) for k in order[:max_panels]]
     cube = result.cube
     points = ssp_points(cube, result.ssps)
@@ -112,9 +112,12 @@ def plot_members(
 
 
 def _draw_members(ax, result, number, kind, points, unit):
-    member = result.members(number)
-    d = result.displacements
-    owner = d.ssp[member]
+    member, d = result.members(number), result.displacements
+    n_ssp = len(np.unique(d.ssp[member]))
+    member = member[d.target[member] > d.reference[member]]
+    member = member[np.argsort(d.target[member], kind="stable")]
+    owner, first = np.unique(d.ssp[member], return_index=True)
+    member = member[first]
     east, north = points["east"][owner], points["north"][owner]
     axes = np.broadcast_to(result.frame.matrix(east, north), (len(owner), 2, 2))
     # Orthogonal, so its transpose leads back to the sky.
@@ -122,7 +125,7 @@ def _draw_members(ax, result, number, kind, points, unit):
         "nai,na->ni", axes, np.stack([d.d1[member], d.d2[member]], axis=-1)
     )
     factor = u.mas.to(unit)
-    color = VERMILLION if kind != "uncertain" else BLUE
+    color = VERMILLION if kind != "not significant" else BLUE
     ax.quiver(
         east * factor,
         north * factor,
@@ -138,14 +141,13 @@ def _draw_members(ax, result, number, kind, points, unit):
         minlength=0.5,
         alpha=0.75,
     )
-    n_ssp = len(np.unique(owner))
     speed = result.components["pm"][number - 1]
     speed = speed.to(speed_unit(speed.to_value(PM_UNIT)))
     ax.text(
         0.02,
         0.95,
         f"{number}: {speed.value:.3g} {unit_name(speed.unit)}, {n_ssp} SSPs"
-        + (", may be chance" if kind == "uncertain" else ""),
+        + (", not significant" if kind == "not significant" else ""),
         transform=ax.transAxes,
         va="top",
         fontsize="small",

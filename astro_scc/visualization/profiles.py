@@ -26,7 +26,7 @@ STRIP = 3.0
 SIGNS = {
     "moving": ("o", True, "component"),
     "stationary": ("s", True, "stationary"),
-    "uncertain": ("o", False, "may be chance"),
+    "not significant": ("o", False, "not significant"),
 }
 
 
@@ -80,7 +80,8 @@ def plot_profile(
     >>> from astro_scc.visualization import plot_profile
     >>> speed = [1.0, 1.2] * u.mas / u.yr
     >>> table = QTable({"r_min": [0, 1] * u.mas, "r_max": [1, 2] * u.mas,
-    ...                 "r_mid": [0.5, 1.5] * u.mas, "kind": ["moving", "uncertain"],
+    ...                 "r_mid": [0.5, 1.5] * u.mas,
+    ...                 "kind": ["moving", "not significant"],
     ...                 "pm_parallel": speed, "pm_parallel_err": 0.1 * speed})
     >>> plot_profile(table).axes[0].get_xlabel()
     'Distance from the core (mas)'

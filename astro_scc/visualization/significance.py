@@ -190,7 +190,7 @@ def _mark_significance(ax, result, components, kinds, unit):
         zip(plain(components, "component"), kinds, strict=True)
     ):
         on_axis = abs(across[k]) <= 3 * max(across_error[k], least)
-        color = VERMILLION if kind != "uncertain" else GREY
+        color = VERMILLION if kind != "not significant" else GREY
         bar = error[k] if np.isfinite(error[k]) else 0.0
         ax.errorbar(
             along[k],
@@ -210,7 +210,7 @@ def _mark_significance(ax, result, components, kinds, unit):
             textcoords="offset points",
             ha="center",
             color=color,
-            fontweight="bold" if kind != "uncertain" else "normal",
+            fontweight="bold" if kind != "not significant" else "normal",
             path_effects=outline(),
             clip_on=True,
         )

@@ -36,7 +36,7 @@ MAP_LABELS = {
 KINDS = {
     "moving": ("+", "o", "component"),
     "stationary": ("s", "s", "stationary"),
-    "uncertain": ("x", "x", "may be chance"),
+    "not significant": ("x", "x", "not significant"),
 }
 #: Corners for the legend, the first ones preferred, and the last ones for the arrow.
 CORNERS = {
@@ -64,7 +64,7 @@ def plot_velocity_map(
     Draw the stacked cross-correlation as a map of velocities.
 
     Components have their numbers of the table, a sign for their kind (moving,
-    stationary, perhaps chance), and an ellipse of one standard error along
+    stationary, not significant), and an ellipse of one standard error along
     each axis.  The arrow is the direction of the jet.
 
     Parameters
@@ -193,7 +193,7 @@ def _draw_components(ax, result, components, kinds, unit):
     for k, (number, kind) in enumerate(
         zip(plain(components, "component"), kinds, strict=True)
     ):
-        strong = kind != "uncertain"
+        strong = kind != "not significant"
         if np.isfinite([e1[k], e2[k]]).all():
             ax.add_patch(
                 Ellipse(

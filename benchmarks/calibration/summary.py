@@ -1,12 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Summarise the calibration: the table and the figure of the documentation.
+Summarise the calibration: the tables and the figure of the documentation.
 
     python benchmarks/calibration/summary.py
 
-Reads ``results/*.csv`` as ``run.py`` writes them and writes
-``results/false_alarms.ecsv``, ``results/power.ecsv``, ``results/errors.ecsv``
-and ``results/calibration.png`` beside them.
+Reads ``results/*.csv``, which ``run.py`` writes, and writes tables beside them:
+``speeds_table.csv``, ``streams_table.csv``, ``static_table.csv``, ``flow_table.csv``,
+and the figure ``calibration.png``.
 """
 
 import csv
@@ -14,217 +14,163 @@ from pathlib import Path
 
 import numpy as np
 from astropy.stats import binom_conf_interval
-from astropy.table import Table
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
-from run import KINDS
+from run import FLOW, KINDS
 
 RESULTS = Path(__file__).parent / "results"
-NULLS = (
-    "unrelated",
-    "static",
-    "random",
-    "ballistic",
-    "beam-change",
-    "sparse",
-    "mixed",
-)
-#: A component is a stream's if it is this close, in pixels an epoch (0.2 beam).
-CLOSE = 2.0
-LEVELS = (0.01, 0.05)
-COLORS = dict(
-    zip(
-        NULLS,
-        ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000"),
-        strict=True,
-    )
-)
+ALPHA = 0.05
+#: A speed is right within this share of the features' mean.
+RIGHT = 0.2
+TWO = {"two-streams": (0.3, 0.9), "two-fluid-dense": (0.5, 2.0)}
+SINGLE = ("single", "epochs8", "features4", "features16", "vlba")
+BROAD = ("lognormal", "uniform")
 
 
 def read(kind):
-    """Rows of a kind by jet: ``{seed: [row, ...]}``, numbers as floats."""
+    """Rows of each jet of a kind, by seed."""
     jets = {}
-    with (RESULTS / f"{kind}.csv").open(newline="") as file:
+    path = RESULTS / f"{kind}.csv"
+    if not path.exists():
+        return []
+    with open(path, newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
-            what = row.pop("kind")
-            numbers = {name: float(value) for name, value in row.items()}
-            jets.setdefault(int(row["seed"]), []).append({**numbers, "kind": what})
-    return jets
+            numbers = {k: v if k == "kind" else float(v) for k, v in row.items()}
+            jets.setdefault(row["seed"], []).append(numbers)
+    return list(jets.values())
+
+
+def moving(jet):
+    """The rows of a jet that move significantly."""
+    return [r for r in jet if r["kind"] == "moving" and r["p_global"] <= ALPHA]
 
 
 def share(number, of):
-    """A share with its 95% interval (Jeffreys)."""
+    """A share with the limits of its 95% interval."""
     low, high = binom_conf_interval(number, of, 0.95, interval="jeffreys")
-    return round(number / of, 3), round(float(low), 3), round(float(high), 3)
+    return f"{number / of:.2f} [{low:.2f}, {high:.2f}]"
 
 
-def false_p(kind):
-    """Smallest ``p_global`` of each jet's components that should not be there."""
-    jets = read(kind).values()
-    if kind == "mixed":
-        stream = speeds(kind)["slow"]
-        jets = [
-            [r for r in jet if np.hypot(r["v1"] - stream, r["v2"]) > CLOSE]
-            for jet in jets
-        ]
-    return np.array([smallest_p(jet) for jet in jets])
+def distinct(jet):
+    """Whether a second row is distinct from the first."""
+    return any(r["p_distinct"] <= ALPHA for r in moving(jet)[1:])
 
 
-def smallest_p(rows):
-    """Smallest ``p_global`` of the components of a jet that move and are no stream."""
-    return min((r["p_global"] for r in rows if r["kind"] == "moving"), default=1.0)
-
-
-def false_alarms():
-    """Share of null jets with a moving component, by level."""
-    rows = []
-    for kind in NULLS:
-        if not (RESULTS / f"{kind}.csv").exists():
-            continue
-        p = false_p(kind)
-        for level in LEVELS:
-            rows.append((kind, len(p), level, *share(int((p <= level).sum()), len(p))))
-    names = ("jets", "n", "level", "share", "low", "high")
-    return Table(rows=rows, names=names)
-
-
-def speeds(kind):
-    """The two speeds that a kind of jet has, in pixels an epoch."""
-    fast = 5.0 + float(kind.split("-")[1]) if kind.startswith("difference") else 20.0
-    return {"slow": 5.0, "fast": fast}
-
-
-def nearest(jet, speed):
-    """The moving component of a jet nearest to a speed, or None."""
-    near = [
-        r
-        for r in jet
-        if r["kind"] == "moving" and np.hypot(r["v1"] - speed, r["v2"]) <= CLOSE
+def speeds_row(kind, jets):
+    """How well one stream is measured."""
+    first = [(moving(jet) or [None])[0] for jet in jets]
+    found = [r for r in first if r is not None]
+    right = sum(abs(r["speed"] / r["true_mean"] - 1) <= RIGHT for r in found)
+    error = np.array([r["speed"] - r["true_mean"] for r in found])
+    pull = error / [r["error"] for r in found]
+    dispersion = [r["dispersion"] for r in found if np.isfinite(r["dispersion"])]
+    return [
+        kind,
+        len(jets),
+        share(len(found), len(jets)),
+        share(right, len(jets)),
+        f"{np.mean(error / [r['true_mean'] for r in found]):+.3f}",
+        f"{pull.mean():+.2f}",
+        share(int((np.abs(pull) <= 1).sum()), len(found)),
+        f"{np.median(dispersion):.3f}",
+        f"{np.median([jet[0]['true_dispersion'] for jet in jets]):.3f}",
+        share(sum(map(distinct, jets)), len(jets)),
     ]
-    return min(near, key=lambda r: abs(r["v1"] - speed), default=None)
 
 
-def streams_found(jet, truth):
-    """Which streams have a component of their own: one between two is of the nearer."""
-    best = [nearest(jet, speed) for speed in truth]
-    if best[0] is not None and best[0] is best[1]:
-        nearer = int(np.argmin([abs(best[0]["v1"] - speed) for speed in truth]))
-        best[1 - nearer] = None
-    return [row is not None for row in best]
+def streams_row(kind, jets):
+    """How often each of two streams is found, and something else."""
+    speeds = TWO[kind]
+    near = [
+        [any(abs(r["speed"] / v - 1) <= RIGHT for r in moving(jet)) for v in speeds]
+        for jet in jets
+    ]
+    other = [
+        any(all(abs(r["speed"] / v - 1) > RIGHT for v in speeds) for r in moving(jet))
+        for jet in jets
+    ]
+    slow, fast = np.array(near).sum(axis=0)
+    both = sum(map(all, near))
+    n = len(jets)
+    numbers = slow, fast, both, sum(map(distinct, jets)), sum(other)
+    return [kind, n, *(share(int(number), n) for number in numbers)]
 
 
-def power():
-    """Shares of streams found and of jets with a third component."""
-    rows = []
-    for kind in KINDS:
-        if kind in NULLS or not (RESULTS / f"{kind}.csv").exists():
-            continue
-        jets = list(read(kind).values())
-        truth = speeds(kind)
-        streams = np.array([streams_found(jet, list(truth.values())) for jet in jets])
-        counts = streams.sum(axis=0).tolist()
-        third = sum(
-            any(
-                r["kind"] == "moving"
-                and all(np.hypot(r["v1"] - v, r["v2"]) > CLOSE for v in truth.values())
-                for r in jet
-            )
-            for jet in jets
-        )
-        shares = [x for number in (*counts, third) for x in share(number, len(jets))]
-        rows.append((kind, len(jets), *shares))
-    names = ["jets", "n"]
-    for name in ("slow", "fast", "third"):
-        names += [name, f"{name}_low", f"{name}_high"]
-    return Table(rows=rows, names=names)
-
-
-def errors():
-    """Bias and coverage of the speeds of the two-fluid jets."""
-    rows = []
-    for kind in ("two-fluid", "two-fluid-dense"):
-        if not (RESULTS / f"{kind}.csv").exists():
-            continue
-        for stream, speed in speeds(kind).items():
-            found = [nearest(jet, speed) for jet in read(kind).values()]
-            found = [r for r in found if r is not None]
-            for axis, truth in (("v1", speed), ("v2", 0.0)):
-                off = np.array([r[axis] - truth for r in found])
-                err = np.array([r[f"{axis}_err"] for r in found])
-                covered = share(int((np.abs(off) <= err).sum()), len(off))
-                name = "along" if axis == "v1" else "across"
-                bias = (off.mean(), off.std(ddof=1) / len(off) ** 0.5, off.std(ddof=1))
-                rows.append(
-                    (kind, stream, name, len(off), *np.round(bias, 3), *covered)
-                )
-    names = (
-        "jets",
-        "stream",
-        "axis",
-        "n",
-        "bias",
-        "bias_err",
-        "rms",
-        "coverage",
-        "low",
-        "high",
+def static_row(kind, jets):
+    """How often something moves where nothing does."""
+    n = len(jets)
+    below = sum(
+        any(r["kind"] != "stationary" and r["p_global"] <= ALPHA for r in jet)
+        for jet in jets
     )
-    return Table(rows=rows, names=names)
+    return [kind, n, share(sum(bool(moving(j)) for j in jets), n), share(below, n)]
 
 
-def to_read(table):
-    """The same with each interval beside its share, for a page."""
-    table = table.copy()
-    shares = {"low": "share" if "share" in table.colnames else "coverage"}
-    shares |= {f"{name}_low": name for name in ("slow", "fast", "third")}
-    for low in shares.keys() & set(table.colnames):
-        share, high = shares[low], low.removesuffix("low") + "high"
-        table[share] = [
-            f"{row[share]:.3f} [{row[low]:.3f}, {row[high]:.3f}]" for row in table
-        ]
-        table.remove_columns([low, high])
-    return table
+def flow_row(kind, jets):
+    """How often an acceleration is found, and a difference between scales."""
+    n = len(jets)
+    found = [
+        sum(jet[0][p] <= ALPHA for jet in jets) for p in ("p_acceleration", "p_scales")
+    ]
+    two = sum(jet[0]["rows"] > 1 for jet in jets)
+    return [kind, n, *(share(number, n) for number in (*found, two))]
 
 
-def draw():
-    """Share of null jets below a probability, against the probability."""
-    figure = Figure(figsize=(6, 4.5), layout="constrained")
-    ax = figure.add_subplot()
-    ax.plot([1e-3, 1], [1e-3, 1], color="0.5", lw=1, label="exact")
-    for kind in NULLS:
-        if not (RESULTS / f"{kind}.csv").exists():
-            continue
-        p = np.sort(false_p(kind))
-        ax.step(
-            np.concatenate([[1e-3], p, [1.0]]),
-            np.concatenate([[0], np.arange(1, len(p) + 1), [len(p)]]) / len(p),
-            where="post", color=COLORS[kind], label=f"{kind} ({len(p)} jets)",
-        )  # fmt: skip
-    ax.set(
-        xscale="log", yscale="log", xlim=(2e-3, 0.06), ylim=(2e-3, 0.06),
-        xlabel="p_global of a moving component",
-        ylabel="Share of jets with one at most this",
-    )  # fmt: skip
-    ticks = [0.002, 0.005, 0.01, 0.02, 0.05]
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
-        axis.set_minor_formatter(NullFormatter())
-    ax.legend(loc="upper left", fontsize=8)
-    return figure
+def write(name, header, rows):
+    """A table for the documentation."""
+    with open(RESULTS / f"{name}.csv", "w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([header, *rows])
+    for row in [header, *rows]:
+        print("  ".join(map(str, row)))
+
+
+def draw(kinds):
+    """The distribution of the pulls, and measured against true dispersions."""
+    figure = Figure(figsize=(7, 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    pulls, true, measured = [], [], []
+    for kind in kinds:
+        for jet in read(kind):
+            for r in moving(jet)[:1]:
+                pulls.append((r["speed"] - r["true_mean"]) / r["error"])
+                true.append(r["true_dispersion"] / r["true_mean"])
+                measured.append(r["dispersion"] / r["speed"])
+    x = np.linspace(-4, 4, 161)
+    left.hist(np.clip(pulls, -4, 4), np.linspace(-4, 4, 33), density=True, color="0.7")
+    left.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color="#0072B2")
+    left.set(xlabel="(measured - true) / error", ylabel="density")
+    right.plot(true, measured, ".", ms=3, color="#D55E00")
+    right.plot([0, 0.5], [0, 0.5], color="0.5", lw=0.8)
+    right.set(xlabel="true dispersion / speed", ylabel="measured dispersion / speed",
+              xlim=(0, 0.5), ylim=(0, 0.7))  # fmt: skip
+    figure.savefig(RESULTS / "calibration.png", dpi=150)
 
 
 def main():
-    """Write and print the tables, and draw the figure."""
-    for name, table in (
-        ("false_alarms", false_alarms()),
-        ("power", power()),
-        ("errors", errors()),
-    ):
-        table.write(RESULTS / f"{name}.ecsv", overwrite=True)
-        to_read(table).write(RESULTS / f"{name}_table.csv", overwrite=True)
-        print(name)
-        table.pprint(max_lines=-1, max_width=-1)
-    draw().savefig(RESULTS / "calibration.png", dpi=150)
+    """Write the tables and the figure."""
+    have = {kind: jets for kind in KINDS if (jets := read(kind))}
+    single = [k for k in have if k.startswith(SINGLE)]
+    write(
+        "speeds_table",
+        ["jets", "n", "moving", "within 20%", "bias", "mean pull", "68% interval",
+         "dispersion", "true", "second distinct"],
+        [speeds_row(k, have[k]) for k in have if k.startswith((*SINGLE, *BROAD))],
+    )  # fmt: skip
+    write(
+        "streams_table",
+        ["jets", "n", "slow", "fast", "both", "distinct", "another"],
+        [streams_row(k, have[k]) for k in have if k in TWO],
+    )
+    write(
+        "static_table",
+        ["jets", "n", "moving row", "p_global at most 0.05"],
+        [static_row(k, have[k]) for k in have if k.startswith(("static", "unrelated"))],
+    )
+    write(
+        "flow_table",
+        ["jets", "n", "acceleration", "scales differ", "two streams"],
+        [flow_row(k, have[k]) for k in have if k in FLOW],
+    )
+    draw(single)
 
 
 if __name__ == "__main__":

@@ -4,14 +4,12 @@
 import re
 
 import astropy.units as u
-import numpy as np
 import pytest
 from astropy.io import fits
-from astropy.time import Time
 
 from astro_scc import EpochCube
 from astro_scc.epochs import Beam
-from astro_scc.simulation import simulate_two_fluid
+from astro_scc.simulation import simulate_jet, simulate_two_fluid
 
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
 
@@ -110,19 +108,28 @@ def test_inspect_a_cube_file(jet, astro_scc, here):
 
 
 def test_inspect_advises_an_alignment(astro_scc, here):
-    cube = simulate_two_fluid(n_epochs=3, core=5.0, rng=1).cube
-    shifted = EpochCube.from_arrays(
-        np.stack([np.roll(image, 3 * i, axis=0) for i, image in enumerate(cube.data)]),
-        Time(cube.times),
-        pixel_scale=cube.pixel_scale,
-        unit=cube.unit,
-        beams=cube.beams,
-        reference_pixel=cube.reference_pixel,
-    )
-    shifted.write("cube.fits")
-    status, out, _ = astro_scc("inspect", "cube.fits")
-    assert status == 0
-    assert "measure with --align core" in out
+    """An unaligned jet, one that is aligned, and ones of which only the core tells."""
+    said = {}
+    for name, jet in {
+        "bad": simulate_jet(n_epochs=8, alignment_error=0.4, rng=2),
+        "good": simulate_jet(n_epochs=8, rng=2),
+        "two": simulate_jet(n_epochs=2, alignment_error=0.6, rng=1),
+        "dense": simulate_two_fluid(n_epochs=6, core=5.0, rng=1),
+    }.items():
+        jet.cube.write(f"{name}.fits")
+        status, out, _ = astro_scc("inspect", f"{name}.fits")
+        assert status == 0
+        said[name] = out.split("pairs\n")[-1].split("\n\n")[1]
+    number = r"^The epochs lie on one another to 0\.(\d\d) beams\.\n"
+    advice = r"still move: measure with --align core\nor a table of core positions"
+    assert int(re.match(number, said["bad"])[1]) >= 20
+    assert re.search(advice, said["bad"])
+    assert int(re.match(number, said["good"])[1]) <= 5
+    assert "--align core" not in said["good"]
+    nobody = "How well the epochs lie on one another, the images do not tell.\n"
+    assert said["dense"] == nobody
+    assert said["two"].startswith(f"{nobody}The core as it is fitted scatters by 0.")
+    assert re.search(advice, said["two"])
 
 
 def test_nothing_to_inspect(refused, here):

@@ -15,9 +15,10 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import main
 from astro_scc.cli.measure import PRODUCTS, STALE
 from astro_scc.epochs import Beam
+from astro_scc.simulation import simulate_jet, write_simulation
 
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
-TABLES = ("components.ecsv", "ssps.ecsv")
+TABLES = ("components.ecsv", "features.ecsv", "ssps.ecsv")
 
 
 def epochs(folder):
@@ -114,7 +115,8 @@ def test_defaults_that_follow_from_the_images_are_repeated_to_the_bit(
         astro_scc("measure", *epochs(jet)[:5], *first, "--baseline", "20 70 d")[0] == 0
     )
     text = (here / "a" / "config.toml").read_text()
-    assert 'max_speed = "' in text
+    # What was not given is found again.
+    assert "max_speed" not in text
     assert "20.0 d" in text
     assert astro_scc("measure", "--config", "a/config.toml", "-o", "b")[0] == 0
     for name in TABLES:
@@ -147,7 +149,7 @@ def test_a_distance_in_the_file_gives_way_to_a_redshift(jet, astro_scc, here):
         "--config", "jet.toml", "--redshift", "0.1", "--cosmology", "Planck18",
     )  # fmt: skip
     assert status == 0
-    assert out.startswith("No velocity component stands out.")
+    assert out.startswith("No significant velocity component.")
     assert "speeds in c: redshift 0.1, Planck18, FlatLambdaCDM with H0 = 67.66" in out
     table = QTable.read(here / "out" / "components.ecsv")
     assert len(table) == 0
@@ -352,3 +354,24 @@ def test_epochs_that_are_none(refused, here, jet):
     assert "note.fits: cannot be read as FITS" in refused(
         "measure", epochs(jet)[0], "note.fits", "-o", "out"
     )
+
+
+def test_the_scatter_of_the_epochs_is_said_and_what_mends_it(astro_scc, here):
+    jet = simulate_jet(
+        n_epochs=6, n_features=0, standing=6, length=8.0, alignment_error=0.5, rng=3,
+        shape=(48, 120),
+    )  # fmt: skip
+    paths = write_simulation(jet, here / "series")[:-1]
+    for align, bad in (("none", True), ("core", False)):
+        argv = ("measure", *paths, "--scales", "2", "--max-speed", "3 mas/yr",
+                "--n-trials", "20", "-o", align, "--align", align)  # fmt: skip
+        status, out, err = astro_scc(*argv)
+        assert status == 0
+        assert ("warning: the epochs are laid on one another to 0." in err) == bad
+        (said,) = re.findall(r"The epochs lie on one another to (0\.\d\d) beams\.", out)
+        assert (float(said) >= 0.2) == bad
+        page = (here / align / "report.html").read_text(encoding="utf-8")
+        assert "misalignment beams" in page
+        assert ("the epochs are laid on one another to 0." in page) == bad
+        meta = QTable.read(here / align / "components.ecsv").meta
+        assert f"{meta['misalignment_beams']:.2f}" == said

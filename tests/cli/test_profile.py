@@ -22,6 +22,23 @@ OPTIONS = ["--position-angle", "270 deg", "--max-speed", "20 mas/yr", "--scales"
            "--n-trials", "25"]  # fmt: skip
 
 
+def test_the_whole_stretch(cube_file, tmp_path, capsys):
+    """Its acceleration, and the speeds of its scales."""
+    out = tmp_path / "out"
+    options = [*OPTIONS, "--scales", "1,2"]
+    command = ["profile", cube_file, "-o", str(out), "--bins", "0 20 mas", *options]
+    assert main(command) == 0
+    text = capsys.readouterr().out
+    assert "acceleration: " in text
+    assert "speeds of the finest and coarser scales: " in text
+    table = QTable.read(out / "profile.ecsv", format="ascii.ecsv")
+    found = table.meta["acceleration"]
+    assert found["acceleration"].unit == u.mas / u.yr**2
+    assert 0 <= found["p_value"] <= 1
+    (row,) = QTable.read(out / "scales.ecsv", format="ascii.ecsv")
+    assert (row["first"], row["second"]) == ("finest", "coarser")
+
+
 def test_profile(cube_file, tmp_path, capsys):
     out = tmp_path / "out"
     command = ["profile", cube_file, "-o", str(out), "--bins", "0 10 20 mas",

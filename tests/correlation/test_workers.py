@@ -133,6 +133,34 @@ def test_an_interrupt_ends_it_at_once():
     assert err == ""
 
 
+LARGE = """
+from astro_scc.correlation.workers import in_order
+
+def large(value):
+    return bytes(value)
+
+if __name__ == "__main__":
+    for round in range(10):
+        try:
+            for k, _ in enumerate(in_order(large, [1_000_000] * 1000, 2)):
+                if k == 5 + round:
+                    raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            print("ended", flush=True)
+"""
+
+
+def test_workers_end_between_results(tmp_path):
+    """One that ends while it sends its result would leave the pool waiting for ever."""
+    script = tmp_path / "large.py"
+    script.write_text(LARGE)
+    with subprocess.Popen(
+        [sys.executable, script], stdout=subprocess.PIPE, text=True
+    ) as process:
+        out, _ = process.communicate(timeout=100)
+    assert out.count("ended") == 10
+
+
 UNENDING = """
 import multiprocessing, sys, time
 from astro_scc.correlation.workers import in_order

@@ -60,11 +60,25 @@ def test_empty_tables_keep_the_column_and_count_as_searched():
     assert false_discovery_rate([]) == []
 
 
-def test_uncertain_velocities_count_too():
-    moving, uncertain = table([0.04], kind=["moving"]), table([0.5], kind=["uncertain"])
-    first, second = false_discovery_rate([moving, uncertain])
+def test_velocities_that_are_not_significant_count_too():
+    moving, chance = (
+        table([p], kind=[kind])
+        for p, kind in ((0.04, "moving"), (0.5, "not significant"))
+    )
+    first, second = false_discovery_rate([moving, chance])
     assert first["p_fdr"][0] == pytest.approx(0.08)
     assert second["p_fdr"][0] == pytest.approx(0.5)
+
+
+def test_what_stands_still_is_not_tested():
+    both = table([0.01, 1.0], kind=["moving", "stationary"])
+    still = table([1.0], kind=["stationary"])
+    first, second, third = false_discovery_rate([both, still, table([0.02])])
+    # Three searches: of 0.01, of nothing, and of 0.02.
+    assert first["p_fdr"].tolist() == pytest.approx([0.03, 1.0])
+    assert second["p_fdr"].tolist() == [1.0]
+    assert third["p_fdr"].tolist() == pytest.approx([0.03])
+    assert first.meta["false_discovery"]["n_tests"] == 3
 
 
 def test_returns_copies_that_can_be_adjusted_again():
@@ -86,7 +100,7 @@ def test_the_share_of_false_discoveries_is_what_it_says():
     # Twenty regions, five with a component, p of 199 trials as the package has it.
     rng = np.random.default_rng(1)
     shares = []
-    for _ in range(300):
+    for _ in range(60):
         p = (rng.integers(0, 200, 20) + 1) / 200
         p[:5] = 1 / 200
         done = false_discovery_rate([table([one]) for one in p])

@@ -37,7 +37,7 @@ def test_components(sky_result):
     assert page.cells[0] == "1"
     assert f"{sky_result.components['pm'][0].value:.3g}" in page.cells
     assert "pm (mas / yr)" in html
-    assert "30 trials, seed 1" in html
+    assert "40 trials, seed 1" in html
     assert len(html) < 5000
 
 
@@ -52,7 +52,7 @@ def test_text_is_escaped(sky_result):
 
 
 def test_without_components(sky_result):
-    empty = replace(sky_result, maxima=(), findings=(), error_parts=(), jitters=())
+    empty = replace(sky_result, maxima=(), velocities=(), jitters=())
     html = empty._repr_html_()
     assert "no component" in html
     assert "<table" not in html

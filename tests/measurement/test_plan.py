@@ -22,6 +22,7 @@ from astro_scc.measurement.plan import (
     mean_fwhm,
     pairs_of_dates,
     scales_of_pixels,
+    search_radius,
     search_reach,
     ssps_inside,
 )
@@ -137,15 +138,44 @@ def test_without_beams_resolution_is_twice_the_scale():
     assert mean_fwhm(cube_of(), 3) == pytest.approx(2 * 8 * 0.1)
 
 
-def test_windows_reach_as_far_as_the_longest_interval_and_the_errors():
+def evenly(n_epochs, days=30):
+    return cube_of(days * np.arange(n_epochs), shape=(8, 8))
+
+
+def test_neighbouring_features_are_not_searched():
+    """One and a half beams, where intervals are short enough for that."""
+    month = 30 / YEAR
+    assert search_radius(evenly(30), None, 1.0) == 1.5
+    assert search_radius(evenly(30), 0.5 / month, 1.0) == 1.5
+    # No two dates, no interval.
+    assert search_radius(cube_of((0,)), None, 1.0) == 1.5
+
+
+def test_the_largest_speed_is_reached_in_the_shorter_intervals():
+    # And the scatter of displacements about it, three times 0.12 beam.
+    month = 30 / YEAR
+    cube = cube_of(np.cumsum([0, 30, 30, 90, 90, 90]), shape=(8, 8))
+    for speed, fwhm in ((3.0, 1.0), (6.0, 2.0)):
+        found = search_radius(cube, speed / month, fwhm)
+        assert found == pytest.approx(3.0 + 0.36, rel=1e-6)
+
+
+def test_short_series_are_searched_farther():
+    """To four beams in the median interval, of up to 20 epochs."""
+    assert search_radius(evenly(20), None, 1.0) == pytest.approx(4.36)
+    assert search_radius(evenly(21), None, 1.0) == 1.5
+    cube = cube_of(np.cumsum([0, 30, 30, 60, 60, 60]), shape=(8, 8))
+    assert search_radius(cube, None, 1.0) == pytest.approx(2.36)
+
+
+def test_windows_reach_as_far_as_is_searched_whatever_the_dates():
     cube = cube_of((0, 73, 219), shape=(200, 300))
     pairs = pairs_of_dates(cube, None)
-    # 5 mas/yr in 0.4 yr, and five errors of a fifth of 1 mas, in pixels of 0.1 mas.
-    longest = 146 / YEAR
-    assert (
-        search_reach(cube, pairs, 5.0, 1.0, 0.2)
-        == (int(np.ceil((5 * longest + 1.0) / 0.1)),) * 2
-    )
+    assert search_reach(cube, pairs, 1.5, 1.0, None) == (15, 15)
+    assert search_reach(cube, pairs, 1.51, 2.0, None) == (31, 31)
+    # As far as the map of a largest speed asks, 5 mas/yr in 0.4 yr, and a beam.
+    longest = int(np.ceil((5 * 146 / YEAR + 1.0) / 0.1))
+    assert search_reach(cube, pairs, 1.5, 1.0, 5.0) == (longest, longest)
 
 
 def test_windows_of_pixels_that_are_not_square():
@@ -154,12 +184,13 @@ def test_windows_of_pixels_that_are_not_square():
         pixel_matrix=np.array([[-0.2, 0.0], [0.0, 0.1]]) * u.mas, shape=cube.shape
     )
     pairs = consecutive_pairs([0.0, 1.0])
-    assert search_reach(wide, pairs, 2.0, 0.0, 0.2) == (20, 10)
+    assert search_reach(wide, pairs, 0.1, 0.1, 1.9) == (20, 10)
     # Rotated, the sides are the same.
     c, s = np.cos(0.5), np.sin(0.5)
     turn = np.array([[c, -s], [s, c]])
     wide.pixel_matrix = turn @ np.diag([-0.2, 0.1]) * u.mas
-    assert search_reach(wide, pairs, 1.99, 0.0, 0.2) == (20, 10)
+    assert search_reach(wide, pairs, 0.1, 0.1, 1.89) == (20, 10)
+    assert search_reach(wide, pairs, 1.99, 1.0, None) == (20, 10)
 
 
 def test_windows_end_with_the_image_and_warn():
@@ -171,19 +202,20 @@ def test_windows_end_with_the_image_and_warn():
         "intervals$"
     )
     with pytest.warns(MeasurementWarning, match=message):
-        assert search_reach(cube, pairs, 10.0, 1.0, 0.2) == (39, 59)
+        assert search_reach(cube, pairs, 1.5, 1.0, 10.0) == (39, 59)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        search_reach(cube, pairs, 2.85, 1.0, 0.2)
+        search_reach(cube, pairs, 1.5, 1.0, 2.85)
+        assert search_reach(cube, pairs, 9.0, 1.0, None) == (39, 59)
 
 
 def test_speeds_far_beyond_the_image_or_below_any_motion_are_refused():
     cube = cube_of((0, YEAR), shape=(40, 60))
     pairs = pairs_of_dates(cube, None)
     with pytest.raises(ValueError, match=r"max_speed moves 1e\+09 mas in the shortest"):
-        search_reach(cube, pairs, 1e9, 1.0, 0.2)
+        search_reach(cube, pairs, 1.5, 1.0, 1e9)
     with pytest.raises(ValueError, match=r"1e-09 mas .* less than 0.01 of a pixel: gi"):
-        search_reach(cube, pairs, 1e-9, 1.0, 0.2)
+        search_reach(cube, pairs, 1.5, 1.0, 1e-9)
 
 
 def test_the_grid_is_half_the_narrowest_kernel(matched, sky_result):

@@ -291,7 +291,12 @@ def test_a_table_without_components_keeps_its_columns(cube, tmp_path):
     components = result.components_in_c(distance=16.7 * u.Mpc)
     assert len(components) == 0
     paths = write_products(result, components, tmp_path)
-    assert [path.name for path in paths] == ["components.ecsv", "ssps.ecsv", "scc.fits"]
+    assert [path.name for path in paths] == [
+        "components.ecsv",
+        "features.ecsv",
+        "ssps.ecsv",
+        "scc.fits",
+    ]
     table = QTable.read(paths[0])
     assert len(table) == 0
     assert table.colnames == components.colnames
@@ -310,9 +315,10 @@ def test_maps_satisfy_the_standard(written, result):
         warnings.simplefilter("error")
         with fits.open(written / "scc.fits") as hdus:
             hdus.verify("exception")
-            assert [hdu.name for hdu in hdus] == ["COEFFICIENT", "ZSCORE"]
+            names = ["COEFFICIENT", "ZSCORE", "DIAGRAM", "INTERVALS"]
+            assert [hdu.name for hdu in hdus] == names
             for hdu, values in zip(
-                hdus, (result.coefficient, result.z_score), strict=True
+                hdus[:2], (result.coefficient, result.z_score), strict=True
             ):
                 np.testing.assert_array_equal(hdu.data, values)
                 wcs = WCS(hdu.header)

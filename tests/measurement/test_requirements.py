@@ -13,9 +13,8 @@ from astro_scc.simulation import simulate_two_fluid
 @pytest.mark.parametrize(
     ("setting", "value", "message"),
     [
-        ("nulls", (), "nulls = .* must be of scramble, shuffle"),
-        ("nulls", "luck", "nulls = 'luck' must be of scramble, shuffle"),
-        ("nulls", ("shuffle", "luck"), "'luck'.* must be of"),
+        ("outward", "perhaps", "outward = 'perhaps' must be true or false"),
+        ("outward", 2, "outward = 2 must be true or false"),
         ("alignment_error", -1 * u.mas, "must be 0 or above"),
         ("alignment_error", [1, np.nan] * u.mas, "must be an angle or a list of them"),
         ("alignment_error", np.inf * u.mas, "must be an angle or a list of them"),

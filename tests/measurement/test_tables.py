@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Tables that keep their columns, units and meta, empty or not, on disk or not."""
 
+from types import SimpleNamespace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -9,7 +11,13 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.decomposition import SSPs
-from astro_scc.measurement import component_table, ssp_table, versions
+from astro_scc.epochs import ssp_offsets
+from astro_scc.measurement import (
+    component_table,
+    feature_table,
+    ssp_table,
+    versions,
+)
 
 PM = u.mas / u.yr
 PROPER_MOTIONS = ["pm_ra_cosdec", "pm_dec", "pm", "pm_parallel", "pm_transverse"]
@@ -28,18 +36,22 @@ CONTRACT = [
     "p_local",
     "p_global",
     "p_global_err",
+    "p_distinct",
     "p_smallest",
+    "dispersion",
+    "pm_limit",
     "pm_err_jitter",
+    "pm_err_alignment",
     "n_ssp",
     "n_pairs",
     "n_features",
+    "note",
 ]
 
 
 def row(number):
-    names = [*CONTRACT, *(f"{name}_err" for name in MOTIONS)]
-    names += ["pm_err_alignment", "pm_err_epochs"]
-    return {**dict.fromkeys(names, number), "kind": "uncertain"}
+    names = [*CONTRACT, *(f"{name}_err" for name in (*MOTIONS, "dispersion"))]
+    return {**dict.fromkeys(names, number), "kind": "not significant", "note": "few"}
 
 
 def same(read, written):
@@ -65,24 +77,25 @@ def test_components_have_all_columns_with_units_and_descriptions(n):
     for name in CONTRACT:
         assert name in table.colnames
         assert table[name].info.description
-    for name in PROPER_MOTIONS:
+    for name in (*PROPER_MOTIONS, "dispersion"):
         for column in (name, f"{name}_err"):
             assert isinstance(table[column], u.Quantity)
             assert table[column].unit == PM
     assert table["pm_pa"].unit == table["pm_pa_err"].unit == u.deg
     assert table["pm_err"].info.description == "standard error of pm"
     assert table["pm_err_jitter"].unit == PM
-    assert list(table["kind"]) == ["uncertain"] * n
-    assert table["kind"].dtype.kind == "U"
+    for name, value in (("kind", "not significant"), ("note", "few")):
+        assert list(table[name]) == [value] * n
+        assert table[name].dtype.kind == "U"
     for name in ("component", "n_ssp", "n_pairs", "n_features"):
         assert table[name].dtype.kind == "i"
-    for name in ("coefficient", "z_score", "p_local", "p_global", "p_smallest"):
+    for name in ("coefficient", "p_local", "p_global", "p_distinct", "p_smallest"):
         assert table[name].dtype.kind == "f"
 
 
 def test_errors_stand_beside_their_values():
     names = component_table([]).colnames
-    for name in MOTIONS:
+    for name in (*MOTIONS, "dispersion"):
         assert names[names.index(name) + 1] == f"{name}_err"
 
 
@@ -138,7 +151,7 @@ def test_components_round_trip_in_ecsv(stacked, tmp_path):
         settings["baseline"], ([20, 70] * u.day).to(u.yr), strict=False
     )
     assert read.meta["seed"] == 1
-    assert read.meta["n_trials"] == 30
+    assert read.meta["n_trials"] == 40
     assert read.meta["versions"] == versions()
     assert read.meta["jet_position_angle"] == 270 * u.deg
     # The settings are what a measurement can be repeated with.
@@ -231,3 +244,40 @@ def test_an_empty_ssp_table_has_all_columns(sky_result, beams, tmp_path):
         assert getattr(empty[name], "unit", None) == unit
     empty.write(tmp_path / "ssps.ecsv")
     assert QTable.read(tmp_path / "ssps.ecsv").colnames == empty.colnames
+
+
+def test_features_are_those_of_the_streams(stacked, tmp_path):
+    result = stacked(270 * u.deg)
+    table = result.features
+    features = [f for s in result.search.streams for f in s.features]
+    assert len(table) == len(features) > 4
+    ssps, times = result.matched.ssps, result.cube.times
+    east, _ = ssp_offsets(ssps, result.cube)
+    for row, feature in zip(table, features, strict=True):
+        epochs = ssps.epoch[feature.ssp]
+        assert row["n_epochs"] == len(epochs)
+        assert abs(row["first"] - times[epochs.min()]) < 1 * u.s
+        assert abs(row["last"] - times[epochs.max()]) < 1 * u.s
+        # A straight line through the positions, west being along the jet.
+        years = result.cube.years[epochs].to_value(u.yr)
+        slope, middle = np.polyfit(years - years.mean(), -east[feature.ssp], 1)
+        assert abs(row["pm"].value - slope) < 0.02 * abs(slope) + 0.05
+        assert abs(row["distance"].value - middle) < 0.1
+        assert row["motion"].value == pytest.approx(
+            abs(row["pm"].value) * np.ptp(years)
+        )
+    table.write(tmp_path / "features.ecsv")
+    same(QTable.read(tmp_path / "features.ecsv"), table)
+
+
+def test_without_features_the_table_has_its_columns(stacked):
+    result = stacked(270 * u.deg)
+    nothing = SimpleNamespace(
+        matched=result.matched, cube=result.cube, frame=result.frame,
+        displacements=result.displacements, search=SimpleNamespace(streams=()),
+    )  # fmt: skip
+    table = feature_table(nothing)
+    assert len(table) == 0
+    assert table.colnames == result.features.colnames
+    assert table["pm"].unit == u.mas / u.yr
+    assert isinstance(table["first"], Time)

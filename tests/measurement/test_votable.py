@@ -25,7 +25,7 @@ def test_components_and_ssps(sky_result, tmp_path):
         for column in table.colnames:
             one, other = table[column], read[column]
             assert getattr(one, "unit", None) == getattr(other, "unit", None)
-            assert np.all(np.asarray(one) == np.asarray(other))
+            np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
             assert (other.info.description or "") == (one.info.description or "")
 
 

@@ -134,7 +134,7 @@ def test_radial_motion_of_a_cube_without_beams(noise_cube, settings):
     cube = noise_cube(beams=(), shape=(80, 80))
     radial = replace(settings, position_angle="radial")
     table = completeness(
-        cube, radial, speeds=FAST, fluxes=100.0, fwhm=1 * u.mas,
+        cube, radial, speeds=6 * PM, fluxes=100.0, fwhm=1 * u.mas,
         **{**QUICK, "n_features": 12},
     )  # fmt: skip
     assert table["n_found"][0] == 2
@@ -221,8 +221,14 @@ class TestMessages:
         with pytest.raises(ValueError, match="position_angle is missing: give the"):
             completeness(sky, bare, speeds=FAST, fluxes=5.0, **QUICK)
         diagonal = {**QUICK, "position_angle": 45 * u.deg, "n_injections": 1}
-        # Neither east nor north is as fast as the whole.
-        table = completeness(sky, bare, speeds=30 * PM, fluxes=0.1, **diagonal)
+        # All directions are searched, each to the largest speed.
+        with pytest.raises(ValueError, match="speed 25 mas/yr is beyond the largest"):
+            completeness(sky, bare, speeds=25 * PM, fluxes=0.1, **diagonal)
+        table = completeness(sky, bare, speeds=24 * PM, fluxes=0.1, **diagonal)
+        assert table["n_found"][0] == 0
+        # Along the one that is given it is slower.
+        table = completeness(sky, settings, speeds=25 * PM, fluxes=0.1,
+                             **{**diagonal, "position_angle": 250 * u.deg})  # fmt: skip
         assert table["n_found"][0] == 0
 
     def test_axes_without_a_direction(self, sky, settings):

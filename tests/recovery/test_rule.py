@@ -28,11 +28,13 @@ def result(*components):
         components=QTable(
             {
                 "component": np.arange(1, n + 1),
-                "kind": np.array(kinds, dtype="U10"),
+                "kind": np.array(kinds, dtype="U15"),
                 "p_global": np.array(p, dtype=float),
             }
         ),
-        maxima=[SimpleNamespace(v1=a, v2=b) for a, b in zip(v1, v2, strict=True)],
+        velocities=[
+            SimpleNamespace(value=np.array(v)) for v in zip(v1, v2, strict=True)
+        ],
         members=lambda number: np.arange(10 * (number - 1), 10 * number),
         displacements=SimpleNamespace(ssp=np.arange(10 * n)),
         matched=SimpleNamespace(
@@ -51,7 +53,7 @@ def test_a_moving_component_of_the_features_is_found():
 @pytest.mark.parametrize(
     "component",
     [
-        ("uncertain", 0.2, 5.0, 0.0, 1.0),
+        ("not significant", 0.2, 5.0, 0.0, 1.0),
         ("stationary", 0.01, 5.0, 0.0, 1.0),
         ("moving", 0.06, 5.0, 0.0, 1.0),
         ("moving", 0.01, 5.8, 0.7, 1.0),

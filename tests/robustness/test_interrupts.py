@@ -9,6 +9,7 @@ import time
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from astro_scc.cli import main
@@ -139,21 +140,26 @@ def contents_of_files(folder):
     return {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
 
 
-# The pool of processes may wait for ever for workers that a signal has ended.
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP])
-def test_workers_end_with_a_run_that_is_told_to(usual, tmp_path, how):
-    argv, _, _ = usual
+def test_workers_end_with_a_run_that_is_told_to(inputs, tmp_path, how):
+    # The jet 64 times, on which workers are for seconds.
+    paths = [
+        inputs.write(tmp_path, i, data=np.tile(inputs.image(i), (8, 8)))
+        for i in range(5)
+    ]
+    argv = ["measure", *map(str, paths), *inputs.QUICK, "--scales=1,2,3,4"]
     out, log = tmp_path / "here" / "out", tmp_path / "log"
-    child = start([*argv, str(out), "--workers", "2"], log)
-    workers, limit = [], time.monotonic() + 60
-    while len(workers) < 2 and time.monotonic() < limit:
-        text = Path(f"/proc/{child}/task/{child}/children").read_text()
-        workers = text.split()
-    assert len(workers) == 2
+    child = start([*argv, "--no-report", "-o", str(out), "--workers", "2"], log)
+    children = Path(f"/proc/{child}/task/{child}/children")
+    limit = time.monotonic() + 60
+    while len(children.read_text().split()) < 2 and time.monotonic() < limit:
+        time.sleep(0.001)
     # Not while they are forked, when Python tells of exceptions and goes on.
-    assert stop(child, 0.2, how) == 128 + how
+    time.sleep(0.2)
+    workers = children.read_text().split()
+    assert len(workers) == 2
+    assert stop(child, 0, how) == 128 + how
     assert not out.parent.exists()
     for worker in workers:
         state = Path(f"/proc/{worker}/stat")

@@ -2,7 +2,6 @@
 """Places that ordinary data do not come to."""
 
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,66 +9,9 @@ import pytest
 from astro_scc.stacking import (
     ShuffledStacks,
     VelocityGrid,
-    alignment_scatter,
-    baseline_pairs,
     component_near,
     find_components,
-    find_velocities,
-    find_witnesses,
-    stack,
 )
-
-search = sys.modules[find_velocities.__module__]
-
-
-def test_an_epoch_without_matches_has_no_part_in_the_error(clump):
-    grid = VelocityGrid.covering(3.0, 0.05)
-    d = replace(clump(12, s=(0.3, 0.3)), n_ssps=np.array([12, 12, 0]))
-    pairs = baseline_pairs([0.0, 0.5, 1.0], 0.0, 2.0)
-    component = component_near(stack(d, pairs, grid), grid, (2.0, 2.0), 1.0, -0.5)
-    assert component.fitted
-    errors = np.array([[0.1, 0.05], [0.1, 0.05], [9.0, 9.0]])
-    found = alignment_scatter(d, pairs, component, grid, errors)
-    # Two epochs, half a year apart.
-    np.testing.assert_allclose(
-        np.sqrt(np.diag(found)), np.sqrt(2) * errors[0] / 0.5, rtol=1e-3
-    )
-    alone = alignment_scatter(d, pairs, component, grid, [[0, 0], [0, 0], [9, 9]])
-    np.testing.assert_array_equal(alone, np.zeros((2, 2)))
-
-
-def test_where_every_velocity_is_taken_nothing_is_searched(monkeypatch):
-    from types import SimpleNamespace
-
-    one = np.ones(5)
-    witnesses = SimpleNamespace(
-        v1=0.1 * np.arange(5), v2=0 * one, s1=0.2 * one, s2=0.2 * one, weight=one
-    )
-
-    class Five(SimpleNamespace):
-        def __len__(self):
-            return 5
-
-    witnesses = Five(**vars(witnesses))
-    monkeypatch.setattr(search, "find_witnesses", lambda sightings: witnesses)
-    options = [None] * (search._scene.__code__.co_argcount - 5)
-    limits = (0.3, 0.3)
-    scene = search._scene(None, None, None, limits, [], *options)
-    assert np.hypot(*scene.velocity) < 0.5
-    assert search._scene(None, None, None, limits, [(0.0, 0.0)], *options) is None
-
-
-def test_no_sightings_have_no_witnesses(random_displacements):
-    from astro_scc.stacking import Sightings
-
-    d = random_displacements(np.random.default_rng(1))
-    years = np.array([0.0, 0.4, 1.0, 1.1])
-    d = replace(d, position=np.zeros((len(d), 2)), motion=np.zeros((len(d), 2)))
-    seen = Sightings.of(d, baseline_pairs(years, 0.0, 2.0), years, (4.0, 4.0))
-    assert len(find_witnesses(seen)) > 0
-    none = find_witnesses(seen.select(np.zeros(len(seen), bool)))
-    assert len(none) == 0
-    assert none.group.dtype == int
 
 
 @pytest.mark.parametrize("height", [0.0, -1.0])

@@ -1,102 +1,417 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Features followed through the epochs, on lines that are known."""
+
+from dataclasses import replace
+from itertools import permutations
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.stacking import Sightings, count_features, find_witnesses
+from astro_scc.stacking import Feature, Rays, SearchSettings, find_features
+from astro_scc.stacking.features import _excess, _Links, _on_line, standing_features
+
+SEARCH = SearchSettings()
+#: Uneven: followers are told from features by the dates.
+YEARS = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4, 4.6, 5.2])
 
 
-def sightings(place, velocity, time, sigma=1.0):
-    """Sightings one year apart, at places at their mean dates."""
-    n = len(place)
-    place, velocity = np.asarray(place, float), np.asarray(velocity, float)
-    one = np.ones(n)
-    whole = np.arange(n)
-    return Sightings(
-        v1=velocity[:, 0], v2=velocity[:, 1], s1=sigma * one, s2=sigma * one,
-        weight=one, time=np.asarray(time, float), interval=one, middle=place,
-        velocity=velocity, sigma=sigma * one,
-        first=np.floor(time).astype(int), ssp=whole, match=whole,
-    )  # fmt: skip
+def follow(d, prior=np.ones_like, years=None):
+    rays = Rays.of(d.years if years is None else years, 1.5, SEARCH)
+    return find_features(d, rays, SEARCH, prior)
 
 
-def wandering(n_features, n_dates, rng, jitter=1.0, apart=40.0):
-    """Sightings of features at one speed, with a random walk of their own."""
-    place, velocity, time, owner = [], [], [], []
-    for feature in range(n_features):
-        step = np.array([4.0, 0.0]) + rng.normal(0, jitter, (n_dates, 2))
-        path = np.cumsum(step, axis=0) + [0.0, apart * feature]
-        for k in range(n_dates - 1):
-            place.append(0.5 * (path[k] + path[k + 1]))
-            velocity.append(path[k + 1] - path[k])
-            time.append(k + 0.5)
-            owner.append(feature)
-    return sightings(place, velocity, time), np.array(owner)
+def by_place(features):
+    return sorted(features, key=lambda f: f.place)
 
 
-def test_nothing_near_is_no_feature():
-    s = sightings([(0, 0)], [(1, 0)], [0.5])
-    assert count_features(s, [0], [False]) == 0
-    assert count_features(s, [0], [True]) == 1
+class TestFeature:
+    @pytest.mark.parametrize("n", [2, 3, 8])
+    def test_the_line_is_that_of_polyfit(self, n):
+        rng = np.random.default_rng(n)
+        years = 2000 + np.sort(rng.uniform(0, 5, n))
+        position = rng.normal(size=(n, 2))
+        found = Feature.through(np.arange(n) + 3, years, position, 0.06)
+        (speed, across), _ = np.polyfit(years - 2000, position, 1)
+        assert found.speed == pytest.approx(speed)
+        assert found.across == pytest.approx(across)
+        assert found.place == pytest.approx(position[:, 0].mean())
+        assert found.motion == pytest.approx(abs(speed) * np.ptp(years))
+        assert len(found) == n
+        np.testing.assert_array_equal(found.ssp, np.arange(n) + 3)
+
+    def test_the_error_is_of_the_residuals_and_three_assumed_ones(self):
+        rng = np.random.default_rng(1)
+        years, position = np.sort(rng.uniform(0, 5, 9)), rng.normal(size=(9, 2))
+        found = Feature.through(np.arange(9), years, position, 0.5)
+        for k, error in enumerate((found.error, found.across_error)):
+            slope, offset = np.polyfit(years, position[:, k], 1)
+            squares = np.sum((position[:, k] - offset - slope * years) ** 2)
+            # The variance that polyfit gives without scaling is for sigma 1.
+            _, unit = np.polyfit(years, position[:, k], 1, cov="unscaled")
+            variance = (squares + 3 * 0.5**2) / (9 - 2 + 3)
+            assert error == pytest.approx(np.sqrt(variance * unit[0, 0]))
+
+    def test_the_response_is_the_change_of_the_speed(self):
+        rng = np.random.default_rng(2)
+        years, position = np.sort(rng.uniform(0, 5, 6)), rng.normal(size=(6, 2))
+        found = Feature.through(np.arange(6), years, position, 0.06)
+        for k in range(6):
+            moved = position.copy()
+            moved[k, 0] += 0.01
+            other = Feature.through(np.arange(6), years, moved, 0.06)
+            assert found.response[k] == pytest.approx(
+                (other.speed - found.speed) / 0.01
+            )
+            assert other.across == found.across
+
+    @given(
+        st.integers(0, 2**32 - 1),
+        st.floats(1e-3, 1e3),
+        st.floats(1e-3, 1e3),
+        st.booleans(),
+    )
+    @settings(max_examples=30)
+    def test_units_and_signs(self, seed, length, time, back):
+        rng = np.random.default_rng(seed)
+        years, position = np.cumsum(rng.uniform(0.2, 2, 6)), rng.normal(size=(6, 2))
+        sign = -1 if back else 1
+        a = Feature.through(np.arange(6), years, position, 0.06)
+        b = Feature.through(
+            np.arange(6), sign * time * years, length * position, length * 0.06
+        )
+        unit = length / time
+        # Speeds may cancel.
+        close = {"rel": 1e-6, "abs": 1e-9 * unit}
+        assert b.speed == pytest.approx(sign * unit * a.speed, **close)
+        assert b.across == pytest.approx(sign * unit * a.across, **close)
+        assert b.error == pytest.approx(unit * a.error)
+        assert b.motion == pytest.approx(length * a.motion, rel=1e-6, abs=1e-9 * length)
 
 
-@pytest.mark.parametrize("n_features", [1, 2, 3, 7])
-def test_a_wandering_feature_is_counted_about_once(n_features):
-    for seed in range(10):
-        s, _ = wandering(n_features, 10, np.random.default_rng(seed))
-        witnesses = find_witnesses(s)
-        near = s.near(4.0, 0.0, 1.5)
-        counted = count_features(s, witnesses.group, near)
-        # The witnesses themselves are many more.
-        assert n_features <= counted <= 2 * n_features
-        assert len(np.unique(witnesses.group[near])) > counted or n_features == 1
+class TestFindFeatures:
+    def test_crossing_lines_without_noise(self, lines, axis_matches):
+        """The faster of two features overtakes the slower one."""
+        speeds, starts = np.array([0.8, 0.3]), np.array([0.0, 1.4])
+        d = axis_matches(*lines(speeds, starts, YEARS), YEARS)
+        fast, slow = sorted(follow(d), key=lambda f: -f.speed)
+        assert fast.speed == pytest.approx(0.8)
+        assert slow.speed == pytest.approx(0.3)
+        np.testing.assert_array_equal(fast.ssp, 2 * np.arange(8))
+        np.testing.assert_array_equal(slow.ssp, 2 * np.arange(8) + 1)
+
+    def test_opposite_directions(self, lines, axis_matches):
+        d = axis_matches(*lines([0.5, -0.4], [0.0, 3.1], YEARS), YEARS)
+        speeds = sorted(f.speed for f in follow(d))
+        assert speeds == pytest.approx([-0.4, 0.5])
+
+    def test_followers_are_not_the_feature(self, lines, axis_matches):
+        """
+        A comb of features, each 1.2 beams behind another.
+
+        What moves to where the next one was matches as well as itself.
+        """
+        starts = 1.2 * np.arange(6)
+        d = axis_matches(*lines([0.5] * 6, starts, YEARS), YEARS)
+        backward = (d.along * d.interval < 0) & (np.abs(d.along) < 1)
+        assert backward.sum() > 50
+        found = by_place(follow(d))
+        assert len(found) == 6
+        for k, feature in enumerate(found):
+            assert feature.speed == pytest.approx(0.5)
+            np.testing.assert_array_equal(feature.ssp, 6 * np.arange(8) + k)
+
+    @pytest.mark.parametrize("off", [0.2, 0.28, -0.25])
+    def test_an_outlier_is_left_out(self, lines, axis_matches, off):
+        position, epoch = lines([0.5], [0.0], YEARS)
+        position[3, 0] += off
+        (found,) = follow(axis_matches(position, epoch, YEARS))
+        assert 3 not in found.ssp
+        assert len(found) == 7
+        assert found.speed == pytest.approx(0.5)
+
+    @pytest.mark.parametrize("seed", [1, 2, 70, 115])
+    def test_outliers_hidden_by_others_are_left_out_in_three_rounds(self, seed):
+        """Positions with errors of Cauchy's distribution, by polyfit."""
+        off = 0.05 * np.random.default_rng(seed).standard_t(1, 12)
+        years, chosen = np.arange(12.0), np.arange(12)
+        for _ in range(3):
+            line = np.polyfit(years[chosen], off[chosen], 1)
+            left = np.abs(off[chosen] - np.polyval(line, years[chosen]))
+            good = left <= max(2.5 * 1.4826 * np.median(left), 0.12)
+            if good.all() or good.sum() < 4:
+                break
+            chosen = chosen[good]
+        d = SimpleNamespace(
+            years=years, epoch=np.arange(12), position=np.stack([off, 0 * off], axis=1)
+        )
+        np.testing.assert_array_equal(_on_line(np.arange(12), d, SEARCH), chosen)
+
+    def test_a_small_deviation_is_none(self, lines, axis_matches):
+        position, epoch = lines([0.5], [0.0], YEARS)
+        position[3, 0] += 0.08
+        (found,) = follow(axis_matches(position, epoch, YEARS))
+        assert len(found) == 8
+
+    def test_of_two_ssps_on_the_line_the_nearer_is_of_the_feature(
+        self, lines, axis_matches
+    ):
+        position, epoch = lines([0.5], [0.0], YEARS)
+        position = np.concatenate([[position[4] + (0.1, 0)], position])
+        epoch = np.concatenate([[4], epoch])
+        (found,) = follow(axis_matches(position, epoch, YEARS))
+        np.testing.assert_array_equal(found.ssp, np.arange(1, 9))
+
+    def test_a_missing_epoch_is_stepped_over(self, lines, axis_matches):
+        position, epoch = lines([0.5], [0.0], YEARS)
+        seen = epoch != 3
+        (found,) = follow(axis_matches(position[seen], epoch[seen], YEARS))
+        assert len(found) == 7
+        assert found.speed == pytest.approx(0.5)
+
+    @pytest.mark.parametrize(("n", "number"), [(3, 0), (4, 1)])
+    def test_four_epochs_make_a_feature(self, lines, axis_matches, n, number):
+        position, epoch = lines([0.6], [0.0], YEARS)
+        seen = epoch < n
+        found = follow(axis_matches(position[seen], epoch[seen], YEARS))
+        assert len(found) == number
+
+    def test_longer_lines_come_together_from_matches_of_neighbours(
+        self, lines, axis_matches
+    ):
+        """It moves five beams, and matches reach one and a half."""
+        d = axis_matches(*lines([1.0], [0.0], YEARS), YEARS)
+        assert np.abs(d.interval).max() < 1.5
+        (found,) = follow(d)
+        assert len(found) == 8
+        assert found.motion == pytest.approx(5.2)
+
+    def test_a_feature_of_two_scales_is_one(self, lines, axis_matches):
+        position, epoch = lines([0.5, 0.5], [0.0, 0.1], YEARS)
+        scale = np.tile([2, 1], 8)
+        d = axis_matches(position, epoch, YEARS, scale=scale)
+        (found,) = follow(d)
+        # Of the finer scale.
+        np.testing.assert_array_equal(scale[found.ssp], 1)
+        # Unless it is seen longer on the coarser one.
+        seen = ~((scale == 1) & (epoch > 5))
+        d = axis_matches(position[seen], epoch[seen], YEARS, scale=scale[seen])
+        (found,) = follow(d)
+        np.testing.assert_array_equal(d.scale[found.ssp], 2)
+
+    def test_features_of_two_scales_apart_are_two(self, lines, axis_matches):
+        position, epoch = lines([0.5, 0.5], [0.0, 0.6], YEARS)
+        d = axis_matches(position, epoch, YEARS, scale=np.tile([2, 1], 8))
+        assert len(follow(d)) == 2
+
+    def test_features_one_after_the_other_in_one_place_are_two(
+        self, lines, axis_matches
+    ):
+        years = np.concatenate([YEARS, YEARS + 6.0])
+        position, epoch = lines([0.5, 0.5], [0.0, 0.0 - 3.5], years)
+        first, second = epoch < 8, epoch >= 7
+        seen = np.where(np.arange(32) % 2 == 0, first, second)
+        d = axis_matches(
+            position[seen], epoch[seen], years, scale=np.tile([1, 2], 16)[seen]
+        )
+        found = follow(d)
+        assert sorted(len(f) for f in found) == [8, 9]
+
+    def test_standing_features_do_not_move(self, lines, axis_matches):
+        d = axis_matches(*lines([0, 0, 0.5], [0.0, 3.0, 6.0], YEARS), YEARS)
+        (found,) = follow(d)
+        assert found.speed == pytest.approx(0.5)
+
+    def test_the_prior_forbids_speeds(self, lines, axis_matches):
+        d = axis_matches(*lines([0.5, -0.4], [0.0, 6.0], YEARS), YEARS)
+        (found,) = follow(d, lambda speed: (speed > 0).astype(float))
+        assert found.speed == pytest.approx(0.5)
+        assert follow(d, np.zeros_like) == []
+
+    def test_matches_on_no_ssp_lead_nowhere(self, lines, axis_matches):
+        d = axis_matches(*lines([0.5], [0.0], YEARS), YEARS)
+        assert follow(replace(d, target_ssp=np.full(len(d), -1))) == []
+        assert follow(d.select(np.zeros(len(d), dtype=bool))) == []
+        # Nor do those of one date, those far aside or beyond the radius.
+        assert follow(replace(d, across=np.full(len(d), 0.36))) == []
+        assert follow(replace(d, along=d.along + 3)) == []
+        same = replace(d, years=np.zeros(8))
+        assert follow(same, years=YEARS) == []
+
+    def test_motion_across_is_measured(self, lines, axis_matches):
+        position, epoch = lines([0.6], [0.0], YEARS)
+        position[:, 1] = 0.05 * YEARS
+        (found,) = follow(axis_matches(position, epoch, YEARS))
+        assert found.across == pytest.approx(0.05)
+
+    def test_excess_is_matches_less_those_of_permutations(self, lines, axis_matches):
+        """By a loop over the SSPs, the speeds and all orders of five epochs."""
+        # Displacements and motions on the cells, half a smoothing length apart.
+        years, cell = np.array([0.0, 0.5, 1.5, 2.0, 3.5]), 0.5 * SEARCH.smoothing
+        position, epoch = lines([0, 0, 0], cell * np.array([0, 10, 23]), years)
+        rng = np.random.default_rng(3)
+        position[:, 0] += cell * rng.integers(-3, 4, len(position))
+        d = axis_matches(position, epoch, years)
+        rays = Rays.of(years, 1.5, SEARCH)
+        links, speeds = _Links.of(d), 2 * cell * np.array([-6, -3, 2, 4, 9])
+        found = _excess(links, d, speeds, rays)
+
+        def score(ssp, speed, order):
+            """If image k is laid on the date ``order[k]``."""
+            total = 0.0
+            for k in np.flatnonzero(links.ssp == ssp):
+                here, there = order[d.epoch[ssp]], order[d.epoch[links.to[k]]]
+                motion = speed * (years[there] - years[here])
+                weight = rays.weight(motion, years[there] - years[here])
+                x = (links.along[k] - motion) / SEARCH.smoothing
+                total += weight * links.weight[k] * np.exp(-0.5 * x**2)
+            return total
+
+        for ssp in (0, 7):
+            # The SSP's own image stays: it is asked what it sees from its date.
+            own = d.epoch[ssp]
+            orders = [o for o in permutations(range(5)) if o[own] == own]
+            for k, speed in enumerate(speeds):
+                chance = np.mean([score(ssp, speed, o) for o in orders])
+                wanted = score(ssp, speed, range(5)) - chance
+                assert found[ssp, k] == pytest.approx(wanted, abs=1e-9)
 
 
-def test_two_scales_of_one_feature_are_one():
-    rng = np.random.default_rng(1)
-    s, _ = wandering(1, 8, rng, jitter=0.0)
-    other = sightings(s.middle + [2.0, 0.5], s.velocity, s.time)
-    place = np.concatenate([s.middle, other.middle])
-    velocity = np.concatenate([s.velocity, other.velocity])
-    both = sightings(place, velocity, np.concatenate([s.time, other.time]))
-    group = np.repeat([0, 1], len(s))
-    assert count_features(both, group, np.ones(len(both), bool)) == 1
+class TestStandingFeatures:
+    def test_what_stands_still_is_found(self, lines, axis_matches):
+        rng = np.random.default_rng(1)
+        d = axis_matches(
+            *lines([0, 0, 0.5], [0.0, 3.0, 6.0], YEARS, scatter=0.02, rng=rng), YEARS
+        )
+        one, other = by_place(standing_features(d, SEARCH))
+        np.testing.assert_array_equal(one.ssp, 3 * np.arange(8))
+        np.testing.assert_array_equal(other.ssp, 3 * np.arange(8) + 1)
+        assert abs(one.speed) <= 2 * one.error
+
+    @pytest.mark.parametrize(("n", "number"), [(5, 0), (6, 1)])
+    def test_in_half_of_the_epochs(self, lines, axis_matches, n, number):
+        years = np.arange(12.0)
+        position, epoch = lines([0.0], [0.0], years)
+        seen = np.isin(epoch, np.arange(12)[::2][:n] if n < 6 else np.arange(0, 12, 2))
+        d = axis_matches(position[seen], epoch[seen], years)
+        assert len(standing_features(d, SEARCH)) == number
+
+    def test_slow_drift_is_not_rest(self, lines, axis_matches):
+        years = np.arange(12.0)
+        drifting = axis_matches(*lines([0.05], [0.0], years), years)
+        assert standing_features(drifting, SEARCH) == []
+        resting = axis_matches(*lines([0.004], [0.0], years), years)
+        (found,) = standing_features(resting, SEARCH)
+        assert found.speed == pytest.approx(0.004)
+
+    def test_two_scales_are_one(self, lines, axis_matches):
+        d = axis_matches(
+            *lines([0, 0], [0.0, 0.1], YEARS), YEARS, scale=np.tile([2, 1], 8)
+        )
+        (found,) = standing_features(d, SEARCH)
+        np.testing.assert_array_equal(d.scale[found.ssp], 1)
+
+    def test_images_of_one_date_are_no_time(self, lines, axis_matches):
+        """Four images of one date, and four more without the feature."""
+        years = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0])
+        position = np.array([[1.0, 0]] * 4 + [[9.0, 0], [19, 0], [29, 0], [39, 0]])
+        d = axis_matches(position, np.arange(8), years)
+        assert standing_features(d, SEARCH) == []
+
+    def test_nothing_there(self, lines, axis_matches):
+        d = axis_matches(*lines([0.0], [0.0], YEARS), YEARS)
+        nothing = d.select(np.zeros(len(d), dtype=bool))
+        assert standing_features(nothing, SEARCH) == []
+        assert (
+            standing_features(replace(d, target_ssp=np.full(len(d), -1)), SEARCH) == []
+        )
 
 
-@pytest.mark.parametrize(
-    ("place", "velocity", "time", "expected"),
-    [
-        ([(0, 0), (2.9, 0)], [(5, 0)] * 2, [0.5, 0.5], 1),
-        ([(0, 0), (3.1, 0)], [(5, 0)] * 2, [0.5, 0.5], 2),
-        # Carried along: five in a year, and half an error more for a gap of one.
-        ([(0, 0), (8.4, 0)], [(5, 0)] * 2, [0.5, 1.5], 1),
-        ([(0, 0), (8.6, 0)], [(5, 0)] * 2, [0.5, 1.5], 2),
-        ([(0, 0), (2, 0)], [(5, 0), (7.4, 0)], [0.5, 0.5], 1),
-        ([(0, 0), (2, 0)], [(5, 0), (7.6, 0)], [0.5, 0.5], 2),
-        # A walk of two intervals and a half, about the mean velocity.
-        ([(0, 0), (10, 3.9)], [(5, 2), (5, -2)], [0.5, 2.5], 1),
-        ([(0, 0), (10, 4.1)], [(5, 2), (5, -2)], [0.5, 2.5], 2),
-    ],
-)
-def test_limits(place, velocity, time, expected):
-    s = sightings(place, velocity, time)
-    assert count_features(s, [0, 1], [True, True]) == expected
+seeds = st.integers(0, 2**32 - 1)
 
 
-@given(
-    st.integers(1, 12),
-    st.integers(0, 2**32 - 1),
-    st.floats(0.1, 10),
-)
-def test_never_more_than_witnesses_and_free_of_units(n, seed, unit):
-    rng = np.random.default_rng(seed)
-    place, velocity = rng.uniform(0, 20, (n, 2)), rng.uniform(0, 4, (n, 2))
-    time = rng.integers(0, 5, n) + 0.5
-    group = rng.integers(0, n, n)
-    near = rng.random(n) < 0.7
-    counted = count_features(sightings(place, velocity, time), group, near)
-    assert (counted > 0) == near.any()
-    assert counted <= len(np.unique(group[near]))
-    scaled = sightings(unit * place, unit * velocity, time, sigma=unit)
-    assert count_features(scaled, group, near) == counted
+def random_features(rng, lines, axis_matches, scatter=0.04):
+    speeds, starts = rng.uniform(0.3, 0.8, 3), 3.0 * np.arange(3)
+    position, epoch = lines(speeds, starts, YEARS, scatter=scatter, rng=rng)
+    return axis_matches(position, epoch, YEARS), speeds
+
+
+class TestProperties:
+    @given(seeds)
+    @settings(max_examples=8)
+    def test_noisy_features_are_found_within_their_errors(
+        self, lines, axis_matches, seed
+    ):
+        rng = np.random.default_rng(seed)
+        d, speeds = random_features(rng, lines, axis_matches)
+        found = follow(d)
+        for feature in found:
+            k = np.abs(speeds - feature.speed).argmin()
+            assert abs(feature.speed - speeds[k]) < 5 * feature.error
+        assert len(found) == 3
+
+    @given(seeds)
+    @settings(max_examples=8)
+    def test_years_or_days(self, lines, axis_matches, seed):
+        d, _ = random_features(np.random.default_rng(seed), lines, axis_matches)
+        other = replace(d, years=365.25 * d.years)
+        for a, b in zip(follow(d), follow(other), strict=True):
+            np.testing.assert_array_equal(a.ssp, b.ssp)
+            assert b.speed == pytest.approx(a.speed / 365.25)
+
+    @given(seeds)
+    @settings(max_examples=8)
+    def test_the_other_direction_has_the_other_sign(self, lines, axis_matches, seed):
+        d, _ = random_features(np.random.default_rng(seed), lines, axis_matches)
+        other = replace(d, along=-d.along, position=d.position * (-1, 1))
+        for a, b in zip(follow(d), follow(other), strict=True):
+            np.testing.assert_array_equal(a.ssp, b.ssp)
+            assert b.speed == pytest.approx(-a.speed)
+            assert b.across == pytest.approx(a.across)
+
+    @given(seeds)
+    @settings(max_examples=8)
+    def test_time_turned_round_has_the_other_sign(self, lines, axis_matches, seed):
+        d, _ = random_features(np.random.default_rng(seed), lines, axis_matches)
+        other = replace(
+            d,
+            years=-d.years[::-1],
+            reference=7 - d.reference,
+            target=7 - d.target,
+            epoch=7 - d.epoch,
+        )
+        a, b = by_place(follow(d)), by_place(follow(other))
+        for one, turned in zip(a, b, strict=True):
+            assert set(one.ssp) == set(turned.ssp)
+            assert turned.speed == pytest.approx(-one.speed)
+
+    @given(seeds)
+    @settings(max_examples=8)
+    def test_the_order_of_the_matches_does_not_matter(self, lines, axis_matches, seed):
+        rng = np.random.default_rng(seed)
+        d, _ = random_features(rng, lines, axis_matches)
+        other = d.select(rng.permutation(len(d)))
+        for a, b in zip(follow(d), follow(other), strict=True):
+            np.testing.assert_array_equal(a.ssp, b.ssp)
+
+    @given(seeds, st.integers(-10, 70).map(lambda k: 0.1 * k))
+    @settings(max_examples=8)
+    def test_an_epoch_without_matches_does_no_harm(
+        self, lines, axis_matches, seed, date
+    ):
+        rng = np.random.default_rng(seed)
+        d, _ = random_features(rng, lines, axis_matches, scatter=0.0)
+        years = np.sort(np.append(YEARS, date))
+        after = np.searchsorted(YEARS, date)
+        other = replace(
+            d,
+            years=years,
+            epoch=d.epoch + (d.epoch >= after),
+            reference=d.reference + (d.reference >= after),
+            target=d.target + (d.target >= after),
+        )
+        for a, b in zip(by_place(follow(d)), by_place(follow(other)), strict=True):
+            np.testing.assert_array_equal(a.ssp, b.ssp)
+            assert b.speed == pytest.approx(a.speed)

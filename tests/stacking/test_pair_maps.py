@@ -169,12 +169,12 @@ def test_reversed_orders_of_even_dates_tie(random_displacements):
 def test_memory_does_not_grow_with_the_baselines(random_displacements, monkeypatch):
     """Wide maps of many epochs and pairs of dates: no more than the blocks allow."""
     rng = np.random.default_rng(12)
-    d = random_displacements(rng, 20, 1500, reach=20.0, s1=(0.5, 0.7))
-    pairs = baseline_pairs(np.cumsum(rng.uniform(0.2, 0.9, 20)), 1.0, 4.0)
+    d = random_displacements(rng, 15, 400, reach=20.0, s1=(0.5, 0.7))
+    pairs = baseline_pairs(np.cumsum(rng.uniform(0.2, 0.9, 15)), 1.0, 4.0)
     maps = PairMaps.of(d, (5.0, 5.0), 4.0)
-    orders = random_orders(20, 3, rng)
+    orders = random_orders(15, 2, rng)
     whole = all_stacks(maps, pairs, GRID, orders)
-    assert maps.map_bytes * 20**2 > 2**24
+    assert maps.map_bytes * 15**2 > 2**24
     for name in ("MAP_BYTES", "BLOCK_BYTES", "WORK_BYTES"):
         monkeypatch.setattr(f"{PairMaps.__module__}.{name}", 2**20)
     maps = replace(maps)

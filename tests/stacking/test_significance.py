@@ -1,8 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The search in features whose velocities are known."""
+"""The search for streams on matches whose streams are known."""
 
-import tracemalloc
-from dataclasses import fields, replace
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,411 +10,445 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.stacking import (
-    NULLS,
-    DatePairs,
-    Displacements,
-    NullTest,
-    ScrambleNull,
-    baseline_pairs,
-    consecutive_pairs,
-    find_velocities,
-    nulls,
+    Diagram,
+    EpochPermutations,
+    Feature,
+    Population,
+    Rays,
+    SearchSettings,
+    find_streams,
+    random_effects,
+    separate_streams,
 )
+from astro_scc.stacking.significance import classify
+from astro_scc.stacking.streams import feature_speeds
 
-#: Standard error of a displacement; intervals of about one year.
-S = 0.2
-V_MAX = (4.0, 4.0)
-YEARS = np.arange(8.0)
-
-
-def matches(rng, velocities, *, years=YEARS, size=(8.0, 3.0), error=0.05, chance=1.0):
-    """
-    Features that move at given velocities, matched between all epochs.
-
-    Each match has its own error; besides, SSPs have ``chance`` matches with
-    unrelated ones, at any displacement.
-    """
-    velocities = np.asarray(velocities, dtype=float)
-    n, n_epochs = len(velocities), len(years)
-    start = rng.uniform(0, 1, (n, 2)) * size
-    parts = []
-    for r, t in np.argwhere(~np.eye(n_epochs, dtype=bool)):
-        true = velocities * (years[t] - years[r])
-        where = start + velocities * (years[r] - years[0])
-        feature = np.arange(n)
-        parts.append(
-            (r, t, feature, where, true + rng.normal(scale=error, size=(n, 2)))
-        )
-        lucky = np.repeat(feature, rng.poisson(chance, n))
-        motion = rng.uniform(-5, 5, (len(lucky), 2))
-        parts.append((r, t, lucky, where[lucky], motion))
-    feature, position, motion = (
-        np.concatenate([p[k] for p in parts]) for k in (2, 3, 4)
-    )
-    reference, target = (np.concatenate([np.full(len(p[2]), p[k]) for p in parts])
-                         for k in (0, 1))  # fmt: skip
-    one = np.ones(len(feature))
-    return Displacements(
-        d1=motion[:, 0],
-        d2=motion[:, 1],
-        s1=S * one,
-        s2=S * one,
-        weight=rng.uniform(0.6, 1.0, len(feature)),
-        reference=reference,
-        target=target,
-        ssp=reference * n + feature,
-        target_ssp=target * n + feature,
-        n_ssps=np.full(n_epochs, n),
-        position=position,
-        motion=motion,
-    )
+SEARCH = SearchSettings()
+#: Ten uneven dates.
+YEARS = np.cumsum([0, 1.0, 0.7, 1.3, 0.9, 1.4, 0.6, 1.1, 1.0, 0.8])
 
 
-def streams(*parts):
-    """``(number, v1, v2)`` of each."""
-    return np.concatenate([np.tile(v, (n, 1)) for n, *v in parts])
-
-
-def search(displacements, *, years=YEARS, pairs=None, n_trials=99, seed=0, **kwargs):
-    pairs = consecutive_pairs(years) if pairs is None else pairs
+def search(d, angles=(0.0,), *, seed=0, n_trials=99, **options):
+    """Find streams; ``d`` are matches along the axis, or a function of the angle."""
+    project = d if callable(d) else lambda angle: d
     rng = np.random.default_rng(seed)
-    return find_velocities(
-        displacements, pairs, years, V_MAX, n_trials=n_trials, rng=rng, **kwargs
-    )
+    return find_streams(project, angles, 1.5, n_trials=n_trials, rng=rng, **options)
 
 
-def assert_found(finding, v1, v2, kind="moving"):
-    assert finding.kind == kind
-    assert np.hypot(finding.v1 - v1, finding.v2 - v2) < S
-    assert finding.p_global <= 0.05
+def kinds(found):
+    return [stream.kind for stream in found.streams]
 
 
 @pytest.fixture(scope="module")
-def two():
-    """Twelve slow and eight fast features, and ten with a velocity of their own."""
-    rng = np.random.default_rng(1)
-    own = rng.uniform(-3, 3, (10, 2))
-    return matches(rng, [*streams((12, 0.8, 0.0), (8, 3.0, -0.5)), *own])
-
-
-@pytest.fixture(scope="module")
-def found(two):
-    return search(two)
-
-
-def test_two_streams_are_found_the_stronger_first(found):
-    assert len(found) == 3
-    assert_found(found[0], 0.8, 0.0)
-    assert_found(found[1], 3.0, -0.5)
-    assert found[2].kind == "uncertain"
-    assert found[2].p_global > 0.05
-
-
-def test_the_order_is_that_of_strength():
-    d = matches(np.random.default_rng(2), streams((6, 0.8, 0.0), (14, 3.0, -0.5)))
-    first, second = search(d)[:2]
-    assert_found(first, 3.0, -0.5)
-    assert_found(second, 0.8, 0.0)
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_uneven_dates_and_pairs_of_all_lengths(seed):
-    years = np.array([0.0, 0.9, 1.7, 2.8, 4.0, 4.8, 6.1])
-    rng = np.random.default_rng(seed)
-    d = matches(rng, streams((10, 0.8, 0.0), (8, 2.5, -0.5)), years=years)
-    first, second = search(
-        d,
-        years=years,
-        pairs=baseline_pairs(years, 0.7, 1.4),
-        n_trials=39,
-        max_components=2,
-    )
-    assert_found(first, 0.8, 0.0)
-    assert_found(second, 2.5, -0.5)
-
-
-def test_what_is_explained_is_gone(two, found):
-    n = len(two)
-    first, second = found[:2]
-    assert len(first.displacements) == n
-    assert len(second.displacements) < n
-    gone = set(two.ssp) - set(second.displacements.ssp)
-    # The SSPs of the slow stream go, and others that had a chance match there.
-    slow = set(two.ssp[two.ssp % 30 < 12])
-    assert slow <= gone
-    assert len(gone) < 1.5 * len(slow)
-    # None is taken by halves.
-    assert not gone & set(second.displacements.ssp)
-
-
-def test_members_of_a_witness_are_of_one_feature(two, found):
-    group = found[0].group
-    assert group.shape == (len(two),)
-    consecutive = np.abs(two.reference - two.target) == 1
-    inside = np.all(np.abs(two.motion) < 3.9, axis=1)
-    np.testing.assert_array_equal(group[consecutive & inside] >= 0, True)
-    np.testing.assert_array_equal(group[~consecutive], -1)
-    # True matches of a slow feature, both ways, from all epochs: one witness.
-    error = two.motion - np.array([0.8, 0.0]) * (two.target - two.reference)[:, None]
-    shares = []
-    for feature in range(12):
-        own = (two.ssp % 30 == feature) & consecutive
-        own &= np.hypot(*error.T) < S
-        _, counts = np.unique(group[own], return_counts=True)
-        shares.append(counts.max() / own.sum())
-    # Some features are too close to one another to be told apart.
-    assert np.median(shares) > 0.9
-    second = found[1]
-    assert second.group.shape == (len(second.displacements),)
-
-
-def test_numbers_of_a_finding(found):
-    for finding in found:
-        assert set(finding.tests) == {"scramble", "shuffle"}
-        tests = finding.tests.values()
-        assert finding.p_global == max(t.p_global for t in tests)
-        assert finding.p_local == max(t.p_local for t in tests)
-        assert finding.p_local <= finding.p_global
-        worst = max(tests, key=lambda t: t.p_global)
-        assert finding.p_error == worst.error
-        assert finding.n_witnesses > 0
-    # Each slow feature is a witness, and some chance ones are near.
-    assert 12 <= found[0].n_witnesses <= 30
-
-
-def test_found_velocities_are_told_from_one_another(found):
-    for i, one in enumerate(found):
-        for other in found[:i]:
-            apart = np.hypot(one.v1 - other.v1, one.v2 - other.v2)
-            assert apart > 1.5 * S
-
-
-def test_the_same_seed_gives_the_same_findings(two, found):
-    def numbers(findings):
-        return [(f.v1, f.v2, f.kind, f.p_local, f.p_global, f.tests) for f in findings]
-
-    assert numbers(search(two)) == numbers(found)
-    other = search(two, seed=1)
-    assert [f.kind for f in other] == [f.kind for f in found]
-    assert [f.v1 for f in other] == [f.v1 for f in found]
-    assert other[2].tests != found[2].tests
-
-
-def test_what_stands_still_is_stationary_and_hides_nothing():
-    d = matches(np.random.default_rng(3), streams((12, 0.0, 0.0), (10, 2.0, 0.5)))
-    first, second = search(d)[:2]
-    assert_found(first, 0.0, 0.0, "stationary")
-    # No order of epochs tells what stands still.
-    assert first.tests["shuffle"].p_global > 0.05
-    assert first.p_global == first.tests["scramble"].p_global
-    assert_found(second, 2.0, 0.5)
-
-
-def test_features_of_many_velocities_have_none_in_common():
-    """Each moves, so the shuffle rejects; none is shared, so the scramble cannot."""
-    rng = np.random.default_rng(4)
-    p, shuffled = [], []
-    for _ in range(12):
-        d = matches(rng, rng.uniform((0, -1), (4, 1), (20, 2)), chance=0.3)
-        finding = search(d, n_trials=49)[0]
-        p.append(finding.p_global)
-        shuffled.append(finding.tests["shuffle"].p_global)
-    assert np.sum(np.less_equal(p, 0.05)) <= 2
-    assert np.median(shuffled) <= 0.05
-
-
-def test_chance_alone_is_no_component():
-    rng = np.random.default_rng(5)
-    p = []
-    for _ in range(12):
-        d = matches(rng, np.zeros((15, 2)), chance=2)
-        d = d.select(np.hypot(*d.motion.T) > 1)
-        p.append(search(d, n_trials=49)[0].p_global)
-    assert np.sum(np.less_equal(p, 0.05)) <= 2
-
-
-def test_a_velocity_beyond_the_limit_is_not_searched(two):
-    for finding in find_velocities(
-        two, consecutive_pairs(YEARS), YEARS, (2.0, 2.0), n_trials=19,
-        rng=np.random.default_rng(0),
-    ):  # fmt: skip
-        assert abs(finding.v1) <= 2
-        assert abs(finding.v2) <= 2
-
-
-def test_the_search_can_be_short(two):
-    assert len(search(two, max_components=1)) == 1
-    assert search(two, max_components=0) == []
-
-
-def test_progress_counts_the_steps(two):
-    steps = []
-    assert len(search(two, n_trials=19, progress=steps.append)) <= len(steps)
-    assert set(steps) == {1}
-
-
-def test_the_level_decides(two):
-    # Nothing is as sure as that, and the search ends at once.
-    (only,) = search(two, n_trials=19, level=0.04)
-    assert only.kind == "uncertain"
-    assert only.p_global >= 0.05
-
-
-class Verdict:
-    """A null hypothesis with a fixed answer."""
-
-    def __init__(self, name, *p):
-        self.name, self.p = name, list(p)
-
-    def test(self, scene, n_trials, rng):
-        p = self.p.pop(0) if len(self.p) > 1 else self.p[0]
-        return NullTest(p, p, n_trials, 1 / (n_trials + 1))
-
-
-def test_the_largest_of_the_nulls_counts(two):
-    wanted = Verdict("one", 0.01), Verdict("other", 0.04, 0.03, 0.2)
-    kinds = [(f.kind, f.p_global) for f in search(two, nulls=wanted)]
-    assert kinds == [("moving", 0.04), ("moving", 0.03), ("uncertain", 0.2)]
-
-
-def test_what_the_shuffle_alone_rejects_is_explained_all_the_same(two):
-    hidden = Verdict("scramble", 0.01, 0.01, 0.3), Verdict("shuffle", 0.6, 0.01, 0.01)
-    kinds = [(f.kind, f.p_global) for f in search(two, nulls=hidden)]
-    assert kinds == [("uncertain", 0.6), ("moving", 0.01), ("uncertain", 0.3)]
-
-
-def empty(n_epochs):
-    nothing, none = np.empty(0), np.empty(0, int)
-    return Displacements(
-        d1=nothing, d2=nothing, s1=nothing, s2=nothing, weight=nothing,
-        reference=none, target=none, ssp=none, target_ssp=none,
-        n_ssps=np.zeros(n_epochs, int),
-        position=np.empty((0, 2)), motion=np.empty((0, 2)),
-    )  # fmt: skip
-
-
-def test_nothing_is_found_in_nothing(two):
-    assert search(empty(8)) == []
-    no_pairs = DatePairs(*(np.zeros(0, int),) * 2, *(np.zeros(0),) * 2, len(YEARS))
-    assert search(two, pairs=no_pairs) == []
-    # Matches of epochs that are no pair.
-    assert search(two.select(np.abs(two.reference - two.target) > 1)) == []
-
-
-@pytest.mark.parametrize("n", [1, 2])
-def test_one_feature_or_two_have_no_common_velocity(n):
-    d = matches(np.random.default_rng(6), [(1.0, 0.0)] * n, chance=0)
-    assert search(d) == []
-
-
-@pytest.mark.parametrize("n_epochs", [2, 3, 4])
-def test_few_epochs_get_an_honest_answer(n_epochs):
-    """However clear: two of the N! orders are the motion and its reversal."""
-    years = np.arange(float(n_epochs))
-    d = matches(np.random.default_rng(7), streams((30, 1.0, 0.0)), years=years)
-    finding = search(d, years=years)[0]
-    smallest = {2: 1.0, 3: 1 / 3, 4: 1 / 12}[n_epochs]
-    assert finding.tests["shuffle"].smallest == pytest.approx(smallest)
-    assert finding.p_global >= smallest
-    assert finding.kind == "uncertain"
-
-
-def test_without_any_displacement_all_stands_still():
-    d = matches(np.random.default_rng(8), np.zeros((30, 2)), error=0.0, chance=0)
-    for finding in search(d):
-        assert finding.v1 == finding.v2 == 0
-        assert finding.kind in ("stationary", "uncertain")
-        assert np.isfinite([finding.p_local, finding.p_global, finding.p_error]).all()
-
-
-@settings(max_examples=10)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 8), st.integers(2, 5))
-def test_numbers_are_finite_whatever_the_matches(seed, n, n_epochs):
-    rng = np.random.default_rng(seed)
-    years = np.cumsum(rng.uniform(0.5, 1.5, n_epochs))
-    d = matches(rng, rng.normal(size=(n, 2)), years=years, chance=rng.choice([0, 2]))
-    d = replace(d, s1=S * 2 ** rng.normal(size=len(d)))
-    for f in search(d, years=years, n_trials=9, max_components=2):
-        assert 0 < f.p_local <= f.p_global <= 1
-        assert np.isfinite([f.v1, f.v2, f.p_error]).all()
-        assert f.kind in ("moving", "stationary", "uncertain")
-
-
-def test_memory_does_not_grow_with_the_trials(two, monkeypatch):
-    monkeypatch.setattr(nulls, "PART_BYTES", 2**20)
-    peaks = []
-    for n_trials in (200, 600):
-        tracemalloc.start()
-        search(two, n_trials=n_trials, max_components=1)
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    assert peaks[1] < peaks[0] + 400 * 2000
-
-
-def test_the_default_nulls_are_both(found):
-    assert [n.name for n in NULLS] == list(found[0].tests)
-    assert isinstance(NULLS[0], ScrambleNull)
-
-
-def wandering(rng, *, jitter, n_scales=3):
-    """One feature on several scales, whose steps are not its mean velocity."""
-    n_epochs = len(YEARS)
-    steps = np.array([1.0, 0.0]) + rng.normal(0, jitter, (n_epochs - 1, 2))
-    path = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    aside = rng.normal(0, 0.3, (n_scales, 2))
-    parts = []
-    for r, t in np.argwhere(~np.eye(n_epochs, dtype=bool)):
-        for k in range(n_scales):
-            parts.append((r, t, k, path[r] + aside[k], path[t] - path[r]))
-    reference, target, scale = (np.array([p[k] for p in parts]) for k in range(3))
-    position, motion = (np.array([p[k] for p in parts]) for k in (3, 4))
-    motion = motion + rng.normal(0, 0.02, motion.shape)
-    one = np.ones(len(parts))
-    return Displacements(
-        d1=motion[:, 0], d2=motion[:, 1], s1=S * one, s2=S * one, weight=one,
-        reference=reference, target=target, ssp=reference * n_scales + scale,
-        target_ssp=target * n_scales + scale, n_ssps=np.full(n_epochs, n_scales),
-        position=position, motion=motion,
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("jitter", [0.0, S / 2, S])
-def test_one_feature_has_no_common_velocity(jitter):
-    """Seen on three scales in seven pairs, wandering or not, it is one feature."""
-    for seed in range(6):
-        d = wandering(np.random.default_rng(seed), jitter=jitter)
-        for finding in search(d):
-            assert finding.kind != "moving"
-            if finding.kind == "uncertain":
-                assert finding.p_global > 0.05
-
-
-def test_what_one_feature_does_does_not_end_the_search():
-    """A bright one outweighs a stream, and no scramble beats it."""
+def one(jet):
+    """A stream of ten features among four that stand still."""
     rng = np.random.default_rng(2)
-    stream = matches(rng, streams((12, 1.5, 0.5)), size=(8.0, 3.0))
-    n = 10
-    one = wandering(rng, jitter=0.0, n_scales=1)
-    bright = replace(
-        one, d1=-0.7 * one.d1, d2=-0.7 * one.d2, motion=-0.7 * one.motion,
-        position=-0.7 * one.position - 20.0, weight=20 * one.weight,
-        ssp=one.ssp + 10_000,
-    )  # fmt: skip
-    names = [f.name for f in fields(stream) if f.name != "n_ssps"]
-    both = {k: np.concatenate([getattr(stream, k), getattr(bright, k)]) for k in names}
-    found = search(Displacements(**both, n_ssps=stream.n_ssps + n))
-    first = found[0]
-    assert first.n_features < 3
-    assert first.kind == "uncertain"
-    assert np.hypot(first.v1 + 0.7, first.v2) < S
-    assert any(
-        f.kind == "moving" and np.hypot(f.v1 - 1.5, f.v2 - 0.5) < S for f in found
+    return jet(rng, YEARS, [(10, 0.5, 0.1)], still=4, chance=2, length=20.0, seen=0.9)
+
+
+@pytest.fixture(scope="module")
+def two(jet):
+    rng = np.random.default_rng(1)
+    streams = [(8, 0.3, 0.05), (6, 1.0, 0.05)]
+    return jet(rng, YEARS, streams, chance=1, length=16.0, seen=0.95)
+
+
+def feature(speed, motion=2.0):
+    return Feature(np.arange(4), speed, 0.02, 0.0, 0.02, 0.0, motion, np.zeros(4))
+
+
+class TestClassify:
+    """Of what is significant in every respect, one thing after the other is not."""
+
+    def kind(self, mean=0.5, p_global=0.01, motions=(1.2, 1.3), smallest_p=0.01):
+        along = Population(mean, 0.1, 0.05, 0.02)
+        features = [feature(mean, motion) for motion in motions]
+        permutations = SimpleNamespace(smallest_p=smallest_p)
+        return classify(along, p_global, features, permutations, 0.05, SEARCH)
+
+    def test_moving(self):
+        assert self.kind() == ("moving", "")
+        assert self.kind(mean=-0.17) == ("moving", "")
+        # Alpha itself is small enough.
+        assert self.kind(p_global=0.05, smallest_p=0.05) == ("moving", "")
+        assert self.kind(motions=(1.75,)) == ("moving", "")
+        assert self.kind(motions=(1.1, 1.1, 1.1)) == ("moving", "")
+
+    @pytest.mark.parametrize(
+        ("change", "reason"),
+        [
+            (
+                {"smallest_p": 1 / 12},
+                "too few epochs or trials: no p_global below 0.083",
+            ),
+            ({"p_global": 0.06}, "permuted epochs show as much (p_global above alpha)"),
+            ({"motions": ()}, "no single feature is seen to move at this speed"),
+            (
+                {"motions": (0.6, 0.8, 1.0)},
+                "its features move 1.4 beams, added in squares, less than 1.75: blends "
+                "of standing features drift as far",
+            ),
+            ({"mean": -0.16}, "rest is within 1.645 errors of the speed (95%)"),
+        ],
     )
+    def test_every_reason(self, change, reason):
+        assert self.kind(**change) == ("not significant", reason)
+
+    def test_the_first_reason_is_given(self):
+        changes = {"smallest_p": 0.1, "p_global": 0.5, "motions": (), "mean": 0.0}
+        words = ["too few", "permuted", "no single feature", "rest is within"]
+        for (name, _), word in zip(list(changes.items()), words, strict=True):
+            assert word in self.kind(**changes)[1]
+            changes.pop(name)
 
 
-def test_what_was_left_is_a_selection(two, found):
-    for finding in found:
-        assert finding.everything is two
-        assert len(finding.displacements) == finding.left.sum() == len(finding.group)
-    assert found[0].left.all()
-    assert not (found[1].left & ~found[0].left).any()
+class TestOneStream:
+    def test_it_is_found_with_its_speed(self, one):
+        found = search(one)
+        first, still = found.streams
+        assert (first.kind, first.reason) == ("moving", "")
+        assert first.along.mean == pytest.approx(0.5, abs=3 * first.along.error)
+        assert 0 < first.along.error < 0.05
+        assert first.along.dispersion == pytest.approx(0.05, abs=0.03)
+        assert abs(first.across.mean) < 3 * first.across.error
+        assert len(first.features) >= 6
+        assert first.p_global == first.p_distinct == 0.01
+        assert first.p_local <= first.p_global
+        assert still.kind == "stationary"
+        assert abs(still.along.mean) < 3 * still.along.error
+        assert np.isnan(still.z)
+        assert len(still.features) >= 3
+
+    def test_its_numbers_are_those_of_its_features_at_the_quoted_speed(self, one):
+        found = search(one)
+        for stream in found.streams:
+            speed, error = feature_speeds(stream.features)
+            assert stream.along == random_effects(speed, error)
+            across = [[f.across, f.across_error] for f in stream.features]
+            assert stream.across == random_effects(*np.transpose(across))
+            assert (stream.angle, found.angle) == (0, 0)
+        first, test = found.streams[0], found.permutations
+        mean = first.along.mean
+        assert (first.p_local, first.p_global) == test.p_values(0, mean)
+        assert first.z == test.significance(0, mean)
+
+    def test_the_diagram_and_the_permutations_are_of_the_matches(self, one):
+        found = search(one)
+        rays = Rays.of(YEARS, 1.5, SEARCH)
+        wanted = Diagram.of(one, rays, SEARCH)
+        np.testing.assert_array_equal(found.diagram.excess, wanted.excess)
+        rng = np.random.default_rng(0).spawn(1)[0]
+        test = EpochPermutations.of([one], rays, 99, rng, SEARCH)
+        np.testing.assert_array_equal(found.permutations.z, test.z)
+        np.testing.assert_array_equal(found.permutations.permuted, test.permuted)
+
+    def test_no_ssp_both_moves_and_stands(self, one):
+        first, still = search(one).streams
+        moving = np.concatenate([f.ssp for f in first.features])
+        standing = np.concatenate([f.ssp for f in still.features])
+        assert len(np.unique(moving)) == len(moving)
+        assert not np.intersect1d(moving, standing).size
+
+    def test_the_same_seed_gives_the_same_streams(self, two):
+        a, b = search(two, seed=3), search(two, seed=3)
+        for one, other in zip(a.streams, b.streams, strict=True):
+            assert one.along == other.along
+            assert one.p_distinct == other.p_distinct
+
+    def test_settings_are_used(self, one):
+        far = replace(SEARCH, least_motion=50.0)
+        found = search(one, settings=far)
+        assert found.streams[0].reason.endswith(
+            "less than 50: blends of standing features drift as far"
+        )
+
+    def test_a_stricter_level_needs_more_trials(self, one):
+        assert "too few" in search(one, alpha=0.001).streams[0].reason
+        found = search(one, alpha=0.001, n_trials=999).streams[0]
+        assert (found.kind, found.p_global) == ("moving", 0.001)
+
+
+class TestTwoStreams:
+    def test_both_are_found(self, two):
+        found = search(two)
+        slow, fast = sorted(found.streams, key=lambda s: s.along.mean)
+        for stream, speed, least in ((slow, 0.3, 5), (fast, 1.0, 3)):
+            assert stream.kind == "moving"
+            assert stream.along.mean == pytest.approx(speed, rel=0.1)
+            assert len(stream.features) >= least
+        first, second = found.streams
+        assert first.z >= second.z
+        assert first.p_distinct == first.p_global
+        assert 0.01 <= second.p_distinct <= 0.05
+
+    @pytest.mark.parametrize(("n", "first"), [((10, 5), 0.3), ((4, 12), 1.0)])
+    def test_the_more_significant_one_is_first(self, jet, n, first):
+        streams = [(n[0], 0.3, 0.05), (n[1], 1.0, 0.05)]
+        d = jet(np.random.default_rng(0), YEARS, streams, length=16.0)
+        found = search(d).streams
+        assert [s.kind for s in found[:2]] == ["moving", "moving"]
+        assert found[0].along.mean == pytest.approx(first, rel=0.1)
+        assert found[0].z >= found[1].z
+
+    def test_the_second_is_as_distinct_as_the_bootstrap_says(self, two):
+        found = search(two)
+        first, second = found.streams
+        p, fast = separate_streams(
+            (*first.features, *second.features),
+            99,
+            np.random.default_rng(0).spawn(2)[1],
+        )
+        # The features are in another order, so the trials are others.
+        assert second.p_distinct == pytest.approx(p, abs=0.03)
+        faster = abs(second.along.mean) > abs(first.along.mean)
+        np.testing.assert_array_equal(
+            fast[: len(first.features)], np.full(len(first.features), not faster)
+        )
+
+    def test_speeds_whose_mean_is_none_of_theirs(self, monkeypatch, two):
+        """Where they cannot be told apart those near the largest z are the stream."""
+        import sys
+
+        module = sys.modules[find_streams.__module__]
+        monkeypatch.setattr(
+            module, "separate_streams", lambda f, n, rng: (1.0, np.zeros(len(f), bool))
+        )
+        test = search(two).permutations
+        axis, speed = test.largest()
+        p_values = EpochPermutations.p_values
+
+        def only_there(self, axis, v):
+            return p_values(self, axis, v) if abs(v / speed - 1) < 0.2 else (1.0, 1.0)
+
+        monkeypatch.setattr(EpochPermutations, "p_values", only_there)
+        (found,) = search(two).streams
+        assert found.kind == "moving"
+        assert found.along.mean == pytest.approx(speed, rel=0.1)
+        assert all(abs(f.speed / speed - 1) <= 0.35 for f in found.features)
+
+
+class TestNotSignificant:
+    def test_chance(self, jet):
+        d = jet(np.random.default_rng(1), YEARS, chance=8)
+        found = search(d)
+        assert kinds(found) == ["not significant"]
+        stream = found.streams[0]
+        assert stream.reason == "permuted epochs show as much (p_global above alpha)"
+        assert stream.p_global > 0.05
+
+    def test_standing_features_only(self, lines, axis_matches):
+        rng, starts = np.random.default_rng(1), 1.2 * np.arange(8)
+        position, epoch = lines([0.0] * 8, starts, YEARS, scatter=0.05, rng=rng)
+        d = axis_matches(position, epoch, YEARS)
+        found = search(d)
+        assert kinds(found)[-1] == "stationary"
+        assert "moving" not in kinds(found)
+        assert len(found.streams[-1].features) == 8
+
+    def test_four_epochs(self, lines, axis_matches):
+        years = YEARS[:4]
+        d = axis_matches(*lines([0.6] * 6, 3.0 * np.arange(6), years), years)
+        found = search(d, n_trials=999)
+        assert kinds(found) == ["not significant"]
+        stream = found.streams[0]
+        assert stream.reason.startswith(
+            "too few epochs or trials: no p_global below 0.08"
+        )
+        # The numbers are given all the same.
+        assert stream.along.mean == pytest.approx(0.6, abs=0.01)
+        assert len(stream.features) == 6
+
+    def test_matches_without_ssps_have_no_features(self, one):
+        d = replace(one, target_ssp=np.full(len(one), -1))
+        found = search(d)
+        (stream,) = found.streams
+        assert stream.kind == "not significant"
+        assert stream.reason == "no single feature is seen to move at this speed"
+        axis, speed = found.permutations.largest()
+        assert stream.along.mean == speed == pytest.approx(0.5, rel=0.15)
+        assert (stream.p_local, stream.p_global) == found.permutations.p_values(
+            axis, speed
+        )
+        assert stream.p_distinct == stream.p_global
+        assert np.isnan(stream.along.error)
+        assert stream.features == ()
+
+    def test_motion_no_farther_than_blends_drift(self, lines, axis_matches):
+        """Features that are seen for two years each."""
+        rng, parts, years = np.random.default_rng(2), [], np.arange(0, 12, 0.5)
+        for k in range(0, 20, 5):
+            position, epoch = lines([0.4], [3.0 * k], years, scatter=0.01, rng=rng)
+            here = np.arange(k, k + 5)
+            parts.append((position[here], epoch[here]))
+        position, epoch = (np.concatenate(p) for p in zip(*parts, strict=True))
+        found = search(axis_matches(position, epoch, years)).streams[0]
+        assert found.kind == "not significant"
+        assert found.reason.startswith("its features move 1.6 beams, added in squares")
+        assert found.along.mean == pytest.approx(0.4, abs=0.01)
+
+    def test_without_matches_there_is_no_stream(self, one):
+        found = search(one.select(np.zeros(len(one), dtype=bool)))
+        assert found.streams == ()
+        assert not found.diagram.excess.any()
+
+    def test_epochs_that_are_all_the_same(self, lines, axis_matches):
+        d = axis_matches(*lines([0.0] * 5, 3.0 * np.arange(5), YEARS), YEARS)
+        found = search(d)
+        assert "moving" not in kinds(found)
+        assert len(found.streams[-1].features) == 5
+
+
+class TestRestrictions:
+    def test_outward_only(self, one):
+        assert kinds(search(one, outward=True))[0] == "moving"
+        inward = replace(one, along=-one.along, position=one.position * (-1, 1))
+        assert search(inward).streams[0].along.mean < 0
+        outward = search(inward, outward=True)
+        assert (outward.permutations.speed > 0).all()
+        assert "moving" not in kinds(outward)
+
+    def test_the_largest_speed(self, two):
+        found = search(two, fastest=0.6)
+        assert found.permutations.speed.max() == pytest.approx(0.6)
+        first = found.streams[0]
+        assert first.kind == "moving"
+        assert first.along.mean == pytest.approx(0.3, rel=0.1)
+        assert all(f.speed < 1.1 * 0.6 for f in first.features)
+
+    def test_intervals(self, one):
+        found = search(one, intervals=(0.5, 1.5))
+        assert found.diagram.interval.max() <= 1.5
+        assert found.streams[0].along.mean == pytest.approx(0.5, rel=0.1)
+
+    def test_no_two_epochs_so_far_apart(self, one):
+        with pytest.raises(ValueError, match="no two epochs are 20 to 30 yr apart"):
+            search(one, intervals=(20.0, 30.0))
+
+
+class TestDirection:
+    """Where the direction of the flow is not known several axes are searched."""
+
+    ANGLES = np.arange(12) * np.pi / 12
+
+    @staticmethod
+    def turned(lines, axis_matches, angle, speed=0.6):
+        rng = np.random.default_rng(1)
+        starts = 2.0 * np.arange(8)
+        position, epoch = lines([speed] * 8, starts, YEARS, scatter=0.03, rng=rng)
+
+        def project(axis):
+            turn = angle - axis
+            matrix = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+            return axis_matches(position @ np.transpose(matrix), epoch, YEARS)
+
+        return project
+
+    @pytest.mark.parametrize("degrees", [0, 20, 90, 128, 173])
+    @pytest.mark.parametrize("speed", [0.6, -0.6])
+    def test_it_is_found(self, lines, axis_matches, degrees, speed):
+        angle = np.radians(degrees)
+        found = search(self.turned(lines, axis_matches, angle, speed), self.ANGLES)
+        stream = found.streams[0]
+        assert stream.kind == "moving"
+        east = stream.along.mean * np.exp(1j * stream.angle)
+        assert abs(east - speed * np.exp(1j * angle)) < 0.03
+        assert abs((stream.angle - angle + np.pi / 2) % np.pi - np.pi / 2) < 0.03
+        assert found.angle == stream.angle
+        assert found.permutations.z.shape[0] == 12
+
+    @pytest.mark.parametrize("degrees", [40, 88, 140])
+    def test_it_is_that_of_the_features(self, lines, axis_matches, degrees):
+        """Three axes, and a flow that is far from them."""
+        project = self.turned(lines, axis_matches, np.radians(degrees), 0.3)
+        found = search(project, np.arange(3) * np.pi / 3)
+        assert abs((np.degrees(found.angle) - degrees + 90) % 180 - 90) < 2
+        assert found.axis == round(degrees / 60) % 3
+        assert found.streams[0].along.mean == pytest.approx(0.3, abs=0.02)
+
+    def test_features_of_the_other_direction_alone(self, lines, axis_matches):
+        """What is significant has no SSPs, and what has moves against it."""
+        back = self.turned(lines, axis_matches, 0.0, -0.6)
+        forth = axis_matches(*lines([0.5] * 15, 3.0 * np.arange(15), YEARS), YEARS)
+
+        def project(axis):
+            d, n = back(axis), np.cos(axis)
+            return replace(
+                d,
+                **{
+                    name: np.concatenate([getattr(d, name), getattr(forth, name)])
+                    for name in ("weight", "reference", "target")
+                },
+                along=np.concatenate([d.along, n * forth.along]),
+                across=np.concatenate([d.across, np.sin(axis) * forth.along]),
+                ssp=np.concatenate([d.ssp, np.zeros(len(forth), dtype=int)]),
+                target_ssp=np.concatenate([d.target_ssp, np.full(len(forth), -1)]),
+            )
+
+        found = search(project, [0.0, np.pi / 2])
+        stream = found.streams[0]
+        assert stream.reason == "no single feature is seen to move at this speed"
+        assert stream.along.mean == pytest.approx(0.5, rel=0.15)
+
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+class TestProperties:
+    """With eight epochs, of eight noisy features."""
+
+    @staticmethod
+    def matches(lines, axis_matches, seed):
+        rng = np.random.default_rng(seed)
+        years = np.cumsum(rng.uniform(0.7, 1.3, 8))
+        # Of one speed: of many different ones one in twenty sets is split in two.
+        speeds, starts = np.full(8, 0.6), 3.0 * np.arange(8)
+        position, epoch = lines(speeds, starts, years, scatter=0.03, rng=rng)
+        return axis_matches(position, epoch, years)
+
+    @given(seeds, st.sampled_from([1 / 365.25, 12.0]))
+    @settings(max_examples=5)
+    def test_years_or_days(self, lines, axis_matches, seed, unit):
+        d = self.matches(lines, axis_matches, seed)
+        a, b = search(d).streams[0], search(replace(d, years=unit * d.years)).streams[0]
+        assert a.kind == b.kind == "moving"
+        assert b.along.mean == pytest.approx(a.along.mean / unit)
+        assert b.along.error == pytest.approx(a.along.error / unit)
+        assert (b.p_global, b.p_local) == (a.p_global, a.p_local)
+
+    @given(seeds)
+    @settings(max_examples=5)
+    def test_the_other_direction_has_the_other_sign(self, lines, axis_matches, seed):
+        d = self.matches(lines, axis_matches, seed)
+        a = search(d).streams[0]
+        b = search(replace(d, along=-d.along, position=d.position * (-1, 1))).streams[0]
+        assert b.along.mean == pytest.approx(-a.along.mean)
+        assert b.across.mean == pytest.approx(a.across.mean)
+        assert (b.kind, b.p_global) == (a.kind, a.p_global)
+
+    @given(seeds)
+    @settings(max_examples=5)
+    def test_the_order_of_the_matches_does_not_matter(self, lines, axis_matches, seed):
+        d = self.matches(lines, axis_matches, seed)
+        order = np.random.default_rng(seed).permutation(len(d))
+        a, b = search(d).streams[0], search(d.select(order)).streams[0]
+        assert b.along.mean == pytest.approx(a.along.mean)
+        assert (b.kind, b.p_global) == (a.kind, a.p_global)
+
+    @given(seeds, st.integers(0, 8))
+    @settings(max_examples=5)
+    def test_an_epoch_without_matches_does_no_harm(
+        self, lines, axis_matches, seed, after
+    ):
+        d = self.matches(lines, axis_matches, seed)
+        ends = np.concatenate([[d.years[0] - 1], d.years, [d.years[-1] + 1]])
+        other = replace(
+            d,
+            years=np.insert(d.years, after, 0.5 * (ends[after] + ends[after + 1])),
+            epoch=d.epoch + (d.epoch >= after),
+            reference=d.reference + (d.reference >= after),
+            target=d.target + (d.target >= after),
+        )
+        a, b = search(d).streams[0], search(other).streams[0]
+        assert b.kind == "moving"
+        assert b.along.mean == pytest.approx(a.along.mean, abs=a.along.error)
+        assert b.p_global <= 0.05

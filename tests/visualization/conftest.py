@@ -8,30 +8,22 @@ import numpy as np
 import pytest
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.simulation import simulate_two_fluid
 
 
 @pytest.fixture(scope="session")
-def cube():
-    return simulate_two_fluid(n_epochs=5, rng=1).cube
+def cube(jet_cube):
+    return jet_cube
 
 
 @pytest.fixture(scope="session")
-def matched(cube):
-    scc = StackedCrossCorrelation(scales=[1, 2, 3], max_speed=36 * u.mas / u.yr)
-    return scc.match(cube)
+def matched(jet_matched):
+    return jet_matched
 
 
 @pytest.fixture(scope="session")
-def results(matched):
+def results(jet_results):
     """Results of the same matches by the kind of their axes."""
-    angles = {"jet": 270 * u.deg, "sky": None, "radial": "radial"}
-    return {
-        name: StackedCrossCorrelation(
-            scales=[1, 2, 3], max_speed=36 * u.mas / u.yr, position_angle=angle
-        ).stack(matched, n_trials=40, rng=1)
-        for name, angle in angles.items()
-    }  # fmt: skip
+    return jet_results
 
 
 @pytest.fixture(scope="session")
@@ -42,7 +34,7 @@ def result(results):
 @pytest.fixture(scope="session")
 def empty(result):
     """A result without components."""
-    return replace(result, maxima=(), findings=(), error_parts=(), jitters=())
+    return replace(result, maxima=(), velocities=(), jitters=())
 
 
 @pytest.fixture(scope="session")

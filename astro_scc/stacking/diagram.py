@@ -1,0 +1,571 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The displacement-interval diagram, its rays, and its permutations."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from astro_scc.stacking.permutations import number_of_orders, permutations_of_epochs
+from astro_scc.stacking.search import SearchSettings
+
+__all__ = ["AxisDisplacements", "Diagram", "EpochPermutations", "Rays"]
+
+#: Grid points of the displacement in one blur.
+POINTS = 4
+#: Standard deviations of the permutations are at least this share of the largest
+#: of any axis at the same speed: single matches across the flow are no surprise.
+STD_FLOOR = 0.3
+#: Bytes of permuted diagrams that are made at once.
+BYTES = 2**26
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AxisDisplacements:
+    """
+    Displacements of matches along one axis, and the SSPs that they connect.
+
+    Lengths are in beams.
+
+    Attributes
+    ----------
+    along, across : `~numpy.ndarray`, shape (n,)
+        From the SSP to its match, along the axis and across it.
+    weight : `~numpy.ndarray`, shape (n,)
+    reference, target : `~numpy.ndarray` of int, shape (n,)
+        Epochs of the SSP and of its match.
+    ssp, target_ssp : `~numpy.ndarray` of int, shape (n,)
+        The SSP, and the one that the match falls on or -1.
+    position : `~numpy.ndarray`, shape (n_ssps, 2)
+        Of each SSP along the axis and across it.
+    epoch, scale : `~numpy.ndarray`, shape (n_ssps,)
+    years : `~numpy.ndarray`, shape (n_epochs,)
+        Dates in years, ascending.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import AxisDisplacements
+    >>> one = np.ones(1)
+    >>> d = AxisDisplacements(
+    ...     along=0.4 * one, across=0 * one, weight=one, reference=np.array([0]),
+    ...     target=np.array([1]), ssp=np.array([0]), target_ssp=np.array([1]),
+    ...     position=np.array([[1.0, 0], [1.4, 0]]), epoch=np.array([0, 1]),
+    ...     scale=np.ones(2), years=np.array([2000.0, 2000.5]))
+    >>> len(d), d.interval
+    (1, array([0.5]))
+    """
+
+    along: np.ndarray
+    across: np.ndarray
+    weight: np.ndarray
+    reference: np.ndarray
+    target: np.ndarray
+    ssp: np.ndarray
+    target_ssp: np.ndarray
+    position: np.ndarray
+    epoch: np.ndarray
+    scale: np.ndarray
+    years: np.ndarray
+
+    def __len__(self):
+        return len(self.along)
+
+    @property
+    def interval(self):
+        """Time from the SSP's epoch to its match's, in years, with its sign."""
+        return self.years[self.target] - self.years[self.reference]
+
+    def select(self, keep):
+        """
+        A selection of the matches.
+
+        Parameters
+        ----------
+        keep : array_like of bool, shape (n,), or indices
+
+        Returns
+        -------
+        `AxisDisplacements`
+        """
+        names = ("along", "across", "weight", "reference", "target", "ssp",
+                 "target_ssp")  # fmt: skip
+        rest = ("position", "epoch", "scale", "years")
+        return AxisDisplacements(
+            **{name: getattr(self, name)[keep] for name in names},
+            **{name: getattr(self, name) for name in rest},
+        )
+
+    def without_ssps(self, taken):
+        """
+        The matches from and to SSPs that are not taken.
+
+        Parameters
+        ----------
+        taken : `~numpy.ndarray` of bool, shape (n_ssps,)
+
+        Returns
+        -------
+        `AxisDisplacements`
+        """
+        there = np.where(self.target_ssp >= 0, taken[self.target_ssp], False)
+        return self.select(~(taken[self.ssp] | there))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagram:
+    """
+    Density of matches over displacement and interval, beyond chance.
+
+    ``E(d, tau) = sum_(i<j in tau) (H_ij(d) - <H>(d))``, where ``H_ij`` is
+    the density of the displacements from the image at date i to that at date
+    j, weighted by the correlation coefficient and smoothed, and ``<H>`` its
+    mean over all ordered pairs of different images: under all permutations
+    of the epochs every pair of images falls on every pair of dates equally
+    often.  What moves with the speed v lies on the ray d = v tau.
+
+    Attributes
+    ----------
+    displacement : `~numpy.ndarray`, shape (n_d,)
+        In beams.
+    interval : `~numpy.ndarray`, shape (n_tau,)
+        Mean of each bin, in years.
+    n_pairs : `~numpy.ndarray` of int, shape (n_tau,)
+        Pairs of dates in each bin.
+    observed, excess : `~numpy.ndarray`, shape (n_tau, n_d)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import AxisDisplacements, Diagram, Rays, SearchSettings
+    >>> years = np.array([0.0, 1.0, 2.5])
+    >>> ssp, to = np.array([0, 0, 1]), np.array([1, 2, 2])
+    >>> d = AxisDisplacements(
+    ...     along=0.4 * (years[to] - years[ssp]), across=np.zeros(3), weight=np.ones(3),
+    ...     reference=ssp, target=to, ssp=ssp, target_ssp=to,
+    ...     position=np.zeros((3, 2)), epoch=np.arange(3), scale=np.ones(3),
+    ...     years=years)
+    >>> rays = Rays.of(years, 1.5, SearchSettings())
+    >>> diagram = Diagram.of(d, rays, SearchSettings())
+    >>> diagram.displacement[diagram.excess.argmax(axis=1)].round(1)
+    array([0.4, 0.6, 1. ])
+    """
+
+    displacement: np.ndarray
+    interval: np.ndarray
+    n_pairs: np.ndarray
+    observed: np.ndarray
+    excess: np.ndarray
+
+    @classmethod
+    def of(cls, displacements, rays, settings):
+        """
+        The diagram of the epochs in their order.
+
+        Parameters
+        ----------
+        displacements : `AxisDisplacements`
+        rays : `Rays`
+        settings : `~astro_scc.stacking.SearchSettings`
+
+        Returns
+        -------
+        `Diagram`
+        """
+        bins = rays.bins
+        density = PairDensity.of(displacements, rays.radius, settings)
+        observed = bins.sums(density.pairs, np.arange(len(displacements.years))[None])
+        return cls(
+            displacement=density.grid,
+            interval=bins.mean,
+            n_pairs=bins.number,
+            observed=observed[0],
+            excess=observed[0] - bins.number[:, None] * density.mean,
+        )
+
+    def share_of_motion(self, along, interval):
+        """
+        Share of the matches beyond chance at displacements and intervals.
+
+        Parameters
+        ----------
+        along, interval : array_like, shape (n,)
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (n,)
+            Between 0 and 1.
+        """
+        share = np.clip(self.excess / np.maximum(self.observed, 1e-9), 0, 1)
+        row = np.abs(np.log(interval)[:, None] - np.log(self.interval)).argmin(axis=1)
+        step = self.displacement[1] - self.displacement[0]
+        column = np.rint((along - self.displacement[0]) / step).astype(int)
+        return share[row, np.clip(column, 0, len(self.displacement) - 1)]
+
+
+@dataclass(frozen=True, eq=False)
+class PairDensity:
+    """Smoothed densities of the displacements of all ordered pairs of images."""
+
+    grid: np.ndarray
+    pairs: np.ndarray
+    mean: np.ndarray
+
+    @classmethod
+    def of(cls, d, radius, settings):
+        n = len(d.years)
+        half = int(np.ceil(POINTS * radius / settings.blur))
+        step = radius / half
+        grid = step * np.arange(-half, half + 1)
+        use = (np.abs(d.across) <= settings.across) & (np.abs(d.along) <= radius)
+        place = (d.along[use] + radius) / step
+        low = np.clip(np.floor(place).astype(int), 0, 2 * half - 1)
+        part = place - low
+        row = d.reference[use].astype(int) * n + d.target[use]
+        flat = np.concatenate([row * len(grid) + low, row * len(grid) + low + 1])
+        weight = np.concatenate([d.weight[use] * (1 - part), d.weight[use] * part])
+        pairs = np.bincount(flat, weight, n * n * len(grid)).reshape(n, n, -1)
+        # From the later image's side the same motion has the other sign.
+        pairs = pairs + pairs.transpose(1, 0, 2)[:, :, ::-1]
+        kernel = np.exp(-0.5 * ((grid[:, None] - grid) / settings.blur) ** 2)
+        pairs = (pairs.reshape(n * n, -1) @ kernel).reshape(n, n, -1)
+        mean = pairs[~np.eye(n, dtype=bool)].mean(axis=0)
+        return cls(grid, pairs.reshape(n * n, -1), mean)
+
+
+@dataclass(frozen=True, eq=False)
+class IntervalBins:
+    """Pairs of dates in bins of their interval, of one relative width."""
+
+    n_dates: int
+    first: np.ndarray
+    second: np.ndarray
+    bin: np.ndarray
+    mean: np.ndarray
+    number: np.ndarray
+
+    @classmethod
+    def of(cls, years, step, intervals):
+        first, second = np.triu_indices(len(years), 1)
+        interval = years[second] - years[first]
+        use = (interval > 0) & (interval >= intervals[0]) & (interval <= intervals[1])
+        first, second, interval = first[use], second[use], interval[use]
+        number = np.floor(np.log(interval / interval.min(initial=np.inf)) / step + 1e-9)
+        _, which = np.unique(number, return_inverse=True)
+        count = np.bincount(which)
+        mean = np.bincount(which, interval) / count
+        return cls(len(years), first, second, which, mean, count)
+
+    def sums(self, pairs, orders):
+        """Sums of densities of pairs of images over bins, (n_orders, n_tau, n_d)."""
+        n, n_bins = len(orders), len(self.mean)
+        rows = np.arange(n)[:, None] * n_bins + self.bin
+        columns = orders[:, self.first] * self.n_dates + orders[:, self.second]
+        where = rows.ravel(), columns.ravel()
+        sums = csr_array(
+            (np.ones(rows.size), where), shape=(n * n_bins, self.n_dates**2)
+        )
+        return (sums @ pairs).reshape(n, n_bins, -1)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rays:
+    """
+    Which speeds are searched, and in which intervals each of them.
+
+    Attributes
+    ----------
+    speed : `~numpy.ndarray`, shape (n_v,)
+        In beams a year, both directions, even in the logarithm: from that
+        which moves ``slowest`` beams in the whole time to that which moves
+        ``radius`` in the shorter quarter of the intervals between epochs.
+    bins : `IntervalBins`
+    radius : float
+        Largest displacement in beams.
+    shortest : float
+        Intervals up to this one are the shortest there are, in years.
+    intervals : tuple of float
+        Shortest and longest interval that is used.
+    settings : `~astro_scc.stacking.SearchSettings`
+
+    Examples
+    --------
+    Of six epochs in five years, from one beam in all to 1.5 in one year.
+    What moves half a beam a year is looked for in intervals up to two years:
+
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Rays, SearchSettings
+    >>> rays = Rays.of(np.arange(6.0), 1.5, SearchSettings())
+    >>> rays.speed[rays.speed > 0][[0, -1]]
+    array([0.2, 1.5])
+    >>> rays.bins.mean
+    array([1., 2., 3., 4., 5.])
+    >>> rays.weight(0.5 * rays.bins.mean, rays.bins.mean)
+    array([1. , 0.5, 0. , 0. , 0. ])
+    """
+
+    speed: np.ndarray
+    bins: "IntervalBins"
+    radius: float
+    shortest: float
+    intervals: tuple
+    settings: SearchSettings
+
+    @classmethod
+    def of(cls, years, radius, settings, fastest=np.inf, intervals=(0.0, np.inf)):
+        """
+        The rays for some dates.
+
+        Parameters
+        ----------
+        years : `~numpy.ndarray`, shape (n_epochs,)
+        radius : float
+        settings : `~astro_scc.stacking.SearchSettings`
+        fastest : float, optional
+            Largest speed.
+        intervals : tuple of float, optional
+
+        Returns
+        -------
+        `Rays`
+
+        Raises
+        ------
+        ValueError
+            If no two epochs are as far apart as ``intervals`` ask.
+        """
+        bins = IntervalBins.of(years, settings.interval_step, intervals)
+        if len(bins.mean) == 0:
+            raise ValueError(
+                f"no two epochs are {intervals[0]:g} to {intervals[1]:g} yr apart"
+            )
+        gaps = np.diff(years)
+        gaps = gaps[(gaps > 0) & (gaps >= intervals[0]) & (gaps <= intervals[1])]
+        used = bins.mean.min() if len(gaps) == 0 else np.quantile(gaps, 0.25)
+        longest = min(years[-1] - years[0], intervals[1])
+        fastest = min(radius / used, fastest)
+        slowest = min(settings.slowest / longest, 0.25 * fastest)
+        n = int(np.ceil(np.log(fastest / slowest) / settings.speed_step))
+        speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
+        return cls(
+            speed=np.concatenate([-speed[::-1], speed]),
+            bins=bins,
+            radius=radius,
+            shortest=1.05 * used,
+            intervals=intervals,
+            settings=settings,
+        )
+
+    def weight(self, motion, interval):
+        """
+        Weight of intervals: those in which a speed moves as far as counts.
+
+        Parameters
+        ----------
+        motion, interval : array_like
+            Displacement in beams, and interval in years.
+
+        Returns
+        -------
+        `~numpy.ndarray`
+            Between 0 and 1.
+        """
+        settings = self.settings
+        motion, interval = np.abs(motion), np.abs(interval)
+        soft = 0.25 * settings.nearest
+        near = np.clip((motion - settings.nearest) / (2 * soft) + 0.5, 0, 1)
+        far = np.clip((settings.farthest - motion) / (4 * soft) + 0.5, 0, 1)
+        # What moves farther even in the shortest intervals is looked for there.
+        far = np.where((interval <= self.shortest) & (motion <= self.radius), 1.0, far)
+        used = (interval >= self.intervals[0]) & (interval <= self.intervals[1])
+        return near * far * used
+
+    def matrix(self, speed, grid):
+        """
+        Sums of a diagram over rays, as a matrix.
+
+        Parameters
+        ----------
+        speed : `~numpy.ndarray`, shape (n_v,)
+        grid : `~numpy.ndarray`, shape (n_d,)
+            Displacements of the diagram.
+
+        Returns
+        -------
+        `~scipy.sparse.csr_array`, shape (n_v, n_tau * n_d)
+        """
+        interval = self.bins.mean
+        motion = speed[:, None] * interval
+        weight = self.weight(motion, np.broadcast_to(interval, motion.shape))
+        step, n = grid[1] - grid[0], len(grid)
+        place = (np.clip(motion, grid[0], grid[-1]) - grid[0]) / step
+        low = np.minimum(np.floor(place).astype(int), n - 2)
+        part = place - low
+        row, column = np.nonzero(weight)
+        cell = column * n + low[row, column]
+        value, part = weight[row, column], part[row, column]
+        values = np.concatenate([value * (1 - part), value * part])
+        where = np.concatenate([row, row]), np.concatenate([cell, cell + 1])
+        return csr_array((values, where), shape=(len(speed), len(interval) * n))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EpochPermutations:
+    """
+    What permuted epochs show along the rays of the diagram.
+
+    Attributes
+    ----------
+    speed : `~numpy.ndarray`, shape (n_v,)
+        In beams a year, both directions.
+    z : `~numpy.ndarray`, shape (n_axes, n_v)
+        ``E(v) / std E(v)``, E the sum of the excess along a ray and the
+        standard deviation that of all orders, the observed one among them.
+    permuted : `~numpy.ndarray`, shape (n_orders - 1, n_axes, n_v)
+        The same of each permutation.
+    smallest_p : float
+        Smallest probability that the number of orders allows.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import (AxisDisplacements, EpochPermutations,
+    ...                                 Rays, SearchSettings)
+    >>> years = np.arange(6.0)
+    >>> ssp, to = (k[~np.eye(6, dtype=bool)] for k in np.indices((6, 6)))
+    >>> d = AxisDisplacements(
+    ...     along=0.5 * (to - ssp), across=np.zeros(30), weight=np.ones(30),
+    ...     reference=ssp, target=to, ssp=ssp, target_ssp=to,
+    ...     position=np.zeros((6, 2)), epoch=np.arange(6), scale=np.ones(6),
+    ...     years=years)
+    >>> rays = Rays.of(years, 1.5, SearchSettings())
+    >>> test = EpochPermutations.of([d], rays, 99, np.random.default_rng(1),
+    ...                             SearchSettings())
+    >>> axis, speed = test.largest()
+    >>> axis, abs(speed - 0.5) < 0.1, test.p_values(axis, speed)[1] < 0.05
+    (0, True, True)
+    """
+
+    speed: np.ndarray
+    z: np.ndarray
+    permuted: np.ndarray
+    smallest_p: float
+
+    @classmethod
+    def of(cls, axes, rays, n_trials, rng, settings, *, outward=False):
+        """
+        Permute the epochs.
+
+        Parameters
+        ----------
+        axes : sequence of `AxisDisplacements`
+            The same matches along each axis that is searched.
+        rays : `Rays`
+        n_trials : int
+            Number of permutations; all there are if they are fewer.
+        rng : `~numpy.random.Generator`
+        settings : `~astro_scc.stacking.SearchSettings`
+        outward : bool, optional
+            Search positive speeds only.
+
+        Returns
+        -------
+        `EpochPermutations`
+        """
+        years, bins = axes[0].years, rays.bins
+        speed = rays.speed[rays.speed > 0] if outward else rays.speed
+        orders = permutations_of_epochs(len(years), n_trials, rng)
+        orders = np.concatenate([np.arange(len(years))[None], orders])
+        sums, largest = [], 1e-300
+        for axis in axes:
+            density = PairDensity.of(axis, rays.radius, settings)
+            matrix = rays.matrix(speed, density.grid)
+            chance = matrix @ (bins.number[:, None] * density.mean).ravel()
+            size = max(1, int(BYTES // (8 * len(bins.mean) * len(density.grid))))
+            parts = [
+                matrix @ bins.sums(density.pairs, some).reshape(len(some), -1).T
+                for some in np.split(orders, np.arange(size, len(orders), size))
+            ]
+            sums.append(np.concatenate(parts, axis=1).T - chance)
+            largest = max(largest, chance.max())
+        sums = np.stack(sums, axis=1)
+        std = sums.std(axis=0)
+        # Epochs that are all the same differ by rounding only.
+        z = sums / np.maximum(std, STD_FLOOR * std.max(axis=0) + 1e-6 * largest)
+        return cls(
+            speed=speed,
+            z=z[0],
+            permuted=z[1:].astype(np.float32),
+            smallest_p=max(1 / len(orders), 1 / number_of_orders(len(years))),
+        )
+
+    @cached_property
+    def maxima(self):
+        """Largest z of each permutation over axes and speeds, ascending."""
+        return np.sort(self.permuted.max(axis=(1, 2)))
+
+    def largest(self):
+        """
+        The axis and speed with the largest z.
+
+        Returns
+        -------
+        axis : int
+        speed : float
+            Between grid points, by a parabola in the logarithm.
+        """
+        axis, k = np.unravel_index(self.z.argmax(), self.z.shape)
+        speed = self.speed[k]
+        if (
+            0 < k < len(self.speed) - 1
+            and speed * self.speed[k - 1] > 0
+            and (speed * self.speed[k + 1] > 0)
+        ):
+            below, here, above = self.z[axis, k - 1 : k + 2]
+            # The first of the largest: the one below is less.
+            shift = 0.5 * (below - above) / (below - 2 * here + above)
+            speed *= np.exp(shift * np.log(abs(self.speed[k + 1] / speed)))
+        return int(axis), float(speed)
+
+    def significance(self, axis, speed):
+        """
+        Return z at speeds, between grid points.
+
+        Parameters
+        ----------
+        axis : int
+        speed : array_like
+
+        Returns
+        -------
+        `~numpy.ndarray`
+            Minus infinity beyond the speeds that were searched.
+        """
+        found = np.interp(speed, self.speed, self.z[axis], left=-np.inf, right=-np.inf)
+        slow = self.speed[self.speed > 0].min()
+        return np.where(np.abs(speed) < slow, -np.inf, found)
+
+    def p_values(self, axis, speed):
+        """
+        Probabilities of as large a z at this speed, and at any.
+
+        Parameters
+        ----------
+        axis : int
+        speed : float
+
+        Returns
+        -------
+        p_local, p_global : float
+            ``(b + 1) / (n + 1)``, b the number of the n permutations whose z
+            at this speed, or whose largest over all axes and speeds, is at
+            least the observed one.
+        """
+        z = float(self.significance(axis, speed))
+        if not np.isfinite(z):
+            return 1.0, 1.0
+        here = self.permuted[:, axis, np.abs(self.speed - speed).argmin()]
+        n = len(self.permuted) + 1
+        p_local = ((here >= z - 1e-6).sum() + 1) / n
+        return float(p_local), float(((self.maxima >= z - 1e-6).sum() + 1) / n)

@@ -1,0 +1,203 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The displacement-interval diagram, with the rays of the streams."""
+
+import math
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.epochs.positions import axis_words
+from astro_scc.visualization.style import (
+    BLACK,
+    GREY,
+    PM_UNIT,
+    component_kinds,
+    figure_and_axes,
+    offset_unit,
+    outline,
+    speed_unit,
+    unit_name,
+)
+from astro_scc.visualization.velocity import on_sky
+
+__all__ = ["plot_diagram"]
+
+#: Line of each kind of component.
+LINES = {"moving": "-", "stationary": "--", "not significant": ":"}
+#: Intervals are shown up to this many times the one in which the slowest
+#: stream that moves leaves the diagram, and at least this many.
+BEYOND = 1.3
+FEWEST_INTERVALS = 4
+#: Part of the diagram whose excess the colours reach.
+UNSATURATED = 0.995
+#: In inches: with these letters it can be read in one column of a journal.
+SIZE = (4.8, 4.0)
+
+
+def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
+    """
+    Draw displacements against the intervals in which they happen.
+
+    Red is where more patterns match than in permuted epochs.  What moves at
+    a constant speed is a ray from the origin, what stands still is at no
+    displacement; thin lines beside a ray are one dispersion of its speeds
+    away.  Intervals are shown until the slowest stream that moves has left
+    the diagram.  A second axis has the displacement in beams.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    ax : `matplotlib.axes.Axes`, optional
+        Drawn on these instead of a new figure.
+    components : `~astropy.table.QTable`, optional
+        The components whose rays are drawn, by default ``result.components``.
+    unit : `~astropy.units.Unit`, optional
+        Of the displacement, by default one in which it is easily read.
+    colorbar : bool, optional
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Raises
+    ------
+    ValueError
+        If the unit is no angle.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.visualization import plot_diagram
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
+    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
+    >>> figure = plot_diagram(result)
+    >>> figure.axes[0].get_xlabel()
+    'Interval between epochs (yr)'
+    """
+    image = result.diagram()
+    components = result.components if components is None else components
+    kinds = component_kinds(components)
+    numbers = np.asarray(components["component"], dtype=int)
+    velocities = [result.velocities[number - 1] for number in numbers]
+    # What stands still has no speed beyond its errors.
+    slopes = [
+        0.0 if kind == "stationary" else float(image.meta["direction"] @ velocity.value)
+        for kind, velocity in zip(kinds, velocities, strict=True)
+    ]
+    _, displacement = image.wcs.pixel_to_world_values(0, np.arange(len(image.data)))
+    unit = offset_unit(displacement[-1], unit)
+    seen = image.meta["n_pairs"] > 0
+    years, excess = image.meta["interval"].to_value(u.yr)[seen], image.data[:, seen]
+    longest = _longest(years, slopes, kinds, displacement[-1])
+    time = next((v for v in (u.yr, u.day, u.h) if longest >= 0.3 * v.to(u.yr)), u.min)
+    highest = np.quantile(np.abs(excess[:, years <= longest]), UNSATURATED) or 1.0
+    figure, ax = figure_and_axes(ax, SIZE)
+    drawn = ax.pcolormesh(
+        (_edges(years) * u.yr).to_value(time),
+        (_edges(displacement) * u.mas).to_value(unit),
+        excess,
+        cmap="RdBu_r",
+        vmin=-highest,
+        vmax=highest,
+        rasterized=True,
+        gid="excess",
+    )
+    ax.axhline(0, color=GREY, linewidth=0.6)
+    ax.set_xlim(0, (longest * u.yr).to_value(time))
+    top = (displacement[-1] * u.mas).to_value(unit)
+    ax.set_ylim(-top, top)
+    factor = PM_UNIT.to(unit / time)
+    for number, kind, slope, velocity, text in zip(
+        numbers, kinds, slopes, velocities, _texts(components, kinds), strict=True
+    ):
+        spread = 0.0 if kind == "stationary" else np.nan_to_num(velocity.dispersion)
+        _draw_ray(ax, slope * factor, spread * factor, LINES[kind], number, text)
+    if kinds:
+        corner = "lower right" if slopes[0] >= 0 else "upper right"
+        ax.legend(loc=corner, fontsize="small", framealpha=0.85)
+    ax.set_xlabel(f"Interval between epochs ({unit_name(time)})")
+    ax.set_ylabel(f"{_direction(result, image)} ({unit_name(unit)})")
+    beam = image.meta["beam"].to_value(unit)
+    beams = ax.secondary_yaxis(
+        "right", functions=(lambda v: v / beam, lambda v: v * beam)
+    )
+    beams.set_ylabel("Displacement (beams)")
+    if colorbar:
+        above = ax.inset_axes((0.0, 1.03, 1.0, 0.035))
+        figure.colorbar(
+            drawn, cax=above, orientation="horizontal", ticklocation="top",
+            extend="both", label="Matches per pair of epochs, beyond chance",
+        )  # fmt: skip
+    return figure
+
+
+def _texts(components, kinds):
+    """Number and speed of each component, or that it stands still."""
+    unit = speed_unit(components["pm"].to_value(PM_UNIT).max(initial=0.0))
+    texts = []
+    for row, kind in zip(components, kinds, strict=True):
+        value, error = row["pm"].to_value(unit), row["pm_err"].to_value(unit)
+        text = f"{value:.3g} {unit_name(unit)}"
+        if math.isfinite(error) and error > 0:
+            digits = max(0, 1 - math.floor(math.log10(error)))
+            text = f"{value:.{digits}f} ± {error:.{digits}f} {unit_name(unit)}"
+        text = {"moving": text, "stationary": kind}.get(kind, f"{text},\n{kind}")
+        texts.append(f"{int(row['component'])}: {text}")
+    return texts
+
+
+def _longest(years, slopes, kinds, reach):
+    """Longest interval that is shown, in years."""
+    last = _edges(years)[-1]
+    for shown in ("moving", "not significant"):
+        own = [abs(v) for v, kind in zip(slopes, kinds, strict=True) if kind == shown]
+        if any(own):
+            longest = BEYOND * reach / min(v for v in own if v > 0)
+            # A fast one alone would leave a single column.
+            return min(max(longest, _edges(years)[: FEWEST_INTERVALS + 1][-1]), last)
+    return last
+
+
+def _edges(middle):
+    """Edges of cells, halfway between their middles."""
+    if len(middle) == 1:
+        return middle[0] * np.array([0.9, 1.1])
+    half = np.diff(middle) / 2
+    return np.concatenate(
+        [[middle[0] - half[0]], middle[:-1] + half, [middle[-1] + half[-1]]]
+    )
+
+
+def _draw_ray(ax, slope, spread, style, number, text):
+    (_, right), (_, top) = ax.get_xlim(), ax.get_ylim()
+    ax.axline(
+        (0, 0), slope=slope, linestyle=style, color=BLACK, linewidth=1.4,
+        path_effects=outline(2.6), label=text, gid="ray",
+    )  # fmt: skip
+    if spread > 0:
+        for other in (slope - spread, slope + spread):
+            ax.axline(
+                (0, 0), slope=other, color=BLACK, linewidth=0.6, alpha=0.7,
+                gid="dispersion",
+            )  # fmt: skip
+    # On the ray, before it leaves the axes.
+    x = 0.88 * min(right, top / abs(slope) if slope else right)
+    ax.text(
+        x, slope * x, number, ha="center", va="center", fontsize="small",
+        bbox={"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.6},
+        gid="number",
+    )  # fmt: skip
+
+
+def _direction(result, image):
+    """What the displacement is along."""
+    if not on_sky(result):
+        jet = result.frame.axis_names[0] == "parallel"
+        return f"Displacement {'along the jet' if jet else 'outward'}"
+    angle = image.meta["position_angle"].to_value(u.deg)
+    axis, _, to_the_left = axis_words(result.cube)
+    if to_the_left:
+        return f"Displacement towards PA {angle:.0f}°"
+    return f"Displacement {angle:.0f}° from north to {axis}"

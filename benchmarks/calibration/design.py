@@ -1,0 +1,109 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+# ruff: noqa: E402
+"""
+Vary the constants of the search one by one, on jets that the calibration does not use.
+
+    python benchmarks/calibration/design.py [--jets 12]
+
+Writes ``results/design_table.csv``: for each constant and value the share of jets of
+one stream whose speed is right, of jets of two streams in which both are, and of static
+jets in which something moves.  Each jet is matched once.
+"""
+
+import argparse
+import os
+import warnings
+from dataclasses import replace
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+import astropy.units as u
+import numpy as np
+from run import KINDS, features
+from summary import RIGHT, TWO, write
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.exceptions import MeasurementWarning
+from astro_scc.measurement.axes import AxisProjection
+from astro_scc.stacking import SearchSettings, find_streams
+
+FIRST_SEED = 4000
+ONE = ("single-20", "features4-20", "epochs8-20")
+STATIC = ("static-red", "static-align3", "static-comb")
+VALUES = {
+    "radius": (1.2, 1.5, 1.8),
+    "nearest": (0.1, 0.2, 0.3),
+    "farthest": (0.7, 1.0, 1.3),
+    "blur": (0.12, 0.2, 0.3),
+    "smoothing": (0.08, 0.12, 0.2),
+    "across": (0.2, 0.35, 0.5),
+    "slowest": (0.5, 1.0, 2.0),
+    "line": (0.2, 0.3, 0.5),
+    "position_error": (0.03, 0.06, 0.12),
+    "least_epochs": (3, 4, 5),
+    "least_share": (0.4, 0.6, 0.8),
+    "least_motion": (1.0, 1.75, 2.5),
+    "least_score": (1.0, 1.5, 2.5),
+    "full_prior": (3.0, 6.0, 10.0),
+}
+
+
+def matched_jet(kind, seed):
+    """The displacements of a jet along its axis, its truth, and the unit of speed."""
+    jet = KINDS[kind](seed)
+    beam = np.sqrt(jet.cube.beams[0].major * jet.cube.beams[0].minor)
+    unit = (beam / (0.2 * u.yr)).to(u.mas / u.yr)
+    scc = StackedCrossCorrelation(scales=[1, 2, 3], position_angle=270 * u.deg)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MeasurementWarning)
+        matched = scc.match(jet.cube)
+    displacements, frame = scc.displacements(matched)
+    d = AxisProjection(displacements, matched.ssps, matched.cube, frame)(0.0)
+    return d, features(jet.truth, unit)[0]
+
+
+def speeds(d, seed, settings):
+    """Speeds that move, in beams a median interval."""
+    found = find_streams(
+        lambda angle: d, [0.0], settings.radius, n_trials=199,
+        rng=np.random.default_rng(seed), settings=settings,
+    )  # fmt: skip
+    return [abs(s.along.mean) * 0.2 for s in found.streams if s.kind == "moving"]
+
+
+def main():
+    """Measure all jets with each value of each constant."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument("--jets", type=int, default=12)
+    args = parser.parse_args()
+    seeds = range(FIRST_SEED, FIRST_SEED + args.jets)
+    kinds = (*ONE, "two-streams", *STATIC)
+    jets = {kind: [matched_jet(kind, seed) for seed in seeds] for kind in kinds}
+
+    def shares(settings):
+        right, both, false = [], [], []
+        for kind in kinds:
+            for seed, (d, mean) in zip(seeds, jets[kind], strict=True):
+                found = speeds(d, seed, settings)
+                if kind in ONE:
+                    right.append(bool(found) and abs(found[0] / mean - 1) <= RIGHT)
+                elif kind in STATIC:
+                    false.append(bool(found))
+                else:
+                    near = [[abs(v / t - 1) <= RIGHT for v in found] for t in TWO[kind]]
+                    both.append(all(map(any, near)))
+        return [f"{np.mean(x):.2f}" for x in (right, both, false)]
+
+    chosen = SearchSettings()
+    rows = []
+    for name, values in VALUES.items():
+        for value in values:
+            mark = " (chosen)" if value == getattr(chosen, name) else ""
+            found = shares(replace(chosen, **{name: value}))
+            rows.append([name, f"{value:g}{mark}", *found])
+    write("design_table", ["constant", "value", "right", "both", "false"], rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,590 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The displacement-interval diagram and its rays against loops over the matches."""
+
+from dataclasses import replace
+from itertools import combinations, permutations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from astro_scc.stacking import (
+    AxisDisplacements,
+    Diagram,
+    EpochPermutations,
+    Rays,
+    SearchSettings,
+    diagram,
+    number_of_orders,
+)
+from astro_scc.stacking.diagram import IntervalBins, PairDensity
+
+SEARCH = SearchSettings()
+YEARS = np.array([2000.0, 2000.4, 2001.3, 2001.9, 2003.2])
+
+
+def random_matches(rng, years=YEARS, n=120, reach=1.8):
+    """Matches between random epochs at random displacements."""
+    n_epochs, each = len(years), 4
+    reference = rng.integers(n_epochs, size=n)
+    target = (reference + rng.integers(1, n_epochs, size=n)) % n_epochs
+    return AxisDisplacements(
+        along=rng.uniform(-reach, reach, n),
+        across=rng.uniform(-0.6, 0.6, n),
+        weight=rng.uniform(0.5, 1.0, n),
+        reference=reference,
+        target=target,
+        ssp=each * reference + rng.integers(each, size=n),
+        target_ssp=np.where(rng.random(n) < 0.2, -1, each * target),
+        position=rng.uniform(0, 9, (each * n_epochs, 2)),
+        epoch=np.repeat(np.arange(n_epochs), each),
+        scale=np.ones(each * n_epochs),
+        years=np.asarray(years, dtype=float),
+    )
+
+
+@pytest.fixture(scope="module")
+def d():
+    return random_matches(np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def rays():
+    return Rays.of(YEARS, 1.5, SEARCH)
+
+
+def density_by_loop(d, a, b, grid):
+    """Of the displacements from image a to image b, matched from either side."""
+    total = np.zeros(len(grid))
+    for k in range(len(d)):
+        if abs(d.across[k]) > SEARCH.across or abs(d.along[k]) > 1.5:
+            continue
+        for first, second, along in (
+            (d.reference[k], d.target[k], d.along[k]),
+            (d.target[k], d.reference[k], -d.along[k]),
+        ):
+            if (first, second) == (a, b):
+                x = (grid - along) / SEARCH.blur
+                total += d.weight[k] * np.exp(-0.5 * x**2)
+    return total
+
+
+def mean_by_loop(d, grid):
+    n = len(d.years)
+    pairs = list(permutations(range(n), 2))
+    return sum(density_by_loop(d, a, b, grid) for a, b in pairs) / len(pairs)
+
+
+# Matches are shared between two grid points: of each, at most 1% of its height is
+# lost, which is (step / blur)^2 / 8 between the two.
+SHARED = 0.01
+
+
+class TestPairDensity:
+    def test_pairs_of_images_are_sums_of_gaussians(self, d):
+        density = PairDensity.of(d, 1.5, SEARCH)
+        for a, b in permutations(range(5), 2):
+            wanted = density_by_loop(d, a, b, density.grid)
+            found = density.pairs[5 * a + b]
+            np.testing.assert_allclose(found, wanted, atol=SHARED * wanted.max())
+        assert not density.pairs[:: 5 + 1].any()
+
+    def test_matches_on_the_grid_are_exact(self, d):
+        grid = PairDensity.of(d, 1.5, SEARCH).grid
+        rng = np.random.default_rng(2)
+        on = replace(d, along=rng.choice(grid, len(d)))
+        density = PairDensity.of(on, 1.5, SEARCH)
+        wanted = density_by_loop(on, 1, 3, grid)
+        np.testing.assert_allclose(density.pairs[5 * 1 + 3], wanted, atol=1e-12)
+        np.testing.assert_allclose(density.mean, mean_by_loop(on, grid), atol=1e-12)
+
+    def test_the_grid_reaches_the_radius_on_both_sides(self):
+        for radius in (0.3, 1.5, 4.1):
+            grid = PairDensity.of(
+                random_matches(np.random.default_rng(3)), radius, SEARCH
+            ).grid
+            assert grid[0] == -radius
+            assert grid[-1] == pytest.approx(radius)
+            np.testing.assert_allclose(np.diff(grid), grid[1] - grid[0])
+            assert (grid[1] - grid[0]) ** 2 / (8 * SEARCH.blur**2) <= SHARED
+
+    def test_matches_beyond_the_radius_or_aside_are_left_out(self, d):
+        keep = (np.abs(d.along) <= 1.5) & (np.abs(d.across) <= SEARCH.across)
+        assert 0 < keep.sum() < len(d)
+        all_of_them = PairDensity.of(d, 1.5, SEARCH)
+        inside = PairDensity.of(d.select(keep), 1.5, SEARCH)
+        np.testing.assert_array_equal(all_of_them.pairs, inside.pairs)
+
+
+def bins_by_loop(years, intervals=(0, np.inf)):
+    pairs = [
+        (i, j)
+        for i, j in combinations(range(len(years)), 2)
+        if years[j] > years[i] and intervals[0] <= years[j] - years[i] <= intervals[1]
+    ]
+    shortest = min(years[j] - years[i] for i, j in pairs)
+    bins = {}
+    for i, j in pairs:
+        number = np.floor(np.log((years[j] - years[i]) / shortest) / 0.08 + 1e-9)
+        bins.setdefault(number, []).append((i, j))
+    return [bins[number] for number in sorted(bins)]
+
+
+class TestIntervalBins:
+    @pytest.mark.parametrize("intervals", [(0, np.inf), (0.5, 2.0)])
+    def test_every_pair_is_in_the_bin_of_its_interval(self, intervals):
+        years = np.array([0.0, 0.5, 0.51, 0.51, 1.0, 1.52, 3.0, 4.4])
+        bins = IntervalBins.of(years, 0.08, intervals)
+        wanted = bins_by_loop(years, intervals)
+        assert bins.number.tolist() == [len(pairs) for pairs in wanted]
+        for k, pairs in enumerate(wanted):
+            here = bins.bin == k
+            found = zip(bins.first[here], bins.second[here], strict=True)
+            assert set(found) == set(pairs)
+            interval = [years[j] - years[i] for i, j in pairs]
+            assert bins.mean[k] == pytest.approx(np.mean(interval))
+            assert max(interval) <= min(interval) * np.exp(0.08)
+
+    def test_sums_of_all_120_orders_and_their_mean(self, d):
+        density = PairDensity.of(d, 1.5, SEARCH)
+        bins = IntervalBins.of(YEARS, 0.08, (0, np.inf))
+        orders = np.array(list(permutations(range(5))))
+        sums = bins.sums(density.pairs, orders)
+        pairs = density.pairs.reshape(5, 5, -1)
+        for order, found in zip(orders, sums, strict=True):
+            wanted = [
+                sum(pairs[order[i], order[j]] for i, j in some)
+                for some in bins_by_loop(YEARS)
+            ]
+            np.testing.assert_allclose(found, wanted, atol=1e-12)
+        # The mean of all orders is known without going through them.
+        np.testing.assert_allclose(
+            sums.mean(axis=0), bins.number[:, None] * density.mean, atol=1e-10
+        )
+
+
+class TestDiagram:
+    def test_the_excess_is_what_its_definition_says(self, d, rays):
+        found = Diagram.of(d, rays, SEARCH)
+        grid, mean = found.displacement, mean_by_loop(d, found.displacement)
+        for row, pairs in enumerate(bins_by_loop(YEARS)):
+            observed = sum(density_by_loop(d, i, j, grid) for i, j in pairs)
+            tolerance = SHARED * (observed.max() + len(pairs) * mean.max())
+            np.testing.assert_allclose(found.observed[row], observed, atol=tolerance)
+            np.testing.assert_allclose(
+                found.excess[row], observed - len(pairs) * mean, atol=tolerance
+            )
+            assert found.n_pairs[row] == len(pairs)
+        assert found.n_pairs.sum() == 10
+        np.testing.assert_array_equal(found.interval, rays.bins.mean)
+
+    def test_all_pairs_together_exceed_in_one_direction_what_lacks_in_the_other(
+        self, d, rays
+    ):
+        total = Diagram.of(d, rays, SEARCH).excess.sum(axis=0)
+        np.testing.assert_allclose(total, -total[::-1], atol=1e-10)
+
+    def test_what_moves_is_on_its_ray(self, lines, axis_matches):
+        d = axis_matches(*lines([0.5], [0.0], YEARS), YEARS)
+        found = Diagram.of(d, Rays.of(YEARS, 1.5, SEARCH), SEARCH)
+        inside = found.interval < 2.5
+        peak = found.displacement[found.excess.argmax(axis=1)]
+        step = found.displacement[1] - found.displacement[0]
+        np.testing.assert_allclose(
+            peak[inside], 0.5 * found.interval[inside], atol=step
+        )
+
+    def test_share_of_motion(self, d, rays):
+        found = Diagram.of(d, rays, SEARCH)
+        wanted = np.clip(found.excess / np.maximum(found.observed, 1e-9), 0, 1)
+        rows, columns = np.indices(wanted.shape)
+        every = found.share_of_motion(
+            found.displacement[columns.ravel()], found.interval[rows.ravel()]
+        )
+        np.testing.assert_array_equal(every, wanted.ravel())
+        # The nearest cell, at the border that of the border.
+        between = found.share_of_motion([found.displacement[7] + 0.01, 9.0, -9.0],
+                                        [1.02 * found.interval[3]] * 3)  # fmt: skip
+        np.testing.assert_array_equal(between, wanted[3, [7, -1, 0]])
+
+
+class TestAxisDisplacements:
+    def test_intervals_have_the_sign_of_time(self, d):
+        assert len(d) == 120
+        for k in range(len(d)):
+            assert d.interval[k] == YEARS[d.target[k]] - YEARS[d.reference[k]]
+
+    def test_a_selection_keeps_the_ssps(self, d):
+        by_index, by_mask = d.select([3, 5]), d.select(np.isin(np.arange(120), [3, 5]))
+        for some in (by_index, by_mask):
+            assert len(some) == 2
+            np.testing.assert_array_equal(some.along, d.along[[3, 5]])
+            np.testing.assert_array_equal(some.target_ssp, d.target_ssp[[3, 5]])
+            assert some.position is d.position
+            assert some.years is d.years
+
+    def test_without_ssps_nothing_from_or_to_them_is_left(self, d):
+        taken = np.zeros(20, dtype=bool)
+        taken[[0, 5, 19]] = True
+        ends = [{s, t} - {-1} for s, t in zip(d.ssp, d.target_ssp, strict=True)]
+        keep = [not any(taken[k] for k in pair) for pair in ends]
+        left = d.without_ssps(taken)
+        np.testing.assert_array_equal(left.along, d.along[keep])
+        # A match on no SSP is not one on the last of them.
+        assert (left.target_ssp == -1).any()
+        nothing = d.select(np.zeros(len(d), dtype=bool))
+        assert len(nothing.without_ssps(taken)) == 0
+
+
+class TestRays:
+    def test_speeds_from_the_slowest_in_all_to_the_radius_in_the_shortest(self, rays):
+        forth, back = rays.speed[rays.speed > 0], rays.speed[rays.speed < 0]
+        np.testing.assert_array_equal(forth, -back[::-1])
+        gaps = np.diff(YEARS)
+        assert forth.max() == pytest.approx(1.5 / np.quantile(gaps, 0.25))
+        assert forth.min() == pytest.approx(SEARCH.slowest / (YEARS[-1] - YEARS[0]))
+        steps = np.diff(np.log(forth))
+        np.testing.assert_allclose(steps, steps[0])
+        assert steps[0] <= SEARCH.speed_step
+
+    def test_few_epochs_far_apart_still_have_a_range_of_speeds(self):
+        rays = Rays.of(np.array([0.0, 1.0]), 1.5, SEARCH)
+        forth = rays.speed[rays.speed > 0]
+        assert (forth.min(), forth.max()) == pytest.approx((0.375, 1.5))
+
+    def test_the_largest_speed_and_the_intervals_are_limits(self):
+        slow = Rays.of(YEARS, 1.5, SEARCH, fastest=0.9)
+        assert slow.speed.max() == pytest.approx(0.9)
+        some = Rays.of(YEARS, 1.5, SEARCH, intervals=(0.5, 1.0))
+        # 0.6 and 0.9 yr are the gaps that are used.
+        assert some.speed.max() == pytest.approx(1.5 / 0.675)
+        assert some.speed[some.speed > 0].min() == pytest.approx(0.25 * 1.5 / 0.675)
+        np.testing.assert_allclose(some.bins.mean, [0.6, 0.9])
+        assert not some.weight(0.5, np.array([0.4, 1.3])).any()
+        assert some.weight(0.5, np.array([0.5, 0.9, 1.0])).all()
+
+    def test_gaps_that_are_not_used_do_not_limit_the_speeds(self):
+        """Two epochs half a year apart among others two years apart."""
+        years = np.array([0.0, 0.5, 2.0, 4.0, 6.0, 8.0, 10.0])
+        some = Rays.of(years, 1.5, SEARCH, intervals=(0.0, 1.0))
+        assert some.speed.max() == pytest.approx(1.5 / 0.5)
+
+    def test_where_no_gap_is_used_the_shortest_interval_counts(self):
+        years = np.arange(5.0)
+        some = Rays.of(years, 1.5, SEARCH, intervals=(1.5, 2.5))
+        assert some.speed.max() == pytest.approx(1.5 / 2)
+
+    def test_epochs_of_one_date_are_no_interval(self):
+        years = np.array([0.0, 0.0, 1.0, 2.0, 3.0])
+        rays = Rays.of(years, 1.5, SEARCH)
+        assert rays.speed.max() == pytest.approx(1.5)
+        assert rays.bins.number.sum() == 9
+
+    @pytest.mark.parametrize("intervals", [(4.0, 9.0), (0.0, 0.1)])
+    def test_no_two_epochs_so_far_apart(self, intervals):
+        message = (
+            f"no two epochs are {intervals[0]:g} to {intervals[1]:g} yr apart"
+        )  # fmt: skip
+        with pytest.raises(ValueError, match=message):
+            Rays.of(YEARS, 1.5, SEARCH, intervals=intervals)
+
+    def test_each_speed_has_the_intervals_in_which_it_moves_a_fifth_to_one_beam(
+        self, rays
+    ):
+        every = np.geomspace(0.05, 4, 200)
+        for speed in rays.speed:
+            motion = abs(speed) * every
+            weight = rays.weight(speed * every, every)
+            np.testing.assert_array_equal(weight, rays.weight(-motion, -every))
+            inside = (motion >= 0.25) & (motion <= 0.9)
+            long = every > rays.shortest
+            np.testing.assert_array_equal(weight[inside], 1)
+            assert not weight[(motion <= 0.15) | (long & (motion >= 1.1))].any()
+            assert not weight[motion > 1.5].any()
+            # What is faster has the shortest intervals.
+            np.testing.assert_array_equal(
+                weight[~long & (motion >= 0.25) & (motion <= 1.5)], 1
+            )
+
+    @pytest.mark.parametrize(
+        ("motion", "weight"),
+        [(0.15, 0), (0.2, 0.5), (0.25, 1), (0.9, 1), (1.0, 0.5), (1.1, 0)],
+    )
+    def test_the_ends_are_soft(self, rays, motion, weight):
+        assert rays.weight(motion, 10.0) == pytest.approx(weight)
+
+    def test_sums_over_rays_interpolate_the_diagram(self, d, rays):
+        density = PairDensity.of(d, 1.5, SEARCH)
+        rng = np.random.default_rng(4)
+        some = rng.normal(size=(len(rays.bins.mean), len(density.grid)))
+        found = rays.matrix(rays.speed, density.grid) @ some.ravel()
+        for speed, total in zip(rays.speed, found, strict=True):
+            wanted = 0.0
+            for interval, row in zip(rays.bins.mean, some, strict=True):
+                motion = speed * interval
+                weight = float(rays.weight(motion, interval))
+                wanted += weight * np.interp(motion, density.grid, row)
+            assert total == pytest.approx(wanted, abs=1e-10)
+
+
+def permute(d, rays, *, n_trials=119):
+    return EpochPermutations.of([d], rays, n_trials, np.random.default_rng(0), SEARCH)
+
+
+class TestEpochPermutations:
+    def test_z_is_of_all_orders_by_a_loop(self, d, rays):
+        test = permute(d, rays)
+        density = PairDensity.of(d, 1.5, SEARCH)
+        pairs = density.pairs.reshape(5, 5, -1)
+        sums = []
+        for order in permutations(range(5)):
+            total = np.zeros(len(rays.speed))
+            for some in bins_by_loop(YEARS):
+                row = sum(pairs[order[i], order[j]] for i, j in some)
+                row = row - len(some) * density.mean
+                interval = np.mean([YEARS[j] - YEARS[i] for i, j in some])
+                motion = rays.speed * interval
+                weight = rays.weight(motion, np.full(motion.shape, interval))
+                total += weight * np.interp(motion, density.grid, row)
+            sums.append(total)
+        sums = np.array(sums)
+        np.testing.assert_allclose(sums.mean(axis=0), 0, atol=1e-10)
+        z = sums / sums.std(axis=0)
+        np.testing.assert_allclose(test.z[0], z[0], atol=1e-8)
+        np.testing.assert_allclose(test.permuted[:, 0], z[1:], atol=1e-5)
+        np.testing.assert_allclose(test.maxima, np.sort(z[1:].max(axis=1)), atol=1e-5)
+
+    def test_p_values_are_by_definition(self):
+        """Of seven epochs, whose orders are more than the trials."""
+        years = np.cumsum([0.0, 0.4, 0.9, 0.6, 1.3, 0.5, 0.8])
+        rays = Rays.of(years, 1.5, SEARCH)
+        some = random_matches(np.random.default_rng(7), years)
+        test = permute(some, rays, n_trials=99)
+        assert test.permuted.shape == (99, 1, len(rays.speed))
+        for k, speed in enumerate(rays.speed):
+            p_local, p_global = test.p_values(0, speed)
+            z = test.z[0, k]
+            local = sum(order[0, k] >= z - 1e-6 for order in test.permuted)
+            anywhere = sum(order.max() >= z - 1e-6 for order in test.permuted)
+            assert p_local == (local + 1) / 100
+            assert p_global == (anywhere + 1) / 100
+            assert p_local <= p_global
+
+    def test_beyond_the_speeds_nothing_is_significant(self, d, rays):
+        test = permute(d, rays)
+        slow, fast = rays.speed[rays.speed > 0].min(), rays.speed.max()
+        outside = [0.0, 0.99 * slow, -0.5 * slow, 1.01 * fast, -2 * fast]
+        assert np.all(test.significance(0, outside) == -np.inf)
+        for speed in outside:
+            assert test.p_values(0, speed) == (1.0, 1.0)
+        assert len(test.significance(0, [])) == 0
+        between = 0.5 * (rays.speed[3] + rays.speed[4])
+        assert test.significance(0, between) == pytest.approx(test.z[0, 3:5].mean())
+
+    @pytest.mark.parametrize(
+        ("n_epochs", "n_trials", "smallest"),
+        [
+            (2, 99, 1),
+            (3, 99, 1 / 3),
+            (4, 999, 1 / 12),
+            (5, 999, 1 / 60),
+            (6, 99, 1 / 360),
+            (7, 99, 0.01),
+        ],
+    )
+    def test_the_smallest_p_that_the_orders_allow(self, n_epochs, n_trials, smallest):
+        years = np.arange(float(n_epochs))
+        some = random_matches(np.random.default_rng(5), years)
+        test = permute(some, Rays.of(years, 1.5, SEARCH), n_trials=n_trials)
+        assert test.smallest_p == pytest.approx(smallest)
+        assert smallest >= 1 / number_of_orders(n_epochs) * (1 - 1e-9)
+        assert test.p_values(*test.largest())[1] >= 1 / (1 + len(test.permuted))
+
+    def test_the_motion_of_four_epochs_is_as_significant_as_four_allow(
+        self, lines, axis_matches
+    ):
+        """And with even dates the reversed order has the same maximum."""
+        years = np.arange(4.0)
+        d = axis_matches(*lines([0.5] * 4, 3.0 * np.arange(4), years), years)
+        test = permute(d, Rays.of(years, 1.5, SEARCH), n_trials=999)
+        assert test.p_values(*test.largest())[1] == 2 / 24
+        assert test.smallest_p == pytest.approx(2 / 24)
+
+    def test_outward_speeds_only(self, d, rays):
+        both = permute(d, rays)
+        outward = EpochPermutations.of(
+            [d], rays, 119, np.random.default_rng(0), SEARCH, outward=True
+        )
+        forth = both.speed > 0
+        np.testing.assert_array_equal(outward.speed, both.speed[forth])
+        np.testing.assert_allclose(outward.z, both.z[:, forth])
+        assert outward.p_values(0, -1.0) == (1.0, 1.0)
+
+    def test_memory_is_used_in_parts(self, d, rays, monkeypatch):
+        at_once = permute(d, rays)
+        monkeypatch.setattr(diagram, "BYTES", 1)
+        one_by_one = permute(d, rays)
+        np.testing.assert_allclose(one_by_one.z, at_once.z)
+        np.testing.assert_allclose(one_by_one.permuted, at_once.permuted, atol=1e-5)
+
+    def test_the_largest_of_several_axes(self, lines, axis_matches):
+        years = np.arange(6.0)
+        rays = Rays.of(years, 1.5, SEARCH)
+        d = axis_matches(*lines([0.5] * 5, 3.0 * np.arange(5), years), years)
+        weak = random_matches(np.random.default_rng(6), years)
+        test = EpochPermutations.of(
+            [weak, d], rays, 99, np.random.default_rng(0), SEARCH
+        )
+        axis, speed = test.largest()
+        assert axis == 1
+        # Half a blur in the shortest interval, of one year.
+        assert speed == pytest.approx(0.5, abs=0.5 * SEARCH.blur)
+        assert test.z.shape == (2, len(rays.speed))
+        # The maximum of each permutation is over both axes.
+        np.testing.assert_array_equal(
+            test.maxima, np.sort([order.max() for order in test.permuted])
+        )
+
+    def test_z_of_an_axis_with_few_matches(self, d, rays):
+        """Its standard deviation is at least 0.3 of that of the others."""
+        few = d.select(np.arange(5))
+        alone, other = (permute(k, rays) for k in (few, d))
+        sums, std = [], []
+        for axis, test in ((few, alone), (d, other)):
+            density = PairDensity.of(axis, 1.5, SEARCH)
+            matrix = rays.matrix(rays.speed, density.grid)
+            excess = Diagram.of(axis, rays, SEARCH).excess
+            sums.append(matrix @ excess.ravel())
+            # Of all 120 orders, from a z that no other axis limits.
+            seen = test.z[0] != 0
+            std.append(np.zeros(len(seen)))
+            std[-1][seen] = sums[-1][seen] / test.z[0, seen]
+        assert np.any(std[0] < 0.3 * std[1])
+        both = EpochPermutations.of(
+            [few, d], rays, 119, np.random.default_rng(0), SEARCH
+        )
+        wanted = np.array(sums) / np.maximum(std, 0.3 * np.max(std, axis=0))
+        np.testing.assert_allclose(both.z, wanted, atol=1e-4)
+
+    @pytest.mark.parametrize("true", [0.61, -0.61])
+    def test_the_largest_is_between_grid_points(self, true):
+        speed = np.geomspace(0.25, 2, 30)
+        speed = np.concatenate([-speed[::-1], speed])
+        z = 5 - 9 * np.log(np.abs(speed / true)) ** 2
+        z[speed * true < 0] = 0
+        test = EpochPermutations(speed, z[None], np.zeros((1, 1, 60)), 0.5)
+        assert test.largest() == (0, pytest.approx(true, rel=1e-9))
+
+    @pytest.mark.parametrize("k", [0, 29, 30, 59])
+    def test_at_the_ends_it_is_the_grid_point(self, k):
+        speed = np.geomspace(0.25, 2, 30)
+        speed = np.concatenate([-speed[::-1], speed])
+        z = np.where(np.arange(60) == k, 3.0, 1.0)[None]
+        test = EpochPermutations(speed, z, np.zeros((1, 1, 60)), 0.5)
+        assert test.largest() == (0, speed[k])
+
+    def test_two_equal_neighbours_have_it_between_them(self):
+        speed = np.array([-1.0, 0.5, 0.8, 1.0, 1.5, 2.0])
+        z = np.array([[0, 0, 0, 1.0, 1.0, 0]])
+        test = EpochPermutations(speed, z, np.zeros((1, 1, 6)), 0.5)
+        assert test.largest() == (0, pytest.approx(1.5**0.5))
+
+    def test_epochs_that_are_all_the_same_show_nothing(self, lines, axis_matches):
+        """Noiseless standing features, or one image many times."""
+        for years in (np.arange(8.0), np.cumsum(np.geomspace(0.3, 2, 8))):
+            position, epoch = lines([0.0] * 5, 3.0 * np.arange(5), years)
+            d = axis_matches(position, epoch, years)
+            test = permute(d, Rays.of(years, 1.5, SEARCH), n_trials=99)
+            assert np.abs(test.z).max() < 1e-6
+            assert test.p_values(*test.largest()) == (1.0, 1.0)
+
+    def test_no_matches_show_nothing(self, d, rays):
+        nothing = d.select(np.zeros(len(d), dtype=bool))
+        test = permute(nothing, rays)
+        assert not test.z.any()
+        assert test.p_values(*test.largest()) == (1.0, 1.0)
+
+
+def random_dates(rng, n=5):
+    return np.cumsum(rng.uniform(0.3, 1.5, n))
+
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+class TestProperties:
+    """With five epochs, whose 120 orders are all gone through."""
+
+    @given(seeds, st.floats(1e-3, 1e3))
+    @settings(max_examples=20)
+    def test_years_or_days(self, seed, unit):
+        rng = np.random.default_rng(seed)
+        d = random_matches(rng, random_dates(rng), n=60)
+        other = replace(d, years=unit * d.years)
+        rays, scaled = (Rays.of(k.years, 1.5, SEARCH) for k in (d, other))
+        np.testing.assert_allclose(scaled.speed, rays.speed / unit)
+        np.testing.assert_allclose(
+            permute(other, scaled).z, permute(d, rays).z, atol=1e-6
+        )
+
+    @given(seeds, st.floats(1e-6, 1e6))
+    @settings(max_examples=20)
+    def test_weights_in_any_unit(self, seed, unit):
+        rng = np.random.default_rng(seed)
+        d = random_matches(rng, random_dates(rng), n=60)
+        rays = Rays.of(d.years, 1.5, SEARCH)
+        other = permute(replace(d, weight=unit * d.weight), rays)
+        np.testing.assert_allclose(other.z, permute(d, rays).z, atol=1e-6)
+
+    @given(seeds)
+    @settings(max_examples=20)
+    def test_the_other_direction_has_the_other_sign(self, seed):
+        rng = np.random.default_rng(seed)
+        d = random_matches(rng, random_dates(rng), n=60)
+        rays = Rays.of(d.years, 1.5, SEARCH)
+        other = permute(replace(d, along=-d.along), rays)
+        test = permute(d, rays)
+        np.testing.assert_allclose(other.z, test.z[:, ::-1], atol=1e-6)
+        assert other.largest()[1] == pytest.approx(-test.largest()[1])
+
+    @given(seeds)
+    @settings(max_examples=20)
+    def test_time_turned_round_has_the_other_sign(self, seed):
+        rng = np.random.default_rng(seed)
+        d = random_matches(rng, random_dates(rng), n=60)
+        back = replace(
+            d,
+            years=-d.years[::-1],
+            reference=4 - d.reference,
+            target=4 - d.target,
+            epoch=4 - d.epoch,
+        )
+        rays, turned = (Rays.of(k.years, 1.5, SEARCH) for k in (d, back))
+        np.testing.assert_allclose(turned.speed, rays.speed)
+        np.testing.assert_allclose(
+            permute(back, turned).z, permute(d, rays).z[:, ::-1], atol=1e-6
+        )
+
+    @given(seeds)
+    @settings(max_examples=20)
+    def test_the_order_of_the_matches_and_their_direction_do_not_matter(self, seed):
+        rng = np.random.default_rng(seed)
+        d = random_matches(rng, random_dates(rng), n=60)
+        rays = Rays.of(d.years, 1.5, SEARCH)
+        other = d.select(rng.permutation(len(d)))
+        swap = rng.random(len(d)) < 0.5
+        other = replace(
+            other,
+            along=np.where(swap, -1, 1) * other.along,
+            reference=np.where(swap, other.target, other.reference),
+            target=np.where(swap, other.reference, other.target),
+        )
+        np.testing.assert_allclose(
+            Diagram.of(other, rays, SEARCH).excess,
+            Diagram.of(d, rays, SEARCH).excess,
+            atol=1e-10,
+        )
+        np.testing.assert_allclose(
+            permute(other, rays).z, permute(d, rays).z, atol=1e-6
+        )

@@ -1,0 +1,319 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Streams of features: their mean and dispersion, and whether they are one or two."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+from scipy.stats import norm, t
+
+from astro_scc.stacking import Feature, Stream, random_effects, separate_streams
+from astro_scc.stacking.streams import alignment_response, feature_speeds
+
+
+def features_of(speeds, errors):
+    """Features of given speeds and errors, of which nothing else counts."""
+    return [
+        Feature(np.arange(4), v, e, 0.0, e, 0.0, 2.0, np.zeros(4))
+        for v, e in zip(speeds, np.broadcast_to(errors, np.shape(speeds)), strict=True)
+    ]
+
+
+class TestRandomEffects:
+    def test_equal_errors_give_the_sample_mean_and_variance(self):
+        x, e, n = np.array([0.7, 1.4, 0.9, 1.2, 1.6]), 0.1, 5
+        found = random_effects(x, [e] * n)
+        s2 = x.var(ddof=1)
+        assert found.mean == pytest.approx(x.mean())
+        assert found.dispersion == pytest.approx(np.sqrt(s2 - e**2))
+        # 68% of Student's t.
+        width = np.sqrt(s2 / n) * t.ppf(0.8413, n - 1)
+        assert found.error == pytest.approx(width)
+        # The variance s2 has the relative error sqrt(2 / (n - 1)).
+        wanted = s2 * np.sqrt(2 / (n - 1)) / (2 * found.dispersion)
+        assert found.dispersion_error == pytest.approx(wanted)
+
+    def test_different_errors_by_the_equation_of_paule_and_mandel(self):
+        rng = np.random.default_rng(1)
+        x, e = rng.normal(1, 0.4, 9), rng.uniform(0.05, 0.5, 9)
+
+        def mean(tau2):
+            return np.average(x, weights=1 / (e**2 + tau2))
+
+        def excess(tau2):
+            return np.sum((x - mean(tau2)) ** 2 / (e**2 + tau2)) - 8
+
+        tau2 = brentq(excess, 0, 10)
+        found = random_effects(x, e)
+        assert found.dispersion == pytest.approx(np.sqrt(tau2))
+        assert found.mean == pytest.approx(mean(tau2))
+        weight = 1 / (e**2 + tau2)
+        assert found.error == pytest.approx(
+            np.sqrt(1 / weight.sum()) * t.ppf(0.8413, 8)
+        )
+
+    @pytest.mark.parametrize("scatter", [0.0, 0.02, 0.05, 0.09, 0.12])
+    def test_values_that_agree_have_no_dispersion(self, scatter):
+        """
+        Of Hartung and Knapp: the error is by the scatter, if less than the errors say.
+
+        But no less than half of what it is of values that scatter as they say.
+        """
+        x = 1 + scatter * np.array([0.0, 1, -1, 0.4])
+        e = np.array([0.1, 0.2, 0.1, 0.3])
+        found = random_effects(x, e)
+        mean, weight = np.average(x, weights=e**-2.0, returned=True)
+        assert found.dispersion == 0
+        assert found.mean == pytest.approx(mean)
+        as_they_say = t.ppf(0.8413, 3) / np.sqrt(weight)
+        by_the_scatter = np.sqrt(np.sum(((x - mean) / e) ** 2) / 3) * as_they_say
+        assert by_the_scatter < as_they_say
+        assert (by_the_scatter < as_they_say / 2) == (scatter < 0.07)
+        assert found.error == pytest.approx(max(by_the_scatter, as_they_say / 2))
+        assert 0 < found.dispersion_error < 0.2
+
+    @pytest.mark.parametrize("value", [0.5, -4.0, 0.0])
+    def test_the_error_of_a_single_value_holds_a_dispersion_of_15_percent(self, value):
+        found = random_effects([value], [0.1])
+        assert found.mean == value
+        assert found.error**2 == pytest.approx(0.1**2 + (0.15 * value) ** 2)
+        assert np.isnan([found.dispersion, found.dispersion_error]).all()
+
+    @pytest.mark.parametrize(("n", "tau"), [(2, 0.1), (5, 0.0), (15, 0.1)])
+    def test_the_interval_holds_the_mean_in_68_percent(self, n, tau):
+        rng, n_trials = np.random.default_rng(n), 300
+        errors = rng.uniform(0.03, 0.12, (n_trials, n))
+        values = 1 + rng.normal(size=errors.shape) * np.hypot(tau, errors)
+        found = [random_effects(v, e) for v, e in zip(values, errors, strict=True)]
+        inside = np.mean([abs(f.mean - 1) <= f.error for f in found])
+        # Three standard errors of the share.
+        assert inside == pytest.approx(0.683, abs=3 * 0.027)
+        off = np.array([f.dispersion - tau for f in found])
+        error = np.median([f.dispersion_error for f in found])
+        if n > 2:
+            assert error == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.5)
+        if n > 5:
+            assert error == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.2)
+            assert np.mean(off) == pytest.approx(0, abs=0.01)
+
+    @given(
+        st.integers(0, 2**32 - 1),
+        st.integers(2, 12),
+        st.sampled_from([0.0, 0.3, 3.0]),
+        st.floats(1e-3, 1e3),
+    )
+    @settings(max_examples=40)
+    def test_units_signs_and_order(self, seed, n, tau, unit):
+        rng = np.random.default_rng(seed)
+        errors = rng.uniform(0.1, 0.3, n)
+        values = 1 + tau * rng.normal(size=n) + errors * rng.normal(size=n)
+        found, order = random_effects(values, errors), rng.permutation(n)
+        other = random_effects(-unit * values[order], unit * errors[order])
+        close = {"rel": 1e-6, "abs": 1e-6 * unit}
+        assert other.mean == pytest.approx(-unit * found.mean, **close)
+        for name in ("error", "dispersion", "dispersion_error"):
+            wanted = unit * getattr(found, name)
+            assert getattr(other, name) == pytest.approx(wanted, **close)
+        assert values.min() <= found.mean <= values.max()
+
+
+def test_errors_of_features_hold_blends_and_the_pull_of_the_core():
+    speed, error = feature_speeds(features_of([1.0, -2.0], [0.1, 0.0]))
+    np.testing.assert_array_equal(speed, [1.0, -2.0])
+    np.testing.assert_allclose(error, [np.hypot(0.13, 0.02), 0.04])
+
+
+class TestAlignmentResponse:
+    """What a displacement of whole epochs does to the mean speed."""
+
+    N_EPOCHS = 6
+
+    def stream(self, lines, years, speeds, shift=0.0, scatter=0.0):
+        """Features seen in all, in the first five and in the last four epochs."""
+        rng = np.random.default_rng(3)
+        position, epoch = lines(
+            speeds, [0, 4, 8], years, scatter=scatter, rng=rng
+        )  # fmt: skip
+        position = position + np.stack([shift + 0 * years, 0 * years], 1)[epoch]
+        ssps = np.arange(18).reshape(6, 3).T
+        ssps = [ssps[0], ssps[1][:5], ssps[2][2:]]
+        features = [
+            Feature.through(s, years[epoch[s]], position[s], 0.06) for s in ssps
+        ]
+        along = random_effects(*feature_speeds(features))
+        return Stream("moving", "", 0.0, along, along, features=tuple(features)), epoch
+
+    def test_by_finite_differences(self, lines):
+        """Of features on lines, whose errors a small displacement leaves alone."""
+        years, step = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4]), 1e-6
+        stream, epoch = self.stream(lines, years, [0.5] * 3)
+        found = alignment_response(stream, epoch, 6)
+        for k in range(6):
+            shift = step * (np.arange(6) == k)
+            moved, _ = self.stream(lines, years, [0.5] * 3, shift)
+            change = (moved.along.mean - stream.along.mean) / step
+            assert found[k] == pytest.approx(change, rel=1e-3, abs=1e-5)
+
+    def test_of_different_speeds_with_the_weights_of_the_mean(self, lines):
+        years, step = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4]), 1e-4
+        speeds = [0.3, 0.7, 0.6]
+        stream, epoch = self.stream(lines, years, speeds, scatter=0.05)
+        speed, error = feature_speeds(stream.features)
+        weight = 1 / (error**2 + stream.along.dispersion**2)
+        assert np.average(speed, weights=weight) == pytest.approx(stream.along.mean)
+        assert stream.along.dispersion > 0
+        found = alignment_response(stream, epoch, 6)
+        for k in range(6):
+            shift = step * (np.arange(6) == k)
+            moved, _ = self.stream(lines, years, speeds, shift, scatter=0.05)
+            moved = [f.speed for f in moved.features]
+            change = (np.average(moved, weights=weight) - stream.along.mean) / step
+            assert found[k] == pytest.approx(change, rel=1e-6)
+
+    def test_all_epochs_together_change_nothing_and_a_drift_is_a_speed(self, lines):
+        years = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4])
+        stream, epoch = self.stream(lines, years, [0.3, 0.7, 0.6], scatter=0.05)
+        found = alignment_response(stream, epoch, 6)
+        assert found.sum() == pytest.approx(0, abs=1e-12)
+        assert found @ years == pytest.approx(1)
+
+    def test_of_a_single_feature_and_of_none(self, lines):
+        years = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4])
+        stream, epoch = self.stream(lines, years, [0.5] * 3)
+        (feature, *_) = stream.features
+        single = random_effects([feature.speed], [feature.error])
+        alone = Stream("moving", "", 0.0, single, single, features=(feature,))
+        np.testing.assert_allclose(
+            alignment_response(alone, epoch, 6), feature.response
+        )
+        none = Stream("not significant", "", 0.0, single, single)
+        np.testing.assert_array_equal(alignment_response(none, epoch, 7), np.zeros(7))
+
+
+def log_normal(rng, n, centre, dispersion, error):
+    true = centre * np.exp(rng.normal(0, dispersion, n))
+    return true * (1 + error * rng.normal(size=n))
+
+
+class TestSeparateStreams:
+    @pytest.mark.parametrize("dispersion", [0.1, 0.4])
+    def test_p_is_even_for_one_stream(self, dispersion):
+        p = []
+        for seed in range(60):
+            rng = np.random.default_rng(seed)
+            speed = log_normal(rng, 6, 0.5, dispersion, 0.03)
+            p.append(separate_streams(features_of(speed, 0.03 * speed), 59, rng)[0])
+        p = np.sort(p)
+        # Kolmogorov and Smirnov, at one in a thousand: 1.95 / sqrt(60).
+        assert np.abs(p - (np.arange(60) + 0.5) / 60).max() < 0.25
+        assert np.mean(p <= 0.05) <= 10 / 60
+
+    def test_p_is_large_where_speeds_agree_better_than_their_errors(self):
+        rng = np.random.default_rng(1)
+        p, _ = separate_streams(features_of([0.5] * 8, 0.02), 59, rng)
+        assert p > 0.2
+
+    @pytest.mark.parametrize("sign", [1, -1])
+    @pytest.mark.parametrize("n", [(4, 4), (3, 6), (2, 5)])
+    def test_two_streams_are_told_apart(self, n, sign):
+        rng = np.random.default_rng(2)
+        slow = log_normal(rng, n[0], 0.3, 0.1, 0.03)
+        fast = log_normal(rng, n[1], 1.2, 0.1, 0.03)
+        speed = np.concatenate([fast, slow])
+        order = rng.permutation(sum(n))
+        found = features_of(sign * speed[order], 0.03 * speed[order])
+        p, second = separate_streams(found, 99, rng)
+        assert p <= 0.05
+        np.testing.assert_array_equal(second, order < n[1])
+
+    @pytest.mark.parametrize("n", [0, 1, 3])
+    def test_three_features_are_one_stream(self, n):
+        speed = np.array([0.1, 1.0, 1.1])[:n]
+        p, second = separate_streams(
+            features_of(speed, 0.01), 99, np.random.default_rng(1)
+        )
+        assert p == 1
+        np.testing.assert_array_equal(second, np.zeros(n, dtype=bool))
+
+    def test_four_features_can_be_two(self):
+        found = features_of([0.3, 0.31, 1.0, 1.02], 0.01)
+        p, second = separate_streams(found, 99, np.random.default_rng(1))
+        assert p <= 0.2
+        np.testing.assert_array_equal(second, [False, False, True, True])
+
+    def test_the_likelihoods_by_a_loop(self):
+        """The ratio of the largest of two components and of one."""
+        from astro_scc.stacking.streams import ONE, TWO, _one, _two
+
+        rng = np.random.default_rng(4)
+        y, e = (
+            np.sort(rng.normal(0, 0.4, (3, 6)), axis=1),
+            rng.uniform(0.02, 0.2, (3, 6)),
+        )
+        one, mean, tau, linear = _one(y, e)
+        two, where = _two(y, e)
+        constant = 6 * 0.5 * np.log(2 * np.pi)
+        for k in range(3):
+            best = -np.inf
+            for width in ONE:
+                s = np.hypot(e[k], width)
+                m = np.average(y[k], weights=s**-2.0)
+                value = norm.logpdf(y[k], m, s).sum() + constant
+                if value > best:
+                    best, found = value, (m, width, 0)
+                # A normal distribution of v is one of y = log v, times v.
+                v = np.exp(y[k])
+                s = np.hypot(e[k] * v, width * v.mean())
+                m = np.average(v, weights=s**-2.0)
+                value = (norm.logpdf(v, m, s) + y[k]).sum() + constant
+                if value > best:
+                    best, found = value, (np.log(m), width, 1)
+            assert one[k] == pytest.approx(best)
+            assert (mean[k], tau[k], linear[k]) == pytest.approx(found)
+            best = -np.inf
+            for split in (2, 3, 4):
+                for width in TWO:
+                    s = np.hypot(e[k], width)
+                    total = 0
+                    for part in (slice(None, split), slice(split, None)):
+                        m = np.average(y[k, part], weights=s[part] ** -2.0)
+                        share = len(y[k, part]) / 6
+                        total = total + share * norm.pdf(y[k], m, s)
+                    value = np.log(total).sum() + constant
+                    if value > best:
+                        best, found = value, split
+            assert two[k] == pytest.approx(best)
+            assert where[k] == found
+
+    @pytest.mark.parametrize("draw", ["normal", "uniform"])
+    def test_one_broad_stream_is_seldom_two(self, draw):
+        """At a level of 0.05, of speeds that scatter by a third or a half."""
+        rng = np.random.default_rng(6)
+        found = 0
+        for _ in range(40):
+            if draw == "normal":
+                speed = np.abs(rng.normal(1, 0.3, 10))
+            else:
+                speed = rng.uniform(0.1, 1.9, 10)
+            p, _ = separate_streams(features_of(speed, 0.02), 99, rng)
+            found += p <= 0.05
+        # 2 of 40 expected; more than 8 with a probability of 1e-4.
+        assert found <= 8
+
+    @given(st.integers(0, 2**32 - 1), st.floats(1e-3, 1e3), st.booleans())
+    @settings(max_examples=15)
+    def test_units_signs_and_order(self, seed, unit, back):
+        rng = np.random.default_rng(seed)
+        speed = log_normal(rng, 6, 0.5, 0.5, 0.03)
+        p, second = separate_streams(
+            features_of(speed, 0.02), 39, np.random.default_rng(1)
+        )
+        order, sign = rng.permutation(6), -1 if back else 1
+        other = separate_streams(
+            features_of(sign * unit * speed[order], 0.02 * unit),
+            39,
+            np.random.default_rng(1),
+        )
+        assert other[0] == pytest.approx(p, abs=1.5 / 40)
+        np.testing.assert_array_equal(other[1], second[order])
