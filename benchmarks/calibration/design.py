@@ -3,7 +3,7 @@
 """
 Vary the constants of the search one by one, on jets that the calibration does not use.
 
-    python benchmarks/calibration/design.py [--jets 12]
+    python benchmarks/calibration/design.py [--jets 5]
 
 Writes ``results/design_table.csv``: for each constant and value the share of jets of
 one stream whose speed is right, of jets of two streams in which both are, and of static
@@ -75,7 +75,7 @@ def speeds(d, seed, settings):
 def main():
     """Measure all jets with each value of each constant."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument("--jets", type=int, default=12)
+    parser.add_argument("--jets", type=int, default=5)
     args = parser.parse_args()
     seeds = range(FIRST_SEED, FIRST_SEED + args.jets)
     kinds = (*ONE, "two-streams", *STATIC)
