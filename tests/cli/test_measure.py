@@ -36,7 +36,7 @@ def measured(jet, tmp_path_factory):
 
 
 def test_measure_writes_tables_maps_and_settings(measured, jet):
-    assert {path.name for path in measured.iterdir()} == set(PRODUCTS[:4])
+    assert {path.name for path in measured.iterdir()} == set(PRODUCTS[:5])
     table = QTable.read(measured / "components.ecsv")
     assert table["pm"].unit == u.mas / u.yr
     assert table["beta_app"].unit == u.one
@@ -80,7 +80,7 @@ def test_files_for_other_programs(measured, jet, astro_scc, here):
         assert len(Regions.read(file)) == np.sum(ssps["epoch"] == i)
     # They go with the measurement that they are of.
     assert astro_scc(*again, "--overwrite")[0] == 0
-    assert {path.name for path in (here / "out").iterdir()} == set(PRODUCTS[:4])
+    assert {path.name for path in (here / "out").iterdir()} == set(PRODUCTS[:5])
 
 
 def test_measure_is_what_python_gives(measured, jet):
@@ -270,14 +270,14 @@ def test_overwriting_leaves_nothing_of_the_old_measurement(jet, astro_scc, here)
         "measure", *epochs(jet)[:5], *QUICK, "-o", out, "--overwrite", "--no-report"
     )
     assert status == 0
-    assert {path.name for path in out.iterdir()} == {*PRODUCTS[:4], "notes.txt"}
-    assert all((out / name).read_bytes() != b"old" for name in PRODUCTS[:4])
+    assert {path.name for path in out.iterdir()} == {*PRODUCTS[:5], "notes.txt"}
+    assert all((out / name).read_bytes() != b"old" for name in PRODUCTS[:5])
 
 
 def test_the_report_writes_what_is_known_to_be_stale():
     from astro_scc.report.figures import CAPTIONS
 
-    assert set(PRODUCTS[5:]) == {f"{name}.png" for name in CAPTIONS}
+    assert set(PRODUCTS[6:]) == {f"{name}.png" for name in CAPTIONS}
 
 
 def test_a_cube_file_is_measured(jet, astro_scc, here):

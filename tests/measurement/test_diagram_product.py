@@ -175,7 +175,7 @@ def test_the_fits_file_holds_the_diagram(name, results, tmp_path):
 def test_the_header_says_what_the_diagram_is(results):
     header = velocity_hdus(results["jet"])["DIAGRAM"].header
     text = " ".join(header["COMMENT"])
-    for part in ("per pair of dates", "0.12 BEAM", "speed * interval", "INTERVALS"):
+    for part in ("per pair of dates", "0.2 BEAM", "speed * interval", "INTERVALS"):
         assert part in text
     assert max(map(len, header["COMMENT"])) <= 72
 
