@@ -14,7 +14,6 @@ from astro_scc.stacking.components import (
 from astro_scc.stacking.diagram import (
     AxisDisplacements,
     Diagram,
-    EpochPermutations,
     Rays,
 )
 from astro_scc.stacking.displacements import Displacements
@@ -24,7 +23,11 @@ from astro_scc.stacking.grid import VelocityGrid
 from astro_scc.stacking.jitter import JitteredVelocity, jitter_positions
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.pairs import DatePairs, baseline_pairs, consecutive_pairs
-from astro_scc.stacking.permutations import number_of_orders, permutations_of_epochs
+from astro_scc.stacking.permutations import (
+    EpochPermutations,
+    number_of_orders,
+    permutations_of_epochs,
+)
 from astro_scc.stacking.search import SearchSettings
 from astro_scc.stacking.shuffle import ShuffledStacks, random_orders, shuffle_epochs
 from astro_scc.stacking.sightings import Sightings

@@ -2,23 +2,16 @@
 """The displacement-interval diagram, its rays, and its permutations."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from astro_scc.stacking.permutations import number_of_orders, permutations_of_epochs
 from astro_scc.stacking.search import SearchSettings
 
-__all__ = ["AxisDisplacements", "Diagram", "EpochPermutations", "Rays"]
+__all__ = ["AxisDisplacements", "Diagram", "Rays"]
 
 #: Grid points of the displacement in one blur.
 POINTS = 4
-#: Standard deviations of the permutations are at least this share of the largest
-#: of any axis at the same speed: single matches across the flow are no surprise.
-STD_FLOOR = 0.3
-#: Bytes of permuted diagrams that are made at once.
-BYTES = 2**26
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -408,164 +401,3 @@ class Rays:
         values = np.concatenate([value * (1 - part), value * part])
         where = np.concatenate([row, row]), np.concatenate([cell, cell + 1])
         return csr_array((values, where), shape=(len(speed), len(interval) * n))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class EpochPermutations:
-    """
-    What permuted epochs show along the rays of the diagram.
-
-    Attributes
-    ----------
-    speed : `~numpy.ndarray`, shape (n_v,)
-        In beams a year, both directions.
-    z : `~numpy.ndarray`, shape (n_axes, n_v)
-        ``E(v) / std E(v)``, E the sum of the excess along a ray and the
-        standard deviation that of all orders, the observed one among them.
-    permuted : `~numpy.ndarray`, shape (n_orders - 1, n_axes, n_v)
-        The same of each permutation.
-    smallest_p : float
-        Smallest probability that the number of orders allows.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.stacking import (AxisDisplacements, EpochPermutations,
-    ...                                 Rays, SearchSettings)
-    >>> years = np.arange(6.0)
-    >>> ssp, to = (k[~np.eye(6, dtype=bool)] for k in np.indices((6, 6)))
-    >>> d = AxisDisplacements(
-    ...     along=0.5 * (to - ssp), across=np.zeros(30), weight=np.ones(30),
-    ...     reference=ssp, target=to, ssp=ssp, target_ssp=to,
-    ...     position=np.zeros((6, 2)), epoch=np.arange(6), scale=np.ones(6),
-    ...     years=years)
-    >>> rays = Rays.of(years, 1.5, SearchSettings())
-    >>> test = EpochPermutations.of([d], rays, 99, np.random.default_rng(1),
-    ...                             SearchSettings())
-    >>> axis, speed = test.largest()
-    >>> axis, abs(speed - 0.5) < 0.1, test.p_values(axis, speed)[1] < 0.05
-    (0, True, True)
-    """
-
-    speed: np.ndarray
-    z: np.ndarray
-    permuted: np.ndarray
-    smallest_p: float
-
-    @classmethod
-    def of(cls, axes, rays, n_trials, rng, settings, *, outward=False):
-        """
-        Permute the epochs.
-
-        Parameters
-        ----------
-        axes : sequence of `AxisDisplacements`
-            The same matches along each axis that is searched.
-        rays : `Rays`
-        n_trials : int
-            Number of permutations; all there are if they are fewer.
-        rng : `~numpy.random.Generator`
-        settings : `~astro_scc.stacking.SearchSettings`
-        outward : bool, optional
-            Search positive speeds only.
-
-        Returns
-        -------
-        `EpochPermutations`
-        """
-        years, bins = axes[0].years, rays.bins
-        speed = rays.speed[rays.speed > 0] if outward else rays.speed
-        orders = permutations_of_epochs(len(years), n_trials, rng)
-        orders = np.concatenate([np.arange(len(years))[None], orders])
-        sums, largest = [], 1e-300
-        for axis in axes:
-            density = PairDensity.of(axis, rays.radius, settings)
-            matrix = rays.matrix(speed, density.grid)
-            chance = matrix @ (bins.number[:, None] * density.mean).ravel()
-            size = max(1, int(BYTES // (8 * len(bins.mean) * len(density.grid))))
-            parts = [
-                matrix @ bins.sums(density.pairs, some).reshape(len(some), -1).T
-                for some in np.split(orders, np.arange(size, len(orders), size))
-            ]
-            sums.append(np.concatenate(parts, axis=1).T - chance)
-            largest = max(largest, chance.max())
-        sums = np.stack(sums, axis=1)
-        std = sums.std(axis=0)
-        # Epochs that are all the same differ by rounding only.
-        z = sums / np.maximum(std, STD_FLOOR * std.max(axis=0) + 1e-6 * largest)
-        return cls(
-            speed=speed,
-            z=z[0],
-            permuted=z[1:].astype(np.float32),
-            smallest_p=max(1 / len(orders), 1 / number_of_orders(len(years))),
-        )
-
-    @cached_property
-    def maxima(self):
-        """Largest z of each permutation over axes and speeds, ascending."""
-        return np.sort(self.permuted.max(axis=(1, 2)))
-
-    def largest(self):
-        """
-        The axis and speed with the largest z.
-
-        Returns
-        -------
-        axis : int
-        speed : float
-            Between grid points, by a parabola in the logarithm.
-        """
-        axis, k = np.unravel_index(self.z.argmax(), self.z.shape)
-        speed = self.speed[k]
-        if (
-            0 < k < len(self.speed) - 1
-            and speed * self.speed[k - 1] > 0
-            and (speed * self.speed[k + 1] > 0)
-        ):
-            below, here, above = self.z[axis, k - 1 : k + 2]
-            # The first of the largest: the one below is less.
-            shift = 0.5 * (below - above) / (below - 2 * here + above)
-            speed *= np.exp(shift * np.log(abs(self.speed[k + 1] / speed)))
-        return int(axis), float(speed)
-
-    def significance(self, axis, speed):
-        """
-        Return z at speeds, between grid points.
-
-        Parameters
-        ----------
-        axis : int
-        speed : array_like
-
-        Returns
-        -------
-        `~numpy.ndarray`
-            Minus infinity beyond the speeds that were searched.
-        """
-        found = np.interp(speed, self.speed, self.z[axis], left=-np.inf, right=-np.inf)
-        slow = self.speed[self.speed > 0].min()
-        return np.where(np.abs(speed) < slow, -np.inf, found)
-
-    def p_values(self, axis, speed):
-        """
-        Probabilities of as large a z at this speed, and at any.
-
-        Parameters
-        ----------
-        axis : int
-        speed : float
-
-        Returns
-        -------
-        p_local, p_global : float
-            ``(b + 1) / (n + 1)``, b the number of the n permutations whose z
-            at this speed, or whose largest over all axes and speeds, is at
-            least the observed one.
-        """
-        z = float(self.significance(axis, speed))
-        if not np.isfinite(z):
-            return 1.0, 1.0
-        here = self.permuted[:, axis, np.abs(self.speed - speed).argmin()]
-        n = len(self.permuted) + 1
-        p_local = ((here >= z - 1e-6).sum() + 1) / n
-        return float(p_local), float(((self.maxima >= z - 1e-6).sum() + 1) / n)

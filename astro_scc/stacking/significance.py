@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from astro_scc.stacking.diagram import Diagram, EpochPermutations, Rays
+from astro_scc.stacking.diagram import Diagram, Rays
 from astro_scc.stacking.features import find_features, standing_features
+from astro_scc.stacking.permutations import EpochPermutations
 from astro_scc.stacking.search import SearchSettings
 from astro_scc.stacking.streams import (
     LONE,

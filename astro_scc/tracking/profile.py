@@ -29,7 +29,7 @@ def track_profile(
         Tracks with fewer features there do not count.
     scale : array_like, shape (n,), optional
         Of the features.  One feature makes tracks on several scales, which
-        are no independent witnesses: errors grow by the root of the number
+        are not independent: errors grow by the root of the number
         of scales that count.
 
     Returns

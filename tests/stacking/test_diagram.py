@@ -15,7 +15,6 @@ from astro_scc.stacking import (
     EpochPermutations,
     Rays,
     SearchSettings,
-    diagram,
     number_of_orders,
 )
 from astro_scc.stacking.diagram import IntervalBins, PairDensity
@@ -423,7 +422,7 @@ class TestEpochPermutations:
 
     def test_memory_is_used_in_parts(self, d, rays, monkeypatch):
         at_once = permute(d, rays)
-        monkeypatch.setattr(diagram, "BYTES", 1)
+        monkeypatch.setattr("astro_scc.stacking.permutations.BYTES", 1)
         one_by_one = permute(d, rays)
         np.testing.assert_allclose(one_by_one.z, at_once.z)
         np.testing.assert_allclose(one_by_one.permuted, at_once.permuted, atol=1e-5)
