@@ -13,8 +13,8 @@ from astropy.table import QTable
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.recovery import completeness, draw_paths, inject
-from astro_scc.recovery.area import area_for_features
-from astro_scc.recovery.work import run_all
+from astro_scc.recovery.completeness import run_all
+from astro_scc.recovery.injection import area_for_features
 
 PM = u.mas / u.yr
 FAST = 10 * PM
@@ -159,8 +159,8 @@ class TestMessages:
     @pytest.mark.parametrize(
         ("changes", "message"),
         [
-            ({"speeds": 0 * PM}, "speeds must be one or more positive speeds"),
-            ({"speeds": [] * PM}, "speeds must be one or more positive speeds"),
+            ({"speeds": 0 * PM}, "speeds = 0.0 mas / yr must be positive and finite"),
+            ({"speeds": [] * PM}, "speeds = .* must be positive and finite, with a"),
             (
                 {"speeds": 30 * PM},
                 "speed 30 mas/yr is beyond .* 24 mas/yr: give Stacked",
@@ -172,8 +172,8 @@ class TestMessages:
             ({"scatter": -1}, "scatter must be zero or positive, got -1"),
             ({"n_trials": 1}, "n_trials must be at least 2, got 1"),
             ({"n_trials": 18}, "18 trials allow no p_global below 0.053, so nothing"),
-            ({"fwhm": 0 * u.mas}, "fwhm must be one positive number, got 0.0 mas"),
-            ({"tolerance": -1 * PM}, "tolerance must be one positive number, got -1"),
+            ({"fwhm": 0 * u.mas}, "fwhm = 0.0 mas must be finite and above 0"),
+            ({"tolerance": -1 * PM}, "tolerance = -1.0 mas / yr must be finite and"),
             ({"position_angle": "radial"}, "either both are 'radial', or none"),
         ],
     )
@@ -195,9 +195,7 @@ class TestMessages:
     )
     def test_units(self, sky, settings, changes):
         (name,) = changes
-        with pytest.raises(
-            u.UnitConversionError, match=f"{name} must be in a unit like"
-        ):
+        with pytest.raises(u.UnitConversionError, match=f"{name} = .* must be"):
             completeness(
                 sky, settings, **{"speeds": FAST, "fluxes": 5.0, **QUICK, **changes}
             )
