@@ -321,32 +321,27 @@ def lorentz_profile(
             "see angle_max of intrinsic_table"
         )
     best = lorentz_factor(beta_intrinsic(beta, angle)).value
-    # What is too fast for the angle is faster than anything.
-    filled = np.where(np.isfinite(gamma), gamma, np.inf)
-    low, high = np.quantile(filled, CENTRAL, axis=0, method="nearest")
     log = np.log(gamma[whole])
     # Inverse variances over the trials.
     variance = log.var(axis=0)
     weight = 1 / np.maximum(variance, 1e-6 * max(variance.max(), 1e-12))
     k, ln_a = _line(np.log(r), log, weight)
+    k0, ln_a0 = np.median(k), np.median(ln_a)
     if np.isfinite(best).all():
-        k0, ln_a0 = _line(np.log(r), np.log(best)[None], weight)
-    else:
-        k0, ln_a0 = np.median(k)[None], np.median(ln_a)[None]
+        (k0,), (ln_a0,) = _line(np.log(r), np.log(best)[None], weight)
+    # What is too fast for the angle is faster than anything.
+    best, gamma = (np.where(np.isfinite(g), g, np.inf) for g in (best, gamma))
+    low, high = np.quantile(gamma, CENTRAL, axis=0, method="nearest")
+    columns = {"gamma": best, "gamma_low": low, "gamma_high": high}
     table = QTable(
-        {
-            "r": r * u.mas,
-            "gamma": np.where(np.isfinite(best), best, np.inf) * u.one,
-            "gamma_low": low * u.one,
-            "gamma_high": high * u.one,
-        },
+        {"r": r * u.mas, **{name: g * u.one for name, g in columns.items()}},
         meta={"viewing_angle": angle, "angle_error": spread * u.deg},
     )
     return LorentzProfile(
         table=table,
-        a=float(np.exp(ln_a0[0])),
+        a=float(np.exp(ln_a0)),
         a_err=_half(np.exp(ln_a)),
-        k=float(k0[0]),
+        k=float(k0),
         k_err=_half(k),
         possible=float(whole.mean()),
     )

@@ -67,12 +67,10 @@ def to_cosmology(value=None):
     matches = [_PARAMETER.fullmatch(part) for part in name.split(",")]
     if all(matches):
         values = {m.group(1): float(m.group(2)) for m in matches}
-        known = len(values) == len(matches) and np.all(np.isfinite([*values.values()]))
-        if known and values.get("H0", 0) > 0:
-            if set(values) == {"H0", "Om0"}:
-                return FlatLambdaCDM(**values)
-            if set(values) == {"H0", "Om0", "Ode0"}:
-                return LambdaCDM(**values)
+        kinds = {"H0 Om0": FlatLambdaCDM, "H0 Ode0 Om0": LambdaCDM}
+        kind = kinds.get(" ".join(sorted(m.group(1) for m in matches)))
+        if kind and values["H0"] > 0 and np.all(np.isfinite([*values.values()])):
+            return kind(**values)
     raise ValueError(
         "is no cosmology; give H0=71,Om0=0.27 (and Ode0 unless it is flat) or one of "
         f"{', '.join(sorted(realizations.available))}"

@@ -11,6 +11,7 @@ import numpy as np
 from astropy.stats import binom_conf_interval
 from astropy.table import QTable
 from astropy.utils.masked import Masked
+from threadpoolctl import threadpool_limits
 
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import PositionAngleFrame
@@ -36,20 +37,26 @@ CONFIDENCE = 0.95
 #: Beginning of the warning of a region without SSPs.
 NOTHING_THERE = ".*: no significant pattern has its centroid inside"
 
-DESCRIPTIONS = {
-    "speed": "speed of the features that were injected",
-    "flux": "their peak",
-    "snr": "their peak over the median noise of the epochs",
-    "n_injected": "measurements with features injected",
-    "n_found": "measurements that found them",
-    "fraction": "n_found / n_injected",
-    "fraction_low": "lower limit of the 95% interval of fraction (Jeffreys)",
-    "fraction_high": "upper limit of the 95% interval of fraction (Jeffreys)",
-    "bias": "mean of measured minus true speed, where found",
-    "bias_err": "standard error of bias",
-    "scatter": "standard deviation of the measured speed, where found",
-    "coverage": "share of the found whose standard error reaches the true speed",
-    "own": "whether the epochs have a component within the tolerance already",
+
+_LIMIT = "limit of the 95% interval of fraction (Jeffreys)"
+#: Units and descriptions of the columns.
+COLUMNS = {
+    "speed": (PM_UNIT, "speed of the features that were injected"),
+    "flux": (None, "their peak"),
+    "snr": (None, "their peak over the median noise of the epochs"),
+    "n_injected": (None, "measurements with features injected"),
+    "n_found": (None, "measurements that found them"),
+    "fraction": (None, "n_found / n_injected"),
+    "fraction_low": (None, f"lower {_LIMIT}"),
+    "fraction_high": (None, f"upper {_LIMIT}"),
+    "bias": (PM_UNIT, "mean of measured minus true speed, where found"),
+    "bias_err": (PM_UNIT, "standard error of bias"),
+    "scatter": (PM_UNIT, "standard deviation of the measured speed, where found"),
+    "coverage": (
+        None,
+        "share of the found whose standard error reaches the true speed",
+    ),
+    "own": (None, "whether the epochs have a component within the tolerance already"),
 }
 
 
@@ -175,10 +182,14 @@ def completeness(
     -------- --------- ----------
         12.0       2.0          3
     """
-    injection = _injection_of(
-        cube, scc, position_angle, region, n_trials, fwhm, tolerance
+    _check_possible(len(cube), n_trials, scc.level)
+    position_angle, largest_part = _direction(position_angle, scc.position_angle)
+    width = _width(cube, scc, fwhm)
+    region = None if region is None else cube.region_mask(region)
+    injection = _Injection(
+        scc, region, n_trials, width, _tolerance(cube, scc, width, tolerance)
     )
-    speeds = injection.checked_speeds(speeds)
+    speeds = _speeds(speeds, scc.speed_limit(cube).to_value(PM_UNIT), largest_part)
     noise = float(np.median(cube.noise_rms().value))
     peaks = _peaks(fluxes, cube.unit, noise)
     for name, value in (("n_injections", n_injections), ("n_features", n_features)):
@@ -192,10 +203,10 @@ def completeness(
         # Features are injected where there were none as well.
         warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
         bare = injection.measure(cube, own_rng)
-    area = area_for_features(bare.matched, injection.region)
+    area = area_for_features(bare.matched, region)
     numbers = moving_components(bare, scc.level)
     own = np.reshape([bare.velocities[k - 1].value for k in numbers], (-1, 2))
-    axis = velocity_along(bare.frame, injection.position_angle)
+    axis = velocity_along(bare.frame, position_angle)
     cells = [(speed, peak) for speed in speeds for peak in peaks]
 
     def recover(job):
@@ -205,9 +216,9 @@ def completeness(
             cube,
             area,
             speed=speed * PM_UNIT,
-            position_angle=injection.position_angle,
+            position_angle=position_angle,
             n_features=n_features,
-            scatter=scatter * injection.fwhm * u.mas,
+            scatter=scatter * width * u.mas,
             rng=path_rng,
         )
         fuller = inject(cube, paths, peak * cube.unit, fwhm=fwhm)
@@ -215,36 +226,32 @@ def completeness(
             injection.measure(fuller, trial_rng), own, speed, axis, paths
         )
 
-    outcomes = run_all(
-        recover,
-        [
-            (cell, job_rng)
-            for cell, cell_rng in zip(cells, root.spawn(len(cells)), strict=True)
-            for job_rng in cell_rng.spawn(n_injections)
-        ],
-        n_workers=n_workers,
-        label="Recovering",
-        progress_bar=progress_bar,
-    )
-    table = _table(cells, outcomes, n_injections, cube.unit, noise)
-    away = [np.hypot(*(own - speed * axis).T) for speed, _ in cells]
-    table["own"] = [bool(np.any(d <= injection.tolerance)) for d in away]
-    for name, text in DESCRIPTIONS.items():
-        table[name].info.description = text
-    table.meta.update(
-        {
-            "settings": scc.to_dict(),
-            "position_angle": injection.position_angle,
-            "tolerance": injection.tolerance * PM_UNIT,
-            "level": scc.level,
-            "n_features": n_features,
-            "n_trials": n_trials,
-            "scatter": scatter,
-            "own_velocities": own * PM_UNIT,
-            "seed": seed,
-            "versions": versions(),
-        }
-    )
+    jobs = [
+        (cell, job_rng)
+        for cell, cell_rng in zip(cells, root.spawn(len(cells)), strict=True)
+        for job_rng in cell_rng.spawn(n_injections)
+    ]
+    outcomes = run_all(recover, jobs, n_workers, "Recovering", progress_bar)
+    rows = []
+    for k, (speed, peak) in enumerate(cells):
+        row = _counted(outcomes[k * n_injections : (k + 1) * n_injections])
+        away = np.hypot(*(own - speed * axis).T)
+        row["own"] = bool(np.any(away <= injection.tolerance))
+        snr = peak / noise if noise > 0 else None
+        rows.append({"speed": speed, "flux": peak, "snr": snr} | row)
+    table = table_of(rows, COLUMNS | {"flux": (cube.unit, COLUMNS["flux"][1])})
+    table.meta = {
+        "settings": scc.to_dict(),
+        "position_angle": position_angle,
+        "tolerance": injection.tolerance * PM_UNIT,
+        "level": scc.level,
+        "n_features": n_features,
+        "n_trials": n_trials,
+        "scatter": scatter,
+        "own_velocities": own * PM_UNIT,
+        "seed": seed,
+        "versions": versions(),
+    }
     return table
 
 
@@ -254,24 +261,9 @@ class _Injection:
 
     scc: object
     region: np.ndarray | None
-    position_angle: u.Quantity | str
     n_trials: int
     fwhm: float
     tolerance: float
-    limit: float
-    #: Of a speed, along the axis that is searched.
-    largest_part: float
-
-    def checked_speeds(self, speeds):
-        """Return speeds as numbers in mas/yr, that are searched."""
-        values = positive_quantities("speeds", speeds, "2 mas/yr").to_value(PM_UNIT)
-        if np.any(values * self.largest_part > self.limit):
-            raise ValueError(
-                f"speed {values.max():.4g} mas/yr is beyond the largest that is "
-                f"searched, {self.limit:.4g} mas/yr: give StackedCrossCorrelation a "
-                "larger max_speed"
-            )
-        return values.tolist()
 
     def measure(self, cube, rng):
         """Return the result of a cube, also of one that shows nothing."""
@@ -298,10 +290,8 @@ class _Injection:
         return axis @ velocity.value - speed, error
 
 
-def _injection_of(cube, scc, position_angle, region, n_trials, fwhm, tolerance):
-    """Check the arguments of `completeness`, and fill in what is not given."""
-    pairs = scc.date_pairs(cube)
-    n_epochs, level = len(cube), scc.level
+def _check_possible(n_epochs, n_trials, level):
+    """Refuse epochs and trials so few that nothing can be found."""
     if smallest_p(n_epochs) > level:
         raise ValueError(
             f"{n_epochs} epochs allow no p_global below {smallest_p(n_epochs):.2g} "
@@ -309,70 +299,64 @@ def _injection_of(cube, scc, position_angle, region, n_trials, fwhm, tolerance):
             f"{epochs_needed(level)} epochs or more are needed"
         )
     check_trials(n_trials, level)
-    axis = _axis(scc.position_angle)
-    position_angle = _direction(position_angle, axis)
-    if fwhm is not None:
-        fwhm = named("fwhm", one_quantity, fwhm, "an angle", "1 mas").to_value(u.mas)
-    elif cube.beams is None:
-        raise ValueError(
-            "the cube has no beams: give fwhm, the full width of features, as an angle"
-        )
-    else:
-        fwhm = mean_fwhm(cube, max(scc.scale_numbers(cube)))
-    if tolerance is None:
-        tolerance = TOLERANCE * fwhm / np.median(pairs.interval)
-    else:
-        how = "a proper motion", "2 mas/yr"
-        tolerance = named("tolerance", one_quantity, tolerance, *how).to_value(PM_UNIT)
-    largest_part = 1.0
-    if isinstance(axis, u.Quantity):
-        largest_part = float(abs(np.cos(position_angle - axis)))
-    return _Injection(
-        scc=scc,
-        region=None if region is None else cube.region_mask(region),
-        position_angle=position_angle,
-        n_trials=n_trials,
-        fwhm=fwhm,
-        tolerance=tolerance,
-        limit=scc.speed_limit(cube).to_value(PM_UNIT),
-        largest_part=largest_part,
-    )
-
-
-def _axis(position_angle):
-    """Return the direction of the velocity axes of a measurement."""
-    if isinstance(position_angle, PositionAngleFrame):
-        return position_angle.pa
-    if position_angle is None or isinstance(position_angle, u.Quantity):
-        return position_angle
-    if isinstance(position_angle, str) and position_angle == "radial":
-        return position_angle
-    raise ValueError(
-        "features move on straight lines, so the measurement needs velocity axes of "
-        f"one direction, or 'radial', not {position_angle}: give "
-        "StackedCrossCorrelation an angle as position_angle"
-    )
 
 
 def _direction(position_angle, axis):
-    """Return the direction in which features move."""
-    if position_angle is None:
-        position_angle = axis
+    """Return the direction of motion, and the part of a speed along the axis."""
+    axis = axis.pa if isinstance(axis, PositionAngleFrame) else axis
+    radial = isinstance(axis, str) and axis == "radial"
+    if not (radial or axis is None or isinstance(axis, u.Quantity)):
+        raise ValueError(
+            "features move on straight lines, so the measurement needs velocity axes "
+            f"of one direction, or 'radial', not {axis}: give StackedCrossCorrelation "
+            "an angle as position_angle"
+        )
+    position_angle = axis if position_angle is None else position_angle
     if position_angle is None:
         raise ValueError(
             "position_angle is missing: give the direction in which features move, an "
             "angle or 'radial'"
         )
-    radial = isinstance(position_angle, str)
-    if radial != isinstance(axis, str) or (radial and position_angle != "radial"):
+    if radial != (isinstance(position_angle, str) and position_angle == "radial"):
         raise ValueError(
             f"position_angle {position_angle} does not go with that of the "
             f"measurement, {axis}: either both are 'radial', or none"
         )
     if radial:
-        return position_angle
+        return position_angle, 1.0
     how = "an angle", "65 deg", False
-    return named("position_angle", one_quantity, position_angle, *how).to(u.deg)
+    angle = named("position_angle", one_quantity, position_angle, *how).to(u.deg)
+    return angle, 1.0 if axis is None else float(abs(np.cos(angle - axis)))
+
+
+def _width(cube, scc, fwhm):
+    """Return the full width of features in mas."""
+    if fwhm is not None:
+        return named("fwhm", one_quantity, fwhm, "an angle", "1 mas").to_value(u.mas)
+    if cube.beams is None:
+        raise ValueError(
+            "the cube has no beams: give fwhm, the full width of features, as an angle"
+        )
+    return mean_fwhm(cube, max(scc.scale_numbers(cube)))
+
+
+def _tolerance(cube, scc, width, tolerance):
+    """Return the largest distance of a velocity from the true one, in mas/yr."""
+    if tolerance is None:
+        return TOLERANCE * width / np.median(scc.date_pairs(cube).interval)
+    how = "a proper motion", "2 mas/yr"
+    return named("tolerance", one_quantity, tolerance, *how).to_value(PM_UNIT)
+
+
+def _speeds(speeds, limit, largest_part):
+    """Return speeds in mas/yr, of which the part along the axis is searched."""
+    values = positive_quantities("speeds", speeds, "2 mas/yr").to_value(PM_UNIT)
+    if np.any(values * largest_part > limit):
+        raise ValueError(
+            f"speed {values.max():.4g} mas/yr is beyond the largest that is searched, "
+            f"{limit:.4g} mas/yr: give StackedCrossCorrelation a larger max_speed"
+        )
+    return values.tolist()
 
 
 def _peaks(fluxes, unit, noise):
@@ -398,40 +382,41 @@ def _peaks(fluxes, unit, noise):
     return values.tolist()
 
 
-def _table(cells, outcomes, n_injections, unit, noise):
-    """Return a row for each speed and peak of the injected features."""
-    found = [
-        [outcome for outcome in outcomes[k : k + n_injections] if outcome is not None]
-        for k in range(0, len(outcomes), n_injections)
-    ]
-    n_found = np.array([len(row) for row in found], dtype=int)
-    fraction, low, high = share(n_found, n_injections)
-    bias, bias_err, scatter, coverage = [], [], [], []
-    for row in found:
-        off, err = np.array(row).reshape(-1, 2).T
-        n = len(row)
-        spread = float(off.std(ddof=1)) if n > 1 else None
-        bias.append(float(off.mean()) if n else None)
-        bias_err.append(None if spread is None else spread / np.sqrt(n))
-        scatter.append(spread)
-        coverage.append(float(np.mean(np.abs(off) <= err)) if n else None)
-    speed, peak = np.array(cells).T
-    return QTable(
-        {
-            "speed": speed * PM_UNIT,
-            "flux": peak * unit,
-            "snr": partly_known([p / noise if noise > 0 else None for p in peak]),
-            "n_injected": np.full(len(cells), n_injections),
-            "n_found": n_found,
-            "fraction": fraction,
-            "fraction_low": low,
-            "fraction_high": high,
-            "bias": partly_known(bias, PM_UNIT),
-            "bias_err": partly_known(bias_err, PM_UNIT),
-            "scatter": partly_known(scatter, PM_UNIT),
-            "coverage": partly_known(coverage),
-        }
-    )
+def _counted(outcomes):
+    """Return how many injections were found, and how well; None what is not known."""
+    found = [outcome for outcome in outcomes if outcome is not None]
+    n = len(found)
+    fraction, low, high = share(n, len(outcomes))
+    off, error = np.array(found).reshape(-1, 2).T
+    spread = float(off.std(ddof=1)) if n > 1 else None
+    return {
+        "n_injected": len(outcomes),
+        "n_found": n,
+        "fraction": fraction,
+        "fraction_low": low,
+        "fraction_high": high,
+        "bias": float(off.mean()) if n else None,
+        "bias_err": spread / np.sqrt(n) if n > 1 else None,
+        "scatter": spread,
+        "coverage": float(np.mean(np.abs(off) <= error)) if n else None,
+    }
+
+
+def table_of(rows, columns):
+    """Return a table of dicts, masked where a value is None, with units and texts."""
+    table = QTable()
+    for name, (unit, text) in columns.items():
+        values = [row[name] for row in rows]
+        missing = [value is None for value in values]
+        column = np.array([0.0 if value is None else value for value in values])
+        if unit is not None:
+            column = u.Quantity(column, unit)
+        if any(missing):
+            masked = np.ma.MaskedArray if unit is None else Masked
+            column = masked(column, mask=missing)
+        table[name] = column
+        table[name].info.description = text
+    return table
 
 
 def positive_quantities(name, value, example):
@@ -478,32 +463,17 @@ def epochs_needed(level):
 
 
 def share(number, of):
-    """Return shares with the limits of their 95% intervals (Jeffreys)."""
-    number = np.asarray(number, dtype=int)
+    """Return a share with the limits of its 95% interval (Jeffreys)."""
     low, high = binom_conf_interval(number, of, CONFIDENCE, interval="jeffreys")
-    return number / of, np.asarray(low), np.asarray(high)
+    return number / of, float(low), float(high)
 
 
-def partly_known(values, unit=None):
-    """Return a column, masked where a value is None."""
-    missing = np.array([value is None for value in values], dtype=bool)
-    numbers = np.array([0.0 if v is None else v for v in values], dtype=float)
-    column = numbers if unit is None else u.Quantity(numbers, unit)
-    if not missing.any():
-        return column
-    if unit is None:
-        return np.ma.MaskedArray(column, mask=missing)
-    return Masked(column, mask=missing)
-
-
-def run_all(function, jobs, *, n_workers=1, label="", progress_bar=False):
+def run_all(function, jobs, n_workers=1, label="", progress_bar=False):
     """
     Return what a function makes of each job, whatever the number of threads.
 
     Warnings about what the data support are not repeated for each of them.
     """
-    from threadpoolctl import threadpool_limits
-
     if n_workers < 1:
         raise ValueError(f"n_workers must be at least 1, got {n_workers}")
     with (

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.measurement import versions
@@ -14,12 +13,12 @@ from astro_scc.quantities import named, one_quantity
 from astro_scc.recovery.completeness import (
     check_trials,
     epochs_needed,
-    partly_known,
     positive_quantities,
     run_all,
     seeded,
     share,
     smallest_p,
+    table_of,
 )
 from astro_scc.stacking import SearchSettings
 
@@ -40,20 +39,26 @@ MARGIN = 2.0
 TOLERANCE = 0.2
 #: Length of the simulated field by default, in beams.
 FIELD = 20.0
-
-DESCRIPTIONS = {
-    "n_epochs": "number of epochs",
-    "interval": "time between consecutive epochs",
-    "total_time": "time from the first to the last epoch",
-    "motion_slow": "motion of the slower stream per interval, in beams",
-    "motion_fast": "motion of the faster stream per interval, in beams",
-    "p_smallest": "smallest p_global of something that moves, 2/N!",
-    "limit": "why the speeds cannot be distinguished; empty if they may be",
-    "n_jets": "simulated jets that were measured",
+#: Units and descriptions of the columns.
+COLUMNS = {
+    "n_epochs": (None, "number of epochs"),
+    "interval": (None, "time between consecutive epochs"),
+    "total_time": (None, "time from the first to the last epoch"),
+    "motion_slow": (None, "motion of the slower stream per interval, in beams"),
+    "motion_fast": (None, "motion of the faster stream per interval, in beams"),
+    "p_smallest": (None, "smallest p_global of something that moves, 2/N!"),
+    "limit": (None, "why the speeds cannot be distinguished; empty if they may be"),
+    "n_jets": (None, "simulated jets that were measured"),
+}
+_LIMIT = "limit of the 95% interval (Jeffreys)"
+FRACTIONS = {
     "fraction_slow": "share of jets in which the slower stream is found",
     "fraction_fast": "share of jets in which the faster stream is found",
     "fraction_both": "share of jets in which both are found",
 }
+for _name, _text in FRACTIONS.items():
+    COLUMNS[_name] = None, _text
+    COLUMNS[f"{_name}_low"] = COLUMNS[f"{_name}_high"] = None, _LIMIT
 
 
 def plan(
@@ -188,11 +193,10 @@ def plan(
         for n in numbers
         for interval in intervals.to_value(u.yr)
     ]
+    root = np.random.default_rng(rng)
     jobs = [
         (campaign, own)
-        for campaign, row_rng in zip(
-            campaigns, np.random.default_rng(rng).spawn(len(campaigns)), strict=True
-        )
+        for campaign, row_rng in zip(campaigns, root.spawn(len(campaigns)), strict=True)
         if not campaign.limit
         for own in row_rng.spawn(n_jets)
     ]
@@ -201,26 +205,31 @@ def plan(
         campaign, own = job
         return campaign.measure(beam, n_trials, own, options)
 
-    found = run_all(
-        measure, jobs, n_workers=n_workers, label="Planning", progress_bar=progress_bar
-    )
-    given = np.tile(intervals.value, len(numbers)) * intervals.unit
-    table = _table(campaigns, found, n_jets, given)
-    table.meta.update(
-        {
-            "speeds": [slow, fast] * PM_UNIT,
-            "beam_along": width * u.mas,
-            "field": length * u.mas,
-            "n_trials": n_trials,
-            "level": level,
-            "wanted": wanted,
-            "epochs_needed": epochs_needed(level),
-            "seed": seed,
-            "versions": versions(),
-        }
-    )
+    found = iter(run_all(measure, jobs, n_workers, "Planning", progress_bar))
+    rows = []
+    for campaign, interval in zip(
+        campaigns, np.tile(intervals.value, len(numbers)), strict=True
+    ):
+        n = 0 if campaign.limit else n_jets
+        own = np.array([next(found) for _ in range(n)], dtype=bool).reshape(n, 2)
+        rows.append(campaign.row(interval, own))
+    times = {
+        name: (intervals.unit, COLUMNS[name][1]) for name in ("interval", "total_time")
+    }
+    table = table_of(rows, COLUMNS | times)
     row = smallest_plan(table, wanted)
-    table.meta["smallest"] = None if row is None else _as_dict(row)
+    table.meta = {
+        "speeds": [slow, fast] * PM_UNIT,
+        "beam_along": width * u.mas,
+        "field": length * u.mas,
+        "n_trials": n_trials,
+        "level": level,
+        "wanted": wanted,
+        "epochs_needed": epochs_needed(level),
+        "seed": seed,
+        "versions": versions(),
+        "smallest": None if row is None else _as_dict(row),
+    }
     return table
 
 
@@ -294,6 +303,25 @@ class _Campaign:
             return "difference"
         return ""
 
+    def row(self, interval, found):
+        """Return the row of a table; of each jet is known which streams are found."""
+        per_beam = self.interval / self.width
+        row = {
+            "n_epochs": self.n_epochs,
+            "interval": interval,
+            "total_time": interval * (self.n_epochs - 1),
+            "motion_slow": per_beam * self.slow,
+            "motion_fast": per_beam * self.fast,
+            "p_smallest": smallest_p(self.n_epochs),
+            "limit": self.limit,
+            "n_jets": len(found),
+        }
+        counts = *found.sum(axis=0), found.all(axis=1).sum()
+        for name, count in zip(FRACTIONS, counts, strict=True):
+            limits = share(count, len(found)) if len(found) else [None] * 3
+            row[name], row[f"{name}_low"], row[f"{name}_high"] = limits
+        return row
+
     def measure(self, beam, n_trials, rng, options):
         """Return whether the slow and the fast stream of one jet are found."""
         from astro_scc.scc import StackedCrossCorrelation
@@ -337,43 +365,6 @@ class _Campaign:
             )
             for speed in (self.slow, self.fast)
         ]
-
-
-def _table(campaigns, found, n_jets, interval):
-    """Return a row for each number of epochs and interval."""
-    beams = np.array([c.interval / c.width for c in campaigns])
-    limits = [c.limit for c in campaigns]
-    done = np.array([0 if limit else n_jets for limit in limits], dtype=int)
-    table = QTable(
-        {
-            "n_epochs": [c.n_epochs for c in campaigns],
-            "interval": interval,
-            "total_time": interval * [c.n_epochs - 1 for c in campaigns],
-            "motion_slow": beams * [c.slow for c in campaigns],
-            "motion_fast": beams * [c.fast for c in campaigns],
-            "p_smallest": [smallest_p(c.n_epochs) for c in campaigns],
-            "limit": np.array(limits, dtype="U10"),
-            "n_jets": done,
-        }
-    )
-    rows = np.split(np.array(found, dtype=bool).reshape(-1, 2), np.cumsum(done)[:-1])
-    for name, of in (
-        ("slow", lambda row: row[:, 0]),
-        ("fast", lambda row: row[:, 1]),
-        ("both", lambda row: row.all(axis=1)),
-    ):
-        shares = [
-            [float(s) for s in share(of(row).sum(), n)] if n else (None,) * 3
-            for row, n in zip(rows, done, strict=True)
-        ]
-        columns = zip(*shares, strict=True)
-        for suffix, column in zip(("", "_low", "_high"), columns, strict=True):
-            table[f"fraction_{name}{suffix}"] = partly_known(column)
-    for name in table.colnames:
-        table[name].info.description = DESCRIPTIONS.get(
-            name, "limit of the 95% interval (Jeffreys)"
-        )
-    return table
 
 
 def _as_dict(row):

@@ -53,7 +53,7 @@ def limbs(matched):
 
 @pytest.fixture(scope="module")
 def result(scc, matched):
-    return scc.stack(matched, n_trials=99, rng=1)
+    return scc.stack(matched, n_trials=20, rng=1)
 
 
 def test_limbs_have_their_speeds(matched, limbs, result):

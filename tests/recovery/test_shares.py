@@ -8,9 +8,9 @@ from scipy.stats import beta
 
 from astro_scc.recovery.completeness import (
     epochs_needed,
-    partly_known,
     share,
     smallest_p,
+    table_of,
 )
 
 
@@ -31,20 +31,21 @@ def test_as_many_epochs_as_a_level_needs(level):
 @given(of=st.integers(1, 200), part=st.floats(0, 1))
 def test_intervals_are_those_of_jeffreys(of, part):
     number = round(part * of)
-    fraction, low, high = share([number], of)
-    assert fraction[0] == number / of
-    assert 0 <= low[0] <= fraction[0] <= high[0] <= 1
+    fraction, low, high = share(number, of)
+    assert fraction == number / of
+    assert 0 <= low <= fraction <= high <= 1
     own = beta(number + 0.5, of - number + 0.5)
     if 0 < number < of:
-        np.testing.assert_allclose([low[0], high[0]], own.ppf([0.025, 0.975]))
+        np.testing.assert_allclose([low, high], own.ppf([0.025, 0.975]))
 
 
 def test_what_is_not_known_is_masked():
-    known = partly_known([1.0, 2.0], u.mas)
-    assert isinstance(known, u.Quantity)
-    assert not hasattr(known, "mask")
-    partly = partly_known([None, 2.0], u.mas)
-    assert partly.mask.tolist() == [True, False]
-    assert partly.unit == u.mas
-    assert partly_known([None, 2.0]).mask.tolist() == [True, False]
-    assert partly_known([None]).mask.all()
+    rows = [{"known": 1.0, "v": None, "n": 1}, {"known": 2.0, "v": 2.0, "n": None}]
+    columns = {"known": (u.mas, "a"), "v": (u.mas, "b"), "n": (None, "c")}
+    table = table_of(rows, columns)
+    assert isinstance(table["known"], u.Quantity)
+    assert not hasattr(table["known"], "mask")
+    assert table["v"].mask.tolist() == [True, False]
+    assert table["v"].unit == u.mas
+    assert table["n"].mask.tolist() == [False, True]
+    assert table["n"].info.description == "c"
