@@ -26,7 +26,7 @@ KERNEL_STEPS, MIXTURE_STEPS, SMALL = 40, 100, 0.02
 #: of the share of those that expand.
 SCATTER, SHARE = (0.02, 1.0), (0.02, 0.98)
 #: Parts of the azimuth that are left out in turn for the errors.
-BLOCKS = 24
+AZIMUTHS = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,13 +183,11 @@ def _samples_of(scc, names, parts, limit):
         years = part.cube.years.to_value(u.yr)
         pairs = scc.date_pairs(part.cube)
         s = Sightings.of(displacements, pairs, years, (limit, limit))
+        # What is alike is not known before all are seen: the group for now.
         group = np.full(len(s), k)
-        columns.append(
-            (
-                *(s.middle, s.velocity, s.interval, s.sigma, group, group),
-                *(s.first, s.weight, part.ssps.scale[s.ssp], part.ssps.snr[s.ssp]),
-            )
-        )
+        fitted = s.middle, s.velocity, s.interval, s.sigma, group, group
+        more = s.first, s.weight, part.ssps.scale[s.ssp], part.ssps.snr[s.ssp]
+        columns.append(fitted + more)
     numbers = [len(column[0]) for column in columns]
     if not any(numbers):
         raise ValueError("no pattern has a match: there is nothing to fit a centre to")
@@ -307,10 +305,12 @@ def fit_mixture(samples, start, area, *, fixed=False):
     climbed = _climb(samples, start, *first, area, widest, fixed)
     place, scatter, share, inverse, p = climbed
     azimuth = np.arctan2(*(samples.x - place[-2:]).T)
-    block = np.floor((azimuth + np.pi) / (2 * np.pi) * BLOCKS).astype(int) % BLOCKS
+    part_of = (
+        np.floor((azimuth + np.pi) / (2 * np.pi) * AZIMUTHS).astype(int) % AZIMUTHS
+    )
     others = []
-    for k in np.unique(block):
-        keep = block != k
+    for k in np.unique(part_of):
+        keep = part_of != k
         if np.all(np.bincount(samples.group[keep], minlength=n_groups) > 3):
             part = samples.select(keep)
             others.append(

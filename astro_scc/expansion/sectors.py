@@ -115,22 +115,19 @@ def measure_expansion(
     east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True)
     x0, y0 = frame.centre.value
     azimuth = np.degrees(np.arctan2(east - x0, north - y0))
-    measured, tables = [], []
+    tables = {}
     rngs = np.random.default_rng(rng).spawn(len(limits))
     for (low, high), own in zip(limits, rngs, strict=True):
         inside = (azimuth - low) % 360 < high - low
         part = replace(matched, select=matched.select & inside)
         if part.select.any():
             result = stacker.stack(part, n_trials=n_trials, rng=own)
-            measured.append((low, high))
-            tables.append(result.components)
+            tables[low, high] = result.components
     if not tables:
         raise ValueError("no SSP lies in any sector: there is nothing to stack")
     rows = [
         _in_sector(table, low, high, frame)
-        for (low, high), table in zip(
-            measured, false_discovery_rate(tables), strict=True
-        )
+        for (low, high), table in false_discovery_rate(tables).items()
     ]
     filled = [t for t in rows if len(t)] or rows[:1]
     joined = vstack(filled, metadata_conflicts="silent")

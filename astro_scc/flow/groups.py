@@ -91,9 +91,11 @@ def limb_groups(matched, ridge, half_width):
     """
     groups = {}
     for name, mask in limb_masks(matched.cube, ridge, half_width).items():
-        select = select_ssps(matched, region=mask).select
-        if select.any():
-            groups[name] = select
+        # A region without a pixel is refused.
+        if mask.any():
+            select = select_ssps(matched, region=mask).select
+            if select.any():
+                groups[name] = select
     return groups
 
 
