@@ -30,19 +30,17 @@ from shells import two_rates
 
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import read_components, restore
-from astro_scc.kinematics import apparent_speed
-from astro_scc.measurement import select_ssps
-from astro_scc.profiles import (
+from astro_scc.flow import (
+    compare_positions,
+    compare_speeds,
     fit_profile,
     lorentz_profile,
     measure_acceleration,
     measure_profile,
-)
-from astro_scc.stratification import (
-    compare_positions,
-    compare_speeds,
     scale_groups,
 )
+from astro_scc.kinematics import apparent_speed
+from astro_scc.measurement import select_ssps
 from astro_scc.tracking import track_profile
 
 SOURCE = {source.name: source for source in SOURCES}
@@ -292,7 +290,7 @@ def streams_of_3c273(args):
     header = ["distance (mas)", "quantity", "unit", "scales 1, 2: median ± spread",
               "scales 3, 4", "p, Anderson-Darling", "p, paired"]  # fmt: skip
     write_table("stratification_3c273_places", header, places)
-    from astro_scc.stratification.positions import ssp_places
+    from astro_scc.flow.groups import ssp_places
     from astro_scc.visualization import plot_position_angles
 
     angle, _, _ = ssp_places(scc, matched)

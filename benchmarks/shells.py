@@ -10,7 +10,7 @@ import numpy as np
 from common import RESULTS, measured, write_table
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.shells import fit_shell, remove_compact
+from astro_scc.expansion import fit_shell, remove_compact
 from astro_scc.simulation import simulate_shell
 
 RATE = u.percent / u.yr

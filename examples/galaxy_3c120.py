@@ -10,8 +10,8 @@ from common import brief, run
 
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import read_components, restore
+from astro_scc.flow import measure_profile
 from astro_scc.kinematics import apparent_speed, paper_cosmology
-from astro_scc.profiles import measure_profile
 from astro_scc.visualization import plot_profile
 
 

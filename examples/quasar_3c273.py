@@ -13,8 +13,8 @@ from common import brief, run
 
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import distance_mask, read_components, restore
+from astro_scc.flow import scale_groups
 from astro_scc.kinematics import paper_cosmology
-from astro_scc.stratification import scale_groups
 from astro_scc.visualization import plot_members
 
 

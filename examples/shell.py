@@ -10,7 +10,7 @@ from astropy.table import QTable
 from common import brief, run
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.shells import expansion_speed, fit_shell
+from astro_scc.expansion import expansion_speed, fit_shell
 from astro_scc.simulation import simulate_shell
 from astro_scc.visualization import plot_epoch
 

@@ -100,7 +100,7 @@ def maxima(result):
     """Maxima of the stack by falling coefficient, as `in_pixels`."""
     box = (6 * PIXEL).value
     found = find_components(result.coefficient, result.grid, (box, box))
-    sky = np.array([result.frame.to_sky(c.v1, c.v2) for c in found])
+    sky = np.array([result.frame.matrix().T @ (c.v1, c.v2) for c in found])
     return sky * [-1, 1] / PIXEL.value
 
 

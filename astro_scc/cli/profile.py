@@ -83,8 +83,8 @@ def run(args, reporter):
     reporter : `~astro_scc.cli.reporter.Reporter`
     """
     from astro_scc.config import read_epochs
+    from astro_scc.flow.profile import bins_of
     from astro_scc.measurement import product_folder, write_votable
-    from astro_scc.profiles import bins_of
 
     config = settings_of(args, reporter)
     if "bins" not in config:
@@ -111,12 +111,12 @@ def _measure(cube, config, folder, reporter, n_workers):
         plain_settings,
         settings_as_used,
     )
-    from astro_scc.measurement import select_ssps, versions
-    from astro_scc.profiles import (
+    from astro_scc.flow import (
         measure_acceleration,
         measure_profile,
         write_profile,
     )
+    from astro_scc.measurement import select_ssps, versions
 
     scc = StackedCrossCorrelation.from_settings(config)
     how = distance_of(config)
@@ -161,8 +161,8 @@ def _measure(cube, config, folder, reporter, n_workers):
 
 def _of_scales(result):
     """Speeds of the finest scale and of the others, if there are and have any."""
+    from astro_scc.flow import compare_speeds, scale_groups
     from astro_scc.kinematics import SkyFrame
-    from astro_scc.stratification import compare_speeds, scale_groups
 
     scales = sorted(set(result.matched.ssps.scale.tolist()))
     if len(scales) < 2 or isinstance(result.frame, SkyFrame):

@@ -130,7 +130,7 @@ def profile_lines(components):
     Parameters
     ----------
     components : `~astropy.table.QTable`
-        See `~astro_scc.profiles.Profile.components`.
+        See `~astro_scc.flow.Profile.components`.
 
     Returns
     -------
@@ -169,7 +169,7 @@ def scale_lines(of_scales):
     Parameters
     ----------
     of_scales : `~astropy.table.QTable`
-        See `~astro_scc.stratification.compare_speeds`.
+        See `~astro_scc.flow.compare_speeds`.
 
     Returns
     -------
@@ -238,7 +238,7 @@ def speed_lines(meta):
     >>> speed_lines({"redshift": 0.158, "cosmology": "H0=71,Om0=0.27"})[0]
     'speeds in c: redshift 0.158, FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0 = 0.27'
     """
-    from astro_scc.kinematics import cosmology_text
+    from astro_scc.kinematics.cosmology import cosmology_text
 
     if "distance" in meta:
         return [f"speeds in c: distance {meta['distance']:g}"]

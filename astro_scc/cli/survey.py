@@ -138,7 +138,7 @@ def _summary(table):
 
     import numpy as np
 
-    from astro_scc.kinematics import cosmology_text
+    from astro_scc.kinematics.cosmology import cosmology_text
 
     status = np.asarray(table["status"], dtype=str)
     source = np.asarray(table["source"], dtype=str)

@@ -172,7 +172,7 @@ def _scales(value):
 
 
 def _redshift(value):
-    from astro_scc.kinematics import to_redshift
+    from astro_scc.kinematics.cosmology import to_redshift
 
     redshift = to_redshift(value)
     if not isinstance(redshift, float):
@@ -190,7 +190,7 @@ def _distance(value):
 
 
 def _cosmology(value):
-    from astro_scc.kinematics import to_cosmology
+    from astro_scc.kinematics.cosmology import to_cosmology
 
     to_cosmology(_text(value))
     return value.strip()

@@ -9,16 +9,6 @@ from astropy import constants
 
 from astro_scc.quantities import NUMBER, named, parse_quantities, to_quantity
 
-__all__ = [
-    "apparent_speed",
-    "cosmology_text",
-    "paper_cosmology",
-    "table_in_c",
-    "to_cosmology",
-    "to_distance",
-    "to_redshift",
-]
-
 #: Redshift of the microwave background, beyond which nothing is seen.
 LAST_SCATTERING = 1090
 _PARAMETER = re.compile(rf"\s*(\w+)\s*=\s*({NUMBER})\s*")
@@ -48,33 +38,11 @@ def paper_cosmology():
 
 def to_cosmology(value=None):
     """
-    Return a cosmology from its name or its parameters.
+    Return a cosmology from its name, its parameters or the meta of a table.
 
-    Parameters
-    ----------
-    value : `~astropy.cosmology.FLRW`, str or dict, optional
-        A cosmology, which is returned as it is; the name of a realization of
-        `astropy.cosmology`, such as ``Planck18``; parameters in km/s/Mpc and
-        as fractions, ``H0=71, Om0=0.27`` for a flat universe and with
-        ``Ode0`` for any; or what the meta of a table has.  Without it the
-        cosmology is `paper_cosmology`, whatever astropy's own default is.
-
-    Returns
-    -------
-    `~astropy.cosmology.FLRW`
-
-    Raises
-    ------
-    ValueError
-        If it is none of these.
-
-    Examples
-    --------
-    >>> from astro_scc.kinematics import to_cosmology
-    >>> to_cosmology("H0=70, Om0=0.3").H0
-    <Quantity 70. km / (Mpc s)>
-    >>> to_cosmology("Planck18").name
-    'Planck18'
+    Parameters are in km/s/Mpc and as fractions, ``H0=71, Om0=0.27`` for a flat
+    universe and with ``Ode0`` for any.  Without a value it is `paper_cosmology`,
+    whatever astropy's own default is.
     """
     from astropy.cosmology import (
         FLRW,
@@ -99,12 +67,10 @@ def to_cosmology(value=None):
     matches = [_PARAMETER.fullmatch(part) for part in name.split(",")]
     if all(matches):
         values = {m.group(1): float(m.group(2)) for m in matches}
-        known = len(values) == len(matches) and np.all(np.isfinite([*values.values()]))
-        if known and values.get("H0", 0) > 0:
-            if set(values) == {"H0", "Om0"}:
-                return FlatLambdaCDM(**values)
-            if set(values) == {"H0", "Om0", "Ode0"}:
-                return LambdaCDM(**values)
+        kinds = {"H0 Om0": FlatLambdaCDM, "H0 Ode0 Om0": LambdaCDM}
+        kind = kinds.get(" ".join(sorted(m.group(1) for m in matches)))
+        if kind and values["H0"] > 0 and np.all(np.isfinite([*values.values()])):
+            return kind(**values)
     raise ValueError(
         "is no cosmology; give H0=71,Om0=0.27 (and Ode0 unless it is flat) or one of "
         f"{', '.join(sorted(realizations.available))}"
@@ -112,24 +78,7 @@ def to_cosmology(value=None):
 
 
 def cosmology_text(cosmology):
-    """
-    Return a cosmology in a few words.
-
-    Parameters
-    ----------
-    cosmology : `~astropy.cosmology.FLRW`, str or dict
-        See `to_cosmology`.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> from astro_scc.kinematics import cosmology_text
-    >>> cosmology_text("Planck18")
-    'Planck18, FlatLambdaCDM with H0 = 67.66 km/s/Mpc, Om0 = 0.30966'
-    """
+    """Return a cosmology, or what `to_cosmology` takes for one, in a few words."""
     cosmology = to_cosmology(cosmology)
     name = f"{cosmology.name}, " if cosmology.name else ""
     hubble = cosmology.H0.to_value(u.km / u.s / u.Mpc)
@@ -142,30 +91,12 @@ def cosmology_text(cosmology):
 
 def to_redshift(value):
     """
-    Return a redshift as a plain number.
+    Return a redshift, or an array of them, as plain numbers between 0 and 1090.
 
-    Parameters
-    ----------
-    value : float, str or `~astropy.units.Quantity`
-        A number, per cent, or in the unit ``redshift`` of
-        `astropy.cosmology.units`.
-
-    Returns
-    -------
-    float or `~numpy.ndarray`
-
-    Raises
-    ------
-    ValueError
-        If it is none, or outside 0 to 1090.  A velocity is refused, because
-        there are three definitions of it (c z, the radio convention and the
-        relativistic one), and a length, which is a distance.
-
-    Examples
-    --------
-    >>> from astro_scc.kinematics import to_redshift
-    >>> to_redshift("15.8 %")
-    0.158
+    It is given as a number, as text, per cent, or in the unit ``redshift`` of
+    `astropy.cosmology.units`.  A velocity is refused, because there are three
+    definitions of it (c z, the radio convention and the relativistic one), and a
+    length, which is a distance.
     """
     import astropy.cosmology.units as cu
 
@@ -202,6 +133,16 @@ def to_redshift(value):
     return z if np.ndim(z) else float(z)
 
 
+def to_distance(value):
+    """Return a distance, a positive length, from a quantity or text."""
+    distance = to_quantity(
+        value, u.Mpc, "must be a length with a unit, such as '16.7 Mpc'"
+    )
+    if not np.all((distance > 0) & np.isfinite(distance)):
+        raise ValueError("must be finite and above 0")
+    return distance
+
+
 def apparent_speed(proper_motion, *, redshift=None, cosmology=None, distance=None):
     """
     Return the apparent speed of a proper motion, in units of c.
@@ -216,10 +157,13 @@ def apparent_speed(proper_motion, *, redshift=None, cosmology=None, distance=Non
     proper_motion : `~astropy.units.Quantity`
         Angle per time, of any shape.
     redshift : float, str or `~astropy.units.Quantity`, optional
-        See `to_redshift`.
+        A number, per cent, or in the unit ``redshift`` of
+        `astropy.cosmology.units`, between 0 and 1090.
     cosmology : `~astropy.cosmology.FLRW`, str or dict, optional
-        Of the redshift, see `to_cosmology`; by default `paper_cosmology`.
-        The result depends on it by several per cent.
+        Of the redshift: a cosmology, the name of a realization of
+        `astropy.cosmology` such as ``Planck18``, parameters such as ``H0=71,
+        Om0=0.27``, or what the meta of a table has; by default
+        `paper_cosmology`.  The result depends on it by several per cent.
     distance : `~astropy.units.Quantity` or str, optional
         Length, instead of a redshift and a cosmology.
 
@@ -238,7 +182,7 @@ def apparent_speed(proper_motion, *, redshift=None, cosmology=None, distance=Non
     --------
     >>> import astropy.units as u
     >>> from astro_scc.kinematics import apparent_speed
-    >>> apparent_speed(1 * u.mas / u.yr, redshift=0.158).round(2)
+    >>> apparent_speed(1 * u.mas / u.yr, redshift="15.8 %").round(2)
     <Quantity 10.2>
     >>> apparent_speed(1 * u.mas / u.yr, redshift=0.158, cosmology="Planck18").round(2)
     <Quantity 10.65>
@@ -258,38 +202,12 @@ def apparent_speed(proper_motion, *, redshift=None, cosmology=None, distance=Non
 
 def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
     """
-    Return a table of proper motions with apparent speeds in units of c.
+    Return a copy of a table of proper motions with speeds in units of c.
 
-    Parameters
-    ----------
-    table : `~astropy.table.QTable`
-        With the columns ``pm`` and ``pm_err``.
-    redshift, cosmology, distance : optional
-        Of the source, see `apparent_speed`.
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        A copy with the columns ``beta_app`` and ``beta_app_err``, of
-        dimensionless quantities.  The redshift and the cosmology, or the
-        distance, are in its meta; the cosmology as a dictionary that any
-        reader of ECSV understands, and that `to_cosmology` takes.
-
-    Raises
-    ------
-    ValueError
-        As `apparent_speed` does, and if there is more than one redshift or
-        distance.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astropy.table import QTable
-    >>> from astro_scc.kinematics import table_in_c
-    >>> table = QTable({"pm": [1] * u.mas / u.yr, "pm_err": [0.1] * u.mas / u.yr})
-    >>> found = table_in_c(table, redshift=0.158)
-    >>> found["beta_app"].round(1), found.meta["cosmology"]["Om0"]
-    (<Quantity [10.2]>, 0.27)
+    ``beta_app`` and ``beta_app_err`` are those of the columns ``pm`` and
+    ``pm_err``, see `apparent_speed`.  The redshift and the cosmology, or the
+    distance, are in its meta; the cosmology as a dictionary that any reader of
+    ECSV understands, and that `to_cosmology` takes.
     """
     how = _how(redshift, cosmology, distance)
     for name, value in how.items():
@@ -324,27 +242,3 @@ def _how(redshift, cosmology, distance):
     if cosmology is not None:
         raise ValueError("a distance needs no cosmology; leave it out")
     return {"distance": named("distance", to_distance, distance)}
-
-
-def to_distance(value):
-    """
-    Return a distance, checked.
-
-    Parameters
-    ----------
-    value : `~astropy.units.Quantity` or str
-
-    Returns
-    -------
-    `~astropy.units.Quantity`
-
-    Raises
-    ------
-    ValueError
-        If it is no length, or not positive.
-    """
-    wanted = "must be a length with a unit, such as '16.7 Mpc'"
-    distance = to_quantity(value, u.Mpc, wanted)
-    if not np.all((distance > 0) & np.isfinite(distance)):
-        raise ValueError("must be finite and above 0")
-    return distance

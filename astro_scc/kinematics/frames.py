@@ -8,38 +8,29 @@ import numpy as np
 
 from astro_scc.quantities import named, one_quantity, to_quantity
 
-__all__ = ["PositionAngleFrame", "RadialFrame", "SkyFrame", "frame_displacements"]
+#: Nearer to the centre than this part of the radius nothing is said of expansion.
+INNERMOST = 0.2
 
 
 def frame_displacements(frame, position, motion):
     """
-    Displacements along the axes of a frame.
+    Return displacements along the axes of a frame, shape (n, 2).
 
-    Parameters
-    ----------
-    frame : frame of `astro_scc.kinematics`
-        One with a method ``displacement`` is asked; of others the axes are
-        those at the position.
-    position, motion : `numpy.ndarray`, shape (n, 2)
-        East and north in mas.
-
-    Returns
-    -------
-    `numpy.ndarray`, shape (n, 2)
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.kinematics import RadialFrame, frame_displacements
-    >>> position, motion = np.array([[0.0, 2.0]]), np.array([[0.1, 1.0]])
-    >>> frame_displacements(RadialFrame(), position, motion)
-    array([[1. , 0.1]])
+    ``position`` and ``motion``, shape (n, 2), are east and north in mas.  A frame with
+    a method ``displacement`` is asked; of others the axes are those at the position.
     """
     own = getattr(frame, "displacement", None)
     if own is not None:
         return own(position, motion)
     axes = frame.matrix(position[:, 0], position[:, 1])
     return np.einsum("nai,ni->na", axes, motion)
+
+
+def axes_along(sin, cos):
+    """Return matrices of the axes along directions (sin, cos) of (east, north)."""
+    return np.stack(
+        [np.stack([sin, cos], axis=-1), np.stack([cos, -sin], axis=-1)], axis=-2
+    )
 
 
 @dataclass(frozen=True)
@@ -54,17 +45,13 @@ class SkyFrame:
     ('east', 'north')
     """
 
-    #: The axes are the same everywhere.
+    axis_names = ("east", "north")
+    #: Whether the axes are the same everywhere.
     uniform = True
-
-    @property
-    def axis_names(self):
-        """Names of the two axes."""
-        return "east", "north"
 
     def matrix(self, east=0.0, north=0.0):
         """
-        Matrices that turn (east, north) into the axes of the frame.
+        Return matrices that turn (east, north) into the axes of the frame.
 
         Parameters
         ----------
@@ -77,21 +64,6 @@ class SkyFrame:
             ``(v1, v2) = matrix @ (d_east, d_north)``, orthogonal.
         """
         return _everywhere(np.eye(2), east, north)
-
-    def to_sky(self, v1, v2):
-        """
-        Turn components along the axes back into (east, north).
-
-        Parameters
-        ----------
-        v1, v2 : array_like or `~astropy.units.Quantity`
-
-        Returns
-        -------
-        east, north
-            Of the kind of the arguments.
-        """
-        return v1, v2
 
 
 @dataclass(frozen=True)
@@ -128,21 +100,17 @@ class PositionAngleFrame:
 
     pa: u.Quantity
 
-    #: The axes are the same everywhere.
+    axis_names = ("parallel", "transverse")
+    #: Whether the axes are the same everywhere.
     uniform = True
 
     def __post_init__(self):
         pa = named("pa", one_quantity, self.pa, "an angle", "65 deg", False)
         object.__setattr__(self, "pa", pa.to(u.deg))
 
-    @property
-    def axis_names(self):
-        """Names of the two axes."""
-        return "parallel", "transverse"
-
     def matrix(self, east=0.0, north=0.0):
         """
-        Matrices that turn (east, north) into the axes of the frame.
+        Return matrices that turn (east, north) into the axes of the frame.
 
         Parameters
         ----------
@@ -155,25 +123,7 @@ class PositionAngleFrame:
             ``(v1, v2) = matrix @ (d_east, d_north)``, orthogonal.
         """
         angle = self.pa.to_value(u.rad)
-        sin, cos = np.sin(angle), np.cos(angle)
-        return _everywhere(np.array([[sin, cos], [cos, -sin]]), east, north)
-
-    def to_sky(self, v1, v2):
-        """
-        Turn components along the axes back into (east, north).
-
-        Parameters
-        ----------
-        v1, v2 : array_like or `~astropy.units.Quantity`
-
-        Returns
-        -------
-        east, north
-            Of the kind of the arguments.
-        """
-        # The matrix is symmetric and so its own inverse.
-        (a, b), (c, d) = self.matrix()
-        return a * v1 + b * v2, c * v1 + d * v2
+        return _everywhere(axes_along(np.sin(angle), np.cos(angle)), east, north)
 
 
 @dataclass(frozen=True)
@@ -206,7 +156,8 @@ class RadialFrame:
 
     origin: u.Quantity = (0.0, 0.0) * u.mas
 
-    #: The axes are not the same everywhere.
+    axis_names = ("radial", "transverse")
+    #: Whether the axes are the same everywhere.
     uniform = False
 
     def __post_init__(self):
@@ -223,14 +174,9 @@ class RadialFrame:
 
     __hash__ = None
 
-    @property
-    def axis_names(self):
-        """Names of the two axes."""
-        return "radial", "transverse"
-
     def matrix(self, east, north):
         """
-        Matrices that turn (east, north) into the axes of the frame.
+        Return matrices that turn (east, north) into the axes of the frame.
 
         Parameters
         ----------
@@ -249,9 +195,120 @@ class RadialFrame:
         distance = np.hypot(x, y)
         with np.errstate(divide="ignore", invalid="ignore"):
             sin, cos = x / distance, y / distance
-        return np.stack(
-            [np.stack([sin, cos], axis=-1), np.stack([cos, -sin], axis=-1)], axis=-2
-        )
+        return axes_along(sin, cos)
+
+
+@dataclass(frozen=True, eq=False)
+class ExpansionFrame:
+    """
+    Expansion and rotation about a centre, as speeds at one radius.
+
+    In homologous expansion everything moves at a speed in proportion to its
+    distance r from the centre.  Axes are those of `RadialFrame`, scaled by
+    ``radius / r``: one rate of expansion is one velocity, wherever it is
+    seen.
+
+    Parameters
+    ----------
+    centre : `~astropy.units.Quantity`, shape (2,)
+        (east, north) of the centre from the reference pixel.
+    radius : `~astropy.units.Quantity`
+        At which velocities are given.
+
+    Raises
+    ------
+    ValueError
+        If the centre is not two finite angles, or the radius is not positive.
+    `~astropy.units.UnitConversionError`
+        If either is no angle.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc.kinematics import ExpansionFrame
+    >>> frame = ExpansionFrame([0, 0] * u.arcsec, 100 * u.arcsec)
+    >>> position = np.array([[30e3, 40e3], [-120e3, 0.0]])
+    >>> frame.displacement(position, 0.001 * position).round()
+    array([[100., 0.],
+           [100., 0.]])
+    >>> frame.rate(100 * u.mas / u.yr)
+    <Quantity 0.1 % / yr>
+    """
+
+    centre: u.Quantity
+    radius: u.Quantity
+
+    axis_names = ("expansion", "rotation")
+    #: Whether the axes are the same everywhere.
+    uniform = False
+
+    def __post_init__(self):
+        object.__setattr__(self, "centre", RadialFrame(self.centre).origin)
+        radius = named("radius", one_quantity, self.radius, "an angle", "100 arcsec")
+        object.__setattr__(self, "radius", radius.to(u.mas))
+
+    def matrix(self, east, north):
+        """
+        Return matrices that turn (east, north) into the axes of the frame.
+
+        Parameters
+        ----------
+        east, north : array_like, shape (...,)
+            Positions, offsets from the reference pixel in mas.
+
+        Returns
+        -------
+        `numpy.ndarray`, shape (..., 2, 2)
+            Orthogonal but for the factor ``radius / r``; NaN within a fifth
+            of the radius, where an expansion is hardly a motion.
+        """
+        r = self._distance(east, north)
+        r = np.where(r >= INNERMOST * self.radius.value, r, np.nan)
+        return self._scaled(east, north, r)
+
+    def _distance(self, east, north):
+        x0, y0 = self.centre.value
+        return np.hypot(np.subtract(east, x0), np.subtract(north, y0))
+
+    def _scaled(self, east, north, r):
+        rotation = RadialFrame(self.centre).matrix(east, north)
+        return rotation * (self.radius.value / r)[..., None, None]
+
+    def displacement(self, position, motion):
+        """
+        Return displacements at the radius, with the axes of the place midway.
+
+        Parameters
+        ----------
+        position, motion : array_like, shape (n, 2)
+            East and north in mas.
+
+        Returns
+        -------
+        `numpy.ndarray`, shape (n, 2)
+        """
+        motion = np.asarray(motion, dtype=float)
+        east, north = (np.asarray(position, dtype=float) + 0.5 * motion).T
+        # A chance match may lead across the centre.
+        r = np.maximum(self._distance(east, north), INNERMOST * self.radius.value)
+        axes = self._scaled(east, north, r)
+        return np.einsum("nai,ni->na", axes, motion)
+
+    def rate(self, speed):
+        """
+        Return the rate of expansion of a speed at the radius.
+
+        Parameters
+        ----------
+        speed : `~astropy.units.Quantity`
+
+        Returns
+        -------
+        `~astropy.units.Quantity`
+            In per cent a year.
+        """
+        return (u.Quantity(speed) / self.radius).to(u.percent / u.yr)
 
 
 def _everywhere(matrix, east, north):

@@ -6,8 +6,9 @@ from functools import cached_property
 
 import astropy.units as u
 import numpy as np
+from astropy.table import QTable
 
-__all__ = ["RidgeLine"]
+from astro_scc.kinematics.frames import axes_along
 
 #: Steps of the line that lie between two of its points, for projections.
 FINE = 8
@@ -61,7 +62,8 @@ class RidgeLine:
     error: u.Quantity | None = None
     meta: dict = field(default_factory=dict)
 
-    #: The axes are not the same everywhere.
+    axis_names = ("parallel", "transverse")
+    #: Whether the axes are the same everywhere.
     uniform = False
 
     def __post_init__(self):
@@ -89,23 +91,18 @@ class RidgeLine:
             f"{self.position_angle(self.length):.0f}>"
         )
 
-    @property
-    def axis_names(self):
-        """Names of the two axes."""
-        return "parallel", "transverse"
-
     @cached_property
     def _curve(self):
-        """Fine points (m, 2), their distances s (m,), in mas."""
+        """Return fine points (m, 2), their distances s (m,), in mas."""
         points = np.stack([self.east.value, self.north.value], axis=-1)
-        s = _lengths(points)
+        s = lengths_of(points)
         if len(points) > 3:
             from scipy.interpolate import CubicSpline
 
             number = np.arange(len(s))
             fine = np.interp(np.arange(FINE * number[-1] + 1) / FINE, number, s)
             points = CubicSpline(s, points)(fine)
-            s = _lengths(points)
+            s = lengths_of(points)
         return points, s
 
     @property
@@ -121,7 +118,7 @@ class RidgeLine:
 
     def at(self, distance):
         """
-        Points of the line.
+        Return points of the line.
 
         Parameters
         ----------
@@ -143,7 +140,7 @@ class RidgeLine:
 
     def position_angle(self, distance):
         """
-        Direction of the line, north through east.
+        Return the direction of the line, north through east.
 
         Parameters
         ----------
@@ -161,7 +158,7 @@ class RidgeLine:
 
     def coordinates(self, east, north):
         """
-        Distance along the line and offset from it.
+        Return the distance along the line and the offset from it.
 
         Parameters
         ----------
@@ -179,7 +176,7 @@ class RidgeLine:
 
     def matrix(self, east, north):
         """
-        Matrices that turn (east, north) into the axes of the frame.
+        Return matrices that turn (east, north) into the axes of the frame.
 
         Parameters
         ----------
@@ -194,13 +191,11 @@ class RidgeLine:
         x, y = np.broadcast_arrays(np.asarray(east, float), np.asarray(north, float))
         s, _ = self._project(np.stack([x, y], axis=-1))
         sin, cos = np.moveaxis(self._direction(s), -1, 0)
-        return np.stack(
-            [np.stack([sin, cos], axis=-1), np.stack([cos, -sin], axis=-1)], axis=-2
-        )
+        return axes_along(sin, cos)
 
     def displacement(self, position, motion):
         """
-        Displacements as changes of s and n.
+        Return displacements as changes of s and n.
 
         Along a bend this is the way along the line, which is longer than
         the straight way between the two places.
@@ -219,7 +214,7 @@ class RidgeLine:
         return end - start
 
     def _direction(self, s):
-        """Unit vectors along the line, shape (..., 2)."""
+        """Return unit vectors along the line, shape (..., 2)."""
         points, distances = self._curve
         middle = 0.5 * (distances[1:] + distances[:-1])
         step = np.diff(points, axis=0)
@@ -257,15 +252,13 @@ class RidgeLine:
 
     def to_table(self):
         """
-        The points of the line.
+        Return the points of the line.
 
         Returns
         -------
         `~astropy.table.QTable`
             Columns ``s``, ``east``, ``north``, ``error``, ``pa``.
         """
-        from astropy.table import QTable
-
         s = self.distances
         columns = {
             "s": s,
@@ -302,5 +295,6 @@ class RidgeLine:
         return cls(table["east"], table["north"], error, meta=dict(table.meta))
 
 
-def _lengths(points):
+def lengths_of(points):
+    """Return the way to each of the points (n, 2) along all before it."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])

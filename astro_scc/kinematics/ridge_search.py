@@ -5,10 +5,8 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.kinematics.frames import PositionAngleFrame, RadialFrame
-from astro_scc.kinematics.ridge_line import RidgeLine
+from astro_scc.kinematics.ridge_line import RidgeLine, lengths_of
 from astro_scc.quantities import named, one_quantity
-
-__all__ = ["find_ridge_line", "fit_position_angle", "limb_masks"]
 
 #: Steps of the search in beams.
 STEP = 0.25
@@ -20,7 +18,7 @@ SLICE = 61
 
 def fit_position_angle(cube, *, origin=None, threshold=5.0):
     r"""
-    The position angle of a jet, from the mean of its images.
+    Return the position angle of a jet, from the mean of its images.
 
     The direction of the mean offset, weighted by brightness, of the pixels
     above a threshold that lie more than a beam from the core,
@@ -59,7 +57,7 @@ def fit_position_angle(cube, *, origin=None, threshold=5.0):
     start = _origin(origin)
     east, north = (offset.value for offset in cube.offsets())
     x, y = east - start[0], north - start[1]
-    width = _width(cube)
+    width = mean_width(cube)
     use = (image > threshold * noise) & (np.hypot(x, y) > width)
     if not use.any():
         raise ValueError(
@@ -75,7 +73,7 @@ def fit_position_angle(cube, *, origin=None, threshold=5.0):
 
 
 def _jackknife(sums, total):
-    """Error of the direction of a sum over epochs, in degrees."""
+    """Return the error of the direction of a sum over epochs, in degrees."""
     n = len(sums)
     if n < 2:
         return np.inf
@@ -145,7 +143,7 @@ def find_ridge_line(
     True
     """
     image, noise = _mean(cube)
-    width = _width(cube)
+    width = mean_width(cube)
     step = STEP * width
     half = 1.5 * width if half_width is None else _length("half_width", half_width)
     smooth = 2 * width if smoothing is None else _length("smoothing", smoothing)
@@ -156,26 +154,11 @@ def find_ridge_line(
     if position_angle is None:
         position_angle, _ = fit_position_angle(cube, origin=origin, threshold=threshold)
     angle = PositionAngleFrame(position_angle).pa.to_value(u.rad)
-    points = [_origin(origin)]
-    snr = [np.nan]
     direction = np.array([np.sin(angle), np.cos(angle)])
-    while len(points) * step <= longest + step:
-        guess = points[-1] + step * direction
-        found = _slice_point(cube, image, guess, direction, half)
-        if found is None or found[1] < threshold * noise:
-            break
-        point = found[0]
-        met = _met_again(points, point, width)
-        if met is not None:
-            # It went round the end of the jet: half of the way it is none.
-            end = (met + len(points)) // 2
-            del points[end:], snr[end:]
-            break
-        points.append(point)
-        snr.append(found[1] / noise)
-        # The direction is that of the last beam, or slices would tumble.
-        back = points[max(0, len(points) - 1 - round(1.5 / STEP))]
-        direction = (point - back) / np.hypot(*(point - back))
+    points, snr = _follow(
+        cube, image, _origin(origin), direction, half, threshold * noise, longest
+    )
+    snr = snr / noise
     if (len(points) - 1) * step < 3 * width:
         raise ValueError(
             f"the jet can be followed over {(len(points) - 1) * step:.2g} mas only, "
@@ -183,7 +166,7 @@ def find_ridge_line(
         )
     points = np.array(points)
     snr[0] = np.nanmax(snr)
-    error = width / (np.sqrt(2) * np.array(snr))
+    error = width / (np.sqrt(2) * snr)
     # The core is where the line begins.
     error[0] = 1e-2 * error.min()
     points, error = _smoothed(points, error, smooth, step)
@@ -195,52 +178,47 @@ def find_ridge_line(
 
 def limb_masks(cube, ridge, half_width):
     """
-    The two limbs of a jet and its spine as regions.
+    Return the two limbs of a jet and its spine as masks, shape (ny, nx).
 
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    ridge : `RidgeLine`
-    half_width : `~astropy.units.Quantity`
-        Half the width of the spine.
-
-    Returns
-    -------
-    dict of `~numpy.ndarray` of bool, shape (ny, nx)
-        "north", "spine" and "south": north is the side of the line whose
-        mean normal points north.  Each is a ``region`` of a measurement.
-
-    Raises
-    ------
-    ValueError
-        If the spine has no width.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc.kinematics import RidgeLine, limb_masks
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> line = RidgeLine([0, -20] * u.mas, [0, 0] * u.mas)
-    >>> masks = limb_masks(cube, line, 0.55 * u.mas)
-    >>> sorted(masks), int(masks["spine"][:, 100].sum())
-    (['north', 'south', 'spine'], 11)
+    The spine is what lies within ``half_width`` of the ``ridge``; "north" is the side
+    of the line whose mean normal points north.
     """
     half = _length("half_width", half_width) * u.mas
     _, n = ridge.coordinates(*cube.offsets())
-    if _normal_points_south(ridge):
+    angle = ridge.position_angle(ridge.distances).to_value(u.rad)
+    if np.mean(-np.sin(angle)) < 0:
         n = -n
     spine = np.abs(n) <= half
     return {"north": (n > 0) & ~spine, "spine": spine, "south": (n < 0) & ~spine}
 
 
-def _normal_points_south(ridge):
-    angle = ridge.position_angle(ridge.distances).to_value(u.rad)
-    return bool(np.mean(-np.sin(angle)) < 0)
+def _follow(cube, image, start, direction, half, faintest, longest):
+    """Return the brightest points of slices from a start on, and their maxima."""
+    width = mean_width(cube)
+    step = STEP * width
+    points, tops = [start], [np.nan]
+    while len(points) * step <= longest + step:
+        guess = points[-1] + step * direction
+        found = _slice_point(cube, image, guess, direction, half)
+        if found is None or found[1] < faintest:
+            break
+        point, top = found
+        met = _met_again(points, point, width)
+        if met is not None:
+            # It went round the end of the jet: half of the way it is none.
+            end = (met + len(points)) // 2
+            del points[end:], tops[end:]
+            break
+        points.append(point)
+        tops.append(top)
+        # The direction is that of the last beam, or slices would tumble.
+        back = points[max(0, len(points) - 1 - round(1.5 / STEP))]
+        direction = (point - back) / np.hypot(*(point - back))
+    return points, np.array(tops)
 
 
 def _met_again(points, point, width):
-    """An earlier point of a line that a new one is within a beam of, or None."""
+    """Return an earlier point of a line that a new one is within a beam of, or None."""
     earlier = np.array(points[: -round(APART / STEP)])
     if len(earlier) == 0:
         return None
@@ -249,7 +227,7 @@ def _met_again(points, point, width):
 
 
 def _slice_point(cube, image, guess, direction, half):
-    """The bright part of a slice across a direction: its middle and maximum."""
+    """Return the middle and the maximum of the bright part of a slice."""
     from scipy.ndimage import map_coordinates
 
     normal = np.array([direction[1], -direction[0]])
@@ -274,8 +252,8 @@ def _slice_point(cube, image, guess, direction, half):
 
 
 def _smoothed(points, error, width, step):
-    """Local parabolas over distance, and the errors that follow."""
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    """Smooth by local parabolas over distance; return points and their errors."""
+    s = lengths_of(points)
     smooth, gains = np.empty_like(points), np.empty((len(points),) * 2)
     windows = np.empty_like(gains)
     for k, here in enumerate(s):
@@ -296,14 +274,14 @@ def _smoothed(points, error, width, step):
 
 
 def _mean(cube):
-    """The mean image, masked pixels NaN, and its noise."""
+    """Return the mean image, masked pixels NaN, and its noise."""
     image = np.asarray(cube.mean_image().data, dtype=float)
     noise = u.Quantity(cube.noise_rms()).value
     return image, float(np.sqrt(np.mean(noise**2) / len(cube)))
 
 
-def _width(cube):
-    """The width of the resolution in mas: the mean beam, or four pixels."""
+def mean_width(cube):
+    """Return the resolution in mas: the mean beam, or four pixels."""
     if cube.beams is None:
         return 4 * cube.pixel_scale.value
     areas = [(b.major * b.minor).to_value(u.mas**2) for b in cube.beams]

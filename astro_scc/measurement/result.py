@@ -14,7 +14,7 @@ from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube, name_by_frame
 from astro_scc.epochs.positions import axis_words
-from astro_scc.kinematics import table_in_c
+from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement.diagram_image import diagram_image
 from astro_scc.measurement.tables import component_table, feature_table, ssp_table
 from astro_scc.measurement.velocity_error import StreamVelocity
@@ -260,7 +260,7 @@ class SCCResult:
         `~astropy.table.QTable`
             `components` with the columns ``beta_app`` and ``beta_app_err``,
             the speed ``pm`` in units of c, see
-            `~astro_scc.kinematics.table_in_c`.  What it was made with is in
+            `~astro_scc.kinematics.apparent_speed`.  What it was made with is in
             its meta.
 
         Raises

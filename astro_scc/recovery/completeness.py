@@ -1,41 +1,62 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What would have been found in your own epochs, had it been there."""
+"""Completeness: how often motion that is injected into epochs is found."""
 
+import math
 import warnings
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
+from astropy.stats import binom_conf_interval
 from astropy.table import QTable
+from astropy.utils.masked import Masked
+from threadpoolctl import threadpool_limits
 
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import versions
-from astro_scc.recovery.area import area_for_features
-from astro_scc.recovery.checks import PM_UNIT
-from astro_scc.recovery.features import draw_paths, inject
-from astro_scc.recovery.rates import partly_known, share
-from astro_scc.recovery.rule import moving_components, recovered, velocity_along
-from astro_scc.recovery.setup import InjectionSetup, peaks_of
-from astro_scc.recovery.work import run_all
+from astro_scc.measurement.plan import mean_fwhm
+from astro_scc.measurement.tables import PM_UNIT
+from astro_scc.progress import progress
+from astro_scc.quantities import named, one_quantity, shortened, to_quantity
+from astro_scc.recovery.injection import (
+    area_for_features,
+    draw_paths,
+    inject,
+    moving_components,
+    recovered,
+    velocity_along,
+)
 
-__all__ = ["completeness"]
-
+#: A component is that of the features within this part of the beam over the
+#: median interval.
+TOLERANCE = 0.2
+#: Of the intervals of shares.
+CONFIDENCE = 0.95
 #: Beginning of the warning of a region without SSPs.
 NOTHING_THERE = ".*: no significant pattern has its centroid inside"
 
-DESCRIPTIONS = {
-    "speed": "speed of the features that were put in",
-    "flux": "their peak",
-    "snr": "their peak over the median noise of the epochs",
-    "n_injected": "measurements with features put in",
-    "n_found": "measurements that found them",
-    "fraction": "n_found / n_injected",
-    "fraction_low": "lower limit of the 95% interval of fraction (Jeffreys)",
-    "fraction_high": "upper limit of the 95% interval of fraction (Jeffreys)",
-    "bias": "mean of measured minus true speed, where found",
-    "bias_err": "standard error of bias",
-    "scatter": "standard deviation of the measured speed, where found",
-    "coverage": "share of the found whose standard error reaches the true speed",
-    "own": "whether the epochs have a component within the tolerance already",
+
+_LIMIT = "limit of the 95% interval of fraction (Jeffreys)"
+#: Units and descriptions of the columns.
+COLUMNS = {
+    "speed": (PM_UNIT, "speed of the features that were injected"),
+    "flux": (None, "their peak"),
+    "snr": (None, "their peak over the median noise of the epochs"),
+    "n_injected": (None, "measurements with features injected"),
+    "n_found": (None, "measurements that found them"),
+    "fraction": (None, "n_found / n_injected"),
+    "fraction_low": (None, f"lower {_LIMIT}"),
+    "fraction_high": (None, f"upper {_LIMIT}"),
+    "bias": (PM_UNIT, "mean of measured minus true speed, where found"),
+    "bias_err": (PM_UNIT, "standard error of bias"),
+    "scatter": (PM_UNIT, "standard deviation of the measured speed, where found"),
+    "coverage": (
+        None,
+        "share of the found whose standard error reaches the true speed",
+    ),
+    "own": (None, "whether the epochs have a component within the tolerance already"),
 }
 
 
@@ -58,7 +79,7 @@ def completeness(
     progress_bar=False,
 ):
     """
-    Put moving features into epochs and see how often they are found.
+    Inject moving features into epochs and count how often they are found.
 
     The epochs keep their images, dates, noise, masks and beams; features of
     the shape of the beam, on straight lines at one speed, are added to them
@@ -136,7 +157,7 @@ def completeness(
        features first, and each moving component of theirs takes the one
        nearest to it within the tolerance; so at a speed that the epochs have
        already (``own``) a second component beside it is needed, and
-    4. has most of its SSPs within half a beam of features that were put in.
+    4. has most of its SSPs within half a beam of injected features.
 
     The epochs are measured ``1 + len(speeds) len(fluxes) n_injections``
     times.  Features change the planes of every epoch, and the noise that is
@@ -161,140 +182,315 @@ def completeness(
     -------- --------- ----------
         12.0       2.0          3
     """
-    setup = InjectionSetup.of(
-        cube, scc, position_angle, region, n_trials, fwhm, tolerance
+    _check_possible(len(cube), n_trials, scc.level)
+    position_angle, largest_part = _direction(position_angle, scc.position_angle)
+    width = _width(cube, scc, fwhm)
+    region = None if region is None else cube.region_mask(region)
+    injection = _Injection(
+        scc, region, n_trials, width, _tolerance(cube, scc, width, tolerance)
     )
-    speeds = setup.speeds(speeds)
+    speeds = _speeds(speeds, scc.speed_limit(cube).to_value(PM_UNIT), largest_part)
     noise = float(np.median(cube.noise_rms().value))
-    fluxes = peaks_of(fluxes, cube.unit, noise)
-    for name, value, least in (("n_injections", n_injections, 1),
-                               ("n_features", n_features, 1)):  # fmt: skip
-        if not least <= value < np.inf:
-            raise ValueError(f"{name} must be at least {least}, got {value}")
+    peaks = _peaks(fluxes, cube.unit, noise)
+    for name, value in (("n_injections", n_injections), ("n_features", n_features)):
+        if not 1 <= value < np.inf:
+            raise ValueError(f"{name} must be at least 1, got {value}")
     if not 0 <= scatter < np.inf:
         raise ValueError(f"scatter must be zero or positive, got {scatter}")
-    if rng is None:
-        rng = int(np.random.SeedSequence().entropy % 2**63)
-    seed = int(rng) if isinstance(rng, (int, np.integer)) else None
+    rng, seed = seeded(rng)
     own_rng, root = np.random.default_rng(rng).spawn(2)
-
-    def stacked(images, rng):
-        # Not in one call, which refuses epochs that show nothing.
-        matched = scc.match(images, region=setup.region)
-        return scc.stack(matched, n_trials=n_trials, rng=rng)
-
     with warnings.catch_warnings():
-        # Features are put in where there were none as well.
+        # Features are injected where there were none as well.
         warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
-        bare = stacked(cube, own_rng)
-    area = area_for_features(bare.matched, setup.region)
+        bare = injection.measure(cube, own_rng)
+    area = area_for_features(bare.matched, region)
     numbers = moving_components(bare, scc.level)
     own = np.reshape([bare.velocities[k - 1].value for k in numbers], (-1, 2))
-    axis = velocity_along(bare.frame, setup.position_angle)
-    cells = [(speed, flux) for speed in speeds for flux in fluxes]
+    axis = velocity_along(bare.frame, position_angle)
+    cells = [(speed, peak) for speed in speeds for peak in peaks]
+
+    def recover(job):
+        (speed, peak), job_rng = job
+        path_rng, trial_rng = job_rng.spawn(2)
+        paths = draw_paths(
+            cube,
+            area,
+            speed=speed * PM_UNIT,
+            position_angle=position_angle,
+            n_features=n_features,
+            scatter=scatter * width * u.mas,
+            rng=path_rng,
+        )
+        fuller = inject(cube, paths, peak * cube.unit, fwhm=fwhm)
+        return injection.offset(
+            injection.measure(fuller, trial_rng), own, speed, axis, paths
+        )
+
     jobs = [
         (cell, job_rng)
         for cell, cell_rng in zip(cells, root.spawn(len(cells)), strict=True)
         for job_rng in cell_rng.spawn(n_injections)
     ]
+    outcomes = run_all(recover, jobs, n_workers, "Recovering", progress_bar)
+    rows = []
+    for k, (speed, peak) in enumerate(cells):
+        row = _counted(outcomes[k * n_injections : (k + 1) * n_injections])
+        away = np.hypot(*(own - speed * axis).T)
+        row["own"] = bool(np.any(away <= injection.tolerance))
+        snr = peak / noise if noise > 0 else None
+        rows.append({"speed": speed, "flux": peak, "snr": snr} | row)
+    table = table_of(rows, COLUMNS | {"flux": (cube.unit, COLUMNS["flux"][1])})
+    table.meta = {
+        "settings": scc.to_dict(),
+        "position_angle": position_angle,
+        "tolerance": injection.tolerance * PM_UNIT,
+        "level": scc.level,
+        "n_features": n_features,
+        "n_trials": n_trials,
+        "scatter": scatter,
+        "own_velocities": own * PM_UNIT,
+        "seed": seed,
+        "versions": versions(),
+    }
+    return table
 
-    def measure(job):
-        (speed, flux), own_rng = job
-        path_rng, trial_rng = own_rng.spawn(2)
-        paths = draw_paths(
-            cube,
-            area,
-            speed=speed * PM_UNIT,
-            position_angle=setup.position_angle,
-            n_features=n_features,
-            scatter=scatter * setup.fwhm * u.mas,
-            rng=path_rng,
-        )
-        result = stacked(inject(cube, paths, flux * cube.unit, fwhm=fwhm), trial_rng)
+
+@dataclass(frozen=True, eq=False)
+class _Injection:
+    """What is the same in all measurements; lengths in mas, speeds in mas/yr."""
+
+    scc: object
+    region: np.ndarray | None
+    n_trials: int
+    fwhm: float
+    tolerance: float
+
+    def measure(self, cube, rng):
+        """Return the result of a cube, also of one that shows nothing."""
+        matched = self.scc.match(cube, region=self.region)
+        return self.scc.stack(matched, n_trials=self.n_trials, rng=rng)
+
+    def offset(self, result, own, speed, axis, paths):
+        """Return measured minus true speed, and its error; None if not found."""
         number = recovered(
             result,
             own,
             speed * axis,
-            tolerance=setup.tolerance,
-            level=scc.level,
+            tolerance=self.tolerance,
+            level=self.scc.level,
             paths=paths,
-            fwhm=setup.fwhm,
+            fwhm=self.fwhm,
         )
         if number is None:
             return None
         velocity = result.velocities[number - 1]
-        error = _error_along(velocity.covariance, axis)
+        error = np.inf
+        if np.all(np.isfinite(velocity.covariance)):
+            error = np.sqrt(axis @ velocity.covariance @ axis)
         return axis @ velocity.value - speed, error
 
-    outcomes = run_all(
-        measure,
-        jobs,
-        n_workers=n_workers,
-        label="Recovering",
-        progress_bar=progress_bar,
-    )
-    rows = [
-        outcomes[k : k + n_injections] for k in range(0, len(outcomes), n_injections)
-    ]
-    table = _table(cells, rows, n_injections, cube.unit, noise)
-    near = [
-        bool(np.any(np.hypot(*(own - speed * axis).T) <= setup.tolerance))
-        for speed, _ in cells
-    ]
-    table["own"] = near
-    for name, text in DESCRIPTIONS.items():
+
+def _check_possible(n_epochs, n_trials, level):
+    """Refuse epochs and trials so few that nothing can be found."""
+    if smallest_p(n_epochs) > level:
+        raise ValueError(
+            f"{n_epochs} epochs allow no p_global below {smallest_p(n_epochs):.2g} "
+            f"(2/N!), so nothing that moves can be found at level {level:g}: "
+            f"{epochs_needed(level)} epochs or more are needed"
+        )
+    check_trials(n_trials, level)
+
+
+def _direction(position_angle, axis):
+    """Return the direction of motion, and the part of a speed along the axis."""
+    axis = axis.pa if isinstance(axis, PositionAngleFrame) else axis
+    radial = isinstance(axis, str) and axis == "radial"
+    if not (radial or axis is None or isinstance(axis, u.Quantity)):
+        raise ValueError(
+            "features move on straight lines, so the measurement needs velocity axes "
+            f"of one direction, or 'radial', not {axis}: give StackedCrossCorrelation "
+            "an angle as position_angle"
+        )
+    position_angle = axis if position_angle is None else position_angle
+    if position_angle is None:
+        raise ValueError(
+            "position_angle is missing: give the direction in which features move, an "
+            "angle or 'radial'"
+        )
+    if radial != (isinstance(position_angle, str) and position_angle == "radial"):
+        raise ValueError(
+            f"position_angle {position_angle} does not go with that of the "
+            f"measurement, {axis}: either both are 'radial', or none"
+        )
+    if radial:
+        return position_angle, 1.0
+    how = "an angle", "65 deg", False
+    angle = named("position_angle", one_quantity, position_angle, *how).to(u.deg)
+    return angle, 1.0 if axis is None else float(abs(np.cos(angle - axis)))
+
+
+def _width(cube, scc, fwhm):
+    """Return the full width of features in mas."""
+    if fwhm is not None:
+        return named("fwhm", one_quantity, fwhm, "an angle", "1 mas").to_value(u.mas)
+    if cube.beams is None:
+        raise ValueError(
+            "the cube has no beams: give fwhm, the full width of features, as an angle"
+        )
+    return mean_fwhm(cube, max(scc.scale_numbers(cube)))
+
+
+def _tolerance(cube, scc, width, tolerance):
+    """Return the largest distance of a velocity from the true one, in mas/yr."""
+    if tolerance is None:
+        return TOLERANCE * width / np.median(scc.date_pairs(cube).interval)
+    how = "a proper motion", "2 mas/yr"
+    return named("tolerance", one_quantity, tolerance, *how).to_value(PM_UNIT)
+
+
+def _speeds(speeds, limit, largest_part):
+    """Return speeds in mas/yr, of which the part along the axis is searched."""
+    values = positive_quantities("speeds", speeds, "2 mas/yr").to_value(PM_UNIT)
+    if np.any(values * largest_part > limit):
+        raise ValueError(
+            f"speed {values.max():.4g} mas/yr is beyond the largest that is searched, "
+            f"{limit:.4g} mas/yr: give StackedCrossCorrelation a larger max_speed"
+        )
+    return values.tolist()
+
+
+def _peaks(fluxes, unit, noise):
+    """Return peaks of features as numbers in the unit of a cube."""
+    if isinstance(fluxes, u.Quantity):
+        # What is as small as the beam has as much in it as at its peak.
+        per_beam = fluxes / u.beam
+        if per_beam.unit.is_equivalent(unit):
+            fluxes = per_beam
+        wanted = f"must be in a unit like {unit}"
+        values = named("fluxes", to_quantity, fluxes, unit, wanted).to_value(unit)
+    else:
+        values = np.asarray(fluxes, dtype=float) * noise
+        if noise == 0:
+            raise ValueError(
+                "fluxes in multiples of the noise need epochs with noise, theirs is 0: "
+                "give fluxes in the unit of the cube"
+            )
+    values = np.atleast_1d(values)
+    good = values.ndim == 1 and values.size > 0
+    if not (good and np.all((values >= 0) & np.isfinite(values))):
+        raise ValueError(f"fluxes must be one or more numbers from 0, got {fluxes}")
+    return values.tolist()
+
+
+def _counted(outcomes):
+    """Return how many injections were found, and how well; None what is not known."""
+    found = [outcome for outcome in outcomes if outcome is not None]
+    n = len(found)
+    fraction, low, high = share(n, len(outcomes))
+    off, error = np.array(found).reshape(-1, 2).T
+    spread = float(off.std(ddof=1)) if n > 1 else None
+    return {
+        "n_injected": len(outcomes),
+        "n_found": n,
+        "fraction": fraction,
+        "fraction_low": low,
+        "fraction_high": high,
+        "bias": float(off.mean()) if n else None,
+        "bias_err": spread / np.sqrt(n) if n > 1 else None,
+        "scatter": spread,
+        "coverage": float(np.mean(np.abs(off) <= error)) if n else None,
+    }
+
+
+def table_of(rows, columns):
+    """Return a table of dicts, masked where a value is None, with units and texts."""
+    table = QTable()
+    for name, (unit, text) in columns.items():
+        values = [row[name] for row in rows]
+        missing = [value is None for value in values]
+        column = np.array([0.0 if value is None else value for value in values])
+        if unit is not None:
+            column = u.Quantity(column, unit)
+        if any(missing):
+            masked = np.ma.MaskedArray if unit is None else Masked
+            column = masked(column, mask=missing)
+        table[name] = column
         table[name].info.description = text
-    table.meta.update(
-        {
-            "settings": scc.to_dict(),
-            "position_angle": setup.position_angle,
-            "tolerance": setup.tolerance * PM_UNIT,
-            "level": scc.level,
-            "n_features": n_features,
-            "n_trials": n_trials,
-            "scatter": scatter,
-            "own_velocities": own * PM_UNIT,
-            "seed": seed,
-            "versions": versions(),
-        }
-    )
     return table
 
 
-def _error_along(covariance, axis):
-    """Standard error in a direction; infinite where there is no bound."""
-    if not np.all(np.isfinite(covariance)):
-        return np.inf
-    return np.sqrt(axis @ covariance @ axis)
+def positive_quantities(name, value, example):
+    """Return one or more positive quantities of the unit of an example."""
+    wanted = f"must be positive and finite, with a unit, such as {example!r}"
+    unit = u.Quantity(example).unit
+    found = np.atleast_1d(named(name, to_quantity, value, unit, wanted))
+    good = found.ndim == 1 and found.size > 0
+    if not (good and np.all((found.value > 0) & np.isfinite(found.value))):
+        raise ValueError(f"{name} = {shortened(value)} {wanted}")
+    return found
 
 
-def _table(cells, rows, n_injections, unit, noise):
-    found = [[outcome for outcome in row if outcome is not None] for row in rows]
-    n_found = np.array([len(row) for row in found], dtype=int)
-    fraction, low, high = share(n_found, n_injections)
-    bias, bias_err, scatter, coverage = [], [], [], []
-    for row in found:
-        off, err = np.array(row).reshape(-1, 2).T
-        n = len(row)
-        spread = float(off.std(ddof=1)) if n > 1 else None
-        bias.append(float(off.mean()) if n else None)
-        bias_err.append(None if spread is None else spread / np.sqrt(n))
-        scatter.append(spread)
-        coverage.append(float(np.mean(np.abs(off) <= err)) if n else None)
-    speed, flux = np.array(cells).T
-    return QTable(
-        {
-            "speed": speed * PM_UNIT,
-            "flux": flux * unit,
-            "snr": partly_known([f / noise if noise > 0 else None for f in flux]),
-            "n_injected": np.full(len(cells), n_injections),
-            "n_found": n_found,
-            "fraction": fraction,
-            "fraction_low": low,
-            "fraction_high": high,
-            "bias": partly_known(bias, PM_UNIT),
-            "bias_err": partly_known(bias_err, PM_UNIT),
-            "scatter": partly_known(scatter, PM_UNIT),
-            "coverage": partly_known(coverage),
-        }
-    )
+def check_trials(n_trials, level):
+    """Refuse trials that allow no probability as small as a level."""
+    if not n_trials >= 2:
+        raise ValueError(f"n_trials must be at least 2, got {n_trials}")
+    if 1 / (n_trials + 1) > level:
+        raise ValueError(
+            f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, so "
+            f"nothing can be found at level {level:g}: give more n_trials"
+        )
+
+
+def seeded(rng):
+    """Return a seed or generator, drawn if there is none, and the seed if it is one."""
+    if rng is None:
+        rng = int(np.random.SeedSequence().entropy % 2**63)
+    return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
+
+
+def smallest_p(n_epochs):
+    """Return the smallest ``p_global`` of what moves, 2 / N! (:ref:`significance`)."""
+    # The factorial of 171 is no float any more.
+    return min(1.0, 2 / math.factorial(min(n_epochs, 170)))
+
+
+def epochs_needed(level):
+    """Return the fewest epochs with which a moving component can reach a level."""
+    n_epochs = 2
+    while smallest_p(n_epochs) > level:
+        n_epochs += 1
+    return n_epochs
+
+
+def share(number, of):
+    """Return a share with the limits of its 95% interval (Jeffreys)."""
+    low, high = binom_conf_interval(number, of, CONFIDENCE, interval="jeffreys")
+    return number / of, float(low), float(high)
+
+
+def run_all(function, jobs, n_workers=1, label="", progress_bar=False):
+    """
+    Return what a function makes of each job, whatever the number of threads.
+
+    Warnings about what the data support are not repeated for each of them.
+    """
+    if n_workers < 1:
+        raise ValueError(f"n_workers must be at least 1, got {n_workers}")
+    with (
+        # Each measurement limits the threads of products by itself; limits that
+        # overlap in time would be restored in the wrong order.
+        threadpool_limits(1),
+        warnings.catch_warnings(),
+        progress(len(jobs), label, show=progress_bar) as done,
+    ):
+        warnings.simplefilter("ignore", MeasurementWarning)
+
+        def work(job):
+            result = function(job)
+            done(1)
+            return result
+
+        if n_workers == 1:
+            return [work(job) for job in jobs]
+        with ThreadPoolExecutor(n_workers) as pool:
+            return list(pool.map(work, jobs))

@@ -6,7 +6,7 @@ import re
 import astropy.units as u
 import numpy as np
 
-from astro_scc.kinematics import cosmology_text
+from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.report.words import (
     listed,

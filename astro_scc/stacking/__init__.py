@@ -1,10 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Stacking: matches as a diagram and a map of velocities, and what they show."""
 
-from astro_scc.stacking.acceleration import (
-    Acceleration,
-    fit_acceleration,
-)
 from astro_scc.stacking.components import (
     Component,
     component_near,
@@ -17,7 +13,6 @@ from astro_scc.stacking.diagram import (
     Rays,
 )
 from astro_scc.stacking.displacements import Displacements
-from astro_scc.stacking.expansion import Expansion, fit_expansion
 from astro_scc.stacking.features import Feature, find_features
 from astro_scc.stacking.grid import VelocityGrid
 from astro_scc.stacking.jitter import JitteredVelocity, jitter_positions
@@ -36,14 +31,12 @@ from astro_scc.stacking.stack import gaussian_sum, stack
 from astro_scc.stacking.streams import Population, random_effects, separate_streams
 
 __all__ = [
-    "Acceleration",
     "AxisDisplacements",
     "Component",
     "DatePairs",
     "Diagram",
     "Displacements",
     "EpochPermutations",
-    "Expansion",
     "Feature",
     "JitteredVelocity",
     "PairMaps",
@@ -61,8 +54,6 @@ __all__ = [
     "find_components",
     "find_features",
     "find_streams",
-    "fit_acceleration",
-    "fit_expansion",
     "fit_gaussian",
     "gaussian_sum",
     "jitter_positions",

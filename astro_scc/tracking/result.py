@@ -11,7 +11,7 @@ from astropy.table import QTable
 from astro_scc.config.settings import require
 from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs import EpochCube, beam_fwhm, position_errors, ssp_offsets
-from astro_scc.kinematics import table_in_c
+from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.quantities import named, to_quantity
 from astro_scc.tracking.chains import track_names
 from astro_scc.tracking.confidence import LinkedShare
@@ -225,7 +225,7 @@ class Tracking:
         -------
         `~astropy.table.QTable`
             `tracks` with the columns ``beta_app`` and ``beta_app_err``, see
-            `~astro_scc.kinematics.table_in_c`.
+            `~astro_scc.kinematics.apparent_speed`.
         """
         return table_in_c(
             self.tracks, redshift=redshift, cosmology=cosmology, distance=distance

@@ -47,14 +47,14 @@ def plot_profile(
     Parameters
     ----------
     table : `~astropy.table.QTable`
-        `Profile.components <astro_scc.profiles.Profile.components>`.
+        `Profile.components <astro_scc.flow.Profile.components>`.
     cube : `~astro_scc.epochs.EpochCube`, optional
         Its mean image is drawn above, on the scale of distances.
     line : `~astro_scc.kinematics.RidgeLine`, optional
         Along which the jet is drawn; it needs the cube.
     column : str, optional
         The speed that is drawn.
-    fits : sequence of `~astro_scc.profiles.ProfileFit`, optional
+    fits : sequence of `~astro_scc.flow.ProfileFit`, optional
         Curves.
     others : sequence of (str, distance, speed, error), optional
         Speeds that others found, with their name.

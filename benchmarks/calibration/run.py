@@ -26,9 +26,8 @@ import numpy as np
 from astro_scc import StackedCrossCorrelation
 from astro_scc import simulation as sim
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.profiles import measure_acceleration
+from astro_scc.flow import compare_speeds, measure_acceleration, scale_groups
 from astro_scc.simulation import Flow
-from astro_scc.stratification import compare_speeds, scale_groups
 
 RESULTS = Path(__file__).parent / "results"
 #: Seeds below were used to choose the constants of the search.

@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 from astro_scc.kinematics import (
     apparent_speed,
     beta_intrinsic,
-    cosmology_text,
     doppler_factor,
     lorentz_factor,
+    paper_cosmology,
+    viewing_angle,
+)
+from astro_scc.kinematics.cosmology import cosmology_text, table_in_c, to_cosmology
+from astro_scc.kinematics.relativistic import (
     maximum_viewing_angle,
     minimum_lorentz_factor,
-    paper_cosmology,
-    table_in_c,
-    to_cosmology,
-    viewing_angle,
 )
 
 MU = 1 * u.mas / u.yr

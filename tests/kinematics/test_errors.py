@@ -15,8 +15,8 @@ from astro_scc.kinematics import (
     intrinsic_table,
     lorentz_factor,
     two_sided_jet,
-    two_sided_ratio,
 )
+from astro_scc.kinematics.relativistic import two_sided_ratio
 
 DAY = u.mas / u.day
 

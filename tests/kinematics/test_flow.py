@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.kinematics import intrinsic_table, two_sided_jet, two_sided_ratio
-from astro_scc.profiles import lorentz_profile
+from astro_scc.flow import lorentz_profile
+from astro_scc.kinematics import intrinsic_table, two_sided_jet
+from astro_scc.kinematics.relativistic import two_sided_ratio
 
 
 def test_errors_are_those_of_small_changes():

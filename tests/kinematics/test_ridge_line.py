@@ -14,9 +14,9 @@ from astro_scc.kinematics import (
     RidgeLine,
     find_ridge_line,
     fit_position_angle,
-    frame_displacements,
-    limb_masks,
 )
+from astro_scc.kinematics.frames import frame_displacements
+from astro_scc.kinematics.ridge_search import limb_masks
 
 RADIUS = 10.0
 

@@ -15,7 +15,7 @@ from astropy.wcs import WCS
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.kinematics import to_cosmology
+from astro_scc.kinematics.cosmology import to_cosmology
 from astro_scc.measurement import (
     product_folder,
     products,

@@ -1,0 +1,8 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Expansion: rates of shells about a centre, and the centre."""
+
+from astro_scc.expansion.centre import fit_shell
+from astro_scc.expansion.compact import remove_compact
+from astro_scc.expansion.sectors import expansion_speed, measure_expansion
+
+__all__ = ["expansion_speed", "fit_shell", "measure_expansion", "remove_compact"]

@@ -1,0 +1,399 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The centre of a shell, and the rates of groups of patterns about it."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.measurement import alignment_errors
+from astro_scc.stacking import Sightings
+
+#: Kinds of one scale, by signal-to-noise ratio, and velocity samples that each should
+#: have.
+PARTS, ENOUGH = 4, 100
+#: Velocity samples of a group that has a rate.
+FEWEST = 10
+#: Width of the kernel in standard errors of a velocity sample, from wide to narrow.
+WIDTHS = (4.0, 2.0, 1.0)
+#: Rates that are tried first, on each side.
+TRIED = 60
+#: Steps uphill at most, of a kernel and of the mixture, and the part of an error at
+#: which those of the mixture end.
+KERNEL_STEPS, MIXTURE_STEPS, SMALL = 40, 100, 0.02
+#: Bounds of the scatter in standard errors of a velocity sample as they are given, and
+#: of the share of those that expand.
+SCATTER, SHARE = (0.02, 1.0), (0.02, 0.98)
+#: Parts of the azimuth that are left out in turn for the errors.
+AZIMUTHS = 24
+
+
+@dataclass(frozen=True, eq=False)
+class ShellFit:
+    """Rates of expansion of groups of SSPs about one centre."""
+
+    groups: tuple
+    rate: u.Quantity
+    rate_err: u.Quantity
+    centre: u.Quantity
+    centre_err: u.Quantity
+    radius: u.Quantity
+    covariance: np.ndarray
+
+
+def fit_shell(scc, matched, groups=None, *, centre=None):
+    r"""
+    Fit the centre of a shell and rates of expansion about it.
+
+    Parameters
+    ----------
+    scc : `~astro_scc.StackedCrossCorrelation`
+        The settings; its axes do not matter.
+    matched : `~astro_scc.measurement.MatchedEpochs` or dict of it
+        Of the same dates; of several, each is a group and its key the name.
+    groups : dict of `~numpy.ndarray` of bool, shape (n_ssps,), optional
+        Groups with a rate of their own, see
+        `~astro_scc.flow.scale_groups`; one of all by default.
+    centre : `~astropy.units.Quantity`, shape (2,), optional
+        (east, north) from the reference pixel, if it is known.
+
+    Returns
+    -------
+    ``ShellFit``
+        ``groups``, their names; ``rate`` of each in per cent a year; ``centre``,
+        (east, north) from the reference pixel; both with ``_err``; ``radius``,
+        the mean distance of the SSPs from the centre; and ``covariance`` of the
+        rates, per year, and the centre, in mas.
+
+    Raises
+    ------
+    ValueError
+        If a group has fewer than ten velocity samples, both several matches and
+        groups are given, or their dates are not the same.
+
+    Notes
+    -----
+    Many patterns are chance, so the fit is that of a mixture: a velocity
+    sample moves as its group does, with a scatter that is fitted for each scale
+    and quarter of the signal-to-noise ratios, or falls anywhere in what was
+    searched.  It starts where a stack with the kernel of ``scc`` has its
+    maximum.  Errors are those of a jackknife over 24 parts of the azimuth,
+    each with all epochs of its features, and of the alignment of the epochs
+    as `~astro_scc.measurement.alignment_errors` knows it: epochs that drift
+    by :math:`\delta` in the time T move the centre by
+    :math:`\delta / (e\, T)`.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.expansion import fit_shell
+    >>> from astro_scc.simulation import simulate_shell
+    >>> shell = simulate_shell(n_epochs=3, interval=10 * u.yr, n_knots=60, rng=1)
+    >>> scc = StackedCrossCorrelation(scales=[1.5], max_speed=300 * u.mas / u.yr)
+    >>> fit = fit_shell(scc, scc.match(shell.cube))
+    >>> bool(abs(fit.rate[0] - 0.11 * u.percent / u.yr) < 0.02 * u.percent / u.yr)
+    True
+    """
+    names, parts = _parts(matched, groups)
+    cube = parts[0].cube
+    limit = scc.speed_limit(cube).to_value(u.mas / u.yr)
+    samples, first, weight, scale, snr = _samples_of(scc, names, parts, limit)
+    x = samples.x
+    given = None if centre is None else u.Quantity(centre).to_value(u.mas)
+    start = kernel_maximum(
+        samples,
+        weight,
+        max_rate=limit / np.median(np.hypot(*(x - x.mean(axis=0)).T)),
+        centre=given,
+    )
+    samples = replace(samples, kind=_kinds(samples.group, scale, snr))
+    fit = fit_mixture(
+        samples, start, (2 * limit * samples.interval) ** 2, fixed=given is not None
+    )
+    covariance = fit.covariance
+    errors = alignment_errors(cube, scc.alignment_error)
+    if errors.any():
+        years = cube.years.to_value(u.yr)
+        covariance = _with_alignment(
+            covariance, fit.response, first, samples.interval, years, errors
+        )
+    error = np.sqrt(np.diag(covariance))
+    per_year = 100 * u.percent / u.yr
+    return ShellFit(
+        groups=names,
+        rate=fit.place[:-2] * per_year,
+        rate_err=error[:-2] * per_year,
+        centre=fit.place[-2:] * u.mas,
+        centre_err=error[-2:] * u.mas,
+        radius=float(np.mean(np.hypot(*(x - fit.place[-2:]).T))) * u.mas,
+        covariance=covariance,
+    )
+
+
+def _parts(matched, groups):
+    """Return the names of the groups, and what was matched of each."""
+    if not hasattr(matched, "matches"):
+        if groups is not None:
+            raise ValueError("several matches are groups already: give no groups")
+        parts = list(matched.values())
+        dates = [part.cube.times.mjd for part in parts]
+        if any(not np.array_equal(dates[0], other) for other in dates[1:]):
+            raise ValueError("the matches of a shell must be of the same dates")
+        return tuple(matched), parts
+    if groups is None:
+        return ("all",), [matched]
+    return tuple(groups), [
+        replace(matched, select=matched.select & chosen) for chosen in groups.values()
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """
+    Velocity samples of groups of patterns as columns.
+
+    ``x`` is the position at the mean date and ``v`` the velocity, shape (n, 2);
+    ``error`` the standard error of the displacement over the ``interval``, that no
+    scatter is above.  ``group`` numbers what has a rate of its own, ``kind`` what has
+    a scatter of its own, from 0.
+    """
+
+    x: np.ndarray
+    v: np.ndarray
+    interval: np.ndarray
+    error: np.ndarray
+    group: np.ndarray
+    kind: np.ndarray
+
+    def select(self, keep):
+        """Return some of the samples."""
+        return Samples(*(column[keep] for column in vars(self).values()))
+
+
+def _samples_of(scc, names, parts, limit):
+    """Return velocity samples, and their earlier date, weight, scale and SNR."""
+    # East and north: a place has no other axes before its centre is known.
+    sky = replace(scc, position_angle=None)
+    columns = []
+    for k, part in enumerate(parts):
+        displacements, _ = sky.displacements(part)
+        years = part.cube.years.to_value(u.yr)
+        pairs = scc.date_pairs(part.cube)
+        s = Sightings.of(displacements, pairs, years, (limit, limit))
+        # What is alike is not known before all are seen: the group for now.
+        group = np.full(len(s), k)
+        fitted = s.middle, s.velocity, s.interval, s.sigma, group, group
+        more = s.first, s.weight, part.ssps.scale[s.ssp], part.ssps.snr[s.ssp]
+        columns.append(fitted + more)
+    numbers = [len(column[0]) for column in columns]
+    if not any(numbers):
+        raise ValueError("no pattern has a match: there is nothing to fit a centre to")
+    for name, n in zip(names, numbers, strict=True):
+        if n < FEWEST:
+            raise ValueError(
+                "an expansion needs ten velocity samples of each group or more, "
+                f"{name} has {n}"
+            )
+    joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
+    return Samples(*joined[:6]), *joined[6:]
+
+
+def _kinds(group, scale, snr):
+    """Return numbers of what is alike: the scale, the signal-to-noise ratio."""
+    kind = np.zeros(len(group), dtype=int)
+    n = 0
+    for g in np.unique(group):
+        for j in np.unique(scale[group == g]):
+            own = np.flatnonzero((group == g) & (scale == j))
+            parts = min(PARTS, max(len(own) // ENOUGH, 1))
+            limits = np.quantile(snr[own], np.arange(1, parts) / parts)
+            kind[own] = n + np.searchsorted(limits, snr[own], side="right")
+            n = kind.max() + 1
+    return np.unique(kind, return_inverse=True)[1]
+
+
+def _with_alignment(covariance, response, first, interval, years, errors):
+    """Return a covariance with that which shifts of whole epochs make."""
+    second = np.abs(np.subtract.outer(years[first] + interval, years)).argmin(axis=1)
+    for k in range(len(years)):
+        moved = ((second == k) * 1.0 - (first == k)) / interval
+        change = np.einsum("i,iaj->aj", moved, response) * errors[k][:, None]
+        covariance = covariance + change.T @ change
+    return covariance
+
+
+def kernel_maximum(samples, weight, *, max_rate, centre=None):
+    r"""
+    Return rates and centre, shape (n_groups + 2,), at which a kernel has its maximum.
+
+    It is that of
+
+    .. math:: C(e, c) = \sum_i w_i \exp\left(-\frac{|v_i - e_{g(i)}\,
+              (x_i - c)|^2}{2\,\sigma_i^2}\right)
+
+    over the rates :math:`e_g` of all groups and the centre c: from the rates
+    at which a wide kernel has its largest sum, uphill by weighted least
+    squares.  A centre that is given stays.
+    """
+    x, v, group = samples.x, samples.v, samples.group
+    s = samples.error / samples.interval
+    start = np.average(x, axis=0, weights=weight) if centre is None else centre
+    rates = np.linspace(-max_rate, max_rate, 2 * TRIED + 1)
+    first = []
+    for g in range(int(group.max()) + 1):
+        own = group == g
+        away = x[own] - start
+        sums = [
+            weight[own] @ np.exp(-0.5 * _square(v[own] - e * away, WIDTHS[0] * s[own]))
+            for e in rates
+        ]
+        first.append(rates[int(np.argmax(sums))])
+    place = np.array([*first, *start])
+    for width in WIDTHS:
+        for _ in range(KERNEL_STEPS):
+            rest = v - _model(samples, place)
+            own = weight * np.exp(-0.5 * _square(rest, width * s)) / s**2
+            flat = _design(samples, place, centre is not None).reshape(-1, len(place))
+            both = np.repeat(own, 2)
+            unit, inverse = _scaled_inverse(flat.T @ (both[:, None] * flat))
+            step = unit * (inverse @ (unit * (flat.T @ (both * rest.reshape(-1)))))
+            place = place + step
+            if np.all(np.abs(step) <= 1e-7 * np.abs(place) + 1e-12):
+                break
+    return place
+
+
+class Mixture(NamedTuple):
+    """
+    The most likely mixture of what expands and chance.
+
+    ``place`` are the rates and the centre, ``response``, shape (n, 2, n_groups + 2),
+    what they change by with each velocity; ``scatter`` and ``share`` are of each kind.
+    """
+
+    place: np.ndarray
+    covariance: np.ndarray
+    response: np.ndarray
+    scatter: np.ndarray
+    share: np.ndarray
+
+
+def fit_mixture(samples, start, area, *, fixed=False):
+    r"""
+    Fit rates and centre of the most likely mixture of what expands and chance.
+
+    A velocity sample i, displaced by :math:`d_i` over the interval :math:`t_i`,
+    is one of what expands, or falls anywhere in the area :math:`A_i` that
+    was searched:
+
+    .. math:: p_i = \frac{f_k}{2\pi\sigma_k^2} \exp\left(-\frac{|d_i - e_g t_i\,
+              (x_i - c)|^2}{2\,\sigma_k^2}\right) + \frac{1 - f_k}{A_i}
+
+    The scatter :math:`\sigma_k` and the share :math:`f_k` of each kind are as unknown
+    as the rates and the centre.  The likelihood is climbed by expectation and
+    maximisation (Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1) from
+    ``start``; with ``fixed`` the centre stays.  Errors are those of a jackknife over 24
+    parts of the azimuth, each with all epochs of its features.
+    """
+    n_groups = len(start) - 2
+    kinds = range(int(samples.kind.max()) + 1)
+    widest = np.array([np.median(samples.error[samples.kind == k]) for k in kinds])
+    first = 0.5 * widest, np.full(len(widest), 0.5)
+    climbed = _climb(samples, start, *first, area, widest, fixed)
+    place, scatter, share, inverse, p = climbed
+    azimuth = np.arctan2(*(samples.x - place[-2:]).T)
+    part_of = (
+        np.floor((azimuth + np.pi) / (2 * np.pi) * AZIMUTHS).astype(int) % AZIMUTHS
+    )
+    others = []
+    for k in np.unique(part_of):
+        keep = part_of != k
+        if np.all(np.bincount(samples.group[keep], minlength=n_groups) > 3):
+            part = samples.select(keep)
+            others.append(
+                _climb(part, place, scatter, share, area[keep], widest, fixed)[0]
+            )
+    n = len(others)
+    covariance = np.full((len(place),) * 2, np.inf)
+    if n >= 4:
+        apart = np.array(others) - np.mean(others, axis=0)
+        covariance = (n - 1) / n * apart.T @ apart
+    weight = p * samples.interval**2 / scatter[samples.kind] ** 2
+    response = weight[:, None, None] * _design(samples, place, fixed) @ inverse
+    return Mixture(place, covariance, response, scatter, share)
+
+
+def _climb(samples, place, scatter, share, area, widest, fixed):
+    """Return the maximum uphill of a place, and what the last step was made of."""
+    kind, square_interval = samples.kind, samples.interval**2
+    n = len(widest)
+    number = np.maximum(np.bincount(kind, minlength=n), 1)
+    for _ in range(MIXTURE_STEPS):
+        rest = samples.v - _model(samples, place)
+        square = (rest**2).sum(axis=1) * square_interval
+        width, f = scatter[kind], share[kind]
+        near = f * np.exp(-0.5 * square / width**2) / (2 * np.pi * width**2)
+        p = near / (near + (1 - f) / area)
+        total = np.bincount(kind, p, n)
+        mean = np.bincount(kind, p * square, n) / np.maximum(2 * total, 1e-12)
+        scatter = np.clip(np.sqrt(mean), *np.multiply.outer(SCATTER, widest))
+        share = np.clip(total / number, *SHARE)
+        weight = p * square_interval / scatter[kind] ** 2
+        normal, right = _equations(samples, place, weight, rest)
+        if fixed:
+            normal[-2:, :] = normal[:, -2:] = right[-2:] = 0
+        unit, inverse = _scaled_inverse(normal)
+        inverse = np.outer(unit, unit) * inverse
+        step = inverse @ right
+        place = place + step
+        if np.all(np.abs(step) <= SMALL * np.sqrt(np.abs(np.diag(inverse)))):
+            break
+    return place, scatter, share, inverse, p
+
+
+def _square(rest, s):
+    return (rest**2).sum(axis=-1) / s**2
+
+
+def _model(samples, place):
+    return place[samples.group][:, None] * (samples.x - place[-2:])
+
+
+def _design(samples, place, fixed):
+    """Return derivatives of the velocities by the rates and the centre."""
+    design = np.zeros((len(samples.x), 2, len(place)))
+    design[np.arange(len(samples.x)), :, samples.group] = samples.x - place[-2:]
+    if not fixed:
+        design[:, 0, -2] = design[:, 1, -1] = -place[samples.group]
+    return design
+
+
+def _equations(samples, place, weight, rest):
+    """Return the normal equations of the rates and the centre."""
+    away, rate = samples.x - place[-2:], place[samples.group]
+    n_groups = len(place) - 2
+    normal = np.zeros((len(place),) * 2)
+    right = np.zeros(len(place))
+
+    def sums(values):
+        return np.bincount(samples.group, weight * values, n_groups)
+
+    for axis in (0, 1):
+        own = slice(0, n_groups), n_groups + axis
+        cross = -sums(rate * away[:, axis])
+        normal[own] = normal[own[::-1]] = cross
+        normal[own[1], own[1]] = (weight * rate**2).sum()
+        right[own[1]] = -(weight * rate * rest[:, axis]).sum()
+    normal[range(n_groups), range(n_groups)] = sums((away**2).sum(axis=1))
+    right[:n_groups] = sums((away * rest).sum(axis=1))
+    return normal, right
+
+
+def _scaled_inverse(normal):
+    """Return units, as rates and lengths have their own, and the inverse in them."""
+    unit = 1 / np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
+    unit[np.diag(normal) == 0] = 0.0
+    return unit, np.linalg.pinv(normal * np.outer(unit, unit), hermitian=True)

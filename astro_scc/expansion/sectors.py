@@ -1,0 +1,168 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The stack of a shell in expansion rate, whole and in sectors."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable, vstack
+
+from astro_scc.kinematics import ExpansionFrame
+from astro_scc.measurement import false_discovery_rate, ssp_offsets
+
+#: Columns of the components that a row of a sector keeps.
+KEPT = ("kind", "coefficient", "z_score", "p_local", "p_global", "p_fdr", "n_ssp",
+        "n_pairs", "n_features", "note")  # fmt: skip
+
+
+def expansion_speed(rate, radius, distance):
+    """
+    Return the speed of what expands at a rate, across the line of sight.
+
+    Parameters
+    ----------
+    rate : `~astropy.units.Quantity`
+        Such as per cent a year.
+    radius : `~astropy.units.Quantity`
+        Angle from the centre.
+    distance : `~astropy.units.Quantity`
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+        In km/s.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.expansion import expansion_speed
+    >>> expansion_speed(0.11 * u.percent / u.yr, 100 * u.arcsec, 3.4 * u.kpc).round(-1)
+    <Quantity 1770. km / s>
+    """
+    length = u.Quantity(radius).to_value(u.rad) * u.Quantity(distance)
+    return (u.Quantity(rate) * length).to(u.km / u.s)
+
+
+def measure_expansion(
+    scc,
+    matched,
+    centre,
+    radius,
+    *,
+    sectors=1,
+    distance=None,
+    n_trials=1000,
+    rng=None,
+):
+    """
+    Stack a shell in expansion rate and rotation about a centre.
+
+    Parameters
+    ----------
+    scc : `~astro_scc.StackedCrossCorrelation`
+        The settings; ``max_speed`` is that at the radius.
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    centre : `~astropy.units.Quantity`, shape (2,)
+        (east, north) from the reference pixel, see `fit_shell`.
+    radius : `~astropy.units.Quantity`
+        Of the shell, at which speeds are given.
+    sectors : int or `~astropy.units.Quantity`, optional
+        Equal sectors of azimuth from north through east, or their limits.
+    distance : `~astropy.units.Quantity`, optional
+        Of the object, for speeds in km/s at the radius.
+    n_trials : int, optional
+    rng : None, int or `~numpy.random.Generator`, optional
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        A row for each sector and velocity that was tested: ``pa_min``,
+        ``pa_max``, ``rate`` and ``rotation`` in per cent a year with
+        errors, ``kind``, probabilities (``p_fdr`` adjusted for all sectors),
+        ``n_features``, ``note`` and, with a distance, ``speed`` and
+        ``speed_err``.
+
+    Raises
+    ------
+    ValueError
+        If there is no sector, or no SSP.
+
+    Notes
+    -----
+    Without a beam the resolution of an SSP is twice the size of its scale,
+    so errors of displacements grow with it.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.expansion import measure_expansion
+    >>> from astro_scc.simulation import simulate_shell
+    >>> shell = simulate_shell(n_epochs=6, interval=8 * u.yr, n_clumps=0, n_knots=25,
+    ...                        radius=50 * u.arcsec, size=160, rng=4)
+    >>> scc = StackedCrossCorrelation(
+    ...     scales=[1], max_speed=150 * u.mas / u.yr, kernel=0.1, detection=7,
+    ...     segmentation=5)
+    >>> matched = scc.match(shell.cube)
+    >>> table = measure_expansion(
+    ...     scc, matched, shell.centre, shell.radius, n_trials=119, rng=1)
+    >>> table["rate"].round(2)[0]
+    <Quantity 0.11 % / yr>
+    """
+    limits = _limits(sectors)
+    frame = ExpansionFrame(centre, radius)
+    stacker = replace(scc, position_angle=frame)
+    east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True)
+    x0, y0 = frame.centre.value
+    azimuth = np.degrees(np.arctan2(east - x0, north - y0))
+    tables = {}
+    rngs = np.random.default_rng(rng).spawn(len(limits))
+    for (low, high), own in zip(limits, rngs, strict=True):
+        inside = (azimuth - low) % 360 < high - low
+        part = replace(matched, select=matched.select & inside)
+        if part.select.any():
+            result = stacker.stack(part, n_trials=n_trials, rng=own)
+            tables[low, high] = result.components
+    if not tables:
+        raise ValueError("no SSP lies in any sector: there is nothing to stack")
+    rows = [
+        _in_sector(table, low, high, frame)
+        for (low, high), table in false_discovery_rate(tables).items()
+    ]
+    filled = [t for t in rows if len(t)] or rows[:1]
+    joined = vstack(filled, metadata_conflicts="silent")
+    joined.meta.clear()
+    joined.meta.update({"centre": frame.centre, "radius": frame.radius})
+    if distance is not None:
+        for name, of in (("speed", "rate"), ("speed_err", "rate_err")):
+            joined[name] = expansion_speed(joined[of], frame.radius, distance)
+        joined.meta["distance"] = u.Quantity(distance)
+    return joined
+
+
+def _limits(sectors):
+    """Return the azimuths that bound each sector, in degrees."""
+    if isinstance(sectors, u.Quantity):
+        edges = sectors.to_value(u.deg)
+        if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
+            raise ValueError(f"the limits of sectors must increase, got {sectors}")
+        if edges[-1] - edges[0] > 360 * (1 + 1e-12):
+            raise ValueError("sectors must not overlap: they cover more than a turn")
+    else:
+        if int(sectors) != sectors or sectors < 1:
+            raise ValueError(f"sectors must be a whole number above 0, got {sectors}")
+        edges = np.linspace(0, 360, int(sectors) + 1)
+    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+
+def _in_sector(table, low, high, frame):
+    """Return the components of a sector as rates of expansion and rotation."""
+    found = QTable()
+    for name, angle in (("pa_min", low), ("pa_max", high)):
+        found[name] = np.full(len(table), angle) * u.deg
+    for name, of in (("rate", "pm_parallel"), ("rotation", "pm_transverse")):
+        found[name] = frame.rate(table[of])
+        found[f"{name}_err"] = frame.rate(table[f"{of}_err"])
+    for name in KEPT:
+        found[name] = table[name]
+    return found

@@ -1,0 +1,26 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Flow: speeds along a jet, their acceleration, and groups of scales and limbs."""
+
+from astro_scc.flow.acceleration import measure_acceleration
+from astro_scc.flow.groups import (
+    compare_positions,
+    compare_speeds,
+    limb_groups,
+    scale_groups,
+)
+from astro_scc.flow.models import ProfileFit, fit_profile, lorentz_profile
+from astro_scc.flow.profile import Profile, measure_profile, write_profile
+
+__all__ = [
+    "Profile",
+    "ProfileFit",
+    "compare_positions",
+    "compare_speeds",
+    "fit_profile",
+    "limb_groups",
+    "lorentz_profile",
+    "measure_acceleration",
+    "measure_profile",
+    "scale_groups",
+    "write_profile",
+]

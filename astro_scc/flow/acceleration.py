@@ -1,0 +1,192 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Acceleration of a flow, from the speeds and the bends of its features."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import astropy.units as u
+import numpy as np
+from scipy.special import stdtr
+
+from astro_scc.measurement.axes import AxisProjection
+from astro_scc.stacking.streams import INFLATION, feature_speeds, scattered_fit
+
+#: The core pulls at features that are nearer, in beams.
+CORE = 2.0
+#: Relative gradient of the speed that blends leave on jets without acceleration, per
+#: beam (``benchmarks/calibration/design.py``).
+BLENDS = 0.009
+#: Fewest features whose speeds have a gradient, and whose bends have a mean.
+FEWEST_SPEEDS, FEWEST_BENDS = 4, 2
+
+
+@dataclass(frozen=True)
+class FlowAcceleration:
+    """
+    Acceleration of a flow, from the speeds and the bends of its features.
+
+    Attributes
+    ----------
+    speed : `~astropy.units.Quantity`
+        Mean speed of its features, in mas/yr.
+    centre : `~astropy.units.Quantity`
+        Their mean distance along the flow, in mas.
+    gradient, gradient_err : `~astropy.units.Quantity`
+        Change of the speed with distance, in 1/yr.
+    acceleration, acceleration_err : `~astropy.units.Quantity`
+        Of the matter, the gradient times the speed, in mas/yr^2.
+    p_value : float
+        Of an acceleration as large, of either sign, if there is none.
+    n_features : int
+        Features beyond two beams from the origin; below two of them, or four
+        with speeds only, nothing is known, and the numbers are NaN.
+    """
+
+    speed: u.Quantity
+    centre: u.Quantity
+    gradient: u.Quantity
+    gradient_err: u.Quantity
+    acceleration: u.Quantity
+    acceleration_err: u.Quantity
+    p_value: float
+    n_features: int
+
+    def __str__(self):
+        if np.isnan(self.p_value):
+            return (
+                f"acceleration: unknown, {self.n_features} features are seen beyond "
+                "two beams, of which four are needed, or two over five epochs"
+            )
+        return (
+            f"acceleration: {self.acceleration.value:.3g} +- "
+            f"{self.acceleration_err.value:.2g} mas/yr^2 at {self.centre.value:.3g} "
+            f"mas, p {self.p_value:.2g}, {self.n_features} features"
+        )
+
+
+def measure_acceleration(result, row=0):
+    """
+    Measure the acceleration of a flow.
+
+    The slope of the speeds of its features against their distances and their
+    own accelerations a are combined, weighted by their errors, as a flow with
+    the speed v(x) has ``a = v dv/dx``.  Both are random-effects models.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    row : int, optional
+        Of its components.
+
+    Returns
+    -------
+    ``FlowAcceleration``
+        ``speed`` in mas/yr and ``centre`` in mas, the means of its features;
+        ``gradient`` of the speed with distance in 1/yr and ``acceleration`` in
+        mas/yr^2, each with ``_err``; ``p_value`` and ``n_features``.  As text it
+        is one line.
+
+    Raises
+    ------
+    ValueError
+        If there is no such row.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.flow import measure_acceleration
+    >>> from astro_scc.simulation import simulate_jet
+    >>> jet = simulate_jet(n_epochs=20, acceleration=3.0, dispersion=0.05, rng=1)
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
+    >>> found = measure_acceleration(scc(jet.cube, n_trials=99, rng=1))
+    >>> bool(found.acceleration > 0 * u.mas / u.yr**2), found.p_value < 0.05
+    (True, True)
+    """
+    streams = result.search.streams
+    if not 0 <= row < len(streams):
+        raise ValueError(f"row must be from 0 to {len(streams) - 1}, got {row}")
+    stream = streams[row]
+    found = fit_gradient(stream.features)
+    beam = float(projection_of(result).beam(stream.angle)[0]) * u.mas
+    speed = abs(found.speed) * beam / u.yr
+    gradient, error = (
+        u.Quantity(x / beam * speed, "1/yr") for x in (found.gradient, found.error)
+    )
+    return FlowAcceleration(
+        speed=speed.to(u.mas / u.yr),
+        centre=abs(found.centre) * beam,
+        gradient=gradient,
+        gradient_err=error,
+        acceleration=(gradient * speed).to(u.mas / u.yr**2),
+        acceleration_err=(error * speed).to(u.mas / u.yr**2),
+        p_value=found.p_value,
+        n_features=found.n_features,
+    )
+
+
+def projection_of(result):
+    """Return the projection of the displacements of a result on axes of the sky."""
+    matched = result.matched
+    return AxisProjection(
+        result.displacements, matched.ssps, matched.cube, result.frame
+    )
+
+
+class Gradient(NamedTuple):
+    """
+    Gradient of the speed along a flow, in beams and years.
+
+    ``gradient`` and ``error`` are of the speed with distance over the mean speed, in
+    1/beam, ``p_value`` of as large a gradient of either sign if there is none; NaN if
+    too few features are seen.
+    """
+
+    gradient: float
+    error: float
+    p_value: float
+    speed: float
+    centre: float
+    n_features: int
+
+
+def fit_gradient(features):
+    """
+    Fit the gradient of the speed of features that pass through a flow.
+
+    Two estimates are combined: the slope of the features' speeds against distance,
+    and the mean of their own accelerations over their speeds.  Features within two
+    beams of the origin, where the core pulls at them, do not count.
+    """
+    ways = np.sign([f.speed for f in features])
+    beyond = [f for f, way in zip(features, ways, strict=True) if f.place * way > CORE]
+    n = len(beyond)
+    unknown = Gradient(*[np.nan] * 5, n)
+    if n < FEWEST_BENDS:
+        return unknown
+    place = np.array([f.place for f in beyond])
+    v, error = feature_speeds(beyond)
+    speed, centre = v.mean(), place.mean()
+    found = []
+    if n >= FEWEST_SPEEDS:
+        design = np.stack([np.ones(n), place - centre], axis=1)
+        (_, slope), covariance, _, _ = scattered_fit(design, v, error)
+        found.append((slope, covariance[1, 1], n - 2))
+    bent = [f for f in beyond if np.isfinite(f.acceleration)]
+    if len(bent) >= FEWEST_BENDS:
+        own = np.array([f.acceleration / f.speed for f in bent])
+        error = np.array(
+            [INFLATION * f.acceleration_error / abs(f.speed) for f in bent]
+        )
+        (mean,), covariance, _, _ = scattered_fit(np.ones((len(bent), 1)), own, error)
+        found.append((mean, covariance[0, 0], len(bent) - 1))
+    if not found:
+        return unknown
+    values, variances, freedom = np.array(found).T
+    weight = 1 / variances
+    gradient = (weight * values).sum() / weight.sum() / abs(speed)
+    error = np.hypot(1 / np.sqrt(weight.sum()) / abs(speed), BLENDS)
+    p_value = 2 * stdtr(freedom.sum(), -abs(gradient) / error)
+    return Gradient(
+        float(gradient), float(error), float(p_value), float(speed), float(centre), n
+    )

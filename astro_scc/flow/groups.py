@@ -1,0 +1,419 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Groups of SSPs by scale or by limb: do they differ in speed, and in place?"""
+
+import warnings
+from itertools import combinations
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+from scipy.special import stdtr
+
+from astro_scc.flow.acceleration import projection_of
+from astro_scc.kinematics import RadialFrame, RidgeLine, SkyFrame
+from astro_scc.kinematics.ridge_search import limb_masks, mean_width
+from astro_scc.measurement import select_ssps, ssp_offsets, velocity_frame
+from astro_scc.stacking.features import SAME_FEATURE
+from astro_scc.stacking.streams import feature_speeds, scattered_fit
+
+#: SSPs of one feature are those ejected within so many beams of one another.
+FEATURE_BEAMS = 2.0
+PM_UNIT = u.mas / u.yr
+
+
+def scale_groups(matched, groups):
+    """
+    Return groups of SSPs by their scale.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    groups : dict of sequence of float or `~astropy.units.Quantity`
+        Scales by the name of the group.
+
+    Returns
+    -------
+    dict of `~numpy.ndarray` of bool, shape (n_ssps,)
+
+    Raises
+    ------
+    ValueError
+        If a scale was not decomposed, or is of two groups.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_static
+    >>> from astro_scc.flow import scale_groups
+    >>> matched = StackedCrossCorrelation(scales=[1, 2]).match(
+    ...     simulate_static(n_epochs=3, rng=1).cube)
+    >>> groups = scale_groups(matched, {"fine": [1], "coarse": [2]})
+    >>> bool(np.all(groups["fine"] ^ groups["coarse"]))
+    True
+    """
+    chosen = {
+        name: select_ssps(matched, scales=scales).select
+        for name, scales in groups.items()
+    }
+    _check_groups(chosen)
+    return chosen
+
+
+def limb_groups(matched, ridge, half_width):
+    """
+    Return groups of SSPs by the side of the ridge line that their centroid is on.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    ridge : `~astro_scc.kinematics.RidgeLine`
+    half_width : `~astropy.units.Quantity`
+        Half the width of the spine.
+
+    Returns
+    -------
+    dict of `~numpy.ndarray` of bool, shape (n_ssps,)
+        "north", "spine" and "south"; those that have an SSP.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.kinematics import find_ridge_line
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.flow import limb_groups
+    >>> cube = simulate_two_fluid(n_epochs=3, core=1.0, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> groups = limb_groups(scc.match(cube), find_ridge_line(cube), 0.3 * u.mas)
+    >>> set(groups) <= {"north", "spine", "south"}
+    True
+    """
+    groups = {}
+    for name, mask in limb_masks(matched.cube, ridge, half_width).items():
+        # A region without a pixel is refused.
+        if mask.any():
+            select = select_ssps(matched, region=mask).select
+            if select.any():
+                groups[name] = select
+    return groups
+
+
+def _check_groups(groups):
+    """Refuse fewer than two groups, and groups that share SSPs."""
+    if len(groups) < 2:
+        raise ValueError(f"a comparison needs two groups or more, got {len(groups)}")
+    for (a, first), (b, second) in combinations(groups.items(), 2):
+        if np.any(np.asarray(first) & np.asarray(second)):
+            raise ValueError(f"groups {a!r} and {b!r} share SSPs: they must not")
+
+
+def compare_speeds(result, groups):
+    """
+    Compare the speeds along the jet of groups of SSPs.
+
+    A feature belongs to the group that has more of its brightness than of
+    that of the median feature: of two scale groups, the larger half of the
+    features is of the coarse one.  The mean speed of a group is that of its
+    features by the random-effects model (see `~astro_scc.stacking.random_effects`),
+    the probability of a difference that of Welch's test (1947, Biometrika
+    34, 28).
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+        With a ``position_angle``, "radial", "fit" or "ridge".
+    groups : dict of `~numpy.ndarray` of bool, shape (n_ssps,)
+        Of `scale_groups`, `limb_groups`, or any others that share no SSP.
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        A row for each pair of groups: ``first``, ``second``, and of either the
+        numbers of SSPs and of features and the mean speed with its error;
+        ``difference`` with its error, and ``p_value``.  What fewer than two
+        features leave unknown is NaN.
+
+    Raises
+    ------
+    ValueError
+        If the velocity axes are east and north, or groups share SSPs.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.flow import compare_speeds, scale_groups
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr,
+    ...                               position_angle=270 * u.deg)
+    >>> matched = scc.match(simulate_two_fluid(n_epochs=8, rng=1).cube)
+    >>> groups = scale_groups(matched, {"fine": [1], "coarse": [2]})
+    >>> result = scc.stack(matched, n_trials=99, rng=1)
+    >>> compare_speeds(result, groups)["first", "second"]
+    <QTable length=1>
+    first second
+     str4  str6
+    ----- ------
+     fine coarse
+    """
+    if isinstance(result.frame, SkyFrame):
+        raise ValueError(
+            "the direction of the flow is needed: give position_angle as an angle, "
+            "'fit', 'radial' or 'ridge'"
+        )
+    _check_groups(groups)
+    matched, project = result.matched, projection_of(result)
+    d = project(result.search.angle)
+    beam = float(project.beam(result.search.angle)[0])
+    features = result.search.follow(d)
+    belongs = _groups_of(features, d, matched.ssps, list(groups.values()))
+    known = {}
+    for k, (name, member) in enumerate(groups.items()):
+        found = [f for f, own in zip(features, belongs, strict=True) if own == k]
+        n_ssp = int((matched.select & member).sum())
+        known[name] = n_ssp, len(found), _mean(found, beam)
+    rows = []
+    for pair in combinations(groups, 2):
+        row = {}
+        for which, name in zip(("first", "second"), pair, strict=True):
+            n_ssp, n_features, (mean, error, _) = known[name]
+            row |= {
+                which: name,
+                f"{which}_n_ssp": n_ssp,
+                f"{which}_n_features": n_features,
+                f"{which}_speed": mean,
+                f"{which}_speed_err": error,
+            }
+        difference = _difference(*(known[name][2] for name in pair))
+        names = "difference", "difference_err", "p_value"
+        rows.append(row | dict(zip(names, difference, strict=True)))
+    speeds = [name for name in rows[0] if "speed" in name or "difference" in name]
+    return QTable(rows, units=dict.fromkeys(speeds, PM_UNIT))
+
+
+def _groups_of(features, d, ssps, groups):
+    """
+    Return the group of each feature: that in which it is brighter than others.
+
+    A small feature is seen on large scales, too, and a large one on small
+    ones: what counts is its share of brightness beside that of the median
+    feature.
+    """
+    total = np.zeros((len(features), len(groups)))
+    for row, feature in zip(total, features, strict=True):
+        for ssp in feature.ssp:
+            here = np.flatnonzero(d.epoch == d.epoch[ssp])
+            away = np.hypot(*(d.position[here] - d.position[ssp]).T)
+            here = here[away <= SAME_FEATURE]
+            row += [ssps.peak[here[g[here]]].max(initial=0) for g in groups]
+    share = np.log(np.maximum(total, np.finfo(float).tiny))
+    share -= share.mean(axis=1, keepdims=True)
+    several = np.count_nonzero(total, axis=1) > 1
+    if several.any():
+        share[several] -= np.median(share[several], axis=0)
+    return np.argmax(share, axis=1)
+
+
+def _mean(features, beam):
+    """Return the mean speed in mas/yr, its error, and the degrees of freedom."""
+    if len(features) < 2:
+        speed = features[0].speed * beam if features else np.nan
+        return abs(speed), np.nan, np.nan
+    speed, error = (x * beam for x in feature_speeds(features))
+    one = np.ones((len(features), 1))
+    (mean,), covariance, _, _ = scattered_fit(one, np.abs(speed), error)
+    return mean, np.sqrt(covariance[0, 0]), len(features) - 1.0
+
+
+def _difference(first, second):
+    """Return a difference of means, its error, and the p-value of Welch's test."""
+    (m1, e1, n1), (m2, e2, n2) = first, second
+    error = np.hypot(e1, e2)
+    freedom = error**4 / (e1**4 / n1 + e2**4 / n2)
+    return m2 - m1, error, 2 * stdtr(freedom, -abs(m2 - m1) / error)
+
+
+def ssp_angles(matched, jet):
+    """
+    Return places of the centroids of SSPs about the reference pixel.
+
+    Returns
+    -------
+    angle, east, north : `~numpy.ndarray`, shape (n_ssps,)
+        Position angles in degrees, within half a turn of that of the jet, and
+        offsets in mas.
+    """
+    east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True)
+    jet = jet.to_value(u.deg)
+    angle = np.degrees(np.arctan2(east, north))
+    return jet + (angle - jet + 180) % 360 - 180, east, north
+
+
+def ssp_places(scc, matched):
+    """
+    Return where the centroids of SSPs are: position angle, across and along the jet.
+
+    Returns
+    -------
+    angle, offset, distance : `~astropy.units.Quantity`, shape (n_ssps,)
+        The angle about the reference pixel, within half a turn of the jet's; the
+        offset is positive towards larger position angles.
+    """
+    frame, jet = velocity_frame(matched, scc.position_angle)
+    angle, east, north = ssp_angles(matched, jet)
+    if isinstance(frame, RidgeLine):
+        distance, offset = (
+            v.to_value(u.mas) for v in frame.coordinates(east * u.mas, north * u.mas)
+        )
+    elif isinstance(frame, RadialFrame):
+        x0, y0 = frame.origin.value
+        distance = np.hypot(east - x0, north - y0)
+        offset = np.radians(angle - jet.to_value(u.deg)) * np.hypot(east, north)
+    else:
+        p = np.radians(jet.to_value(u.deg))
+        offset = east * np.cos(p) - north * np.sin(p)
+        distance = np.hypot(east, north)
+        if not isinstance(frame, SkyFrame):
+            distance = np.stack([east, north], axis=-1) @ frame.matrix()[0]
+    return angle * u.deg, offset * u.mas, distance * u.mas
+
+
+def compare_positions(
+    scc,
+    matched,
+    groups,
+    *,
+    speed=None,
+    r_min=None,
+    r_max=None,
+    n_trials=999,
+    rng=None,
+):
+    """
+    Compare where groups of SSPs lie across the jet.
+
+    Both the position angles and the transverse offsets are compared by the
+    Anderson-Darling test of two samples (Scholz & Stephens 1987, J. Am.
+    Stat. Assoc. 82, 918), and so are the distances of the offsets from the
+    median of both groups, which tell a spine from limbs.
+
+    Parameters
+    ----------
+    scc : `~astro_scc.StackedCrossCorrelation`
+        Its velocity axes say what is across.
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    groups : dict of `~numpy.ndarray` of bool, shape (n_ssps,)
+    speed : `~astropy.units.Quantity`, optional
+        Of the flow, to tell which SSPs are of one feature; at rest without.
+    r_min, r_max : `~astropy.units.Quantity`, optional
+    n_trials : int, optional
+    rng : None, int or `~numpy.random.Generator`, optional
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        A row for each pair of groups and each ``quantity`` ("position
+        angle", "offset", "from the middle"): medians and half the central
+        68% of both, the ``statistic``, ``p_ksamp`` as
+        `scipy.stats.anderson_ksamp` has it, and ``p_paired``.
+
+    Raises
+    ------
+    ValueError
+        If groups share SSPs, or one has fewer than two here.
+
+    Notes
+    -----
+    ``p_ksamp`` takes every SSP for a sample of its own, but a feature is seen
+    in many epochs; it is far too small, and never below 0.001.  ``p_paired``
+    is that of a permutation: SSPs are gathered into lengths of the flow of
+    two beams, and in each the names of the two groups are kept or swapped.
+
+    Groups of scales can differ in place even in a jet that has no layers,
+    because what is apart on a small scale is one pattern on a large one.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.flow import compare_positions
+    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,
+    ...                               position_angle=270 * u.deg)
+    >>> matched = scc.match(cube)
+    >>> ssps = matched.ssps
+    >>> groups = {"bright": ssps.snr >= 100, "faint": ssps.snr < 100}
+    >>> table = compare_positions(scc, matched, groups, n_trials=19, rng=1)
+    >>> table["quantity"].tolist()
+    ['position angle', 'offset', 'from the middle']
+    """
+    _check_groups(groups)
+    part = select_ssps(matched, r_min=r_min, r_max=r_max)
+    angle, offset, distance = ssp_places(scc, part)
+    ejected = _ejections(part, distance, speed)
+    rows = []
+    rngs = np.random.default_rng(rng).spawn(3 * len(groups) ** 2)
+    for pair in combinations(groups, 2):
+        chosen = [part.select & groups[name] for name in pair]
+        for name, c in zip(pair, chosen, strict=True):
+            if c.sum() < 2:
+                raise ValueError(
+                    f"group {name!r} has {c.sum()} SSPs in this part of the jet: a "
+                    "comparison needs two or more"
+                )
+        both = chosen[0] | chosen[1]
+        second = chosen[1][both]
+        quantities = {
+            "position angle": angle,
+            "offset": offset,
+            "from the middle": np.abs(offset - np.median(offset[both])),
+        }
+        for name, values in quantities.items():
+            v = values.value[both]
+            row = {"first": pair[0], "second": pair[1], "quantity": name}
+            # Angles and lengths do not share a column of one unit.
+            for which, own in (("first", v[~second]), ("second", v[second])):
+                low, middle, high = np.percentile(own, [16, 50, 84])
+                row[f"{which}_median"] = float(middle)
+                row[f"{which}_spread"] = float(0.5 * (high - low))
+            row["unit"] = str(values.unit)
+            row |= _test(v, second, ejected[both], n_trials, rngs.pop())
+            rows.append(row)
+    return QTable(rows, meta={"n_trials": n_trials})
+
+
+def _ejections(matched, distance, speed):
+    """Return numbers of what was ejected at one time, as it moves at a speed."""
+    cube = matched.cube
+    v = 0.0 if speed is None else u.Quantity(speed).to_value(PM_UNIT)
+    years = cube.years.to_value(u.yr)[matched.ssps.epoch]
+    start = distance.to_value(u.mas) - v * years
+    return np.floor(start / (FEATURE_BEAMS * mean_width(cube))).astype(int)
+
+
+def _test(values, second, ejected, n_trials, rng):
+    """Return the statistic, its own probability and that of the paired permutation."""
+    from scipy.stats import anderson_ksamp
+
+    def statistic(names):
+        with warnings.catch_warnings():
+            # That the table of probabilities ends at 0.001 and 0.25 is known.
+            warnings.simplefilter("ignore")
+            return anderson_ksamp([values[~names], values[names]])
+
+    found = statistic(second)
+    numbers, ejected = np.unique(ejected, return_inverse=True)
+    beyond = 0
+    for swap in rng.random((n_trials, len(numbers))) < 0.5:
+        names = second ^ swap[ejected]
+        if 1 < names.sum() < len(names) - 1:
+            beyond += statistic(names).statistic >= found.statistic - 1e-12
+        else:
+            beyond += 1
+    return {
+        "statistic": float(found.statistic),
+        "p_ksamp": float(found.pvalue),
+        "p_paired": (int(beyond) + 1) / (n_trials + 1),
+    }

@@ -1,0 +1,392 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Velocity components in bins of distance, their table and figures."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.table import Column, QTable, vstack
+
+from astro_scc.config.settings import require
+from astro_scc.flow.groups import ssp_angles
+from astro_scc.flow.models import fit_profile
+from astro_scc.kinematics import RidgeLine, apparent_speed
+from astro_scc.kinematics.cosmology import table_in_c
+from astro_scc.measurement import component_table, false_discovery_rate, select_ssps
+from astro_scc.stacking import stack
+
+#: Dots per inch of the figures.
+DPI = 150
+
+
+def bins_of(edges, *, window=None):
+    """
+    Return the limits of bins of distance, shape (n, 2).
+
+    They are between increasing ``edges``; with a ``window`` each edge is the middle of
+    a bin of that width, and neighbours share features where they overlap.
+    """
+    edges = require("bins", edges).to(u.mas)
+    if window is None:
+        if len(edges) < 2:
+            raise ValueError(f"bins need 2 distances or more, got {edges}")
+        return np.stack([edges[:-1], edges[1:]], axis=1)
+    window = require("window", window).to(u.mas)
+    low = np.maximum(edges - window / 2, 0 * u.mas)
+    return np.stack([low, edges + window / 2], axis=1)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Profile:
+    """
+    What was measured in each bin of distance.
+
+    Attributes
+    ----------
+    bins : `~astropy.units.Quantity`, shape (n, 2)
+        Limits of the bins.
+    results : tuple of `~astro_scc.measurement.SCCResult` or None
+        One a bin; None where a bin has no SSP.
+    along : {"radius", "ridge"}
+        Whether distances are from the core or along its ridge line.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.flow import measure_profile
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,
+    ...                               position_angle=270 * u.deg)
+    >>> matched = scc.match(cube)
+    >>> profile = measure_profile(
+    ...     scc, matched, [2, 10, 18] * u.mas, n_trials=20, rng=1)
+    >>> len(profile), profile.components.colnames[:3]
+    (2, ['r_min', 'r_max', 'r_mid'])
+    """
+
+    bins: u.Quantity
+    results: tuple
+    along: str = "radius"
+
+    def __len__(self):
+        return len(self.bins)
+
+    def __repr__(self):
+        return (
+            f"<Profile: {len(self)} bins from {self.bins.min():g} to "
+            f"{self.bins.max():g}, {len(self.components)} components>"
+        )
+
+    @cached_property
+    def components(self):
+        """
+        The components of all bins, a `~astropy.table.QTable`.
+
+        Columns ``r_min``, ``r_max``, ``r_mid``, those of
+        `SCCResult.components <astro_scc.measurement.SCCResult.components>`
+        with ``p_fdr``, which is adjusted for all bins, and ``main``: one
+        component of each bin, the significant and moving one with the
+        largest coefficient or, where there is none, the one with the largest
+        coefficient of those that are not significant and are further from
+        rest than by their error.
+        """
+        tables = [
+            component_table([]) if result is None else result.components
+            for result in self.results
+        ]
+        adjusted = false_discovery_rate(tables)
+        parts = [
+            _in_bin(table, limits)
+            for table, limits in zip(adjusted, self.bins, strict=True)
+        ]
+        filled = [part for part in parts if len(part)] or parts[:1]
+        joined = vstack(filled, metadata_conflicts="silent")
+        joined.meta.clear()
+        joined.meta.update(next((t.meta for t in tables if t.meta), {}))
+        if tested := adjusted[0].meta.get("false_discovery"):
+            joined.meta["false_discovery"] = tested
+        joined.meta["bins"] = [list(map(float, b)) for b in self.bins.to_value(u.mas)]
+        joined.meta["along"] = self.along
+        return joined
+
+    def components_in_c(self, *, redshift=None, cosmology=None, distance=None):
+        """
+        Return the components with apparent speeds in units of c.
+
+        Parameters
+        ----------
+        redshift, cosmology, distance : optional
+            As for `SCCResult.components_in_c
+            <astro_scc.measurement.SCCResult.components_in_c>`.
+
+        Returns
+        -------
+        `~astropy.table.QTable`
+        """
+        return table_in_c(
+            self.components, redshift=redshift, cosmology=cosmology, distance=distance
+        )
+
+    @property
+    def main(self):
+        """The rows of `components` that are the ``main`` one of their bin."""
+        return self.components[self.components["main"]]
+
+
+def _in_bin(table, limits):
+    """Return a table of components with the limits of their bin in front."""
+    low, high = limits.to_value(u.mas)
+    columns = {
+        "r_min": (low, "inner limit of the bin"),
+        "r_max": (high, "outer limit of the bin"),
+        "r_mid": ((low + high) / 2, "middle of the bin"),
+    }
+    placed = QTable(meta=table.meta)
+    for name, (value, text) in columns.items():
+        placed[name] = np.full(len(table), value) * u.mas
+        placed[name].info.description = text
+    for name in table.colnames:
+        placed[name] = table[name]
+    placed["main"] = Column(_main(table), description="main component of its bin")
+    return placed
+
+
+def _main(table):
+    """Return which row stands for the bin."""
+    kind = np.asarray(table["kind"], dtype=str)
+    chosen = np.zeros(len(table), dtype=bool)
+    for wanted in ("moving", "not significant"):
+        rows = np.flatnonzero((kind == wanted) & (table["pm"] > table["pm_err"]))
+        if len(rows):
+            best = np.asarray(table["coefficient"], dtype=float)[rows].argmax()
+            chosen[rows[best]] = True
+            break
+    return chosen
+
+
+def measure_profile(
+    scc,
+    matched,
+    edges,
+    *,
+    window=None,
+    ridge=None,
+    n_trials=1000,
+    rng=None,
+    progress_bar=False,
+):
+    """
+    Measure the velocity components in bins of distance.
+
+    Matches are made once, of all epochs; each bin is a stack of those of
+    its SSPs.
+
+    Parameters
+    ----------
+    scc : `~astro_scc.StackedCrossCorrelation`
+        The settings.
+    matched : `~astro_scc.measurement.MatchedEpochs` or cube
+        ``scc.match(cube)``; of a cube the matches are made.
+    edges : `~astropy.units.Quantity` or str, shape (n + 1,)
+        Limits of the bins, increasing angles from 0 or more.
+    window : `~astropy.units.Quantity` or str, optional
+        Width of windows that slide from one edge to the next instead of bins
+        between them: each edge is the middle of one, and neighbours share
+        features where they overlap.
+    ridge : `~astro_scc.kinematics.RidgeLine`, optional
+        Distances are along this line instead of from the reference pixel.
+    n_trials : int, optional
+    rng : None, int or `~numpy.random.Generator`, optional
+        The trials of each bin are independent.
+    progress_bar : bool, optional
+
+    Returns
+    -------
+    `Profile`
+
+    Raises
+    ------
+    ValueError
+        If the bins make no sense, or none of them has an SSP.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.flow import measure_profile
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr,
+    ...                               position_angle=270 * u.deg)
+    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> profile = measure_profile(scc, cube, [0, 10, 20] * u.mas, n_trials=50, rng=1)
+    >>> profile.components.colnames[:4]
+    ['r_min', 'r_max', 'r_mid', 'component']
+    """
+    bins = bins_of(edges, window=window)
+    if not hasattr(matched, "matches"):
+        matched = scc.match(matched, progress_bar=progress_bar)
+    seed = int(rng) if isinstance(rng, int | np.integer) else None
+    results = []
+    for (low, high), own in zip(
+        bins, np.random.default_rng(rng).spawn(len(bins)), strict=True
+    ):
+        part = select_ssps(matched, r_min=low, r_max=high, ridge=ridge)
+        result = None
+        if part.select.any():
+            result = scc.stack(
+                part, n_trials=n_trials, rng=own, progress_bar=progress_bar
+            )
+            result.meta["seed"] = seed
+        results.append(result)
+    if not any(results):
+        raise ValueError(
+            f"no SSP lies in the bins, {bins.min():g} to {bins.max():g} from the core: "
+            "choose others, or fainter thresholds"
+        )
+    return Profile(bins, tuple(results), "radius" if ridge is None else "ridge")
+
+
+def write_profile(profile, components, directory, *, configuration=None, text=None):
+    """
+    Write the table and the figures of a profile.
+
+    Parameters
+    ----------
+    profile : `Profile`
+    components : `~astropy.table.QTable`
+        `Profile.components`, or that with apparent speeds.
+    directory : path
+        A folder that exists.
+    configuration : dict, optional
+        Settings as plain numbers and text, for the meta of the table.
+    text : str, optional
+        The same as TOML, for ``config.toml``.
+
+    Returns
+    -------
+    list of `~pathlib.Path`
+        ``profile.ecsv``, ``profile.png``, ``velocity_maps.png``,
+        ``position_angles.png`` and, with a ``text``, ``config.toml``.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.flow import measure_profile, write_profile
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,
+    ...                               position_angle=270 * u.deg)
+    >>> matched = scc.match(cube)
+    >>> profile = measure_profile(
+    ...     scc, matched, [2, 10, 18] * u.mas, n_trials=20, rng=1)
+    >>> Path("out").mkdir()
+    >>> [path.name for path in write_profile(profile, profile.components, "out")]
+    ['profile.ecsv', 'profile.png', 'velocity_maps.png', 'position_angles.png']
+    """
+
+    directory = Path(directory)
+    table = components.copy(copy_data=False)
+    table.meta = dict(components.meta)
+    if configuration is not None:
+        table.meta.pop("settings", None)
+        table.meta = {"configuration": configuration, **table.meta}
+    paths = [directory / "profile.ecsv"]
+    table.write(paths[0], format="ascii.ecsv", overwrite=True)
+    for name, figure in _figures(profile, components).items():
+        paths.append(directory / f"{name}.png")
+        figure.savefig(paths[-1], dpi=DPI)
+    if text is not None:
+        paths.append(directory / "config.toml")
+        paths[-1].write_text(text, encoding="utf-8")
+    return paths
+
+
+def _figures(profile, components):
+    """Return the figures of a profile by their names."""
+    from astro_scc.visualization import (
+        plot_position_angles,
+        plot_profile,
+        plot_scale_maps,
+    )
+
+    results = [result for result in profile.results if result is not None]
+    first, beta = results[0], None
+    how = {
+        k: components.meta[k]
+        for k in ("redshift", "cosmology", "distance")
+        if components.meta.get(k) is not None
+    }
+    if how:
+        beta = float(apparent_speed(1 * u.mas / u.yr, **how))
+    maps, grid = _scale_maps(results)
+    return {
+        "profile": plot_profile(
+            components,
+            cube=first.cube,
+            line=_line_of(first, profile.bins.max()),
+            fits=_fits(profile.main),
+            beta_per_pm=beta,
+        ),
+        "velocity_maps": plot_scale_maps(
+            maps, grid, axis_names=tuple(first.frame.axis_names)
+        ),
+        "position_angles": plot_position_angles(_angles_of_scales(results)),
+    }
+
+
+def _scale_maps(results):
+    """Return the stacks of each scale by its name, and their velocity grid."""
+    grid = max((r.grid for r in results), key=lambda g: g.shape[0] * g.shape[1])
+    ssps = results[0].matched.ssps
+    maps = {}
+    for scale in np.unique(ssps.scale):
+        total = np.zeros(grid.shape)
+        for result in results:
+            d = result.displacements
+            own = d.select(ssps.scale[d.ssp] == scale)
+            total += stack(own, result.pairs, grid)
+        maps[f"scale {scale:g}"] = total / len(results)
+    return maps, grid
+
+
+def _angles_of_scales(results):
+    """Return position angles of the SSPs of the bins by the name of their scale."""
+    matched = results[0].matched
+    select = np.any([r.matched.select for r in results], axis=0)
+    angle, _, _ = ssp_angles(matched, results[0].position_angle)
+    return {
+        f"scale {scale:g}": angle[select & (matched.ssps.scale == scale)] * u.deg
+        for scale in np.unique(matched.ssps.scale)
+    }
+
+
+def _line_of(result, length):
+    """Return the line along which the jet is drawn."""
+    if isinstance(result.frame, RidgeLine):
+        return result.frame
+    angle = result.position_angle.to_value(u.rad)
+    s = [0.0, length.to_value(u.mas)] * u.mas
+    return RidgeLine(s * np.sin(angle), s * np.cos(angle))
+
+
+def _fits(main):
+    """Return a straight line and a power law, where there are enough speeds."""
+    speeds = main["r_mid"], main["pm_parallel"], main["pm_parallel_err"]
+    fits = []
+    for model in ("linear", "power-law"):
+        try:
+            fits.append(fit_profile(*speeds, model=model))
+        except ValueError:
+            continue
+    return tuple(fits)

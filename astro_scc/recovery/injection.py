@@ -1,0 +1,287 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Injection of moving features into epochs, and which component they become."""
+
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.epochs.beam import FWHM_TO_SIGMA
+from astro_scc.epochs.components.gaussians import add_gaussians
+from astro_scc.kinematics import RadialFrame
+from astro_scc.measurement.tables import PM_UNIT
+
+#: An injected feature holds an SSP whose maximum is this close, in beams.
+NEAR = 0.5
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FeaturePaths:
+    """Where features are at each epoch of a cube, see `draw_paths`."""
+
+    x: np.ndarray
+    y: np.ndarray
+    inside: np.ndarray
+
+    def __len__(self):
+        return len(self.x)
+
+    def __repr__(self):
+        return (
+            f"<FeaturePaths: {len(self)} features, "
+            f"{self.inside.sum(axis=0).mean():.1f} in the area at a time>"
+        )
+
+
+def draw_paths(
+    cube, area, *, speed, position_angle, n_features=10, scatter=None, rng=None
+):
+    """
+    Draw features that flow through an area at one speed.
+
+    All lines that meet the area are equally likely, so that it is populated
+    evenly and at all times: a line is drawn through a point of the area at
+    one of the epochs and kept with probability 1/m, m the number of epochs
+    at which it meets the area.  Lines are added until the mean number of
+    features in the area reaches ``n_features``.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    area : array_like of bool, shape (ny, nx)
+    speed : `~astropy.units.Quantity`
+        An angle per time.
+    position_angle : `~astropy.units.Quantity` or "radial"
+        Direction of motion, north through east, or away from the reference
+        pixel.
+    n_features : float, optional
+        Mean number in the area at a time.
+    scatter : `~astropy.units.Quantity`, optional
+        Standard deviation of positions about the lines, an angle, on each
+        axis and at each epoch on its own.
+    rng : `numpy.random.Generator`, seed or None, optional
+
+    Returns
+    -------
+    ``FeaturePaths``
+        ``x`` and ``y``, shape (n_features, n_epochs), in pixels counted from 0,
+        NaN at epochs before a feature has left the origin of a radial flow; and
+        ``inside``, whether it is in the area, without its scatter.
+
+    Raises
+    ------
+    ValueError
+        If the area holds no pixel.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc import EpochCube
+    >>> from astro_scc.recovery import draw_paths
+    >>> cube = EpochCube.from_arrays(np.zeros((3, 32, 64)), ["2000-01-01", "2001-01-01",
+    ...                              "2003-01-01"], pixel_scale=0.1 * u.mas)
+    >>> area = np.zeros((32, 64), dtype=bool)
+    >>> area[10:20, 10:50] = True
+    >>> paths = draw_paths(cube, area, speed=1 * u.mas / u.yr,
+    ...                    position_angle=270 * u.deg, n_features=4, rng=1)
+    >>> np.diff(paths.x)[0].round(1)  # west is to the right
+    array([10., 20.])
+    """
+    rng = np.random.default_rng(rng)
+    rows, columns = np.nonzero(area)
+    if len(rows) == 0:
+        raise ValueError("the area for features holds no pixel")
+    years = cube.years.to_value(u.yr)
+    speed = u.Quantity(speed).to_value(PM_UNIT)
+    to_sky = cube.pixel_matrix.value
+    to_pixels = np.linalg.inv(to_sky)
+    origin = np.array(cube.reference_pixel)
+    lines, insides, number = [], [], 0.0
+    while number < n_features * (1 - 1e-9):
+        epoch, pixel = rng.integers(len(years)), rng.integers(len(rows))
+        start = [columns[pixel], rows[pixel]] + rng.uniform(-0.5, 0.5, 2)
+        keep = rng.random()
+        direction, distance = _motion(start, origin, to_sky, position_angle)
+        travelled = speed * (years - years[epoch])
+        line = start[:, None] + (to_pixels @ direction)[:, None] * travelled
+        line[:, distance + travelled < 0] = np.nan
+        inside = _is_inside(line, area)
+        if keep * max(inside.sum(), 1) >= 1:
+            continue
+        lines.append(line)
+        insides.append(inside)
+        number += inside.mean()
+    lines = np.array(lines)
+    if scatter is not None:
+        sigma = u.Quantity(scatter).to_value(u.mas)
+        shift = rng.normal(0, sigma, (len(lines), len(years), 2))
+        lines = lines + np.einsum("ij,nej->nie", to_pixels, shift)
+    return FeaturePaths(lines[:, 0], lines[:, 1], np.array(insides))
+
+
+def _motion(start, origin, to_sky, position_angle):
+    """Return the direction of motion (east, north), and the way from its origin."""
+    if isinstance(position_angle, str):
+        offset = to_sky @ (start - origin)
+        # Rounding must not lose the pixel of the origin itself.
+        distance = max(np.hypot(*offset), 1e-12)
+        return offset / distance, distance
+    angle = u.Quantity(position_angle).to_value(u.rad)
+    return np.array([np.sin(angle), np.cos(angle)]), np.inf
+
+
+def _is_inside(line, area):
+    """Return at which epochs a line is in the area."""
+    ny, nx = area.shape
+    known = np.isfinite(line).all(axis=0)
+    x, y = np.rint(np.where(known, line, -1)).astype(int)
+    known &= (x >= 0) & (x < nx) & (y >= 0) & (y < ny)
+    return known & area[np.clip(y, 0, ny - 1), np.clip(x, 0, nx - 1)]
+
+
+def inject(cube, paths, peak, *, fwhm=None):
+    """
+    Add features of the shape of each epoch's beam to a cube.
+
+    Dates, masks, beams and all else stay as they are.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    paths : ``FeaturePaths``
+        See `draw_paths`.
+    peak : `~astropy.units.Quantity`
+        Peak of a feature in the unit of the cube.
+    fwhm : `~astropy.units.Quantity`, optional
+        Full width of round features, instead of the beams.
+
+    Returns
+    -------
+    `~astro_scc.epochs.EpochCube`
+
+    Raises
+    ------
+    ValueError
+        If the cube has no beams and ``fwhm`` is not given.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc import EpochCube
+    >>> from astro_scc.recovery import draw_paths, inject
+    >>> dates = ["2000-01-01", "2001-01-01"]
+    >>> cube = EpochCube.from_arrays(np.zeros((2, 16, 32)), dates,
+    ...                              pixel_scale=0.1 * u.mas)
+    >>> paths = draw_paths(cube, np.eye(16, 32) > 0, speed=1 * u.mas / u.yr,
+    ...                    position_angle=270 * u.deg, n_features=1, rng=1)
+    >>> fuller = inject(cube, paths, 2.0, fwhm=0.5 * u.mas)
+    >>> bool(fuller.data.max() > 1)
+    True
+    """
+    to_pixels = np.linalg.inv(cube.pixel_matrix.value)
+    if fwhm is not None:
+        sigma = FWHM_TO_SIGMA * u.Quantity(fwhm).to_value(u.mas)
+        covariances = [sigma**2 * np.eye(2)] * len(cube)
+    elif cube.beams is not None:
+        covariances = [beam.covariance.to_value(u.mas**2) for beam in cube.beams]
+    else:
+        raise ValueError(
+            "the cube has no beams: give fwhm, the full width of features, as an angle"
+        )
+    value = u.Quantity(peak, cube.unit).to_value(cube.unit)
+    data = cube.data.copy()
+    for epoch, covariance in enumerate(covariances):
+        there = np.isfinite(paths.x[:, epoch])
+        n = int(there.sum())
+        add_gaussians(
+            data[epoch],
+            paths.x[there, epoch],
+            paths.y[there, epoch],
+            np.full(n, value),
+            np.broadcast_to(to_pixels @ covariance @ to_pixels.T, (n, 2, 2)),
+        )
+    return cube.with_step(f"{len(paths)} simulated features added", data=data)
+
+
+def area_for_features(matched, region=None):
+    """
+    Return the pixels in which features are injected, shape (ny, nx).
+
+    They are those of the region that exist in any epoch; without a region those of
+    SSPs of any epoch and scale, or all if there are none.
+    """
+    exists = ~matched.cube.mask.all(axis=0)
+    if region is not None:
+        area = region & exists
+        if not area.any():
+            raise ValueError(
+                "region holds masked pixels only: no feature can be injected"
+            )
+        return area
+    area = np.zeros(exists.shape, dtype=bool)
+    area.flat[matched.ssps.pixels] = True
+    return area if area.any() else exists
+
+
+def velocity_along(frame, position_angle):
+    """Return the unit vector of a direction of motion on the axes of a frame."""
+    if isinstance(frame, RadialFrame):
+        return np.array([1.0, 0.0])
+    angle = position_angle.to_value(u.rad)
+    return frame.matrix(0.0, 0.0) @ [np.sin(angle), np.cos(angle)]
+
+
+def moving_components(result, level):
+    """Return the numbers, from 1, of the components that move with ``p_global``."""
+    table = result.components
+    moving = (table["kind"] == "moving") & (table["p_global"] <= level)
+    return [int(number) for number in table["component"][moving]]
+
+
+def recovered(result, own, velocity, *, tolerance, level, paths, fwhm):
+    """
+    Return the number of the component that is due to injected features, or None.
+
+    It is moving, with ``p_global <= level``, and within the ``tolerance`` (mas/yr) of
+    their ``velocity``, on the axes of the result's frame; it is none of the components
+    that the epochs have of their own, shape (n, 2), each of which takes the component
+    nearest to it, if one is within the tolerance; and more of its SSPs are within half
+    a beam (``fwhm`` in mas) of an injected feature than of the others.
+    """
+    left = {
+        number: result.velocities[number - 1].value
+        for number in moving_components(result, level)
+    }
+    for v in np.reshape(own, (-1, 2)):
+        nearest = _nearest(left, v, tolerance)
+        left.pop(nearest, None)
+    while (nearest := _nearest(left, np.asarray(velocity), tolerance)) is not None:
+        if _share_of_features(result, nearest, paths, fwhm) > 0.5:
+            return nearest
+        del left[nearest]
+    return None
+
+
+def _nearest(velocities, velocity, tolerance):
+    """Return the key of the nearest velocity within a tolerance, or None."""
+    distance = {k: np.hypot(*(v - velocity)) for k, v in velocities.items()}
+    near = [k for k, d in distance.items() if d <= tolerance]
+    return min(near, key=distance.get, default=None)
+
+
+def _share_of_features(result, number, paths, fwhm):
+    """Return the share of a component's SSPs that lie on injected features."""
+    ssps = result.matched.ssps
+    member = np.unique(result.displacements.ssp[result.members(number)])
+    if len(member) == 0:
+        return 0.0
+    epoch = ssps.epoch[member]
+    pixels = np.stack(
+        [paths.x[:, epoch] - ssps.x[member], paths.y[:, epoch] - ssps.y[member]]
+    )
+    offset = np.einsum("ij,jnm->inm", result.cube.pixel_matrix.value, pixels)
+    # A feature that is not there is NaN, and near to nothing.
+    near = (np.hypot(*offset) <= NEAR * fwhm).any(axis=0)
+    return float(near.mean())

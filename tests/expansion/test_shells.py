@@ -1,0 +1,107 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""A simulated shell without a beam: rates, centre, sectors."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.expansion import expansion_speed, fit_shell, measure_expansion
+from astro_scc.simulation import simulate_shell
+
+RATE = u.percent / u.yr
+CENTRE = [6, -4] * u.arcsec
+
+
+@pytest.fixture(scope="module")
+def shell():
+    return simulate_shell(
+        n_epochs=5, interval=8 * u.yr, n_knots=50, n_clumps=8, radius=70 * u.arcsec,
+        size=200, rng=4,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scc():
+    return StackedCrossCorrelation(
+        scales=[1], max_speed=150 * u.mas / u.yr, baseline=[10, 32] * u.yr,
+        kernel=0.1, detection=7, segmentation=5,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def matched(scc, shell):
+    return scc.match(shell.cube)
+
+
+def test_simulation(shell):
+    assert shell.cube.beams is None
+    assert "58 features" in repr(shell)
+    assert set(shell.truth["group"]) == {"knots", "ring"}
+    # The flux has moved outwards: the mean square distance has grown.
+    east, north = shell.cube.offsets()
+    square = (east - CENTRE[0]) ** 2 + (north - CENTRE[1]) ** 2
+    data = shell.cube.data - 20
+    first, last = ((square * data[k]).sum() / data[k].sum() for k in (0, -1))
+    assert 1.02 < last / first < 1.1
+    with pytest.raises(ValueError, match="at least 2"):
+        simulate_shell(n_epochs=1)
+    with pytest.raises(ValueError, match="larger than 100 pixels"):
+        simulate_shell(size=100)
+
+
+def test_rate_and_centre(scc, matched, shell):
+    fit = fit_shell(scc, matched)
+    # At the mean date, 16 years after the first.
+    true = 0.11 / (1 + 0.0011 * 16)
+    error = fit.rate_err[0].to_value(RATE)
+    assert abs(fit.rate[0].to_value(RATE) - true) < 4 * error + 0.002
+    away = (fit.centre - CENTRE).to_value(u.arcsec)
+    assert np.all(np.abs(away) < 4 * fit.centre_err.to_value(u.arcsec) + 0.2)
+    assert np.all(fit.centre_err < 1.5 * u.arcsec)
+    assert 50 < fit.radius.to_value(u.arcsec) < 75
+    known = fit_shell(scc, matched, centre=CENTRE)
+    np.testing.assert_allclose(known.centre.to_value(u.arcsec), CENTRE.value)
+
+
+@pytest.fixture(scope="module")
+def sectors(scc, matched):
+    """The halves of the shell, with all orders of its five epochs."""
+    return measure_expansion(
+        scc, matched, CENTRE, 70 * u.arcsec, sectors=[0, 180, 360] * u.deg,
+        distance=3.4 * u.kpc, n_trials=119, rng=1,
+    )  # fmt: skip
+
+
+def test_sectors(sectors):
+    table = sectors
+    assert table["pa_min"].value.tolist() == [0, 180]
+    for row in table:
+        assert row["p_global"] <= 0.05
+        assert row["n_features"] >= 10
+        assert abs(row["rate"].to_value(RATE) - 0.108) < 0.005
+        assert abs(row["rotation"]) < 0.005 * RATE
+    ratio = table["speed"] / expansion_speed(table["rate"], 70 * u.arcsec, 3.4 * u.kpc)
+    np.testing.assert_allclose(ratio.value, 1)
+    assert np.all(table["p_fdr"] >= table["p_global"])
+
+
+def test_an_expansion_by_less_than_the_resolution_is_a_motion(sectors):
+    assert set(sectors["kind"]) == {"moving"}
+
+
+def test_refused(scc, matched):
+    where = scc, matched, CENTRE, 70 * u.arcsec
+    with pytest.raises(ValueError, match="whole number above 0"):
+        measure_expansion(*where, sectors=0)
+    with pytest.raises(ValueError, match="must increase"):
+        measure_expansion(*where, sectors=[10, 5] * u.deg)
+    with pytest.raises(ValueError, match="more than a turn"):
+        measure_expansion(*where, sectors=[0, 200, 400] * u.deg)
+    none = replace(matched, select=np.zeros_like(matched.select))
+    with pytest.raises(ValueError, match="nothing to stack"):
+        measure_expansion(scc, none, CENTRE, 70 * u.arcsec)
+    with pytest.raises(ValueError, match="nothing to fit a centre to"):
+        fit_shell(scc, none)

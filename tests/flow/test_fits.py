@@ -1,0 +1,111 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Fits of profiles against numpy and against what was put in."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from astro_scc.flow import fit_profile, lorentz_profile
+
+R = np.linspace(0.5, 10, 12) * u.mas
+PM = u.mas / u.yr
+
+
+def test_straight_line_is_that_of_numpy():
+    rng = np.random.default_rng(1)
+    v, e = rng.normal(2, 0.3, 12), rng.uniform(0.1, 0.4, 12)
+    fit = fit_profile(R, v * PM, e * PM)
+    slope, offset = np.polyfit(R.value, v, 1, w=1 / e)
+    assert fit.parameters["gradient"].value == pytest.approx(slope)
+    np.testing.assert_allclose(fit(R).value, slope * R.value + offset)
+    _, covariance = np.polyfit(R.value, v, 1, w=1 / e, cov="unscaled")
+    assert fit.errors["gradient"].value == pytest.approx(np.sqrt(covariance[0, 0]))
+    assert fit.n_free == 10
+
+
+@settings(max_examples=25)
+@given(v0=st.floats(0.5, 5), k=st.floats(-0.8, 0.8))
+def test_power_law_of_a_power_law(v0, k):
+    v = v0 * R.value**k
+    fit = fit_profile(R, v, 0.05 * v, model="power-law")
+    assert fit.parameters["index"].value == pytest.approx(k, abs=1e-6)
+    np.testing.assert_allclose(fit(R).value, v, rtol=1e-6)
+    assert fit.chi2 < 1e-6
+
+
+def test_broken_line_finds_the_break():
+    v = 2 + 0.3 * np.minimum(R.value - 6, 0) - 0.2 * np.maximum(R.value - 6, 0)
+    fit = fit_profile(R, v, np.full(12, 0.02), model="broken")
+    assert fit.parameters["r_break"].value == pytest.approx(6, abs=0.1)
+    assert fit.parameters["outer_gradient"].value == pytest.approx(-0.2, abs=0.02)
+    straight = fit_profile(R, v, np.full(12, 0.02))
+    assert fit.aicc < straight.aicc
+    assert fit.p_constant < 1e-10
+    assert 0 < fit.errors["r_break"].value < 0.5
+
+
+def test_errors_are_those_of_repeated_fits():
+    rng = np.random.default_rng(3)
+    indices, errors = [], []
+    for _ in range(200):
+        v = 2 * R.value**0.3 + rng.normal(0, 0.1, 12)
+        fit = fit_profile(R, v, np.full(12, 0.1), model="power-law")
+        indices.append(fit.parameters["index"].value)
+        errors.append(fit.errors["index"].value)
+    assert np.std(indices) == pytest.approx(np.mean(errors), rel=0.2)
+    assert np.mean(indices) == pytest.approx(0.3, abs=0.01)
+
+
+def test_constant_has_uniform_probabilities():
+    rng = np.random.default_rng(4)
+    p = [
+        fit_profile(R, rng.normal(2, 0.1, 12), np.full(12, 0.1)).p_constant
+        for _ in range(300)
+    ]
+    assert np.mean(np.array(p) < 0.05) < 0.09
+    assert fit_profile(R, np.ones(12), np.ones(12), model="constant").p_constant == 1
+
+
+def test_speeds_without_errors_do_not_count():
+    v, e = np.ones(12), np.full(12, 0.1)
+    v[3], e[4], e[5] = np.nan, np.inf, 0.0
+    assert fit_profile(R, v, e).n_free == 7
+
+
+def test_fits_that_cannot_be():
+    with pytest.raises(ValueError, match="unknown model 'cubic'"):
+        fit_profile(R, np.ones(12), np.ones(12), model="cubic")
+    with pytest.raises(ValueError, match="at 4 distances or more, got 2"):
+        fit_profile(R[:2], [1, 2], [1, 1], model="broken")
+    with pytest.raises(ValueError, match="above 0"):
+        fit_profile(R, -np.ones(12), np.ones(12), model="power-law")
+
+
+def test_lorentz_factors_of_the_paper():
+    found = lorentz_profile([1, 7] * u.mas, [4.0, 6.0], [1e-6, 1e-6], 15 * u.deg, rng=1)
+    np.testing.assert_allclose(found.table["gamma"], [4.13, 7.48], atol=0.01)
+    assert found.k == pytest.approx(0.305, abs=0.001)
+    assert found.a == pytest.approx(4.13, abs=0.01)
+    assert found.possible == 1
+    angled = lorentz_profile(
+        [1, 7] * u.mas, [4.0, 6.0], [0.01, 0.01], 12 * u.deg, angle_error=1 * u.deg,
+        rng=1,
+    )  # fmt: skip
+    assert angled.k_err > 10 * found.k_err
+
+
+def test_speeds_that_are_not_possible():
+    found = lorentz_profile([1, 3] * u.mas, [4.0, 8.0], [0.1, 0.4], 15 * u.deg, rng=1)
+    assert np.isinf(found.table["gamma"][1])
+    assert 0 < found.possible < 0.5
+    assert np.isfinite(found.k)
+    with pytest.raises(ValueError, match="the angle is too large"):
+        lorentz_profile([1, 3] * u.mas, [4.0, 20.0], [0.1, 0.1], 15 * u.deg)
+    with pytest.raises(ValueError, match="two speeds"):
+        lorentz_profile([1] * u.mas, [4.0], [0.1], 15 * u.deg)
+    with pytest.raises(ValueError, match="must be above 0"):
+        lorentz_profile([1, 2] * u.mas, [4.0, -1.0], [0.1, 0.1], 15 * u.deg)
+    with pytest.raises(ValueError, match="must be finite"):
+        lorentz_profile([1, 2] * u.mas, [4.0, 5.0], [0.1, np.inf], 15 * u.deg)

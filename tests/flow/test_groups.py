@@ -1,0 +1,158 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Scale groups and limbs of simulated jets, and what must be refused."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from scipy.stats import ttest_ind
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.flow import (
+    compare_positions,
+    compare_speeds,
+    limb_groups,
+    scale_groups,
+)
+from astro_scc.flow.acceleration import projection_of
+from astro_scc.flow.groups import _difference, _groups_of, _mean
+from astro_scc.kinematics import RidgeLine
+from astro_scc.simulation import JetSimulation, Stream
+
+PM = u.mas / u.yr
+PER_PIXEL = 0.1 / 30 * 365.25
+
+
+@pytest.fixture(scope="module")
+def scc():
+    return StackedCrossCorrelation(
+        scales=[1, 2], max_speed=20 * PM, position_angle=270 * u.deg
+    )
+
+
+@pytest.fixture(scope="module")
+def matched(scc):
+    """A jet that is faster on its northern side, by 4 pixels an epoch."""
+    flow = Stream(
+        "flow",
+        dx=lambda x, y: np.where(y > 64, 8.0, 4.0),
+        half_width=25.0,
+        density=1.5,
+    )
+    jet = JetSimulation([flow], n_epochs=10, extent=(20.0, 240.0))
+    return scc.match(jet.run(rng=2).cube)
+
+
+@pytest.fixture(scope="module")
+def limbs(matched):
+    line = RidgeLine([0, -25] * u.mas, [0, 0] * u.mas)
+    return limb_groups(matched, line, 0.5 * u.mas)
+
+
+@pytest.fixture(scope="module")
+def result(scc, matched):
+    return scc.stack(matched, n_trials=20, rng=1)
+
+
+def test_limbs_have_their_speeds(matched, limbs, result):
+    two = {name: limbs[name] for name in ("south", "north")}
+    (row,) = compare_speeds(result, two)
+    assert row["p_value"] < 0.05
+    error = row["difference_err"].value
+    assert abs(row["difference"].value - 4 * PER_PIXEL) < 3 * error
+    assert abs(row["first_speed"].value - 4 * PER_PIXEL) < 1
+    assert abs(row["second_speed"].value - 8 * PER_PIXEL) < 1
+    assert row["first_n_ssp"] == two["south"].sum()
+    # Welch's test, by scipy.
+    features = result.search.follow(projection_of(result)(result.search.angle))
+    assert row["first_n_features"] + row["second_n_features"] == len(features)
+
+
+def test_the_difference_is_that_of_welch():
+    """Errors that are small beside the scatter: the test of samples."""
+    rng = np.random.default_rng(2)
+    samples = rng.normal(1.0, 0.1, 6), rng.normal(1.3, 0.2, 9)
+    means = [
+        _mean([SimpleNamespace(speed=v, error=1e-9) for v in sample], 1.0)
+        for sample in samples
+    ]
+    # Errors of features hold two per cent of their speeds.
+    found = _difference(*means)
+    expected = ttest_ind(*samples, equal_var=False)
+    assert found[0] == pytest.approx(samples[1].mean() - samples[0].mean(), rel=0.02)
+    assert found[2] == pytest.approx(expected.pvalue, rel=0.3)
+
+
+def test_a_feature_is_of_the_group_that_has_more_of_its_brightness():
+    """Of four on two scales, in pairs of different size; one on the fine scale only."""
+    peak = np.array([9.0, 1.0, 8.0, 1.5, 5.0, 4.0, 6.0, 5.0, 3.0])
+    d = SimpleNamespace(
+        epoch=np.zeros(9, dtype=int),
+        position=np.array([[5.0 * k, 0] for k in (0, 0, 1, 1, 2, 2, 3, 3, 4)]),
+    )
+    features = [SimpleNamespace(ssp=[k]) for k in (0, 2, 4, 6, 8)]
+    fine = np.array([True, False] * 4 + [True])
+    belongs = _groups_of(features, d, SimpleNamespace(peak=peak), [fine, ~fine])
+    assert belongs.tolist() == [0, 0, 1, 1, 0]
+
+
+def test_scales_of_one_flow_have_one_direction(scc, matched):
+    groups = scale_groups(matched, {"fine": [1], "coarse": [2]})
+    table = compare_positions(scc, matched, groups, speed=7 * PM, n_trials=99, rng=1)
+    assert table["quantity"].tolist() == ["position angle", "offset", "from the middle"]
+    assert table["p_paired"][0] > 0.01
+
+
+def test_limbs_differ_in_place(scc, matched, limbs):
+    two = {name: limbs[name] for name in ("south", "north")}
+    table = compare_positions(scc, matched, two, n_trials=99, rng=1)
+    offset = table[table["quantity"] == "offset"][0]
+    assert offset["p_paired"] <= 0.02
+    assert offset["p_ksamp"] <= 0.001
+    assert offset["first_median"] < 0 < offset["second_median"]
+    for axes in ("radial", RidgeLine([0, -25] * u.mas, [0, 0] * u.mas), None):
+        other = compare_positions(
+            replace(scc, position_angle=axes), matched, two, n_trials=9, rng=1
+        )
+        row = other[other["quantity"] == "offset"][0]
+        assert row["first_median"] * row["second_median"] < 0
+
+
+def test_three_groups_are_three_comparisons(result, limbs):
+    assert len(compare_speeds(result, limbs)) == 3
+
+
+def test_what_is_not_seen_is_unknown(result, limbs):
+    none = {
+        "all": limbs["north"] | limbs["south"],
+        "none": np.zeros_like(limbs["north"]),
+    }
+    (row,) = compare_speeds(result, none)
+    assert row["second_n_features"] == 0
+    assert np.isnan(row["second_speed"])
+    assert np.isnan(row["p_value"])
+
+
+def test_refused(scc, matched, limbs, result):
+    everything = {"a": matched.select, "b": matched.select}
+    with pytest.raises(ValueError, match="'a' and 'b' share SSPs"):
+        compare_speeds(result, everything)
+    with pytest.raises(ValueError, match="two groups or more, got 1"):
+        scale_groups(matched, {"a": [1]})
+    with pytest.raises(ValueError, match="share SSPs"):
+        scale_groups(matched, {"a": [1, 2], "b": [2]})
+    sky = replace(scc, position_angle=None).stack(matched, n_trials=30, rng=1)
+    with pytest.raises(ValueError, match="direction of the flow is needed"):
+        compare_speeds(sky, limbs)
+    none = {"north": limbs["north"], "nothing": np.zeros_like(limbs["north"])}
+    with pytest.raises(ValueError, match="'nothing' has 0 SSPs"):
+        compare_positions(scc, matched, none)
+
+
+def test_other_axes(scc, matched, limbs):
+    for axes in ("radial", RidgeLine([0, -25] * u.mas, [0, 0] * u.mas)):
+        found = replace(scc, position_angle=axes).stack(matched, n_trials=30, rng=1)
+        table = compare_speeds(found, limbs)
+        assert np.all(np.isfinite(table["difference"]))

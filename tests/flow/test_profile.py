@@ -1,0 +1,203 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Profiles of simulated jets: bins are stacks of their SSPs, and nothing is lost."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.flow import (
+    Profile,
+    measure_acceleration,
+    measure_profile,
+    write_profile,
+)
+from astro_scc.flow.profile import bins_of
+from astro_scc.kinematics import RidgeLine, paper_cosmology
+from astro_scc.measurement import component_table, select_ssps, ssp_distances
+from astro_scc.simulation import simulate_jet
+from astro_scc.visualization import plot_position_angles, plot_profile, plot_scale_maps
+
+PM = u.mas / u.yr
+TRUE = 6 * 0.1 / 30 * 365.25
+
+
+@pytest.fixture(scope="module")
+def profile(scc, matched):
+    return measure_profile(scc, matched, [0, 7, 14, 90, 99] * u.mas, n_trials=20, rng=1)
+
+
+@pytest.mark.parametrize(
+    ("edges", "window", "message"),
+    [
+        ([1.0], None, "2 distance"),
+        ([2.0, 1.0], None, "bins = .* must be increasing distances"),
+        ([-1.0, 1.0], None, "bins = .* must be increasing distances"),
+        ([1.0, np.nan], None, "bins = .* must be increasing distances"),
+        ([1.0, 2.0], 0.0, "window = 0.0 mas must be finite and above 0"),
+    ],
+)
+def test_bins_that_make_no_sense(edges, window, message):
+    window = window if window is None else window * u.mas
+    with pytest.raises(ValueError, match=message):
+        bins_of(edges * u.mas, window=window)
+
+
+def test_bins_as_text():
+    assert np.all(bins_of("0.5 1.5 2.5 mas") == [[0.5, 1.5], [1.5, 2.5]] * u.mas)
+    assert np.all(bins_of("2 mas", window="1 mas") == [[1.5, 2.5]] * u.mas)
+
+
+def test_windows_overlap():
+    bins = bins_of([1, 2, 3] * u.mas, window=4 * u.mas).value
+    np.testing.assert_allclose(bins, [[0, 3], [0, 4], [1, 5]])
+
+
+def test_a_bin_is_a_stack_of_its_ssps(scc, matched, profile):
+    inside = ssp_distances(matched).value
+    for (low, high), result in zip(profile.bins.value, profile.results, strict=True):
+        own = (inside >= low) & (inside < high)
+        if result is None:
+            assert not own.any()
+            continue
+        np.testing.assert_array_equal(result.matched.select, own)
+        # Nothing is correlated again.
+        assert result.matched.matches is matched.matches
+
+
+def test_columns_and_adjusted_probabilities(profile):
+    table = profile.components
+    names = table.colnames
+    assert names[:3] == ["r_min", "r_max", "r_mid"]
+    assert [n for n in component_table([]).colnames if n not in names] == []
+    assert np.all(table["p_fdr"] >= table["p_global"])
+    assert table["r_mid"].unit == u.mas
+    # An empty bin was searched too, and what stands still is not tested.
+    moves = table["kind"] != "stationary"
+    tested = [np.sum(moves & (table["r_min"] == low)) for low in profile.bins[:, 0]]
+    assert table.meta["false_discovery"]["n_tests"] == np.maximum(tested, 1).sum()
+    assert table.meta["seed"] == 1
+    assert profile.results[3] is None
+    assert "4 bins from 0" in repr(profile)
+
+
+def test_speeds_of_the_bins(profile):
+    main = profile.main[profile.main["r_max"] < 15 * u.mas]
+    assert len(main) == 2
+    away = np.abs(main["pm_parallel"].value - TRUE)
+    assert np.all(away < 3 * main["pm_parallel_err"].value + 0.3)
+
+
+def test_units_of_c(profile):
+    table = profile.components_in_c(redshift=0.1, cosmology=paper_cosmology())
+    ratio = table["beta_app"] / table["pm"].value
+    np.testing.assert_allclose(ratio, ratio[0])
+
+
+def test_main_is_no_stationary_one():
+    bins = [[0.0, 1.0]] * u.mas
+    empty = Profile(bins, (None,))
+    assert len(empty.components) == 0
+    assert empty.components["r_mid"].unit == u.mas
+    assert len(empty.components_in_c(distance=1 * u.Mpc)["beta_app"]) == 0
+
+
+def test_nothing_there(scc, matched):
+    with pytest.raises(ValueError, match="no SSP lies in the bins"):
+        measure_profile(scc, matched, [80, 90] * u.mas, n_trials=20, rng=1)
+
+
+def test_along_a_ridge_line(scc, matched):
+    # A line that begins at 5 mas: distances along it are smaller by as much.
+    line = RidgeLine([-5, -25] * u.mas, [0, 0] * u.mas)
+    s = ssp_distances(matched, ridge=line).value
+    r = ssp_distances(matched, origin=[-5, 0] * u.mas).value
+    far = (r > 5) & (s > 0)
+    np.testing.assert_allclose(s[far], r[far], atol=1.0)
+    found = measure_profile(
+        scc, matched, [3, 15] * u.mas, ridge=line, n_trials=20, rng=1
+    )
+    assert found.along == "ridge"
+    assert found.components.meta["along"] == "ridge"
+
+
+def test_selections(matched):
+    inner = select_ssps(matched, r_max=8 * u.mas, scales=[2])
+    assert set(matched.ssps.scale[inner.select]) == {2.0}
+    region = np.zeros(matched.cube.shape[1:], bool)
+    region[:, :100] = True
+    left = select_ssps(matched, region=region)
+    assert matched.ssps.x_centroid[left.select].max() < 100
+    by_angle = select_ssps(matched, scales=[0.4] * u.mas)
+    np.testing.assert_array_equal(
+        by_angle.select, select_ssps(matched, scales=[2]).select
+    )
+    with pytest.raises(ValueError, match="must be below"):
+        select_ssps(matched, r_min=3 * u.mas, r_max=2 * u.mas)
+    with pytest.raises(ValueError, match="scale 4 was not decomposed"):
+        select_ssps(matched, scales=[1, 4])
+
+
+@pytest.fixture(scope="module")
+def accelerated():
+    """Features that are three times as fast at the end of the jet, and their truth."""
+    jet = simulate_jet(n_epochs=20, acceleration=3.0, dispersion=0.05, rng=1)
+    scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
+    return scc(jet.cube, n_trials=30, rng=1), jet.truth
+
+
+def test_acceleration_is_that_of_the_features(accelerated):
+    result, truth = accelerated
+    found = measure_acceleration(result)
+    moving = truth[truth["group"] == "flow"]
+    distance = -moving["east"].to_value(u.mas)
+    slope = np.polyfit(distance, -moving["pm_east"].to_value(PM), 1)[0]
+    assert abs(found.gradient.value - slope) < 3 * found.gradient_err.value
+    assert found.p_value < 0.05
+    assert u.isclose(found.acceleration, found.gradient * found.speed)
+    assert u.isclose(found.acceleration_err, found.gradient_err * found.speed)
+    assert str(found).startswith("acceleration: ")
+    assert found.centre > 2 * u.mas
+
+
+def test_acceleration_of_a_steady_flow(scc, matched):
+    found = measure_acceleration(scc.stack(matched, n_trials=30, rng=1))
+    assert abs(found.acceleration) < 3 * found.acceleration_err
+    assert found.speed.value == pytest.approx(TRUE, rel=0.05)
+
+
+def test_acceleration_of_what_is_not_there(accelerated):
+    result, _ = accelerated
+    (row,) = np.flatnonzero(result.components["kind"] == "stationary")
+    still = measure_acceleration(result, row)
+    assert np.isnan(still.p_value)
+    assert "of which four are needed" in str(still)
+    with pytest.raises(ValueError, match=f"row must be from 0 to {row}, got 9"):
+        measure_acceleration(result, 9)
+
+
+def test_products(profile, tmp_path):
+    table = profile.components_in_c(redshift=0.1, cosmology=paper_cosmology())
+    paths = write_profile(
+        profile, table, tmp_path, configuration={"seed": 1}, text="seed = 1\n"
+    )
+    assert sorted(p.name for p in paths) == sorted(p.name for p in tmp_path.iterdir())
+    again = QTable.read(tmp_path / "profile.ecsv", format="ascii.ecsv")
+    assert again.colnames == table.colnames
+    assert again.meta["configuration"] == {"seed": 1}
+    assert again.meta["cosmology"]["Om0"] == 0.27
+    np.testing.assert_array_equal(again["pm"], table["pm"])
+
+
+def test_figures(profile):
+    table = profile.components
+    other = ("features", [5.0] * u.mas, [9.0] * PM, [1.0] * PM)
+    figure = plot_profile(table, others=[other], beta_per_pm=0.5)
+    assert "Apparent speed" in figure.axes[0].child_axes[0].get_ylabel()
+    assert len(plot_profile(table[:0]).axes) == 1
+    with pytest.raises(ValueError, match="one map or more"):
+        plot_scale_maps({}, None)
+    angles = plot_position_angles({"none": [] * u.deg, "some": [1.0, 2.0] * u.deg})
+    assert len(angles.axes[0].patches) == 2
+    assert len(plot_position_angles({}).axes) == 1
