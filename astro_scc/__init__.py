@@ -21,6 +21,7 @@ _FOLDERS = frozenset(
         "correlation",
         "decomposition",
         "epochs",
+        "interchange",
         "kinematics",
         "measurement",
         "profiles",

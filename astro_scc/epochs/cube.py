@@ -3,16 +3,29 @@
 
 import operator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from html import escape
+from importlib import import_module
 
 import astropy.units as u
 import numpy as np
+from astropy.nddata import CCDData, StdDevUncertainty
+from astropy.table import QTable
 from astropy.time import Time
 from astropy.wcs import WCS
 
+from astro_scc.epochs.alignment.misalignment import misalignment
+from astro_scc.epochs.alignment.shifts import align
 from astro_scc.epochs.beam import Beam
-from astro_scc.epochs.offset_grid import OffsetGrid
-from astro_scc.epochs.sources import EpochSources
-from astro_scc.epochs.steps import EpochSteps
+from astro_scc.epochs.fits import find_files
+from astro_scc.epochs.grids.cutout import crop, region_mask
+from astro_scc.epochs.grids.reprojection import reproject_cube
+from astro_scc.epochs.grids.smoothing import common_beam
+from astro_scc.epochs.headers import epoch_header
+from astro_scc.epochs.inspection import measure_noise
+from astro_scc.epochs.positions import offset_wcs, readable_angle
+from astro_scc.epochs.reading import read_files, read_images
+from astro_scc.epochs.serialize import is_cube_file, read_cube, write_cube
 from astro_scc.epochs.validation import (
     as_beams,
     as_celestial,
@@ -24,11 +37,29 @@ from astro_scc.epochs.validation import (
     date_labels,
 )
 
-__all__ = ["EpochCube"]
+
+def _read_whole(cls, path, times, beams, hdu, region, pad):
+    """Return the cube of a file that holds all epochs, None for other files."""
+    movies = None if is_cube_file(path) else _above("interchange.files")
+    if movies is None:
+        if times is not None or beams is not None or hdu is not None:
+            raise ValueError(f"{path}: an EpochCube; it has its dates and beams")
+        return cls(**read_cube(path, region=region, pad=pad))
+    if not movies.is_hdf5(path):
+        return None
+    if times is not None or hdu is not None:
+        raise ValueError(f"{path}: a movie; it has its dates, and no extension")
+    movie = movies.read_movie(path, beams=beams)
+    return movie if region is None else movie.crop(region, pad=pad)
+
+
+def _above(room):
+    """Return a room that imports this one, when a method needs it."""
+    return import_module(f"astro_scc.{room}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EpochCube(OffsetGrid, EpochSources, EpochSteps):
+class EpochCube:
     """
     Images of one object at many dates on one pixel grid.
 
@@ -131,6 +162,214 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
+    @classmethod
+    def read(
+        cls,
+        paths,
+        *,
+        frame="offset",
+        times=None,
+        beams=None,
+        hdu=None,
+        check=True,
+        region=None,
+        pad=0,
+    ):
+        """
+        Read FITS images, one an epoch, or a file that `write` made.
+
+        CASA images and HDF5 movies of eht-imaging are read too, where the
+        packages for them are installed.
+
+        Images of one grid are stacked, with their reference pixels on one
+        another.  Others are resampled onto one grid, with a warning: that
+        of the finest pixels, as large as what all of them cover.  An image
+        that lies whole pixels aside is moved without interpolation.
+
+        Parameters
+        ----------
+        paths : str, path-like, or sequence of them
+            Files, or patterns such as ``"3c273/*.fits"``.
+        frame : {"offset", "absolute"}
+            What is laid on one another: reference pixels, or celestial
+            coordinates.  The absolute coordinates of VLBI images differ
+            from epoch to epoch by more than features move.
+        times : `~astropy.time.Time` or sequence, optional
+            Dates in the order of the files (those of a pattern are in
+            alphabetical order), in place of the headers'.  None in a
+            sequence means the header's.
+        beams : beam or sequence of beams, optional
+            In place of the headers'.
+        hdu : int or str, optional
+            The extension that holds the image, by default the first image.
+        check : bool
+            Refuse files of another object or band, and masks.
+        region, pad : optional
+            As `~astro_scc.epochs.crop` takes them: read no more than the
+            bounding box of a region and so many pixels around it, of images
+            that are too large or too many for the memory.  Regions and slices
+            in pixels are those of the earliest epoch.
+
+        Returns
+        -------
+        `EpochCube`
+            With a ``region`` the same as after `crop`, if all images are of one
+            grid.
+
+        Raises
+        ------
+        OSError
+            If a file is missing or is no FITS image.
+        ValueError
+            If a header lacks what is needed, or files do not belong
+            together.
+        MemoryError
+            If the images are more than this machine can hold.
+
+        Examples
+        --------
+        >>> from astro_scc import EpochCube
+        >>> cube = EpochCube.read("../shared/data/0003+380/*.fits")
+        >>> len(cube), cube.labels[0]
+        (10, '0003+380.u.2006_03_09.fits')
+        """
+        files = find_files(paths)
+        if len(files) == 1:
+            alone = _read_whole(cls, files[0], times, beams, hdu, region, pad)
+            if alone is not None:
+                return alone
+        fields = read_files(
+            files,
+            frame=frame,
+            times=times,
+            beams=beams,
+            hdu=hdu,
+            check=check,
+            region=region,
+            pad=pad,
+        )
+        return cls(**fields)
+
+    @classmethod
+    def from_ccddata(
+        cls, images, times=None, beams=None, *, frame="offset", check=True
+    ):
+        """
+        Stack CCDData or other NDData with celestial WCS, one an epoch.
+
+        Parameters
+        ----------
+        images : sequence of `~astropy.nddata.NDData`
+            Or what has an ``hdu``, such as the images of spectral-cube.
+            Pixels without a finite uncertainty are bad, and the median of the
+            others' standard deviations is the ``noise`` of the epoch, if all
+            images have uncertainties.
+        times : `~astropy.time.Time` or sequence, optional
+            By default from the ``meta`` of each image, as in a FITS header.
+        beams : beam or sequence of beams, optional
+            By default from the ``meta`` of each image.
+        frame, check
+            As in `read`.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        fields = read_images(images, times=times, beams=beams, frame=frame, check=check)
+        return cls(**fields)
+
+    @classmethod
+    def from_ndcube(cls, ndcube, times=None, beams=None):
+        """
+        From an NDCube, see `~astro_scc.interchange.from_ndcube`.
+
+        Parameters
+        ----------
+        ndcube : `ndcube.NDCube` or `ndcube.NDCubeSequence`
+        times : `~astropy.time.Time`, optional
+            By default the time axis or the extra coordinates of the cube.
+        beams : beam or sequence of beams, optional
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        return _above("interchange").from_ndcube(ndcube, times=times, beams=beams)
+
+    @classmethod
+    def from_xarray(cls, source, **kwargs):
+        """
+        From xarray, see `~astro_scc.interchange.from_xarray`.
+
+        Parameters
+        ----------
+        source : `xarray.Dataset` or `xarray.DataArray`
+        **kwargs
+            ``times``, ``pixel_scale``, ``unit`` and ``beams`` where it has none.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        return _above("interchange").from_xarray(source, **kwargs)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        data,
+        times,
+        *,
+        pixel_scale,
+        unit=None,
+        beams=None,
+        mask=None,
+        noise=None,
+        reference_pixel=None,
+        position=None,
+    ):
+        """
+        From arrays with east to the left and north up.
+
+        Parameters
+        ----------
+        data : array_like, shape (n_epochs, ny, nx)
+        times : `~astropy.time.Time` or sequence of str, shape (n_epochs,)
+        pixel_scale : `~astropy.units.Quantity`
+            Side of a pixel, an angle.
+        unit, beams, mask, noise
+            As in `EpochCube`.
+        reference_pixel : tuple of float, optional
+            (x, y) of the origin of offsets, counted from 0; by default the
+            centre of the image.
+        position : `~astropy.coordinates.SkyCoord`, optional
+            Celestial position of the reference pixel.
+
+        Returns
+        -------
+        `EpochCube`
+
+        Raises
+        ------
+        ValueError
+            If the arrays are not one an epoch, of one shape, with as many
+            dates, beams and noises.
+        """
+        shape = np.shape(data)
+        if len(shape) != 3:
+            raise ValueError(f"data must have shape (n_epochs, ny, nx), got {shape}")
+        if reference_pixel is None:
+            reference_pixel = (shape[2] - 1) / 2, (shape[1] - 1) / 2
+        return cls(
+            data=data,
+            times=times,
+            wcs=offset_wcs(pixel_scale, reference_pixel, position),
+            unit=unit,
+            mask=mask,
+            beams=beams,
+            noise=noise,
+            meta={"history": [f"{shape[0]} epochs from arrays"]},
+        )
+
     def write(self, path, *, overwrite=False):
         """
         Write everything to one FITS file, which `read` reads back.
@@ -159,8 +398,6 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         >>> EpochCube.read("cube.fits").shape
         (1, 8, 8)
         """
-        from astro_scc.epochs.files.serialize import write_cube
-
         write_cube(self, path, overwrite=overwrite)
 
     def __len__(self):
@@ -182,10 +419,6 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         return self._select(keep)
 
     def _image(self, index):
-        from astropy.nddata import CCDData, StdDevUncertainty
-
-        from astro_scc.epochs.files.headers import epoch_header
-
         if not -len(self) <= index < len(self):
             raise IndexError(f"epoch {index} of a cube with {len(self)} epochs")
         noise = self.noise
@@ -198,13 +431,7 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
             unit=self.unit,
             mask=self.mask[index],
             wcs=self.wcs.deepcopy(),
-            meta=epoch_header(
-                time=self.times[index],
-                label=self.labels[index],
-                beam=self.beams and self.beams[index],
-                noise=None if self.noise is None else self.noise[index],
-                facts=self.epoch_meta[index],
-            ),
+            meta=epoch_header(self, index),
         )
 
     def _select(self, keep):
@@ -261,9 +488,15 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         ``major``, ``minor``, ``pa``, then ``noise`` (given or measured),
         ``object`` and ``frequency`` (NaN where unknown).
         """
-        from astro_scc.epochs.description import epoch_table
-
-        return epoch_table(self)
+        table = QTable({"epoch": np.arange(len(self)), "label": list(self.labels)})
+        table["date"] = Time(self.times, format="isot")
+        for name in ("major", "minor", "pa") if self.beams is not None else ():
+            table[name] = u.Quantity([getattr(beam, name) for beam in self.beams])
+        table["noise"] = self.noise_rms()
+        table["object"] = [str(facts.get("object", "")) for facts in self.epoch_meta]
+        frequency = [facts.get("frequency", np.nan) for facts in self.epoch_meta]
+        table["frequency"] = np.divide(frequency, 1e9) * u.GHz
+        return table
 
     def noise_rms(self):
         """
@@ -275,8 +508,6 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         -------
         `~astropy.units.Quantity`, shape (n_epochs,)
         """
-        from astro_scc.epochs.statistics import measure_noise
-
         if self.noise is not None:
             return self.noise
         pairs = zip(self.data, self.mask, strict=True)
@@ -291,8 +522,6 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         `~astropy.nddata.CCDData`
             Masked and NaN where no epoch has the pixel.
         """
-        from astropy.nddata import CCDData
-
         count = np.sum(~self.mask, axis=0)
         total = np.sum(self.data, axis=0, where=~self.mask)
         mean = np.full(total.shape, np.nan)
@@ -306,11 +535,231 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         )
 
     def __repr__(self):
-        from astro_scc.epochs.description import describe
-
-        return f"<EpochCube {describe(self)}>"
+        n, ny, nx = self.shape
+        dates = date_labels(self.times)
+        parts = [
+            f"{n} epochs {dates[0]} to {dates[-1]}" if n > 1 else f"1 epoch {dates[0]}",
+            f"{nx} x {ny} pixels of {readable_angle(self.pixel_scale)}",
+        ]
+        if self.unit != u.dimensionless_unscaled:
+            parts.append(f"{self.unit}")
+        if self.beams is not None:
+            beam = self.beams[0]
+            size = f"{readable_angle(beam.major)} x {readable_angle(beam.minor)}"
+            same = all(other == beam for other in self.beams)
+            parts.append(f"beam {size}" if same else "beams that differ")
+        return f"<EpochCube {', '.join(parts)}>"
 
     def _repr_html_(self):
-        from html import escape
-
         return f"<p>{escape(repr(self)[1:-1])}</p>" + self.epochs._repr_html_()
+
+    @property
+    def pixel_matrix(self):
+        """
+        Offsets (east, north) of one pixel step in (x, y), shape (2, 2).
+
+        ``(east, north) = pixel_matrix @ (dx, dy)``, the CD matrix of the
+        WCS as angles.
+        """
+        return (self.wcs.pixel_scale_matrix * u.deg).to(u.mas)
+
+    @property
+    def pixel_scale(self):
+        """Side of a square pixel of the same area."""
+        return np.sqrt(np.abs(np.linalg.det(self.pixel_matrix.value))) * u.mas
+
+    @property
+    def reference_pixel(self):
+        """(x, y) of the origin of offsets, counted from 0."""
+        x, y = self.wcs.wcs.crpix - 1
+        return float(x), float(y)
+
+    def pixel_to_offset(self, x, y):
+        """
+        Offsets from the reference pixel, in its tangent plane.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Pixels, counted from 0.
+
+        Returns
+        -------
+        east, north : `~astropy.units.Quantity`
+            In mas, of the shape of ``x`` and ``y``.
+        """
+        x0, y0 = self.reference_pixel
+        step = np.stack(np.broadcast_arrays(np.subtract(x, x0), np.subtract(y, y0)))
+        east, north = np.tensordot(self.pixel_matrix.value, step, axes=1)
+        return east * u.mas, north * u.mas
+
+    def offset_to_pixel(self, east, north):
+        """
+        Pixels of offsets, the inverse of `pixel_to_offset`.
+
+        Parameters
+        ----------
+        east, north : `~astropy.units.Quantity`
+
+        Returns
+        -------
+        x, y : `numpy.ndarray`
+            Pixels, counted from 0.
+        """
+        x0, y0 = self.reference_pixel
+        east, north = (u.Quantity(v).to_value(u.mas) for v in (east, north))
+        offset = np.stack(np.broadcast_arrays(east, north))
+        x, y = np.tensordot(np.linalg.inv(self.pixel_matrix.value), offset, axes=1)
+        return x + x0, y + y0
+
+    def offsets(self):
+        """
+        Offsets of all pixels from the reference pixel.
+
+        Returns
+        -------
+        east, north : `~astropy.units.Quantity`, shape (ny, nx)
+        """
+        y, x = np.indices(self.shape[1:])
+        return self.pixel_to_offset(x, y)
+
+    def to_common_beam(self, beam=None):
+        """
+        Convolve to one beam, see `~astro_scc.epochs.common_beam`.
+
+        Parameters
+        ----------
+        beam : beam, optional
+            By default the smallest that contains the beams of all epochs.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        return common_beam(self, beam=beam)
+
+    def align(self, method="core", **kwargs):
+        """
+        Shift the epochs on one another, see `~astro_scc.epochs.align`.
+
+        Parameters
+        ----------
+        method : {"core", "correlate", "table", "wcs", "none"} or path, optional
+            The path is that of a table of core positions.
+        **kwargs
+            Options of the method: ``table``, ``reference``, ``region``,
+            ``jet_pa``, ``max_shift``.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        return align(self, method, **kwargs)
+
+    @cached_property
+    def misalignment(self):
+        """
+        Scatter of the epochs about where their neighbours put them, in beams.
+
+        None where that cannot be told, see
+        `~astro_scc.epochs.alignment.misalignment.misalignment`.
+        """
+        return misalignment(self)
+
+    def reproject_to(self, wcs, shape=None, order=None, *, method="interp"):
+        """
+        Resample to another grid, see `~astro_scc.epochs.reproject_cube`.
+
+        Parameters
+        ----------
+        wcs : `~astropy.wcs.WCS`, `~astropy.io.fits.Header` or `EpochCube`
+            The new grid, celestial.
+        shape : (int, int), optional
+            Shape (ny, nx) of the new grid, by default its own.
+        order : {"bicubic", "biquadratic", "bilinear", "nearest-neighbor"}, optional
+            Of the interpolation.
+        method : {"interp", "exact", "adaptive"}, optional
+            Averages for larger pixels by the last two.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        return reproject_cube(self, wcs, shape, order, method=method)
+
+    def crop(self, region, pad=0):
+        """
+        Cut all epochs down to a region, see `~astro_scc.epochs.crop`.
+
+        Parameters
+        ----------
+        region : (slice, slice) or region
+            Slices of pixels (y, x), or what `region_mask` takes, of which
+            the bounding box is kept.
+        pad : int, optional
+            Pixels to keep around the box.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        return crop(self, region, pad=pad)
+
+    def region_mask(self, region):
+        """
+        Pixels inside a region, see `~astro_scc.epochs.region_mask`.
+
+        Parameters
+        ----------
+        region : region, list of regions, path, array of bool or None
+            None is everything.
+
+        Returns
+        -------
+        `~numpy.ndarray` of bool, shape (ny, nx)
+            True inside.
+        """
+        return region_mask(self, region)
+
+    def to_xarray(self):
+        """
+        As `xarray.Dataset`, see `~astro_scc.interchange.to_xarray`.
+
+        Returns
+        -------
+        `xarray.Dataset`
+        """
+        return _above("interchange").to_xarray(self)
+
+    def to_ndcube(self):
+        """
+        As NDCube, see `~astro_scc.interchange.to_ndcube`.
+
+        Returns
+        -------
+        `ndcube.NDCube`
+        """
+        return _above("interchange").to_ndcube(self)
+
+    def plot(self, epoch=None, ssps=None, **kwargs):
+        """
+        Draw one epoch, or all of them.
+
+        Parameters
+        ----------
+        epoch : int, optional
+            Index of the epoch; without it, a panel each.
+        ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
+            Drawn on the images.
+        **kwargs
+            Passed to `astro_scc.visualization.plot_epoch`, or
+            `~astro_scc.visualization.plot_epochs`.
+
+        Returns
+        -------
+        `matplotlib.figure.Figure`
+        """
+        figures = _above("visualization")
+        if epoch is None:
+            return figures.plot_epochs(self, ssps, **kwargs)
+        return figures.plot_epoch(self, epoch, ssps, **kwargs)

@@ -7,11 +7,10 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from astro_scc.epochs.description import readable_angle
+from astro_scc.epochs.positions import readable_angle
+from astro_scc.epochs.validation import as_beams
 
-__all__ = ["IntervalPlan", "plan_intervals"]
-
-# Displacements that can be told from none, as the paper has it (Sect. 2.2),
+# Displacements that can be distinguished from zero, as the paper has it (Sect. 2.2),
 # and those between which pairs of epochs work best, in beams.
 SMALLEST_SHIFT = 0.2
 GOOD_SHIFTS = (0.3, 1.5)
@@ -46,15 +45,6 @@ class IntervalPlan:
     slowest, fastest : `~astropy.units.Quantity`
         ``fastest`` is None where the size of the images is not known.
     consecutive : `~astropy.units.Quantity`, shape (2,)
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc.epochs import plan_intervals
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> plan = plan_intervals(simulate_two_fluid(n_epochs=5, rng=1).cube)
-    >>> plan.n_epochs, plan.median.to(u.d).round(), plan.slowest.round(2)
-    (5, <Quantity 30. d>, <Quantity 0.61 mas / yr>)
     """
 
     n_epochs: int
@@ -69,26 +59,11 @@ class IntervalPlan:
 
     def baseline(self, speed):
         """
-        Intervals between epochs that suit a speed.
+        Return the shortest and longest interval between epochs that suit a speed.
 
         ``(0.3, 1.5) b / speed``, so that pairs of epochs are between a third
-        of a beam and one and a half beams of motion apart.
-
-        Parameters
-        ----------
-        speed : `~astropy.units.Quantity`
-            Expected speed, an angle per time.
-
-        Returns
-        -------
-        `~astropy.units.Quantity`, shape (2,)
-            Shortest and longest interval, for the option ``baseline``, no
-            longer than the series.
-
-        Raises
-        ------
-        ValueError
-            If the speed is not positive, or too slow for the series.
+        of a beam and one and a half beams of motion apart, and no longer than the
+        series.  A ValueError if the speed is not positive, or too slow for the series.
         """
         speed = u.Quantity(speed).to(self.slowest.unit)
         if not speed > 0:
@@ -104,40 +79,24 @@ class IntervalPlan:
 
     def motion(self, speed):
         """
-        How far a feature moves between consecutive epochs.
+        Return how far a feature moves at the median interval, in beams.
 
-        Parameters
-        ----------
-        speed : `~astropy.units.Quantity`
-            An angle per time.
-
-        Returns
-        -------
-        float or `~numpy.ndarray`
-            In beams, at the median interval: 0.3 to 1.5 are good, see
-            `baseline` for other pairs.
+        0.3 to 1.5 are good, see `baseline` for other pairs.
         """
         return (u.Quantity(speed) * self.median / self.resolution).to_value(u.one)
 
     def lines(self):
-        """
-        The plan as sentences.
-
-        Returns
-        -------
-        list of str
-        """
+        """Return the plan as sentences."""
         low, high = self.consecutive
+        leaves = ""
+        if self.fastest is not None:
+            leaves = f"; faster than {self.fastest:.3g} leaves the image"
         lines = [
             f"{self.n_epochs} epochs over {self.span:.3g}, "
             f"{self.shortest.value:.3g} to {self.longest:.3g} apart, "
             f"median {self.median:.3g}; resolution {readable_angle(self.resolution)}.",
-            f"Slower than {self.slowest:.2g} cannot be told from standing still"
-            + (
-                f"; faster than {self.fastest:.3g} leaves the image."
-                if self.fastest is not None
-                else "."
-            ),
+            f"Slower than {self.slowest:.2g} cannot be distinguished from standing "
+            f"still{leaves}.",
             f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}.",
         ]
         if self.n_epochs > 2:
@@ -153,7 +112,7 @@ class IntervalPlan:
 
 def plan_intervals(cube, beam=None, *, extent=None):
     """
-    What the dates of a series allow to be measured.
+    Return what the dates of a series allow to be measured.
 
     Parameters
     ----------
@@ -221,16 +180,12 @@ def _time_unit(span):
 
 
 def _resolution(cube, beam):
-    from astro_scc.epochs.validation import as_beam
-
-    if beam is None and not isinstance(cube, Time):
-        if cube.beams is None:
-            return PIXELS_RESOLVED * cube.pixel_scale
-        beam = cube.beams
-    if beam is None:
+    if beam is None and isinstance(cube, Time):
         raise ValueError("dates alone need a beam, or the resolution as an angle")
+    if beam is None and cube.beams is None:
+        return PIXELS_RESOLVED * cube.pixel_scale
+    beam = cube.beams if beam is None else beam
     if isinstance(beam, u.Quantity) and not hasattr(beam, "major"):
         return beam
-    beams = [beam] if hasattr(beam, "major") else beam
-    sizes = [np.sqrt(b.major * b.minor) for b in map(as_beam, beams)]
-    return np.median(u.Quantity(sizes))
+    beams = as_beams(beam, 1 if hasattr(beam, "major") else len(beam))
+    return np.median(u.Quantity([np.sqrt(b.major * b.minor) for b in beams]))

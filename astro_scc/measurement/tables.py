@@ -10,7 +10,12 @@ from astropy.table import Column, QTable
 from astropy.time import Time
 
 from astro_scc.decomposition import scale_size
-from astro_scc.epochs import beam_fwhm, name_by_frame, position_errors, ssp_offsets
+from astro_scc.epochs.positions import (
+    beam_fwhm,
+    name_by_frame,
+    position_errors,
+    ssp_offsets,
+)
 from astro_scc.measurement.axes import AxisProjection
 
 __all__ = ["PM_UNIT", "component_table", "feature_table", "ssp_table", "versions"]

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from astro_scc.epochs import EpochCube, read_vlbi_fits
-from astro_scc.epochs.files.fits import read_image
+from astro_scc.epochs.fits import read_plane
 from astro_scc.exceptions import EpochWarning
 
 PIXELS = np.random.default_rng(1).normal(size=(1, 1, 16, 32))
@@ -196,7 +196,7 @@ def test_what_is_not_understood_is_said_and_left_out(make_fits, changes, message
     with pytest.warns(EpochWarning, match=message):
         image = read_vlbi_fits(path)
     assert ("BMAJ" in image.meta) == ("BUNIT" in changes)
-    assert len(read_image(path)[1]) == 1
+    assert len(read_plane(path).notes) == 1
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,7 @@ def test_plan_of_a_cube():
 def test_plan_in_words():
     text = str(plan_intervals(Time(YEARS), BEAM, extent=10 * u.mas))
     assert "4 epochs over 2 yr, 0.498 to 0.999 yr apart, median 0.504 yr" in text
-    assert "cannot be told from standing still; faster than 9.93 mas / yr" in text
+    assert "distinguished from standing still; faster than 9.93 mas / yr" in text
     assert "Consecutive epochs suit speeds of 0.42 to 2.1 mas / yr" in text
     assert "further apart, which are used for them." in text
     assert "leaves" not in str(plan_intervals(Time(YEARS), BEAM))

@@ -16,13 +16,9 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc import Beam, EpochCube
-from astro_scc.epochs.interchange import (
-    from_xarray,
-    is_casa_image,
-    is_hdf5,
-    read_casa_image,
-    to_xarray,
-)
+from astro_scc.epochs.fits import is_casa_image
+from astro_scc.interchange import files, from_xarray, to_xarray
+from astro_scc.interchange.files import is_hdf5, read_casa_image
 
 DATES = ["2000-01-01T03:04:05.678", "2000-06-01", "2001-01-01"]
 
@@ -271,9 +267,7 @@ def test_broken_casa_image(casa_image, casatools):
 
 
 def test_casa_image_without_packages(casa_image, monkeypatch):
-    from astro_scc.epochs.interchange import casa
-
-    monkeypatch.setattr(casa, "find_spec", lambda name: None)
+    monkeypatch.setattr(files, "find_spec", lambda name: None)
     with pytest.raises(OSError, match=r"a\.image: a CASA image; export it as FITS"):
         EpochCube.read(casa_image)
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.files.serialize import is_cube_file, replace_when_complete
+from astro_scc.epochs.serialize import is_cube_file, replace_when_complete
 
 DATES = ["2001-01-01T01:02:03.456789", "2000-01-01", "2000-06-01"]
 

@@ -5,20 +5,17 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from astro_scc.epochs.beam import Beam
-from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.files.serialize import (
+from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs.grids.resampling import moved_wcs
+from astro_scc.epochs.positions import axis_words, offset_wcs
+from astro_scc.epochs.serialize import (
     pack_facts,
     pack_wcs,
     unpack_facts,
     unpack_wcs,
 )
-from astro_scc.epochs.grids.resampling import moved_wcs
-from astro_scc.epochs.interchange.optional import optional
-from astro_scc.epochs.offset_grid import offset_wcs
-from astro_scc.epochs.positions import axis_words
+from astro_scc.interchange.files import optional
 
-__all__ = ["from_xarray", "to_xarray"]
 __doctest_requires__ = {("from_xarray", "to_xarray"): ["xarray"]}
 
 #: What the images are called.
@@ -53,7 +50,7 @@ def to_xarray(cube):
 
     Examples
     --------
-    >>> from astro_scc.epochs.interchange import to_xarray
+    >>> from astro_scc.interchange import to_xarray
     >>> from astro_scc.simulation import simulate_static
     >>> dataset = to_xarray(simulate_static(n_epochs=2, rng=1).cube)
     >>> list(dataset.data_vars)
@@ -144,7 +141,7 @@ def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
     >>> import astropy.units as u
     >>> import numpy as np
     >>> import xarray
-    >>> from astro_scc.epochs.interchange import from_xarray
+    >>> from astro_scc.interchange import from_xarray
     >>> array = xarray.DataArray(np.ones((2, 20, 30)), dims=("time", "y", "x"))
     >>> from_xarray(array, times=["2000-01-01", "2001-01-01"], pixel_scale=25 * u.mas)
     <EpochCube 2 epochs 2000-01-01 to 2001-01-01, 30 x 20 pixels of 25 mas>
