@@ -14,10 +14,11 @@ from astropy.table import QTable
 from astropy.time import Time
 from astropy.wcs import WCS
 
+from astro_scc.epochs import positions
 from astro_scc.epochs.alignment.misalignment import misalignment
 from astro_scc.epochs.alignment.shifts import align
 from astro_scc.epochs.beam import Beam
-from astro_scc.epochs.fits import find_files
+from astro_scc.epochs.fits import find_files, is_hdf5
 from astro_scc.epochs.grids.cutout import crop, region_mask
 from astro_scc.epochs.grids.reprojection import reproject_cube
 from astro_scc.epochs.grids.smoothing import common_beam
@@ -36,21 +37,6 @@ from astro_scc.epochs.validation import (
     as_times,
     date_labels,
 )
-
-
-def _read_whole(cls, path, times, beams, hdu, region, pad):
-    """Return the cube of a file that holds all epochs, None for other files."""
-    movies = None if is_cube_file(path) else _above("interchange.files")
-    if movies is None:
-        if times is not None or beams is not None or hdu is not None:
-            raise ValueError(f"{path}: an EpochCube; it has its dates and beams")
-        return cls(**read_cube(path, region=region, pad=pad))
-    if not movies.is_hdf5(path):
-        return None
-    if times is not None or hdu is not None:
-        raise ValueError(f"{path}: a movie; it has its dates, and no extension")
-    movie = movies.read_movie(path, beams=beams)
-    return movie if region is None else movie.crop(region, pad=pad)
 
 
 def _above(room):
@@ -176,28 +162,23 @@ class EpochCube:
         pad=0,
     ):
         """
-        Read FITS images, one an epoch, or a file that `write` made.
+        Read FITS images, one per epoch, or a file that `write` made.
 
         CASA images and HDF5 movies of eht-imaging are read too, where the
-        packages for them are installed.
-
-        Images of one grid are stacked, with their reference pixels on one
-        another.  Others are resampled onto one grid, with a warning: that
-        of the finest pixels, as large as what all of them cover.  An image
-        that lies whole pixels aside is moved without interpolation.
+        packages for them are installed.  Images of one grid are stacked, with their
+        reference pixels on one another.  Others are moved by whole pixels, or
+        resampled with a warning, onto the finest grid, as large as all of them.
 
         Parameters
         ----------
         paths : str, path-like, or sequence of them
             Files, or patterns such as ``"3c273/*.fits"``.
         frame : {"offset", "absolute"}
-            What is laid on one another: reference pixels, or celestial
-            coordinates.  The absolute coordinates of VLBI images differ
-            from epoch to epoch by more than features move.
+            What is laid on one another: reference pixels, or celestial coordinates,
+            which in VLBI differ between epochs by more than features move.
         times : `~astropy.time.Time` or sequence, optional
-            Dates in the order of the files (those of a pattern are in
-            alphabetical order), in place of the headers'.  None in a
-            sequence means the header's.
+            Dates in the order of the files (those of a pattern are in alphabetical
+            order), in place of the headers'.  None means the header's.
         beams : beam or sequence of beams, optional
             In place of the headers'.
         hdu : int or str, optional
@@ -205,16 +186,13 @@ class EpochCube:
         check : bool
             Refuse files of another object or band, and masks.
         region, pad : optional
-            As `~astro_scc.epochs.crop` takes them: read no more than the
-            bounding box of a region and so many pixels around it, of images
-            that are too large or too many for the memory.  Regions and slices
-            in pixels are those of the earliest epoch.
+            As `crop` takes them: read no more than the bounding box of a region and
+            so many pixels around it, of images that are too large or too many for
+            the memory.  Pixels are those of the earliest epoch.
 
         Returns
         -------
         `EpochCube`
-            With a ``region`` the same as after `crop`, if all images are of one
-            grid.
 
         Raises
         ------
@@ -234,28 +212,27 @@ class EpochCube:
         (10, '0003+380.u.2006_03_09.fits')
         """
         files = find_files(paths)
-        if len(files) == 1:
-            alone = _read_whole(cls, files[0], times, beams, hdu, region, pad)
-            if alone is not None:
-                return alone
-        fields = read_files(
-            files,
-            frame=frame,
-            times=times,
-            beams=beams,
-            hdu=hdu,
-            check=check,
-            region=region,
-            pad=pad,
-        )
-        return cls(**fields)
+        first, window = files[0], {"region": region, "pad": pad}
+        if len(files) == 1 and is_cube_file(first):
+            if any(value is not None for value in (times, beams, hdu)):
+                raise ValueError(f"{first}: an EpochCube; it has its dates and beams")
+            return cls(**read_cube(first, **window))
+        if len(files) == 1 and is_hdf5(first):
+            if times is not None or hdu is not None:
+                raise ValueError(
+                    f"{first}: a movie; it has its dates, and no extension"
+                )
+            movie = _above("interchange").read_movie(first, beams=beams)
+            return movie if region is None else movie.crop(**window)
+        given = {"times": times, "beams": beams, "hdu": hdu}
+        return cls(**read_files(files, frame=frame, check=check, **given, **window))
 
     @classmethod
     def from_ccddata(
         cls, images, times=None, beams=None, *, frame="offset", check=True
     ):
         """
-        Stack CCDData or other NDData with celestial WCS, one an epoch.
+        Stack CCDData or other NDData with celestial WCS, one per epoch.
 
         Parameters
         ----------
@@ -275,13 +252,13 @@ class EpochCube:
         -------
         `EpochCube`
         """
-        fields = read_images(images, times=times, beams=beams, frame=frame, check=check)
-        return cls(**fields)
+        options = {"times": times, "beams": beams, "frame": frame, "check": check}
+        return cls(**read_images(images, **options))
 
     @classmethod
     def from_ndcube(cls, ndcube, times=None, beams=None):
         """
-        From an NDCube, see `~astro_scc.interchange.from_ndcube`.
+        Return the epochs of an NDCube, see `~astro_scc.interchange.from_ndcube`.
 
         Parameters
         ----------
@@ -299,7 +276,7 @@ class EpochCube:
     @classmethod
     def from_xarray(cls, source, **kwargs):
         """
-        From xarray, see `~astro_scc.interchange.from_xarray`.
+        Return the epochs of xarray, see `~astro_scc.interchange.from_xarray`.
 
         Parameters
         ----------
@@ -328,7 +305,7 @@ class EpochCube:
         position=None,
     ):
         """
-        From arrays with east to the left and north up.
+        Return the epochs of arrays with east to the left and north up.
 
         Parameters
         ----------
@@ -370,35 +347,20 @@ class EpochCube:
             meta={"history": [f"{shape[0]} epochs from arrays"]},
         )
 
-    def write(self, path, *, overwrite=False):
-        """
-        Write everything to one FITS file, which `read` reads back.
-
-        Parameters
-        ----------
-        path : str or path-like
-        overwrite : bool
-            Replace a file that exists.  A file is replaced only when the
-            new one is complete.
-
-        Raises
-        ------
-        OSError
-            If the file exists and ``overwrite`` is False, or cannot be
-            written.
-
-        Examples
-        --------
-        >>> import astropy.units as u
-        >>> import numpy as np
-        >>> from astro_scc import EpochCube
-        >>> cube = EpochCube.from_arrays(np.ones((1, 8, 8)), ["2000-01-01"],
-        ...                              pixel_scale=0.1 * u.mas)
-        >>> cube.write("cube.fits")
-        >>> EpochCube.read("cube.fits").shape
-        (1, 8, 8)
-        """
-        write_cube(self, path, overwrite=overwrite)
+    # Functions of the epochs that take a cube are its methods.
+    write = write_cube
+    to_common_beam = common_beam
+    align = align
+    misalignment = cached_property(misalignment)
+    reproject_to = reproject_cube
+    crop = crop
+    region_mask = region_mask
+    pixel_matrix = property(positions.pixel_matrix)
+    pixel_scale = property(positions.pixel_scale)
+    reference_pixel = property(positions.reference_pixel)
+    pixel_to_offset = positions.pixel_to_offset
+    offset_to_pixel = positions.offset_to_pixel
+    offsets = positions.offsets
 
     def __len__(self):
         return self.data.shape[0]
@@ -452,7 +414,7 @@ class EpochCube:
 
     def with_step(self, line, **changes):
         """
-        Copy with changed fields and one more line of provenance.
+        Return a copy with changed fields and one more line of provenance.
 
         Parameters
         ----------
@@ -482,7 +444,7 @@ class EpochCube:
     @property
     def epochs(self):
         """
-        One row an epoch, `~astropy.table.QTable`.
+        One row per epoch, `~astropy.table.QTable`.
 
         Columns ``epoch``, ``label``, ``date``, where the cube has beams
         ``major``, ``minor``, ``pa``, then ``noise`` (given or measured),
@@ -500,13 +462,12 @@ class EpochCube:
 
     def noise_rms(self):
         """
-        Noise of each epoch: what was given, or else measured.
-
-        See `~astro_scc.epochs.measure_noise`.
+        Return the noise of each epoch: what was given, or else measured.
 
         Returns
         -------
         `~astropy.units.Quantity`, shape (n_epochs,)
+            See `~astro_scc.epochs.measure_noise`.
         """
         if self.noise is not None:
             return self.noise
@@ -515,7 +476,7 @@ class EpochCube:
 
     def mean_image(self):
         """
-        Mean of the epochs, each pixel over those that have it.
+        Return the mean of the epochs, each pixel over those that have it.
 
         Returns
         -------
@@ -553,177 +514,9 @@ class EpochCube:
     def _repr_html_(self):
         return f"<p>{escape(repr(self)[1:-1])}</p>" + self.epochs._repr_html_()
 
-    @property
-    def pixel_matrix(self):
-        """
-        Offsets (east, north) of one pixel step in (x, y), shape (2, 2).
-
-        ``(east, north) = pixel_matrix @ (dx, dy)``, the CD matrix of the
-        WCS as angles.
-        """
-        return (self.wcs.pixel_scale_matrix * u.deg).to(u.mas)
-
-    @property
-    def pixel_scale(self):
-        """Side of a square pixel of the same area."""
-        return np.sqrt(np.abs(np.linalg.det(self.pixel_matrix.value))) * u.mas
-
-    @property
-    def reference_pixel(self):
-        """(x, y) of the origin of offsets, counted from 0."""
-        x, y = self.wcs.wcs.crpix - 1
-        return float(x), float(y)
-
-    def pixel_to_offset(self, x, y):
-        """
-        Offsets from the reference pixel, in its tangent plane.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Pixels, counted from 0.
-
-        Returns
-        -------
-        east, north : `~astropy.units.Quantity`
-            In mas, of the shape of ``x`` and ``y``.
-        """
-        x0, y0 = self.reference_pixel
-        step = np.stack(np.broadcast_arrays(np.subtract(x, x0), np.subtract(y, y0)))
-        east, north = np.tensordot(self.pixel_matrix.value, step, axes=1)
-        return east * u.mas, north * u.mas
-
-    def offset_to_pixel(self, east, north):
-        """
-        Pixels of offsets, the inverse of `pixel_to_offset`.
-
-        Parameters
-        ----------
-        east, north : `~astropy.units.Quantity`
-
-        Returns
-        -------
-        x, y : `numpy.ndarray`
-            Pixels, counted from 0.
-        """
-        x0, y0 = self.reference_pixel
-        east, north = (u.Quantity(v).to_value(u.mas) for v in (east, north))
-        offset = np.stack(np.broadcast_arrays(east, north))
-        x, y = np.tensordot(np.linalg.inv(self.pixel_matrix.value), offset, axes=1)
-        return x + x0, y + y0
-
-    def offsets(self):
-        """
-        Offsets of all pixels from the reference pixel.
-
-        Returns
-        -------
-        east, north : `~astropy.units.Quantity`, shape (ny, nx)
-        """
-        y, x = np.indices(self.shape[1:])
-        return self.pixel_to_offset(x, y)
-
-    def to_common_beam(self, beam=None):
-        """
-        Convolve to one beam, see `~astro_scc.epochs.common_beam`.
-
-        Parameters
-        ----------
-        beam : beam, optional
-            By default the smallest that contains the beams of all epochs.
-
-        Returns
-        -------
-        `EpochCube`
-        """
-        return common_beam(self, beam=beam)
-
-    def align(self, method="core", **kwargs):
-        """
-        Shift the epochs on one another, see `~astro_scc.epochs.align`.
-
-        Parameters
-        ----------
-        method : {"core", "correlate", "table", "wcs", "none"} or path, optional
-            The path is that of a table of core positions.
-        **kwargs
-            Options of the method: ``table``, ``reference``, ``region``,
-            ``jet_pa``, ``max_shift``.
-
-        Returns
-        -------
-        `EpochCube`
-        """
-        return align(self, method, **kwargs)
-
-    @cached_property
-    def misalignment(self):
-        """
-        Scatter of the epochs about where their neighbours put them, in beams.
-
-        None where that cannot be told, see
-        `~astro_scc.epochs.alignment.misalignment.misalignment`.
-        """
-        return misalignment(self)
-
-    def reproject_to(self, wcs, shape=None, order=None, *, method="interp"):
-        """
-        Resample to another grid, see `~astro_scc.epochs.reproject_cube`.
-
-        Parameters
-        ----------
-        wcs : `~astropy.wcs.WCS`, `~astropy.io.fits.Header` or `EpochCube`
-            The new grid, celestial.
-        shape : (int, int), optional
-            Shape (ny, nx) of the new grid, by default its own.
-        order : {"bicubic", "biquadratic", "bilinear", "nearest-neighbor"}, optional
-            Of the interpolation.
-        method : {"interp", "exact", "adaptive"}, optional
-            Averages for larger pixels by the last two.
-
-        Returns
-        -------
-        `EpochCube`
-        """
-        return reproject_cube(self, wcs, shape, order, method=method)
-
-    def crop(self, region, pad=0):
-        """
-        Cut all epochs down to a region, see `~astro_scc.epochs.crop`.
-
-        Parameters
-        ----------
-        region : (slice, slice) or region
-            Slices of pixels (y, x), or what `region_mask` takes, of which
-            the bounding box is kept.
-        pad : int, optional
-            Pixels to keep around the box.
-
-        Returns
-        -------
-        `EpochCube`
-        """
-        return crop(self, region, pad=pad)
-
-    def region_mask(self, region):
-        """
-        Pixels inside a region, see `~astro_scc.epochs.region_mask`.
-
-        Parameters
-        ----------
-        region : region, list of regions, path, array of bool or None
-            None is everything.
-
-        Returns
-        -------
-        `~numpy.ndarray` of bool, shape (ny, nx)
-            True inside.
-        """
-        return region_mask(self, region)
-
     def to_xarray(self):
         """
-        As `xarray.Dataset`, see `~astro_scc.interchange.to_xarray`.
+        Return an `xarray.Dataset`, see `~astro_scc.interchange.to_xarray`.
 
         Returns
         -------
@@ -733,7 +526,7 @@ class EpochCube:
 
     def to_ndcube(self):
         """
-        As NDCube, see `~astro_scc.interchange.to_ndcube`.
+        Return an NDCube, see `~astro_scc.interchange.to_ndcube`.
 
         Returns
         -------

@@ -45,6 +45,7 @@ UNCERTAINTIES = {
     kind.__name__: kind
     for kind in (StdDevUncertainty, VarianceUncertainty, InverseVariance)
 }
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 # What describes the array and its axes in the file, which the CCDData says
 # itself, in two dimensions.
@@ -62,7 +63,8 @@ class Plane:
     One image on its own grid, with what its header says.
 
     ``shape`` is that of the whole image, of which ``data`` and ``mask`` may be a
-    part; they are None where the header alone was read.
+    part; they are None where the header alone was read.  ``even`` is whether the
+    ``uncertainty`` that gave the ``noise`` differs little from pixel to pixel.
     """
 
     name: str
@@ -74,6 +76,9 @@ class Plane:
     mask: np.ndarray | None = None
     unit: u.UnitBase = u.dimensionless_unscaled
     uncertainty: NDUncertainty | None = None
+    noise: u.Quantity | None = None
+    even: bool = True
+    label: str | None = None
     notes: list = field(default_factory=list)
 
     @property
@@ -209,6 +214,15 @@ def check_ordinary(path):
 def is_casa_image(path):
     """Return whether a path is a CASA table, as its images are."""
     return (Path(os.fspath(path)) / "table.dat").is_file()
+
+
+def is_hdf5(path):
+    """Return whether a file is HDF5, as movies of eht-imaging are."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(len(_HDF5)) == _HDF5
+    except OSError:
+        return False
 
 
 def read_plane(path, hdu=None, *, window=None, pixels=True):

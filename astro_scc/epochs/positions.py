@@ -66,6 +66,85 @@ def offset_wcs(pixel_scale, reference_pixel, position=None):
     return wcs
 
 
+def pixel_matrix(cube):
+    """
+    Offsets (east, north) of one pixel step in (x, y), shape (2, 2).
+
+    ``(east, north) = pixel_matrix @ (dx, dy)``, the CD matrix of the
+    WCS as angles.
+    """
+    return (cube.wcs.pixel_scale_matrix * u.deg).to(u.mas)
+
+
+def pixel_scale(cube):
+    """Side of a square pixel of the same area."""
+    return np.sqrt(np.abs(np.linalg.det(cube.pixel_matrix.value))) * u.mas
+
+
+def reference_pixel(cube):
+    """(x, y) of the origin of offsets, counted from 0."""
+    x, y = cube.wcs.wcs.crpix - 1
+    return float(x), float(y)
+
+
+def pixel_to_offset(cube, x, y):
+    """
+    Return the offsets of pixels from the reference pixel, in its tangent plane.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    x, y : array_like
+        Pixels, counted from 0.
+
+    Returns
+    -------
+    east, north : `~astropy.units.Quantity`
+        In mas, of the shape of ``x`` and ``y``.
+    """
+    x0, y0 = cube.reference_pixel
+    step = np.stack(np.broadcast_arrays(np.subtract(x, x0), np.subtract(y, y0)))
+    east, north = np.tensordot(cube.pixel_matrix.value, step, axes=1)
+    return east * u.mas, north * u.mas
+
+
+def offset_to_pixel(cube, east, north):
+    """
+    Return the pixels of offsets, the inverse of `pixel_to_offset`.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    east, north : `~astropy.units.Quantity`
+
+    Returns
+    -------
+    x, y : `numpy.ndarray`
+        Pixels, counted from 0.
+    """
+    x0, y0 = cube.reference_pixel
+    east, north = (u.Quantity(v).to_value(u.mas) for v in (east, north))
+    offset = np.stack(np.broadcast_arrays(east, north))
+    x, y = np.tensordot(np.linalg.inv(cube.pixel_matrix.value), offset, axes=1)
+    return x + x0, y + y0
+
+
+def offsets(cube):
+    """
+    Return the offsets of all pixels from the reference pixel.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    east, north : `~astropy.units.Quantity`, shape (ny, nx)
+    """
+    y, x = np.indices(cube.shape[1:])
+    return cube.pixel_to_offset(x, y)
+
+
 def axis_words(cube):
     """
     Return where longitude and latitude grow, and whether that of longitude is left.

@@ -4,7 +4,7 @@
 import os
 import sys
 import warnings
-from dataclasses import dataclass
+from dataclasses import replace
 from importlib import import_module
 
 import astropy.units as u
@@ -13,7 +13,7 @@ from astropy.nddata import NDData
 from astropy.time import Time
 
 from astro_scc.correlation.workers import machine_memory
-from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.common_grid import lay_on_one_grid, windows_of
 from astro_scc.epochs.fits import (
     CORRECT_BEAM,
     Plane,
@@ -21,7 +21,6 @@ from astro_scc.epochs.fits import (
     plane_of_hdu,
     read_plane,
 )
-from astro_scc.epochs.gridding import lay_on_one_grid, windows_of
 from astro_scc.epochs.grids.cutout import crop_line
 from astro_scc.epochs.headers import get, read_header
 from astro_scc.epochs.inspection import (
@@ -47,23 +46,6 @@ FAR = 0.05
 BYTES = 9
 
 
-@dataclass
-class Epoch:
-    """What one image gives to a cube: its plane, date, beam and noise."""
-
-    plane: Plane
-    time: Time
-    beam: Beam | None
-    label: str | None
-    noise: u.Quantity | None = None
-    even: bool = True
-
-    @property
-    def name(self):
-        """What the image is called in messages."""
-        return self.plane.name
-
-
 def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
     """Return the fields of the cube of some files; see `EpochCube.read`."""
     times, beams = _given(times, beams, len(files), frame)
@@ -78,8 +60,7 @@ def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
         dates = as_times(observed, len(files))
         first = planes[int(np.argmin((dates - dates[0]).jd))]
         part, windows = windows_of(planes, first, frame, region, pad)
-    epochs = []
-    remarks = {}
+    remarks, epochs = {}, []
     for path, name, time, beam, window in zip(
         files, names, times, beams, windows, strict=True
     ):
@@ -145,7 +126,7 @@ def read_images(images, *, times, beams, frame, check):
         if beam is None and plane.record.beam_problem:
             _warn(f"{name}: {plane.notes[-1]}")
         epochs.append(_epoch(plane, time, beam, get(image.meta, "LABEL", kind=str)))
-        if epochs[-1].beam is None and getattr(image, "psf", None) is not None:
+        if plane.record.beam is None and getattr(image, "psf", None) is not None:
             _warn(f"{name}: its psf is an image, of which no beam is made; give beams=")
     return _assemble(epochs, frame, check, f"{len(images)} images")
 
@@ -202,28 +183,27 @@ def _observed(plane, time):
 
 
 def _epoch(plane, time, beam, label):
-    """Return the epoch of a plane; pixels without a finite uncertainty become bad."""
-    beam = plane.record.beam if beam is None else beam
-    epoch = Epoch(plane, _observed(plane, time), beam, label)
+    """Return a plane with what is given; pixels of no finite uncertainty become bad."""
+    record = replace(plane.record, time=_observed(plane, time))
+    plane.record = record if beam is None else replace(record, beam=beam)
+    plane.label = label
     if plane.uncertainty is not None:
         try:
-            epoch.noise, bad, epoch.even = uncertainty_noise(
+            plane.noise, bad, plane.even = uncertainty_noise(
                 plane.uncertainty, plane.unit, plane.mask
             )
         except ValueError as error:
             raise ValueError(f"{plane.name}: {error}") from None
         plane.mask |= bad
         plane.uncertainty = None
-    return epoch
+    return plane
 
 
-def _assemble(epochs, frame, check, source):
+def _assemble(planes, frame, check, source):
     """Return the fields of a cube of images that are each on their own grid."""
-    times = as_times([epoch.time for epoch in epochs], len(epochs))
+    times = as_times([plane.record.time for plane in planes], len(planes))
     order = np.argsort((times - times[0]).jd, kind="stable")
-    epochs, times = [epochs[i] for i in order], times[order]
-    planes = [epoch.plane for epoch in epochs]
-    facts = [plane.record.facts for plane in planes]
+    planes, times = [planes[i] for i in order], times[order]
     for i, k in find_same_dates(times):
         _warn(
             f"{planes[i].name} and {planes[k].name} are both of {times[i].isot[:10]}; "
@@ -231,56 +211,58 @@ def _assemble(epochs, frame, check, source):
         )
     if check:
         _refuse_odd(planes)
-    unit = planes[0].unit
-    for epoch in epochs:
-        _convert(epoch, unit, planes[0].name)
+    _convert(planes)
     if frame == "offset":
         _warn_of_distances(planes)
     fields, resampled = lay_on_one_grid(planes, frame)
     if resampled:
         ny, nx = fields["data"].shape[1:]
-        given = any(epoch.noise is not None for epoch in epochs)
+        given = any(plane.noise is not None for plane in planes)
         anew = ", and the noise of all is measured anew" if given else ""
         _warn(
             f"{_some(resampled)}: on another grid than the finest and therefore "
             f"resampled to it; all are {nx} x {ny} pixels, masked outside each image"
             f"{anew}; leave it out if you do not want that"
         )
-    beams = _all_or_none(
-        epochs,
-        "beam",
-        f"the cube has none; {CORRECT_BEAM}, or give beams= in Python",
-    )
-    laid = "reference pixels" if frame == "offset" else "absolute coordinates"
+    facts = [plane.record.facts for plane in planes]
+    labels = [plane.label for plane in planes]
     names = {fact.get("object") for fact in facts} - {None}
+    laid = "reference pixels" if frame == "offset" else "absolute coordinates"
+    history = [f"{source}, laid on their {laid}"]
     return {
         **fields,
         "times": times,
-        "unit": unit,
-        "beams": beams,
-        "noise": None if resampled else _all_noise(epochs),
-        "labels": [e.label for e in epochs] if all(e.label for e in epochs) else (),
+        "unit": planes[0].unit,
+        "beams": _all_or_none(
+            planes,
+            "beam",
+            [plane.record.beam for plane in planes],
+            f"the cube has none; {CORRECT_BEAM}, or give beams= in Python",
+        ),
+        "noise": None if resampled else _all_noise(planes),
+        "labels": labels if all(labels) else (),
         "epoch_meta": facts,
         "meta": {
             **({"object": names.pop()} if len(names) == 1 else {}),
-            "history": [f"{source}, laid on their {laid}"],
+            "history": history,
         },
     }
 
 
-def _convert(epoch, unit, first):
-    """Bring an image to the unit of the first one."""
-    plane = epoch.plane
-    try:
-        factor = plane.unit.to(unit)
-    except u.UnitConversionError:
-        raise ValueError(
-            f"{plane.name}: its unit is {plane.unit.to_string() or 'none'}, that "
-            f"of {first} is {unit.to_string() or 'none'}; leave one out"
-        ) from None
-    if factor != 1:
-        plane.data, plane.unit = plane.data * factor, unit
-        epoch.noise = None if epoch.noise is None else epoch.noise.to(unit)
+def _convert(planes):
+    """Bring all images to the unit of the first one."""
+    first = planes[0]
+    for plane in planes:
+        try:
+            factor = plane.unit.to(first.unit)
+        except u.UnitConversionError:
+            raise ValueError(
+                f"{plane.name}: its unit is {plane.unit.to_string() or 'none'}, that "
+                f"of {first.name} is {first.unit.to_string() or 'none'}; leave one out"
+            ) from None
+        if factor != 1:
+            plane.data, plane.unit = plane.data * factor, first.unit
+            plane.noise = None if plane.noise is None else plane.noise.to(first.unit)
 
 
 def _refuse_odd(planes):
@@ -306,23 +288,22 @@ def _warn_of_distances(planes):
         )
 
 
-def _all_or_none(epochs, what, otherwise):
+def _all_or_none(planes, what, values, otherwise):
     """Return a value of every image, or else warn that some have none."""
-    values = [getattr(epoch, what) for epoch in epochs]
-    missing = [e.name for e, v in zip(epochs, values, strict=True) if v is None]
-    if missing and len(missing) < len(epochs):
+    missing = [p.name for p, v in zip(planes, values, strict=True) if v is None]
+    if missing and len(missing) < len(planes):
         _warn(
             f"{_some(missing)}: no {what} where other epochs have one, so {otherwise}"
         )
     return None if missing else values
 
 
-def _all_noise(epochs):
+def _all_noise(planes):
     """Return the noise of all images by their uncertainties, if they have them."""
-    noise = _all_or_none(
-        epochs, "noise", "that of all is measured; give every image an uncertainty"
-    )
-    uneven = [epoch.name for epoch in epochs if not epoch.even]
+    otherwise = "that of all is measured; give every image an uncertainty"
+    noise = [plane.noise for plane in planes]
+    noise = _all_or_none(planes, "noise", noise, otherwise)
+    uneven = [plane.name for plane in planes if not plane.even]
     if uneven and noise:
         _warn(f"{_some(uneven)}: {UNEVEN}")
     return None if noise is None else u.Quantity(noise)

@@ -27,7 +27,21 @@ BEAM = {"BMAJ": ("major", u.mas), "BMIN": ("minor", u.mas), "BPA": ("pa", u.deg)
 
 def write_cube(cube, path, *, overwrite=False):
     """
-    Write a cube; see `EpochCube.write`.
+    Write everything to one FITS file, which `read` reads back.
+
+    Parameters
+    ----------
+    cube : `EpochCube`
+    path : str or path-like
+    overwrite : bool
+        Replace a file that exists.  A file is replaced only when the
+        new one is complete.
+
+    Raises
+    ------
+    OSError
+        If the file exists and ``overwrite`` is False, or cannot be
+        written.
 
     Notes
     -----
@@ -36,6 +50,17 @@ def write_cube(cube, path, *, overwrite=False):
     parts of the Julian date), beam and noise; ``META`` holds the
     rest as YAML in which astropy's objects keep their types.  What YAML
     cannot hold becomes text.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc import EpochCube
+    >>> cube = EpochCube.from_arrays(np.ones((1, 8, 8)), ["2000-01-01"],
+    ...                              pixel_scale=0.1 * u.mas)
+    >>> cube.write("cube.fits")
+    >>> EpochCube.read("cube.fits").shape
+    (1, 8, 8)
     """
     table = Table()
     table["DATE_OBS"] = [value[:23] for value in cube.times.isot]

@@ -19,8 +19,6 @@ from astro_scc.epochs.positions import offset_wcs
 
 __doctest_requires__ = {"read_movie": ["h5py"]}
 
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-
 
 def optional(package, purpose, extra):
     """Return a module that is needed for one format only, or say how to install it."""
@@ -30,15 +28,6 @@ def optional(package, purpose, extra):
         raise ImportError(
             f"{purpose} needs {package}; install it: pip install 'astro_scc[{extra}]'"
         ) from None
-
-
-def is_hdf5(path):
-    """Return whether a file is HDF5."""
-    try:
-        with open(path, "rb") as file:
-            return file.read(len(_SIGNATURE)) == _SIGNATURE
-    except OSError:
-        return False
 
 
 def read_movie(path, *, beams=None):

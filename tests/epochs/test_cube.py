@@ -403,34 +403,6 @@ def test_mean_image_leaves_masked_pixels_out():
     assert mean.unit == JY_BEAM
 
 
-def test_steps_are_those_of_their_modules(monkeypatch):
-    from astro_scc.epochs import cube as methods
-
-    cube = make_cube()
-    calls = []
-
-    def record(name):
-        return lambda *args, **kwargs: calls.append((name, args[1:], kwargs))
-
-    monkeypatch.setattr(methods, "common_beam", record("beam"))
-    monkeypatch.setattr(methods, "align", record("align"))
-    monkeypatch.setattr(methods, "reproject_cube", record("reproject"))
-    monkeypatch.setattr(methods, "crop", record("crop"))
-    monkeypatch.setattr(methods, "region_mask", record("region"))
-    cube.to_common_beam(ROUND)
-    cube.align("wcs", table=1)
-    cube.reproject_to("w", (1, 2), order="bilinear")
-    cube.crop("r", pad=3)
-    cube.region_mask("m")
-    assert calls == [
-        ("beam", (), {"beam": ROUND}),
-        ("align", ("wcs",), {"table": 1}),
-        ("reproject", ("w", (1, 2), "bilinear"), {"method": "interp"}),
-        ("crop", ("r",), {"pad": 3}),
-        ("region", ("m",), {}),
-    ]
-
-
 # -- noise ----------------------------------------------------------------------
 
 

@@ -16,9 +16,9 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc import Beam, EpochCube
-from astro_scc.epochs.fits import is_casa_image
+from astro_scc.epochs.fits import is_casa_image, is_hdf5
 from astro_scc.interchange import files, from_xarray, to_xarray
-from astro_scc.interchange.files import is_hdf5, read_casa_image
+from astro_scc.interchange.files import read_casa_image
 
 DATES = ["2000-01-01T03:04:05.678", "2000-06-01", "2001-01-01"]
 

@@ -13,9 +13,9 @@ from astropy.time import Time
 from numpy.testing import assert_array_equal
 from regions import CircleSkyRegion
 
-from astro_scc.epochs import Beam, EpochCube, write_epochs
+from astro_scc import interchange
+from astro_scc.epochs import Beam, EpochCube, cube, write_epochs
 from astro_scc.epochs.fits import read_plane
-from astro_scc.interchange import files as movies
 
 PART = slice(9, 30), slice(14, 50)
 
@@ -226,7 +226,7 @@ def test_only_the_part_is_in_memory(tmp_path):
 def test_a_part_of_a_movie(tmp_path, monkeypatch):
     path = tmp_path / "movie.h5"
     path.write_bytes(b"movie")
-    monkeypatch.setattr(movies, "is_hdf5", lambda path: True)
-    monkeypatch.setattr(movies, "read_movie", lambda path, beams: make())
+    monkeypatch.setattr(cube, "is_hdf5", lambda path: True)
+    monkeypatch.setattr(interchange, "read_movie", lambda path, beams: make())
     same(EpochCube.read(path), make())
     same(EpochCube.read(path, region=PART), make().crop(PART))
