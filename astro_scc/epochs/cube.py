@@ -10,7 +10,6 @@ from importlib import import_module
 import astropy.units as u
 import numpy as np
 from astropy.nddata import CCDData, StdDevUncertainty
-from astropy.table import QTable
 from astropy.time import Time
 from astropy.wcs import WCS
 
@@ -23,7 +22,7 @@ from astro_scc.epochs.grids.cutout import crop, region_mask
 from astro_scc.epochs.grids.reprojection import reproject_cube
 from astro_scc.epochs.grids.smoothing import common_beam
 from astro_scc.epochs.headers import epoch_header
-from astro_scc.epochs.inspection import measure_noise
+from astro_scc.epochs.inspection import epoch_table, noise_rms
 from astro_scc.epochs.positions import offset_wcs, readable_angle
 from astro_scc.epochs.reading import read_files, read_images
 from astro_scc.epochs.serialize import is_cube_file, read_cube, write_cube
@@ -37,6 +36,15 @@ from astro_scc.epochs.validation import (
     as_times,
     date_labels,
 )
+
+
+def _picked(each, epochs):
+    """Return what there is of each epoch, of some epochs."""
+    each = {name: values for name, values in each.items() if values is not None}
+    for name, values in each.items():
+        is_tuple = isinstance(values, tuple)
+        each[name] = tuple(values[i] for i in epochs) if is_tuple else values[epochs]
+    return each
 
 
 def _above(room):
@@ -60,21 +68,17 @@ class EpochCube:
         pixel is the origin of all offsets.
     unit : `~astropy.units.Unit`, optional
     mask : array_like of bool, shape of ``data``, optional
-        True marks bad pixels.  Pixels that are not finite are added to it;
-        the attribute is an array always.
+        True marks bad pixels.  Those that are not finite are added to it.
     beams : beam or sequence of beams, length n_epochs, optional
-        `~astro_scc.epochs.Beam`, or anything with the attributes ``major``,
-        ``minor`` and ``pa`` (a ``radio_beam.Beam``).  One beam is every
-        epoch's.
+        `~astro_scc.epochs.Beam`, or anything with ``major``, ``minor`` and ``pa``
+        (a ``radio_beam.Beam``).  One beam is every epoch's.
     noise : `~astropy.units.Quantity`, scalar or shape (n_epochs,), optional
         Root mean square of the noise of each epoch.
     labels : sequence of str, optional
-        What an epoch is called in messages and tables, its file name where
-        there is one, by default its date.
+        What an epoch is called: its file name, by default its date.
     epoch_wcs : sequence of `~astropy.wcs.WCS`, optional
-        For each epoch the absolute celestial coordinates that its own
-        header gives to the pixels of this grid.  Used by
-        ``align("wcs")`` only.
+        Absolute celestial coordinates of the pixels by each epoch's own header,
+        which ``align("wcs")`` uses.
     epoch_meta : sequence of dict, optional
         Facts of each epoch (object, frequency, telescope...).
     meta : dict, optional
@@ -86,7 +90,7 @@ class EpochCube:
         If shapes or numbers of epochs disagree, a date is missing, an epoch
         has no valid pixel, or the WCS is not celestial.
     TypeError
-        If an argument is of another kind than described.
+        If an argument is of another kind.
 
     Examples
     --------
@@ -116,36 +120,23 @@ class EpochCube:
         n = len(data)
         times = as_times(self.times, n)
         labels = as_epoch_tuple(self.labels, n, "labels", str) or date_labels(times)
-        mask = as_mask(data, mask, labels)
-        beams = as_beams(self.beams, n)
-        noise = as_noise(self.noise, n, unit)
-        epoch_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
-        epoch_meta = as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
-        epoch_meta = epoch_meta or tuple({} for _ in range(n))
-
+        each = {
+            "data": data,
+            "mask": as_mask(data, mask, labels),
+            "times": times,
+            "labels": labels,
+            "beams": as_beams(self.beams, n) or None,
+            "noise": as_noise(self.noise, n, unit),
+            "epoch_wcs": as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
+            or None,
+            "epoch_meta": as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
+            or tuple({} for _ in range(n)),
+        }
         order = np.argsort((times - times[0]).jd, kind="stable")
         if np.any(np.diff(order) < 0):
-            data, mask, times = data[order], mask[order], times[order]
-            labels, epoch_meta, beams, epoch_wcs = (
-                values and tuple(values[i] for i in order)
-                for values in (labels, epoch_meta, beams, epoch_wcs)
-            )
-            noise = None if noise is None else noise[order]
-
-        values = {
-            "data": data,
-            "times": times,
-            "wcs": as_celestial(self.wcs),
-            "unit": unit,
-            "mask": mask,
-            "beams": beams or None,
-            "noise": noise,
-            "labels": labels,
-            "epoch_wcs": epoch_wcs or None,
-            "epoch_meta": epoch_meta,
-            "meta": dict(self.meta),
-        }
-        for name, value in values.items():
+            each |= _picked(each, order)
+        common = {"wcs": as_celestial(self.wcs), "unit": unit, "meta": dict(self.meta)}
+        for name, value in {**each, **common}.items():
             object.__setattr__(self, name, value)
 
     @classmethod
@@ -199,8 +190,7 @@ class EpochCube:
         OSError
             If a file is missing or is no FITS image.
         ValueError
-            If a header lacks what is needed, or files do not belong
-            together.
+            If a header lacks what is needed, or files do not belong together.
         MemoryError
             If the images are more than this machine can hold.
 
@@ -238,9 +228,8 @@ class EpochCube:
         ----------
         images : sequence of `~astropy.nddata.NDData`
             Or what has an ``hdu``, such as the images of spectral-cube.
-            Pixels without a finite uncertainty are bad, and the median of the
-            others' standard deviations is the ``noise`` of the epoch, if all
-            images have uncertainties.
+            Pixels without a finite uncertainty are bad; the median of the others'
+            standard deviations is the ``noise``, if all images have uncertainties.
         times : `~astropy.time.Time` or sequence, optional
             By default from the ``meta`` of each image, as in a FITS header.
         beams : beam or sequence of beams, optional
@@ -264,7 +253,7 @@ class EpochCube:
         ----------
         ndcube : `ndcube.NDCube` or `ndcube.NDCubeSequence`
         times : `~astropy.time.Time`, optional
-            By default the time axis or the extra coordinates of the cube.
+            By default those of the NDCube.
         beams : beam or sequence of beams, optional
 
         Returns
@@ -316,8 +305,7 @@ class EpochCube:
         unit, beams, mask, noise
             As in `EpochCube`.
         reference_pixel : tuple of float, optional
-            (x, y) of the origin of offsets, counted from 0; by default the
-            centre of the image.
+            (x, y) of the origin of offsets from 0, by default the centre.
         position : `~astropy.coordinates.SkyCoord`, optional
             Celestial position of the reference pixel.
 
@@ -328,8 +316,7 @@ class EpochCube:
         Raises
         ------
         ValueError
-            If the arrays are not one an epoch, of one shape, with as many
-            dates, beams and noises.
+            If shapes or numbers of epochs disagree.
         """
         shape = np.shape(data)
         if len(shape) != 3:
@@ -349,6 +336,8 @@ class EpochCube:
 
     # Functions of the epochs that take a cube are its methods.
     write = write_cube
+    epochs = property(epoch_table)
+    noise_rms = noise_rms
     to_common_beam = common_beam
     align = align
     misalignment = cached_property(misalignment)
@@ -378,7 +367,8 @@ class EpochCube:
         keep = np.arange(len(self))[item]
         if keep.ndim != 1 or keep.size == 0:
             raise ValueError(f"the selection {item!r} holds none of {len(self)} epochs")
-        return self._select(keep)
+        names = "data mask times labels beams noise epoch_wcs epoch_meta".split()
+        return replace(self, **_picked({n: getattr(self, n) for n in names}, keep))
 
     def _image(self, index):
         if not -len(self) <= index < len(self):
@@ -394,22 +384,6 @@ class EpochCube:
             mask=self.mask[index],
             wcs=self.wcs.deepcopy(),
             meta=epoch_header(self, index),
-        )
-
-    def _select(self, keep):
-        def pick(values):
-            return values and tuple(values[i] for i in keep)
-
-        return replace(
-            self,
-            data=self.data[keep],
-            times=self.times[keep],
-            mask=self.mask[keep],
-            beams=pick(self.beams),
-            noise=None if self.noise is None else self.noise[keep],
-            labels=pick(self.labels),
-            epoch_wcs=pick(self.epoch_wcs),
-            epoch_meta=pick(self.epoch_meta),
         )
 
     def with_step(self, line, **changes):
@@ -440,39 +414,6 @@ class EpochCube:
     def years(self):
         """Dates as years since the first epoch, shape (n_epochs,)."""
         return (self.times - self.times[0]).to(u.yr)
-
-    @property
-    def epochs(self):
-        """
-        One row per epoch, `~astropy.table.QTable`.
-
-        Columns ``epoch``, ``label``, ``date``, where the cube has beams
-        ``major``, ``minor``, ``pa``, then ``noise`` (given or measured),
-        ``object`` and ``frequency`` (NaN where unknown).
-        """
-        table = QTable({"epoch": np.arange(len(self)), "label": list(self.labels)})
-        table["date"] = Time(self.times, format="isot")
-        for name in ("major", "minor", "pa") if self.beams is not None else ():
-            table[name] = u.Quantity([getattr(beam, name) for beam in self.beams])
-        table["noise"] = self.noise_rms()
-        table["object"] = [str(facts.get("object", "")) for facts in self.epoch_meta]
-        frequency = [facts.get("frequency", np.nan) for facts in self.epoch_meta]
-        table["frequency"] = np.divide(frequency, 1e9) * u.GHz
-        return table
-
-    def noise_rms(self):
-        """
-        Return the noise of each epoch: what was given, or else measured.
-
-        Returns
-        -------
-        `~astropy.units.Quantity`, shape (n_epochs,)
-            See `~astro_scc.epochs.measure_noise`.
-        """
-        if self.noise is not None:
-            return self.noise
-        pairs = zip(self.data, self.mask, strict=True)
-        return u.Quantity([measure_noise(d, mask=m) for d, m in pairs], self.unit)
 
     def mean_image(self):
         """
@@ -516,7 +457,7 @@ class EpochCube:
 
     def to_xarray(self):
         """
-        Return an `xarray.Dataset`, see `~astro_scc.interchange.to_xarray`.
+        Return all as xarray, see `~astro_scc.interchange.to_xarray`.
 
         Returns
         -------
@@ -526,7 +467,7 @@ class EpochCube:
 
     def to_ndcube(self):
         """
-        Return an NDCube, see `~astro_scc.interchange.to_ndcube`.
+        Return all as NDCube, see `~astro_scc.interchange.to_ndcube`.
 
         Returns
         -------
@@ -545,8 +486,7 @@ class EpochCube:
         ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
             Drawn on the images.
         **kwargs
-            Passed to `astro_scc.visualization.plot_epoch`, or
-            `~astro_scc.visualization.plot_epochs`.
+            Passed to `~astro_scc.visualization.plot_epoch`, or ``plot_epochs``.
 
         Returns
         -------

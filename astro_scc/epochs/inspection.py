@@ -96,6 +96,44 @@ def _deviation(values, middle):
     return np.abs(apart, out=apart)
 
 
+def epoch_table(cube):
+    """
+    Facts of the epochs, one row per epoch, `~astropy.table.QTable`.
+
+    Columns ``epoch``, ``label``, ``date``, where the cube has beams
+    ``major``, ``minor``, ``pa``, then ``noise`` (given or measured),
+    ``object`` and ``frequency`` (NaN where unknown).
+    """
+    table = QTable({"epoch": np.arange(len(cube)), "label": list(cube.labels)})
+    table["date"] = Time(cube.times, format="isot")
+    for name in ("major", "minor", "pa") if cube.beams is not None else ():
+        table[name] = u.Quantity([getattr(beam, name) for beam in cube.beams])
+    table["noise"] = cube.noise_rms()
+    table["object"] = [str(facts.get("object", "")) for facts in cube.epoch_meta]
+    frequency = [facts.get("frequency", np.nan) for facts in cube.epoch_meta]
+    table["frequency"] = np.divide(frequency, 1e9) * u.GHz
+    return table
+
+
+def noise_rms(cube):
+    """
+    Return the noise of each epoch: what was given, or else measured.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    `~astropy.units.Quantity`, shape (n_epochs,)
+        See `~astro_scc.epochs.measure_noise`.
+    """
+    if cube.noise is not None:
+        return cube.noise
+    pairs = zip(cube.data, cube.mask, strict=True)
+    return u.Quantity([measure_noise(d, mask=m) for d, m in pairs], cube.unit)
+
+
 def looks_like_mask(image):
     """Return whether an image has no more than two values that are finite."""
     values = np.asarray(image, dtype=float)
