@@ -15,6 +15,7 @@ from astropy.io import fits
 from astropy.time import Time
 
 from astro_scc.epochs import EpochCube
+from astro_scc.epochs.headers import get
 from astro_scc.epochs.positions import offset_wcs
 
 __doctest_requires__ = {"read_movie": ["h5py"]}
@@ -94,11 +95,9 @@ def read_movie(path, *, beams=None):
             f"{path}: its frames have shape {frames.shape} for {len(hours)} times"
         )
     n, ny, nx = frames.shape
-    facts = {"object": str(head["source"])} if head.get("source") else {}
-    try:
-        facts["frequency"] = float(head["rf"])
-    except (KeyError, ValueError):
-        pass
+    facts = {"object": get(head, "source", kind=str)}
+    facts["frequency"] = get(head, "rf", kind=float)
+    facts = {key: value for key, value in facts.items() if value is not None}
     return EpochCube(
         data=frames[:, ::-1],
         times=start + hours * u.hour,

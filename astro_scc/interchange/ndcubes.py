@@ -12,6 +12,7 @@ from astropy.wcs import WCS
 
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.headers import read_header
+from astro_scc.epochs.serialize import remove_dates
 from astro_scc.epochs.validation import UNEVEN, fits_wcs, uncertainty_noise
 from astro_scc.exceptions import EpochWarning
 from astro_scc.interchange.files import optional
@@ -26,7 +27,7 @@ EACH = ("labels", "beams", "epoch_meta")
 
 def to_ndcube(cube):
     """
-    A cube as NDCube of (epoch, latitude, longitude).
+    Return a cube as NDCube of (epoch, latitude, longitude).
 
     Parameters
     ----------
@@ -70,12 +71,10 @@ def to_ndcube(cube):
 
 
 def _with_epochs(celestial):
-    """A WCS with the number of the epoch, from 0, as third axis."""
+    """Return a WCS with the number of the epoch, from 0, as third axis."""
     header = celestial.to_header()
-    header.update({"WCSAXES": 3, "CTYPE3": AXIS, "CRPIX3": 1.0, "CRVAL3": 0.0})
-    header["CDELT3"] = 1.0
-    for keyword in ("DATE-OBS", "MJD-OBS", "DATEREF", "MJDREF"):
-        header.remove(keyword, ignore_missing=True)
+    remove_dates(header)
+    header.update({"WCSAXES": 3, "CTYPE3": AXIS})
     wcs = WCS(header)
     # A header rounds; the numbers themselves do not.
     wcs.wcs.crval = [*celestial.wcs.crval, 0.0]
@@ -90,7 +89,7 @@ def _with_epochs(celestial):
 
 def from_ndcube(ndcube, *, times=None, beams=None):
     """
-    A cube from an NDCube of epochs, sliced and rebinned or not.
+    Return a cube from an NDCube of epochs, sliced and rebinned or not.
 
     Parameters
     ----------
@@ -175,7 +174,7 @@ def from_ndcube(ndcube, *, times=None, beams=None):
 
 
 def _noise(ndcube, planes, mask):
-    """Noise of every epoch by the uncertainty, and the mask of what has none."""
+    """Return the noise of every epoch, and the mask of what has no uncertainty."""
     kind = type(ndcube.uncertainty)
     values = planes(np.asarray(ndcube.uncertainty.array))
     noise, uneven = [], 0
@@ -196,7 +195,7 @@ def _noise(ndcube, planes, mask):
 
 
 def _own(meta, first, n, averaged, beams):
-    """What `to_ndcube` has kept for epochs, from the number of the first."""
+    """Return what `to_ndcube` has kept for epochs, from the number of the first."""
     kept = {"meta": {key: value for key, value in meta.items() if key not in EACH}}
     every = meta["beams"]
     if not averaged:
@@ -212,7 +211,7 @@ def _own(meta, first, n, averaged, beams):
 
 
 def _times(ndcube, meta, axis, averaged):
-    """The coordinate of type Time, or else the date of an only epoch."""
+    """Return the coordinate of type Time, or else the date of an only epoch."""
     found = []
     for coordinates in (ndcube.wcs, ndcube.extra_coords) if axis is not None else ():
         try:

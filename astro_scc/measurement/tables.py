@@ -94,7 +94,7 @@ def ssp_table(ssps, cube, *, select=None):
         ``east`` and ``north`` are offsets of the maximum from the reference
         pixel, with thermal errors ``beam / (sqrt(2) SNR)``.  In frames
         without right ascension columns are called as
-        `~astro_scc.epochs.name_by_frame` says.
+        `~astro_scc.epochs.positions.name_by_frame` says.
 
     Examples
     --------

@@ -164,7 +164,7 @@ class Tracking:
         """
         Standard errors of the offsets in mas, shape (2, n_ssps).
 
-        See `~astro_scc.epochs.position_errors`; the floor is that of one
+        See `~astro_scc.epochs.positions.position_errors`; the floor is that of one
         position.
         """
         ssps = self.ssps

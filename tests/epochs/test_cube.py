@@ -11,7 +11,7 @@ from astropy.io import fits
 from astropy.nddata import CCDData, NDData
 from astropy.time import Time
 from astropy.wcs import WCS
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube, measure_noise
@@ -78,6 +78,7 @@ def test_everything_is_sorted_by_date():
     assert [m["k"] for m in cube.epoch_meta] == [1, 2, 0]
 
 
+@settings(max_examples=30)
 @given(st.permutations(range(5)))
 def test_any_order_gives_the_same_cube(order):
     data = images(5, 2, 3)
@@ -313,6 +314,7 @@ def test_steps_leave_a_line_and_the_first_cube_as_it_was():
     assert len(third.meta["history"]) == 3
 
 
+@settings(max_examples=30)
 @given(
     st.floats(-180, 180),
     st.booleans(),
@@ -431,6 +433,7 @@ def test_noise_of_blanked_and_of_trivial_images():
     assert measure_noise(sparse) == pytest.approx(0.3)
 
 
+@settings(max_examples=30)
 @given(st.floats(1e-9, 1e9), st.floats(-10, 10))
 def test_noise_scales_with_the_image(factor, level):
     image = images(1, 32, 32)[0]

@@ -335,7 +335,7 @@ def test_truncated_gzip(tmp_path):
     assert one_line_naming(caught.value, path)
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.integers(0, 2879),
     st.binary(min_size=1, max_size=20),

@@ -3,7 +3,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.time import Time
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs, plan_intervals
@@ -185,6 +185,7 @@ def test_plan_needs_two_dates_and_a_resolution():
         plan_intervals(Time(YEARS))
 
 
+@settings(max_examples=30)
 @given(
     st.lists(st.integers(0, 8000), min_size=2, max_size=20, unique=True),
     st.floats(0.01, 10),

@@ -148,7 +148,7 @@ def test_meta_keeps_types_and_what_it_cannot_hold_becomes_text(tmp_path):
     assert again["thing"] == str(object)
 
 
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     data=arrays(float, (2, 3, 4), elements=st.floats(width=64)),
     days=st.lists(st.floats(-3e4, 2e4), min_size=2, max_size=2),

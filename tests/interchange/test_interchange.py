@@ -227,7 +227,7 @@ def casa_image(tmp_path):
 
 
 @pytest.fixture
-def casatools(monkeypatch, aips_header):
+def casatools(monkeypatch):
     """What of casatools is used, with an image of its own."""
     module = types.ModuleType("casatools")
     module.__spec__ = importlib.util.spec_from_loader("casatools", None)
@@ -239,7 +239,9 @@ def casatools(monkeypatch, aips_header):
                 raise RuntimeError("table.f0 is missing\nand more")
 
         def tofits(self, outfile, **kwargs):
-            fits.PrimaryHDU(data, aips_header()).writeto(outfile)
+            header = make_cube().wcs.to_header()
+            header.update({"DATE-OBS": DATES[0], "BMAJ": 1 / 3.6e6, "BMIN": 1e-7})
+            fits.PrimaryHDU(data, header).writeto(outfile)
 
         def close(self):
             pass
