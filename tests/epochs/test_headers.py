@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.time import Time
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube
@@ -64,12 +64,14 @@ def test_what_is_no_date_is_refused(text):
         parse_date(text)
 
 
+@settings(max_examples=20)
 @given(st.datetimes(datetime(1960, 1, 1), datetime(2025, 1, 1)))
 def test_iso_dates_of_python_are_understood(date):
     time = parse_date(date.isoformat())
     assert abs((time - Time(date.isoformat(), scale="utc")).sec) < 1e-6
 
 
+@settings(max_examples=20)
 @given(st.text(max_size=25))
 def test_any_text_is_a_date_or_a_value_error(text):
     with suppress(ValueError):
@@ -145,6 +147,7 @@ def test_units(text, unit):
     assert parse_unit(text) == unit
 
 
+@settings(max_examples=20)
 @given(st.text(max_size=20))
 def test_any_text_is_a_unit_or_none(text):
     parsed = parse_unit(text)
