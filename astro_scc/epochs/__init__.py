@@ -13,8 +13,11 @@ from astro_scc.epochs.fits import read_vlbi_fits
 from astro_scc.epochs.grids.cutout import distance_mask
 from astro_scc.epochs.grids.reprojection import reproject_cube, shared_grid
 from astro_scc.epochs.grids.smoothing import common_beam, smallest_common_beam
-from astro_scc.epochs.inspection import inspect_epochs, measure_noise
-from astro_scc.epochs.intervals import plan_intervals
+from astro_scc.epochs.inspection import (
+    inspect_epochs,
+    measure_noise,
+    plan_intervals,
+)
 from astro_scc.epochs.serialize import write_epochs
 
 __all__ = [

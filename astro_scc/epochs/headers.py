@@ -77,16 +77,6 @@ class HeaderRecord:
     date_problem: str = ""
     beam_problem: str = ""
 
-    def observed(self):
-        """Return the date, or raise a ValueError that says what to do."""
-        if self.time is None:
-            raise ValueError(
-                self.date_problem
-                or "no date of observation (DATE-OBS, MJD-OBS); write DATE-OBS to its "
-                "header, or give times= in Python"
-            )
-        return self.time
-
 
 def read_header(header, tables=()):
     """

@@ -176,10 +176,13 @@ def _given(times, beams, n, frame):
 
 def _observed(plane, time):
     """Return the date that is given, or that of the header."""
-    try:
-        return plane.record.observed() if time is None else time
-    except ValueError as error:
-        raise ValueError(f"{plane.name}: {error}") from None
+    if time is not None or plane.record.time is not None:
+        return plane.record.time if time is None else time
+    problem = plane.record.date_problem or (
+        "no date of observation (DATE-OBS, MJD-OBS); write DATE-OBS to its header, or "
+        "give times= in Python"
+    )
+    raise ValueError(f"{plane.name}: {problem}")
 
 
 def _epoch(plane, time, beam, label):

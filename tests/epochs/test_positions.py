@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Where patterns are on the sky, how well that is known, and what columns are called."""
+"""Where patterns are on the sky, how well that is known, and names of columns."""
 
 from types import SimpleNamespace
 
