@@ -472,7 +472,8 @@ def plan_intervals(cube, beam=None, *, extent=None):
     gaps = np.diff(days) * u.day
     median = np.median(gaps)
     span = (days[-1] - days[0]) * u.day
-    time = _time_unit(span)
+    time = u.day if span > 2 * u.day else u.hour
+    time = u.yr if span > 0.1 * u.yr else time
     speed = (u.mas if resolution < 0.1 * u.arcsec else u.arcsec) / time
     return IntervalPlan(
         n_epochs=int(np.size(times)),
@@ -485,12 +486,6 @@ def plan_intervals(cube, beam=None, *, extent=None):
         fastest=None if extent is None else (extent / (2 * median)).to(speed),
         consecutive=(np.array(GOOD_SHIFTS) * resolution / median).to(speed),
     )
-
-
-def _time_unit(span):
-    if span > 0.1 * u.yr:
-        return u.yr
-    return u.day if span > 2 * u.day else u.hour
 
 
 def _resolution(cube, beam):
