@@ -1,4 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+import string
 import warnings
 from contextlib import suppress
 from datetime import datetime
@@ -72,7 +73,7 @@ def test_iso_dates_of_python_are_understood(date):
 
 
 @settings(max_examples=20)
-@given(st.text(max_size=25))
+@given(st.text(string.printable, max_size=25))
 def test_any_text_is_a_date_or_a_value_error(text):
     with suppress(ValueError):
         assert isinstance(parse_date(text), Time)
@@ -147,7 +148,7 @@ def test_units(text, unit):
 
 
 @settings(max_examples=20)
-@given(st.text(max_size=20))
+@given(st.text(string.printable, max_size=20))
 def test_any_text_is_a_unit_or_none(text):
     parsed = parse_unit(text)
     assert parsed is None or isinstance(parsed, u.UnitBase)
