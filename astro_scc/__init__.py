@@ -23,6 +23,7 @@ _FOLDERS = frozenset(
         "epochs",
         "expansion",
         "flow",
+        "interchange",
         "kinematics",
         "measurement",
         "recovery",

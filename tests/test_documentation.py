@@ -18,9 +18,7 @@ import astro_scc
 
 REPOSITORY = Path(__file__).parents[1]
 DOCS = REPOSITORY / "docs"
-ROOMS = sorted(
-    {*astro_scc._FOLDERS, "epochs.interchange", "exceptions", "report", "scc"}
-)
+ROOMS = sorted({*astro_scc._FOLDERS, "exceptions", "report", "scc"})
 #: Rooms, and pages, about nouns of the method: what they compute is an equation.
 NOUNS = {
     "correlation", "decomposition", "epochs", "kinematics", "measurement", "recovery",

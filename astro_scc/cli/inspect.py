@@ -47,8 +47,8 @@ def run(args, reporter):
     from pathlib import Path
 
     from astro_scc.epochs import inspect_epochs
-    from astro_scc.epochs.files.assembly import find_files
-    from astro_scc.epochs.files.serialize import is_cube_file
+    from astro_scc.epochs.fits import find_files
+    from astro_scc.epochs.serialize import is_cube_file
 
     speed = _speed(args.speed)
     files = find_files(args.epochs, missing_ok=True)
@@ -156,7 +156,7 @@ def _file_cells(name, row):
     """One row of `inspect_epochs` as text."""
     import numpy as np
 
-    from astro_scc.epochs.description import readable_angle
+    from astro_scc.epochs.positions import readable_angle
 
     if not row["nx"]:
         return [name, *"------"]
@@ -176,7 +176,7 @@ def _epoch_cells(cube, i):
     """One epoch of a cube as text."""
     import numpy as np
 
-    from astro_scc.epochs.description import readable_angle
+    from astro_scc.epochs.positions import readable_angle
 
     ny, nx = cube.shape[1:]
     beam = "-"
@@ -197,7 +197,7 @@ def _epoch_cells(cube, i):
 
 
 def _beam(major, minor, pa):
-    from astro_scc.epochs.description import readable_angle
+    from astro_scc.epochs.positions import readable_angle
 
     unit = readable_angle(major).split()[1]
     return (

@@ -9,49 +9,34 @@ from astro_scc.epochs.components.noise import correlated_noise
 from astro_scc.epochs.components.reading import read_components
 from astro_scc.epochs.components.restoring import restore
 from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.files.epoch_files import write_epochs
-from astro_scc.epochs.files.fits import read_vlbi_fits
-from astro_scc.epochs.files.inspection import inspect_epochs
-from astro_scc.epochs.grids.cutout import crop, distance_mask, region_mask
+from astro_scc.epochs.fits import read_vlbi_fits
+from astro_scc.epochs.grids.cutout import distance_mask
 from astro_scc.epochs.grids.reprojection import reproject_cube, shared_grid
 from astro_scc.epochs.grids.smoothing import common_beam, smallest_common_beam
-from astro_scc.epochs.intervals import IntervalPlan, plan_intervals
-from astro_scc.epochs.offset_grid import offset_wcs
-from astro_scc.epochs.positions import (
-    beam_fwhm,
-    name_by_frame,
-    position_errors,
-    sky_columns,
-    ssp_offsets,
+from astro_scc.epochs.inspection import (
+    inspect_epochs,
+    measure_noise,
+    plan_intervals,
 )
-from astro_scc.epochs.statistics import measure_noise
+from astro_scc.epochs.serialize import write_epochs
 
 __all__ = [
     "Beam",
     "ComponentList",
     "EpochCube",
-    "IntervalPlan",
     "align",
-    "beam_fwhm",
     "common_beam",
     "core_positions",
     "correlated_noise",
-    "crop",
     "distance_mask",
     "inspect_epochs",
     "measure_noise",
-    "name_by_frame",
-    "offset_wcs",
     "plan_intervals",
-    "position_errors",
     "read_components",
     "read_vlbi_fits",
-    "region_mask",
     "reproject_cube",
     "restore",
     "shared_grid",
-    "sky_columns",
     "smallest_common_beam",
-    "ssp_offsets",
     "write_epochs",
 ]

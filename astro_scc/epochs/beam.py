@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import astropy.units as u
 import numpy as np
 
-__all__ = ["Beam", "different_beam", "require_common_beam"]
-
 FWHM_TO_SIGMA = 1 / np.sqrt(8 * np.log(2))
 #: Widths that differ by less, in every direction, are of the same beam: headers round
 #: them, and no displacement feels it.
@@ -93,7 +91,7 @@ class Beam:
 
     def fwhm_along(self, position_angle):
         """
-        Full width at half maximum of the marginal profile in one direction.
+        Return the full width at half maximum of the marginal profile.
 
         Parameters
         ----------
@@ -119,17 +117,9 @@ class Beam:
 
 def different_beam(cube):
     """
-    The first epoch whose beam is not that of the first epoch.
+    Return the number of the first epoch whose beam is not that of the first epoch.
 
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-
-    Returns
-    -------
-    int or None
-        None if all widths agree within 1% in every direction, or the epochs
-        have no beams.
+    None if all widths agree within 1% in every direction, or the epochs have no beams.
     """
     if cube.beams is None:
         return None
@@ -142,18 +132,7 @@ def different_beam(cube):
 
 
 def require_common_beam(cube):
-    """
-    Refuse epochs with beams that differ.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-
-    Raises
-    ------
-    ValueError
-        If the widths of two beams differ by more than 1% in any direction.
-    """
+    """Refuse epochs whose beams differ by more than 1%, by a ValueError."""
     index = different_beam(cube)
     if index is not None:
         raise ValueError(

@@ -3,16 +3,29 @@
 
 import operator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from html import escape
+from importlib import import_module
 
 import astropy.units as u
 import numpy as np
+from astropy.nddata import CCDData, StdDevUncertainty
 from astropy.time import Time
 from astropy.wcs import WCS
 
+from astro_scc.epochs import positions
+from astro_scc.epochs.alignment.misalignment import misalignment
+from astro_scc.epochs.alignment.shifts import align
 from astro_scc.epochs.beam import Beam
-from astro_scc.epochs.offset_grid import OffsetGrid
-from astro_scc.epochs.sources import EpochSources
-from astro_scc.epochs.steps import EpochSteps
+from astro_scc.epochs.fits import find_files, is_hdf5
+from astro_scc.epochs.grids.cutout import crop, region_mask
+from astro_scc.epochs.grids.reprojection import reproject_cube
+from astro_scc.epochs.grids.smoothing import common_beam
+from astro_scc.epochs.headers import epoch_header
+from astro_scc.epochs.inspection import epoch_table, noise_rms
+from astro_scc.epochs.positions import offset_wcs, readable_angle
+from astro_scc.epochs.reading import read_files, read_images
+from astro_scc.epochs.serialize import is_cube_file, read_cube, write_cube
 from astro_scc.epochs.validation import (
     as_beams,
     as_celestial,
@@ -24,11 +37,23 @@ from astro_scc.epochs.validation import (
     date_labels,
 )
 
-__all__ = ["EpochCube"]
+
+def _picked(each, epochs):
+    """Return what there is of each epoch, of some epochs."""
+    each = {name: values for name, values in each.items() if values is not None}
+    for name, values in each.items():
+        is_tuple = isinstance(values, tuple)
+        each[name] = tuple(values[i] for i in epochs) if is_tuple else values[epochs]
+    return each
+
+
+def _above(room):
+    """Return a room that imports this one, when a method needs it."""
+    return import_module(f"astro_scc.{room}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EpochCube(OffsetGrid, EpochSources, EpochSteps):
+class EpochCube:
     """
     Images of one object at many dates on one pixel grid.
 
@@ -43,21 +68,17 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         pixel is the origin of all offsets.
     unit : `~astropy.units.Unit`, optional
     mask : array_like of bool, shape of ``data``, optional
-        True marks bad pixels.  Pixels that are not finite are added to it;
-        the attribute is an array always.
+        True marks bad pixels.  Those that are not finite are added to it.
     beams : beam or sequence of beams, length n_epochs, optional
-        `~astro_scc.epochs.Beam`, or anything with the attributes ``major``,
-        ``minor`` and ``pa`` (a ``radio_beam.Beam``).  One beam is every
-        epoch's.
+        `~astro_scc.epochs.Beam`, or anything with ``major``, ``minor`` and ``pa``
+        (a ``radio_beam.Beam``).  One beam is every epoch's.
     noise : `~astropy.units.Quantity`, scalar or shape (n_epochs,), optional
         Root mean square of the noise of each epoch.
     labels : sequence of str, optional
-        What an epoch is called in messages and tables, its file name where
-        there is one, by default its date.
+        What an epoch is called: its file name, by default its date.
     epoch_wcs : sequence of `~astropy.wcs.WCS`, optional
-        For each epoch the absolute celestial coordinates that its own
-        header gives to the pixels of this grid.  Used by
-        ``align("wcs")`` only.
+        Absolute celestial coordinates of the pixels by each epoch's own header,
+        which ``align("wcs")`` uses.
     epoch_meta : sequence of dict, optional
         Facts of each epoch (object, frequency, telescope...).
     meta : dict, optional
@@ -69,7 +90,7 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         If shapes or numbers of epochs disagree, a date is missing, an epoch
         has no valid pixel, or the WCS is not celestial.
     TypeError
-        If an argument is of another kind than described.
+        If an argument is of another kind.
 
     Examples
     --------
@@ -99,69 +120,236 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         n = len(data)
         times = as_times(self.times, n)
         labels = as_epoch_tuple(self.labels, n, "labels", str) or date_labels(times)
-        mask = as_mask(data, mask, labels)
-        beams = as_beams(self.beams, n)
-        noise = as_noise(self.noise, n, unit)
-        epoch_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
-        epoch_meta = as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
-        epoch_meta = epoch_meta or tuple({} for _ in range(n))
-
+        each = {
+            "data": data,
+            "mask": as_mask(data, mask, labels),
+            "times": times,
+            "labels": labels,
+            "beams": as_beams(self.beams, n) or None,
+            "noise": as_noise(self.noise, n, unit),
+            "epoch_wcs": as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
+            or None,
+            "epoch_meta": as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
+            or tuple({} for _ in range(n)),
+        }
         order = np.argsort((times - times[0]).jd, kind="stable")
         if np.any(np.diff(order) < 0):
-            data, mask, times = data[order], mask[order], times[order]
-            labels, epoch_meta, beams, epoch_wcs = (
-                values and tuple(values[i] for i in order)
-                for values in (labels, epoch_meta, beams, epoch_wcs)
-            )
-            noise = None if noise is None else noise[order]
-
-        values = {
-            "data": data,
-            "times": times,
-            "wcs": as_celestial(self.wcs),
-            "unit": unit,
-            "mask": mask,
-            "beams": beams or None,
-            "noise": noise,
-            "labels": labels,
-            "epoch_wcs": epoch_wcs or None,
-            "epoch_meta": epoch_meta,
-            "meta": dict(self.meta),
-        }
-        for name, value in values.items():
+            each |= _picked(each, order)
+        common = {"wcs": as_celestial(self.wcs), "unit": unit, "meta": dict(self.meta)}
+        for name, value in {**each, **common}.items():
             object.__setattr__(self, name, value)
 
-    def write(self, path, *, overwrite=False):
+    @classmethod
+    def read(
+        cls,
+        paths,
+        *,
+        frame="offset",
+        times=None,
+        beams=None,
+        hdu=None,
+        check=True,
+        region=None,
+        pad=0,
+    ):
         """
-        Write everything to one FITS file, which `read` reads back.
+        Read FITS images, one per epoch, or a file that `write` made.
+
+        CASA images and HDF5 movies of eht-imaging are read too, where the
+        packages for them are installed.  Images of one grid are stacked, with their
+        reference pixels on one another.  Others are moved by whole pixels, or
+        resampled with a warning, onto the finest grid, as large as all of them.
 
         Parameters
         ----------
-        path : str or path-like
-        overwrite : bool
-            Replace a file that exists.  A file is replaced only when the
-            new one is complete.
+        paths : str, path-like, or sequence of them
+            Files, or patterns such as ``"3c273/*.fits"``.
+        frame : {"offset", "absolute"}
+            What is laid on one another: reference pixels, or celestial coordinates,
+            which in VLBI differ between epochs by more than features move.
+        times : `~astropy.time.Time` or sequence, optional
+            Dates in the order of the files (those of a pattern are in alphabetical
+            order), in place of the headers'.  None means the header's.
+        beams : beam or sequence of beams, optional
+            In place of the headers'.
+        hdu : int or str, optional
+            The extension that holds the image, by default the first image.
+        check : bool
+            Refuse files of another object or band, and masks.
+        region, pad : optional
+            As `crop` takes them: read no more than the bounding box of a region and
+            so many pixels around it, of images that are too large or too many for
+            the memory.  Pixels are those of the earliest epoch.
+
+        Returns
+        -------
+        `EpochCube`
 
         Raises
         ------
         OSError
-            If the file exists and ``overwrite`` is False, or cannot be
-            written.
+            If a file is missing or is no FITS image.
+        ValueError
+            If a header lacks what is needed, or files do not belong together.
+        MemoryError
+            If the images are more than this machine can hold.
 
         Examples
         --------
-        >>> import astropy.units as u
-        >>> import numpy as np
         >>> from astro_scc import EpochCube
-        >>> cube = EpochCube.from_arrays(np.ones((1, 8, 8)), ["2000-01-01"],
-        ...                              pixel_scale=0.1 * u.mas)
-        >>> cube.write("cube.fits")
-        >>> EpochCube.read("cube.fits").shape
-        (1, 8, 8)
+        >>> cube = EpochCube.read("../shared/data/0003+380/*.fits")
+        >>> len(cube), cube.labels[0]
+        (10, '0003+380.u.2006_03_09.fits')
         """
-        from astro_scc.epochs.files.serialize import write_cube
+        files = find_files(paths)
+        first, window = files[0], {"region": region, "pad": pad}
+        if len(files) == 1 and is_cube_file(first):
+            if any(value is not None for value in (times, beams, hdu)):
+                raise ValueError(f"{first}: an EpochCube; it has its dates and beams")
+            return cls(**read_cube(first, **window))
+        if len(files) == 1 and is_hdf5(first):
+            if times is not None or hdu is not None:
+                raise ValueError(
+                    f"{first}: a movie; it has its dates, and no extension"
+                )
+            movie = _above("interchange").read_movie(first, beams=beams)
+            return movie if region is None else movie.crop(**window)
+        given = {"times": times, "beams": beams, "hdu": hdu}
+        return cls(**read_files(files, frame=frame, check=check, **given, **window))
 
-        write_cube(self, path, overwrite=overwrite)
+    @classmethod
+    def from_ccddata(
+        cls, images, times=None, beams=None, *, frame="offset", check=True
+    ):
+        """
+        Stack CCDData or other NDData with celestial WCS, one per epoch.
+
+        Parameters
+        ----------
+        images : sequence of `~astropy.nddata.NDData`
+            Or what has an ``hdu``, such as the images of spectral-cube.
+            Pixels without a finite uncertainty are bad; the median of the others'
+            standard deviations is the ``noise``, if all images have uncertainties.
+        times : `~astropy.time.Time` or sequence, optional
+            By default from the ``meta`` of each image, as in a FITS header.
+        beams : beam or sequence of beams, optional
+            By default from the ``meta`` of each image.
+        frame, check
+            As in `read`.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        options = {"times": times, "beams": beams, "frame": frame, "check": check}
+        return cls(**read_images(images, **options))
+
+    @classmethod
+    def from_ndcube(cls, ndcube, times=None, beams=None):
+        """
+        Return the epochs of an NDCube, see `~astro_scc.interchange.from_ndcube`.
+
+        Parameters
+        ----------
+        ndcube : `ndcube.NDCube` or `ndcube.NDCubeSequence`
+        times : `~astropy.time.Time`, optional
+            By default those of the NDCube.
+        beams : beam or sequence of beams, optional
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        return _above("interchange").from_ndcube(ndcube, times=times, beams=beams)
+
+    @classmethod
+    def from_xarray(cls, source, **kwargs):
+        """
+        Return the epochs of xarray, see `~astro_scc.interchange.from_xarray`.
+
+        Parameters
+        ----------
+        source : `xarray.Dataset` or `xarray.DataArray`
+        **kwargs
+            ``times``, ``pixel_scale``, ``unit`` and ``beams`` where it has none.
+
+        Returns
+        -------
+        `EpochCube`
+        """
+        return _above("interchange").from_xarray(source, **kwargs)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        data,
+        times,
+        *,
+        pixel_scale,
+        unit=None,
+        beams=None,
+        mask=None,
+        noise=None,
+        reference_pixel=None,
+        position=None,
+    ):
+        """
+        Return the epochs of arrays with east to the left and north up.
+
+        Parameters
+        ----------
+        data : array_like, shape (n_epochs, ny, nx)
+        times : `~astropy.time.Time` or sequence of str, shape (n_epochs,)
+        pixel_scale : `~astropy.units.Quantity`
+            Side of a pixel, an angle.
+        unit, beams, mask, noise
+            As in `EpochCube`.
+        reference_pixel : tuple of float, optional
+            (x, y) of the origin of offsets from 0, by default the centre.
+        position : `~astropy.coordinates.SkyCoord`, optional
+            Celestial position of the reference pixel.
+
+        Returns
+        -------
+        `EpochCube`
+
+        Raises
+        ------
+        ValueError
+            If shapes or numbers of epochs disagree.
+        """
+        shape = np.shape(data)
+        if len(shape) != 3:
+            raise ValueError(f"data must have shape (n_epochs, ny, nx), got {shape}")
+        if reference_pixel is None:
+            reference_pixel = (shape[2] - 1) / 2, (shape[1] - 1) / 2
+        return cls(
+            data=data,
+            times=times,
+            wcs=offset_wcs(pixel_scale, reference_pixel, position),
+            unit=unit,
+            mask=mask,
+            beams=beams,
+            noise=noise,
+            meta={"history": [f"{shape[0]} epochs from arrays"]},
+        )
+
+    # Functions of the epochs that take a cube are its methods.
+    write = write_cube
+    epochs = property(epoch_table)
+    noise_rms = noise_rms
+    to_common_beam = common_beam
+    align = align
+    misalignment = cached_property(misalignment)
+    reproject_to = reproject_cube
+    crop = crop
+    region_mask = region_mask
+    pixel_matrix = property(positions.pixel_matrix)
+    pixel_scale = property(positions.pixel_scale)
+    reference_pixel = property(positions.reference_pixel)
+    pixel_to_offset = positions.pixel_to_offset
+    offset_to_pixel = positions.offset_to_pixel
+    offsets = positions.offsets
 
     def __len__(self):
         return self.data.shape[0]
@@ -179,13 +367,10 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         keep = np.arange(len(self))[item]
         if keep.ndim != 1 or keep.size == 0:
             raise ValueError(f"the selection {item!r} holds none of {len(self)} epochs")
-        return self._select(keep)
+        names = "data mask times labels beams noise epoch_wcs epoch_meta".split()
+        return replace(self, **_picked({n: getattr(self, n) for n in names}, keep))
 
     def _image(self, index):
-        from astropy.nddata import CCDData, StdDevUncertainty
-
-        from astro_scc.epochs.files.headers import epoch_header
-
         if not -len(self) <= index < len(self):
             raise IndexError(f"epoch {index} of a cube with {len(self)} epochs")
         noise = self.noise
@@ -198,34 +383,12 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
             unit=self.unit,
             mask=self.mask[index],
             wcs=self.wcs.deepcopy(),
-            meta=epoch_header(
-                time=self.times[index],
-                label=self.labels[index],
-                beam=self.beams and self.beams[index],
-                noise=None if self.noise is None else self.noise[index],
-                facts=self.epoch_meta[index],
-            ),
-        )
-
-    def _select(self, keep):
-        def pick(values):
-            return values and tuple(values[i] for i in keep)
-
-        return replace(
-            self,
-            data=self.data[keep],
-            times=self.times[keep],
-            mask=self.mask[keep],
-            beams=pick(self.beams),
-            noise=None if self.noise is None else self.noise[keep],
-            labels=pick(self.labels),
-            epoch_wcs=pick(self.epoch_wcs),
-            epoch_meta=pick(self.epoch_meta),
+            meta=epoch_header(self, index),
         )
 
     def with_step(self, line, **changes):
         """
-        Copy with changed fields and one more line of provenance.
+        Return a copy with changed fields and one more line of provenance.
 
         Parameters
         ----------
@@ -252,47 +415,15 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         """Dates as years since the first epoch, shape (n_epochs,)."""
         return (self.times - self.times[0]).to(u.yr)
 
-    @property
-    def epochs(self):
-        """
-        One row an epoch, `~astropy.table.QTable`.
-
-        Columns ``epoch``, ``label``, ``date``, where the cube has beams
-        ``major``, ``minor``, ``pa``, then ``noise`` (given or measured),
-        ``object`` and ``frequency`` (NaN where unknown).
-        """
-        from astro_scc.epochs.description import epoch_table
-
-        return epoch_table(self)
-
-    def noise_rms(self):
-        """
-        Noise of each epoch: what was given, or else measured.
-
-        See `~astro_scc.epochs.measure_noise`.
-
-        Returns
-        -------
-        `~astropy.units.Quantity`, shape (n_epochs,)
-        """
-        from astro_scc.epochs.statistics import measure_noise
-
-        if self.noise is not None:
-            return self.noise
-        pairs = zip(self.data, self.mask, strict=True)
-        return u.Quantity([measure_noise(d, mask=m) for d, m in pairs], self.unit)
-
     def mean_image(self):
         """
-        Mean of the epochs, each pixel over those that have it.
+        Return the mean of the epochs, each pixel over those that have it.
 
         Returns
         -------
         `~astropy.nddata.CCDData`
             Masked and NaN where no epoch has the pixel.
         """
-        from astropy.nddata import CCDData
-
         count = np.sum(~self.mask, axis=0)
         total = np.sum(self.data, axis=0, where=~self.mask)
         mean = np.full(total.shape, np.nan)
@@ -306,11 +437,62 @@ class EpochCube(OffsetGrid, EpochSources, EpochSteps):
         )
 
     def __repr__(self):
-        from astro_scc.epochs.description import describe
-
-        return f"<EpochCube {describe(self)}>"
+        n, ny, nx = self.shape
+        dates = date_labels(self.times)
+        parts = [
+            f"{n} epochs {dates[0]} to {dates[-1]}" if n > 1 else f"1 epoch {dates[0]}",
+            f"{nx} x {ny} pixels of {readable_angle(self.pixel_scale)}",
+        ]
+        if self.unit != u.dimensionless_unscaled:
+            parts.append(f"{self.unit}")
+        if self.beams is not None:
+            beam = self.beams[0]
+            size = f"{readable_angle(beam.major)} x {readable_angle(beam.minor)}"
+            same = all(other == beam for other in self.beams)
+            parts.append(f"beam {size}" if same else "beams that differ")
+        return f"<EpochCube {', '.join(parts)}>"
 
     def _repr_html_(self):
-        from html import escape
-
         return f"<p>{escape(repr(self)[1:-1])}</p>" + self.epochs._repr_html_()
+
+    def to_xarray(self):
+        """
+        Return all as xarray, see `~astro_scc.interchange.to_xarray`.
+
+        Returns
+        -------
+        `xarray.Dataset`
+        """
+        return _above("interchange").to_xarray(self)
+
+    def to_ndcube(self):
+        """
+        Return all as NDCube, see `~astro_scc.interchange.to_ndcube`.
+
+        Returns
+        -------
+        `ndcube.NDCube`
+        """
+        return _above("interchange").to_ndcube(self)
+
+    def plot(self, epoch=None, ssps=None, **kwargs):
+        """
+        Draw one epoch, or all of them.
+
+        Parameters
+        ----------
+        epoch : int, optional
+            Index of the epoch; without it, a panel each.
+        ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
+            Drawn on the images.
+        **kwargs
+            Passed to `~astro_scc.visualization.plot_epoch`, or ``plot_epochs``.
+
+        Returns
+        -------
+        `matplotlib.figure.Figure`
+        """
+        figures = _above("visualization")
+        if epoch is None:
+            return figures.plot_epochs(self, ssps, **kwargs)
+        return figures.plot_epoch(self, epoch, ssps, **kwargs)

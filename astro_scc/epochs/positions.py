@@ -1,20 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Where patterns of a cube are on the sky, and how well that is known."""
+"""Where pixels and patterns of a cube are on the sky, and how well that is known."""
 
 import re
 
+import astropy.units as u
 import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.wcs import WCS
 
 from astro_scc.decomposition import scale_size
-
-__all__ = [
-    "axis_words",
-    "beam_fwhm",
-    "name_by_frame",
-    "position_errors",
-    "sky_columns",
-    "ssp_offsets",
-]
 
 #: What the axes of celestial frames other than right ascension are called.
 FRAMES = {"GLON": "galactic", "ELON": "ecliptic", "SLON": "supergalactic"}
@@ -26,28 +20,138 @@ LONGITUDE = {
     r"(\b|_)east(?=_|$)": r"\1lon_offset",
     r"(\b|_)north(?=_|$)": r"\1lat_offset",
 }
-
 #: Size of the resolution of images without a beam, in scales of the SSP.
 SCALES_PER_FWHM = 2.0
 
 
-def axis_words(cube):
-    """
-    Where longitude and latitude grow, and whether that of longitude is to the left.
+def readable_angle(angle):
+    """Return an angle as text, in the unit that gives a number of common size."""
+    units = (u.deg, u.arcsec, u.mas, u.uas)
+    size = abs(angle)
+    unit = next((unit for unit in units if size.to_value(unit) >= 0.1), u.mas)
+    if unit == u.uas and size.to_value(u.mas) >= 0.01:
+        unit = u.mas
+    return f"{angle.to_value(unit):.4g} {unit}"
 
-    On the sky to the east, which is to the left; in coordinates of the Sun to
-    the west, which is to the right.
+
+def offset_wcs(pixel_scale, reference_pixel, position=None):
+    """
+    Return the celestial WCS of an image that is known by offsets from one pixel.
+
+    Orthographic (``SIN``), east to the left, north up, square pixels.
+
+    Parameters
+    ----------
+    pixel_scale : `~astropy.units.Quantity`
+        Side of a pixel, an angle.
+    reference_pixel : tuple of float
+        (x, y) of the origin of offsets, counted from 0.
+    position : `~astropy.coordinates.SkyCoord`, optional
+        Celestial position of the origin; (180 deg, 0 deg) without it.
+    """
+    step = u.Quantity(pixel_scale).to_value(u.deg)
+    if not (np.isfinite(step) and step > 0):
+        raise ValueError(f"pixel_scale must be positive, got {pixel_scale}")
+    if position is None:
+        position = SkyCoord(180 * u.deg, 0 * u.deg)
+    position = position.icrs
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype = "RA---SIN", "DEC--SIN"
+    wcs.wcs.cunit = "deg", "deg"
+    wcs.wcs.crval = position.ra.deg, position.dec.deg
+    wcs.wcs.crpix = np.asarray(reference_pixel, dtype=float) + 1
+    wcs.wcs.cdelt = -step, step
+    wcs.wcs.radesys = "ICRS"
+    wcs.wcs.set()
+    return wcs
+
+
+def pixel_matrix(cube):
+    """
+    Offsets (east, north) of one pixel step in (x, y), shape (2, 2).
+
+    ``(east, north) = pixel_matrix @ (dx, dy)``, the CD matrix of the
+    WCS as angles.
+    """
+    return (cube.wcs.pixel_scale_matrix * u.deg).to(u.mas)
+
+
+def pixel_scale(cube):
+    """Side of a square pixel of the same area."""
+    return np.sqrt(np.abs(np.linalg.det(cube.pixel_matrix.value))) * u.mas
+
+
+def reference_pixel(cube):
+    """(x, y) of the origin of offsets, counted from 0."""
+    x, y = cube.wcs.wcs.crpix - 1
+    return float(x), float(y)
+
+
+def pixel_to_offset(cube, x, y):
+    """
+    Return the offsets of pixels from the reference pixel, in its tangent plane.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-        Or anything with its ``wcs``.
+    x, y : array_like
+        Pixels, counted from 0.
 
     Returns
     -------
-    first, second : str
-        "east" and "north" for right ascension and declination only.
-    to_the_left : bool
+    east, north : `~astropy.units.Quantity`
+        In mas, of the shape of ``x`` and ``y``.
+    """
+    x0, y0 = cube.reference_pixel
+    step = np.stack(np.broadcast_arrays(np.subtract(x, x0), np.subtract(y, y0)))
+    east, north = np.tensordot(cube.pixel_matrix.value, step, axes=1)
+    return east * u.mas, north * u.mas
+
+
+def offset_to_pixel(cube, east, north):
+    """
+    Return the pixels of offsets, the inverse of `pixel_to_offset`.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    east, north : `~astropy.units.Quantity`
+
+    Returns
+    -------
+    x, y : `numpy.ndarray`
+        Pixels, counted from 0.
+    """
+    x0, y0 = cube.reference_pixel
+    east, north = (u.Quantity(v).to_value(u.mas) for v in (east, north))
+    offset = np.stack(np.broadcast_arrays(east, north))
+    x, y = np.tensordot(np.linalg.inv(cube.pixel_matrix.value), offset, axes=1)
+    return x + x0, y + y0
+
+
+def offsets(cube):
+    """
+    Return the offsets of all pixels from the reference pixel.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    east, north : `~astropy.units.Quantity`, shape (ny, nx)
+    """
+    y, x = np.indices(cube.shape[1:])
+    return cube.pixel_to_offset(x, y)
+
+
+def axis_words(cube):
+    """
+    Return where longitude and latitude grow, and whether that of longitude is left.
+
+    On the sky to the east, which is to the left; in coordinates of the Sun to
+    the west, which is to the right.  The words are "east" and "north" for right
+    ascension and declination only.  Of the ``cube`` only the ``wcs`` is used.
     """
     ctype = str(cube.wcs.wcs.ctype[0])
     if ctype[:4] in SOLAR:
@@ -62,7 +166,7 @@ def axis_words(cube):
 
 def ssp_offsets(ssps, cube, *, centroid=False):
     """
-    Offsets of SSPs from the reference pixel.
+    Return the offsets of SSPs from the reference pixel, in mas.
 
     Parameters
     ----------
@@ -74,12 +178,11 @@ def ssp_offsets(ssps, cube, *, centroid=False):
     Returns
     -------
     east, north : `~numpy.ndarray`, shape (n,)
-        In mas.
 
     Examples
     --------
     >>> from astro_scc.decomposition import Decomposer, SSPs
-    >>> from astro_scc.epochs import ssp_offsets
+    >>> from astro_scc.epochs.positions import ssp_offsets
     >>> from astro_scc.simulation import simulate_static
     >>> cube = simulate_static(n_epochs=2, rng=1).cube
     >>> ssps = SSPs.of_epochs([Decomposer(scales=[2])(image) for image in cube.data])
@@ -95,49 +198,29 @@ def ssp_offsets(ssps, cube, *, centroid=False):
 
 def name_by_frame(table, cube):
     """
-    Name the columns of a table by the celestial frame of its cube.
+    Name the columns of a table by the celestial frame of its cube, in place.
 
     Tables are made with names of right ascension and declination.  In other
     frames, such as those of the Sun, ``pm_ra_cosdec`` becomes
     ``pm_lon_coslat``, ``pm_dec`` becomes ``pm_lat``, and the offsets ``east``
     and ``north`` ``lon_offset`` and ``lat_offset``, with all that is derived
-    from them.
-
-    Parameters
-    ----------
-    table : `~astropy.table.QTable`
-        Changed in place.
-    cube : `~astro_scc.epochs.EpochCube`
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        The same.
-
-    Examples
-    --------
-    >>> from astropy.table import QTable
-    >>> from astropy.wcs import WCS
-    >>> from types import SimpleNamespace
-    >>> from astro_scc.epochs import name_by_frame
-    >>> sun = WCS(naxis=2)
-    >>> sun.wcs.ctype = ["HPLN-TAN", "HPLT-TAN"]
-    >>> table = QTable({"pm_ra_cosdec": [1.0], "pm_dec_err": [0.1], "east": [2.0]})
-    >>> name_by_frame(table, SimpleNamespace(wcs=sun)).colnames
-    ['pm_lon_coslat', 'pm_lat_err', 'lon_offset']
+    from them.  The table is returned.
     """
     first, second, _ = axis_words(cube)
     if first == "east":
         return table
+    words = {
+        "to the east": f"to {first}",
+        "to the north": f"to {second}",
+        "through east": f"through {first}",
+    }
     for name in table.colnames:
         new, about = name, table[name].info.description or ""
         for pattern, replacement in LONGITUDE.items():
             new = re.sub(pattern, replacement, new)
-        about = about.replace(f"of {name.removesuffix('_err')}",
-                              f"of {new.removesuffix('_err')}")  # fmt: skip
-        for words in (("to the east", f"to {first}"), ("to the north", f"to {second}"),
-                      ("through east", f"through {first}")):  # fmt: skip
-            about = about.replace(*words)
+        own = {f"of {name.removesuffix('_err')}": f"of {new.removesuffix('_err')}"}
+        for old, word in {**own, **words}.items():
+            about = about.replace(old, word)
         if new != name:
             table.rename_column(name, new)
         if about:
@@ -146,24 +229,7 @@ def name_by_frame(table, cube):
 
 
 def sky_columns(table):
-    """
-    Names of the proper motions in longitude and latitude, see `name_by_frame`.
-
-    Parameters
-    ----------
-    table : `~astropy.table.Table`
-
-    Returns
-    -------
-    (str, str)
-
-    Examples
-    --------
-    >>> from astropy.table import QTable
-    >>> from astro_scc.epochs import sky_columns
-    >>> sky_columns(QTable({"pm_lon_coslat": [1.0], "pm_lat": [2.0]}))
-    ('pm_lon_coslat', 'pm_lat')
-    """
+    """Return the names of the proper motions in longitude and latitude."""
     if "pm_lon_coslat" in table.colnames:
         return "pm_lon_coslat", "pm_lat"
     return "pm_ra_cosdec", "pm_dec"
@@ -171,7 +237,7 @@ def sky_columns(table):
 
 def beam_fwhm(cube, epoch, scale, axes):
     """
-    Width of the resolution along two axes.
+    Return the width of the resolution along two axes, in mas.
 
     Parameters
     ----------
@@ -186,13 +252,13 @@ def beam_fwhm(cube, epoch, scale, axes):
     Returns
     -------
     `~numpy.ndarray`, shape (n, 2)
-        Full width at half maximum of the beam of the epoch in mas; for a
-        cube without beams twice the size of the SSP's scale.
+        Full width at half maximum of the beam of the epoch; for a cube without
+        beams twice the size of the SSP's scale.
 
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.epochs import beam_fwhm
+    >>> from astro_scc.epochs.positions import beam_fwhm
     >>> from astro_scc.simulation import simulate_static
     >>> cube = simulate_static(n_epochs=2, rng=1).cube
     >>> beam_fwhm(cube, [0], [2], np.eye(2))
@@ -211,7 +277,7 @@ def beam_fwhm(cube, epoch, scale, axes):
 
 def position_errors(snr, fwhm, fraction):
     """
-    Standard errors of positions.
+    Return the standard errors of positions.
 
     ``sigma^2 = (b / (sqrt(2) SNR))^2 + (f b)^2 / 2`` on each axis: the
     thermal error (Fomalont 1999; Mertens & Lobanov 2016, Eq. 2) and a floor
@@ -232,7 +298,7 @@ def position_errors(snr, fwhm, fraction):
 
     Examples
     --------
-    >>> from astro_scc.epochs import position_errors
+    >>> from astro_scc.epochs.positions import position_errors
     >>> position_errors([10, 100], [[1, 1], [1, 1]], 0.2).round(3)
     array([[0.158, 0.158],
            [0.142, 0.142]])

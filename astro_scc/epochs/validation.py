@@ -17,22 +17,7 @@ from astropy.utils.masked import Masked
 from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
-from astro_scc.epochs.keywords import parse_date
-
-__all__ = [
-    "UNEVEN",
-    "as_beam",
-    "as_beams",
-    "as_celestial",
-    "as_epoch_tuple",
-    "as_mask",
-    "as_noise",
-    "as_stack",
-    "as_times",
-    "date_labels",
-    "fits_wcs",
-    "uncertainty_noise",
-]
+from astro_scc.epochs.headers import parse_date
 
 #: Power of an uncertainty that is a standard deviation.
 POWERS = {StdDevUncertainty: 1, VarianceUncertainty: 0.5, InverseVariance: -0.5}
@@ -45,7 +30,7 @@ UNEVEN = (
 
 
 def as_stack(data, mask, unit):
-    """Data as float64 (epoch, y, x), the mask and the unit."""
+    """Return data as float64 (epoch, y, x), the mask and the unit."""
     images = data if isinstance(data, list | tuple) else [data]
     if any(isinstance(image, NDData) or hasattr(image, "coords") for image in images):
         raise TypeError(
@@ -60,18 +45,14 @@ def as_stack(data, mask, unit):
             data = u.Quantity(images)
         except (TypeError, ValueError, u.UnitsError) as error:
             raise TypeError(f"data must be images in one unit: {error}") from None
-    if isinstance(data, Masked):
-        inner = np.asarray(data.mask)
+    if isinstance(data, Masked | np.ma.MaskedArray):
+        inner = np.broadcast_to(data.mask, data.shape)
         mask = inner if mask is None else inner | np.asarray(mask, dtype=bool)
-        data = data.unmasked
+        data = data.unmasked if isinstance(data, Masked) else data.data
     if isinstance(data, u.Quantity):
         if unit is None or unit == u.dimensionless_unscaled:
             unit = data.unit
         data = data.to_value(unit)
-    if isinstance(data, np.ma.MaskedArray):
-        inner = np.ma.getmaskarray(data)
-        mask = inner if mask is None else inner | np.asarray(mask, dtype=bool)
-        data = data.data
     try:
         data = np.asarray(data)
         if data.dtype.kind not in "fiub":
@@ -88,7 +69,7 @@ def as_stack(data, mask, unit):
 
 
 def as_mask(data, mask, labels):
-    """The mask with the pixels that are not finite added."""
+    """Return the mask with the pixels that are not finite added."""
     bad = ~np.isfinite(data)
     if mask is not None:
         mask = np.asarray(mask)
@@ -102,7 +83,7 @@ def as_mask(data, mask, labels):
 
 
 def as_times(times, n):
-    """Dates as a Time of shape (n,)."""
+    """Return dates as a Time of shape (n,)."""
     if not isinstance(times, Time):
         if isinstance(times, str) or not np.iterable(times):
             times = [times]
@@ -132,7 +113,7 @@ def as_times(times, n):
 
 
 def as_beam(beam):
-    """A `Beam` from one, or from what has major, minor and pa."""
+    """Return a `Beam` from one, or from what has major, minor and pa."""
     if isinstance(beam, Beam):
         return beam
     try:
@@ -144,7 +125,7 @@ def as_beam(beam):
 
 
 def as_beams(beams, n):
-    """One beam an epoch, or None."""
+    """Return one beam per epoch, or None."""
     if beams is None:
         return None
     if hasattr(beams, "major"):
@@ -153,7 +134,7 @@ def as_beams(beams, n):
 
 
 def as_noise(noise, n, unit):
-    """Noise of shape (n,) in the unit of the data, or None."""
+    """Return noise of shape (n,) in the unit of the data, or None."""
     if noise is None:
         return None
     try:
@@ -169,30 +150,12 @@ def as_noise(noise, n, unit):
 
 def uncertainty_noise(uncertainty, unit, mask):
     """
-    The noise of an image whose pixels have uncertainties.
+    Return the noise of an image whose pixels have uncertainties.
 
-    Parameters
-    ----------
-    uncertainty : `~astropy.nddata.NDUncertainty`
-        Without a unit of its own, in that of the image.
-    unit : `~astropy.units.UnitBase`
-        That of the image.
-    mask : `~numpy.ndarray` of bool, shape (ny, nx)
-
-    Returns
-    -------
-    noise : `~astropy.units.Quantity`
-        Median of the standard deviations of valid pixels.
-    bad : `~numpy.ndarray` of bool, shape (ny, nx)
-        Where there is no finite standard deviation.
-    even : bool
-        Whether the pixels differ little.
-
-    Raises
-    ------
-    ValueError
-        If the kind or the unit cannot be used, a value is negative, or no
-        valid pixel has a finite one.
+    The noise is the median of the standard deviations of valid pixels, in the
+    ``unit`` of the image, which is also that of an NDUncertainty without one.  With
+    it come the mask of where there is no finite standard deviation, and whether the
+    pixels differ little.  A ValueError says why it cannot be used.
     """
     power = next((p for kind, p in POWERS.items() if isinstance(uncertainty, kind)), 0)
     if not power:
@@ -225,14 +188,11 @@ def uncertainty_noise(uncertainty, unit, mask):
 
 def fits_wcs(wcs):
     """
-    The FITS WCS of one that was sliced or resampled.
+    Return the FITS WCS of one that was sliced or resampled.
 
-    Parameters
-    ----------
-    wcs : `~astropy.wcs.WCS`
-        Or a `~astropy.wcs.wcsapi.SlicedLowLevelWCS` or
-        `ndcube.wcs.wrappers.ResampledLowLevelWCS` around one, as images get
-        that were sliced or rebinned.
+    Besides a WCS a `~astropy.wcs.wcsapi.SlicedLowLevelWCS` or
+    `ndcube.wcs.wrappers.ResampledLowLevelWCS` around one is understood, as images get
+    that were sliced or rebinned.
 
     Returns
     -------
@@ -242,11 +202,6 @@ def fits_wcs(wcs):
         Pixels of the original in one of the axis.
     kept : `~numpy.ndarray` of bool
         Axes that the image still has.
-
-    Raises
-    ------
-    TypeError
-        If there is none inside.
     """
     wcs = getattr(wcs, "low_level_wcs", wcs)
     if isinstance(wcs, WCS):
@@ -285,7 +240,7 @@ def fits_wcs(wcs):
 
 
 def as_celestial(wcs):
-    """The celestial part of a WCS, two axes without distortions."""
+    """Return the celestial part of a WCS, two axes without distortions."""
     wcs, _, kept = fits_wcs(wcs)
     if not wcs.has_celestial:
         raise ValueError(f"wcs must have celestial axes, got {list(wcs.wcs.ctype)}")
@@ -303,7 +258,7 @@ def as_celestial(wcs):
 
 
 def as_epoch_tuple(values, n, name, convert):
-    """One value an epoch as a tuple, empty where there are none."""
+    """Return one value per epoch as a tuple, empty where there are none."""
     values = () if values is None else tuple(convert(v) for v in values)
     if values and len(values) != n:
         raise ValueError(f"{n} epochs need {n} {name}, got {len(values)}")
@@ -311,7 +266,7 @@ def as_epoch_tuple(values, n, name, convert):
 
 
 def date_labels(times):
-    """Dates as short text, with the time of day where dates alone are equal."""
+    """Return dates as short text, with the time of day where dates alone are equal."""
     text = [value[:10] for value in times.isot]
     if len(set(text)) < len(text):
         text = [value[:19] for value in times.isot]

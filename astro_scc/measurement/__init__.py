@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Measurement: what an array of matches means in angles, years and tables."""
 
-from astro_scc.epochs import beam_fwhm, position_errors, ssp_offsets
+from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.measurement.errors import angular_displacements
 from astro_scc.measurement.exports import write_epoch_regions, write_votables
 from astro_scc.measurement.false_discovery import false_discovery_rate

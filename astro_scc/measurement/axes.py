@@ -4,7 +4,7 @@
 import astropy.units as u
 import numpy as np
 
-from astro_scc.epochs import beam_fwhm, ssp_offsets
+from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 from astro_scc.kinematics import ExpansionFrame, RidgeLine
 from astro_scc.stacking import AxisDisplacements
 

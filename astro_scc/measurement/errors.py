@@ -4,7 +4,7 @@
 import numpy as np
 
 from astro_scc.correlation import landing_ssps
-from astro_scc.epochs import beam_fwhm, position_errors, ssp_offsets
+from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.stacking import Displacements
 

@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.decomposition import SSPs, scale_size
-from astro_scc.epochs import beam_fwhm, ssp_offsets
+from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.stacking import (
     Rays,

@@ -12,8 +12,8 @@ from astropy.wcs import WCS
 
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
-from astro_scc.epochs import EpochCube, name_by_frame
-from astro_scc.epochs.positions import axis_words
+from astro_scc.epochs import EpochCube
+from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement.diagram_image import diagram_image
 from astro_scc.measurement.tables import component_table, feature_table, ssp_table

@@ -9,7 +9,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.config.settings import require
-from astro_scc.epochs import ssp_offsets
+from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.plan import centroids_inside, scales_of_pixels
 

@@ -10,7 +10,12 @@ from astropy.table import Column, QTable
 from astropy.time import Time
 
 from astro_scc.decomposition import scale_size
-from astro_scc.epochs import beam_fwhm, name_by_frame, position_errors, ssp_offsets
+from astro_scc.epochs.positions import (
+    beam_fwhm,
+    name_by_frame,
+    position_errors,
+    ssp_offsets,
+)
 from astro_scc.measurement.axes import AxisProjection
 
 __all__ = ["PM_UNIT", "component_table", "feature_table", "ssp_table", "versions"]
@@ -89,7 +94,7 @@ def ssp_table(ssps, cube, *, select=None):
         ``east`` and ``north`` are offsets of the maximum from the reference
         pixel, with thermal errors ``beam / (sqrt(2) SNR)``.  In frames
         without right ascension columns are called as
-        `~astro_scc.epochs.name_by_frame` says.
+        `~astro_scc.epochs.positions.name_by_frame` says.
 
     Examples
     --------

@@ -4,7 +4,7 @@
 import os
 from pathlib import Path
 
-from astro_scc.epochs.files.epoch_files import write_epochs
+from astro_scc.epochs.serialize import write_epochs
 
 __all__ = ["write_simulation"]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from astro_scc.epochs import beam_fwhm, ssp_offsets
+from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 
 __all__ = ["Candidates", "core_ssps", "find_candidates"]
 

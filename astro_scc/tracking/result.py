@@ -10,7 +10,8 @@ from astropy.table import QTable
 
 from astro_scc.config.settings import require
 from astro_scc.decomposition import SSPs, scale_size
-from astro_scc.epochs import EpochCube, beam_fwhm, position_errors, ssp_offsets
+from astro_scc.epochs import EpochCube
+from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.quantities import named, to_quantity
 from astro_scc.tracking.chains import track_names
@@ -163,7 +164,7 @@ class Tracking:
         """
         Standard errors of the offsets in mas, shape (2, n_ssps).
 
-        See `~astro_scc.epochs.position_errors`; the floor is that of one
+        See `~astro_scc.epochs.positions.position_errors`; the floor is that of one
         position.
         """
         ssps = self.ssps

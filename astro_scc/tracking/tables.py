@@ -7,8 +7,7 @@ from astropy.table import Column, MaskedColumn, QTable
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
-from astro_scc.epochs import name_by_frame
-from astro_scc.epochs.positions import axis_words
+from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.tracking.ejection import (
     SIGNIFICANT,
     ejection_epoch,

@@ -4,8 +4,7 @@
 import astropy.units as u
 import numpy as np
 
-from astro_scc.epochs import sky_columns
-from astro_scc.epochs.positions import axis_words
+from astro_scc.epochs.positions import axis_words, sky_columns
 from astro_scc.visualization.style import (
     BLACK,
     PM_UNIT,

@@ -10,15 +10,9 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.epochs import (
-    Beam,
-    ComponentList,
-    offset_wcs,
-    read_components,
-    restore,
-    write_epochs,
-)
+from astro_scc.epochs import Beam, ComponentList, read_components, restore, write_epochs
 from astro_scc.epochs.components.gaussians import add_gaussians
+from astro_scc.epochs.positions import offset_wcs
 from astro_scc.exceptions import EpochWarning
 
 PIXEL = 0.1 * u.mas

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.files.serialize import is_cube_file, replace_when_complete
+from astro_scc.epochs.serialize import is_cube_file, replace_when_complete
 
 DATES = ["2001-01-01T01:02:03.456789", "2000-01-01", "2000-06-01"]
 
@@ -148,7 +148,7 @@ def test_meta_keeps_types_and_what_it_cannot_hold_becomes_text(tmp_path):
     assert again["thing"] == str(object)
 
 
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     data=arrays(float, (2, 3, 4), elements=st.floats(width=64)),
     days=st.lists(st.floats(-3e4, 2e4), min_size=2, max_size=2),

@@ -13,8 +13,9 @@ from astropy.time import Time
 from numpy.testing import assert_array_equal
 from regions import CircleSkyRegion
 
-from astro_scc.epochs import Beam, EpochCube, write_epochs
-from astro_scc.epochs.files.fits import read_grid, read_image
+from astro_scc import interchange
+from astro_scc.epochs import Beam, EpochCube, cube, write_epochs
+from astro_scc.epochs.fits import read_plane
 
 PART = slice(9, 30), slice(14, 50)
 
@@ -153,15 +154,15 @@ def test_the_size_of_the_whole_image_tells_sources_apart(paths):
 
 
 def test_parts_of_scaled_and_weighted_images(paths):
-    image, _ = read_image(paths[0])
+    image = read_plane(paths[0])
     counts = np.rint(1000 * np.nan_to_num(image.data)).astype(np.int16)
     scaled = fits.PrimaryHDU(counts, fits.getheader(paths[0]))
     scaled.header["BSCALE"], scaled.header["BZERO"] = 0.001, 5.0
     weight = fits.ImageHDU(np.ones(image.shape), name="WHT")
     weight.data[20, 30] = 0
     fits.HDUList([scaled, weight]).writeto(paths[0], overwrite=True)
-    whole, _ = read_image(paths[0])
-    part, _ = read_image(paths[0], window=PART)
+    whole = read_plane(paths[0])
+    part = read_plane(paths[0], window=PART)
     assert_array_equal(part.data, whole.data[PART])
     assert_array_equal(part.mask, whole.mask[PART])
     assert part.mask.sum() == 1
@@ -170,20 +171,20 @@ def test_parts_of_scaled_and_weighted_images(paths):
     with pytest.raises(
         ValueError, match="no valid pixel in this part by its extension WHT"
     ):
-        read_image(paths[0], window=PART)
+        read_plane(paths[0], window=PART)
 
 
 def test_the_header_of_an_image_without_its_pixels(paths):
-    wcs, shape, header = read_grid(paths[0])
-    assert shape == (40, 60)
-    assert header["DATE-OBS"].startswith("2001-03-02")
-    assert wcs.wcs.crpix.tolist() == [21, 16]
+    plane = read_plane(paths[0], pixels=False)
+    assert (plane.shape, plane.data) == ((40, 60), None)
+    assert plane.record.time.isot.startswith("2001-03-02")
+    assert plane.wcs.wcs.crpix.tolist() == [21, 16]
     with pytest.raises(FileNotFoundError, match="no such file"):
-        read_grid("nowhere.fits")
+        read_plane("nowhere.fits", pixels=False)
 
 
 def test_more_than_the_machine_holds(paths, monkeypatch):
-    memory = "astro_scc.correlation.workers.machine_memory"
+    memory = "astro_scc.epochs.reading.machine_memory"
     monkeypatch.setattr(memory, lambda: 3 * 40 * 60 * 9 - 1)
     with pytest.raises(MemoryError, match=r"3 images of 60 x 40 pixels are 6.48"):
         EpochCube.read(paths)
@@ -225,9 +226,7 @@ def test_only_the_part_is_in_memory(tmp_path):
 def test_a_part_of_a_movie(tmp_path, monkeypatch):
     path = tmp_path / "movie.h5"
     path.write_bytes(b"movie")
-    monkeypatch.setattr("astro_scc.epochs.interchange.is_hdf5", lambda path: True)
-    monkeypatch.setattr(
-        "astro_scc.epochs.interchange.read_movie", lambda path, beams: make()
-    )
+    monkeypatch.setattr(cube, "is_hdf5", lambda path: True)
+    monkeypatch.setattr(interchange, "read_movie", lambda path, beams: make())
     same(EpochCube.read(path), make())
     same(EpochCube.read(path, region=PART), make().crop(PART))

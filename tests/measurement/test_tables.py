@@ -11,7 +11,7 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.decomposition import SSPs
-from astro_scc.epochs import ssp_offsets
+from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.measurement import (
     component_table,
     feature_table,

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from astro_scc.epochs import sky_columns
-from astro_scc.epochs.positions import axis_words
+from astro_scc.epochs.positions import axis_words, sky_columns
 from astro_scc.report.answer import edge_remarks
 from astro_scc.report.tables import component_rows
 from astro_scc.visualization import (

@@ -9,8 +9,8 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.components.tables import require_finite, row_date
-from astro_scc.epochs.files.fits import open_fits
-from astro_scc.epochs.files.headers import header_facts
+from astro_scc.epochs.fits import open_fits
+from astro_scc.epochs.headers import header_facts
 
 __all__ = ["read_aips", "read_difmap"]
 

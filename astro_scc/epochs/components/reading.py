@@ -16,7 +16,7 @@ from astro_scc.epochs.components.tables import (
     require_source,
     row_date,
 )
-from astro_scc.epochs.files.fits import check_ordinary
+from astro_scc.epochs.fits import check_ordinary
 from astro_scc.epochs.validation import as_times
 from astro_scc.exceptions import EpochWarning
 

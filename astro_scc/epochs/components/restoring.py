@@ -10,7 +10,7 @@ from astro_scc.epochs.beam import FWHM_TO_SIGMA
 from astro_scc.epochs.components.gaussians import add_gaussians
 from astro_scc.epochs.components.noise import correlated_noise
 from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.offset_grid import offset_wcs
+from astro_scc.epochs.positions import offset_wcs
 from astro_scc.epochs.validation import as_beams
 from astro_scc.exceptions import EpochWarning
 

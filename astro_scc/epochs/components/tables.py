@@ -11,7 +11,7 @@ import numpy as np
 from astropy.time import Time
 
 from astro_scc.epochs.components.lists import CORE
-from astro_scc.epochs.files.headers import parse_date
+from astro_scc.epochs.headers import parse_date
 
 __all__ = ["read_ecsv", "read_mrt", "require_finite", "require_source", "row_date"]
 
@@ -313,7 +313,7 @@ def row_date(text, where):
     Parameters
     ----------
     text : str or `~astropy.time.Time`
-        What `~astro_scc.epochs.files.headers.parse_date` understands, 2006_03_09,
+        What `~astro_scc.epochs.headers.parse_date` understands, 2006_03_09,
         2006 Mar 09, or a decimal year.
     where : str or path
         File and row, for the message of an error.

@@ -10,8 +10,8 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from astro_scc.epochs.description import readable_angle
 from astro_scc.epochs.grids.resampling import cut_wcs
+from astro_scc.epochs.positions import readable_angle
 from astro_scc.exceptions import EpochWarning
 
 __all__ = ["box", "crop", "crop_line", "distance_mask", "refuse_pixels", "region_mask"]

@@ -8,7 +8,6 @@ import numpy as np
 from astropy.io import fits
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 
-from astro_scc.epochs.description import readable_angle
 from astro_scc.epochs.grids.resampling import (
     WHOLE_PIXEL,
     grid_step,
@@ -16,6 +15,7 @@ from astro_scc.epochs.grids.resampling import (
     probe_pixels,
     resample,
 )
+from astro_scc.epochs.positions import readable_angle
 from astro_scc.epochs.validation import as_celestial
 from astro_scc.exceptions import EpochWarning
 
@@ -52,7 +52,7 @@ def _new_epoch_wcs(cube, wcs, shape):
 def _grid_of(target, shape):
     """WCS and shape of the grid that something describes."""
     if isinstance(target, fits.Header):
-        from astro_scc.epochs.files.headers import celestial_wcs
+        from astro_scc.epochs.headers import celestial_wcs
 
         axes = target.get("NAXIS2"), target.get("NAXIS1")
         try:

@@ -5,20 +5,17 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from astro_scc.epochs.beam import Beam
-from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.files.serialize import (
+from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs.grids.resampling import moved_wcs
+from astro_scc.epochs.positions import axis_words, offset_wcs
+from astro_scc.epochs.serialize import (
     pack_facts,
     pack_wcs,
     unpack_facts,
     unpack_wcs,
 )
-from astro_scc.epochs.grids.resampling import moved_wcs
-from astro_scc.epochs.interchange.optional import optional
-from astro_scc.epochs.offset_grid import offset_wcs
-from astro_scc.epochs.positions import axis_words
+from astro_scc.interchange.files import optional
 
-__all__ = ["from_xarray", "to_xarray"]
 __doctest_requires__ = {("from_xarray", "to_xarray"): ["xarray"]}
 
 #: What the images are called.
@@ -30,7 +27,7 @@ NORTH = ("y", "north", "dec", "declination", "lat", "latitude", "hplt")
 
 def to_xarray(cube):
     """
-    A cube as `xarray.Dataset`.
+    Return a cube as `xarray.Dataset`.
 
     Parameters
     ----------
@@ -53,7 +50,7 @@ def to_xarray(cube):
 
     Examples
     --------
-    >>> from astro_scc.epochs.interchange import to_xarray
+    >>> from astro_scc.interchange import to_xarray
     >>> from astro_scc.simulation import simulate_static
     >>> dataset = to_xarray(simulate_static(n_epochs=2, rng=1).cube)
     >>> list(dataset.data_vars)
@@ -106,7 +103,7 @@ def to_xarray(cube):
 
 def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
     """
-    A cube from `to_xarray`, or from images with dates and offsets.
+    Return a cube from `to_xarray`, or from images with dates and offsets.
 
     Parameters
     ----------
@@ -144,7 +141,7 @@ def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
     >>> import astropy.units as u
     >>> import numpy as np
     >>> import xarray
-    >>> from astro_scc.epochs.interchange import from_xarray
+    >>> from astro_scc.interchange import from_xarray
     >>> array = xarray.DataArray(np.ones((2, 20, 30)), dims=("time", "y", "x"))
     >>> from_xarray(array, times=["2000-01-01", "2001-01-01"], pixel_scale=25 * u.mas)
     <EpochCube 2 epochs 2000-01-01 to 2001-01-01, 30 x 20 pixels of 25 mas>
@@ -167,15 +164,15 @@ def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
         times = _dates(array, date)
     if unit is None:
         unit = u.Unit(array.attrs.get("units", ""))
-    x, y = (_steps(array, axis, pixel_scale) for axis in (east, north))
-    if not np.isclose(abs(x.step), abs(y.step), rtol=1e-6):
+    (dx, x0), (dy, y0) = (_steps(array, axis, pixel_scale) for axis in (east, north))
+    if not np.isclose(abs(dx), abs(dy), rtol=1e-6):
         raise ValueError(
-            f"pixels are {abs(x.step):.6g} by {abs(y.step):.6g} mas; resample the "
-            "images to square ones"
+            f"pixels are {abs(dx):.6g} by {abs(dy):.6g} mas; resample the images to "
+            "square ones"
         )
-    wcs = offset_wcs(abs(x.step) * u.mas, (x.origin, y.origin))
+    wcs = offset_wcs(abs(dx) * u.mas, (x0, y0))
     # Coordinates that have no direction run as on the sky, east to the left.
-    wcs.wcs.cdelt = (x.step or 1) / 3.6e6, y.step / 3.6e6
+    wcs.wcs.cdelt = dx / 3.6e6, dy / 3.6e6
     wcs.wcs.set()
     return EpochCube(
         data=np.asarray(array.values, dtype=float),
@@ -225,11 +222,8 @@ def _own(source):
 
 
 def _images(source):
-    """The array of three axes."""
-    if not hasattr(source, "data_vars"):
-        arrays = [source]
-    else:
-        arrays = list(source.data_vars.values())
+    """Return the array of three axes."""
+    arrays = source.data_vars.values() if hasattr(source, "data_vars") else [source]
     arrays = [array for array in arrays if array.ndim == 3]
     if len(arrays) != 1:
         raise ValueError(
@@ -240,7 +234,7 @@ def _images(source):
 
 
 def _axes(array):
-    """Names of the axes of date, north and east."""
+    """Return the names of the axes of date, north and east."""
     found = []
     for names, what in ((NORTH, "y"), (EAST, "x")):
         axes = [axis for axis in array.dims if str(axis).lower() in names]
@@ -260,29 +254,25 @@ def _dates(array, axis):
     return Time(values, scale="utc", format="datetime64")
 
 
-class _steps:
-    """Step of the pixels of an axis in mas, and the pixel that is the origin."""
-
-    def __init__(self, array, axis, pixel_scale):
-        n = array.sizes[axis]
-        self.origin = (n - 1) / 2
+def _steps(array, axis, pixel_scale):
+    """Return the step of the pixels of an axis in mas, and the pixel at the origin."""
+    n = array.sizes[axis]
+    origin = (n - 1) / 2
+    if pixel_scale is not None:
         sign = -1 if str(axis).lower() in EAST else 1
-        if pixel_scale is not None:
-            self.step = sign * u.Quantity(pixel_scale).to_value(u.mas)
-            return
-        try:
-            coordinate = array.coords[axis]
-            angle = u.Unit(coordinate.attrs["units"]).to(u.mas)
-        except (KeyError, ValueError, TypeError):
-            raise ValueError(
-                f"axis {axis} has no coordinate with an angle as its attribute units; "
-                "give pixel_scale="
-            ) from None
-        values = np.asarray(coordinate.values, dtype=float) * angle
-        steps = np.diff(values)
-        self.step = float(steps.mean()) if n > 1 else 0.0
-        if n < 2 or np.any(np.abs(steps - self.step) > 1e-3 * abs(self.step)):
-            raise ValueError(f"coordinate {axis} is uneven; resample the images")
-        zero = -values[0] / self.step
-        if -0.5 <= zero <= n - 0.5:
-            self.origin = float(zero)
+        return sign * u.Quantity(pixel_scale).to_value(u.mas), origin
+    try:
+        coordinate = array.coords[axis]
+        angle = u.Unit(coordinate.attrs["units"]).to(u.mas)
+    except (KeyError, ValueError, TypeError):
+        raise ValueError(
+            f"axis {axis} has no coordinate with an angle as its attribute units; "
+            "give pixel_scale="
+        ) from None
+    values = np.asarray(coordinate.values, dtype=float) * angle
+    steps = np.diff(values)
+    step = float(steps.mean()) if n > 1 else 0.0
+    if n < 2 or np.any(np.abs(steps - step) > 1e-3 * abs(step)):
+        raise ValueError(f"coordinate {axis} is uneven; resample the images")
+    zero = -values[0] / step
+    return step, float(zero) if -0.5 <= zero <= n - 0.5 else origin

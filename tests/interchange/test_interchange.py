@@ -16,13 +16,9 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc import Beam, EpochCube
-from astro_scc.epochs.interchange import (
-    from_xarray,
-    is_casa_image,
-    is_hdf5,
-    read_casa_image,
-    to_xarray,
-)
+from astro_scc.epochs.fits import is_casa_image, is_hdf5
+from astro_scc.interchange import files, from_xarray, to_xarray
+from astro_scc.interchange.files import read_casa_image
 
 DATES = ["2000-01-01T03:04:05.678", "2000-06-01", "2001-01-01"]
 
@@ -231,7 +227,7 @@ def casa_image(tmp_path):
 
 
 @pytest.fixture
-def casatools(monkeypatch, aips_header):
+def casatools(monkeypatch):
     """What of casatools is used, with an image of its own."""
     module = types.ModuleType("casatools")
     module.__spec__ = importlib.util.spec_from_loader("casatools", None)
@@ -243,7 +239,9 @@ def casatools(monkeypatch, aips_header):
                 raise RuntimeError("table.f0 is missing\nand more")
 
         def tofits(self, outfile, **kwargs):
-            fits.PrimaryHDU(data, aips_header()).writeto(outfile)
+            header = make_cube().wcs.to_header()
+            header.update({"DATE-OBS": DATES[0], "BMAJ": 1 / 3.6e6, "BMIN": 1e-7})
+            fits.PrimaryHDU(data, header).writeto(outfile)
 
         def close(self):
             pass
@@ -271,9 +269,7 @@ def test_broken_casa_image(casa_image, casatools):
 
 
 def test_casa_image_without_packages(casa_image, monkeypatch):
-    from astro_scc.epochs.interchange import casa
-
-    monkeypatch.setattr(casa, "find_spec", lambda name: None)
+    monkeypatch.setattr(files, "find_spec", lambda name: None)
     with pytest.raises(OSError, match=r"a\.image: a CASA image; export it as FITS"):
         EpochCube.read(casa_image)
 

@@ -10,14 +10,13 @@ from astropy.nddata import StdDevUncertainty
 from astropy.time import Time
 from astropy.wcs import WCS
 
-from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.files.assembly import cube_from_images
-from astro_scc.epochs.files.headers import header_beam, header_facts, observing_time
-from astro_scc.epochs.interchange.optional import optional
+from astro_scc.epochs import EpochCube
+from astro_scc.epochs.headers import read_header
+from astro_scc.epochs.serialize import remove_dates
 from astro_scc.epochs.validation import UNEVEN, fits_wcs, uncertainty_noise
 from astro_scc.exceptions import EpochWarning
+from astro_scc.interchange.files import optional
 
-__all__ = ["from_ndcube", "to_ndcube"]
 __doctest_requires__ = {("from_ndcube", "to_ndcube"): ["ndcube"]}
 
 #: The axis of the numbers of the epochs.
@@ -28,7 +27,7 @@ EACH = ("labels", "beams", "epoch_meta")
 
 def to_ndcube(cube):
     """
-    A cube as NDCube of (epoch, latitude, longitude).
+    Return a cube as NDCube of (epoch, latitude, longitude).
 
     Parameters
     ----------
@@ -49,7 +48,7 @@ def to_ndcube(cube):
 
     Examples
     --------
-    >>> from astro_scc.epochs.interchange import to_ndcube
+    >>> from astro_scc.interchange import to_ndcube
     >>> from astro_scc.simulation import simulate_static
     >>> to_ndcube(simulate_static(n_epochs=2, rng=1).cube).shape
     (2, 128, 256)
@@ -72,12 +71,10 @@ def to_ndcube(cube):
 
 
 def _with_epochs(celestial):
-    """A WCS with the number of the epoch, from 0, as third axis."""
+    """Return a WCS with the number of the epoch, from 0, as third axis."""
     header = celestial.to_header()
-    header.update({"WCSAXES": 3, "CTYPE3": AXIS, "CRPIX3": 1.0, "CRVAL3": 0.0})
-    header["CDELT3"] = 1.0
-    for keyword in ("DATE-OBS", "MJD-OBS", "DATEREF", "MJDREF"):
-        header.remove(keyword, ignore_missing=True)
+    remove_dates(header)
+    header.update({"WCSAXES": 3, "CTYPE3": AXIS})
     wcs = WCS(header)
     # A header rounds; the numbers themselves do not.
     wcs.wcs.crval = [*celestial.wcs.crval, 0.0]
@@ -92,7 +89,7 @@ def _with_epochs(celestial):
 
 def from_ndcube(ndcube, *, times=None, beams=None):
     """
-    A cube from an NDCube of epochs, sliced and rebinned or not.
+    Return a cube from an NDCube of epochs, sliced and rebinned or not.
 
     Parameters
     ----------
@@ -119,16 +116,14 @@ def from_ndcube(ndcube, *, times=None, beams=None):
 
     Examples
     --------
-    >>> from astro_scc.epochs.interchange import from_ndcube, to_ndcube
+    >>> from astro_scc.interchange import from_ndcube, to_ndcube
     >>> from astro_scc.simulation import simulate_static
     >>> made = to_ndcube(simulate_static(n_epochs=3, rng=1).cube)
     >>> from_ndcube(made[1:, 20:100].rebin((1, 2, 2)))
     <EpochCube 2 epochs 2000-01-31 to 2000-03-01, 128 x 40 pixels of 0.2 mas, ...>
     """
     if isinstance(ndcube.data, list | tuple):
-        return cube_from_images(
-            ndcube.data, times=times, beams=beams, frame="offset", check=True
-        )
+        return EpochCube.from_ccddata(ndcube.data, times=times, beams=beams)
     try:
         wcs, size, kept = fits_wcs(ndcube.wcs)
     except TypeError:
@@ -161,9 +156,11 @@ def from_ndcube(ndcube, *, times=None, beams=None):
         first = 1 - wcs.wcs.crpix[list(wcs.wcs.ctype).index(AXIS)]
         own = _own(meta, round(first), len(data), averaged, beams)
     else:
-        beams = header_beam(meta) if beams is None else beams
-        facts = header_facts(meta)
-        own = {"beams": beams, "epoch_meta": [facts] * len(data), "meta": {}}
+        record = read_header(meta)
+        if beams is None and record.beam_problem:
+            raise ValueError(f"the NDCube: {record.beam_problem}; give beams=")
+        beams = record.beam if beams is None else beams
+        own = {"beams": beams, "epoch_meta": [record.facts] * len(data), "meta": {}}
     own["meta"]["history"] = [*own["meta"].get("history", ()), "from an NDCube"]
     return EpochCube(
         data=data,
@@ -177,7 +174,7 @@ def from_ndcube(ndcube, *, times=None, beams=None):
 
 
 def _noise(ndcube, planes, mask):
-    """Noise of every epoch by the uncertainty, and the mask of what has none."""
+    """Return the noise of every epoch, and the mask of what has no uncertainty."""
     kind = type(ndcube.uncertainty)
     values = planes(np.asarray(ndcube.uncertainty.array))
     noise, uneven = [], 0
@@ -198,7 +195,7 @@ def _noise(ndcube, planes, mask):
 
 
 def _own(meta, first, n, averaged, beams):
-    """What `to_ndcube` has kept for epochs, from the number of the first."""
+    """Return what `to_ndcube` has kept for epochs, from the number of the first."""
     kept = {"meta": {key: value for key, value in meta.items() if key not in EACH}}
     every = meta["beams"]
     if not averaged:
@@ -214,7 +211,7 @@ def _own(meta, first, n, averaged, beams):
 
 
 def _times(ndcube, meta, axis, averaged):
-    """The coordinate of type Time, or else the date of an only epoch."""
+    """Return the coordinate of type Time, or else the date of an only epoch."""
     found = []
     for coordinates in (ndcube.wcs, ndcube.extra_coords) if axis is not None else ():
         try:
@@ -231,7 +228,7 @@ def _times(ndcube, meta, axis, averaged):
             return found[0]
     if axis is None:
         found = [v for v in ndcube.global_coords.values() if isinstance(v, Time)]
-        time = found[0] if found else observing_time(meta)
-        if time is not None:
-            return time
+        record = read_header(meta)
+        if found or record.time is not None:
+            return found[0] if found else record.time
     raise ValueError("the NDCube has no coordinate of type Time; give times=")

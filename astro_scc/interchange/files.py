@@ -1,49 +1,34 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Movies in HDF5, as eht-imaging writes them."""
+"""Files of other packages: movies of eht-imaging in HDF5, and CASA images."""
 
 import os
+import tempfile
+import warnings
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from astropy.io import fits
 from astropy.time import Time
 
-from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.interchange.optional import optional
-from astro_scc.epochs.offset_grid import offset_wcs
+from astro_scc.epochs import EpochCube
+from astro_scc.epochs.headers import get
+from astro_scc.epochs.positions import offset_wcs
 
-__all__ = ["is_hdf5", "read_movie"]
 __doctest_requires__ = {"read_movie": ["h5py"]}
 
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
-
-def is_hdf5(path):
-    """
-    Whether a file is HDF5.
-
-    Parameters
-    ----------
-    path : str or path-like
-
-    Returns
-    -------
-    bool
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> from astro_scc.epochs.interchange import is_hdf5
-    >>> _ = Path("jet.fits").write_text("SIMPLE")
-    >>> is_hdf5("jet.fits")
-    False
-    """
+def optional(package, purpose, extra):
+    """Return a module that is needed for one format only, or say how to install it."""
     try:
-        with open(path, "rb") as file:
-            return file.read(len(_SIGNATURE)) == _SIGNATURE
-    except OSError:
-        return False
+        return import_module(package)
+    except ImportError:
+        raise ImportError(
+            f"{purpose} needs {package}; install it: pip install 'astro_scc[{extra}]'"
+        ) from None
 
 
 def read_movie(path, *, beams=None):
@@ -77,7 +62,7 @@ def read_movie(path, *, beams=None):
     --------
     >>> import h5py
     >>> import numpy as np
-    >>> from astro_scc.epochs.interchange import read_movie
+    >>> from astro_scc.interchange import read_movie
     >>> with h5py.File("movie.hdf5", "w") as file:
     ...     file["I"], file["times"] = np.ones((2, 20, 20)), [0.5, 1.5]
     ...     header = file.create_dataset("header", (0,), dtype="S10")
@@ -110,11 +95,9 @@ def read_movie(path, *, beams=None):
             f"{path}: its frames have shape {frames.shape} for {len(hours)} times"
         )
     n, ny, nx = frames.shape
-    facts = {"object": str(head["source"])} if head.get("source") else {}
-    try:
-        facts["frequency"] = float(head["rf"])
-    except (KeyError, ValueError):
-        pass
+    facts = {"object": get(head, "source", kind=str)}
+    facts["frequency"] = get(head, "rf", kind=float)
+    facts = {key: value for key, value in facts.items() if value is not None}
     return EpochCube(
         data=frames[:, ::-1],
         times=start + hours * u.hour,
@@ -133,3 +116,55 @@ def _plain(value):
     """An attribute as text, however it is kept."""
     value = value.item() if isinstance(value, np.generic) else value
     return value.decode() if isinstance(value, bytes) else value
+
+
+def read_casa_image(path):
+    """
+    Return a CASA image, a folder, as the FITS images that CASA would export.
+
+    ``casatools`` is asked first, since the date of observation comes with
+    it; ``spectral-cube`` gives images without date, for which
+    ``EpochCube.read`` takes ``times``.  An OSError says that neither is installed,
+    or that they cannot read it.
+    """
+    path = Path(os.fspath(path))
+    for module, read in (("casatools", _by_casatools), ("spectral_cube", _by_cube)):
+        if find_spec(module) is None:
+            continue
+        try:
+            return read(path)
+        except Exception as error:
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise OSError(
+                f"{path}: {module} cannot read it as a CASA image: {reason}"
+            ) from None
+    raise OSError(
+        f"{path}: a CASA image; export it as FITS (exportfits in CASA), or install "
+        "spectral-cube: pip install 'astro_scc[casa]'"
+    )
+
+
+def _by_casatools(path):
+    from casatools import image
+
+    tool = image()
+    with tempfile.TemporaryDirectory() as folder:
+        exported = Path(folder) / "image.fits"
+        tool.open(str(path))
+        try:
+            tool.tofits(str(exported), velocity=False, stokeslast=True)
+        finally:
+            tool.close()
+        with fits.open(exported, memmap=False) as hdus:
+            return fits.HDUList([hdu.copy() for hdu in hdus])
+
+
+def _by_cube(path):
+    from spectral_cube import SpectralCube
+
+    with warnings.catch_warnings():
+        # What it says about frequency axes is of no concern here.
+        warnings.simplefilter("ignore")
+        cube = SpectralCube.read(str(path), format="casa_image")
+        cube.allow_huge_operations = True
+        return fits.HDUList([cube.hdu])

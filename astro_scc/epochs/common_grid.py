@@ -1,0 +1,221 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Images that come on grids of their own, laid on one, in whole or in part."""
+
+from types import SimpleNamespace
+
+import astropy.units as u
+import numpy as np
+from astropy.wcs.utils import pixel_to_pixel
+
+from astro_scc.epochs.grids.cutout import box
+from astro_scc.epochs.grids.reprojection import shared_grid
+from astro_scc.epochs.grids.resampling import grid_step, resample
+from astro_scc.epochs.positions import readable_angle
+
+# Grids that agree to this part of a pixel all over the image are one grid.
+TOLERANCE = 0.01
+# Sides of pixels of images that can be one series.
+LARGEST_RATIO = 10.0
+#: Pixels around a part that is interpolated, as far as splines look.
+MARGIN = 4
+
+
+def windows_of(planes, first, frame, region, pad=0):
+    """
+    Return rows and columns of a region in the image ``first``, and in every image.
+
+    ``region`` and ``pad`` are those of `~astro_scc.epochs.EpochCube.crop`, and placed
+    on the image ``first``.  The windows of the others hold the same part of the sky, or
+    of the offsets, and a little more where images do not lie whole pixels aside.  An
+    image of which the region holds no pixel is refused by a ValueError.
+    """
+    cube = SimpleNamespace(shape=(1, *first.shape), wcs=first.wcs)
+    window = box(cube, region, pad)
+    steps = []
+    for plane in planes:
+        corners, moved = _corners(window, first, plane, frame)
+        whole = np.rint((moved - corners)[:, :1])
+        # NaN, beyond the horizon of a projection, is not whole either.
+        is_whole = np.all(np.abs(moved - corners - whole) < TOLERANCE)
+        steps.append(whole if is_whole else None)
+    if any(step is None for step in steps):
+        # Something is interpolated, and edges are where that is worst.
+        window = box(cube, region, pad + MARGIN)
+    windows = []
+    for plane, step in zip(planes, steps, strict=True):
+        corners, moved = _corners(window, first, plane, frame)
+        if step is not None:
+            moved = corners + step
+        low, high = np.floor(moved.min(axis=1)), np.ceil(moved.max(axis=1))
+        size = np.array(plane.shape[::-1])
+        if not (np.all(low < size) and np.all(high >= 0)):
+            raise ValueError(
+                f"{plane.name}: nothing of the region lies in it; leave it out, or "
+                "read all of the images"
+            )
+        (x0, y0), (x1, y1) = np.maximum(low, 0), np.minimum(high, size - 1)
+        windows.append((slice(int(y0), int(y1) + 1), slice(int(x0), int(x1) + 1)))
+    return window, windows
+
+
+def _corners(window, first, other, frame):
+    """Return the corners (x, y) of a part of an image, in it and in another one."""
+    (y0, y1), (x0, x1) = ((part.start, part.stop - 1) for part in window)
+    corners = np.array([[x0, x1, x0, x1], [y0, y0, y1, y1]], dtype=float)
+    frames = (_in_frame(plane.wcs, frame) for plane in (first, other))
+    return corners, np.array(pixel_to_pixel(*frames, *corners))
+
+
+def lay_on_one_grid(planes, frame):
+    """
+    Lay images on the finest of their grids, as large as all of them.
+
+    Images on the very same grid are stacked as they are; those that lie whole pixels
+    aside are moved without interpolation; others are interpolated.  Pixels outside an
+    image are masked.  A ValueError says whose pixels or position are too different.
+
+    Parameters
+    ----------
+    planes : sequence of `Plane`
+    frame : {"offset", "absolute"}
+        Whether reference pixels or celestial coordinates are laid on one another.
+
+    Returns
+    -------
+    fields : dict
+        ``data``, ``mask``, ``wcs`` and ``epoch_wcs`` of an EpochCube.
+    resampled : list of str
+        Names of the images that were interpolated.
+    """
+    first = planes[0]
+    if all(_same_grid(first, plane, frame) for plane in planes):
+        data, mask = _stacked(planes, "data"), _stacked(planes, "mask")
+        own = [plane.wcs for plane in planes]
+        return {"data": data, "mask": mask, "wcs": first.wcs, "epoch_wcs": own}, []
+    _check_pixels(planes)
+    frames = [_in_frame(plane.wcs, frame) for plane in planes]
+    grid, shape = _shared_grid(planes, frames)
+    data = np.empty((len(planes), *shape))
+    mask = np.empty(data.shape, dtype=bool)
+    resampled = []
+    for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
+        data[i], mask[i], exact = _place(plane, wcs, grid, shape)
+        if not exact:
+            resampled.append(plane.name)
+    own = [grid] * len(planes)
+    if frame == "offset":
+        own = [_own_frame(grid, plane.wcs) for plane in planes]
+    return {"data": data, "mask": mask, "wcs": own[0], "epoch_wcs": own}, resampled
+
+
+def _stacked(planes, name):
+    """Return the arrays of all images as one; each goes as soon as it is in it."""
+    arrays = [getattr(plane, name) for plane in planes]
+    every = np.empty((len(planes), *arrays[0].shape), dtype=np.result_type(*arrays))
+    del arrays
+    for i, plane in enumerate(planes):
+        every[i] = getattr(plane, name)
+        setattr(plane, name, every[i])
+    return every
+
+
+def _shared_grid(planes, frames):
+    grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
+    try:
+        return shared_grid(grids)
+    except ValueError:
+        for plane, grid in zip(planes, grids, strict=True):
+            try:
+                shared_grid([grids[0], grid])
+            except ValueError:
+                raise ValueError(
+                    f"{plane.name}: lies too far from {planes[0].name} to share a "
+                    "grid with it, by its coordinates; leave one of them out"
+                ) from None
+        raise
+
+
+def _check_pixels(planes):
+    """Refuse pixels so different that the finest would make huge images."""
+    sizes = [_pixel_area(plane.wcs) ** 0.5 for plane in planes]
+    usual = np.sort(sizes)[(len(sizes) - 1) // 2]
+    for plane, size in zip(planes, sizes, strict=True):
+        if not usual / LARGEST_RATIO <= size <= usual * LARGEST_RATIO:
+            raise ValueError(
+                f"{plane.name}: its pixels are {readable_angle(size * u.deg)} where "
+                f"others are {readable_angle(usual * u.deg)}; leave it out"
+            )
+
+
+def _pixel_area(wcs):
+    """Return the solid angle of a pixel in square degrees."""
+    return abs(np.linalg.det(wcs.pixel_scale_matrix))
+
+
+def _same_grid(one, other, frame):
+    """Return whether shape, projection, pixels and reference pixel are the same."""
+    a, b = one.wcs.wcs, other.wcs.wcs
+    ny, nx = one.data.shape
+    if other.data.shape != (ny, nx) or [*a.ctype] != [*b.ctype]:
+        return False
+    own = one.wcs.pixel_scale_matrix
+    step = np.linalg.solve(own, other.wcs.pixel_scale_matrix - own)
+    # The largest possible difference at the far corner of the image.
+    largest = np.abs(step) @ [nx, ny] + np.abs(a.crpix - b.crpix)
+    if np.any(largest > TOLERANCE):
+        return False
+    return frame == "offset" or (
+        np.array_equal(a.crval, b.crval)
+        and a.radesys == b.radesys
+        and np.array_equal(a.equinox, b.equinox, equal_nan=True)
+    )
+
+
+def _in_frame(wcs, frame):
+    """Return a WCS, for offsets with its reference pixel at (0, 0) of their frame."""
+    if frame == "absolute":
+        return wcs
+    local = wcs.deepcopy()
+    codes = zip(("RA---", "DEC--"), wcs.wcs.ctype, strict=True)
+    local.wcs.ctype = [name + code[5:] for name, code in codes]
+    local.wcs.crval = 0, 0
+    local.wcs.radesys = "ICRS"
+    local.wcs.equinox = np.nan
+    local.wcs.set()
+    return local
+
+
+def _own_frame(grid, own):
+    """Return the grid with the celestial frame and reference point of an image."""
+    wcs = grid.deepcopy()
+    codes = zip(own.wcs.ctype, grid.wcs.ctype, strict=True)
+    wcs.wcs.ctype = [name[:5] + code[5:] for name, code in codes]
+    for name in ("crval", "radesys", "equinox", "lonpole", "latpole"):
+        setattr(wcs.wcs, name, getattr(own.wcs, name))
+    wcs.wcs.set()
+    return wcs
+
+
+def _place(plane, wcs, grid, shape):
+    """Return data and mask on the grid, and whether no interpolation was needed."""
+    step, pure = grid_step(wcs, grid, plane.data.shape, tolerance=TOLERANCE)
+    whole = np.rint(step).astype(int) if pure else 0
+    if pure and np.all(np.abs(step - whole) < TOLERANCE):
+        data, mask = np.full(shape, np.nan), np.ones(shape, dtype=bool)
+        # The shared grid holds all of the image.
+        part = tuple(
+            slice(start, start + n)
+            for start, n in zip(whole[::-1], plane.data.shape, strict=True)
+        )
+        mask[part] = plane.mask
+        data[part] = np.where(plane.mask, np.nan, plane.data)
+        return data, mask, True
+    data, mask = resample(plane.data[None], plane.mask[None], wcs, grid, shape=shape)
+    area = _pixel_area(grid) / _pixel_area(wcs)
+    per_pixel = any(
+        power < 0 and base.name.lower() in ("pix", "pixel")
+        for base, power in zip(plane.unit.bases, plane.unit.powers, strict=True)
+    )
+    if per_pixel and not np.isclose(area, 1, rtol=1e-6):
+        data = data * area
+    return data[0], mask[0], False

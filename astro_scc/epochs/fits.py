@@ -1,0 +1,464 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""One FITS image of VLBI, CASA, HST and others."""
+
+import glob
+import gzip
+import mmap
+import os
+import re
+import warnings
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.io import fits, registry
+from astropy.nddata import (
+    CCDData,
+    InverseVariance,
+    NDUncertainty,
+    StdDevUncertainty,
+    VarianceUncertainty,
+)
+from astropy.wcs import WCS
+
+from astro_scc.epochs.grids.resampling import cut_wcs
+from astro_scc.epochs.headers import (
+    HeaderRecord,
+    axis_kind,
+    axis_numbers,
+    beam_cards,
+    celestial_wcs,
+    get,
+    parse_unit,
+    read_header,
+)
+from astro_scc.exceptions import EpochWarning
+
+# What the files of EpochCube.write are known by.
+CUBE_CREATOR = "astro_scc EpochCube"
+#: What to do about a beam that cannot be.
+CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
+#: Kinds of uncertainty, as astropy calls them in FITS (UTYPE).
+UNCERTAINTIES = {
+    kind.__name__: kind
+    for kind in (StdDevUncertainty, VarianceUncertainty, InverseVariance)
+}
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_AXES = re.compile(rb"NAXIS   = *(\d{4,})")
+# What describes the array and its axes in the file, which the CCDData says
+# itself, in two dimensions.
+_STRUCTURE = re.compile(
+    r"(SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|EXTNAME|PCOUNT|GCOUNT|GROUPS|BLOCKED"
+    r"|BSCALE|BZERO|BLANK|BUNIT|DATAMIN|DATAMAX|CHECKSUM|DATASUM|WCSAXES|EPOCH"
+    r"|EQUINOX|RADESYS|RADECSYS|LONPOLE|LATPOLE|(CTYPE|CRVAL|CRPIX|CDELT|CUNIT|CROTA)\d"
+    r"|(PC|CD|PV|PS)\d+_\d+|PC\d{6}|CD\d{6}|BMAJ|BMIN|BPA|FREQ|STOKES)$"
+)
+
+
+@dataclass
+class Plane:
+    """
+    One image on its own grid, with what its header says.
+
+    ``shape`` is that of the whole image, of which ``data`` and ``mask`` may be a
+    part; they are None where the header alone was read.  ``even`` is whether the
+    ``uncertainty`` that gave the ``noise`` differs little from pixel to pixel.
+    """
+
+    name: str
+    wcs: WCS
+    shape: tuple[int, int]
+    record: HeaderRecord
+    header: object
+    data: np.ndarray | None = None
+    mask: np.ndarray | None = None
+    unit: u.UnitBase = u.dimensionless_unscaled
+    uncertainty: NDUncertainty | None = None
+    noise: u.Quantity | None = None
+    even: bool = True
+    label: str | None = None
+    notes: list = field(default_factory=list)
+
+    @property
+    def extent(self):
+        """Size of the whole image in degrees."""
+        sides = np.hypot(*self.wcs.pixel_scale_matrix) * self.shape[::-1]
+        return float(np.max(sides))
+
+
+class _ContentError(ValueError):
+    """The file is FITS, but the image in it is not what is needed."""
+
+
+class _NoImageError(OSError):
+    """The file is not FITS, is broken, or holds no image."""
+
+
+def read_vlbi_fits(path, hdu=None):
+    """
+    Read one FITS image, with the habits of AIPS, difmap, CASA and HST.
+
+    This is what ``CCDData.read(path, format="vlbi-fits")`` calls once
+    ``astro_scc.epochs`` has been imported.
+
+    Parameters
+    ----------
+    path : str or path-like
+    hdu : int or str, optional
+        The extension that holds the image, by default the first image.
+
+    Returns
+    -------
+    `~astropy.nddata.CCDData`, shape (ny, nx)
+        Axes of length one are dropped, and of several Stokes parameters I
+        is taken.  The data are float64, pixels that are not finite are
+        masked, the WCS is the celestial one.  The beam is in ``meta`` as
+        ``BMAJ``, ``BMIN`` and ``BPA`` in degrees wherever the file had it,
+        the frequency as ``FREQ`` in Hz.
+
+    Raises
+    ------
+    OSError
+        If the file is missing, broken, or holds no image.
+    ValueError
+        If the image has more than two axes, no celestial coordinates, or no
+        valid pixel.
+
+    Warns
+    -----
+    EpochWarning
+        If something in the header could not be understood.
+
+    Examples
+    --------
+    >>> from astropy.nddata import CCDData
+    >>> import astro_scc.epochs
+    >>> image = CCDData.read("../shared/data/0003+380/0003+380.u.2006_03_09.fits",
+    ...                      format="vlbi-fits")
+    >>> image.shape, image.unit
+    ((256, 256), Unit("Jy / beam"))
+    """
+    plane = read_plane(path, hdu=hdu)
+    for note in plane.notes:
+        warnings.warn(f"{path}: {note}", EpochWarning, stacklevel=2)
+    meta = fits.Header([card for card in plane.header.cards if _is_meta(card)])
+    for fact, keyword in (("frequency", "FREQ"), ("stokes", "STOKES")):
+        if fact in plane.record.facts:
+            meta[keyword] = plane.record.facts[fact]
+    if plane.record.beam is not None:
+        meta.update(beam_cards(plane.record.beam))
+    return CCDData(
+        plane.data,
+        unit=plane.unit,
+        mask=plane.mask if plane.mask.any() else None,
+        wcs=plane.wcs,
+        meta=meta,
+        uncertainty=plane.uncertainty,
+    )
+
+
+def _is_meta(card):
+    try:
+        # Cards are parsed at first use, where broken ones raise.
+        readable = (card.value, card.comment)
+        return bool(readable) and not _STRUCTURE.match(card.keyword)
+    except (fits.VerifyError, ValueError):
+        return False
+
+
+def find_files(paths, *, missing_ok=False):
+    """
+    Return the files that paths and patterns stand for, each once, as a list of Path.
+
+    They are in the order given, those of a pattern in alphabetical order.  Names of
+    files that do not exist are kept with ``missing_ok``, else a FileNotFoundError.
+    """
+    if isinstance(paths, str | os.PathLike):
+        paths = [paths]
+    try:
+        names = [os.path.expanduser(os.fspath(path)) for path in paths]
+    except TypeError:
+        raise TypeError(
+            f"paths must be file names or a pattern, got {paths!r}"
+        ) from None
+    found = []
+    for name in names:
+        if not isinstance(name, str):
+            raise TypeError(f"paths must be text, got {name!r}")
+        if os.path.exists(name):
+            check_ordinary(name)
+            found.append(name)
+        elif glob.has_magic(name):
+            matches = sorted(glob.glob(name, recursive=True))
+            found += [m for m in matches if not os.path.isdir(m) or is_casa_image(m)]
+            if not matches:
+                raise FileNotFoundError(f"{name}: no file matches this pattern")
+        elif missing_ok:
+            found.append(name)
+        else:
+            raise FileNotFoundError(f"{name}: no such file")
+    if not found:
+        raise FileNotFoundError("no files were given")
+    return [Path(name) for name in dict.fromkeys(found)]
+
+
+def check_ordinary(path):
+    """Refuse pipes, sockets and devices by an OSError: they may have no end."""
+    path = Path(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OSError(f"{path}: is no ordinary file; give the name of one")
+
+
+def is_casa_image(path):
+    """Return whether a path is a CASA table, as its images are."""
+    return (Path(os.fspath(path)) / "table.dat").is_file()
+
+
+def is_hdf5(path):
+    """Return whether a file is HDF5, as movies of eht-imaging are."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(len(_HDF5)) == _HDF5
+    except OSError:
+        return False
+
+
+def read_plane(path, hdu=None, *, window=None, pixels=True):
+    """
+    Return the `Plane` of a file; see `read_vlbi_fits` for what it refuses.
+
+    Of a file that was read before, ``window`` are the rows and columns to load;
+    without ``pixels`` its header alone is read.
+    """
+    path = Path(os.fspath(path))
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    if path.is_dir() and not is_casa_image(path):
+        raise IsADirectoryError(f"{path}: is a directory; give {path}/*.fits")
+    check_ordinary(path)
+    options = {"window": window, "pixels": pixels}
+    with warnings.catch_warnings():
+        # AIPS and difmap files break small rules of the standard throughout.
+        warnings.simplefilter("ignore")
+        hdus = _casa_image(path) if path.is_dir() else None
+        try:
+            if hdus is not None:
+                return _plane(hdus, hdu, path, **options)
+            # astropy.io.fits forgets to close files that it fails to open.
+            with path.open("rb") as file, open_fits(file, known=bool(window)) as hdus:
+                return _plane(hdus, hdu, path, **options)
+        except _ContentError as error:
+            raise ValueError(f"{path}: {error}") from None
+        except _NoImageError as error:
+            raise OSError(f"{path}: {error}") from None
+        except Exception as error:
+            # A damaged file can fail anywhere inside astropy.io.fits.  The first
+            # sentence is the reason; the rest is advice for callers of astropy.
+            reason = re.split(r"[.,;:] |\n", str(error).strip())[0]
+            raise OSError(
+                f"{path}: cannot be read as FITS, it is broken or no FITS: "
+                f"{reason or type(error).__name__}"
+            ) from None
+
+
+def _casa_image(path):
+    # By its name: a room above this one, which need not be there.
+    return import_module("astro_scc.interchange.files").read_casa_image(path)
+
+
+def plane_of_hdu(hdu, name):
+    """Return the `Plane` of an image extension, or raise a ValueError."""
+    try:
+        return _plane(fits.HDUList([hdu]), None, Path(name))
+    except (_ContentError, _NoImageError) as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def open_fits(file, *, known=False, **options):
+    """
+    Open a binary file that may be a damaged FITS file, as `astropy.io.fits.open`.
+
+    The standard has up to 999 axes; astropy counts to any number that a header
+    claims, for years: an OSError instead.  A ``known`` file was opened so before.
+    """
+    found = None if known else _AXES.search(_content(file))
+    if found:
+        raise _NoImageError(f"is broken, it claims to have {found[1].decode()} axes")
+    file.seek(0)
+    return fits.open(file, **options)
+
+
+def _content(file):
+    """Return where headers may be: all of a file, the beginning of a compressed one."""
+    if file.read(2) == b"\x1f\x8b":
+        file.seek(0)
+        with gzip.open(file) as whole:
+            return whole.read(2880)
+    if file.seek(0, os.SEEK_END) == 0:
+        return b""
+    return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+
+def _plane(hdus, which, path, *, window=None, pixels=True):
+    if hdus[0].header.get("CREATOR") == CUBE_CREATOR:
+        raise _ContentError("is a whole EpochCube; give it alone to EpochCube.read")
+    hdu = _find(hdus, which)
+    header = hdu.header.copy()
+    if hdu is not hdus[0]:
+        header.extend(hdus[0].header, unique=True, bottom=True)
+    _check_complete(hdu, path)
+    index = _plane_index(header)
+    shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
+    try:
+        wcs = celestial_wcs(header, fobj=hdus)
+    except ValueError as error:
+        raise _ContentError(error) from None
+    if wcs.has_distortion:
+        raise _ContentError("its coordinates are distorted (SIP); resample it first")
+    tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))
+    plane = Plane(str(path), wcs, shape, read_header(header, tables), header)
+    if pixels:
+        _load(plane, hdus, hdu, index, window)
+        _note(plane)
+    return plane
+
+
+def _load(plane, hdus, hdu, index, window):
+    """Add the pixels of a window, with mask and uncertainty."""
+    window = window or (slice(None), slice(None))
+    raw = hdu.data[index]
+    # Only these pixels are read, where the file is mapped into memory.
+    data = np.array(raw[window], dtype=np.float64)
+    del raw
+    where = "" if data.shape == plane.shape else " in this part"
+    bad = ~np.isfinite(data)
+    if bad.all():
+        raise _ContentError(f"no valid pixel{where}, all are NaN; leave this file out")
+    for name, is_bad in (("WHT", np.logical_not), ("MASK", np.asarray)):
+        values, _ = _beside(hdus, hdu, name, plane.shape, window)
+        if values is not None:
+            bad |= is_bad(values).astype(bool)
+        if bad.all():
+            raise _ContentError(
+                f"no valid pixel{where} by its extension {name}; leave this file out"
+            )
+    errors, header = _beside(hdus, hdu, "UNCERT", plane.shape, window)
+    if errors is not None:
+        unit = parse_unit(get(header, "BUNIT", kind=str)) if "BUNIT" in header else None
+        kind = UNCERTAINTIES.get(get(header, "UTYPE", kind=str), StdDevUncertainty)
+        plane.uncertainty = kind(np.array(errors, dtype=float), unit=unit, copy=False)
+    plane.data, plane.mask = data, bad
+    if where:
+        plane.wcs = cut_wcs(plane.wcs, window, plane.shape)
+
+
+def _note(plane):
+    """Add the unit, and what of unit and beam is not understood."""
+    text = get(plane.header, "BUNIT", kind=str)
+    plane.unit = parse_unit(text)
+    if plane.unit is None:
+        plane.unit = u.dimensionless_unscaled
+        plane.notes.append(
+            f"its unit {text!r} is not known and taken as dimensionless; write one "
+            "that FITS knows, such as JY/BEAM, to BUNIT"
+        )
+    beam, problem = plane.record.beam, plane.record.beam_problem
+    if beam is not None and beam.major.to_value(u.deg) > plane.extent:
+        problem = f"{beam} is larger than the image"
+        plane.record = replace(plane.record, beam=None, beam_problem=problem)
+    if problem:
+        plane.notes.append(beam_note(problem))
+
+
+def beam_note(problem):
+    """Return what is said of a beam that cannot be."""
+    return f"its beam is taken as unknown: {problem}; {CORRECT_BEAM}"
+
+
+def _beside(hdus, image, name, shape, window):
+    """
+    Return values and header of an extension that belongs to the image, or None.
+
+    Drizzled images of HST have weights, ``WHT``; astropy writes the mask and the
+    uncertainty of CCDData as ``MASK`` and ``UNCERT``.
+    """
+    for hdu in hdus:
+        if hdu is not image and hdu.name == name and hdu.is_image:
+            if hdu.shape == shape:
+                return hdu.data[window], hdu.header
+            if name != "WHT":
+                raise _ContentError(
+                    f"its extension {name} has shape {hdu.shape}, its image {shape}; "
+                    "correct or remove the extension"
+                )
+    return None, None
+
+
+def _find(hdus, which):
+    """Return the extension of the image."""
+    if which is None:
+        for hdu in hdus:
+            if hdu.is_image and len(hdu.shape) >= 2 and 0 not in hdu.shape:
+                return hdu
+        raise _NoImageError("holds no image")
+    try:
+        hdu = hdus[which]
+    except (KeyError, IndexError, TypeError):
+        raise _NoImageError(f"has no extension {which!r}") from None
+    if not hdu.is_image or len(hdu.shape) < 2:
+        raise _NoImageError("holds no image of real numbers")
+    return hdu
+
+
+def _check_complete(hdu, path):
+    """Refuse a truncated file before memory is set aside for pixels it has not."""
+    info = hdu.fileinfo()
+    compressed = path.suffix.lower() in (".gz", ".bz2", ".xz", ".z", ".zip")
+    if info is None or compressed:
+        return
+    missing = info["datLoc"] + hdu.size - path.stat().st_size
+    if missing > 0:
+        raise _NoImageError(f"is truncated, {missing} bytes of its image are missing")
+
+
+def _plane_index(header):
+    """Return the index of the image plane; numpy's axes run against those of FITS."""
+    naxis = header["NAXIS"]
+    types = [str(header.get(f"CTYPE{k + 1}", "")).upper().strip() for k in range(naxis)]
+    celestial = [k for k, t in enumerate(types) if axis_kind(t)]
+    if len(celestial) != 2:
+        # celestial_wcs refuses these with the better reason.
+        celestial = [0, 1]
+    index = []
+    for k in range(naxis):
+        length = header[f"NAXIS{k + 1}"]
+        if k in celestial:
+            index.append(slice(None))
+        elif length == 1:
+            index.append(0)
+        elif types[k].startswith("STOKES"):
+            index.append(_stokes_i(header, k + 1, length))
+        else:
+            name = types[k] or f"{k + 1} of the file"
+            raise _ContentError(
+                f"has {length} planes on axis {name}; write the one to use, or "
+                "their mean, to a file of its own"
+            )
+    return tuple(reversed(index))
+
+
+def _stokes_i(header, axis, length):
+    start, pixel, step = axis_numbers(header, axis)
+    if start is not None:
+        position = (1 - start) / (step or 1) + pixel - 1
+        if abs(position - round(position)) < 1e-6 and 0 <= round(position) < length:
+            return round(position)
+    raise _ContentError(
+        f"has {length} planes on axis STOKES and none of them is I; write the one "
+        "to use to a file of its own"
+    )
+
+
+registry.register_reader("vlbi-fits", CCDData, read_vlbi_fits, force=True)

@@ -1,0 +1,424 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What the header of an image says of its epoch, in one record."""
+
+import re
+import warnings
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+from astropy.io import fits
+from astropy.time import Time
+from astropy.wcs import WCS
+
+from astro_scc.epochs.beam import Beam
+
+_ISO = re.compile(r"(\d{4})[-/.]?(\d{1,2})[-/.]?(\d{1,2})(?:[T ]+([\d:.]+))?$")
+_OLD = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{2}|\d{4})$")
+# Headers of digital images with two-digit years below this are of 20xx.
+_CENTURY = 50
+_DATES = ("DATE-OBS", "DATE_OBS", "DATE-BEG", "DATE-AVG")
+_MJDS = ("MJD-OBS", "MJD-BEG", "MJD-AVG", "EXPSTART", "MJD")
+_TIME_SCALES = {
+    **dict.fromkeys(("TAI", "IAT"), "tai"),
+    **dict.fromkeys(("TT", "TDT", "ET"), "tt"),
+    **{name.upper(): name for name in ("tdb", "tcb", "tcg")},
+}
+#: Words that units are written with, by the unit that astropy knows.
+_UNITS = {
+    "Jy": "jy jansky janskys",
+    "mJy": "mjy",
+    "uJy": "ujy",
+    "beam": "beam bm",
+    "pix": "pixel pixels pix",
+    "ct": "count counts cts",
+    "electron": "electron electrons",
+    "ph": "photons",
+    "DN": "dn",
+    "adu": "adu",
+    "K": "kelvin k",
+    "s": "second seconds sec s",
+    "sr": "sr",
+    "arcsec": "arcsec",
+}
+_UNIT_WORDS = {word: unit for unit, words in _UNITS.items() for word in words.split()}
+_NUMBER = r"([-+]?[\d.]+(?:[EeDd][-+]?\d+)?)"
+_CLEAN_BEAM = re.compile(
+    rf"CLEAN\s+BMAJ\s*=\s*{_NUMBER}\s+BMIN\s*=\s*{_NUMBER}\s+BPA\s*=\s*{_NUMBER}"
+)
+_FREQUENCIES = ("FREQ", "FREQUENCY", "OBSFREQ", "RESTFRQ", "RESTFREQ")
+_STOKES = {1: "I", 2: "Q", 3: "U", 4: "V", -1: "RR", -2: "LL", -5: "XX", -6: "YY"}
+_FACTS = {
+    "object": "OBJECT",
+    "telescope": "TELESCOP",
+    "frequency": "FREQ",
+    "filter": "FILTER",
+    "stokes": "STOKES",
+}
+_WCS_NUMBER = re.compile(r"((CRPIX|CRVAL|CDELT|CROTA)\d+|(PC|CD)\d+_\d+)$")
+_AXIS_KINDS = {
+    "longitude": re.compile(r"(RA|[A-Z]LON|[A-Z]{2}LN)(-|$)"),
+    "latitude": re.compile(r"(DEC|[A-Z]LAT|[A-Z]{2}LT)(-|$)"),
+}
+
+
+@dataclass(frozen=True)
+class HeaderRecord:
+    """
+    Date (UTC), beam and facts of an image.
+
+    ``time`` and ``beam`` are None where the header has none, or one that cannot
+    be read: then ``date_problem`` and ``beam_problem`` say why.
+    """
+
+    time: Time | None
+    beam: Beam | None
+    facts: dict
+    date_problem: str = ""
+    beam_problem: str = ""
+
+
+def read_header(header, tables=()):
+    """
+    Return the `HeaderRecord` of a header, a FITS header or a dict.
+
+    The date is that of ``DATE-OBS`` (with ``TIME-OBS``, where the time of day is
+    apart), or ``DATE-BEG``, ``DATE-AVG``, ``MJD-OBS``, ``EXPSTART``; ``DATE``, the
+    date at which a file was written, is not looked at.  The beam is that of
+    ``BMAJ``, ``BMIN`` and ``BPA`` (degrees), else of an ``AIPS CG`` or ``BEAMS``
+    table among ``tables``, else of the last ``CLEAN BMAJ=`` in the history.
+    """
+    time, beam, problems = None, None, ["", ""]
+    try:
+        time = _observing_time(header)
+    except ValueError as error:
+        problems[0] = str(error)
+    try:
+        beam = _header_beam(header, tables)
+    except (KeyError, TypeError, ValueError) as error:
+        problems[1] = str(error)
+    return HeaderRecord(time, beam, header_facts(header), *problems)
+
+
+def get(header, *keywords, kind=None):
+    """
+    Return the first of some keywords that has a value, or None.
+
+    Keys of a dict are taken in upper or lower case.  Values that cannot be turned
+    into ``kind`` (float or str) count as absent, and so do empty strings and
+    numbers that are not finite.
+    """
+    for keyword in (key for name in keywords for key in (name, name.lower())):
+        try:
+            value = header[keyword]
+        except (KeyError, fits.VerifyError):
+            continue
+        if value is None or isinstance(value, fits.card.Undefined):
+            continue
+        if kind is float:
+            try:
+                value = float(str(value).replace("D", "E"))
+            except ValueError:
+                continue
+            if not np.isfinite(value):
+                continue
+        elif kind is str:
+            value = str(value).strip()
+            if not value:
+                continue
+        return value
+    return None
+
+
+def parse_date(text, scale="utc"):
+    """
+    Return the Time of a date as FITS headers write it, or raise a ValueError.
+
+    Understood are ``2006-03-09``, with a time of day of any precision and a
+    trailing ``Z``, ``2006/03/09``, ``20060309`` and the old ``21/03/95`` (day,
+    month, year).
+    """
+    stripped = re.sub(r"(Z|\+00:?00| ?UTC?)$", "", str(text).strip().upper()).strip()
+    clock = None
+    if match := _OLD.match(stripped):
+        day, month, year = (int(part) for part in match.groups())
+        if year < 100:
+            year += 2000 if year < _CENTURY else 1900
+    elif match := _ISO.match(stripped):
+        year, month, day = (int(part) for part in match.groups()[:3])
+        clock = match.group(4)
+        if clock and ":" not in clock:
+            clock += ":00"
+    else:
+        # No date either.
+        year = month = day = 0
+    try:
+        iso = f"{year:04d}-{month:02d}-{day:02d}T{clock or '00:00:00'}"
+        with warnings.catch_warnings():
+            # ERFA calls dates dubious for which leap seconds are unknown.
+            warnings.simplefilter("ignore")
+            return Time(iso, format="isot", scale=scale)
+    except ValueError:
+        raise ValueError(f"{text!r} is no date; write it as 2006-03-09") from None
+
+
+def parse_unit(text):
+    """
+    Return the unit that FITS headers write, such as ``JY/BEAM``.
+
+    Dimensionless for no text, None for a text that is not understood.
+    """
+    if text is None or isinstance(text, u.UnitBase):
+        return text or u.dimensionless_unscaled
+    text = str(text).strip()
+    upper = re.sub(r"\s+PER\s+", "/", text.upper())
+    if upper == "MJY/SR":
+        return u.MJy / u.sr
+    if text == text.upper() and "MJY" in upper:
+        # Upper case has lost whether M was milli or mega.
+        return None
+    words = re.sub(
+        r"[A-Za-z]+",
+        lambda word: _UNIT_WORDS.get(word.group().lower(), word.group()),
+        re.sub(r"\s+per\s+", "/", text, flags=re.IGNORECASE),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for candidate in (text, words):
+            try:
+                return u.Unit(candidate)
+            except (TypeError, ValueError):
+                continue
+    return None
+
+
+def _observing_time(header):
+    system = (get(header, "TIMESYS", kind=str) or "UTC").upper()
+    scale = _TIME_SCALES.get(system, "utc")
+    time = problem = None
+    for keyword in _DATES:
+        value = get(header, keyword)
+        if isinstance(value, Time):
+            return value
+        text = get(header, keyword, kind=str)
+        if text is None:
+            continue
+        clock = get(header, "TIME-OBS", kind=str)
+        if clock and keyword == "DATE-OBS" and ":" in clock and ":" not in text:
+            text = f"{text}T{clock}"
+        try:
+            time = parse_date(text, scale)
+            break
+        except ValueError as error:
+            problem = problem or f"{keyword}: {error}"
+    if time is None:
+        days = [get(header, keyword, kind=float) for keyword in _MJDS]
+        days = [day for day in days if day is not None and day > 0]
+        if not days and problem:
+            raise ValueError(problem)
+        if not days:
+            return None
+        time = Time(days[0], format="mjd", scale=scale)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        time = time.utc
+    time.format = "isot"
+    return time
+
+
+def _header_beam(header, tables):
+    beam = get(header, "BEAM")
+    if hasattr(beam, "major"):
+        return Beam(*(u.Quantity(getattr(beam, k)) for k in ("major", "minor", "pa")))
+    major = get(header, "BMAJ", kind=float)
+    if major:
+        minor = get(header, "BMIN", kind=float)
+        pa = get(header, "BPA", kind=float) or 0.0
+        return _beam(major, major if minor is None else minor, pa)
+    for table in tables:
+        if table.name.upper() in ("AIPS CG", "BEAMS") and len(table.data):
+            return _beam(*_beam_of_table(table))
+    lines = header.get("HISTORY") or header.get("history") or ()
+    if isinstance(header, fits.Header):
+        lines = (card.value for card in header.cards if card.keyword == "HISTORY")
+    lines = (lines,) if isinstance(lines, str) else lines
+    found = None
+    for line in lines:
+        found = _CLEAN_BEAM.search(str(line).upper()) or found
+    if found is None:
+        return None
+    major, *others = (float(text.upper().replace("D", "E")) for text in found.groups())
+    return _beam(major, *others) if major > 0 else None
+
+
+def _beam(major, minor, pa):
+    """Return the beam of three numbers in degrees, whichever axis is larger."""
+    if not (major > 0 and minor > 0):
+        raise ValueError(f"the beam {major:g} x {minor:g} deg is not positive")
+    if minor > major:
+        major, minor, pa = minor, major, pa + 90
+    return Beam(major * u.deg, minor * u.deg, pa * u.deg)
+
+
+def _beam_of_table(table):
+    """Yield BMAJ, BMIN and BPA of the first row of a table, in degrees."""
+    units = {column.name.upper(): column.unit for column in table.columns}
+    for name in ("BMAJ", "BMIN", "BPA"):
+        text = (units[name] or "deg").strip().lower().rstrip("s")
+        unit = u.deg if text == "degree" else u.Unit(text)
+        yield (float(table.data[0][name]) * unit).to_value(u.deg)
+
+
+def header_facts(header):
+    """
+    Return what tells whether images belong together.
+
+    Those of ``object``, ``telescope``, ``frequency`` (Hz), ``filter`` and
+    ``stokes`` that the header has.
+    """
+    stokes = _axis_value(header, "STOKES")
+    facts = {
+        "object": get(header, "OBJECT", "TARGNAME", kind=str),
+        "telescope": get(header, "TELESCOP", kind=str),
+        "frequency": _axis_value(header, "FREQ")
+        or get(header, *_FREQUENCIES, kind=float),
+        "filter": get(header, "FILTER", kind=str) or _filter_wheels(header),
+        "stokes": get(header, "STOKES", kind=str)
+        if stokes is None
+        else _STOKES.get(round(stokes)),
+    }
+    return {key: value for key, value in facts.items() if value is not None}
+
+
+def _filter_wheels(header):
+    """Return what two filter wheels of HST have in the way of the light."""
+    for keyword in ("FILTER", "FILTNAM"):
+        names = (get(header, f"{keyword}{wheel}", kind=str) or "" for wheel in (1, 2))
+        found = [name for name in names if name and not name.startswith("CLEAR")]
+        if found:
+            return " + ".join(found)
+    return None
+
+
+def axis_numbers(header, axis):
+    """Return CRVAL (or None), CRPIX and CDELT (or their defaults) of an axis."""
+    pixel = get(header, f"CRPIX{axis}", kind=float)
+    return (
+        get(header, f"CRVAL{axis}", kind=float),
+        1.0 if pixel is None else pixel,
+        get(header, f"CDELT{axis}", kind=float) or 0.0,
+    )
+
+
+def _axis_value(header, name):
+    """Return the world coordinate of the first pixel of a degenerate axis."""
+    for axis in range(1, 10):
+        if (get(header, f"CTYPE{axis}", kind=str) or "").upper().startswith(name):
+            value, pixel, step = axis_numbers(header, axis)
+            return None if value is None else value + (1 - pixel) * step
+    return None
+
+
+def celestial_wcs(header, fobj=None):
+    """
+    Return the celestial axes of a FITS header as a two-dimensional WCS.
+
+    Repairs what AIPS, difmap and others write: ``DEC---SIN`` with three dashes,
+    ``EPOCH`` for the equinox, units in capitals.  Without ``CRVALn`` the reference
+    pixel is at (0, 0).  A ValueError says what else is wrong.  Distortions that are
+    kept in tables need the `~astropy.io.fits.HDUList` ``fobj``.
+    """
+    clean = _repaired(header)
+    kinds = [axis_kind(str(clean.get(f"CTYPE{axis}", ""))) for axis in range(1, 8)]
+    if not {"longitude", "latitude"} <= set(kinds):
+        raise ValueError(
+            "it has no celestial coordinates (CTYPE); use EpochCube.from_arrays, "
+            "which takes the pixel scale"
+        )
+    axes = [kinds.index(kind) + 1 for kind in ("longitude", "latitude")]
+    if axes[0] > axes[1]:
+        raise ValueError("latitude is its first axis; transpose the image")
+    for axis in axes:
+        rows = [key for key in clean if re.match(rf"CD{axis}_\d+$|CDELT{axis}$", key)]
+        if not any(clean[key] for key in rows):
+            raise ValueError("its celestial axes have no pixel scale (CDELT or CD)")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            wcs = WCS(clean, fobj=fobj).celestial
+            wcs.wcs.set()
+        except Exception as error:
+            reason = " ".join(str(error).strip().splitlines()[:2])
+            raise ValueError(
+                f"its celestial coordinates cannot be read: {reason}"
+            ) from None
+    return wcs
+
+
+def _repaired(header):
+    """Return the cards of a header that WCS reads, as the standard has them."""
+    clean = fits.Header()
+    for card in header.cards:
+        try:
+            keyword, value = card.keyword, card.value
+        except (fits.VerifyError, ValueError):
+            continue
+        # Dates are read elsewhere; WCS would warn about them on every file.
+        if keyword in ("HISTORY", "COMMENT", "") or keyword.startswith(
+            ("DATE", "MJD", "TIMESYS")
+        ):
+            continue
+        if keyword.startswith("CTYPE"):
+            value = _standard_ctype(str(value))
+        elif keyword.startswith("CUNIT") and str(value).upper().startswith("DEG"):
+            value = "deg"
+        elif _WCS_NUMBER.match(keyword):
+            number = get({keyword: value}, keyword, kind=float)
+            if number is None:
+                raise ValueError(f"{keyword} = {value!r} is not a finite number")
+            value = number
+        try:
+            clean[keyword] = value
+        except (fits.VerifyError, ValueError):
+            continue
+    if "EQUINOX" not in clean and (epoch := get(header, "EPOCH", kind=float)):
+        clean["EQUINOX"] = epoch
+    return clean
+
+
+def axis_kind(ctype):
+    """Return "longitude" or "latitude" for a celestial CTYPE, None for others."""
+    ctype = ctype.strip().upper()
+    return next((k for k, form in _AXIS_KINDS.items() if form.match(ctype)), None)
+
+
+def _standard_ctype(ctype):
+    """Return the coordinate's name with dashes to five characters, and projection."""
+    ctype = ctype.strip().upper()
+    match = re.fullmatch(r"([A-Z]{2,4})-+([A-Z]{3})(-SIP)?", ctype)
+    if match:
+        return f"{match[1]:-<5}{match[2]}{match[3] or ''}"
+    # AIPS and difmap leave the projection out, which is orthographic there.
+    return {"RA": "RA---SIN", "DEC": "DEC--SIN"}.get(ctype, ctype)
+
+
+def epoch_header(cube, i):
+    """Return the date, label, beam, noise and facts of an epoch as a FITS header."""
+    time = cube.times[i]
+    header = fits.Header()
+    header["DATE-OBS"] = time.isot
+    header["TIMESYS"] = time.scale.upper()
+    header["LABEL"] = cube.labels[i].encode("ascii", "replace").decode()
+    if cube.beams is not None:
+        header.update(beam_cards(cube.beams[i]))
+    if cube.noise is not None:
+        header["NOISE"] = cube.noise[i].value, f"rms, {cube.noise.unit}"
+    facts = cube.epoch_meta[i]
+    header.update({key: facts[fact] for fact, key in _FACTS.items() if fact in facts})
+    return header
+
+
+def beam_cards(beam):
+    """Return BMAJ, BMIN and BPA of a beam, in degrees."""
+    parts = {"BMAJ": beam.major, "BMIN": beam.minor, "BPA": beam.pa}
+    return {keyword: value.to_value(u.deg) for keyword, value in parts.items()}

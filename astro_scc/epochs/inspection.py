@@ -1,0 +1,500 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What images and dates hold and allow, and what is wrong with them."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+from astropy.time import Time
+
+from astro_scc.epochs.fits import find_files, read_plane
+from astro_scc.epochs.positions import readable_angle
+from astro_scc.epochs.validation import as_beams
+
+MAD_TO_SIGMA = 1.482602218505602
+CLIP = 3.0
+MAX_ITERATIONS = 50
+# Images with more exact zeros than this have been blanked with zeros.
+BLANKED = 0.1
+# Images of one band: VLBI bands are a few per cent wide and 30% apart.
+BAND = 0.1
+POLARISED = ("Q", "U", "V")
+UNNAMED = {"", "UNKNOWN", "NONE", "N/A"}
+#: Columns of `inspect_epochs` after file and date, with their units.
+INTENSITY = "of the images"
+COLUMNS = {
+    **dict.fromkeys(("nx", "ny")),
+    **dict.fromkeys(("pixel", "major", "minor"), u.mas),
+    "pa": u.deg,
+    **dict.fromkeys(("peak", "noise"), INTENSITY),
+    **dict.fromkeys(("peak_east", "peak_north"), u.mas),
+    "object": None,
+    "frequency": u.GHz,
+}
+# Displacements that can be distinguished from zero, as the paper has it (Sect. 2.2),
+# and those between which pairs of epochs work best, in beams.
+SMALLEST_SHIFT = 0.2
+GOOD_SHIFTS = (0.3, 1.5)
+# Resolution of images without a beam, in pixels.
+PIXELS_RESOLVED = 3.0
+
+
+def measure_noise(image, *, mask=None):
+    """
+    Return the root mean square of the noise of an image, away from the source.
+
+    With m the median and ``s = 1.4826 median|I - m|`` (the median absolute
+    deviation, MAD), pixels with ``|I - m| > 3 s`` are left out and both are
+    computed again until nothing more falls out.  Noise that the beam
+    correlates has the same distribution of values as white noise of that
+    rms, so it needs no correction.  Pixels that are exactly zero count as
+    blanked where they are more than a tenth of the image.  Where the MAD is
+    zero all the same the standard deviation is returned.
+
+    The source should cover less than half of the image.
+
+    Parameters
+    ----------
+    image : array_like, shape (ny, nx)
+    mask : array_like of bool, shape (ny, nx), optional
+        True marks bad pixels.
+
+    Returns
+    -------
+    float
+        In the unit of the image; 0 where no valid pixel is left.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.epochs import measure_noise
+    >>> image = np.random.default_rng(0).normal(scale=2.0, size=(128, 128))
+    >>> image[50:70, 50:70] += 1000
+    >>> round(measure_noise(image), 1)
+    2.0
+    """
+    image = np.asarray(image, dtype=float)
+    valid = np.isfinite(image)
+    if mask is not None:
+        valid &= ~np.asarray(mask, dtype=bool)
+    kept = image[valid]
+    del valid
+    n_zero = kept.size - np.count_nonzero(kept)
+    if n_zero and n_zero / kept.size > BLANKED:
+        kept = kept[kept != 0]
+    if kept.size == 0:
+        return 0.0
+    # Images may be large: medians sort in place, since the order does not matter.
+    for _ in range(MAX_ITERATIONS):
+        middle = np.median(kept, overwrite_input=True)
+        deviation = _deviation(kept, middle)
+        sigma = MAD_TO_SIGMA * float(np.median(deviation, overwrite_input=True))
+        del deviation
+        inside = _deviation(kept, middle) <= CLIP * sigma
+        if sigma == 0 or inside.all():
+            break
+        kept = kept[inside]
+    return sigma if sigma > 0 else float(np.std(kept))
+
+
+def _deviation(values, middle):
+    apart = values - middle
+    return np.abs(apart, out=apart)
+
+
+def epoch_table(cube):
+    """
+    Facts of the epochs, one row per epoch, `~astropy.table.QTable`.
+
+    Columns ``epoch``, ``label``, ``date``, where the cube has beams
+    ``major``, ``minor``, ``pa``, then ``noise`` (given or measured),
+    ``object`` and ``frequency`` (NaN where unknown).
+    """
+    table = QTable({"epoch": np.arange(len(cube)), "label": list(cube.labels)})
+    table["date"] = Time(cube.times, format="isot")
+    for name in ("major", "minor", "pa") if cube.beams is not None else ():
+        table[name] = u.Quantity([getattr(beam, name) for beam in cube.beams])
+    table["noise"] = cube.noise_rms()
+    table["object"] = [str(facts.get("object", "")) for facts in cube.epoch_meta]
+    frequency = [facts.get("frequency", np.nan) for facts in cube.epoch_meta]
+    table["frequency"] = np.divide(frequency, 1e9) * u.GHz
+    return table
+
+
+def noise_rms(cube):
+    """
+    Return the noise of each epoch: what was given, or else measured.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    `~astropy.units.Quantity`, shape (n_epochs,)
+        See `~astro_scc.epochs.measure_noise`.
+    """
+    if cube.noise is not None:
+        return cube.noise
+    pairs = zip(cube.data, cube.mask, strict=True)
+    return u.Quantity([measure_noise(d, mask=m) for d, m in pairs], cube.unit)
+
+
+def looks_like_mask(image):
+    """Return whether an image has no more than two values that are finite."""
+    values = np.asarray(image, dtype=float)
+    # Mostly a few pixels are enough to see that it has more.
+    few = values.flat[:1000]
+    if len(np.unique(few[np.isfinite(few)])) > 2:
+        return False
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return False
+    return bool(np.all((values == values.min()) | (values == values.max())))
+
+
+def find_odd(planes):
+    """
+    Return images of another object, band or polarisation than most.
+
+    The result is a list of the number of an image among ``planes``, what is odd about
+    it, and whether it must be left out.  Another name for the same place is only worth
+    a warning.
+    """
+    facts = [plane.record.facts for plane in planes]
+    names = [str(fact.get("object", "")).strip() for fact in facts]
+    names = [None if name.upper() in UNNAMED else name for name in names]
+    odd = []
+    for i, mine, others in _minority(names):
+        one, other = planes[i], planes[names.index(others)]
+        size = max(one.extent, other.extent)
+        same = bool(separation(one.wcs, other.wcs) < size)
+        where = "at the same place" if same else "somewhere else"
+        odd.append((i, f"shows {mine}, {where}, where others show {others}", not same))
+    for i, mine, others in _minority([fact.get("filter") for fact in facts]):
+        odd.append((i, f"is of the filter {mine}, others are of {others}", True))
+    stokes = [fact.get("stokes") for fact in facts]
+    polarised = [s if s in POLARISED else s and "I" for s in stokes]
+    for i, mine, others in _minority(polarised):
+        odd.append((i, f"is of Stokes {mine}, others are of {others}", True))
+    known = np.array([fact.get("frequency") or np.nan for fact in facts], dtype=float)
+    with np.errstate(invalid="ignore"):
+        near = np.abs(np.log(known[:, None] / known)) < BAND
+    usual = int(np.argmax(near.sum(axis=1)))
+    others = f"others are at {known[usual] / 1e9:.4g}"
+    odd += [
+        (int(i), f"is at {known[i] / 1e9:.4g} GHz, {others}", True)
+        for i in np.flatnonzero(~near[usual] & ~np.isnan(known))
+    ]
+    return sorted(odd)
+
+
+def _minority(values):
+    """Return those that have another value than most, or than the first ones."""
+    keys = [v and v.upper().replace(" ", "").replace("_", "") for v in values]
+    count = Counter(key for key in keys if key)
+    if len(count) < 2:
+        return []
+    usual = count.most_common(1)[0][0]
+    name = values[keys.index(usual)]
+    return [(i, values[i], name) for i, key in enumerate(keys) if key and key != usual]
+
+
+def separation(one, other):
+    """Return the distance of the reference pixels of two WCS on the sky, in degrees."""
+    (lon, lat), (lon_0, lat_0) = one.wcs.crval, other.wcs.crval
+    east = (lon - lon_0 + 180) % 360 - 180
+    return np.hypot(east * np.cos(np.radians(lat_0)), lat - lat_0)
+
+
+def find_same_dates(times):
+    """Return pairs of the numbers of epochs that have one date, to the second."""
+    order = np.argsort((times - times[0]).sec, kind="stable")
+    gaps = np.diff((times - times[0]).sec[order])
+    return [(int(order[k]), int(order[k + 1])) for k in np.flatnonzero(gaps < 1)]
+
+
+def inspect_epochs(paths, *, hdu=None):
+    """
+    Return facts of each file, and what is wrong with it; no file is refused.
+
+    Parameters
+    ----------
+    paths : str, path-like, or sequence of them
+        Files or patterns.
+    hdu : int or str, optional
+        The extension that holds the image, by default the first image.
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        One row per file, sorted by date, files without one last: ``file``,
+        ``date`` (masked where missing), ``nx``, ``ny``, ``pixel``,
+        ``major``, ``minor``, ``pa``, ``peak``, ``noise``, ``peak_east``,
+        ``peak_north`` (the brightest pixel from the reference pixel),
+        ``object``, ``frequency`` and ``problem``, empty where there is
+        none.  Numbers that are not known are NaN or 0.
+
+    Raises
+    ------
+    FileNotFoundError
+        If nothing matches a pattern.
+
+    Examples
+    --------
+    >>> from astro_scc.epochs import inspect_epochs
+    >>> table = inspect_epochs("../shared/data/quirks/*.fits")
+    >>> print(table["problem"][-1].split(";")[0])
+    no date of observation
+    """
+    rows = [_inspect(path, hdu) for path in find_files(paths, missing_ok=True)]
+    dated = [row for row in rows if row["date"] is not None]
+    dated.sort(key=lambda row: row["date"])
+    rows = dated + [row for row in rows if row["date"] is None]
+    read = [row for row in rows if row["plane"] is not None]
+    if read:
+        _compare(read)
+
+    unit = read[0]["unit"] if read else u.dimensionless_unscaled
+    for row in rows:
+        factor = row["unit"].to(unit) if unit.is_equivalent(row["unit"]) else np.nan
+        row["peak"], row["noise"] = row["peak"] * factor, row["noise"] * factor
+    mjd = [0.0 if row["date"] is None else row["date"].mjd for row in rows]
+    date = Time(mjd, format="mjd", scale="utc")
+    date.format = "iso"
+    if len(dated) < len(rows):
+        date[len(dated) :] = np.ma.masked
+    table = QTable({"file": [str(row["path"]) for row in rows]})
+    table["date"] = date
+    for name, own in COLUMNS.items():
+        values = [row[name] for row in rows]
+        own = unit if own is INTENSITY else own
+        table[name] = values if own is None else u.Quantity(values, own)
+    table["problem"] = ["; ".join(row["problems"]) for row in rows]
+    return table
+
+
+def _inspect(path, hdu):
+    """Return the row of a file; its numbers are NaN where the file cannot be read."""
+    row = dict.fromkeys(COLUMNS, np.nan)
+    row |= {"path": path, "date": None, "nx": 0, "ny": 0, "object": "", "problems": []}
+    row |= {"plane": None, "unit": u.dimensionless_unscaled}
+    try:
+        plane = read_plane(path, hdu=hdu)
+    except (OSError, ValueError) as error:
+        row["problems"].append(str(error).removeprefix(f"{path}: "))
+        return row
+    record, header = plane.record, plane.wcs.wcs
+    row |= {"plane": plane, "unit": plane.unit, "date": record.time}
+    row["object"] = record.facts.get("object", "")
+    row["frequency"] = record.facts.get("frequency", np.nan) / 1e9
+    row["ny"], row["nx"] = plane.shape
+    matrix = plane.wcs.pixel_scale_matrix * u.deg.to(u.mas)
+    row["pixel"] = np.sqrt(np.abs(np.linalg.det(matrix)))
+    if record.beam is not None:
+        beam = record.beam
+        row["major"], row["minor"] = beam.major.value, beam.minor.value
+        row["pa"] = beam.pa.value
+    row["problems"] += plane.notes
+    if record.time is None:
+        row["problems"].append(record.date_problem or "no date of observation")
+    if looks_like_mask(plane.data):
+        row["problems"].append("no more than two different values, a mask")
+    values = np.where(plane.mask, -np.inf, plane.data)
+    y, x = np.unravel_index(np.argmax(values), values.shape)
+    row["peak"] = float(values[y, x])
+    del values
+    row["peak_east"], row["peak_north"] = matrix @ ([x, y] - header.crpix + 1)
+    row["noise"] = measure_noise(plane.data, mask=plane.mask)
+    # Of many large files only the facts are kept.
+    plane.data = plane.mask = plane.uncertainty = plane.header = None
+    return row
+
+
+def _compare(rows):
+    """Add what is wrong with files beside one another."""
+    for i, what, _ in find_odd([row["plane"] for row in rows]):
+        rows[i]["problems"].append(what)
+    dated = [row for row in rows if row["date"] is not None]
+    if dated:
+        for i, k in find_same_dates(Time([row["date"] for row in dated])):
+            dated[k]["problems"].append(f"of the date of {dated[i]['path'].name}")
+    first = rows[0]["unit"]
+    some_have_beams = any(np.isfinite(row["major"]) for row in rows)
+    grids = [(r["nx"], r["ny"], readable_angle(r["pixel"] * u.mas)) for r in rows]
+    usual = max(grids, key=grids.count)
+    for row, grid in zip(rows, grids, strict=True):
+        if not row["unit"].is_equivalent(first):
+            row["problems"].append(
+                f"its unit is {row['unit'].to_string() or 'none'}, that of others is "
+                f"{first.to_string() or 'none'}"
+            )
+        if some_have_beams and np.isnan(row["major"]):
+            row["problems"].append("no beam where others have one")
+        if grid != usual:
+            nx, ny, pixel = usual
+            row["problems"].append(
+                f"on another grid than most ({nx} x {ny} of {pixel}), resampled"
+            )
+
+
+@dataclass(frozen=True)
+class IntervalPlan:
+    """
+    What the dates of a series allow to be measured.
+
+    With b the resolution (geometric mean of the beam's axes, median over
+    the epochs), T the span of the series, dt the median interval between
+    consecutive epochs and L the shorter side of the images:
+
+    - ``slowest = 0.2 b / T``: what moves less than a fifth of a beam from
+      the first to the last epoch cannot be distinguished from zero.
+    - ``fastest = L / (2 dt)``: what crosses half of the image between
+      consecutive epochs is in one of them only.
+    - ``consecutive = (0.3, 1.5) b / dt``: speeds for which consecutive
+      epochs are the best pairs; slower features hardly move between them,
+      faster ones change before they can be recognised.
+
+    ``shortest``, ``median`` and ``longest`` are intervals between consecutive epochs of
+    different date; ``fastest`` is None where the size of the images is not known.
+    """
+
+    n_epochs: int
+    span: u.Quantity
+    shortest: u.Quantity
+    median: u.Quantity
+    longest: u.Quantity
+    resolution: u.Quantity
+    slowest: u.Quantity
+    fastest: u.Quantity | None
+    consecutive: u.Quantity
+
+    def baseline(self, speed):
+        """
+        Return the shortest and longest interval between epochs that suit a speed.
+
+        ``(0.3, 1.5) b / speed``, so that pairs of epochs are between a third
+        of a beam and one and a half beams of motion apart, and no longer than the
+        series.  A ValueError if the speed is not positive, or too slow for the series.
+        """
+        speed = u.Quantity(speed).to(self.slowest.unit)
+        if not speed > 0:
+            raise ValueError(f"speed must be positive, got {speed}")
+        wanted = (np.array(GOOD_SHIFTS) * self.resolution / speed).to(self.span.unit)
+        # Rounding must not refuse the slowest speed that the plan names.
+        if wanted[0] > self.span * (1 + 1e-9):
+            raise ValueError(
+                f"at {speed:.3g} nothing moves {GOOD_SHIFTS[0]} of a beam in the "
+                f"{self.span:.3g} of the series"
+            )
+        return np.minimum(wanted, self.span)
+
+    def motion(self, speed):
+        """
+        Return how far a feature moves at the median interval, in beams.
+
+        0.3 to 1.5 are good, see `baseline` for other pairs.
+        """
+        return (u.Quantity(speed) * self.median / self.resolution).to_value(u.one)
+
+    def lines(self):
+        """Return the plan as sentences."""
+        low, high = self.consecutive
+        leaves = ""
+        if self.fastest is not None:
+            leaves = f"; faster than {self.fastest:.3g} leaves the image"
+        lines = [
+            f"{self.n_epochs} epochs over {self.span:.3g}, "
+            f"{self.shortest.value:.3g} to {self.longest:.3g} apart, "
+            f"median {self.median:.3g}; resolution {readable_angle(self.resolution)}.",
+            f"Slower than {self.slowest:.2g} cannot be distinguished from standing "
+            f"still{leaves}.",
+            f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}.",
+        ]
+        if self.n_epochs > 2:
+            lines.append(
+                "Slower features show in pairs of epochs that are further apart, which "
+                "are used for them."
+            )
+        return lines
+
+    def __str__(self):
+        return "\n".join(self.lines())
+
+
+def plan_intervals(cube, beam=None, *, extent=None):
+    """
+    Return what the dates of a series allow to be measured.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube` or `~astropy.time.Time`
+        At least two epochs of different date.
+    beam : beam, sequence of beams or `~astropy.units.Quantity`, optional
+        Or the resolution itself.  By default the beams of the cube, or
+        three pixels where it has none.
+    extent : `~astropy.units.Quantity`, optional
+        Shorter side of the images, by default that of the cube.
+
+    Returns
+    -------
+    `IntervalPlan`
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two dates, or dates come without a beam.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.time import Time
+    >>> from astro_scc.epochs import Beam, plan_intervals
+    >>> times = Time(["2000-01-01", "2000-07-01", "2001-01-01", "2002-01-01"])
+    >>> plan = plan_intervals(times, Beam(1 * u.mas, 0.5 * u.mas))
+    >>> plan.slowest.round(3), plan.consecutive.round(2)
+    (<Quantity 0.071 mas / yr>, <Quantity [0.42, 2.11] mas / yr>)
+    >>> plan.motion(1 * u.mas / u.yr).round(2)
+    np.float64(0.71)
+    >>> plan.baseline(1 * u.mas / u.yr).round(2)
+    <Quantity [0.21, 1.06] yr>
+    """
+    times = cube if isinstance(cube, Time) else cube.times
+    days = np.unique(np.atleast_1d((times - np.atleast_1d(times)[0]).jd))
+    if days.size < 2:
+        raise ValueError("velocities need at least two epochs of different date")
+    resolution = _resolution(cube, beam)
+    if extent is None and not isinstance(cube, Time):
+        sides = np.hypot(*cube.pixel_matrix.value) * cube.shape[:0:-1] * u.mas
+        extent = sides.min()
+    gaps = np.diff(days) * u.day
+    median = np.median(gaps)
+    span = (days[-1] - days[0]) * u.day
+    time = u.day if span > 2 * u.day else u.hour
+    time = u.yr if span > 0.1 * u.yr else time
+    speed = (u.mas if resolution < 0.1 * u.arcsec else u.arcsec) / time
+    return IntervalPlan(
+        n_epochs=int(np.size(times)),
+        span=span.to(time),
+        shortest=gaps.min().to(time),
+        median=median.to(time),
+        longest=gaps.max().to(time),
+        resolution=resolution.to(u.mas),
+        slowest=(SMALLEST_SHIFT * resolution / span).to(speed),
+        fastest=None if extent is None else (extent / (2 * median)).to(speed),
+        consecutive=(np.array(GOOD_SHIFTS) * resolution / median).to(speed),
+    )
+
+
+def _resolution(cube, beam):
+    if beam is None and isinstance(cube, Time):
+        raise ValueError("dates alone need a beam, or the resolution as an angle")
+    if beam is None and cube.beams is None:
+        return PIXELS_RESOLVED * cube.pixel_scale
+    beam = cube.beams if beam is None else beam
+    if isinstance(beam, u.Quantity) and not hasattr(beam, "major"):
+        return beam
+    beams = as_beams(beam, 1 if hasattr(beam, "major") else len(beam))
+    return np.median(u.Quantity([np.sqrt(b.major * b.minor) for b in beams]))

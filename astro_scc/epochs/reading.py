@@ -1,0 +1,328 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Single images, from files or in memory, put together to the fields of a cube."""
+
+import os
+import sys
+import warnings
+from dataclasses import replace
+from importlib import import_module
+
+import astropy.units as u
+import numpy as np
+from astropy.nddata import NDData
+from astropy.time import Time
+
+from astro_scc.correlation.workers import machine_memory
+from astro_scc.epochs.common_grid import lay_on_one_grid, windows_of
+from astro_scc.epochs.fits import (
+    CORRECT_BEAM,
+    Plane,
+    beam_note,
+    plane_of_hdu,
+    read_plane,
+)
+from astro_scc.epochs.grids.cutout import crop_line
+from astro_scc.epochs.headers import get, read_header
+from astro_scc.epochs.inspection import (
+    find_odd,
+    find_same_dates,
+    looks_like_mask,
+    separation,
+)
+from astro_scc.epochs.validation import (
+    UNEVEN,
+    as_beams,
+    as_celestial,
+    as_times,
+    uncertainty_noise,
+)
+from astro_scc.exceptions import EpochWarning
+
+FRAMES = ("offset", "absolute")
+# Reference pixels further apart than this part of the image are more than
+# the scatter of VLBI positions.
+FAR = 0.05
+#: Of a pixel of a cube, with its mask.
+BYTES = 9
+
+
+def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
+    """Return the fields of the cube of some files; see `EpochCube.read`."""
+    times, beams = _given(times, beams, len(files), frame)
+    names = [path.name for path in files]
+    if len(set(names)) < len(names):
+        names = [str(path) for path in files]
+
+    windows = [None] * len(files)
+    if region is not None:
+        planes = [read_plane(path, hdu=hdu, pixels=False) for path in files]
+        observed = [_observed(*pair) for pair in zip(planes, times, strict=True)]
+        dates = as_times(observed, len(files))
+        first = planes[int(np.argmin((dates - dates[0]).jd))]
+        part, windows = windows_of(planes, first, frame, region, pad)
+    remarks, epochs = {}, []
+    for path, name, time, beam, window in zip(
+        files, names, times, beams, windows, strict=True
+    ):
+        plane = read_plane(path, hdu=hdu, window=window)
+        for note in plane.notes:
+            if not (beam is not None and note.startswith("its beam")):
+                remarks.setdefault(note, []).append(name)
+        if check and looks_like_mask(plane.data):
+            where = "" if window is None else " in this region"
+            raise ValueError(
+                f"{path}: has no more than two different values{where}, it seems to be "
+                "a mask; leave it out (in Python, check=False reads it)"
+            )
+        epochs.append(_epoch(plane, time, beam, name))
+        if len(epochs) == 1:
+            _refuse_too_many(plane.data.shape, len(files))
+    for note, where in remarks.items():
+        _warn(f"{_some(where)}: {note}")
+    fields = _assemble(epochs, frame, check, f"{len(files)} FITS images")
+    if region is not None:
+        fields["meta"]["history"].append(crop_line(part))
+    return fields
+
+
+def _refuse_too_many(shape, n):
+    """Refuse what the machine cannot hold, before it comes to a standstill."""
+    need = n * np.prod(shape, dtype=float) * BYTES
+    have = machine_memory()
+    if need > have:
+        ny, nx = shape
+        raise MemoryError(
+            f"{n} images of {nx} x {ny} pixels are {need / 1e9:.3g} GB, this machine "
+            f"has {have / 1e9:.3g}; read a region of them (region=, --crop)"
+        )
+
+
+def read_images(images, *, times, beams, frame, check):
+    """Return the fields of the cube of some images; see `EpochCube.from_ccddata`."""
+    images = [images] if isinstance(images, NDData) else list(images)
+    times, beams = _given(times, beams, len(images), frame)
+    epochs = []
+    for i, (image, time, beam) in enumerate(zip(images, times, beams, strict=True)):
+        name = f"image {i}"
+        if hasattr(image, "extra_coords"):
+            # By its name: a room above this one.
+            room = import_module("astro_scc.interchange")
+            cube = room.from_ndcube(image, times=time, beams=beam)
+            if len(cube) > 1:
+                raise ValueError(
+                    f"{name}: is an NDCube of {len(cube)} epochs; give it alone to "
+                    "EpochCube.from_ndcube"
+                )
+            image = cube[0]
+        if isinstance(image, NDData):
+            plane = _plane_of_nddata(image, name)
+        elif getattr(getattr(image, "hdu", None), "is_image", False):
+            plane = plane_of_hdu(image.hdu, name)
+        else:
+            raise TypeError(
+                f"{name}: is a {type(image).__name__}; give NDData, such as CCDData, "
+                "or images of spectral-cube"
+            )
+        if beam is None and plane.record.beam_problem:
+            _warn(f"{name}: {plane.notes[-1]}")
+        epochs.append(_epoch(plane, time, beam, get(image.meta, "LABEL", kind=str)))
+        if plane.record.beam is None and getattr(image, "psf", None) is not None:
+            _warn(f"{name}: its psf is an image, of which no beam is made; give beams=")
+    return _assemble(epochs, frame, check, f"{len(images)} images")
+
+
+def _plane_of_nddata(image, name):
+    data = np.ma.getdata(image.data)
+    mask = ~np.isfinite(data)
+    if image.mask is not None:
+        mask |= np.asarray(image.mask, dtype=bool)
+    if data.ndim < 2 or np.prod(data.shape[:-2]) != 1:
+        raise ValueError(f"{name}: has shape {data.shape}, an image has two axes")
+    if mask.all():
+        raise ValueError(f"{name}: no valid pixel; leave it out")
+    if image.wcs is None:
+        raise ValueError(f"{name}: it has no WCS; use EpochCube.from_arrays")
+    try:
+        wcs = as_celestial(image.wcs)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: {error}") from None
+    shape = data.shape[-2:]
+    plane = Plane(name, wcs, shape, read_header(image.meta), image.meta)
+    plane.data, plane.mask = data.reshape(shape), mask.reshape(shape)
+    plane.unit = image.unit or u.dimensionless_unscaled
+    plane.uncertainty = image.uncertainty
+    if plane.record.beam_problem:
+        plane.notes.append(beam_note(plane.record.beam_problem))
+    return plane
+
+
+def _given(times, beams, n, frame):
+    """Return dates and beams that the user gives, None where there is none."""
+    if frame not in FRAMES:
+        raise ValueError(f"frame must be 'offset' or 'absolute', got {frame!r}")
+    if n == 0:
+        raise ValueError("a cube needs at least one image")
+    if times is None:
+        times = [None] * n
+    elif not isinstance(times, Time):
+        times = [times] if isinstance(times, str) else list(times)
+        times = [t if t is None else as_times([t], 1)[0] for t in times]
+    elif times.isscalar:
+        times = [times]
+    if len(times) != n:
+        raise ValueError(f"{n} images need {n} times, got {len(times)}")
+    return times, as_beams(beams, n) or [None] * n
+
+
+def _observed(plane, time):
+    """Return the date that is given, or that of the header."""
+    if time is not None or plane.record.time is not None:
+        return plane.record.time if time is None else time
+    problem = plane.record.date_problem or (
+        "no date of observation (DATE-OBS, MJD-OBS); write DATE-OBS to its header, or "
+        "give times= in Python"
+    )
+    raise ValueError(f"{plane.name}: {problem}")
+
+
+def _epoch(plane, time, beam, label):
+    """Return a plane with what is given; pixels of no finite uncertainty become bad."""
+    record = replace(plane.record, time=_observed(plane, time))
+    plane.record = record if beam is None else replace(record, beam=beam)
+    plane.label = label
+    if plane.uncertainty is not None:
+        try:
+            plane.noise, bad, plane.even = uncertainty_noise(
+                plane.uncertainty, plane.unit, plane.mask
+            )
+        except ValueError as error:
+            raise ValueError(f"{plane.name}: {error}") from None
+        plane.mask |= bad
+        plane.uncertainty = None
+    return plane
+
+
+def _assemble(planes, frame, check, source):
+    """Return the fields of a cube of images that are each on their own grid."""
+    times = as_times([plane.record.time for plane in planes], len(planes))
+    order = np.argsort((times - times[0]).jd, kind="stable")
+    planes, times = [planes[i] for i in order], times[order]
+    for i, k in find_same_dates(times):
+        _warn(
+            f"{planes[i].name} and {planes[k].name} are both of {times[i].isot[:10]}; "
+            "leave one out if it is a stack or another image of the same data"
+        )
+    if check:
+        _refuse_odd(planes)
+    _convert(planes)
+    if frame == "offset":
+        _warn_of_distances(planes)
+    fields, resampled = lay_on_one_grid(planes, frame)
+    if resampled:
+        ny, nx = fields["data"].shape[1:]
+        given = any(plane.noise is not None for plane in planes)
+        anew = ", and the noise of all is measured anew" if given else ""
+        _warn(
+            f"{_some(resampled)}: on another grid than the finest and therefore "
+            f"resampled to it; all are {nx} x {ny} pixels, masked outside each image"
+            f"{anew}; leave it out if you do not want that"
+        )
+    facts = [plane.record.facts for plane in planes]
+    labels = [plane.label for plane in planes]
+    names = {fact.get("object") for fact in facts} - {None}
+    laid = "reference pixels" if frame == "offset" else "absolute coordinates"
+    history = [f"{source}, laid on their {laid}"]
+    return {
+        **fields,
+        "times": times,
+        "unit": planes[0].unit,
+        "beams": _all_or_none(
+            planes,
+            "beam",
+            [plane.record.beam for plane in planes],
+            f"the cube has none; {CORRECT_BEAM}, or give beams= in Python",
+        ),
+        "noise": None if resampled else _all_noise(planes),
+        "labels": labels if all(labels) else (),
+        "epoch_meta": facts,
+        "meta": {
+            **({"object": names.pop()} if len(names) == 1 else {}),
+            "history": history,
+        },
+    }
+
+
+def _convert(planes):
+    """Bring all images to the unit of the first one."""
+    first = planes[0]
+    for plane in planes:
+        try:
+            factor = plane.unit.to(first.unit)
+        except u.UnitConversionError:
+            raise ValueError(
+                f"{plane.name}: its unit is {plane.unit.to_string() or 'none'}, that "
+                f"of {first.name} is {first.unit.to_string() or 'none'}; leave one out"
+            ) from None
+        if factor != 1:
+            plane.data, plane.unit = plane.data * factor, first.unit
+            plane.noise = None if plane.noise is None else plane.noise.to(first.unit)
+
+
+def _refuse_odd(planes):
+    for i, what, fatal in find_odd(planes):
+        if fatal:
+            raise ValueError(
+                f"{planes[i].name}: {what}; leave it out (in Python, check=False "
+                "reads it)"
+            )
+        _warn(f"{planes[i].name}: {what}; leave it out if it is another object")
+
+
+def _warn_of_distances(planes):
+    first = planes[0]
+    distance = [separation(plane.wcs, first.wcs) for plane in planes]
+    k = int(np.argmax(distance))
+    if distance[k] > FAR * max(first.extent, planes[k].extent):
+        _warn(
+            f"{first.name} and {planes[k].name}: their reference pixels are "
+            f"{distance[k] * 3600:.4g} arcsec apart on the sky and are laid on one "
+            "another; use frame='absolute' (--align wcs) where the coordinates are "
+            "to be trusted"
+        )
+
+
+def _all_or_none(planes, what, values, otherwise):
+    """Return a value of every image, or else warn that some have none."""
+    missing = [p.name for p, v in zip(planes, values, strict=True) if v is None]
+    if missing and len(missing) < len(planes):
+        _warn(
+            f"{_some(missing)}: no {what} where other epochs have one, so {otherwise}"
+        )
+    return None if missing else values
+
+
+def _all_noise(planes):
+    """Return the noise of all images by their uncertainties, if they have them."""
+    otherwise = "that of all is measured; give every image an uncertainty"
+    noise = [plane.noise for plane in planes]
+    noise = _all_or_none(planes, "noise", noise, otherwise)
+    uneven = [plane.name for plane in planes if not plane.even]
+    if uneven and noise:
+        _warn(f"{_some(uneven)}: {UNEVEN}")
+    return None if noise is None else u.Quantity(noise)
+
+
+def _some(names):
+    """Return the first names of a list that may be long."""
+    if len(names) <= 3:
+        return ", ".join(names)
+    return f"{', '.join(names[:2])} and {len(names) - 2} more"
+
+
+def _warn(message):
+    """Warn the first caller outside the epochs."""
+    here = os.path.dirname(__file__) + os.sep
+    level, frame = 1, sys._getframe(0)
+    while frame and frame.f_code.co_filename.startswith(here):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, EpochWarning, stacklevel=level)

@@ -1,0 +1,312 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""A cube as one FITS file that keeps everything, or as one FITS image per epoch."""
+
+import re
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+
+import astropy.units as u
+import numpy as np
+from astropy.io import fits
+from astropy.io.misc import yaml
+from astropy.table import Table
+from astropy.time import Time
+from astropy.wcs import WCS
+
+from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.fits import CUBE_CREATOR, open_fits
+from astro_scc.epochs.grids.cutout import box, crop_line
+from astro_scc.epochs.grids.resampling import cut_wcs
+from astro_scc.epochs.headers import epoch_header
+from astro_scc.partial import replace_when_complete
+
+VERSION = 1
+BEAM = {"BMAJ": ("major", u.mas), "BMIN": ("minor", u.mas), "BPA": ("pa", u.deg)}
+
+
+def write_cube(cube, path, *, overwrite=False):
+    """
+    Write everything to one FITS file, which `read` reads back.
+
+    Parameters
+    ----------
+    cube : `EpochCube`
+    path : str or path-like
+    overwrite : bool
+        Replace a file that exists.  A file is replaced only when the
+        new one is complete.
+
+    Raises
+    ------
+    OSError
+        If the file exists and ``overwrite`` is False, or cannot be
+        written.
+
+    Notes
+    -----
+    The images are the extension ``DATA`` with the celestial WCS, bad pixels
+    ``MASK``; ``EPOCHS`` has a row per epoch with the date (also as the two
+    parts of the Julian date), beam and noise; ``META`` holds the
+    rest as YAML in which astropy's objects keep their types.  What YAML
+    cannot hold becomes text.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc import EpochCube
+    >>> cube = EpochCube.from_arrays(np.ones((1, 8, 8)), ["2000-01-01"],
+    ...                              pixel_scale=0.1 * u.mas)
+    >>> cube.write("cube.fits")
+    >>> EpochCube.read("cube.fits").shape
+    (1, 8, 8)
+    """
+    table = Table()
+    table["DATE_OBS"] = [value[:23] for value in cube.times.isot]
+    table["JD1"] = cube.times.jd1
+    table["JD2"] = cube.times.jd2
+    for name, (part, unit) in BEAM.items() if cube.beams is not None else ():
+        values = [getattr(beam, part).to_value(unit) for beam in cube.beams]
+        table[name] = values * unit
+    if cube.noise is not None:
+        table["NOISE"] = cube.noise.value
+    rest = {
+        "unit": cube.unit.to_string(),
+        "time_scale": cube.times.scale,
+        "time_format": cube.times.format,
+        "labels": list(cube.labels),
+        "wcs": pack_wcs(cube.wcs),
+        "epoch_wcs": cube.epoch_wcs and [pack_wcs(w) for w in cube.epoch_wcs],
+        "epoch_meta": list(cube.epoch_meta),
+        "meta": cube.meta,
+    }
+    header = cube.wcs.to_header(relax=True)
+    header["BUNIT"] = rest["unit"]
+    primary = fits.PrimaryHDU()
+    primary.header["CREATOR"] = CUBE_CREATOR
+    primary.header["SCCVERS"] = VERSION, "version of this layout"
+    text = np.frombuffer(pack_facts(rest).encode("ascii"), dtype=np.uint8)
+    hdus = fits.HDUList(
+        [
+            primary,
+            fits.ImageHDU(cube.data, header, name="DATA"),
+            fits.ImageHDU(cube.mask.astype(np.uint8), cube.wcs.to_header(), "MASK"),
+            fits.BinTableHDU(table, name="EPOCHS"),
+            fits.ImageHDU(text, name="META"),
+        ]
+    )
+    with replace_when_complete(path, overwrite=overwrite) as part:
+        hdus.writeto(part)
+
+
+def is_cube_file(path):
+    """Return whether `write_cube` wrote a file; False for what is no FITS file."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            with open(path, "rb") as file, open_fits(file) as hdus:
+                return hdus[0].header.get("CREATOR") == CUBE_CREATOR
+        except Exception:
+            # What is wrong with it, reading it as an image will say.
+            return False
+
+
+def read_cube(path, *, region=None, pad=0):
+    """
+    Return the fields of the cube of a file of `write_cube`.
+
+    Of a ``region`` the bounding box only, see `EpochCube.crop`.  An OSError says that
+    the file is damaged or of a later version.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            with open(path, "rb") as file, open_fits(file) as hdus:
+                version = hdus[0].header["SCCVERS"]
+                if version == VERSION:
+                    return _unpack(hdus, region, pad)
+        except _RegionError as error:
+            raise error.__cause__ from None
+        except Exception as error:
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise OSError(f"{path}: is a damaged EpochCube file: {reason}") from None
+    raise OSError(f"{path}: of layout {version}, read it with a newer astro_scc")
+
+
+class _RegionError(Exception):
+    """The file is sound, the region is not."""
+
+
+def _unpack(hdus, region, pad):
+    rest = unpack_facts(hdus["META"].data.tobytes().decode("ascii"))
+    table = hdus["EPOCHS"].data
+    names = {name.upper() for name in table.names}
+    jd1, jd2 = (table[name].astype(float) for name in ("JD1", "JD2"))
+    times = Time(jd1, jd2, format="jd", scale=rest.pop("time_scale"))
+    times.format = rest.pop("time_format")
+    unit = u.Unit(rest.pop("unit"))
+    beams = None
+    if "BMAJ" in names:
+        columns = (table[name] * unit for name, (_, unit) in BEAM.items())
+        beams = [Beam(*row) for row in zip(*columns, strict=True)]
+    wcs = unpack_wcs(rest["wcs"])
+    epoch_wcs = rest["epoch_wcs"] and [unpack_wcs(w) for w in rest["epoch_wcs"]]
+    window = slice(None), slice(None)
+    if region is not None:
+        shape = hdus["DATA"].shape
+        try:
+            window = box(SimpleNamespace(shape=shape, wcs=wcs), region, pad)
+        except Exception as error:
+            raise _RegionError from error
+        wcs = cut_wcs(wcs, window, shape[1:])
+        epoch_wcs = epoch_wcs and [cut_wcs(w, window, shape[1:]) for w in epoch_wcs]
+        history = [*rest["meta"].get("history", ()), crop_line(window)]
+        rest["meta"] = {**rest["meta"], "history": history}
+    return {
+        **rest,
+        "data": hdus["DATA"].data[:, *window].astype(np.float64),
+        "times": times,
+        "wcs": wcs,
+        "unit": unit,
+        "mask": hdus["MASK"].data[:, *window].astype(bool),
+        "beams": beams,
+        "noise": table["NOISE"].astype(float) * unit if "NOISE" in names else None,
+        "epoch_wcs": epoch_wcs,
+    }
+
+
+def pack_wcs(wcs):
+    """Return header text, and the numbers that a header would round to 12 digits."""
+    inner = wcs.wcs
+    numbers = {"cdelt": [1.0, 1.0], "pc": wcs.pixel_scale_matrix}
+    if not inner.has_cd():
+        numbers = {"cdelt": inner.get_cdelt(), "pc": inner.get_pc()}
+    numbers |= {"crval": inner.crval, "crpix": inner.crpix}
+    return {
+        "header": wcs.to_header_string(relax=True),
+        "shape": list(wcs.array_shape) if wcs.array_shape else None,
+        **{name: np.asarray(value).tolist() for name, value in numbers.items()},
+    }
+
+
+def unpack_wcs(packed):
+    """Return the WCS that `pack_wcs` packed, to the last digit."""
+    header = fits.Header.fromstring(packed["header"])
+    remove_dates(header)
+    wcs = WCS(header)
+    for name in ("crval", "crpix", "cdelt", "pc"):
+        setattr(wcs.wcs, name, packed[name])
+    wcs.wcs.set()
+    if packed["shape"]:
+        wcs.array_shape = packed["shape"]
+    return wcs
+
+
+def remove_dates(header):
+    """Remove the dates that wcslib writes to the header of a WCS."""
+    for keyword in ("DATE-OBS", "MJD-OBS", "MJDREF", "DATEREF", "TIMESYS"):
+        header.remove(keyword, ignore_missing=True)
+
+
+def pack_facts(facts):
+    """Return a dictionary as text in which astropy's objects keep their types."""
+    return yaml.dump(_plain(facts), allow_unicode=False)
+
+
+def unpack_facts(text):
+    """Return the dictionary that `pack_facts` packed."""
+    return yaml.load(str(text))
+
+
+def _plain(value):
+    """Return a value as YAML can hold it, what it cannot hold as text."""
+    if isinstance(value, dict):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    try:
+        yaml.dump(value, allow_unicode=False)
+    except Exception:
+        return str(value)
+    return value
+
+
+def write_epochs(cube, directory, *, prefix=None, overwrite=False):
+    """
+    Write a cube as one FITS image per epoch, for any program that reads FITS.
+
+    Parameters
+    ----------
+    cube : `EpochCube`
+    directory : path
+        Made if need be.
+    prefix : str, optional
+        Start of the files' names, by default the object's name; the number
+        of the epoch and its date follow.
+    overwrite : bool, optional
+        Replace files that exist.
+
+    Returns
+    -------
+    list of `~pathlib.Path`
+
+    Raises
+    ------
+    OSError
+        If a file exists and ``overwrite`` is False, or cannot be written.
+
+    Notes
+    -----
+    Masked pixels become NaN; values are kept as 32-bit floats.  A file
+    appears under its name when it is complete.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from astro_scc.epochs import write_epochs
+    >>> from astro_scc.simulation import simulate_static
+    >>> jet = simulate_static(n_epochs=2, rng=1)
+    >>> with TemporaryDirectory() as folder:
+    ...     [path.name for path in write_epochs(jet.cube, folder)]
+    ['static_00_2000-01-01.fits', 'static_01_2000-01-31.fits']
+    """
+    directory = Path(directory)
+    if prefix is None:
+        facts = cube.epoch_meta[0]
+        prefix = str(facts.get("object") or cube.meta.get("object") or "epoch")
+    prefix = re.sub(r"[^\w+.-]+", "_", prefix.strip()).strip("_") or "epoch"
+    digits = max(2, len(str(len(cube) - 1)))
+    paths = [
+        directory / f"{prefix}_{i:0{digits}d}_{day}.fits"
+        for i, day in enumerate(cube.times.strftime("%Y-%m-%d"))
+    ]
+    existing = [path for path in paths if path.exists()]
+    if existing and not overwrite:
+        raise OSError(
+            f"{existing[0]}: exists already; choose another folder, or overwrite"
+        )
+    directory.mkdir(parents=True, exist_ok=True)
+    for i, path in enumerate(paths):
+        with replace_when_complete(path, overwrite=True) as part:
+            _image_hdu(cube, i).writeto(part)
+    return paths
+
+
+def _image_hdu(cube, i):
+    image = np.array(cube.data[i], dtype=np.float32)
+    image[cube.mask[i]] = np.nan
+    header = epoch_header(cube, i)
+    wcs = cube.wcs.to_header()
+    # The epoch's own date stands; wcslib derives others from the first.
+    remove_dates(wcs)
+    header.update(wcs)
+    if cube.unit == u.Jy / u.beam:
+        header["BUNIT"] = "JY/BEAM"
+    elif cube.unit != u.dimensionless_unscaled:
+        header["BUNIT"] = cube.unit.to_string("fits")
+    for line in cube.meta.get("history", ()):
+        header.add_history(str(line).encode("ascii", "replace").decode())
+    return fits.PrimaryHDU(image, header)
