@@ -40,7 +40,7 @@ def parse_quantities(text):
 
     Examples
     --------
-    >>> from astro_scc.config import parse_quantities
+    >>> from astro_scc.quantities import parse_quantities
     >>> parse_quantities("1.0 mas 0.5 mas -7 deg")
     [<Quantity 1. mas>, <Quantity 0.5 mas>, <Quantity -7. deg>]
     >>> parse_quantities("0.5, 1.5 mas / yr")
@@ -115,6 +115,16 @@ def to_quantity(value, unit, wanted):
         raise ValueError(wanted) from None
     if not found.unit.is_equivalent(unit):
         raise u.UnitConversionError(wanted)
+    return found
+
+
+def finite_quantities(value, unit, wanted):
+    """Return finite quantities, at most a list of them, see `to_quantity`."""
+    import numpy as np
+
+    found = to_quantity(value, unit, wanted)
+    if found.size == 0 or found.ndim > 1 or not np.all(np.isfinite(found)):
+        raise ValueError(wanted)
     return found
 
 
@@ -202,7 +212,9 @@ def named(name, parse, value, *more):
     try:
         return parse(value, *more)
     except ValueError as error:
-        raise type(error)(f"{name} = {shortened(value)} {error}") from None
+        # An option is named as it is typed.
+        name = name if name.startswith("--") else f"{name} ="
+        raise type(error)(f"{name} {shortened(value)} {error}") from None
 
 
 def shortened(value):
@@ -243,7 +255,7 @@ def to_time(text):
 
     Examples
     --------
-    >>> from astro_scc.config import to_time
+    >>> from astro_scc.quantities import to_time
     >>> to_time("2011.5").iso
     '2011-07-02 21:00:00.000'
     """

@@ -19,7 +19,15 @@ import astro_scc
 REPOSITORY = Path(__file__).parents[1]
 DOCS = REPOSITORY / "docs"
 ROOMS = sorted(
-    {*astro_scc._FOLDERS, "epochs.interchange", "exceptions", "report", "scc"}
+    {
+        *astro_scc._FOLDERS,
+        "cli.sources",
+        "epochs.interchange",
+        "exceptions",
+        "report",
+        "scc",
+        "settings",
+    }
 )
 #: Rooms, and pages, about nouns of the method: what they compute is an equation.
 NOUNS = {

@@ -3,15 +3,6 @@
 
 import math
 
-__all__ = [
-    "component_lines",
-    "misalignment_text",
-    "profile_lines",
-    "scale_lines",
-    "speed_lines",
-    "table_lines",
-]
-
 # What stands beside the numbers of each kind of component.
 REMARKS = {"moving": "", "stationary": "stationary, no discovery"}
 EXPLANATION = (

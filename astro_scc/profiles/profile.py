@@ -8,9 +8,9 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Column, QTable, vstack
 
-from astro_scc.config.settings import require
 from astro_scc.kinematics import table_in_c
 from astro_scc.measurement import component_table, false_discovery_rate, select_ssps
+from astro_scc.settings import require
 
 __all__ = ["Profile", "bins_of", "measure_profile"]
 

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Components, epochs and settings as rows of text."""
 
+import math
 import re
 
 import astropy.units as u
@@ -8,21 +9,6 @@ import numpy as np
 
 from astro_scc.kinematics import cosmology_text
 from astro_scc.measurement.tables import PM_UNIT
-from astro_scc.report.words import (
-    listed,
-    plain_value,
-    row_text,
-    unit_text,
-    with_error,
-)
-
-__all__ = [
-    "component_rows",
-    "epoch_rows",
-    "feature_rows",
-    "in_easy_units",
-    "setting_rows",
-]
 
 #: Columns of the page: name, heading with {unit}, decimals where there is no error.
 COLUMNS = (
@@ -52,6 +38,34 @@ COLUMNS = (
     ("p_smallest", "smallest p_global", 3),
     ("note", "note", 0),
 )
+
+
+def with_error(value, error):
+    """A value and its error, to two digits of the error."""
+    if not math.isfinite(value):
+        return "-"
+    if not math.isfinite(error):
+        return f"{value:.3g} \N{PLUS-MINUS SIGN} ?"
+    if error <= 0:
+        return f"{value:.3g}"
+    digits = max(0, 1 - math.floor(math.log10(error)))
+    return f"{value:.{digits}f} \N{PLUS-MINUS SIGN} {error:.{digits}f}"
+
+
+def plain_value(item):
+    """A plain number, or text, of a cell."""
+    item = getattr(item, "value", item)
+    return item if isinstance(item, str) else float(item)
+
+
+def row_text(row, name):
+    """A number of a row with its error, of the columns ``name`` and ``name_err``."""
+    return with_error(plain_value(row[name]), plain_value(row[f"{name}_err"]))
+
+
+def unit_text(unit):
+    """A unit without blanks; nothing for none."""
+    return "" if unit is None else u.Unit(unit).to_string().replace(" / ", "/")
 
 
 def in_easy_units(components):
@@ -227,7 +241,7 @@ def _text(value):
         return "yes" if value else "no"
     if isinstance(value, u.Quantity):
         unit = unit_text(value.unit)
-        return f"{listed([f'{v:.6g}' for v in np.atleast_1d(value.value)])} {unit}"
+        return f"{', '.join(f'{v:.6g}' for v in np.atleast_1d(value.value))} {unit}"
     if isinstance(value, list | tuple):
         return ", ".join(_text(v) for v in value)
     if isinstance(value, float):

@@ -8,11 +8,11 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from astro_scc.config.settings import require
 from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs import EpochCube, beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics import table_in_c
 from astro_scc.quantities import named, to_quantity
+from astro_scc.settings import require
 from astro_scc.tracking.chains import track_names
 from astro_scc.tracking.confidence import LinkedShare
 from astro_scc.tracking.fits import fit_motion

@@ -63,9 +63,9 @@ def test_the_baseline_that_inspect_gives_is_understood(jet, astro_scc, here):
     [
         (
             "fast",
-            "--speed 'fast': has 'fast' where a number is expected; it must be an",
+            "--speed 'fast' has 'fast' where a number is expected; it must be an",
         ),
-        ("-2 mas/yr", "--speed '-2 mas/yr': must be finite and above 0"),
+        ("-2 mas/yr", "--speed '-2 mas/yr' must be finite and above 0"),
     ],
 )
 def test_speeds_that_inspect_refuses(jet, refused, speed, line):
