@@ -58,8 +58,10 @@ def settings_of(args, reporter, *, unused=(), **defaults):
     ValueError
         If one makes no sense, some do not go together, or there are no epochs.
     """
-    given, written_by = read_config(args.config) if args.config else ({}, {})
-    _compare_versions(written_by, args.config, reporter)
+    given = {}
+    if args.config:
+        given, written_by = read_config(args.config)
+        _compare_versions(written_by, args.config, reporter)
     given = {name: value for name, value in given.items() if name not in unused}
     own = {
         name: value
