@@ -326,7 +326,8 @@ class MeasurementSettings:
     outward: bool = _stack(
         _boolean,
         "search only speeds away from the core, where position_angle is given",
-        default=False,
+        "true|false",
+        False,
     )
     alignment_error: object = _stack(
         _alignment_error,

@@ -11,6 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc import StackedCrossCorrelation
+from astro_scc.cli.inputs import settings_of
+from astro_scc.cli.program import build_parser
 from astro_scc.quantities import parse_quantities, to_time
 from astro_scc.settings import (
     OPTIONS,
@@ -80,6 +82,14 @@ def test_every_setting_is_declared_once():
     assert len(rows) == len(OPTIONS)
     assert rows["``kappa``"][1:3] == ["``--kappa``", "``0.6``"]
     assert rows["``noise``"][1:3] == ["", '``"plane"``']
+
+
+def test_an_option_is_one_field():
+    """``--outward`` is nothing but the metavar of its field."""
+    words = "measure a.fits -o out --outward".split()
+    args = build_parser().parse_args(words)
+    assert settings_of(args, None).outward is True
+    assert settings_of(build_parser().parse_args(words[:-1]), None).outward is False
 
 
 def test_settings_survive_the_file_to_the_bit(tmp_path):
