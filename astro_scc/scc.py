@@ -83,11 +83,11 @@ class StackedCrossCorrelation(MeasurementSettings):
         Search speeds away from the core only, where the direction of the jet
         is given.
     alignment_error : `~astropy.units.Quantity`, optional
-        Standard error, on either axis, of how epochs are laid on one
-        another: one, or one an epoch.  By default what `EpochCube.align`
+        Standard error, on either axis, of the alignment of the epochs:
+        one, or one per epoch.  By default what `EpochCube.align`
         found it to be.
     small_displacement_correction : bool, optional
-        Shift the shuffled images by a fifth of the beam (paper, Sect. 2.3).
+        Shift the permuted images by a fifth of the beam (paper, Sect. 2.3).
     common_beam : bool, optional
         By default epochs whose beams differ are refused, which
         ``cube.to_common_beam()`` mends.  False measures them as they are.
@@ -327,7 +327,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         ----------
         matched : `~astro_scc.measurement.MatchedEpochs`
         n_trials : int, optional
-            Number of shuffled orders and of position trials.
+            Number of permutations of the epochs and of position trials.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
         progress_bar : bool, optional
@@ -412,7 +412,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             A region of `regions`, the path of a region file or a boolean
             image; only SSPs with their centroid inside are correlated.
         n_trials : int, optional
-            Number of shuffled orders and of position trials.
+            Number of permutations of the epochs and of position trials.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
         n_workers, cache

@@ -14,8 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc.kinematics import paper_cosmology
+from astro_scc.quantities import with_error
 from astro_scc.report import write_report
-from astro_scc.report.tables import epoch_rows, in_easy_units, with_error
+from astro_scc.report.tables import epoch_rows, in_easy_units
 
 CHANCE = "permuted epochs show as much (p_global above alpha)"
 HOSTILE = "<script>alert('1')</script> & \"more\""

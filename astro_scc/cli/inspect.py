@@ -118,7 +118,7 @@ def _cores(cube):
 
 
 def _alignment(cube, of_core):
-    """How well the epochs lie on one another, and what to do about it."""
+    """Return how well the epochs are aligned, and what to do about it."""
     from astro_scc.epochs.alignment.misalignment import LARGEST
 
     scatter = cube.misalignment
@@ -129,7 +129,7 @@ def _alignment(cube, of_core):
         lines.append(f"The core as it is fitted scatters by {of_core:.2f} beams.")
     return [
         *lines,
-        "Images that are not aligned can make a jet that stands still move: measure "
+        "Images that are not aligned can make a stationary jet appear to move: measure "
         "with --align core",
         "or a table of core positions, unless they are known to be aligned.",
     ]

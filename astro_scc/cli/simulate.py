@@ -14,7 +14,7 @@ JETS = {
         "a new random velocity for every feature at every epoch",
     ),
     "ballistic": ("simulate_ballistic", "features that each keep a random velocity"),
-    "static": ("simulate_static", "features that stand still"),
+    "static": ("simulate_static", "stationary features"),
     "unrelated": ("simulate_unrelated", "epochs that have nothing in common"),
     "jet": (
         "simulate_jet",
@@ -30,8 +30,8 @@ FLOW = {
         str,
         "of the speeds: normal (default), lognormal or uniform",
     ),
-    "--features": ("n_features", float, "moving ones in view at a time; default 8"),
-    "--standing": ("standing", int, "number of standing features; default 0"),
+    "--features": ("n_features", float, "moving features in view at a time; default 8"),
+    "--standing": ("standing", int, "number of stationary features; default 0"),
     "--acceleration": (
         "acceleration",
         float,

@@ -11,6 +11,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.partial import replace_when_complete
+from astro_scc.quantities import with_error
 from astro_scc.report.tables import (
     component_rows,
     epoch_rows,
@@ -19,7 +20,6 @@ from astro_scc.report.tables import (
     plain_value,
     setting_rows,
     unit_text,
-    with_error,
 )
 
 #: What else may be in the folder, in this order.

@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Components, epochs and settings as rows of text."""
 
-import math
 import re
 
 import astropy.units as u
@@ -9,6 +8,7 @@ import numpy as np
 
 from astro_scc.kinematics import cosmology_text
 from astro_scc.measurement.tables import PM_UNIT
+from astro_scc.quantities import with_error
 
 #: Columns of the page: name, heading with {unit}, decimals where there is no error.
 COLUMNS = (
@@ -38,18 +38,6 @@ COLUMNS = (
     ("p_smallest", "smallest p_global", 3),
     ("note", "note", 0),
 )
-
-
-def with_error(value, error):
-    """A value and its error, to two digits of the error."""
-    if not math.isfinite(value):
-        return "-"
-    if not math.isfinite(error):
-        return f"{value:.3g} \N{PLUS-MINUS SIGN} ?"
-    if error <= 0:
-        return f"{value:.3g}"
-    digits = max(0, 1 - math.floor(math.log10(error)))
-    return f"{value:.{digits}f} \N{PLUS-MINUS SIGN} {error:.{digits}f}"
 
 
 def plain_value(item):

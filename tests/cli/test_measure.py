@@ -362,7 +362,7 @@ def test_the_scatter_of_the_epochs_is_said_and_what_mends_it(astro_scc, here):
         status, out, err = astro_scc(*argv)
         assert status == 0
         assert ("warning: the epochs are laid on one another to 0." in err) == bad
-        (said,) = re.findall(r"The epochs lie on one another to (0\.\d\d) beams\.", out)
+        (said,) = re.findall(r"The epochs are aligned to (0\.\d\d) beams\.", out)
         assert (float(said) >= 0.2) == bad
         page = (here / align / "report.html").read_text(encoding="utf-8")
         assert "misalignment beams" in page
