@@ -19,7 +19,7 @@ fast spine, measure it and write the report.  No input is needed."""
 EPILOG = """\
 The folder gets what astro-scc measure writes, the images in epochs and the
 region in region.reg."""
-SEED = 1
+SEED, N_TRIALS = 1, 1000
 # Pixels of the jet that are measured, x from 0 (Mertens & Lobanov 2016, Sect. 2.4).
 FIRST, LAST = 60, 160
 
@@ -44,7 +44,7 @@ def run(args, reporter):
             scales="1,2,3",
             max_speed="36 mas/yr",
             position_angle="270 deg",
-            n_trials=1000,
+            n_trials=N_TRIALS,
             seed=SEED,
         )
         cube, settings, _ = read_epochs(settings, files=files, note=reporter.note)

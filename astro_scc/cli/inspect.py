@@ -44,9 +44,9 @@ def run(args, reporter):
 
     if not args.epochs:
         raise ValueError("no epochs were given; name the FITS files")
-    speed = args.speed and named(
-        "--speed", one_quantity, args.speed, "an angle per time", "2 mas/yr"
-    )
+    speed = args.speed
+    if speed is not None:
+        speed = named("--speed", one_quantity, speed, "an angle per time", "2 mas/yr")
     files = find_files(args.epochs, missing_ok=True)
     cube, refusal = _cube(files)
     if len(files) == 1 and files[0].exists() and is_cube_file(files[0]):
@@ -222,22 +222,14 @@ def _speed_lines(cube, plan, speed):
         except ValueError:
             rows.append([*cells, "too slow for this series", "0"])
             continue
-        text = f'"{_below(first)} {_above(last)}"'
+        text = f'"{_rounded(first, math.floor)} {_rounded(last, math.ceil)}"'
         rows.append([*cells, text, str(_n_pairs(cube, first, last))])
     head = [f"speed ({plan.slowest.unit})", "beams in the median interval"]
     return table_lines([*head, "--baseline for it alone", "pairs"], rows)
 
 
-def _below(interval):
-    """Two digits of an interval, and not more than it is."""
-    return _rounded(interval, math.floor)
-
-
-def _above(interval):
-    return _rounded(interval, math.ceil)
-
-
 def _rounded(interval, how):
+    """Return an interval with two digits, rounded by a function."""
     step = 10 ** (math.floor(math.log10(interval.value)) - 1)
     # A number that is round already has a rounding error.
     return f"{how(round(interval.value / step, 6)) * step:.2g} {interval.unit}"

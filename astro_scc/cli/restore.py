@@ -77,7 +77,9 @@ def run(args, reporter):
 
     beam = _beam(args.beam)
     pixel = _quantity("--pixel", args.pixel, "0.1 mas")
-    noise = args.noise and _quantity("--noise", args.noise, "0.3 mJy/beam")
+    noise = args.noise
+    if noise is not None:
+        noise = _quantity("--noise", noise, "0.3 mJy/beam")
     dates = {name: option_of(args, name) for name in ("after", "before")}
     dates = {name: to_time(text) for name, text in dates.items() if text is not None}
     seed = option_of(args, "seed")

@@ -70,7 +70,7 @@ RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Source:
-    """A source: region files and scales by name, or one None for everything."""
+    """A source: scales by name, and region files by name or one None for all."""
 
     name: str
     folder: str
@@ -85,11 +85,13 @@ class Source:
 
     def key(self):
         """Return a check sum of the settings, versions and files of the products."""
-        groups = self.scale_groups.items()
         known = {
             "settings": self.settings.to_dict(),
             "regions": self.regions,
-            "scale_groups": {name: str(scales) for name, scales in groups},
+            "scale_groups": {
+                name: replace(self.settings, scales=scales).to_dict()["scales"]
+                for name, scales in self.scale_groups.items()
+            },
             "versions": versions(),
             "files": [_facts(path) for path in sorted(self._files())],
         }
@@ -259,6 +261,7 @@ def _source(name, folder, given, base):
         crop=absolute(settings.crop),
     )
     regions = {label: absolute(file) for label, file in regions.items()}
+    groups = {k: settings.scales if v is None else v for k, v in groups.items()}
     return Source(name, folder, settings, regions, groups)
 
 
@@ -516,7 +519,7 @@ def _measure(source, output, part, report, said):
             own = replace(
                 settings,
                 region=source.regions[region],
-                scales=_else(source.scale_groups[group], settings.scales),
+                scales=source.scale_groups[group],
             )
             (part / folder).mkdir(parents=True)
             before = len(said)
@@ -544,10 +547,6 @@ def _measure(source, output, part, report, said):
                 )
         outcomes.append(outcome)
     return outcomes
-
-
-def _else(value, default):
-    return default if value is None else value
 
 
 def _stack(matched, inside, settings):
