@@ -17,7 +17,6 @@ _PUBLIC = {
 }
 _FOLDERS = frozenset(
     {
-        "config",
         "correlation",
         "decomposition",
         "epochs",
@@ -30,7 +29,6 @@ _FOLDERS = frozenset(
         "report",
         "simulation",
         "stacking",
-        "survey",
         "tracking",
         "visualization",
     }

@@ -1,19 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Quantities and dates as people write them."""
+"""Values as people write them: quantities, dates, numbers and text."""
 
+import math
+import operator
 import re
 import warnings
-
-__all__ = [
-    "NUMBER",
-    "named",
-    "one_quantity",
-    "parse_quantities",
-    "parse_unit",
-    "shortened",
-    "to_quantity",
-    "to_time",
-]
+from datetime import date
 
 #: Regular expression of a number.
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -40,7 +32,7 @@ def parse_quantities(text):
 
     Examples
     --------
-    >>> from astro_scc.config import parse_quantities
+    >>> from astro_scc.quantities import parse_quantities
     >>> parse_quantities("1.0 mas 0.5 mas -7 deg")
     [<Quantity 1. mas>, <Quantity 0.5 mas>, <Quantity -7. deg>]
     >>> parse_quantities("0.5, 1.5 mas / yr")
@@ -115,6 +107,16 @@ def to_quantity(value, unit, wanted):
         raise ValueError(wanted) from None
     if not found.unit.is_equivalent(unit):
         raise u.UnitConversionError(wanted)
+    return found
+
+
+def finite_quantities(value, unit, wanted):
+    """Return finite quantities, at most a list of them, see `to_quantity`."""
+    import numpy as np
+
+    found = to_quantity(value, unit, wanted)
+    if found.size == 0 or found.ndim > 1 or not np.all(np.isfinite(found)):
+        raise ValueError(wanted)
     return found
 
 
@@ -202,7 +204,9 @@ def named(name, parse, value, *more):
     try:
         return parse(value, *more)
     except ValueError as error:
-        raise type(error)(f"{name} = {shortened(value)} {error}") from None
+        # An option is named as it is typed.
+        name = name if name.startswith("--") else f"{name} ="
+        raise type(error)(f"{name} {shortened(value)} {error}") from None
 
 
 def shortened(value):
@@ -243,7 +247,7 @@ def to_time(text):
 
     Examples
     --------
-    >>> from astro_scc.config import to_time
+    >>> from astro_scc.quantities import to_time
     >>> to_time("2011.5").iso
     '2011-07-02 21:00:00.000'
     """
@@ -262,3 +266,189 @@ def to_time(text):
             raise ValueError("is no date such as 2011-01-01") from None
         atomic = time.tai
     return atomic if dubious else time
+
+
+def with_error(value, error, sign="\N{PLUS-MINUS SIGN}"):
+    """Return a value and its error as text, with two digits of the error."""
+    if not math.isfinite(value):
+        return "-"
+    if not math.isfinite(error):
+        return f"{value:.3g} {sign} ?"
+    if error <= 0:
+        return f"{value:.3g}"
+    digits = max(0, 1 - math.floor(math.log10(error)))
+    return f"{value:.{digits}f} {sign} {error:.{digits}f}"
+
+
+# -- what a value may be ---------------------------------------------------------
+#
+# Each function takes what a TOML file, the command line or Python has and returns
+# the value, or raises a ValueError that continues "NAME = VALUE ...".
+
+
+def check_text(value):
+    """Return text that is not empty."""
+    if not isinstance(value, str) or not value.strip():
+        raise ValueError("must be text")
+    return value
+
+
+def check_paths(value):
+    """Return paths as a list."""
+    items = [value] if isinstance(value, str) else value
+    if not isinstance(items, list | tuple) or not items:
+        raise ValueError("must be a list of files")
+    return [check_text(item) for item in items]
+
+
+def check_boolean(value):
+    """Return a boolean."""
+    # That of numpy is another class.
+    if type(value).__name__ not in ("bool", "bool_"):
+        raise ValueError("must be true or false")
+    return bool(value)
+
+
+def check_number(value):
+    """Return a finite number."""
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError("must be a number") from None
+    except OverflowError:
+        number = float("inf")
+    if not abs(number) < float("inf"):
+        raise ValueError("must be a finite number")
+    return number
+
+
+def check_positive(value):
+    """Return a number above 0."""
+    number = check_number(value)
+    if not number > 0:
+        raise ValueError("must be above 0")
+    return number
+
+
+def fraction(largest, of=""):
+    """Return a check of numbers between 0 and the largest."""
+
+    def check(value):
+        number = check_number(value)
+        if not 0 < number < largest:
+            raise ValueError(f"must be {of}between 0 and {largest}")
+        return number
+
+    return check
+
+
+def integer(smallest, largest=None):
+    """Return a check of whole numbers."""
+
+    def check(value):
+        try:
+            if isinstance(value, bool):
+                raise TypeError
+            number = int(value) if isinstance(value, str) else operator.index(value)
+        except (TypeError, ValueError):
+            raise ValueError("must be a whole number") from None
+        if not smallest <= number <= (number if largest is None else largest):
+            limit = "or more" if largest is None else f"to {largest}"
+            raise ValueError(f"must be {smallest} {limit}")
+        return number
+
+    return check
+
+
+def choice(*choices):
+    """Return a check of words."""
+
+    def check(value):
+        if not isinstance(value, str) or value not in choices:
+            raise ValueError(f"must be one of {', '.join(choices)}")
+        return value
+
+    return check
+
+
+def quantity(kind, example):
+    """Return a check of one quantity above 0."""
+    return lambda value: one_quantity(value, kind, example)
+
+
+def quantity_range(what, example, smallest=None, *, equal=False):
+    """Two quantities, the smaller one first."""
+    wanted = f"must be {what}, such as {example!r}"
+    unit = example.split()[-1]
+
+    def check(value):
+        found = finite_quantities(value, unit, wanted)
+        if found.shape == (2,):
+            low, high = found.value
+            if (low < high or (equal and low == high)) and (
+                smallest is None or low >= smallest
+            ):
+                return found
+        raise ValueError(wanted)
+
+    return check
+
+
+def check_position_angle(value):
+    """Return an angle, a frame or the name of one."""
+    # A frame of astro_scc.kinematics checks itself.
+    if hasattr(value, "matrix") or (
+        isinstance(value, str) and value in ("radial", "ridge", "fit")
+    ):
+        return value
+    return one_quantity(value, "radial, ridge, fit or an angle", "65 deg", False)
+
+
+def check_alignment_error(value):
+    """Return one error per epoch, or one of all."""
+    wanted = "must be an angle or a list of them, such as '0.02 mas'"
+    errors = finite_quantities(value, "mas", wanted)
+    if not (errors >= 0).all():
+        raise ValueError("must be 0 or above")
+    return errors
+
+
+def check_bins(value):
+    """Return increasing distances."""
+    wanted = "must be increasing distances, such as '0.5 1.5 2.5 mas'"
+    edges = finite_quantities(value, "mas", wanted).reshape(-1)
+    if not (edges[0] >= 0 and all(edges[1:] > edges[:-1])):
+        raise ValueError(wanted)
+    return edges
+
+
+def check_scales(value):
+    """Return scales as numbers or as angles."""
+    wanted = "must be scale numbers such as 1,2,3 or angles such as '0.2,0.4 mas'"
+    items = value
+    if isinstance(value, str):
+        items = re.findall(r"[^\s,]+", value)
+    elif not hasattr(value, "__len__"):
+        items = [value]
+    try:
+        numbers = tuple(check_number(item) for item in items)
+    except (TypeError, ValueError):
+        angles = finite_quantities(value, "mas", wanted).reshape(-1)
+        if not (angles > 0).all():
+            raise ValueError("must be above 0") from None
+        return angles
+    if not numbers:
+        raise ValueError(wanted)
+    if len(set(numbers)) < len(numbers):
+        raise ValueError("must differ: leave out what is there twice")
+    return numbers
+
+
+def check_date(value):
+    """Return a date as text."""
+    # TOML has dates of its own.
+    text = value.isoformat() if isinstance(value, date) else str(value)
+    to_time(text)
+    return text.strip()

@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass, fields
 
 import astropy.units as u
 
-from astro_scc.config.settings import require
 from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.correlation.workers import workers_of
 from astro_scc.decomposition import Decomposer
@@ -39,12 +38,13 @@ from astro_scc.measurement.provenance import selection_digest
 from astro_scc.measurement.selection import warn_of_none_inside
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
+from astro_scc.settings import MeasurementSettings, require
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class StackedCrossCorrelation:
+class StackedCrossCorrelation(MeasurementSettings):
     """
     Measure velocity components by stacked cross-correlation.
 
@@ -83,14 +83,14 @@ class StackedCrossCorrelation:
         Search speeds away from the core only, where the direction of the jet
         is given.
     alignment_error : `~astropy.units.Quantity`, optional
-        Standard error, on either axis, of how epochs are laid on one
-        another: one, or one an epoch.  By default what `EpochCube.align`
+        Standard error, on either axis, of the alignment of the epochs:
+        one, or one per epoch.  By default what `EpochCube.align`
         found it to be.
     small_displacement_correction : bool, optional
-        Shift the shuffled images by a fifth of the beam (paper, Sect. 2.3).
+        Shift the permuted images by a fifth of the beam (paper, Sect. 2.3).
     common_beam : bool, optional
-        Refuse epochs whose beams differ, which ``cube.to_common_beam()``
-        mends.  False measures them as they are.
+        By default epochs whose beams differ are refused, which
+        ``cube.to_common_beam()`` mends.  False measures them as they are.
 
     Raises
     ------
@@ -111,24 +111,6 @@ class StackedCrossCorrelation:
     >>> bool(len(result.components) >= 2)
     True
     """
-
-    scales: tuple = (1, 2, 3, 4)
-    max_speed: u.Quantity | None = None
-    position_angle: u.Quantity | str | None = None
-    baseline: u.Quantity | None = None
-    kernel: float = 0.2
-    kappa: float = 0.6
-    target: str = "segments"
-    min_overlap: float = 0.8
-    wavelet: str = "b1"
-    detection: float = 4.0
-    segmentation: float = 3.0
-    noise: str = "plane"
-    level: float = 0.05
-    outward: bool = False
-    alignment_error: u.Quantity | None = None
-    small_displacement_correction: bool = False
-    common_beam: bool = True
 
     def __post_init__(self):
         for field in fields(self):
@@ -154,20 +136,19 @@ class StackedCrossCorrelation:
     @classmethod
     def from_settings(cls, settings):
         """
-        The measurement that a configuration describes.
+        Return the measurement that settings describe.
 
         Parameters
         ----------
-        settings : dict
-            See `astro_scc.config.read_config`; what is none of these
-            parameters is left out.
+        settings : `~astro_scc.settings.Settings`
 
         Returns
         -------
         `StackedCrossCorrelation`
         """
-        names = {field.name for field in fields(cls)}
-        return cls(**{name: v for name, v in settings.items() if name in names})
+        return cls(
+            **{field.name: getattr(settings, field.name) for field in fields(cls)}
+        )
 
     def _decomposer(self, scales):
         return Decomposer(
@@ -293,7 +274,7 @@ class StackedCrossCorrelation:
             the region, structure fills the images, or the epochs lie on one
             another to 0.2 beams or worse.
         """
-        if self.common_beam:
+        if self.common_beam is not False:
             require_common_beam(cube)
         warn_of_misalignment(cube)
         pairs = self.date_pairs(cube)
@@ -346,7 +327,7 @@ class StackedCrossCorrelation:
         ----------
         matched : `~astro_scc.measurement.MatchedEpochs`
         n_trials : int, optional
-            Number of shuffled orders and of position trials.
+            Number of permutations of the epochs and of position trials.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
         progress_bar : bool, optional
@@ -431,7 +412,7 @@ class StackedCrossCorrelation:
             A region of `regions`, the path of a region file or a boolean
             image; only SSPs with their centroid inside are correlated.
         n_trials : int, optional
-            Number of shuffled orders and of position trials.
+            Number of permutations of the epochs and of position trials.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
         n_workers, cache

@@ -19,9 +19,8 @@ import numpy as np
 from common import write_table
 from distributed import Client, LocalCluster
 
+from astro_scc.cli.sources import read_survey, run_survey
 from astro_scc.simulation import simulate_two_fluid
-from astro_scc.survey import read_survey, run_survey
-from astro_scc.survey.source import Job
 
 HEAD = """\
 [defaults]
@@ -79,14 +78,12 @@ def tables(folder):
     }
 
 
-def ready(job):
+def ready(source):
     """Measure a source in a worker, so that it has imported all that it needs."""
-    from dataclasses import replace
-
-    from astro_scc.survey import measure_source
+    from astro_scc.cli.sources import measure_source
 
     with tempfile.TemporaryDirectory() as folder:
-        measure_source(replace(job, output=folder))
+        measure_source(source, folder)
 
 
 def timed(survey, output, n_workers):
@@ -102,7 +99,7 @@ def timed(survey, output, n_workers):
         Client(cluster, set_as_default=False) as client,
     ):
         client.wait_for_workers(n_workers)
-        client.run(ready, Job(survey.sources[0], str(output)))
+        client.run(ready, survey.sources[0])
         before = sum(client.run(time.process_time).values())
         with Busy() as busy:
             start = time.perf_counter()

@@ -1,7 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Configuration of Sphinx."""
 
+import csv
 import os
+from pathlib import Path
 
 from docutils import nodes
 from docutils.utils.math import MathError
@@ -9,6 +11,7 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util import logging
 
 import astro_scc
+from astro_scc.settings import settings_table
 
 LOGGER = logging.getLogger(__name__)
 
@@ -89,6 +92,14 @@ plot_html_show_formats = False
 plot_html_show_source_link = False
 
 
+def write_settings(app):
+    """Write the table of the settings, which a page of the documentation includes."""
+    path = Path(app.srcdir, "_build", "settings.csv")
+    path.parent.mkdir(exist_ok=True)
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows(settings_table())
+
+
 def resolve_top_level(app, env, node, contnode):
     """What is imported from the top, such as ``astro_scc.EpochCube``, where it is."""
     package, _, rest = node.get("reftarget", "").partition(".")
@@ -113,4 +124,5 @@ def visit_math(translator, node):
 
 def setup(app):
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math, None))
+    app.connect("builder-inited", write_settings)
     app.connect("missing-reference", resolve_top_level)

@@ -11,10 +11,10 @@ import pytest
 
 from astro_scc.cli import main
 from astro_scc.cli.program import COMMANDS, build_parser
-from astro_scc.config import read_config
+from astro_scc.cli.sources import read_survey
 from astro_scc.epochs import Beam, write_epochs
+from astro_scc.settings import Settings, read_config
 from astro_scc.simulation import simulate_two_fluid
-from astro_scc.survey import read_survey
 
 REPOSITORY = Path(__file__).parents[1]
 PAGES = sorted(
@@ -125,8 +125,8 @@ def test_toml_of_the_documentation_is_understood(page, text, tmp_path):
     if "sources" in tomllib.loads(text):
         assert len(read_survey(path).sources) == 2
     else:
-        settings, *_ = read_config(path)
-        assert settings["epochs"]
+        given, _ = read_config(path)
+        assert Settings(**given).epochs
 
 
 def test_toml_is_found():

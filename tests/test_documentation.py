@@ -18,7 +18,16 @@ import astro_scc
 
 REPOSITORY = Path(__file__).parents[1]
 DOCS = REPOSITORY / "docs"
-ROOMS = sorted({*astro_scc._FOLDERS, "exceptions", "report", "scc"})
+ROOMS = sorted(
+    {
+        *astro_scc._FOLDERS,
+        "cli.sources",
+        "exceptions",
+        "report",
+        "scc",
+        "settings",
+    }
+)
 #: Rooms, and pages, about nouns of the method: what they compute is an equation.
 NOUNS = {
     "correlation", "decomposition", "epochs", "kinematics", "measurement", "recovery",

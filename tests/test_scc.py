@@ -797,7 +797,7 @@ def check_two_streams(cube, truth):
     assert np.all(significant["p_distinct"] <= 0.05)
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_two_streams_of_a_simulated_jet(seed):
     jet = simulate_two_fluid(rng=seed)
     table = jet.truth[jet.truth["visible"] & (jet.truth["epoch"] < 9)]
@@ -813,6 +813,7 @@ def test_two_streams_of_a_simulated_jet(seed):
     check_two_streams(jet.cube, truth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", ["two_fluid", "two_fluid_dense"])
 def test_two_streams_of_the_files_of_the_papers_test(shared_data, folder):
     folder = shared_data / "paper_test" / folder

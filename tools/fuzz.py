@@ -31,10 +31,10 @@ from astropy.io import fits
 from astropy.time import Time
 from astropy.utils.exceptions import AstropyWarning
 
-from astro_scc.config import read_config
+from astro_scc.cli.sources import read_survey
 from astro_scc.epochs import EpochCube, read_components
 from astro_scc.epochs.alignment.shift_tables import offsets_from_table
-from astro_scc.survey import read_survey
+from astro_scc.settings import Settings, read_config
 
 #: What a user may get.
 EXPECTED = (ValueError, TypeError, OSError)
@@ -48,6 +48,10 @@ ODD = (
     b"!!python/object/apply:os.system", b"&a [*a]", b"%s%n", b"2001-02-30",
     b"\n", b"\r",
 )  # fmt: skip
+
+
+def _settings(path):
+    return Settings(**read_config(path)[0])
 
 
 # -- files to damage -----------------------------------------------------------------
@@ -106,7 +110,7 @@ def sources(folder):
         ),
         "offsets": (".ecsv", OFFSETS, _offsets),
         "region": (".reg", REGION, cube.region_mask),
-        "configuration": (".toml", CONFIGURATION, read_config),
+        "configuration": (".toml", CONFIGURATION, _settings),
         "survey": (".toml", SURVEY, read_survey),
     }
     return {

@@ -3,10 +3,9 @@
 
 import math
 
-from astro_scc.cli.arguments import add_epochs
+from astro_scc.cli.options import add_setting
 from astro_scc.cli.summary import misalignment_text, table_lines
-
-__all__ = ["add_parser", "run"]
+from astro_scc.quantities import named, one_quantity
 
 #: Speeds that are explained when none is given.
 N_SPEEDS = 4
@@ -14,43 +13,40 @@ N_SPEEDS = 4
 DAY = 1e-3
 
 
-def add_parser(commands):
-    """Add the command to the program's parser."""
-    parser = commands.add_parser(
-        "inspect",
-        help="say what images hold, what is wrong and what can be measured",
-        description="One line an epoch, then what is wrong, and which speeds the dates "
-        "allow to be\nmeasured, with which pairs of epochs.  Nothing is measured and "
-        "nothing is written.",
-        epilog="examples:\n  astro-scc inspect 3c273/*.fits\n"
-        '  astro-scc inspect 3c273/*.fits --speed "0.9 mas/yr"',
-    )
-    add_epochs(parser, nargs="+")
+HELP = "say what images hold, what is wrong and what can be measured"
+DESCRIPTION = """\
+One line per epoch, then what is wrong, and which speeds the dates allow to be
+measured, with which pairs of epochs.  Nothing is measured and nothing is written."""
+EPILOG = """\
+examples:
+  astro-scc inspect 3c273/*.fits
+  astro-scc inspect 3c273/*.fits --speed "0.9 mas/yr\""""
+
+
+def add_arguments(parser):
+    """Add the arguments of the command."""
+    add_setting(parser, "epochs")
     parser.add_argument(
         "--speed",
         metavar='"2 mas/yr"',
         help="say what this proper motion is between epochs, and which pairs suit it; "
         "default some between the slowest and the fastest that can be measured well",
     )
-    return parser
 
 
 def run(args, reporter):
-    """
-    Look at files.
-
-    Parameters
-    ----------
-    args : `argparse.Namespace`
-    reporter : `~astro_scc.cli.reporter.Reporter`
-    """
+    """Look at files, as the arguments say."""
     from pathlib import Path
 
     from astro_scc.epochs import inspect_epochs
     from astro_scc.epochs.fits import find_files
     from astro_scc.epochs.serialize import is_cube_file
 
-    speed = _speed(args.speed)
+    if not args.epochs:
+        raise ValueError("no epochs were given; name the FITS files")
+    speed = args.speed
+    if speed is not None:
+        speed = named("--speed", one_quantity, speed, "an angle per time", "2 mas/yr")
     files = find_files(args.epochs, missing_ok=True)
     cube, refusal = _cube(files)
     if len(files) == 1 and files[0].exists() and is_cube_file(files[0]):
@@ -85,15 +81,6 @@ def run(args, reporter):
         reporter.say()
         for line in [*_plan(cube, speed), *_alignment(cube, of_core)]:
             reporter.say(line)
-
-
-def _speed(text):
-    from astro_scc.config import parse_setting
-
-    try:
-        return None if text is None else parse_setting("max_speed", text)
-    except ValueError as error:
-        raise ValueError(f"--speed {text!r}: {error}") from None
 
 
 def _cube(files):
@@ -131,7 +118,7 @@ def _cores(cube):
 
 
 def _alignment(cube, of_core):
-    """How well the epochs lie on one another, and what to do about it."""
+    """Return how well the epochs are aligned, and what to do about it."""
     from astro_scc.epochs.alignment.misalignment import LARGEST
 
     scatter = cube.misalignment
@@ -142,7 +129,7 @@ def _alignment(cube, of_core):
         lines.append(f"The core as it is fitted scatters by {of_core:.2f} beams.")
     return [
         *lines,
-        "Images that are not aligned can make a jet that stands still move: measure "
+        "Images that are not aligned can make a stationary jet appear to move: measure "
         "with --align core",
         "or a table of core positions, unless they are known to be aligned.",
     ]
@@ -235,22 +222,14 @@ def _speed_lines(cube, plan, speed):
         except ValueError:
             rows.append([*cells, "too slow for this series", "0"])
             continue
-        text = f'"{_below(first)} {_above(last)}"'
+        text = f'"{_rounded(first, math.floor)} {_rounded(last, math.ceil)}"'
         rows.append([*cells, text, str(_n_pairs(cube, first, last))])
     head = [f"speed ({plan.slowest.unit})", "beams in the median interval"]
     return table_lines([*head, "--baseline for it alone", "pairs"], rows)
 
 
-def _below(interval):
-    """Two digits of an interval, and not more than it is."""
-    return _rounded(interval, math.floor)
-
-
-def _above(interval):
-    return _rounded(interval, math.ceil)
-
-
 def _rounded(interval, how):
+    """Return an interval with two digits, rounded by a function."""
     step = 10 ** (math.floor(math.log10(interval.value)) - 1)
     # A number that is round already has a rounding error.
     return f"{how(round(interval.value / step, 6)) * step:.2g} {interval.unit}"

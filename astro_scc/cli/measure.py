@@ -1,26 +1,22 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """``astro-scc measure``: from images to velocities."""
 
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
-from astro_scc.cli.arguments import (
-    add_config,
-    add_distance,
-    add_epochs,
-    add_images,
+from astro_scc.cli.inputs import draw_seed, read_epochs, settings_of, workers_of
+from astro_scc.cli.options import (
     add_no_report,
     add_output,
-    add_patterns,
-    add_trials,
+    add_settings,
+    add_switch,
     add_votable,
-    add_workers,
 )
-from astro_scc.cli.resuming import WORK, kept_seed, working_folder
-from astro_scc.cli.settings import settings_of, workers_of
 from astro_scc.cli.summary import component_lines
 
-__all__ = ["add_measurement", "add_parser", "measure", "run"]
-
+HELP = "measure the velocities in the images of one jet"
+DESCRIPTION = "Measure the velocity components in images of one object at many dates."
 EPILOG = """\
 examples:
   astro-scc measure 3c273/*.fits -o out --align core --max-speed "2 mas/yr" \\
@@ -34,10 +30,8 @@ examples:
 The folder gets components.ecsv, features.ecsv, ssps.ecsv, scc.fits, report.html with
 its figures, and config.toml: with it, and the same images, the same tables come out to
 the bit.  Every option of a measurement may stand in a configuration file, with _ for
--, and some that have no option: target, min_overlap, wavelet, detection, segmentation,
-noise, level, outward, alignment_error,
-small_displacement_correction (see the documentation).  What the
-command line says comes before what the file says.
+-, and some that have no option (see the documentation).  What the command line says
+comes before what the file says.
 """
 REMARKS = (
     "What determined this measurement.  To do it again, in the folder it was done in,",
@@ -59,90 +53,40 @@ PRODUCTS = (
 )
 #: What an earlier measurement left that must not stand beside a new one.
 STALE = (*PRODUCTS, "components.vot", "ssps.vot", "ssp_regions")
+#: Folder for what --resume keeps, in that of the products.
+WORK = ".astro_scc-work"
+SEED = "seed.txt"
 
 
-def add_parser(commands):
-    """Add the command to the program's parser."""
-    parser = commands.add_parser(
-        "measure",
-        help="measure the velocities in the images of one jet",
-        description="Measure the velocity components in images of one object at many "
-        "dates.",
-        epilog=EPILOG,
-    )
-    add_epochs(parser)
-    add_output(parser, what="tables, maps and report")
-    add_config(parser)
+def add_arguments(parser):
+    """Add the arguments of the command."""
+    add_output(parser, "tables, maps and report")
     add_no_report(parser)
     add_votable(parser, "components.vot and ssps.vot")
-    parser.add_argument(
+    add_switch(
+        parser,
         "--ds9-regions",
-        action="store_true",
-        help="write ssp_regions too, a file an epoch that DS9 and CARTA open, with "
-        "the outlines of its patterns",
+        "write ssp_regions too, a file per epoch that DS9 and CARTA open, with the "
+        "outlines of its patterns",
     )
-    parser.add_argument(
+    add_switch(
+        parser,
         "--resume",
-        action="store_true",
-        help=f"keep the matches in {WORK} of the folder, go on from what an "
-        "interrupted run did there, and replace what an earlier one with --resume "
-        "wrote",
+        f"keep the matches in {WORK} of the folder, go on from what an interrupted "
+        "run did there, and replace what an earlier one with --resume wrote",
     )
-    add_measurement(parser)
-    return parser
-
-
-def add_measurement(parser):
-    """
-    Add what says how images are measured.
-
-    Parameters
-    ----------
-    parser : `argparse.ArgumentParser`
-    """
-    add_images(parser, verb="measure")
-    group = parser.add_argument_group("measurement")
-    add_patterns(
-        group,
-        kappa=0.6,
-        speed="1.5 beams in the shorter intervals, four of up to 20 epochs",
-    )
-    group.add_argument(
-        "--position-angle",
-        metavar='"65 deg"|fit|ridge|radial',
-        help="direction of the jet, north through east: velocities along and across "
-        "it instead of east and north; fit for that of the mean image, ridge for "
-        "along its ridge line, radial for away from the reference pixel",
-    )
-    group.add_argument(
-        "--baseline",
-        metavar='"0.2 yr 1.0 yr"',
-        help="compare epochs only that are this far apart in time; by default each "
-        "speed has the intervals in which it moves 0.2 to 1 beam",
-    )
-    group.add_argument(
-        "--kernel",
-        metavar="0.2",
-        help="smallest error of a displacement, in beams; default 0.2",
-    )
-    add_trials(group, number=1000, what="trials of the significance and of the errors")
-    add_distance(parser)
-    add_workers(parser)
+    add_settings(parser, "measure")
 
 
 def run(args, reporter):
-    """
-    Measure, as the arguments say.
+    """Measure, as the arguments say."""
+    from astro_scc.measurement import (
+        product_folder,
+        write_epoch_regions,
+        write_votables,
+    )
 
-    Parameters
-    ----------
-    args : `argparse.Namespace`
-    reporter : `~astro_scc.cli.reporter.Reporter`
-    """
-    from astro_scc.config import read_epochs
-    from astro_scc.measurement import product_folder
-
-    config = settings_of(args, reporter)
+    settings = settings_of(args, reporter, n_trials=1000)
     n_workers = workers_of(args)
     overwrite, work = args.overwrite, None
     if args.resume:
@@ -157,113 +101,118 @@ def run(args, reporter):
             args.output, overwrite=overwrite or bool(work), stale=STALE
         ) as folder,
     ):
-        cube, config, left_out = read_epochs(config, note=reporter.note)
-        components = measure(
-            cube,
-            config,
-            folder,
-            reporter,
-            output=args.output,
-            left_out=left_out,
-            n_workers=n_workers,
-            report=not args.no_report,
-            votable=args.votable,
-            ds9_regions=args.ds9_regions,
-            work=work,
+        cube, settings, left_out = read_epochs(settings, note=reporter.note)
+        result, settings = measure(
+            cube, settings, reporter, n_workers=n_workers, work=work
         )
+        components = write_measurement(
+            result,
+            settings,
+            folder,
+            output=args.output,
+            warnings=reporter.warnings,
+            left_out=left_out,
+            report=not args.no_report,
+        )
+        if args.votable:
+            write_votables(result, components, folder)
+        if args.ds9_regions:
+            write_epoch_regions(result.matched.ssps, cube, folder)
     for line in component_lines(components):
         reporter.say(line)
-    reporter.say(f"\n{_where(args)}")
+    where = Path(args.output)
+    reporter.say(
+        f"\nTables and maps: {where}"
+        if args.no_report
+        else f"\nReport: {where / 'report.html'}"
+    )
 
 
-def _where(args):
-    if args.no_report:
-        return f"Tables and maps: {Path(args.output)}"
-    return f"Report: {Path(args.output) / 'report.html'}"
-
-
-def measure(
-    cube,
-    config,
-    folder,
-    reporter,
-    *,
-    output,
-    region=None,
-    left_out=(),
-    n_workers=1,
-    report=True,
-    votable=False,
-    ds9_regions=False,
-    work=None,
-):
+def measure(cube, settings, reporter, *, region=None, n_workers=1, work=None):
     """
-    Measure a cube and write the products.
+    Measure a cube.
 
     Parameters
     ----------
     cube : `~astro_scc.EpochCube`
-    config : dict
-        See `astro_scc.config`; it is completed, and written to the folder.
-    folder : path
-        Where to write.
+    settings : `~astro_scc.settings.Settings`
     reporter : `~astro_scc.cli.reporter.Reporter`
-    output : path
-        What the folder will be called.
     region : path, optional
         Where the region file is now, if that is not where it will be.
-    left_out : list of (str, str), optional
-        Epochs that are not in the cube, and why, for the report.
     n_workers : int or str, optional
         See `~astro_scc.StackedCrossCorrelation.match`.
-    report, votable, ds9_regions : bool, optional
-        What to write beside tables, maps and settings.
     work : `~pathlib.Path`, optional
         Folder where matches and seed are kept.
+
+    Returns
+    -------
+    result : `~astro_scc.measurement.SCCResult`
+    settings : `~astro_scc.settings.Settings`
+        With the seed.
+    """
+    from astro_scc import StackedCrossCorrelation
+
+    region = region or settings.region
+    # A region file that cannot be used is better known before the long part.
+    cube.region_mask(region)
+    if settings.seed is None:
+        settings = replace(settings, seed=kept_seed(work))
+    result = StackedCrossCorrelation.from_settings(settings)(
+        cube,
+        region=region,
+        n_trials=settings.n_trials,
+        rng=settings.seed,
+        n_workers=n_workers,
+        cache=None if work is None else work / "matches.fits",
+        progress_bar=reporter.progress,
+    )
+    return result, settings
+
+
+def write_measurement(
+    result,
+    settings,
+    folder,
+    *,
+    output,
+    title=None,
+    remarks=REMARKS,
+    warnings=(),
+    left_out=(),
+    report=True,
+):
+    """
+    Write tables, maps, settings and report of a measurement.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    settings : `~astro_scc.settings.Settings`
+    folder : path
+        Where to write.
+    output : path
+        What the folder will be called.
+    title : str, optional
+        Of the report; by default the object.
+    remarks : sequence of str, optional
+        At the head of the settings.
+    warnings, left_out
+        See `~astro_scc.report.write_report`.
+    report : bool, optional
 
     Returns
     -------
     `~astropy.table.QTable`
         The components.
     """
-    from astro_scc import StackedCrossCorrelation
-    from astro_scc.config import (
-        distance_of,
-        format_config,
-        plain_settings,
-        settings_as_used,
-    )
-    from astro_scc.measurement import (
-        versions,
-        write_epoch_regions,
-        write_products,
-        write_votables,
-    )
+    from astro_scc.measurement import versions, write_products
 
-    how = distance_of(config)
-    scc = StackedCrossCorrelation.from_settings(config)
-    # A region file that cannot be used is better known before the long part.
-    region = region or config.get("region")
-    cube.region_mask(region)
-    config = settings_as_used(scc, config, seed=kept_seed(work))
-    result = scc(
-        cube,
-        region=region,
-        n_trials=config["n_trials"],
-        rng=config["seed"],
-        n_workers=n_workers,
-        cache=None if work is None else work / "matches.fits",
-        progress_bar=reporter.progress,
-    )
+    how = settings.in_c
     components = result.components_in_c(**how) if how else result.components
-    text = format_config(config, versions=versions(), remarks=REMARKS)
+    text = settings.to_toml(versions=versions(), remarks=remarks)
     write_products(
-        result, components, folder, configuration=plain_settings(config), text=text
+        result, components, folder, configuration=settings.to_dict(), text=text
     )
-    if votable:
-        write_votables(result, components, folder)
-    if ds9_regions:
-        write_epoch_regions(result.matched.ssps, cube, folder)
     if report:
         from astro_scc.report import write_report
 
@@ -272,10 +221,54 @@ def measure(
             result,
             components,
             folder,
-            title=cube.meta.get("object") or "Velocity components",
-            warnings=tuple(reporter.warnings),
+            title=title or result.cube.meta.get("object") or "Velocity components",
+            warnings=tuple(warnings),
             left_out=left_out,
             rerun=f"astro-scc measure --config {again} -o FOLDER",
             config_text=text,
         )
     return components
+
+
+@contextmanager
+def working_folder(work, output, *, overwrite):
+    """Make the folder for what a resumed run needs; leave none that holds nothing."""
+    if work is None:
+        yield
+        return
+    output = Path(output)
+    if output.is_dir() and any(output.iterdir()) and not overwrite:
+        raise OSError(
+            f"{output}: exists and is not of a run with --resume; choose another "
+            "folder, or --overwrite"
+        )
+    made = [p for p in (work, *work.parents) if not p.exists()]
+    try:
+        work.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(f"{output}: cannot be made or used: {error.strerror}") from None
+    try:
+        yield
+    except BaseException:
+        # A seed alone is nothing to go on from.
+        if made and {p.name for p in work.iterdir()} <= {SEED}:
+            (work / SEED).unlink(missing_ok=True)
+            for folder in made:
+                with suppress(OSError):
+                    folder.rmdir()
+        raise
+
+
+def kept_seed(work):
+    """Return the seed of a run that may be resumed, drawn the first time."""
+    if work is None:
+        return draw_seed()
+    from astro_scc.partial import replace_when_complete
+
+    path = work / SEED
+    with suppress(OSError, ValueError):
+        return int(path.read_text(encoding="ascii"))
+    seed = draw_seed()
+    with replace_when_complete(path, overwrite=True) as part:
+        part.write_text(f"{seed}\n", encoding="ascii")
+    return seed

@@ -1,21 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """``astro-scc profile``: velocities in bins of distance from the core."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
-from astro_scc.cli.arguments import (
-    add_config,
-    add_epochs,
-    add_output,
-    add_votable,
-)
-from astro_scc.cli.measure import add_measurement
-from astro_scc.cli.settings import draw_seed, settings_of, workers_of
+from astro_scc.cli.inputs import draw_seed, read_epochs, settings_of, workers_of
+from astro_scc.cli.options import add_output, add_settings, add_votable
 from astro_scc.cli.summary import profile_lines, scale_lines
 
-__all__ = ["add_parser", "run"]
-
+HELP = "measure the velocities in bins of distance from the core"
+DESCRIPTION = "Measure the velocities in bins of distance from the core."
 EPILOG = """\
 examples:
   astro-scc profile 3c120/*.fits -o out --align core --bins "0.5 1.5 2.5 3.5 mas" \\
@@ -46,56 +40,30 @@ PRODUCTS = (
 )
 
 
-def add_parser(commands):
-    """Add the command to the program's parser."""
-    parser = commands.add_parser(
-        "profile",
-        help="measure the velocities in bins of distance from the core",
-        description="Measure the velocities in bins of distance from the core.",
-        epilog=EPILOG,
-    )
-    add_epochs(parser)
-    add_output(parser, what="the table and figures of the profile")
-    add_config(parser)
+def add_arguments(parser):
+    """Add the arguments of the command."""
+    add_output(parser, "the table and figures of the profile")
     add_votable(parser, "profile.vot")
-    group = parser.add_argument_group("distances")
-    group.add_argument(
-        "--bins",
-        metavar='"0.5 1.5 2.5 mas"',
-        help="limits of the bins, distances from the core; needed here or in --config",
-    )
-    group.add_argument(
-        "--window",
-        metavar='"2 mas"',
-        help="windows of this width about each of the --bins, instead of bins between",
-    )
-    add_measurement(parser)
-    return parser
+    add_settings(parser, "profile")
 
 
 def run(args, reporter):
-    """
-    Measure a profile, as the arguments say.
-
-    Parameters
-    ----------
-    args : `argparse.Namespace`
-    reporter : `~astro_scc.cli.reporter.Reporter`
-    """
-    from astro_scc.config import read_epochs
+    """Measure a profile, as the arguments say."""
     from astro_scc.flow.profile import bins_of
     from astro_scc.measurement import product_folder, write_votable
 
-    config = settings_of(args, reporter)
-    if "bins" not in config:
+    settings = settings_of(args, reporter, n_trials=1000)
+    if settings.bins is None:
         raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
     n_workers = workers_of(args)
-    bins_of(config["bins"], window=config.get("window"))
+    bins_of(settings.bins, window=settings.window)
     with product_folder(
         args.output, overwrite=args.overwrite, stale=PRODUCTS
     ) as folder:
-        cube, config, _ = read_epochs(config, note=reporter.note)
-        components, lines = _measure(cube, config, folder, reporter, n_workers)
+        cube, settings, _ = read_epochs(settings, note=reporter.note)
+        if settings.seed is None:
+            settings = replace(settings, seed=draw_seed())
+        components, lines = _measure(cube, settings, folder, reporter, n_workers)
         if args.votable:
             write_votable(components, folder / "profile.vot")
     for line in [*profile_lines(components), "", *lines]:
@@ -103,64 +71,49 @@ def run(args, reporter):
     reporter.say(f"\nProfile: {Path(args.output) / 'profile.ecsv'}")
 
 
-def _measure(cube, config, folder, reporter, n_workers):
+def _measure(cube, settings, folder, reporter, n_workers):
+    """Write the profile; its components, and lines on the whole stretch."""
     from astro_scc import StackedCrossCorrelation
-    from astro_scc.config import (
-        distance_of,
-        format_config,
-        plain_settings,
-        settings_as_used,
-    )
-    from astro_scc.flow import (
-        measure_acceleration,
-        measure_profile,
-        write_profile,
-    )
+    from astro_scc.flow import measure_acceleration
+    from astro_scc.flow.profile import measure_profile, write_profile
     from astro_scc.measurement import select_ssps, versions
 
-    scc = StackedCrossCorrelation.from_settings(config)
-    how = distance_of(config)
-    region = config.get("region")
-    cube.region_mask(region)
-    config = settings_as_used(scc, config, seed=draw_seed())
+    scc = StackedCrossCorrelation.from_settings(settings)
+    trials = {"n_trials": settings.n_trials, "rng": settings.seed}
+    cube.region_mask(settings.region)
     matched = scc.match(
-        cube, region=region, n_workers=n_workers, progress_bar=reporter.progress
+        cube,
+        region=settings.region,
+        n_workers=n_workers,
+        progress_bar=reporter.progress,
     )
-    ridge = None
-    if scc.position_angle == "ridge":
-        _, ridge = scc.displacements(matched)
     profile = measure_profile(
         scc,
         matched,
-        config["bins"],
-        window=config.get("window"),
-        ridge=ridge,
-        n_trials=config["n_trials"],
-        rng=config["seed"],
+        settings.bins,
+        window=settings.window,
+        ridge=scc.displacements(matched)[1] if scc.position_angle == "ridge" else None,
         progress_bar=reporter.progress,
+        **trials,
     )
+    how = settings.in_c
     components = profile.components_in_c(**how) if how else profile.components
-    bins = profile.bins
-    whole = scc.stack(
-        select_ssps(matched, r_min=bins.min(), r_max=bins.max()),
-        n_trials=config["n_trials"],
-        rng=config["seed"],
-    )
+    r_min, r_max = profile.bins.min(), profile.bins.max()
+    whole = scc.stack(select_ssps(matched, r_min=r_min, r_max=r_max), **trials)
     acceleration = measure_acceleration(whole)
     components.meta["acceleration"] = asdict(acceleration)
     lines = [str(acceleration)]
     if (of_scales := _of_scales(whole)) is not None:
         of_scales.write(folder / "scales.ecsv", format="ascii.ecsv")
         lines += scale_lines(of_scales)
-    text = format_config(config, versions=versions(), remarks=REMARKS)
-    write_profile(
-        profile, components, folder, configuration=plain_settings(config), text=text
-    )
+    text = settings.to_toml("profile", versions=versions(), remarks=REMARKS)
+    configuration = settings.to_dict("profile")
+    write_profile(profile, components, folder, configuration=configuration, text=text)
     return components, lines
 
 
 def _of_scales(result):
-    """Speeds of the finest scale and of the others, if there are and have any."""
+    """Return speeds of the finest scale and of the others, if there are any."""
     from astro_scc.flow import compare_speeds, scale_groups
     from astro_scc.kinematics import SkyFrame
 

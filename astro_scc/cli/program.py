@@ -21,8 +21,6 @@ from astro_scc.cli import (
 )
 from astro_scc.cli.reporter import Reporter
 
-__all__ = ["main"]
-
 # What a user gets wrong, extras that are not installed among it; other exceptions
 # are mistakes of the program.
 USER_ERRORS = (ValueError, TypeError, OSError, MemoryError, ImportError)
@@ -89,7 +87,13 @@ def build_parser():
         title="commands", metavar="COMMAND", dest="command", required=True
     )
     for module in COMMANDS:
-        command = module.add_parser(commands)
+        command = commands.add_parser(
+            module.__name__.rpartition(".")[2],
+            help=module.HELP,
+            description=module.DESCRIPTION,
+            epilog=module.EPILOG,
+        )
+        module.add_arguments(command)
         command.set_defaults(run=module.run)
         group = command.add_argument_group("messages")
         group.add_argument(

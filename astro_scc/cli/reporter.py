@@ -4,8 +4,6 @@
 import sys
 from contextlib import contextmanager
 
-__all__ = ["Reporter", "one_line"]
-
 
 def one_line(error):
     """

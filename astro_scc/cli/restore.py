@@ -3,10 +3,9 @@
 
 from pathlib import Path
 
-from astro_scc.cli.arguments import add_output, add_selection
-from astro_scc.cli.settings import draw_seed, parse_option
-
-__all__ = ["add_parser", "run"]
+from astro_scc.cli.inputs import draw_seed, option_of
+from astro_scc.cli.options import add_output, add_setting
+from astro_scc.quantities import named, one_quantity, parse_quantities, to_time
 
 EPILOG = """\
 examples:
@@ -24,22 +23,20 @@ with the date in the name; .fits have CLEAN components in an AIPS CC table.
 """
 
 
-def add_parser(commands):
-    """Add the command to the program's parser."""
-    parser = commands.add_parser(
-        "restore",
-        help="make images of lists of Gaussian or CLEAN components",
-        description="Make images of lists of components, all with one beam: one FITS "
-        "file an epoch.",
-        epilog=EPILOG,
-    )
+HELP = "make images of lists of Gaussian or CLEAN components"
+DESCRIPTION = """\
+Make images of lists of components, all with one beam: one FITS file per epoch."""
+
+
+def add_arguments(parser):
+    """Add the arguments of the command."""
     parser.add_argument(
         "tables",
         metavar="TABLE.ecsv|MODEL.mod",
         nargs="+",
-        help="a table of many epochs, or one file an epoch",
+        help="a table of many epochs, or one file per epoch",
     )
-    add_output(parser, what="the images")
+    add_output(parser, "the images")
     parser.add_argument(
         "--beam",
         metavar='"1.0 mas 0.5 mas -7 deg"',
@@ -55,10 +52,8 @@ def add_parser(commands):
         metavar='"0.3 mJy/beam"',
         help="rms of the noise to add, correlated by the beam; default none",
     )
-    parser.add_argument(
-        "--seed", metavar="N", help="of the noise; drawn and printed by default"
-    )
-    add_selection(parser)
+    for name in ("seed", "after", "before"):
+        add_setting(parser, name)
     parser.add_argument(
         "--source",
         metavar="NAME",
@@ -71,33 +66,24 @@ def add_parser(commands):
         help="what is at the reference pixel, the core (feature 0) or the centre of "
         "the map; default the core in tables that refer to it",
     )
-    return parser
 
 
 def run(args, reporter):
-    """
-    Restore, as the arguments say.
-
-    Parameters
-    ----------
-    args : `argparse.Namespace`
-    reporter : `~astro_scc.cli.reporter.Reporter`
-    """
+    """Restore, as the arguments say."""
     import astropy.units as u
 
-    from astro_scc.config import to_time
     from astro_scc.epochs import read_components, restore, write_epochs
     from astro_scc.measurement import product_folder
 
     beam = _beam(args.beam)
     pixel = _quantity("--pixel", args.pixel, "0.1 mas")
-    noise = args.noise and _quantity("--noise", args.noise, "0.3 mJy/beam")
-    dates = {
-        name: to_time(parse_option(name, value))
-        for name in ("after", "before")
-        if (value := getattr(args, name)) is not None
-    }
-    seed = draw_seed() if args.seed is None else parse_option("seed", args.seed)
+    noise = args.noise
+    if noise is not None:
+        noise = _quantity("--noise", noise, "0.3 mJy/beam")
+    dates = {name: option_of(args, name) for name in ("after", "before")}
+    dates = {name: to_time(text) for name, text in dates.items() if text is not None}
+    seed = option_of(args, "seed")
+    seed = draw_seed() if seed is None else seed
     folder = Path(args.output)
     with product_folder(folder, overwrite=args.overwrite) as part:
         components = read_components(
@@ -124,32 +110,19 @@ def run(args, reporter):
 
 
 def _quantity(option, text, example):
-    """A positive quantity of the kind of an example."""
-    import astropy.units as u
-
-    from astro_scc.config import parse_quantities
-
-    wanted = f"must be one number above 0 with a unit, such as {example!r}"
-    try:
-        found = parse_quantities(text)
-    except ValueError as error:
-        raise ValueError(f"{option} {text!r}: {error}; it {wanted}") from None
-    unit = u.Quantity(example).unit
-    if len(found) != 1 or not found[0].unit.is_equivalent(unit) or not found[0] > 0:
-        raise ValueError(f"{option} {text!r}: {wanted}")
-    return found[0]
+    """Return a positive quantity of the kind of an example."""
+    return named(option, one_quantity, text, "one number", example)
 
 
 def _beam(text):
-    """A beam from one axis, two axes, or two axes and a position angle."""
+    """Return a beam from one axis, two axes, or two axes and a position angle."""
     import astropy.units as u
 
-    from astro_scc.config import parse_quantities
     from astro_scc.epochs import Beam
 
     try:
         major, *rest = parse_quantities(text)
-        if not 0 <= len(rest) <= 2:
+        if len(rest) > 2:
             raise ValueError("has too many numbers")
         return Beam(major, *rest) if rest else Beam(major, major)
     except (ValueError, u.UnitConversionError) as error:

@@ -3,10 +3,8 @@
 
 from pathlib import Path
 
-from astro_scc.cli.arguments import add_overwrite
-from astro_scc.cli.settings import draw_seed, parse_option
-
-__all__ = ["add_parser", "run", "simulated"]
+from astro_scc.cli.inputs import draw_seed, option_of
+from astro_scc.cli.options import add_overwrite, add_setting
 
 # Name -> the function of astro_scc.simulation, and what the jet is.
 JETS = {
@@ -16,7 +14,7 @@ JETS = {
         "a new random velocity for every feature at every epoch",
     ),
     "ballistic": ("simulate_ballistic", "features that each keep a random velocity"),
-    "static": ("simulate_static", "features that stand still"),
+    "static": ("simulate_static", "stationary features"),
     "unrelated": ("simulate_unrelated", "epochs that have nothing in common"),
     "jet": (
         "simulate_jet",
@@ -32,8 +30,8 @@ FLOW = {
         str,
         "of the speeds: normal (default), lognormal or uniform",
     ),
-    "--features": ("n_features", float, "moving ones in view at a time; default 8"),
-    "--standing": ("standing", int, "number of standing features; default 0"),
+    "--features": ("n_features", float, "moving features in view at a time; default 8"),
+    "--standing": ("standing", int, "number of stationary features; default 0"),
     "--acceleration": (
         "acceleration",
         float,
@@ -52,23 +50,26 @@ FLOW = {
 }
 
 
-def add_parser(commands):
-    """Add the command to the program's parser."""
-    width = max(map(len, JETS))
-    parser = commands.add_parser(
-        "simulate",
-        help="make images of a jet whose velocities are known",
-        description="Make the images of a jet whose velocities are known: one FITS "
-        "file an\nepoch, and truth.ecsv with the position and the velocity of every "
-        "feature.\n\njets:\n"
-        + "\n".join(f"  {name:{width}}  {what}" for name, (_, what) in JETS.items()),
-        epilog="examples:\n  astro-scc simulate two-fluid jet --seed 1 --epochs 10\n"
-        "  astro-scc simulate jet jet --motion 0.4 --dispersion 0.2 --vlba",
-    )
+WIDTH = max(map(len, JETS))
+HELP = "make images of a jet whose velocities are known"
+DESCRIPTION = """\
+Make the images of a jet whose velocities are known: one FITS file per
+epoch, and truth.ecsv with the position and the velocity of every feature.
+
+jets:
+""" + "\n".join(f"  {name:{WIDTH}}  {what}" for name, (_, what) in JETS.items())
+EPILOG = """\
+examples:
+  astro-scc simulate two-fluid jet --seed 1 --epochs 10
+  astro-scc simulate jet jet --motion 0.4 --dispersion 0.2 --vlba"""
+
+
+def add_arguments(parser):
+    """Add the arguments of the command."""
     parser.add_argument("jet", choices=JETS, metavar="JET", help="one of the above")
     parser.add_argument("output", metavar="DIR", help="folder for the images")
     add_overwrite(parser)
-    parser.add_argument("--seed", metavar="N", help="drawn and printed by default")
+    add_setting(parser, "seed")
     parser.add_argument(
         "--epochs",
         metavar="N",
@@ -91,25 +92,10 @@ def add_parser(commands):
         default=None,
         help="image it from visibilities of the VLBA, with CLEAN",
     )
-    return parser
 
 
 def simulated(jet, *, seed, **options):
-    """
-    A simulated jet whose truth knows its seed.
-
-    Parameters
-    ----------
-    jet : str
-        Its name on the command line.
-    seed : int
-    **options
-        Of the function in `astro_scc.simulation`.
-
-    Returns
-    -------
-    `~astro_scc.simulation.SimulatedJet`
-    """
+    """Return a jet by its name on the command line; its truth knows its seed."""
     from astro_scc import simulation
 
     made = getattr(simulation, JETS[jet][0])(rng=seed, **options)
@@ -118,14 +104,7 @@ def simulated(jet, *, seed, **options):
 
 
 def run(args, reporter):
-    """
-    Simulate, as the arguments say.
-
-    Parameters
-    ----------
-    args : `argparse.Namespace`
-    reporter : `~astro_scc.cli.reporter.Reporter`
-    """
+    """Simulate, as the arguments say."""
     from astro_scc.measurement import product_folder
     from astro_scc.simulation import observe, write_simulation
 
@@ -140,7 +119,8 @@ def run(args, reporter):
     vlba = given.pop("vlba", False)
     if args.epochs is not None:
         given["n_epochs"] = args.epochs
-    seed = draw_seed() if args.seed is None else parse_option("seed", args.seed)
+    seed = option_of(args, "seed")
+    seed = draw_seed() if seed is None else seed
     folder = Path(args.output)
     with product_folder(folder, overwrite=args.overwrite) as part:
         jet = simulated(args.jet, seed=seed, **given)

@@ -3,19 +3,13 @@
 
 import math
 
-__all__ = [
-    "component_lines",
-    "misalignment_text",
-    "profile_lines",
-    "scale_lines",
-    "speed_lines",
-    "table_lines",
-]
+from astro_scc.quantities import with_error
 
 # What stands beside the numbers of each kind of component.
-REMARKS = {"moving": "", "stationary": "stationary, no discovery"}
+REMARKS = {"moving": "", "stationary": "stationary"}
 EXPLANATION = (
-    "p_global: probability that epochs in permuted order show as much at any velocity",
+    "p_global: probability that epochs in permuted order would give an equally strong",
+    "peak at any velocity",
 )
 PROFILE_EXPLANATION = (
     "p_fdr: p_global adjusted for all bins, the share of false discoveries up to it",
@@ -55,30 +49,13 @@ def table_lines(head, rows):
     ]
 
 
-def with_error(value, error):
-    """
-    A value and its error, with two digits of the error.
-
-    Parameters
-    ----------
-    value, error : float
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> from astro_scc.cli.summary import with_error
-    >>> with_error(6.08744, 0.1234), with_error(0.3, float("nan"))
-    ('6.09 +- 0.12', '0.3 +- ?')
-    """
-    if not math.isfinite(error):
-        return f"{value:.3g} +- ?"
-    if error <= 0:
-        return f"{value:.3g} +- {error:.2g}"
-    digits = max(0, 1 - math.floor(math.log10(error)))
-    return f"{value:.{digits}f} +- {error:.{digits}f}"
+def plus_minus(row, name, unit=None):
+    """Return a number of a row with its error, as letters of ASCII."""
+    value, error = row[name], row[f"{name}_err"]
+    if hasattr(value, "unit"):
+        unit = unit or value.unit
+        value, error = value.to_value(unit), error.to_value(unit)
+    return with_error(float(value), float(error), "+-")
 
 
 def component_lines(components):
@@ -147,13 +124,13 @@ def profile_lines(components):
             continue
         cells = [
             f"{row['r_min'].value:g} to {row['r_max'].value:g}",
-            with_error(row["pm_parallel"].value, row["pm_parallel_err"].value),
+            plus_minus(row, "pm_parallel"),
         ]
         if in_c:
-            cells.append(with_error(row["beta_app"].value, row["beta_app_err"].value))
+            cells.append(plus_minus(row, "beta_app"))
         kind = str(row["kind"])
         for name in ("p_global", "p_fdr"):
-            # What stands still is not tested.
+            # Stationary features are not tested.
             cells.append("-" if kind == "stationary" else f"{row[name]:.2g}")
         rows.append([*cells, str(row["n_ssp"]), REMARKS.get(kind, kind)])
     if not rows:
@@ -178,8 +155,7 @@ def scale_lines(of_scales):
     lines = []
     for row in of_scales:
         speeds = [
-            f"{with_error(row[f'{k}_speed'].value, row[f'{k}_speed_err'].value)} "
-            f"({row[f'{k}_n_features']} features)"
+            f"{plus_minus(row, f'{k}_speed')} ({row[f'{k}_n_features']} features)"
             for k in ("first", "second")
         ]
         lines.append(
@@ -196,7 +172,7 @@ def _misalignment(meta):
 
 def misalignment_text(scatter):
     """
-    How well epochs lie on one another, as a line.
+    Return how well epochs are aligned, as a line.
 
     Parameters
     ----------
@@ -211,11 +187,11 @@ def misalignment_text(scatter):
     --------
     >>> from astro_scc.cli.summary import misalignment_text
     >>> misalignment_text(0.0312)
-    'The epochs lie on one another to 0.03 beams.'
+    'The epochs are aligned to 0.03 beams.'
     """
     if scatter is None:
-        return "How well the epochs lie on one another, the images do not tell."
-    return f"The epochs lie on one another to {scatter:.2f} beams."
+        return "The images do not show how well the epochs are aligned."
+    return f"The epochs are aligned to {scatter:.2f} beams."
 
 
 def speed_lines(meta):
@@ -261,11 +237,11 @@ def _found_lines(components, kinds):
         angle = row["pm_pa"].value
         cells = [
             str(row["component"]),
-            with_error(row["pm"].to_value(unit), row["pm_err"].to_value(unit)),
+            plus_minus(row, "pm", unit),
             f"{angle:.0f}" if math.isfinite(angle) else "-",
         ]
         if in_c:
-            cells.append(with_error(row["beta_app"].value, row["beta_app_err"].value))
+            cells.append(plus_minus(row, "beta_app"))
         spread = row["dispersion"].to_value(unit)
         cells.append(f"{spread:.2g}" if math.isfinite(spread) else "-")
         cells += [

@@ -4,11 +4,9 @@
 from contextlib import contextmanager
 from pathlib import Path
 
-from astro_scc.cli.arguments import add_no_report, add_workers
-from astro_scc.cli.settings import workers_of
+from astro_scc.cli.inputs import workers_of
+from astro_scc.cli.options import add_no_report, add_workers
 from astro_scc.cli.summary import table_lines
-
-__all__ = ["add_parser", "run"]
 
 EPILOG = """\
 examples:
@@ -29,24 +27,22 @@ survey.toml:
   regions = {inner = "3c273/inner.reg", outer = "3c273/outer.reg"}
 
 Everything that may stand in a configuration of astro-scc measure may stand in
-[defaults] or with a source, but region, bins and window.  Paths are relative to the
-file.  A source that fails does not stop the others.  Run again with the same folder,
-it goes on: sources that are finished with the same settings, files and versions are
-not measured again.  The folder gets survey.ecsv, a row for each source, region, scale
-group and component with p_fdr over all of them, or with the reason why there is none;
-and in sources/ a folder for each source with the products of astro-scc measure, a
-report among them.
+[defaults] or with a source, but region.  Paths are relative to the file.  A source
+that fails does not stop the others.  Run again with the same folder, it goes on:
+sources that are finished with the same settings, files and versions are not measured
+again.  The folder gets survey.ecsv, a row for each source, region, scale group and
+component with p_fdr over all of them, or with the reason why there is none; and in
+sources/ a folder for each source with the products of astro-scc measure, a report
+among them.
 """
 
 
-def add_parser(commands):
-    """Add the command to the program's parser."""
-    parser = commands.add_parser(
-        "survey",
-        help="measure many sources, on one machine or a Dask cluster",
-        description="Measure the velocities of many sources and make one table.",
-        epilog=EPILOG,
-    )
+HELP = "measure many sources, on one machine or a Dask cluster"
+DESCRIPTION = "Measure the velocities of many sources and make one table."
+
+
+def add_arguments(parser):
+    """Add the arguments of the command."""
     parser.add_argument("survey", metavar="SURVEY.toml", help="what to measure")
     parser.add_argument(
         "-o",
@@ -57,34 +53,20 @@ def add_parser(commands):
     )
     add_no_report(parser)
     add_workers(parser)
-    return parser
 
 
 def run(args, reporter):
-    """
-    Run a survey, as the arguments say.
-
-    Parameters
-    ----------
-    args : `argparse.Namespace`
-    reporter : `~astro_scc.cli.reporter.Reporter`
-
-    Raises
-    ------
-    ValueError
-        If no source could be measured.
-    """
-    from astro_scc.survey import read_survey, run_survey
+    """Run a survey, as the arguments say."""
+    from astro_scc.cli.sources import TABLE, read_survey, run_survey
 
     n_workers = workers_of(args)
     survey = read_survey(args.survey)
     reporter.on_interrupt = "interrupted; the same command goes on from what is done"
-    counts = {}
+    statuses = set()
 
-    def report(name, outcomes, before):
+    def done(name, outcomes, before):
         name = name if name.isprintable() else ascii(name)
-        for outcome in outcomes:
-            counts[outcome.status] = counts.get(outcome.status, 0) + 1
+        statuses.update(outcome.status for outcome in outcomes)
         failed = {o.message for o in outcomes if o.status == "failed"}
         for message in sorted(failed):
             reporter.warn(f"{name}: {message}")
@@ -96,26 +78,18 @@ def run(args, reporter):
             survey,
             args.output,
             n_workers=workers,
-            write_report=_report_writer(args),
-            report=report,
+            report=not args.no_report,
+            done=done,
             progress_bar=reporter.progress,
         )
     for line in _summary(table):
         reporter.say(line)
-    path = Path(args.output) / "survey.ecsv"
-    if set(counts) == {"failed"}:
+    path = Path(args.output) / TABLE
+    if statuses == {"failed"}:
         raise ValueError(f"no source could be measured; {path} says why")
     reporter.say(f"\nTable: {path}")
     if not args.no_report:
         reporter.say(f"Reports: {Path(args.output) / 'sources'}")
-
-
-def _report_writer(args):
-    if args.no_report:
-        return None
-    from astro_scc.report import write_report
-
-    return write_report
 
 
 @contextmanager

@@ -1,22 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """``astro-scc track``: from images to features followed from epoch to epoch."""
 
-from astro_scc.cli.arguments import (
-    add_config,
-    add_distance,
-    add_epochs,
-    add_images,
-    add_output,
-    add_patterns,
-    add_trials,
-    add_votable,
-    add_workers,
-)
-from astro_scc.cli.settings import draw_seed, parse_option, settings_of, workers_of
+from dataclasses import fields, replace
+
+from astro_scc.cli.inputs import draw_seed, read_epochs, settings_of, workers_of
+from astro_scc.cli.options import add_output, add_settings, add_switch, add_votable
 from astro_scc.cli.summary import speed_lines, table_lines
 
-__all__ = ["add_parser", "run"]
-
+HELP = "follow single features from epoch to epoch (WISE)"
+DESCRIPTION = "Follow the features of images of one object at many dates."
 EPILOG = """\
 examples:
   astro-scc track 3c120/*.fits -o tracks --align core --max-speed "4 mas/yr" \\
@@ -39,146 +31,66 @@ PRODUCTS = (
     "tracks.png",
     "track_profile.png",
 )
-#: Settings of a measurement that tracking has no use for.
-UNUSED = dict.fromkeys(("baseline", "kernel"))
-#: Settings of the tracker alone.
-TRACKER = ("along", "across", "tolerance", "max_gap", "max_interval", "min_epochs")
-N_TRIALS = 20
+KAPPA, N_TRIALS = 0.5, 20
+#: Dots per inch of the figures.
+DPI = 130
+#: Points of the profile.
+N_RADII = 20
 
 
-def add_parser(commands):
-    """Add the command to the program's parser."""
-    parser = commands.add_parser(
-        "track",
-        help="follow single features from epoch to epoch (WISE)",
-        description="Follow the features of images of one object at many dates.",
-        epilog=EPILOG,
-    )
-    parser.set_defaults(**UNUSED)
-    add_epochs(parser)
-    add_output(parser, what="the tables and figures")
-    add_config(parser)
-    parser.add_argument(
-        "--no-figures", action="store_true", help="write the tables alone"
-    )
+def add_arguments(parser):
+    """Add the arguments of the command."""
+    add_output(parser, "the tables and figures")
+    add_switch(parser, "--no-figures", "write only the tables")
     add_votable(parser, "features.vot and tracks.vot")
-    add_images(parser, verb="track")
-    _add_tracking(parser.add_argument_group("tracking"))
-    add_distance(parser)
-    add_workers(parser)
-    return parser
-
-
-def _add_tracking(group):
-    add_patterns(group, kappa=0.5, speed="four beams in the median interval")
-    group.add_argument(
-        "--position-angle",
-        metavar='"65 deg"|radial',
-        help="direction of the jet, north through east, for --along and --across",
-    )
-    for name, what in (("along", "along the jet"), ("across", "across it")):
-        group.add_argument(
-            f"--{name}",
-            metavar='"-1 4 mas/yr"',
-            help=f"smallest and largest proper motion {what}",
-        )
-    group.add_argument(
-        "--tolerance",
-        metavar="0.2",
-        help="scatter of displacements about steady motion, in beams; default 0.2",
-    )
-    group.add_argument(
-        "--max-gap",
-        metavar="1",
-        help="consecutive epochs at which a feature may be missing; default 1",
-    )
-    group.add_argument(
-        "--max-interval",
-        metavar='"1 yr"',
-        help="longest time between two epochs that are linked",
-    )
-    group.add_argument(
-        "--min-epochs",
-        metavar="3",
-        help="epochs that make a track at least; default 3",
-    )
-    add_trials(
-        group,
-        number=N_TRIALS,
-        what="shuffled orders that are linked too, at least 2, to see chance at work",
-    )
-    group.add_argument(
-        "--half-width",
-        metavar='"2 mas"',
-        help="features this near a distance make the profile there; default 2 mas "
-        "(Mertens & Lobanov 2016), or a fifth of the longest distance if less",
-    )
-    group.add_argument(
+    parser.add_argument(
         "--profile",
         metavar="FILE.ecsv",
         help="profile of the stack, as of astro-scc profile, for the figure",
     )
+    add_settings(parser, "track")
 
 
 def run(args, reporter):
-    """
-    Track, as the arguments say.
-
-    Parameters
-    ----------
-    args : `argparse.Namespace`
-    reporter : `~astro_scc.cli.reporter.Reporter`
-    """
-    from astro_scc.cli.track_products import draw_tracks, write_tracks
-    from astro_scc.config import read_epochs
+    """Track, as the arguments say."""
     from astro_scc.measurement import product_folder
 
-    config = settings_of(args, reporter)
+    # The smallest correlation of a measurement is for stacks.
+    settings = settings_of(
+        args, reporter, unused=("kappa",), kappa=KAPPA, n_trials=N_TRIALS
+    )
+    if settings.along is None and settings.across is None:
+        # Axes of a measurement that tracking does not have make no difference.
+        if args.position_angle is None and isinstance(settings.position_angle, str):
+            settings = replace(settings, position_angle=None)
     n_workers = workers_of(args)
-    tracker = _tracker(args, config)
-    half_width = args.half_width and parse_option("half_width", args.half_width)
+    tracker = _tracker(settings)
     stack = None if args.profile is None else _stack_profile(args.profile)
     with product_folder(
         args.output, overwrite=args.overwrite, stale=PRODUCTS
     ) as folder:
-        cube, config, _ = read_epochs(config, note=reporter.note)
-        config = {"n_trials": N_TRIALS, "seed": draw_seed(), **config}
-        tracking = _track(cube, tracker, config, reporter, n_workers)
-        profile = write_tracks(
-            tracking, config, folder, half_width=half_width, votable=args.votable
-        )
+        cube, settings, _ = read_epochs(settings, note=reporter.note)
+        if settings.seed is None:
+            settings = replace(settings, seed=draw_seed())
+        tracking = _track(cube, tracker, settings, reporter, n_workers)
+        profile = _write(tracking, settings, folder, votable=args.votable)
         if not args.no_figures:
-            draw_tracks(tracking, profile, config, folder, stack=stack)
-    for line in (*_summary(tracking), *speed_lines(config)):
+            _draw(tracking, profile, settings, folder, stack)
+    for line in (*_summary(tracking), *speed_lines(settings.in_c)):
         reporter.say(line)
     reporter.say(f"\nTables{'' if args.no_figures else ' and figures'}: {args.output}")
 
 
-def _tracker(args, config):
-    """The settings of the tracker, from the command line and the configuration."""
+def _tracker(settings):
+    """Return the tracker of the settings that are given."""
     from astro_scc.tracking import FeatureTracker
 
-    names = ("max_speed", "position_angle", "kappa", "target", "min_overlap",
-             "common_beam")  # fmt: skip
-    settings = {name: config[name] for name in names if name in config}
-    if "kappa" in config and args.kappa is None:
-        # That of a measurement is for stacks.
-        del settings["kappa"]
-    settings |= {
-        name: parse_option(name, value)
-        for name in TRACKER
-        if (value := getattr(args, name)) is not None
-    }
-    if settings.get("along") is None and settings.get("across") is None:
-        # A measurement's axes that need more than tracking has are no matter.
-        angle = settings.get("position_angle")
-        if args.position_angle is None and isinstance(angle, str):
-            del settings["position_angle"]
-    return FeatureTracker(**settings)
+    found = {own.name: getattr(settings, own.name) for own in fields(FeatureTracker)}
+    return FeatureTracker(**{k: v for k, v in found.items() if v is not None})
 
 
 def _stack_profile(path):
-    """The profile of the stack, and that it is one."""
+    """Return the profile of the stack, and refuse what is none."""
     from astropy.table import QTable
 
     try:
@@ -197,7 +109,8 @@ def _stack_profile(path):
     return table
 
 
-def _track(cube, tracker, config, reporter, n_workers):
+def _track(cube, tracker, settings, reporter, n_workers):
+    """Decompose the epochs and link their features."""
     from astro_scc.decomposition import Decomposer
     from astro_scc.measurement.decomposing import (
         allow_for_structure,
@@ -206,45 +119,104 @@ def _track(cube, tracker, config, reporter, n_workers):
     from astro_scc.measurement.plan import scales_of_pixels, ssps_inside
     from astro_scc.measurement.selection import warn_of_none_inside
 
-    names = {"wavelet": "kernel", "detection": "detection", "noise": "noise",
-             "segmentation": "segmentation"}  # fmt: skip
-    options = {names[name]: config[name] for name in names if name in config}
-    scales = scales_of_pixels(config.get("scales", (1, 2, 3, 4)), cube.pixel_scale)
-    region = config.get("region")
+    region = settings.region
     inside = None if region is None else cube.region_mask(region)
-    decomposer = allow_for_structure(cube, Decomposer(scales=scales, **options))
-    decompositions = decompose_epochs(cube, decomposer)
+    decomposer = Decomposer(
+        scales=scales_of_pixels(settings.scales, cube.pixel_scale),
+        kernel=settings.wavelet,
+        detection=settings.detection,
+        segmentation=settings.segmentation,
+        noise=settings.noise,
+    )
+    decompositions = decompose_epochs(cube, allow_for_structure(cube, decomposer))
     ssps, select = ssps_inside(decompositions, cube, inside)
     warn_of_none_inside(ssps, select, region)
     return tracker(
         cube,
         decompositions,
         select=select,
-        n_trials=config["n_trials"],
-        rng=config["seed"],
+        n_trials=settings.n_trials,
+        rng=settings.seed,
         n_workers=n_workers,
         progress_bar=reporter.progress,
     )
 
 
+def _write(tracking, settings, folder, *, votable):
+    """Write the tables; the profile."""
+    import astropy.units as u
+    import numpy as np
+    from astropy.table import QTable
+
+    from astro_scc.measurement import versions, write_votable
+    from astro_scc.measurement.products import plain_meta
+    from astro_scc.tracking import plain_table
+
+    how = settings.in_c
+    tracks = tracking.tracks_in_c(**how) if how else tracking.tracks
+    longest = tracks["r"].to_value(u.mas).max(initial=0.0) * u.mas
+    half_width = settings.half_width
+    if half_width is None:
+        half_width = min(2 * u.mas, longest / 5) if longest > 0 else 2 * u.mas
+    radii = np.linspace(0, 1, N_RADII + 1)[1:] if longest > 0 else []
+    profile = tracking.profile(radii * longest, half_width=half_width)
+    meta = {
+        "configuration": settings.to_dict("track"),
+        **plain_meta({**tracks.meta, **profile.meta}),
+        "versions": versions(),
+    }
+    for name, table in (
+        ("features", tracking.features),
+        ("tracks", tracks),
+        ("track_profile", profile),
+    ):
+        table = QTable(table, copy=False)
+        table.meta = meta
+        table.write(folder / f"{name}.ecsv", format="ascii.ecsv", overwrite=True)
+        if votable and name != "track_profile":
+            write_votable(plain_table(table), folder / f"{name}.vot", overwrite=True)
+    return profile
+
+
+def _draw(tracking, profile, settings, folder, stack):
+    """Write the figures; ``stack`` is a profile to draw beside, or None."""
+    import astropy.units as u
+
+    from astro_scc.kinematics import apparent_speed
+    from astro_scc.visualization import (
+        plot_separation,
+        plot_track_profile,
+        plot_tracks,
+    )
+
+    how = settings.in_c
+    per_pm = float(apparent_speed(1 * u.mas / u.yr, **how)) if how else None
+    figures = {
+        "separation": plot_separation(tracking),
+        "tracks": plot_tracks(tracking),
+        "track_profile": plot_track_profile(profile, stack=stack, beta_per_pm=per_pm),
+    }
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={"Software": None})
+
+
 def _summary(tracking):
-    """What was found, as lines."""
+    """Return what was found, as lines."""
     import numpy as np
 
     tracks = tracking.tracks
     ejected = int(np.sum(~np.asarray(tracks["t_ej"].mask)))
     rows = []
     for share in tracking.shares:
-        scale = "all" if share.scale is None else f"{share.scale:g}"
         own = np.asarray(tracks["scale"]) == share.scale
         rows.append(
             [
-                scale,
+                "all" if share.scale is None else f"{share.scale:g}",
                 str(len(tracks) if share.scale is None else int(own.sum())),
                 str(share.n_ssps),
                 f"{share.share:.2f} ± {share.share_err:.2f}",
                 f"{share.shuffled:.2f} ± {share.shuffled_err:.2f}",
             ]
         )
-    yield from table_lines(["scale", "tracks", "SSPs", "linked", "if shuffled"], rows)
+    yield from table_lines(["scale", "tracks", "SSPs", "linked", "if permuted"], rows)
     yield f"{len(tracks)} tracks, {ejected} with an ejection epoch"

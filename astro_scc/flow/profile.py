@@ -9,12 +9,12 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Column, QTable, vstack
 
-from astro_scc.config.settings import require
 from astro_scc.flow.groups import ssp_angles
 from astro_scc.flow.models import fit_profile
 from astro_scc.kinematics import RidgeLine, apparent_speed
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import component_table, false_discovery_rate, select_ssps
+from astro_scc.settings import require
 from astro_scc.stacking import stack
 
 #: Dots per inch of the figures.

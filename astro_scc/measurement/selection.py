@@ -8,10 +8,10 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 
-from astro_scc.config.settings import require
 from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.plan import centroids_inside, scales_of_pixels
+from astro_scc.settings import require
 
 __all__ = ["select_ssps", "ssp_distances", "warn_of_none_inside"]
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 
-from astro_scc.config.settings import require
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import (
     PositionAngleFrame,
@@ -23,6 +22,7 @@ from astro_scc.measurement.result import SCCResult
 from astro_scc.measurement.tables import versions
 from astro_scc.measurement.velocity_error import alignment_errors, velocity_of
 from astro_scc.progress import progress
+from astro_scc.settings import require
 from astro_scc.stacking import (
     PairMaps,
     SearchSettings,

@@ -1,21 +1,26 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""A measurement as one page to read, the answer first."""
+"""A measurement as one page to read; its sentences stand in the template."""
 
+import base64
+import io
+import math
 from importlib import resources
 from pathlib import Path
 
+import astropy.units as u
+import numpy as np
+
 from astro_scc.partial import replace_when_complete
-from astro_scc.report.answer import answers, chances, edge_remarks, facts, headline
-from astro_scc.report.figures import draw_pictures
+from astro_scc.quantities import with_error
 from astro_scc.report.tables import (
     component_rows,
     epoch_rows,
     feature_rows,
     in_easy_units,
+    plain_value,
     setting_rows,
+    unit_text,
 )
-
-__all__ = ["write_report"]
 
 #: What else may be in the folder, in this order.
 PRODUCTS = (
@@ -28,6 +33,11 @@ PRODUCTS = (
     "config.toml",
     "region.reg",
 )
+#: Dots per inch of the figures, which are up to six inches wide.
+DPI = 150
+#: Speeds beyond this part of the largest one that was searched are pointed out.
+EDGE = 0.9
+NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 
 def write_report(
@@ -88,48 +98,27 @@ def write_report(
     >>> path.name
     'report.html'
     """
-    import jinja2
-
-    from astro_scc.visualization.style import component_kinds
-
     directory = Path(directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
         raise OSError(f"{directory}: is a file; choose another folder") from None
-    kinds = component_kinds(components)
-    pictures = draw_pictures(result, components)
-    easy = in_easy_units(components)
-    tables, notes = component_rows(easy, kinds)
-    environment = jinja2.Environment(
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    template = resources.files("astro_scc.report").joinpath("page.html")
-    page = environment.from_string(template.read_text(encoding="utf-8")).render(
+    figures = draw_figures(result, components)
+    page = _template().render(
+        **_findings(result, components),
         title=str(title),
-        facts=facts(result),
-        headline=headline(kinds),
-        answers=answers(easy, kinds),
-        chances=chances(result, components, kinds),
-        warnings=[str(w) for w in warnings] + edge_remarks(result, components, kinds),
-        figures=pictures,
-        kinds=kinds,
-        tables=tables,
-        notes=notes,
+        warnings=[str(warning) for warning in warnings],
+        figures={name: _address(png) for name, png in figures.items()},
         epochs=epoch_rows(result),
-        features=feature_rows(easy, result.features),
         left_out=[(w, "") if isinstance(w, str) else tuple(w) for w in left_out],
         settings=setting_rows(result, components),
         rerun=rerun,
         config_text=config_text,
         history=[str(line) for line in result.cube.meta.get("history", ())],
-        versions=", ".join(f"{k} {v}" for k, v in _versions(result).items()),
+        versions=result.meta.get("versions", {}),
         products=[name for name in PRODUCTS if (directory / name).is_file()],
     )
-    files = {f"{picture.name}.png": picture.png for picture in pictures}
+    files = {f"{name}.png": png for name, png in figures.items()}
     files["report.html"] = page.encode("utf-8")
     for name, content in files.items():
         with replace_when_complete(directory / name, overwrite=True) as part:
@@ -137,5 +126,112 @@ def write_report(
     return directory / "report.html"
 
 
-def _versions(result):
-    return {str(k): str(v) for k, v in result.meta.get("versions", {}).items()}
+def _template():
+    import jinja2
+
+    environment = jinja2.Environment(
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.tests["finite"] = math.isfinite
+    environment.filters |= {
+        "plural": lambda word, n: word if n == 1 else f"{word}s",
+        "listed": _listed,
+        "with_error": with_error,
+        "word": lambda n: NUMBERS[n] if n < len(NUMBERS) else str(n),
+    }
+    text = resources.files("astro_scc.report").joinpath("page.html")
+    return environment.from_string(text.read_text(encoding="utf-8"))
+
+
+def _listed(words):
+    """Join words by commas, and the last by "and"."""
+    words = [str(word) for word in words]
+    return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else words[0]
+
+
+def _address(png):
+    """Return a picture as an address that holds it."""
+    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+
+
+def draw_figures(result, components):
+    """Return the figures as PNG, without members where there is no component."""
+    from astro_scc import visualization as show
+
+    shared = {"components": components, "beta_per_pm": _beta_per_pm(components)}
+    figures = {
+        "diagram": show.plot_diagram(result, components=components),
+        "velocity_map": show.plot_velocity_map(result, **shared),
+        "significance": show.plot_significance(result, **shared),
+        "members": show.plot_members(result, components=components),
+        "epochs": show.plot_epochs(result.cube, result.ssps),
+        "intervals": show.plot_intervals(result.cube, result.pairs),
+    }
+    if len(components) == 0:
+        del figures["members"]
+    found = {}
+    for name, figure in figures.items():
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=DPI)
+        found[name] = buffer.getvalue()
+    return found
+
+
+def _beta_per_pm(components):
+    """Return the apparent speed in units of c of 1 mas/yr, if the table has it."""
+    if "beta_app" not in components.colnames:
+        return None
+    speed = u.Quantity(components["pm"]).to_value(u.mas / u.yr)
+    beta = np.asarray(components["beta_app"], dtype=float)
+    usable = (speed > 0) & (beta > 0)
+    return float(beta[usable][0] / speed[usable][0]) if usable.any() else None
+
+
+def _findings(result, components):
+    """Return the numbers that the sentences, tables and captions are made of."""
+    from astro_scc.visualization.style import component_kinds
+
+    kinds = component_kinds(components)
+    easy = in_easy_units(components)
+    tables, notes = component_rows(easy, kinds)
+    names = [name for name in easy.colnames if easy[name].ndim == 1]
+    rows = [
+        {name: plain_value(row[name]) for name in names} | {"kind": kind}
+        for row, kind in zip(easy, kinds, strict=True)
+    ]
+    fast = fast_components(result, rows)
+    inside = np.asarray(result.ssps["in_region"], bool)
+    return {
+        "components": rows,
+        "kinds": kinds,
+        "unit": unit_text(easy["pm"].unit),
+        "tables": tables,
+        "notes": notes,
+        "features": feature_rows(easy, result.features),
+        "fast": fast,
+        "dates": result.cube.times.strftime("%Y-%m-%d"),
+        "n_pairs": int(result.search.diagram.n_pairs.sum()),
+        "n_map_pairs": len(result.pairs),
+        "n_ssps": len(inside),
+        "n_inside": int(inside.sum()),
+        "n_scales": len(np.unique(np.asarray(result.ssps["scale"], dtype=float))),
+        "axes": result.frame.axis_names,
+        "alpha": result.meta["settings"]["level"],
+        "n_trials": result.meta["n_trials"],
+        "smallest_of_epochs": 2 / math.factorial(min(len(result.cube), 20)),
+    }
+
+
+def fast_components(result, rows):
+    """Return the numbers of moving components at the edge of what was searched."""
+    fastest = result.search.permutations.speed.max()
+    return [
+        int(row["component"])
+        for row in rows
+        if row["kind"] == "moving"
+        and abs(result.search.streams[int(row["component"]) - 1].along.mean)
+        > EDGE * fastest
+    ]

@@ -8,21 +8,7 @@ import numpy as np
 
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement.tables import PM_UNIT
-from astro_scc.report.words import (
-    listed,
-    plain_value,
-    row_text,
-    unit_text,
-    with_error,
-)
-
-__all__ = [
-    "component_rows",
-    "epoch_rows",
-    "feature_rows",
-    "in_easy_units",
-    "setting_rows",
-]
+from astro_scc.quantities import with_error
 
 #: Columns of the page: name, heading with {unit}, decimals where there is no error.
 COLUMNS = (
@@ -52,6 +38,22 @@ COLUMNS = (
     ("p_smallest", "smallest p_global", 3),
     ("note", "note", 0),
 )
+
+
+def plain_value(item):
+    """A plain number, or text, of a cell."""
+    item = getattr(item, "value", item)
+    return item if isinstance(item, str) else float(item)
+
+
+def row_text(row, name):
+    """A number of a row with its error, of the columns ``name`` and ``name_err``."""
+    return with_error(plain_value(row[name]), plain_value(row[f"{name}_err"]))
+
+
+def unit_text(unit):
+    """A unit without blanks; nothing for none."""
+    return "" if unit is None else u.Unit(unit).to_string().replace(" / ", "/")
 
 
 def in_easy_units(components):
@@ -227,7 +229,7 @@ def _text(value):
         return "yes" if value else "no"
     if isinstance(value, u.Quantity):
         unit = unit_text(value.unit)
-        return f"{listed([f'{v:.6g}' for v in np.atleast_1d(value.value)])} {unit}"
+        return f"{', '.join(f'{v:.6g}' for v in np.atleast_1d(value.value))} {unit}"
     if isinstance(value, list | tuple):
         return ", ".join(_text(v) for v in value)
     if isinstance(value, float):

@@ -8,12 +8,12 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from astro_scc.config.settings import require
 from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.quantities import named, to_quantity
+from astro_scc.settings import require
 from astro_scc.tracking.chains import track_names
 from astro_scc.tracking.confidence import LinkedShare
 from astro_scc.tracking.fits import fit_motion

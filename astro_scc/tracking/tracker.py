@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass, fields, replace
 import astropy.units as u
 import numpy as np
 
-from astro_scc.config.settings import require
 from astro_scc.correlation import Correlator, Matches, landing_ssps
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.ssp import require_ssps
@@ -14,6 +13,7 @@ from astro_scc.epochs.alignment.misalignment import warn_of_misalignment
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.progress import progress
+from astro_scc.settings import require
 from astro_scc.tracking.candidates import core_ssps, find_candidates
 from astro_scc.tracking.chains import chain
 from astro_scc.tracking.confidence import linked_counts, linked_share, shuffled_orders

@@ -25,6 +25,12 @@ def here(tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def no_figures(monkeypatch):
+    """Reports without the time that figures take."""
+    monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_: {})
+
+
+@pytest.fixture
 def astro_scc(capsys):
     """Run a command; its status, output and messages."""
 

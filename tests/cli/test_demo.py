@@ -6,12 +6,32 @@ import sys
 
 import astropy.units as u
 import numpy as np
+import pytest
 from astropy.table import QTable
 
 from astro_scc.cli import main
 from astro_scc.cli.measure import PRODUCTS
 
 
+@pytest.fixture
+def quick(no_figures, monkeypatch):
+    """A demo of few trials and no figures."""
+    monkeypatch.setattr("astro_scc.cli.demo.N_TRIALS", 30)
+
+
+def test_demo_in_short(quick, astro_scc, here):
+    status, out, err = astro_scc("demo")
+    assert (status, err) == (0, "")
+    simulated, measured = out.split("Measured:")
+    assert {"slow", "fast"} <= set(simulated.split())
+    assert "Report: astro_scc_demo/report.html" in measured
+    folder = here / "astro_scc_demo"
+    assert len(list((folder / "epochs").glob("*.fits"))) == 10
+    table = QTable.read(folder / "components.ecsv")
+    assert table.meta["configuration"]["region"] == "astro_scc_demo/region.reg"
+
+
+@pytest.mark.slow
 def test_demo(tmp_path, monkeypatch):
     command = [sys.executable, "-m", "astro_scc.cli"]
     done = subprocess.run(

@@ -118,7 +118,8 @@ def test_defaults_that_follow_from_the_images_are_repeated_to_the_bit(
     # What was not given is found again.
     assert "max_speed" not in text
     assert "20.0 d" in text
-    assert astro_scc("measure", "--config", "a/config.toml", "-o", "b")[0] == 0
+    again = ("measure", "--config", "a/config.toml", "-o", "b", "--no-report")
+    assert astro_scc(*again)[0] == 0
     for name in TABLES:
         assert (here / "a" / name).read_bytes() == (here / "b" / name).read_bytes()
 
@@ -232,7 +233,9 @@ def test_alignments(method, series, astro_scc, here):
     assert any(line.startswith("aligned on") for line in meta["history"])
 
 
-def test_a_report_tells_warnings_and_epochs_left_out(series, astro_scc, here):
+def test_a_report_tells_warnings_and_epochs_left_out(
+    series, astro_scc, here, no_figures
+):
     beam = Beam(1 * u.mas, 1 * u.mas)
     paths = series([beam] * 6, OBJECT="3C <273>")
     status, out, err = astro_scc(
@@ -251,7 +254,7 @@ def test_a_report_tells_warnings_and_epochs_left_out(series, astro_scc, here):
     assert "astro-scc measure --config out/config.toml -o FOLDER" in page
 
 
-def test_too_few_epochs_are_one_line(jet, astro_scc, here):
+def test_too_few_epochs_are_one_line(jet, astro_scc, here, no_figures):
     status, _, err = astro_scc("measure", *epochs(jet)[:3], *QUICK, "-o", "out")
     assert status == 0
     (line,) = err.splitlines()
@@ -274,12 +277,6 @@ def test_overwriting_leaves_nothing_of_the_old_measurement(jet, astro_scc, here)
     assert all((out / name).read_bytes() != b"old" for name in PRODUCTS[:5])
 
 
-def test_the_report_writes_what_is_known_to_be_stale():
-    from astro_scc.report.figures import CAPTIONS
-
-    assert set(PRODUCTS[6:]) == {f"{name}.png" for name in CAPTIONS}
-
-
 def test_a_cube_file_is_measured(jet, astro_scc, here):
     EpochCube.read(epochs(jet)[:5]).write("cube.fits")
     status, _, err = astro_scc("measure", "cube.fits", *QUICK, "-o", "a", "--no-report")
@@ -289,38 +286,38 @@ def test_a_cube_file_is_measured(jet, astro_scc, here):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        (["--max-speed", "2 mas"], "--max-speed '2 mas': must be an angle per time"),
-        (["--scales", "big"], "--scales 'big': "),
+        (["--max-speed", "2 mas"], "--max-speed '2 mas' must be an angle per time"),
+        (["--scales", "big"], "--scales 'big' "),
         (["--scales", "0.01 mas"], "scale 0.01 mas is 0.1 px"),
         (["--scales", "9"], "9"),
-        (["--position-angle", "65"], "'65': has no unit at its end; it must be radial"),
-        (["--baseline", "1 yr"], "--baseline '1 yr': must be a shortest and a longest"),
+        (["--position-angle", "65"], "'65' has no unit at its end; it must be radial"),
+        (["--baseline", "1 yr"], "--baseline '1 yr' must be a shortest and a longest"),
         (["--baseline", "5 6 yr"], "no two epochs are 5 to 6 yr apart"),
         (["--kappa", "1.2"], "kappa must be between 0 and 1"),
-        (["--kernel", "9"], "--kernel '9': must be a part of the beam"),
-        (["--n-trials", "1"], "--n-trials '1': must be 2 to"),
-        (["--seed", "-3"], "--seed '-3': must be 0 to"),
+        (["--kernel", "9"], "--kernel '9' must be a part of the beam"),
+        (["--n-trials", "1"], "--n-trials '1' must be 2 to"),
+        (["--seed", "-3"], "--seed '-3' must be 0 to"),
         (["--workers", "0"], "--workers must be at least 1"),
-        (["--redshift", "-1"], "--redshift '-1': must be above 0"),
+        (["--redshift", "-1"], "--redshift '-1' must be above 0"),
         (["--redshift", "1", "--distance", "1 Mpc"], "distance needs neither redshift"),
         (["--redshift", "47367 km/s"], "give the redshift, 0.158 if it is c z"),
-        (["--redshift", "47367"], "--redshift '47367': must be below 1090; of a vel"),
-        (["--redshift", "600 Mpc"], "'600 Mpc': is a length; give it as the distance"),
+        (["--redshift", "47367"], "--redshift '47367' must be below 1090; of a vel"),
+        (["--redshift", "600 Mpc"], "'600 Mpc' is a length; give it as the distance"),
         (
             ["--distance", "0.158"],
-            "--distance '0.158': has no unit at its end; it must",
+            "--distance '0.158' has no unit at its end; it must",
         ),
-        (["--distance", "16 7 Mpc"], "--distance '16 7 Mpc': must be one distance"),
+        (["--distance", "16 7 Mpc"], "--distance '16 7 Mpc' must be one distance"),
         (
             ["--position-angle", "-112"],
-            "'-112': has no unit at its end; it must be rad",
+            "'-112' has no unit at its end; it must be rad",
         ),
-        (["--max-speed", "-2mas/yr"], "'-2mas/yr': must be finite and above 0"),
-        (["--baseline", "-1yr,1yr"], "--baseline '-1yr,1yr': must be a shortest and"),
+        (["--max-speed", "-2mas/yr"], "'-2mas/yr' must be finite and above 0"),
+        (["--baseline", "-1yr,1yr"], "--baseline '-1yr,1yr' must be a shortest and"),
         (["--cosmology", "Planck18"], "--cosmology needs a --redshift"),
-        (["--redshift", "1", "--cosmology", "Big"], "--cosmology 'Big': is no cosmol"),
-        (["--distance", "1 mas"], "--distance '1 mas': must be a length"),
-        (["--before", "soon"], "--before 'soon': is no date"),
+        (["--redshift", "1", "--cosmology", "Big"], "--cosmology 'Big' is no cosmol"),
+        (["--distance", "1 mas"], "--distance '1 mas' must be a length"),
+        (["--before", "soon"], "--before 'soon' is no date"),
         (["--before", "1990-01-01"], "no epoch is left between --after and --before"),
         (["--before", "2000-01-15"], "velocities need at least two epochs"),
         (["--align", "coer"], "align method 'coer' is none of"),
@@ -356,7 +353,9 @@ def test_epochs_that_are_none(refused, here, jet):
     )
 
 
-def test_the_scatter_of_the_epochs_is_said_and_what_mends_it(astro_scc, here):
+def test_the_scatter_of_the_epochs_is_said_and_what_mends_it(
+    astro_scc, here, no_figures
+):
     jet = simulate_jet(
         n_epochs=6, n_features=0, standing=6, length=8.0, alignment_error=0.5, rng=3,
         shape=(48, 120),
@@ -368,7 +367,7 @@ def test_the_scatter_of_the_epochs_is_said_and_what_mends_it(astro_scc, here):
         status, out, err = astro_scc(*argv)
         assert status == 0
         assert ("warning: the epochs are laid on one another to 0." in err) == bad
-        (said,) = re.findall(r"The epochs lie on one another to (0\.\d\d) beams\.", out)
+        (said,) = re.findall(r"The epochs are aligned to (0\.\d\d) beams\.", out)
         assert (float(said) >= 0.2) == bad
         page = (here / align / "report.html").read_text(encoding="utf-8")
         assert "misalignment beams" in page

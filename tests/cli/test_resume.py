@@ -4,7 +4,7 @@
 import pytest
 
 from astro_scc.cli import main
-from astro_scc.cli.resuming import WORK
+from astro_scc.cli.measure import WORK
 from astro_scc.correlation.blocks import match_block
 from astro_scc.simulation import simulate_two_fluid, write_simulation
 

@@ -103,16 +103,16 @@ def test_a_configuration_of_a_measurement_is_understood(astro_scc, jet, tmp_path
     [
         (
             ["--along", "5 mas/yr"],
-            "--along '5 mas/yr': must be a smallest and a largest",
+            "--along '5 mas/yr' must be a smallest and a largest",
         ),
-        (["--across", "0 5"], "--across '0 5': has no unit at its end"),
+        (["--across", "0 5"], "--across '0 5' has no unit at its end"),
         (["--max-interval", "3 mas"], "must be a time with a unit, such as '1 yr'"),
-        (["--max-gap", "x"], "--max-gap 'x': must be a whole number"),
-        (["--tolerance", "x"], "--tolerance 'x': must be a number"),
-        (["--min-epochs", "1"], "--min-epochs '1': must be 3 or more"),
+        (["--max-gap", "x"], "--max-gap 'x' must be a whole number"),
+        (["--tolerance", "x"], "--tolerance 'x' must be a number"),
+        (["--min-epochs", "1"], "--min-epochs '1' must be 3 or more"),
         (
             ["--half-width", "-1 mas"],
-            "--half-width '-1 mas': must be finite and above 0",
+            "--half-width '-1 mas' must be finite and above 0",
         ),
         (["--profile", "none.ecsv"], "none.ecsv: does not exist"),
         (["--profile", "bad.ecsv"], "bad.ecsv: is no ECSV table"),

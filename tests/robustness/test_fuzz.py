@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from astropy.time import Time
 
-from astro_scc.config import read_config, select_epochs
+from astro_scc.cli.inputs import select_epochs
 from astro_scc.epochs import EpochCube, read_components
 from astro_scc.epochs.alignment.shift_tables import offsets_from_table
+from astro_scc.settings import Settings, read_config
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="limits of time and memory are of Linux"
@@ -154,11 +155,11 @@ def test_infinite_numbers_of_components(fuzz, tmp_path, column, number):
 
 def test_epochs_before_a_far_date(inputs, tmp_path):
     cube = EpochCube.read(inputs.series(tmp_path, n=2))
-    assert len(select_epochs(cube, {"before": "2991-03-01"})[0]) == 2
-    assert len(select_epochs(cube, {"after": "1021", "before": "2991.5"})[0]) == 2
+    assert len(select_epochs(cube, before="2991-03-01")[0]) == 2
+    assert len(select_epochs(cube, "1021", "2991.5")[0]) == 2
     path = tmp_path / "c.toml"
     path.write_text("after = 2081-01-01\n")
-    assert read_config(path)[0] == {"after": "2081-01-01"}
+    assert Settings(**read_config(path)[0]).after == "2081-01-01"
 
 
 def test_a_far_date_of_offsets(fuzz, tmp_path):

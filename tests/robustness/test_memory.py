@@ -7,11 +7,11 @@ import pytest
 from astropy.table import QTable
 
 from astro_scc.cli import main
+from astro_scc.cli.sources import read_survey, run_survey
 from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import EpochCube
 from astro_scc.measurement.decomposing import refuse_too_much, working_memory
 from astro_scc.simulation import simulate_two_fluid
-from astro_scc.survey import read_survey, run_survey
 
 SKY = 'fk5\nbox(10d,0d,0.0036",0.0026",0)\n'
 
@@ -75,7 +75,7 @@ def test_parts_of_a_survey(epochs, tmp_path):
     def run():
         survey = read_survey(tmp_path / "s.toml")
         return run_survey(
-            survey, tmp_path / "out", report=lambda *args: told.append(args[2])
+            survey, tmp_path / "out", done=lambda *args: told.append(args[2])
         )
 
     table = run()

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.cli.sources import read_survey, run_survey
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.survey import read_survey, run_survey
 
 SPEED = 5 * u.mas / u.yr
 
@@ -166,7 +166,7 @@ def survey(inputs, tmp_path):
         run_survey(
             read_survey(tmp_path / "s.toml"),
             tmp_path / "out",
-            report=lambda *args: told.append(args[2]),
+            done=lambda *args: told.append(args[2]),
         )
         return told[0]
 
@@ -211,7 +211,7 @@ def test_a_finished_source_of_other_versions(survey, monkeypatch):
 
     now = versions()
     monkeypatch.setattr(
-        "astro_scc.survey.plan.versions", lambda: {**now, "astro_scc": "0"}
+        "astro_scc.cli.sources.versions", lambda: {**now, "astro_scc": "0"}
     )
     assert survey() is False
 

@@ -3,12 +3,8 @@
 
 import json
 import os
-import platform
 import signal
-import subprocess
-import sys
 import warnings
-from contextlib import nullcontext
 from dataclasses import replace
 
 import astropy.units as u
@@ -18,12 +14,16 @@ from astropy.table import QTable
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import main
+from astro_scc.cli.sources import (
+    folder_names,
+    measure_source,
+    read_survey,
+    run_survey,
+)
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement import false_discovery_rate
+from astro_scc.partial import _machine
 from astro_scc.simulation import simulate_two_fluid
-from astro_scc.survey import folder_names, read_survey, run_survey
-from astro_scc.survey.lock import alone_in
-from astro_scc.survey.source import Job, measure_source
 
 TEXT = """
 [defaults]
@@ -186,7 +186,7 @@ def test_finished_sources_are_not_measured_again(serial, folder, monkeypatch):
     before = written(out)
     told = []
     survey = read_survey(folder / "survey.toml")
-    again = run_survey(survey, out, report=lambda *args: told.append(args))
+    again = run_survey(survey, out, done=lambda *args: told.append(args))
     assert {name: old for name, _, old in told} == {
         "One/../../up": True,
         "Two": True,
@@ -203,22 +203,20 @@ def test_interrupted_and_started_again(serial, folder, tmp_path, capsys, monkeyp
     _, reference = serial
     out = tmp_path / "out"
 
-    def interrupted(job):
-        if job.source.name == "Two":
-            # As a process leaves it that is ended.
-            (out / ".astro_scc-work" / "partial-Two-1").mkdir()
+    def interrupted(source, output, report):
+        if source.name == "Two":
             raise KeyboardInterrupt
-        return measure_source(job)
+        return measure_source(source, output, report)
 
     with monkeypatch.context() as patch:
-        patch.setattr("astro_scc.survey.run.measure_source", interrupted)
+        patch.setattr("astro_scc.cli.sources.measure_source", interrupted)
         argv = (folder / "survey.toml", "-o", out, "--no-report")
         assert run_main(*argv, "--quiet") == 130
     assert "the same command goes on" in capsys.readouterr().err
     assert not (out / "survey.ecsv").exists()
     assert not list((out / ".astro_scc-work").glob("partial-*"))
     # Half-written when the machine went down.
-    (out / ".astro_scc-work" / "partial-Two-0").mkdir()
+    (out / ".astro_scc-work" / f"partial-{_machine()}-00000000").mkdir()
     assert run_main(*argv) == 0
     said = capsys.readouterr()
     assert "One/../../up: finished before" in said.out
@@ -238,7 +236,7 @@ def test_what_changed_is_measured_again(folder, tmp_path):
     def run(trials):
         (tmp_path / "s.toml").write_text(text.format(trials))
         survey = read_survey(tmp_path / "s.toml")
-        run_survey(survey, tmp_path / "out", report=lambda *a: told.append(a[2]))
+        run_survey(survey, tmp_path / "out", done=lambda *a: told.append(a[2]))
 
     run(20)
     run(20)
@@ -258,19 +256,20 @@ def small_page(result, components, folder, *, title, **options):
     (folder / "report.html").write_text(json.dumps(page), encoding="utf-8")
 
 
-def test_every_region_and_group_has_a_report(folder, tmp_path):
+def test_every_region_and_group_has_a_report(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("astro_scc.report.write_report", small_page)
     survey = read_survey(folder / "survey.toml")
     survey = replace(survey, sources=survey.sources[1:2])
     out, told = tmp_path / "out", []
 
     def run(**options):
-        run_survey(survey, out, report=lambda *a: told.append(a[2]), **options)
+        run_survey(survey, out, done=lambda *a: told.append(a[2]), **options)
 
     run()
     assert not list(out.rglob("report.html"))
     # Those that are finished but for it are made again, and not those that have it.
-    run(write_report=small_page)
-    run(write_report=small_page)
+    run(report=True)
+    run(report=True)
     run()
     assert told == [False, False, True, True]
     pages = [json.loads(path.read_text()) for path in sorted(out.rglob("report.html"))]
@@ -307,54 +306,15 @@ def test_two_runs_do_not_write_into_each_other(tmp_path, capsys):
         assert run_main(tmp_path / "s.toml", "-o", out) == 2
         lines.append(capsys.readouterr().err)
 
-    run_survey(survey, out, report=meanwhile)
+    run_survey(survey, out, done=meanwhile)
     (line,) = lines
     assert line == (
-        f"astro-scc survey: error: {out}: process {os.getpid()} measures a survey "
-        "here; wait for it, or choose another folder\n"
+        f"astro-scc survey: error: {out}: another run measures a survey here; wait "
+        "for it, or choose another folder\n"
     )
     # The first one went on, and is over.
     assert (out / "survey.ecsv").is_file()
     run_survey(survey, out)
-
-
-def run_of(process, machine):
-    return json.dumps({"process": process, "machine": machine})
-
-
-def dead_process():
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    process.wait()
-    return process.pid
-
-
-@pytest.mark.parametrize("locks", [True, False])
-def test_a_run_that_was_killed_is_taken_over(tmp_path, monkeypatch, locks):
-    if not locks:
-        monkeypatch.setattr("astro_scc.survey.lock.hold", lambda _: nullcontext(False))
-    for text in ("", "{", "[]", run_of(dead_process(), platform.node()),
-                 run_of(os.getpid(), platform.node())):  # fmt: skip
-        (tmp_path / "running.json").write_text(text)
-        with alone_in(tmp_path):
-            (run,) = tmp_path.iterdir()
-            assert json.loads(run.read_text())["process"] == os.getpid()
-        assert list(tmp_path.iterdir()) == []
-
-
-def test_a_run_that_cannot_be_asked_is_left_alone(tmp_path, monkeypatch):
-    file = tmp_path / "running.json"
-    file.write_text(run_of(1, "elsewhere"))
-    line = (
-        r"process 1 on elsewhere measures .* if it runs no more, delete .*running\.json"
-    )
-    with pytest.raises(OSError, match=line), alone_in(tmp_path):
-        pass
-    monkeypatch.setattr("astro_scc.survey.lock.hold", lambda _: nullcontext(False))
-    file.write_text(run_of(os.getppid(), platform.node()))
-    with pytest.raises(OSError, match=f"process {os.getppid()} measures"):
-        with alone_in(tmp_path):
-            pass
-    assert file.is_file()
 
 
 # -- workers -----------------------------------------------------------------------
@@ -392,7 +352,7 @@ def test_a_cluster_of_which_a_worker_dies_gives_the_same(serial, folder, tmp_pat
                 os.kill(killed[0], signal.SIGKILL)
 
         run_survey(
-            read_survey(folder / "survey.toml"), out, n_workers=client, report=kill
+            read_survey(folder / "survey.toml"), out, n_workers=client, done=kill
         )
     assert killed
     assert written(out) == written(reference)
@@ -410,7 +370,7 @@ def test_a_cluster_of_which_a_worker_dies_gives_the_same(serial, folder, tmp_pat
         ("sources = 3", "sources must be a table"),
         ("[other]", "unknown key 'other'"),
         ("[sources]\nA = 3", "sources.A must be a table"),
-        ("[sources.A]", "sources.A has no epochs"),
+        ("[sources.A]", "sources.A: has no epochs"),
         ("[sources.A]\nepochs = 3", "epochs = 3 must be a list"),
         ("[sources.A]\nepochs = 'a'\nregion = 'b'", "region is no setting of a survey"),
         ("[sources.A]\nepochs = 'a'\nregions = {b = 3}", "regions.b must be the path"),
@@ -458,16 +418,17 @@ def test_defaults_and_what_replaces_them(tmp_path):
         "redshift = '15.8 %'\nposition_angle = '-112deg'\n"
     )
     a, b, c = read_survey(tmp_path / "s.toml").sources
-    assert a.config["distance"] == 3 * u.Mpc
-    assert not {"redshift", "cosmology"} & set(a.config)
-    assert a.config["epochs"] == [str(tmp_path / "a*"), "/b"]
-    assert a.config["align"] == str(tmp_path / "t.csv")
-    assert b.config["cosmology"] == "Planck18"
-    assert b.config["scales"].to_value(u.mas).tolist() == [0.1, 0.2, 0.4]
-    assert c.config["scales"] == (1, 3)
-    assert c.config["redshift"] == 0.158
-    assert c.config["position_angle"] == -112 * u.deg
-    assert c.config["align"] == "core"
+    a, b, c = (source.settings for source in (a, b, c))
+    assert a.distance == 3 * u.Mpc
+    assert (a.redshift, a.cosmology) == (None, None)
+    assert a.epochs == [str(tmp_path / "a*"), "/b"]
+    assert a.align == str(tmp_path / "t.csv")
+    assert b.cosmology == "Planck18"
+    assert b.scales.to_value(u.mas).tolist() == [0.1, 0.2, 0.4]
+    assert c.scales == (1, 3)
+    assert c.redshift == 0.158
+    assert c.position_angle == -112 * u.deg
+    assert c.align == "core"
 
 
 def test_folders_of_others_are_refused(folder, tmp_path, capsys):
@@ -494,9 +455,9 @@ def test_a_mistake_of_the_program_is_a_failed_source(folder, tmp_path, monkeypat
     def wrong(*args, **kwargs):
         raise AssertionError("odd")
 
-    monkeypatch.setattr("astro_scc.survey.source.write_products", wrong)
+    monkeypatch.setattr("astro_scc.cli.sources.write_measurement", wrong)
     source = read_survey(folder / "survey.toml").sources[1]
-    outcomes = measure_source(Job(source, str(tmp_path)))
+    outcomes = measure_source(source, tmp_path)
     assert {(o.status, o.message) for o in outcomes} == {
         ("failed", "AssertionError: odd")
     }
@@ -507,7 +468,7 @@ def test_a_mistake_of_the_program_is_a_failed_source(folder, tmp_path, monkeypat
 def test_a_region_that_is_wrong_costs_itself_only(folder, tmp_path):
     source = read_survey(folder / "survey.toml").sources[0]
     regions = {"no": str(folder / "no.reg"), **source.regions}
-    outcomes = measure_source(Job(replace(source, regions=regions), str(tmp_path)))
+    outcomes = measure_source(replace(source, regions=regions), tmp_path)
     assert outcomes[0].status == "failed"
     assert "no.reg" in outcomes[0].message
     assert {o.status for o in outcomes[1:]} <= {"measured", "empty"}

@@ -9,7 +9,6 @@ import pytest
 from matplotlib.figure import Figure
 
 from astro_scc.epochs.positions import axis_words, sky_columns
-from astro_scc.report.answer import edge_remarks
 from astro_scc.report.tables import component_rows
 from astro_scc.visualization import (
     plot_epoch,
@@ -102,7 +101,6 @@ def test_the_page_of_the_report_has_the_columns(of_the_sun):
     tables, _ = component_rows(of_the_sun.components, kinds)
     heads = [head for table, _ in tables for head in table]
     assert {"longitude (mas/yr)", "latitude (mas/yr)"} <= set(heads)
-    assert edge_remarks(of_the_sun, of_the_sun.components, kinds) == []
 
 
 def test_axes_of_a_wcs_are_refused(results):

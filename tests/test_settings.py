@@ -11,15 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.config import (
-    format_config,
-    parse_quantities,
-    parse_setting,
-    plain_settings,
+from astro_scc.cli.inputs import settings_of
+from astro_scc.cli.program import build_parser
+from astro_scc.quantities import parse_quantities, to_time
+from astro_scc.settings import (
+    OPTIONS,
+    Settings,
+    check_setting,
     read_config,
-    to_time,
+    require,
+    settings_table,
 )
-from astro_scc.config.settings import SETTINGS, TRACKING, require
 from astro_scc.tracking import FeatureTracker
 
 FULL = {
@@ -50,9 +52,19 @@ FULL = {
     "seed": 2**63 - 1,
     "redshift": 0.158,
     "cosmology": "H0=71,Om0=0.27",
+}
+#: Of other commands than `measure`, and what does not go with a redshift.
+OTHERS = {
     "distance": "16.7 Mpc",
     "bins": "0.5 1.5 2.5 mas",
     "window": "1 mas",
+    "along": "-1 4 mas/yr",
+    "across": "-1 1 mas/yr",
+    "tolerance": 0.2,
+    "max_gap": 1,
+    "max_interval": "1 yr",
+    "min_epochs": 3,
+    "half_width": "2 mas",
 }
 
 
@@ -62,24 +74,60 @@ def same(a, b):
     return type(a) is type(b) and a == b
 
 
-def test_every_setting_of_the_measurement_is_a_key():
-    names = {field.name for field in fields(StackedCrossCorrelation)}
-    assert names <= set(SETTINGS)
-    assert {field.name for field in fields(FeatureTracker)} <= {*SETTINGS, *TRACKING}
-    assert set(FULL) == set(SETTINGS)
+def test_every_setting_is_declared_once():
+    assert set(FULL) | set(OTHERS) == set(OPTIONS)
+    assert {field.name for field in fields(StackedCrossCorrelation)} <= set(OPTIONS)
+    assert {field.name for field in fields(FeatureTracker)} <= set(OPTIONS)
+    rows = {row[0]: row for row in settings_table()}
+    assert len(rows) == len(OPTIONS)
+    assert rows["``kappa``"][1:3] == ["``--kappa``", "``0.6``"]
+    assert rows["``noise``"][1:3] == ["", '``"plane"``']
+
+
+def test_an_option_is_one_field():
+    """``--outward`` is nothing but the metavar of its field."""
+    words = "measure a.fits -o out --outward".split()
+    args = build_parser().parse_args(words)
+    assert settings_of(args, None).outward is True
+    assert settings_of(build_parser().parse_args(words[:-1]), None).outward is False
 
 
 def test_settings_survive_the_file_to_the_bit(tmp_path):
-    settings = {name: parse_setting(name, value) for name, value in FULL.items()}
+    settings = Settings(**FULL)
     path = tmp_path / "config.toml"
-    text = format_config(settings, versions={"numpy": "2.0"}, remarks=["One", "two"])
+    text = settings.to_toml(versions={"numpy": "2.0"}, remarks=["One", "two"])
     assert text.startswith("# One\n# two\n\nepochs = ")
     path.write_text(text, encoding="utf-8")
-    again, versions = read_config(path)
+    found, versions = read_config(path)
     assert versions == {"numpy": "2.0"}
-    assert list(again) == list(FULL)
-    for name, value in settings.items():
-        assert same(again[name], value), name
+    assert set(found) == set(FULL)
+    again = Settings(**found)
+    for name in OPTIONS:
+        assert same(getattr(again, name), getattr(settings, name)), name
+
+
+@pytest.mark.parametrize("command", ["profile", "track"])
+def test_a_command_keeps_its_own_settings(command):
+    settings = Settings(epochs="a.fits", **OTHERS)
+    plain = settings.to_dict(command)
+    assert ("bins" in plain) == (command == "profile")
+    assert ("max_gap" in plain) == (command == "track")
+    assert ("kernel" in plain) == (command == "profile")
+    assert plain["distance"] == "16.7 Mpc"
+    for name, value in Settings(**plain).to_dict(command).items():
+        assert plain[name] == value
+
+
+def test_speeds_in_c_need_one_kind_of_distance():
+    assert Settings().in_c == {}
+    assert Settings(redshift=0.1).in_c == {
+        "redshift": 0.1, "cosmology": "H0=71,Om0=0.27"
+    }  # fmt: skip
+    assert Settings(distance="1 Mpc").in_c == {"distance": 1 * u.Mpc}
+    with pytest.raises(ValueError, match="distance needs neither redshift nor"):
+        Settings(redshift=0.1, distance="1 Mpc")
+    with pytest.raises(ValueError, match="cosmology needs a"):
+        Settings(cosmology="Planck18")
 
 
 @given(
@@ -87,12 +135,13 @@ def test_settings_survive_the_file_to_the_bit(tmp_path):
     unit=st.sampled_from(["mas/yr", "arcsec / h", "deg/d", "uas yr-1", "rad/s"]),
 )
 def test_speeds_survive_to_the_bit(value, unit):
-    speed = parse_setting("max_speed", f"{value!r} {unit}")
-    text = format_config({"max_speed": speed})
-    again = parse_setting("max_speed", tomllib.loads(text)["max_speed"])
-    assert same(again, speed)
+    settings = Settings(max_speed=f"{value!r} {unit}")
+    again = Settings(**tomllib.loads(settings.to_toml()))
+    assert same(again.max_speed, settings.max_speed)
     # What the measurement computes with is the same, too.
-    assert again.to_value(u.mas / u.yr) == speed.to_value(u.mas / u.yr)
+    scc = StackedCrossCorrelation.from_settings(settings)
+    assert scc.max_speed == StackedCrossCorrelation.from_settings(again).max_speed
+    assert scc.max_speed.unit == u.mas / u.yr
 
 
 @given(
@@ -101,10 +150,9 @@ def test_speeds_survive_to_the_bit(value, unit):
     unit=st.sampled_from(["yr", "d", "h", "min"]),
 )
 def test_baselines_survive_to_the_bit(shortest, length, unit):
-    text = f"{shortest!r} {shortest + length!r} {unit}"
-    times = parse_setting("baseline", text)
-    again = parse_setting("baseline", plain_settings({"baseline": times})["baseline"])
-    assert same(again, times)
+    settings = Settings(baseline=f"{shortest!r} {shortest + length!r} {unit}")
+    again = Settings(**settings.to_dict())
+    assert same(again.baseline, settings.baseline)
 
 
 @pytest.mark.parametrize(
@@ -160,21 +208,21 @@ def test_quantities_that_are_none(text, reason):
     ],
 )
 def test_scales(value, expected):
-    assert same(parse_setting("scales", value), expected)
+    assert same(check_setting("scales", value), expected)
 
 
 def test_position_angle():
-    assert parse_setting("position_angle", "radial") == "radial"
-    assert parse_setting("position_angle", "-65 deg") == -65 * u.deg
-    assert parse_setting("position_angle", "1 rad") == 1 * u.rad
+    assert check_setting("position_angle", "radial") == "radial"
+    assert check_setting("position_angle", "-65 deg") == -65 * u.deg
+    assert check_setting("position_angle", "1 rad") == 1 * u.rad
 
 
 def test_dates_of_toml_are_dates(tmp_path):
     path = tmp_path / "config.toml"
     path.write_text("after = 2001-02-03\nbefore = 2005-01-01T12:00:00\n")
-    settings, _ = read_config(path)
-    assert settings == {"after": "2001-02-03", "before": "2005-01-01T12:00:00"}
-    assert to_time(settings["before"]).isot == "2005-01-01T12:00:00.000"
+    settings = Settings(**read_config(path)[0])
+    assert settings.after == "2001-02-03"
+    assert to_time(settings.before).isot == "2005-01-01T12:00:00.000"
 
 
 def test_times():
@@ -245,7 +293,7 @@ def test_times():
 )
 def test_values_that_make_no_sense(name, value, reason):
     with pytest.raises(ValueError, match=reason) as caught:
-        parse_setting(name, value)
+        check_setting(name, value)
     assert "\n" not in str(caught.value)
 
 
@@ -280,7 +328,7 @@ def test_values_that_make_no_sense(name, value, reason):
 def test_text_in_python_is_what_it_is_on_the_command_line(name, value, expected):
     assert same(require(name, value), expected)
     if isinstance(value, str) and hasattr(expected, "unit"):
-        assert np.all(parse_setting(name, value) == expected)
+        assert np.all(check_setting(name, value) == expected)
 
 
 @pytest.mark.parametrize(
@@ -318,7 +366,6 @@ def test_a_wrong_unit_is_an_error_of_units():
         ("max_sped = '2 mas/yr'", "unknown key 'max_sped', did you mean max_speed"),
         ("max-speed = '2 mas/yr'", "did you mean max_speed"),
         ("xyzzy = 1", "unknown key 'xyzzy'; see"),
-        ("max_speed = '2 mas'", "max_speed = '2 mas' must be an angle per time"),
         ("kappa = ", "is not a TOML file: "),
         ("versions = 3", "versions must be a table"),
     ],
@@ -341,13 +388,17 @@ def test_file_that_is_no_text(tmp_path):
         read_config(tmp_path / "nothing.toml")
 
 
-def test_settings_that_do_not_exist():
-    with pytest.raises(KeyError):
-        parse_setting("speed", 1)
-    with pytest.raises(KeyError, match="unknown settings speed"):
-        plain_settings({"speed": 1})
+def test_what_is_wrong_knows_its_name():
+    with pytest.raises(ValueError, match="max_speed = '2 mas' must be") as caught:
+        Settings(kappa=0.6, max_speed="2 mas")
+    assert caught.value.setting == "max_speed"
+    with pytest.raises(TypeError, match="speed"):
+        Settings(speed=1)
 
 
 def test_what_is_none_is_left_out():
-    plain = plain_settings({"region": None, "detection": np.float64(4), "kappa": 0.65})
-    assert plain == {"kappa": 0.65, "detection": 4}
+    plain = Settings(region=None, detection=np.float64(4), kappa=0.65).to_dict()
+    assert plain["kappa"] == 0.65
+    assert plain["detection"] == 4
+    assert type(plain["detection"]) is int
+    assert not {"region", "max_speed"} & set(plain)

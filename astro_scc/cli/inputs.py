@@ -1,0 +1,180 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""What a command is given: settings of the command line and of files, and epochs."""
+
+import secrets
+from dataclasses import replace
+
+from astro_scc.settings import (
+    OPTIONS,
+    Settings,
+    check_setting,
+    override,
+    read_config,
+)
+
+
+def draw_seed():
+    """Return a seed that nobody chose, short enough to be typed."""
+    return secrets.randbelow(2**31)
+
+
+def workers_of(args):
+    """Return the workers that ``--workers`` or ``--scheduler`` name."""
+    if args.workers < 1:
+        raise ValueError(f"--workers must be at least 1, got {args.workers}")
+    return args.workers if args.scheduler is None else args.scheduler
+
+
+def option_of(args, name):
+    """Return the value of one option that is a setting, or None."""
+    return check_setting(name, getattr(args, name), f"--{name.replace('_', '-')}")
+
+
+def _of_option(error):
+    """Return an error of a setting as one of its option."""
+    option = f"--{error.setting.replace('_', '-')}"
+    return str(error).replace(f"{error.setting} = ", f"{option} ", 1)
+
+
+def settings_of(args, reporter, *, unused=(), **defaults):
+    """
+    Return the settings of the configuration file and of the command line over it.
+
+    Parameters
+    ----------
+    args : `argparse.Namespace`
+    reporter : `~astro_scc.cli.reporter.Reporter`
+    unused : sequence of str, optional
+        Settings of the file that the command does not use.
+    **defaults
+        Of the command.
+
+    Returns
+    -------
+    `~astro_scc.settings.Settings`
+
+    Raises
+    ------
+    ValueError
+        If one makes no sense, some do not go together, or there are no epochs.
+    """
+    given = {}
+    if args.config:
+        given, written_by = read_config(args.config)
+        _compare_versions(written_by, args.config, reporter)
+    given = {name: value for name, value in given.items() if name not in unused}
+    own = {
+        name: value
+        for name in OPTIONS
+        if (value := getattr(args, name, None)) not in (None, [])
+    }
+    try:
+        settings = Settings(**defaults | override(given, own))
+    except ValueError as error:
+        name = getattr(error, "setting", None)
+        if name in own:
+            raise ValueError(_of_option(error)) from None
+        if name is not None:
+            raise ValueError(f"{args.config}: {error}") from None
+        raise
+    if not settings.epochs:
+        raise ValueError("no epochs were given; name the FITS files, or a --config")
+    return settings
+
+
+def _compare_versions(written_by, file, reporter):
+    from astro_scc.measurement import versions
+
+    now = versions()
+    other = [
+        f"{name} {version} (here {now.get(name, 'none')})"
+        for name, version in written_by.items()
+        if now.get(name) != version
+    ]
+    if other:
+        reporter.note(f"{file} was written with {', '.join(other)}: numbers may differ")
+
+
+def read_epochs(settings, *, files=None, note=lambda text: None):
+    """
+    Read the epochs of a measurement.
+
+    Parameters
+    ----------
+    settings : `~astro_scc.settings.Settings`
+    files : list of path, optional
+        Where the epochs are now, if that is not where they will be.
+    note : callable, optional
+        Called with a line of text for what is decided here.
+
+    Returns
+    -------
+    cube : `~astro_scc.EpochCube`
+        With one beam and aligned.
+    settings : `~astro_scc.settings.Settings`
+        With the files and the steps that were taken.
+    left_out : list of (str, str)
+        Epochs that are not in the cube, and why.
+
+    Raises
+    ------
+    OSError, ValueError
+        If files cannot be read, or not as one cube.
+    """
+    from astro_scc.epochs import EpochCube
+    from astro_scc.epochs.fits import find_files
+    from astro_scc.epochs.grids.cutout import refuse_pixels
+
+    if files is None:
+        files = find_files(settings.epochs)
+        settings = replace(settings, epochs=[str(path) for path in files])
+    align = settings.align or "none"
+    frame = "absolute" if align == "wcs" else "offset"
+    if settings.crop is not None and settings.region is not None:
+        refuse_pixels(settings.region)
+    cube = EpochCube.read(files, frame=frame, region=settings.crop)
+    cube, left_out = select_epochs(cube, settings.after, settings.before)
+    common = _wants_common_beam(cube, settings.common_beam, note)
+    if common:
+        cube = cube.to_common_beam()
+    settings = replace(settings, align=align, common_beam=common)
+    return cube.align(align), settings, left_out
+
+
+def _wants_common_beam(cube, wanted, note):
+    """Whether to convolve to a common beam, and what is said of it."""
+    from astro_scc.epochs.beam import different_beam
+
+    differ = different_beam(cube) is not None
+    if wanted is False and differ:
+        note("the beams differ and are left so, as --no-common-beam states")
+    if wanted is not None:
+        return wanted
+    if cube.beams is None:
+        note("the epochs have no beams and are left as they are")
+    elif differ:
+        note("the beams differ: convolving to a common one (--no-common-beam)")
+    return differ
+
+
+def select_epochs(cube, after=None, before=None):
+    """Return the epochs between two dates, and the others with the reason."""
+    from astro_scc.quantities import to_time
+
+    left_out = {}
+    # In atomic time, as far dates are.
+    for i, time in enumerate(cube.times.tai):
+        if after is not None and time < to_time(after):
+            left_out[i] = f"before {after}"
+        if before is not None and time >= to_time(before):
+            left_out[i] = f"not before {before}"
+    if not left_out:
+        return cube, []
+    if len(left_out) == len(cube):
+        first, last = cube.times.isot[[0, -1]]
+        raise ValueError(
+            f"no epoch is left between --after and --before; they are of {first[:10]} "
+            f"to {last[:10]}"
+        )
+    keep = [i for i in range(len(cube)) if i not in left_out]
+    return cube[keep], [(cube.labels[i], why) for i, why in left_out.items()]

@@ -1,0 +1,512 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+The settings of a measurement, each declared once.
+
+A field of `Settings` has its default, its check, its unit and its help.  The command
+line, TOML files, Python and the table in the documentation are made from the fields:
+an option is one field.  Quantities may be text with a unit, ``"2 mas / yr"``.
+"""
+
+import json
+import tomllib
+from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
+from functools import partial
+from pathlib import Path
+
+from astro_scc.quantities import (
+    check_alignment_error,
+    check_bins,
+    check_boolean,
+    check_date,
+    check_paths,
+    check_position_angle,
+    check_positive,
+    check_scales,
+    check_text,
+    choice,
+    fraction,
+    integer,
+    named,
+    quantity,
+    quantity_range,
+)
+
+__all__ = ["Settings", "read_config"]
+
+#: Commands that have the settings of a group, in the order of files and help.
+STACK = ("measure", "profile")
+ALL = (*STACK, "track")
+GROUPS = {
+    "images": ALL,
+    "distances": ("profile",),
+    "measurement": ALL,
+    "tracking": ("track",),
+    "trials": ALL,
+    "speeds in units of c": ALL,
+}
+#: `~astro_scc.kinematics.paper_cosmology`, as it stands in a file.
+PAPER_COSMOLOGY = "H0=71,Om0=0.27"
+# FITS and TOML keep integers of 64 bits.
+_LARGEST_SEED = 2**63 - 1
+
+
+# -- what settings of their own kind may be --------------------------------------
+
+
+def _redshift(value):
+    from astro_scc.kinematics.cosmology import to_redshift
+
+    redshift = to_redshift(value)
+    if not isinstance(redshift, float):
+        raise ValueError("must be one redshift")
+    return redshift
+
+
+def _distance(value):
+    from astro_scc.kinematics.cosmology import to_distance
+
+    distance = to_distance(value)
+    if not distance.isscalar:
+        raise ValueError("must be one distance")
+    return distance
+
+
+def _cosmology(value):
+    from astro_scc.kinematics.cosmology import to_cosmology
+
+    to_cosmology(check_text(value))
+    return value.strip()
+
+
+_speed = quantity("an angle per time", "2 mas/yr")
+_angle = quantity("an angle", "2 mas")
+_speeds = quantity_range("a smallest and a largest speed", "-1 4 mas/yr")
+_times = quantity_range("a shortest and a longest time", "0.2 yr 1.0 yr", 0, equal=True)
+_beams = fraction(5, "a part of the beam ")
+
+
+# -- the settings ----------------------------------------------------------------
+
+
+def _setting(group, check, text, metavar=None, default=None, *, unit=None, only=None):
+    """
+    Declare a setting.
+
+    Without ``metavar`` it has no option.  ``unit`` is the one that is computed with.
+    """
+    facts = {"group": group, "check": check, "help": text, "metavar": metavar}
+    facts |= {"unit": unit, "commands": only or GROUPS[group]}
+    return field(default=default, metadata=facts)
+
+
+_image = partial(_setting, "images")
+_measure = partial(_setting, "measurement")
+_stack = partial(_setting, "measurement", only=STACK)
+_distance_bin = partial(_setting, "distances")
+_track = partial(_setting, "tracking")
+_trial = partial(_setting, "trials")
+_in_c = partial(_setting, "speeds in units of c")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasurementSettings:
+    """The settings that `~astro_scc.StackedCrossCorrelation` has."""
+
+    scales: tuple = _measure(
+        check_scales,
+        'wavelet scales by number (j is 2^j pixels) or angle, "0.2 mas, 0.4 mas"; '
+        "default 1,2,3,4",
+        "1,2,3",
+        (1, 2, 3, 4),
+    )
+    max_speed: object = _measure(
+        _speed,
+        "largest proper motion; default 1.5 beams in the shorter intervals, four of "
+        "up to 20 epochs (track: four in the median interval)",
+        '"2 mas/yr"',
+        unit="mas / yr",
+    )
+    position_angle: object = _measure(
+        check_position_angle,
+        "direction of the jet, north through east: velocities along and across it "
+        "instead of east and north; fit for that of the mean image, ridge for along "
+        "its ridge line (neither for track), radial for away from the reference pixel",
+        '"65 deg"|fit|ridge|radial',
+        unit="deg",
+    )
+    baseline: object = _stack(
+        _times,
+        "compare only epochs whose separation in time is in this range; by default "
+        "each speed has the intervals in which it moves 0.2 to 1 beam",
+        '"0.2 yr 1.0 yr"',
+        unit="yr",
+    )
+    kernel: float = _stack(
+        _beams, "smallest error of a displacement, in beams; default 0.2", "0.2", 0.2
+    )
+    kappa: float = _measure(
+        check_positive,
+        "smallest correlation of a match; default 0.6 (track: 0.5)",
+        "0.6",
+        0.6,
+    )
+    target: str = _measure(
+        choice("segments", "plane"),
+        "what a pattern is correlated with: the patterns of the other epoch or its "
+        'whole "plane"',
+        default="segments",
+    )
+    min_overlap: float = _measure(
+        check_positive, "part of a pattern that must lie on good pixels", default=0.8
+    )
+    wavelet: str = _measure(
+        choice("b1", "b3"), 'low-pass filter, or "b3"', default="b1"
+    )
+    detection: float = _measure(
+        check_positive, "threshold of patterns, in sigma", default=4.0
+    )
+    segmentation: float = _measure(
+        check_positive, "threshold of the pixels of patterns, in sigma", default=3.0
+    )
+    noise: str = _measure(
+        choice("plane", "local", "propagated"),
+        'estimate of the noise of wavelet planes, or "local", "propagated"',
+        default="plane",
+    )
+    level: float = _stack(
+        fraction(1), "largest p_global of a significant component", default=0.05
+    )
+    outward: bool = _stack(
+        check_boolean,
+        "search only speeds away from the core, where position_angle is given",
+        "true|false",
+        False,
+    )
+    alignment_error: object = _stack(
+        check_alignment_error,
+        'error of the alignment, "0.02 mas", or a list with one per epoch; by default '
+        "what align found",
+        unit="mas",
+    )
+    small_displacement_correction: bool = _stack(
+        check_boolean,
+        "shift the permuted images of the z-score by a fifth of the beam",
+        default=False,
+    )
+    common_beam: bool | None = _image(
+        check_boolean,
+        "convolve to the smallest beam that contains all; the default where beams "
+        "differ",
+        "true|false",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(MeasurementSettings):
+    """
+    All that determines a measurement.
+
+    Attributes
+    ----------
+    scales, max_speed, ..., distance
+        Those of `~astro_scc.StackedCrossCorrelation`, and the epochs, the trials, the
+        distance of the object, and those of ``astro-scc profile`` and ``track``; the
+        table in :ref:`command_line` explains them.  None is not given.
+
+    Raises
+    ------
+    ValueError
+        In one line with name, value and what it must be; its attribute ``setting``
+        is the name.  A `~astropy.units.UnitConversionError` if it is the unit.
+
+    Examples
+    --------
+    >>> from astro_scc.settings import Settings
+    >>> settings = Settings(epochs="3c273/*.fits", max_speed="2 mas/yr", redshift=0.158)
+    >>> settings.max_speed, settings.kappa, settings.cosmology
+    (<Quantity 2. mas / yr>, 0.6, 'H0=71,Om0=0.27')
+    """
+
+    epochs: list | None = _image(
+        check_paths,
+        "one image per date, or a file that EpochCube.write made; in a file also "
+        "patterns",
+        "EPOCH.fits",
+    )
+    after: str | None = _image(
+        check_date, "take epochs of this date or later", "2001-01-01"
+    )
+    before: str | None = _image(
+        check_date, "take epochs before this date", "2011-01-01"
+    )
+    align: str | None = _image(
+        check_text,
+        "align the epochs on their reference pixels (none, the default), on the "
+        "core that is fitted in each, on one another by correlation, on their "
+        "absolute coordinates (wcs; not for VLBI), or by a table (CSV or ECSV) of "
+        "dates and offsets of the core",
+        "none|core|correlate|wcs|TABLE",
+    )
+    crop: str | None = _image(
+        check_text,
+        "read no more of the images than the box around a DS9 or CRTF region, where "
+        "all are more than the memory holds",
+        "FILE.reg",
+    )
+    region: str | None = _image(
+        check_text, "use only patterns inside a DS9 or CRTF region", "FILE.reg"
+    )
+    bins: object = _distance_bin(
+        check_bins,
+        "limits of the bins, distances from the core; needed here or in --config",
+        '"0.5 1.5 2.5 mas"',
+    )
+    window: object = _distance_bin(
+        _angle,
+        "windows of this width about each of the --bins, instead of bins between",
+        '"2 mas"',
+    )
+    along: object = _track(
+        _speeds,
+        "smallest and largest proper motion along the jet",
+        '"-1 4 mas/yr"',
+        unit="mas / yr",
+    )
+    across: object = _track(
+        _speeds,
+        "smallest and largest proper motion across the jet",
+        '"-1 4 mas/yr"',
+        unit="mas / yr",
+    )
+    tolerance: float | None = _track(
+        _beams,
+        "scatter of displacements about steady motion, in beams; default 0.2",
+        "0.2",
+    )
+    max_gap: int | None = _track(
+        integer(0),
+        "consecutive epochs at which a feature may be missing; default 1",
+        "1",
+    )
+    max_interval: object = _track(
+        quantity("a time", "1 yr"),
+        "longest time between two epochs that are linked",
+        '"1 yr"',
+        unit="yr",
+    )
+    min_epochs: int | None = _track(
+        integer(3), "smallest number of epochs of a track; default 3", "3"
+    )
+    half_width: object = _track(
+        _angle,
+        "features this near a distance make the profile there; default 2 mas "
+        "(Mertens & Lobanov 2016), or a fifth of the longest distance if less",
+        '"2 mas"',
+    )
+    n_trials: int | None = _trial(
+        integer(2, 10**9),
+        "permutations of the epochs and trials of the errors; default 1000 (track: 20)",
+        "1000",
+    )
+    seed: int | None = _trial(
+        integer(0, _LARGEST_SEED),
+        "of the random numbers; drawn and written down by default",
+        "N",
+    )
+    redshift: float | None = _in_c(_redshift, "of the object, also in percent", "Z")
+    cosmology: str | None = _in_c(
+        _cosmology,
+        "for the redshift, as Planck18 or by parameters; default H0=71,Om0=0.27 "
+        "(Mertens & Lobanov 2016)",
+        'NAME|"H0=71,Om0=0.27"',
+    )
+    distance: object = _in_c(
+        _distance, "of a near object, without a redshift", '"16.7 Mpc"'
+    )
+
+    def __post_init__(self):
+        for name in OPTIONS:
+            object.__setattr__(self, name, check_setting(name, getattr(self, name)))
+        by_redshift = self.redshift is not None or self.cosmology is not None
+        if self.distance is not None and by_redshift:
+            raise ValueError(
+                "distance needs neither redshift nor cosmology; leave one out"
+            )
+        if self.redshift is not None and self.cosmology is None:
+            object.__setattr__(self, "cosmology", PAPER_COSMOLOGY)
+        if self.cosmology is not None and self.redshift is None:
+            raise ValueError("--cosmology needs a --redshift")
+
+    @property
+    def in_c(self):
+        """How to turn proper motions into speeds, the options of `components_in_c`."""
+        if self.distance is not None:
+            return {"distance": self.distance}
+        if self.redshift is not None:
+            return {"redshift": self.redshift, "cosmology": self.cosmology}
+        return {}
+
+    def to_dict(self, command="measure"):
+        """
+        Return what a command uses as text, numbers and lists.
+
+        Parameters
+        ----------
+        command : str, optional
+            "measure", "profile" or "track".
+
+        Returns
+        -------
+        dict
+            Without what is None.  `Settings` makes the same values of it, to the
+            last bit.
+        """
+        return {
+            name: _plain(getattr(self, name))
+            for name, facts in OPTIONS.items()
+            if command in facts["commands"] and getattr(self, name) is not None
+        }
+
+    def to_toml(self, command="measure", *, versions=None, remarks=()):
+        """
+        Return what a command uses as the text of a TOML file.
+
+        Parameters
+        ----------
+        command : str, optional
+            See `to_dict`.
+        versions : dict of str, optional
+        remarks : sequence of str, optional
+            Comments for the head of the file.
+
+        Returns
+        -------
+        str
+        """
+        import tomli_w
+
+        plain = self.to_dict(command)
+        if versions:
+            plain["versions"] = dict(versions)
+        head = "".join(f"# {line}\n" for line in remarks)
+        return head + "\n" * bool(head) + tomli_w.dumps(plain)
+
+
+def _plain(value):
+    if hasattr(value, "unit"):
+        if value.shape:
+            return [_plain(item) for item in value]
+        return f"{float(value.value)!r} {value.unit}"
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    # Whole numbers read better without a point, and numpy's are no TOML.
+    if isinstance(value, float):
+        return int(value) if value.is_integer() and abs(value) < 1e15 else float(value)
+    return value
+
+
+#: What each setting is by its name, in the order of the groups.
+OPTIONS = {
+    one.name: one.metadata | {"default": one.default}
+    for group in GROUPS
+    for one in sorted(fields(Settings), key=lambda one: one.name != "epochs")
+    if one.metadata["group"] == group
+}
+
+
+def check_setting(name, value, label=None):
+    """Return the value of a setting; an error has the attribute ``setting``."""
+    if value is None:
+        return None
+    try:
+        return named(label or name, OPTIONS[name]["check"], value)
+    except ValueError as error:
+        error.setting = name
+        raise
+
+
+def require(name, value):
+    """Return the value of a setting in the unit that is computed with; None stays."""
+    found, unit = check_setting(name, value), OPTIONS[name]["unit"]
+    return found.to(unit) if unit and hasattr(found, "to") else found
+
+
+def override(given, own):
+    """Return settings with others over them; one kind of distance replaces another."""
+    if "distance" in own:
+        given = {k: v for k, v in given.items() if k not in ("redshift", "cosmology")}
+    elif "redshift" in own:
+        given = {k: v for k, v in given.items() if k != "distance"}
+    return given | own
+
+
+def settings_table():
+    """Return rows of key, example or default, command line or not, and meaning."""
+    rows = []
+    for name, facts in OPTIONS.items():
+        default, metavar = facts["default"], facts["metavar"]
+        example = metavar or "" if default is None else json.dumps(default)
+        option = "" if metavar is None else f"``--{name.replace('_', '-')}``"
+        rows.append(
+            [f"``{name}``", option, example and f"``{example}``", facts["help"]]
+        )
+    return rows
+
+
+def read_toml(path):
+    """Return the values of a TOML file, and its text."""
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        return tomllib.loads(text), text
+    except RecursionError:
+        raise ValueError(f"{path}: is not a TOML file: nested too deep") from None
+    except ValueError as error:
+        # Of the encoding, of TOML, of numbers with thousands of digits.
+        raise ValueError(f"{path}: is not a TOML file: {error}") from None
+
+
+def read_config(path):
+    """
+    Read the settings of a measurement.
+
+    Parameters
+    ----------
+    path : path
+        A TOML file.  Its table ``versions`` says what wrote it.
+
+    Returns
+    -------
+    given : dict
+        The values as they stand there, for `Settings`, which checks them.
+    versions : dict of str
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ValueError
+        If it is no TOML, or has a key that is no setting.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from astro_scc.settings import Settings, read_config
+    >>> _ = Path("jet.toml").write_text("n_trials = 500")
+    >>> given, versions = read_config("jet.toml")
+    >>> Settings(**given).n_trials
+    500
+    """
+    given, _ = read_toml(path)
+    versions = given.pop("versions", {})
+    if not isinstance(versions, dict):
+        raise ValueError(f"{path}: versions must be a table")
+    for name in given:
+        if name not in OPTIONS:
+            near = get_close_matches(name.replace("-", "_"), OPTIONS, 1)
+            hint = f", did you mean {near[0]}?" if near else ""
+            raise ValueError(
+                f"{path}: unknown key {name!r}{hint}; see astro-scc measure --help"
+            )
+    return given, versions
