@@ -11,11 +11,8 @@ from astro_scc.decomposition.noise import (
     propagated_noise,
     shared_variance,
 )
-from astro_scc.decomposition.segmentation import check_thresholds, find_ssps
-from astro_scc.decomposition.ssp import SSPs
-from astro_scc.decomposition.wavelet import scale_kernel, wavelet_planes
-
-__all__ = ["Decomposer", "Decomposition"]
+from astro_scc.decomposition.segmentation import SSPs, check_thresholds, find_ssps
+from astro_scc.decomposition.wavelet import missing_pixels, scale_kernel, wavelet_planes
 
 #: Rounding of single precision, below which nothing is significant.
 ROUNDING = 1e-7
@@ -63,49 +60,18 @@ class Decomposition:
         return f"<Decomposition of {nx} x {ny} px: {self.ssps!r}>"
 
     def plane_index(self, scale):
-        """
-        Index of a scale in ``planes``.
-
-        Parameters
-        ----------
-        scale : float
-
-        Returns
-        -------
-        int
-        """
+        """Return the index of a scale in ``planes``."""
         return self.scales.index(scale)
 
     def segmentation(self, scale):
-        """
-        Label image of the SSPs of a scale.
-
-        Parameters
-        ----------
-        scale : float
-
-        Returns
-        -------
-        `~numpy.ndarray` of int, shape (ny, nx)
-            1 + index in ``ssps`` of the SSP of each pixel, or 0.
-        """
+        """Return 1 + index in ``ssps`` of the SSP of each pixel on a scale, or 0."""
         labels = np.zeros(self.planes.shape[1:], dtype=np.int32)
         for index in np.flatnonzero(self.ssps.scale == scale):
             labels.flat[self.ssps.pixels_of(index)] = index + 1
         return labels
 
     def segmented_plane(self, scale):
-        """
-        The plane of a scale, zero outside its SSPs.
-
-        Parameters
-        ----------
-        scale : float
-
-        Returns
-        -------
-        `~numpy.ndarray`, shape (ny, nx)
-        """
+        """Return the plane of a scale, zero outside its SSPs."""
         plane = self.planes[self.plane_index(scale)]
         return np.where(self.segmentation(scale) > 0, plane, np.float32(0))
 
@@ -221,17 +187,11 @@ class Decomposer:
 
     def shared_variance(self, images, *, masks=(None, None)):
         """
-        What two images share beside bright sources, see `shared_variance`.
+        Return what two images share beside bright sources on each scale.
 
-        Parameters
-        ----------
-        images : pair of array_like, shape (ny, nx)
-            Of two epochs.
-        masks : pair of array_like of bool, shape (ny, nx), or None
-
-        Returns
-        -------
-        share, chance : `~numpy.ndarray`, shape (n_scales,)
+        ``images`` and ``masks`` are pairs of shape (ny, nx); returns the share and
+        what chance would give, each of shape (n_scales,), see
+        `~astro_scc.decomposition.noise.shared_variance`.
         """
         each = [self._planes(*of)[:2] for of in zip(images, masks, strict=True)]
         (one, other), masks = zip(*each, strict=True)
@@ -243,17 +203,8 @@ class Decomposer:
         return share, chance
 
     def _planes(self, image, mask):
-        """The planes, what is missing, and the largest value there was."""
-        image = np.asarray(image, dtype=float)
-        missing = ~np.isfinite(image)
-        if mask is not None:
-            mask = np.asarray(mask, dtype=bool)
-            if mask.shape != image.shape:
-                raise ValueError(
-                    f"the mask has shape {mask.shape}, the image {image.shape}: "
-                    "give one value for each pixel"
-                )
-            missing |= mask
+        """Return the planes, what is missing, and the largest value there was."""
+        image, missing = missing_pixels(image, mask)
         if missing.all():
             raise ValueError("the image has no valid pixel")
         # An offset would cost the digits that single precision has.

@@ -5,7 +5,7 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 
-from astro_scc.correlation.workers import as_done, workers_of
+from astro_scc.correlation.parallel import as_done, workers_of
 from astro_scc.partial import replace_when_complete
 from astro_scc.progress import progress
 from astro_scc.survey.lock import alone_in

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from astro_scc.decomposition import (
     Decomposer,
     SSPs,
-    local_noise,
     plane_noise,
     propagated_noise,
     wavelet_planes,
 )
+from astro_scc.decomposition.noise import local_noise
 
 
 def scene(seed=0, shape=(64, 96), n=6, noise=0.005):

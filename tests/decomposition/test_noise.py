@@ -5,11 +5,11 @@ import pytest
 
 from astro_scc.decomposition import (
     Decomposer,
-    local_noise,
     plane_noise,
     propagated_noise,
     wavelet_planes,
 )
+from astro_scc.decomposition.noise import local_noise
 from astro_scc.epochs import Beam
 from astro_scc.epochs.components.noise import correlated_noise
 from astro_scc.simulation import simulate_two_fluid

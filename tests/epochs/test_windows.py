@@ -183,7 +183,7 @@ def test_the_header_of_an_image_without_its_pixels(paths):
 
 
 def test_more_than_the_machine_holds(paths, monkeypatch):
-    memory = "astro_scc.correlation.workers.machine_memory"
+    memory = "astro_scc.correlation.parallel.machine_memory"
     monkeypatch.setattr(memory, lambda: 3 * 40 * 60 * 9 - 1)
     with pytest.raises(MemoryError, match=r"3 images of 60 x 40 pixels are 6.48"):
         EpochCube.read(paths)

@@ -190,7 +190,7 @@ def _grid(path, time, hdu):
 
 def _refuse_too_many(shape, n):
     """Refuse what the machine cannot hold, before it comes to a standstill."""
-    from astro_scc.correlation.workers import machine_memory
+    from astro_scc.correlation.parallel import machine_memory
 
     need = n * np.prod(shape, dtype=float) * BYTES
     have = machine_memory()
