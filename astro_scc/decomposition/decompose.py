@@ -94,7 +94,7 @@ class Decomposer:
         follows from the rms of the image and its beam.
     noise_factors : sequence of float, optional
         Factor on the sigma of "plane" and "local" for each scale, where
-        what looks like noise in one image is structure (`shared_variance`).
+        what looks like noise in one image is structure (`Decomposer.shared_variance`).
 
     Raises
     ------
@@ -190,8 +190,8 @@ class Decomposer:
         Return what two images share beside bright sources on each scale.
 
         ``images`` and ``masks`` are pairs of shape (ny, nx); returns the share and
-        what chance would give, each of shape (n_scales,), see
-        `~astro_scc.decomposition.noise.shared_variance`.
+        what chance would give, each of shape (n_scales,).  The share is the largest
+        correlation of the planes, without sources, at any displacement.
         """
         each = [self._planes(*of)[:2] for of in zip(images, masks, strict=True)]
         (one, other), masks = zip(*each, strict=True)

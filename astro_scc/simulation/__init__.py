@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Simulation: jets whose velocities are known."""
 
-from astro_scc.simulation.jets import JetSimulation, write_simulation
+from astro_scc.simulation.jets import JetSimulation, SimulatedJet, write_simulation
 from astro_scc.simulation.presets import (
     simulate_ballistic,
     simulate_jet,
@@ -17,6 +17,7 @@ from astro_scc.simulation.vlbi import observe
 __all__ = [
     "Flow",
     "JetSimulation",
+    "SimulatedJet",
     "Stream",
     "observe",
     "simulate_ballistic",

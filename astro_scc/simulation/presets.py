@@ -415,7 +415,8 @@ def simulate_shell(
 
     Returns
     -------
-    `SimulatedShell`
+    SimulatedShell
+        With ``cube``, ``truth``, ``centre`` and ``radius``.
 
     Raises
     ------
