@@ -210,6 +210,18 @@ class Correlator:
         How they are cut depends on the epochs, pairs and search radius alone, so
         that whoever works on them gets the same numbers.  Arguments and errors are
         those of a call.
+
+        Parameters
+        ----------
+        decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+        pairs : array_like of int, shape (n_pairs, 2)
+        search_radius : int or tuple of int
+        select : array_like of bool, optional
+
+        Yields
+        ------
+        PairBlock
+            For `match_block`, see `Correlator`.
         """
         pairs, search_radius = _checked(decompositions, pairs, search_radius)
         pairs = np.unique(pairs, axis=0)

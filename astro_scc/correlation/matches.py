@@ -93,7 +93,20 @@ class Matches:
 
     @classmethod
     def from_columns(cls, columns, pairs, search_radius, kappa):
-        """Join tuples of the columns ``ssp`` to ``target_snr``."""
+        """
+        Join tuples of the columns ``ssp`` to ``target_snr``.
+
+        Parameters
+        ----------
+        columns : sequence of tuple of `~numpy.ndarray`
+        pairs : array_like of int, shape (n_pairs, 2)
+        search_radius : tuple of int
+        kappa : float
+
+        Returns
+        -------
+        `~astro_scc.correlation.Matches`
+        """
         pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
         return cls(
             *join_columns(columns),
@@ -103,19 +116,45 @@ class Matches:
         )
 
     def sorted(self):
-        """Return the matches by SSP, and those of one by target."""
+        """
+        Return the matches by SSP, and those of one by target.
+
+        Returns
+        -------
+        `~astro_scc.correlation.Matches`
+        """
         key = self.ssp.astype(np.int64) << 16 | self.target.astype(np.int64)
         if np.all(key[1:] >= key[:-1]):
             return self
         return self.select(np.argsort(key, kind="stable"))
 
     def select(self, keep):
-        """Return the matches of indices, or where ``keep`` is true."""
+        """
+        Return the matches of indices, or where ``keep`` is true.
+
+        Parameters
+        ----------
+        keep : array_like of bool, shape (n,), or of int
+
+        Returns
+        -------
+        `~astro_scc.correlation.Matches`
+        """
         chosen = {name: getattr(self, name)[keep] for name in COLUMNS}
         return replace(self, **chosen)
 
     def of_ssps(self, chosen):
-        """Return the matches of SSPs for which ``chosen`` is true."""
+        """
+        Return the matches of SSPs for which ``chosen`` is true.
+
+        Parameters
+        ----------
+        chosen : array_like of bool, shape (n_ssps,)
+
+        Returns
+        -------
+        `~astro_scc.correlation.Matches`
+        """
         return self.select(np.asarray(chosen, dtype=bool)[self.ssp])
 
     def to_table(self):
@@ -123,6 +162,10 @@ class Matches:
         Return the matches as an `~astropy.table.Table` in pixels.
 
         One row a peak; the pairs, search radius and kappa are in its meta.
+
+        Returns
+        -------
+        `~astropy.table.Table`
         """
         from astropy.table import Table
 
@@ -136,6 +179,14 @@ class Matches:
     def from_table(cls, table):
         """
         Read what `to_table` wrote.
+
+        Parameters
+        ----------
+        table : `~astropy.table.Table`
+
+        Returns
+        -------
+        `~astro_scc.correlation.Matches`
 
         Raises
         ------
@@ -155,7 +206,17 @@ class Matches:
         )
 
     def same_as(self, other):
-        """Tell whether all fields equal those of other matches."""
+        """
+        Tell whether all fields equal those of other matches.
+
+        Parameters
+        ----------
+        other : `~astro_scc.correlation.Matches`
+
+        Returns
+        -------
+        bool
+        """
         return all(
             np.array_equal(getattr(self, f.name), getattr(other, f.name))
             for f in fields(self)

@@ -60,18 +60,48 @@ class Decomposition:
         return f"<Decomposition of {nx} x {ny} px: {self.ssps!r}>"
 
     def plane_index(self, scale):
-        """Return the index of a scale in ``planes``."""
+        """
+        Return the index of a scale in ``planes``.
+
+        Parameters
+        ----------
+        scale : float
+
+        Returns
+        -------
+        int
+        """
         return self.scales.index(scale)
 
     def segmentation(self, scale):
-        """Return 1 + index in ``ssps`` of the SSP of each pixel on a scale, or 0."""
+        """
+        Return 1 + index in ``ssps`` of the SSP of each pixel on a scale, or 0.
+
+        Parameters
+        ----------
+        scale : float
+
+        Returns
+        -------
+        `~numpy.ndarray` of int, shape (ny, nx)
+        """
         labels = np.zeros(self.planes.shape[1:], dtype=np.int32)
         for index in np.flatnonzero(self.ssps.scale == scale):
             labels.flat[self.ssps.pixels_of(index)] = index + 1
         return labels
 
     def segmented_plane(self, scale):
-        """Return the plane of a scale, zero outside its SSPs."""
+        """
+        Return the plane of a scale, zero outside its SSPs.
+
+        Parameters
+        ----------
+        scale : float
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (ny, nx)
+        """
         plane = self.planes[self.plane_index(scale)]
         return np.where(self.segmentation(scale) > 0, plane, np.float32(0))
 
@@ -192,6 +222,15 @@ class Decomposer:
         ``images`` and ``masks`` are pairs of shape (ny, nx); returns the share and
         what chance would give, each of shape (n_scales,).  The share is the largest
         correlation of the planes, without sources, at any displacement.
+
+        Parameters
+        ----------
+        images : pair of array_like, shape (ny, nx)
+        masks : pair of array_like of bool, shape (ny, nx), or None
+
+        Returns
+        -------
+        share, chance : `~numpy.ndarray`, shape (n_scales,)
         """
         each = [self._planes(*of)[:2] for of in zip(images, masks, strict=True)]
         (one, other), masks = zip(*each, strict=True)

@@ -80,11 +80,31 @@ class SSPs:
         return np.diff(self.starts)
 
     def pixels_of(self, index):
-        """Return the indices into the flattened image of the pixels of one SSP."""
+        """
+        Return the indices into the flattened image of the pixels of one SSP.
+
+        Parameters
+        ----------
+        index : int
+
+        Returns
+        -------
+        `~numpy.ndarray` of int
+        """
         return self.pixels[self.starts[index] : self.starts[index + 1]]
 
     def select(self, keep):
-        """Return the SSPs for which ``keep``, of shape (n,), is true."""
+        """
+        Return the SSPs for which ``keep``, of shape (n,), is true.
+
+        Parameters
+        ----------
+        keep : `~numpy.ndarray` of bool, shape (n,)
+
+        Returns
+        -------
+        `SSPs`
+        """
         chosen = {
             f.name: getattr(self, f.name)[keep]
             for f in fields(self)
@@ -107,7 +127,17 @@ class SSPs:
 
     @classmethod
     def concatenate(cls, catalogues):
-        """Join catalogues, of several scales or of several epochs."""
+        """
+        Join catalogues, of several scales or of several epochs.
+
+        Parameters
+        ----------
+        catalogues : sequence of `SSPs`
+
+        Returns
+        -------
+        `SSPs`
+        """
         catalogues = [cls.empty(), *catalogues]
         shifts = np.cumsum([0] + [c.starts[-1] for c in catalogues[:-1]])
         joined = {
@@ -120,7 +150,17 @@ class SSPs:
 
     @classmethod
     def of_epochs(cls, decompositions):
-        """Join the SSPs of all decompositions, numbered by ``epoch``."""
+        """
+        Join the SSPs of all decompositions, numbered by ``epoch``.
+
+        Parameters
+        ----------
+        decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+
+        Returns
+        -------
+        `SSPs`
+        """
         return cls.concatenate(
             [
                 replace(d.ssps, epoch=np.full(len(d.ssps), epoch))

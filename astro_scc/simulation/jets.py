@@ -216,7 +216,18 @@ class JetSimulation:
         return (self.extent[1] - self.extent[0]) / self.beam_length
 
     def place(self, group, along, across, flux, fwhm):
-        """Return features that are given in beams from the start of the jet."""
+        """
+        Return features that are given in beams from the start of the jet.
+
+        Parameters
+        ----------
+        group : str
+        along, across, flux, fwhm : `~numpy.ndarray`, shape (n, n_epochs)
+
+        Returns
+        -------
+        Features
+        """
         beam = self.beam_length
         x, y = self.extent[0] + beam * along, self.axis + beam * across
         return Features(np.full(len(x), group), x, y, flux, beam * fwhm)
@@ -226,6 +237,14 @@ class JetSimulation:
         Return the fraction of the flux that is seen at x, in pixels from 0.
 
         It falls at both ends as a raised cosine.
+
+        Parameters
+        ----------
+        x : array_like
+
+        Returns
+        -------
+        `~numpy.ndarray`
         """
         start, end = self.extent
         inside = np.minimum(x - start, end - x)
@@ -235,7 +254,17 @@ class JetSimulation:
         return 0.5 * (1 - np.cos(np.pi * ramp))
 
     def covariance(self, beam):
-        """Return the covariance of a beam over (x, y) in pixels squared."""
+        """
+        Return the covariance of a beam over (x, y) in pixels squared.
+
+        Parameters
+        ----------
+        beam : `~astro_scc.epochs.Beam`
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (2, 2)
+        """
         scale = self.pixel_scale.to_value(u.mas)
         flip = np.diag([-1.0, 1.0])
         return flip @ beam.covariance.to_value(u.mas**2) @ flip / scale**2

@@ -140,7 +140,18 @@ class Stream:
                 )
 
     def features(self, jet, rng):
-        """Draw the features, and follow those that are seen over the epochs."""
+        """
+        Draw the features, and follow those that are seen over the epochs.
+
+        Parameters
+        ----------
+        jet : `JetSimulation`
+        rng : `numpy.random.Generator`
+
+        Returns
+        -------
+        Features
+        """
         beam, (start, end) = jet.beam_length, jet.extent
         x, y = self._trajectories(jet, rng)
         fwhm = rng.uniform(*self.fwhm, (len(x), 1))
@@ -307,7 +318,18 @@ class Flow:
             raise ValueError(f"flow {self.name!r}: acceleration must be positive")
 
     def speeds(self, quantile):
-        """Return the speeds in beams per interval at quantiles of the features."""
+        """
+        Return the speeds in beams per interval at quantiles of the features.
+
+        Parameters
+        ----------
+        quantile : array_like
+            Between 0 and 1.
+
+        Returns
+        -------
+        `~numpy.ndarray`
+        """
         quantile = np.asarray(quantile, dtype=float)
         if self.distribution == "uniform":
             factor = 1 + self.dispersion * np.sqrt(3) * (2 * quantile - 1)
@@ -318,7 +340,18 @@ class Flow:
         return self.speed * np.maximum(factor, SLOWEST)
 
     def features(self, jet, rng):
-        """Draw the features and follow them over the epochs."""
+        """
+        Draw the features and follow them over the epochs.
+
+        Parameters
+        ----------
+        jet : `JetSimulation`
+        rng : `numpy.random.Generator`
+
+        Returns
+        -------
+        Features
+        """
         times, length = jet.times, jet.length
         if self.speed == 0:
             s = self.positions

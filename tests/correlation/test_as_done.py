@@ -101,7 +101,9 @@ except ChildProcessError as error:
 """
 
 
-@pytest.mark.parametrize("name", ["as_done", "in_order"])
+@pytest.mark.parametrize(
+    "name", ["as_done", pytest.param("in_order", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("context", [c for c in STARTS if c.values != ("fork",)])
 def test_processes_that_cannot_start(tmp_path, name, context):
     script = tmp_path / "script.py"

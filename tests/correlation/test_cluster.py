@@ -113,6 +113,7 @@ def test_a_killed_worker_changes_nothing(cluster, epochs, monkeypatch):
     assert found.same_as(serial)
 
 
+@pytest.mark.slow
 def test_a_worker_killed_at_work(cluster):
     # Workers cannot import a module of tests, however the tests are started.
     slow = [f"__import__('time').sleep(0.05) or -{k}" for k in range(20)]

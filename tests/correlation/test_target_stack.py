@@ -25,7 +25,7 @@ def sparse_epochs(seed, masked):
     return epochs
 
 
-@settings(deadline=None, max_examples=12)
+@settings(deadline=None, max_examples=5)
 @given(
     seed=st.integers(0, 2**32 - 1),
     reach=st.tuples(st.integers(2, 40), st.integers(2, 40)),
