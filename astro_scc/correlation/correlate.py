@@ -222,6 +222,11 @@ class Correlator:
         ------
         PairBlock
             For `match_block`, see `Correlator`.
+
+        Raises
+        ------
+        ValueError
+            As for a call.
         """
         pairs, search_radius = _checked(decompositions, pairs, search_radius)
         pairs = np.unique(pairs, axis=0)
