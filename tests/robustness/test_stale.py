@@ -123,9 +123,9 @@ def test_parts_of_an_interrupted_run_on_other_images(scc, cube, tmp_path, what):
     path = tmp_path / "m.fits"
     done = []
 
-    def interrupt(block):
-        from astro_scc.correlation.correlate import match_block
+    from astro_scc.correlation.correlate import match_block
 
+    def interrupt(block):
         if len(done) == 3:
             raise KeyboardInterrupt
         done.append(block)
