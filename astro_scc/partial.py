@@ -11,13 +11,7 @@ import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = [
-    "hold",
-    "is_held",
-    "partial_folder",
-    "remove_left",
-    "replace_when_complete",
-]
+__all__ = ["hold", "is_held", "partial_folder", "remove_left", "replace_when_complete"]
 
 #: Of names, after what they begin with: the machine and something of its own.
 _END = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}")

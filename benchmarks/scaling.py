@@ -37,8 +37,9 @@ from scipy import fft, signal
 from skimage.feature import peak_local_max
 
 from astro_scc import Beam, StackedCrossCorrelation
-from astro_scc.correlation import Template, find_peaks, zncc
-from astro_scc.correlation.direct import direct_coefficients, direct_peaks, worth_it
+from astro_scc.correlation import zncc
+from astro_scc.correlation.compiled import compiled_coefficients, worth_it
+from astro_scc.correlation.zncc import Template, find_peaks
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.wavelet import wavelet_planes
 from astro_scc.simulation import JetSimulation, Stream
@@ -171,8 +172,8 @@ def compiled(cases, reach):
         template = Template(values, footprint, (reach, reach))
         if worth_it(template):
             every = np.arange(len(windows))
-            coefficient = direct_coefficients(windows, every, (0, 0), template)
-            number += len(direct_peaks(coefficient, KAPPA)[0])
+            coefficient = compiled_coefficients(windows, every, (0, 0), template)
+            number += len(find_peaks(coefficient, KAPPA)[0])
         else:
             number += batched([case], reach, peaks=True)
     return number

@@ -98,7 +98,7 @@ def _cluster(n_workers, n_local, reporter):
     if isinstance(n_workers, int):
         yield n_workers
         return
-    from astro_scc.correlation.cluster import open_client, open_local
+    from astro_scc.correlation.parallel import open_client, open_local
 
     opened = open_local(n_local) if n_workers == "local" else open_client(n_workers)
     with opened as client:

@@ -4,8 +4,9 @@
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-__all__ = ["Matches"]
+from astro_scc.decomposition import scale_size
 
 COLUMNS = {
     "ssp": np.int32,
@@ -16,6 +17,18 @@ COLUMNS = {
     "overlap": np.float32,
     "target_snr": np.float32,
 }
+
+
+def join_columns(parts):
+    """Join tuples of the columns ``ssp`` to ``target_snr``, each in its own type."""
+    return [
+        np.concatenate(
+            [np.empty(0, kind), *(part[k] for part in parts)],
+            dtype=kind,
+            casting="unsafe",
+        )
+        for k, kind in enumerate(COLUMNS.values())
+    ]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,7 +56,7 @@ class Matches:
         units of that plane's noise.
     pairs : `~numpy.ndarray` of int, shape (n_pairs, 2)
         The ordered pairs of epochs that were correlated.
-    reach : tuple of int
+    search_radius : tuple of int
         Largest displacement (y, x) that was tried.
     kappa : float
         Smallest coefficient that was kept.
@@ -69,7 +82,7 @@ class Matches:
     overlap: np.ndarray
     target_snr: np.ndarray
     pairs: np.ndarray
-    reach: tuple
+    search_radius: tuple
     kappa: float
 
     def __len__(self):
@@ -79,40 +92,36 @@ class Matches:
         return f"<Matches: {len(self)} peaks of {len(self.pairs)} pairs of epochs>"
 
     @classmethod
-    def from_columns(cls, columns, pairs, reach, kappa):
+    def from_columns(cls, columns, pairs, search_radius, kappa):
         """
-        Join lists of column arrays.
+        Join tuples of the columns ``ssp`` to ``target_snr``.
 
         Parameters
         ----------
         columns : sequence of tuple of `~numpy.ndarray`
-            Each the columns ``ssp`` to ``target_snr`` in order.
         pairs : array_like of int, shape (n_pairs, 2)
-        reach : tuple of int
+        search_radius : tuple of int
         kappa : float
 
         Returns
         -------
-        `Matches`
+        `~astro_scc.correlation.Matches`
         """
-        joined = [
-            np.concatenate(
-                [np.empty(0, dtype), *(part[k] for part in columns)],
-                dtype=dtype,
-                casting="unsafe",
-            )
-            for k, dtype in enumerate(COLUMNS.values())
-        ]
         pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
-        return cls(*joined, pairs=pairs, reach=tuple(reach), kappa=float(kappa))
+        return cls(
+            *join_columns(columns),
+            pairs=pairs,
+            search_radius=tuple(search_radius),
+            kappa=float(kappa),
+        )
 
     def sorted(self):
         """
-        The matches by SSP, and those of one by target.
+        Return the matches by SSP, and those of one by target.
 
         Returns
         -------
-        `Matches`
+        `~astro_scc.correlation.Matches`
         """
         key = self.ssp.astype(np.int64) << 16 | self.target.astype(np.int64)
         if np.all(key[1:] >= key[:-1]):
@@ -121,22 +130,22 @@ class Matches:
 
     def select(self, keep):
         """
-        The matches of a selection.
+        Return the matches of indices, or where ``keep`` is true.
 
         Parameters
         ----------
-        keep : array_like of bool or int, shape (n,) or indices
+        keep : array_like of bool, shape (n,), or of int
 
         Returns
         -------
-        `Matches`
+        `~astro_scc.correlation.Matches`
         """
         chosen = {name: getattr(self, name)[keep] for name in COLUMNS}
         return replace(self, **chosen)
 
     def of_ssps(self, chosen):
         """
-        The matches of chosen SSPs.
+        Return the matches of SSPs for which ``chosen`` is true.
 
         Parameters
         ----------
@@ -144,24 +153,25 @@ class Matches:
 
         Returns
         -------
-        `Matches`
+        `~astro_scc.correlation.Matches`
         """
         return self.select(np.asarray(chosen, dtype=bool)[self.ssp])
 
     def to_table(self):
         """
-        The matches as a table, in pixels.
+        Return the matches as an `~astropy.table.Table` in pixels.
+
+        One row a peak; the pairs, search radius and kappa are in its meta.
 
         Returns
         -------
         `~astropy.table.Table`
-            One row a peak; the pairs, reach and kappa are in its meta.
         """
         from astropy.table import Table
 
         table = Table({name: getattr(self, name) for name in COLUMNS})
         table.meta["pairs"] = self.pairs.tolist()
-        table.meta["reach"] = list(self.reach)
+        table.meta["search_radius"] = list(self.search_radius)
         table.meta["kappa"] = self.kappa
         return table
 
@@ -176,7 +186,7 @@ class Matches:
 
         Returns
         -------
-        `Matches`
+        `~astro_scc.correlation.Matches`
 
         Raises
         ------
@@ -184,20 +194,24 @@ class Matches:
             If a column or an entry of the meta is missing.
         """
         missing = [name for name in COLUMNS if name not in table.colnames]
-        missing += [k for k in ("pairs", "reach", "kappa") if k not in table.meta]
+        missing += [
+            k for k in ("pairs", "search_radius", "kappa") if k not in table.meta
+        ]
         if missing:
             raise ValueError(f"not a table of matches: {', '.join(missing)} missing")
         columns = tuple(np.asarray(table[name]) for name in COLUMNS)
         meta = table.meta
-        return cls.from_columns([columns], meta["pairs"], meta["reach"], meta["kappa"])
+        return cls.from_columns(
+            [columns], meta["pairs"], meta["search_radius"], meta["kappa"]
+        )
 
     def same_as(self, other):
         """
-        Whether all fields equal those of other matches.
+        Tell whether all fields equal those of other matches.
 
         Parameters
         ----------
-        other : `Matches`
+        other : `~astro_scc.correlation.Matches`
 
         Returns
         -------
@@ -207,3 +221,63 @@ class Matches:
             np.array_equal(getattr(self, f.name), getattr(other, f.name))
             for f in fields(self)
         )
+
+
+def target_ssps(matches, ssps):
+    """
+    Find the SSP of the target epoch nearest to where each match falls.
+
+    Parameters
+    ----------
+    matches : `~astro_scc.correlation.Matches`
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+
+    Returns
+    -------
+    `~numpy.ndarray` of int, shape (n_matches,)
+        Index in ``ssps`` of the SSP of the same scale whose maximum is
+        nearest to the SSP's maximum carried along by the displacement, if
+        it is within one scale; otherwise -1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.correlation import Correlator, all_pairs, target_ssps
+    >>> from astro_scc.decomposition import Decomposer, SSPs
+    >>> y, x = np.mgrid[:64, :96]
+    >>> def image(x0):
+    ...     return np.exp(-((x - x0) ** 2 + (y - 32) ** 2) / 30)
+    >>> decompose = Decomposer(scales=[2])
+    >>> epochs = [decompose(image(x0)) for x0 in (40, 46.5)]
+    >>> matches = Correlator()(epochs, all_pairs(2), 12)
+    >>> target_ssps(matches, SSPs.of_epochs(epochs)).tolist()
+    [1, 0]
+    """
+    found = np.full(len(matches), -1)
+    if len(matches) == 0:
+        return found
+    scales, level = np.unique(ssps.scale, return_inverse=True)
+    n = max(int(ssps.epoch.max()), int(matches.target.max())) + 1
+    # Matches and SSPs by scale and epoch, each sorted once.
+    order, ends = _grouped(level[matches.ssp] * n + matches.target, len(scales) * n)
+    there, starts = _grouped(level * n + ssps.epoch, len(scales) * n)
+    for group in np.flatnonzero((np.diff(ends) > 0) & (np.diff(starts) > 0)):
+        k = order[ends[group] : ends[group + 1]]
+        own = there[starts[group] : starts[group + 1]]
+        y = ssps.y[matches.ssp[k]] + matches.dy[k]
+        x = ssps.x[matches.ssp[k]] + matches.dx[k]
+        tree = cKDTree(np.stack([ssps.y[own], ssps.x[own]], axis=1))
+        distance, nearest = tree.query(np.stack([y, x], axis=1))
+        near = distance <= scale_size(scales[group // n])
+        found[k[near]] = own[nearest[near]]
+    return found
+
+
+def _grouped(number, n):
+    """Return indices by group number, and where each of n groups begins."""
+    if n < 2**15:
+        # Small integers are sorted without comparisons.
+        number = number.astype(np.int16)
+    order = np.argsort(number, kind="stable")
+    return order, np.searchsorted(number[order], np.arange(n + 1))

@@ -1,13 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Zero-mean normalised cross-correlation of a masked template with windows."""
 
-from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy import fft
 
-__all__ = ["Overlap", "Template", "correlate_windows", "zncc"]
+from astro_scc.decomposition.segmentation import quadratic_peak
 
 #: Local variances below this share of a window's energy are rounding, of
 #: which 7e-16 was measured.  A pattern then still counts beside a core a
@@ -19,7 +19,7 @@ FLAT = 1e-14
 
 def zncc(a, b):
     r"""
-    Zero-mean normalised cross-correlation of two sets of pixels.
+    Return the zero-mean normalised cross-correlation of two sets of pixels.
 
     .. math:: C = \frac{\sum \bar a_i \bar b_i}
                        {\sqrt{\sum \bar a_i^2 \sum \bar b_i^2}},
@@ -49,55 +49,36 @@ def zncc(a, b):
 
 
 def _zero_mean(values):
-    """Values minus their mean, exactly zero where that is only rounding."""
+    """Return values minus their mean, exactly zero where that is only rounding."""
     values = np.asarray(values, dtype=float)
     deviation = values - values.mean()
     flat = np.abs(deviation).max() <= FLAT * np.abs(values).max()
     return np.zeros_like(deviation) if flat else deviation
 
 
-def fft_shape(shape, reach):
+def fft_shape(shape, search_radius):
     """
-    Shape of the transforms of a template.
+    Return the shape of the transforms of a template.
 
     Circular correlation is exact where the template does not wrap.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Of the template.
-    reach : tuple of int
-        Largest displacement.
-
-    Returns
-    -------
-    tuple of int
     """
     return tuple(
         fft.next_fast_len(int(n + 2 * r), real=True)
-        for n, r in zip(shape, reach, strict=True)
+        for n, r in zip(shape, search_radius, strict=True)
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Overlap:
-    """
-    What missing pixels do to a template, the same for all windows with them.
+class Overlap(NamedTuple):
+    """What missing pixels do to a template, at each displacement."""
 
-    Attributes
-    ----------
-    share : `~numpy.ndarray`, shape (..., ny, nx)
-        Share of the template's pixels on existing pixels, a displacement.
-    unjudged : `~numpy.ndarray` of bool, same shape
-        Where that is below the smallest that counts.
-    """
-
+    #: Share of the template's pixels that fall on existing pixels.
     share: np.ndarray
+    #: Where that is below the smallest that counts.
     unjudged: np.ndarray
-    # Pixels of the template over those that exist.
+    #: Pixels of the template over those that exist.
     ratio: np.ndarray
-    # Sum of the template over existing pixels, per pixel, and one over the
-    # root of its variance there.
+    #: Sum of the template over existing pixels, per pixel, and one over the
+    #: root of its variance there.
     own_mean: np.ndarray
     scale: np.ndarray
 
@@ -106,36 +87,13 @@ class Template:
     """
     The pixels of one pattern, transformed once for all windows.
 
-    Parameters
-    ----------
-    values : `~numpy.ndarray`, shape (h, w)
-        Bounding box of the pattern.
-    footprint : `~numpy.ndarray` of bool, shape (h, w)
-        The pattern's own pixels; nothing else of the box counts.
-    reach : tuple of int
-        Largest displacement ``(y, x)`` of the windows in pixels.
-
-    Attributes
-    ----------
-    window_shape : tuple of int
-        Pixels that take part, (h + 2 ry, w + 2 rx).
-    fft_shape : tuple of int
-        That of the transforms: windows of this shape need not be padded,
-        whatever they hold beyond ``window_shape``.
-    result_shape : tuple of int
-        (2 ry + 1, 2 rx + 1).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.correlation import Template
-    >>> values = np.arange(12.0).reshape(3, 4)
-    >>> template = Template(values, np.ones((3, 4), bool), (2, 5))
-    >>> template.window_shape, template.result_shape
-    ((7, 14), (5, 11))
+    ``values`` and ``footprint`` have the shape of the pattern's bounding box; only
+    pixels of the footprint count.  Windows are of ``window_shape`` or, so that
+    they need not be padded, of ``fft_shape``, whatever they hold beyond the
+    former; results of ``result_shape``.
     """
 
-    def __init__(self, values, footprint, reach):
+    def __init__(self, values, footprint, search_radius):
         self.n_pixels = int(footprint.sum())
         own = _zero_mean(values[footprint])
         self.energy = float((own**2).sum())
@@ -143,11 +101,11 @@ class Template:
         if self.energy > 0:
             self.values[footprint] = own / self.energy**0.5
         self.footprint = footprint.astype(float)
-        self.result_shape = tuple(2 * r + 1 for r in reach)
+        self.result_shape = tuple(2 * r + 1 for r in search_radius)
         self.window_shape = tuple(
-            n + 2 * r for n, r in zip(footprint.shape, reach, strict=True)
+            n + 2 * r for n, r in zip(footprint.shape, search_radius, strict=True)
         )
-        self.fft_shape = fft_shape(footprint.shape, reach)
+        self.fft_shape = fft_shape(footprint.shape, search_radius)
 
     @cached_property
     def _values_fft(self):
@@ -172,19 +130,7 @@ class Template:
         return rows[..., :nx]
 
     def overlap(self, valid, min_overlap):
-        """
-        Prepare for windows with missing pixels.
-
-        Parameters
-        ----------
-        valid : `~numpy.ndarray` of bool, shape (..., h, w)
-            False marks missing pixels; one for all windows, or for each.
-        min_overlap : float
-
-        Returns
-        -------
-        `Overlap`
-        """
+        """Return what missing pixels, of shape (..., h, w), do to the template."""
         valid_fft = fft.rfft2(valid.astype(float), self.fft_shape)
         number = np.rint(self._correlate(valid_fft, self._footprint_fft))
         some = np.maximum(number, 1.0)
@@ -203,20 +149,10 @@ class Template:
 
     def of_windows(self, windows, overlap=None):
         """
-        Coefficients for windows.
+        Return the coefficients of windows, shape (..., ny, nx).
 
-        Parameters
-        ----------
-        windows : `~numpy.ndarray`, shape (..., h, w)
-            Of ``window_shape`` or ``fft_shape``, in double precision, zero
-            where pixels are missing.
-        overlap : `Overlap`, optional
-            That of the pixels which exist, if some do not.
-
-        Returns
-        -------
-        `~numpy.ndarray`, shape (..., ny, nx)
-            NaN where the overlap is too small.
+        Windows are in double precision and zero where pixels are missing; if
+        some are, the `Overlap` says what that does.  NaN where it is too small.
         """
         transform = fft.rfft2(windows, self.fft_shape)
         squares = windows * windows
@@ -242,7 +178,7 @@ class Template:
 
 
 def correlate_windows(
-    values, footprint, windows, reach, *, valid=None, min_overlap=0.8
+    values, footprint, windows, search_radius, *, valid=None, min_overlap=0.8
 ):
     """
     Correlate a masked pattern with windows at every displacement.
@@ -259,7 +195,7 @@ def correlate_windows(
         The pattern's own pixels.
     windows : array_like, shape (..., h + 2 ry, w + 2 rx)
         Parts of the target images centred on the box.
-    reach : tuple of int
+    search_radius : tuple of int
         Largest displacement ``(ry, rx)``.
     valid : array_like of bool, shape of ``windows``, optional
         False marks missing pixels, and so does what is not finite; both
@@ -279,7 +215,7 @@ def correlate_windows(
     ------
     ValueError
         If the shapes do not fit together, the footprint is empty or the
-        reach not two numbers of pixels.
+        search radius not two numbers of pixels.
 
     Examples
     --------
@@ -297,10 +233,12 @@ def correlate_windows(
     windows = np.asarray(windows, dtype=float)
     if values.shape != footprint.shape or not footprint.any():
         raise ValueError("the footprint must have the pattern's shape and some pixels")
-    reach = tuple(int(r) for r in reach)
-    if len(reach) != 2 or min(reach) < 0:
-        raise ValueError(f"reach must be two numbers of pixels, got {reach}")
-    template = Template(values, footprint, reach)
+    search_radius = tuple(int(r) for r in search_radius)
+    if len(search_radius) != 2 or min(search_radius) < 0:
+        raise ValueError(
+            f"the search radius must be two numbers of pixels, got {search_radius}"
+        )
+    template = Template(values, footprint, search_radius)
     if windows.shape[-2:] != template.window_shape:
         raise ValueError(
             f"windows must have shape {template.window_shape}, got {windows.shape[-2:]}"
@@ -319,3 +257,41 @@ def correlate_windows(
     overlap = template.overlap(exists, min_overlap)
     coefficient = template.of_windows(windows, overlap)
     return np.nan_to_num(coefficient, copy=False), overlap.share
+
+
+def find_peaks(coefficient, threshold):
+    """
+    Find the local maxima of stacked maps at or above a threshold.
+
+    A pixel is a maximum if none of its eight neighbours is larger or NaN;
+    of equal neighbours the last counts, row by row; pixels of the border are
+    none.  Positions are those of the least-squares quadratic through the nine.
+
+    ``coefficient`` has the shape (n, ny, nx).  Returns for each peak which map,
+    y and x in pixels of the map, and the value of the quadratic at its maximum, at
+    least the pixel's own and at most 1.
+    """
+    n, ny, nx = coefficient.shape
+    if ny < 3 or nx < 3:
+        return tuple(np.empty(0, kind) for kind in (int, float, float, float))
+    # One index for all axes: that is the quickest way to look up values.
+    flat = np.ascontiguousarray(coefficient).reshape(-1)
+    at = np.flatnonzero(coefficient[:, 1:-1, 1:-1] >= threshold)
+    index, at = np.divmod(at, (ny - 2) * (nx - 2))
+    y, x = np.divmod(at, nx - 2)
+    at = (index * ny + y + 1) * nx + x + 1
+    value = flat[at]
+    # Four neighbours first: most candidates fall here, at half the price.
+    at = at[
+        (value >= flat[at - nx])
+        & (value >= flat[at - 1])
+        & (value > flat[at + 1])
+        & (value > flat[at + nx])
+    ]
+    value, step = flat[at], np.arange(-1, 2)
+    around = flat[at[:, None, None] + (step[:, None] * nx + step)]
+    keep = (value >= around[:, 0, 0]) & (value >= around[:, 0, 2])
+    keep &= (value > around[:, 2, 0]) & (value > around[:, 2, 2])
+    index, y, x = np.unravel_index(at[keep], coefficient.shape)
+    dy, dx, height = quadratic_peak(around[keep])
+    return index, y + dy, x + dx, np.minimum(height, 1.0)

@@ -11,11 +11,8 @@ from astro_scc.decomposition.noise import (
     propagated_noise,
     shared_variance,
 )
-from astro_scc.decomposition.segmentation import check_thresholds, find_ssps
-from astro_scc.decomposition.ssp import SSPs
-from astro_scc.decomposition.wavelet import scale_kernel, wavelet_planes
-
-__all__ = ["Decomposer", "Decomposition"]
+from astro_scc.decomposition.segmentation import SSPs, check_thresholds, find_ssps
+from astro_scc.decomposition.wavelet import missing_pixels, scale_kernel, wavelet_planes
 
 #: Rounding of single precision, below which nothing is significant.
 ROUNDING = 1e-7
@@ -64,7 +61,7 @@ class Decomposition:
 
     def plane_index(self, scale):
         """
-        Index of a scale in ``planes``.
+        Return the index of a scale in ``planes``.
 
         Parameters
         ----------
@@ -78,7 +75,7 @@ class Decomposition:
 
     def segmentation(self, scale):
         """
-        Label image of the SSPs of a scale.
+        Return 1 + index in ``ssps`` of the SSP of each pixel on a scale, or 0.
 
         Parameters
         ----------
@@ -87,7 +84,6 @@ class Decomposition:
         Returns
         -------
         `~numpy.ndarray` of int, shape (ny, nx)
-            1 + index in ``ssps`` of the SSP of each pixel, or 0.
         """
         labels = np.zeros(self.planes.shape[1:], dtype=np.int32)
         for index in np.flatnonzero(self.ssps.scale == scale):
@@ -96,7 +92,7 @@ class Decomposition:
 
     def segmented_plane(self, scale):
         """
-        The plane of a scale, zero outside its SSPs.
+        Return the plane of a scale, zero outside its SSPs.
 
         Parameters
         ----------
@@ -128,7 +124,7 @@ class Decomposer:
         follows from the rms of the image and its beam.
     noise_factors : sequence of float, optional
         Factor on the sigma of "plane" and "local" for each scale, where
-        what looks like noise in one image is structure (`shared_variance`).
+        what looks like noise in one image is structure (`Decomposer.shared_variance`).
 
     Raises
     ------
@@ -221,12 +217,15 @@ class Decomposer:
 
     def shared_variance(self, images, *, masks=(None, None)):
         """
-        What two images share beside bright sources, see `shared_variance`.
+        Return what two images share beside bright sources on each scale.
+
+        ``images`` and ``masks`` are pairs of shape (ny, nx); returns the share and
+        what chance would give, each of shape (n_scales,).  The share is the largest
+        correlation of the planes, without sources, at any displacement.
 
         Parameters
         ----------
         images : pair of array_like, shape (ny, nx)
-            Of two epochs.
         masks : pair of array_like of bool, shape (ny, nx), or None
 
         Returns
@@ -243,17 +242,8 @@ class Decomposer:
         return share, chance
 
     def _planes(self, image, mask):
-        """The planes, what is missing, and the largest value there was."""
-        image = np.asarray(image, dtype=float)
-        missing = ~np.isfinite(image)
-        if mask is not None:
-            mask = np.asarray(mask, dtype=bool)
-            if mask.shape != image.shape:
-                raise ValueError(
-                    f"the mask has shape {mask.shape}, the image {image.shape}: "
-                    "give one value for each pixel"
-                )
-            missing |= mask
+        """Return the planes, what is missing, and the largest value there was."""
+        image, missing = missing_pixels(image, mask)
         if missing.all():
             raise ValueError("the image has no valid pixel")
         # An offset would cost the digits that single precision has.

@@ -6,8 +6,6 @@ from scipy import ndimage
 
 from astro_scc.decomposition.wavelet import KERNELS, scale_kernel, scale_size
 
-__all__ = ["local_noise", "plane_noise", "propagated_noise", "shared_variance"]
-
 MAD_TO_SIGMA = 1.482602218505602
 #: Share of a Gaussian's absolute values below ``DECILE_TO_SIGMA`` is a tenth.
 DECILE_TO_SIGMA = 1 / 0.12566134685507402
@@ -18,33 +16,20 @@ LOCAL_ITERATIONS = 3
 
 
 def _mad(values):
-    """Robust standard deviation about zero, which planes have as their mean."""
+    """Return the robust standard deviation about zero, the mean of a plane."""
     values = np.abs(values[values != 0])
     return MAD_TO_SIGMA * float(np.median(values)) if values.size else 0.0
 
 
 def source_free(plane, scale, *, mask=None):
     """
-    Pixels of a wavelet plane that show no source.
+    Find the pixels of a wavelet plane that show no source, and their sigma.
 
     Pixels beyond 5 sigma are taken out together with a disk of one scale
     around them, sigma being ``1.4826 median |w|`` of all others, until
     sigma stands still.  The first sigma is that of the faintest tenth of
     the pixels, so that a source may fill most of the image; where that
     leaves no sky, it is that of all pixels.
-
-    Parameters
-    ----------
-    plane : `~numpy.ndarray`, shape (ny, nx)
-    scale : float
-        Scale number.
-    mask : array_like of bool, shape (ny, nx), optional
-        True marks missing pixels.
-
-    Returns
-    -------
-    free : `~numpy.ndarray` of bool, shape (ny, nx)
-    sigma : float
     """
     valid = np.ones(plane.shape, dtype=bool) if mask is None else ~np.asarray(mask)
     values = np.abs(plane[valid])
@@ -61,7 +46,7 @@ def source_free(plane, scale, *, mask=None):
 
 
 def _away_from_source(plane, radius, valid, sigma):
-    """Pixels further than a radius from those beyond 5 sigma."""
+    """Return the pixels further than a radius from those beyond 5 sigma."""
     sky = (np.abs(plane) <= SOURCE_SNR * sigma) | ~valid
     away = np.ones(plane.shape, dtype=bool)
     near = tuple(_stretch(~sky.all(axis=axis), int(np.ceil(radius))) for axis in (1, 0))
@@ -72,7 +57,7 @@ def _away_from_source(plane, radius, valid, sigma):
 
 
 def _stretch(some, margin):
-    """From the first to the last that is true, and a margin."""
+    """Return the slice from the first to the last that is true, and a margin."""
     at = np.flatnonzero(some)
     if len(at) == 0:
         return slice(0, 0)
@@ -97,7 +82,7 @@ def _without_source(plane, radius, valid, sigma):
 
 def plane_noise(plane, scale, *, mask=None):
     """
-    Standard deviation of the noise of a wavelet plane, from the plane itself.
+    Measure the standard deviation of the noise of a wavelet plane in the plane.
 
     ``1.4826 median |w|`` of the pixels that show no source, which are found
     in turn: pixels beyond 5 sigma are taken out with a disk of one scale
@@ -137,7 +122,7 @@ def plane_noise(plane, scale, *, mask=None):
 
 def shared_variance(planes, scale, *, masks=(None, None)):
     r"""
-    Share of the variance beside bright sources that two images have in common.
+    Measure the share of variance beside bright sources that two images have in common.
 
     With a and b the two planes where neither shows a source (see
     `plane_noise`) and zero elsewhere, it is the largest correlation at any
@@ -149,35 +134,11 @@ def shared_variance(planes, scale, *, masks=(None, None)):
     over the whole image, which is taken as periodic.  Noise is of one image
     alone; what both show is structure that moves or stands still.
 
-    Parameters
-    ----------
-    planes : pair of `~numpy.ndarray`, shape (ny, nx)
-        Of two epochs, of one scale.
-    scale : float
-        Scale number.
-    masks : pair of array_like of bool, shape (ny, nx), or None
-        True marks missing pixels.
-
-    Returns
-    -------
-    share : float
-        The variance of the noise is ``1 - share`` of the plane's, or less if
-        structure moves at different velocities or changes.
-    chance : float
-        Standard deviation of what independent planes would give at one
-        displacement, the root mean square over all displacements; infinite
-        if a plane is zero.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.decomposition import shared_variance
-    >>> rng = np.random.default_rng(0)
-    >>> texture, *noise = rng.normal(size=(3, 64, 64))
-    >>> moved = np.roll(3 * texture, 5, axis=1)
-    >>> share, chance = shared_variance([3 * texture + noise[0], moved + noise[1]], 1)
-    >>> round(share, 1), bool(chance < 0.03)
-    (0.9, True)
+    ``planes`` are of one ``scale`` of two epochs, shape (ny, nx), and ``masks``, or
+    None, mark missing pixels.  Returns the share, so that the variance of the noise
+    is ``1 - share`` of the plane's, or less if structure moves at different
+    velocities or changes; and the standard deviation of what independent planes
+    would give at one displacement, infinite if a plane is zero.
     """
     skies, parts = [], []
     for plane, mask in zip(planes, masks, strict=True):
@@ -195,38 +156,16 @@ def shared_variance(planes, scale, *, masks=(None, None)):
 
 def local_noise(plane, scale, *, mask=None, box_size=None):
     """
-    Standard deviation of the noise of a wavelet plane, pixel by pixel.
+    Measure the standard deviation of the noise of a wavelet plane, pixel by pixel.
 
     The root mean square of the source-free pixels in boxes, interpolated
     between them (`photutils.background.Background2D` of the squared plane);
     then the source is found anew with this map.  Boxes that the source
     fills to 90% are interpolated from the others.
 
-    Parameters
-    ----------
-    plane : `~numpy.ndarray`, shape (ny, nx)
-    scale : float
-        Scale number.
-    mask : array_like of bool, shape (ny, nx), optional
-        True marks missing pixels.
-    box_size : int, optional
-        Side of a box in pixels; 6 times the scale and at least 32 by
-        default, at most a quarter of the image.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (ny, nx)
-        Constant, as `plane_noise`, where the source fills every box.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.decomposition import local_noise
-    >>> plane = np.random.default_rng(0).normal(size=(128, 128))
-    >>> plane[:, 64:] *= 3
-    >>> noise = local_noise(plane, 1)
-    >>> bool(noise[:, :32].mean() < 1.2), bool(noise[:, -32:].mean() > 2.5)
-    (True, True)
+    ``box_size``, the side of a box in pixels, is 6 times the scale and at least 32 by
+    default, at most a quarter of the image.  Returns an array of the shape (ny, nx)
+    of the plane, constant as `plane_noise` where the source fills every box.
     """
     free, sigma = source_free(plane, scale, mask=mask)
     noise = np.full(plane.shape, sigma)
@@ -247,7 +186,7 @@ def local_noise(plane, scale, *, mask=None, box_size=None):
 
 
 def _local_mean(values, mask, box_size):
-    """Mean of values in boxes, interpolated between them, or None."""
+    """Return the mean of values in boxes, interpolated between them, or None."""
     from photutils.background import Background2D, MeanBackground, StdBackgroundRMS
 
     try:
@@ -267,7 +206,7 @@ def _local_mean(values, mask, box_size):
 
 
 def _response(kernel, level, frequency):
-    """Response of the smoothings before and after a level, on one axis."""
+    """Return the response of the smoothings before and after a level, on one axis."""
     taps = KERNELS[kernel]
     offsets = np.arange(len(taps)) - len(taps) // 2
 
@@ -283,7 +222,7 @@ def _response(kernel, level, frequency):
 
 def propagated_noise(rms, scales, *, beam_covariance=None, kernel="b1"):
     """
-    Noise of wavelet planes for image noise of a given rms and beam.
+    Return the noise of wavelet planes for image noise of a given rms and beam.
 
     By Parseval ``sigma_j^2 = int |H_j|^2 P dk``, with H_j the response of
     the filter of scale j and P the power spectrum of white noise smoothed

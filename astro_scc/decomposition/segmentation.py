@@ -1,42 +1,192 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""From a wavelet plane to its significant structural patterns."""
+"""Significant structural patterns (SSPs) of wavelet planes, and their catalogue."""
+
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy import ndimage
 from skimage.feature import peak_local_max
 from skimage.segmentation import watershed
 
-from astro_scc.decomposition.ssp import SSPs
 from astro_scc.decomposition.wavelet import scale_size
 
-__all__ = ["find_ssps", "quadratic_peak"]
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SSPs:
+    """
+    The significant structural patterns of one or more images on all scales.
+
+    Attributes
+    ----------
+    scale : `~numpy.ndarray`, shape (n,)
+        Scale number.
+    y, x : `~numpy.ndarray`, shape (n,)
+        Maximum of the plane, sub-pixel.
+    y_centroid, x_centroid : `~numpy.ndarray`, shape (n,)
+        Mean position of the pixels weighted by the plane.
+    peak : `~numpy.ndarray`, shape (n,)
+        Largest wavelet coefficient.
+    flux : `~numpy.ndarray`, shape (n,)
+        Sum of the wavelet coefficients.
+    snr : `~numpy.ndarray`, shape (n,)
+        ``peak`` over the noise of the plane there.
+    bbox : `~numpy.ndarray` of int, shape (n, 4)
+        Bounding box ``y0, x0, y1, x1``, ends excluded.
+    starts : `~numpy.ndarray` of int, shape (n + 1,)
+        Where the pixels of each SSP begin in ``pixels``.
+    pixels : `~numpy.ndarray` of int, shape (starts[-1],)
+        Indices into the flattened image of the pixels of all SSPs.
+    epoch : `~numpy.ndarray` of int, shape (n,)
+        Index of the image that the SSP is seen in.
+
+    Examples
+    --------
+    >>> from astro_scc.decomposition import Decomposer, SSPs
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> images = simulate_two_fluid(n_epochs=2, rng=1).cube.data
+    >>> ssps = SSPs.of_epochs([Decomposer(scales=[2])(image) for image in images])
+    >>> sorted(set(ssps.epoch.tolist())), bool((ssps.snr >= 4).all())
+    ([0, 1], True)
+    """
+
+    scale: np.ndarray
+    y: np.ndarray
+    x: np.ndarray
+    y_centroid: np.ndarray
+    x_centroid: np.ndarray
+    peak: np.ndarray
+    flux: np.ndarray
+    snr: np.ndarray
+    bbox: np.ndarray
+    starts: np.ndarray
+    pixels: np.ndarray
+    epoch: np.ndarray
+
+    def __len__(self):
+        return len(self.scale)
+
+    def __repr__(self):
+        counts = ", ".join(
+            f"{number} on scale {scale:g}"
+            for scale, number in zip(
+                *np.unique(self.scale, return_counts=True), strict=True
+            )
+        )
+        return f"<SSPs: {counts or 'none'}>"
+
+    @property
+    def n_pixels(self):
+        """Return the number of pixels of each SSP, shape (n,)."""
+        return np.diff(self.starts)
+
+    def pixels_of(self, index):
+        """
+        Return the indices into the flattened image of the pixels of one SSP.
+
+        Parameters
+        ----------
+        index : int
+
+        Returns
+        -------
+        `~numpy.ndarray` of int
+        """
+        return self.pixels[self.starts[index] : self.starts[index + 1]]
+
+    def select(self, keep):
+        """
+        Return the SSPs for which ``keep``, of shape (n,), is true.
+
+        Parameters
+        ----------
+        keep : `~numpy.ndarray` of bool, shape (n,)
+
+        Returns
+        -------
+        `SSPs`
+        """
+        chosen = {
+            f.name: getattr(self, f.name)[keep]
+            for f in fields(self)
+            if f.name not in ("starts", "pixels")
+        }
+        starts = np.concatenate([[0], np.cumsum(self.n_pixels[keep])])
+        pixels = self.pixels[np.repeat(keep, self.n_pixels)]
+        return SSPs(**chosen, starts=starts, pixels=pixels)
+
+    @classmethod
+    def empty(cls):
+        """Return a catalogue without SSPs."""
+        return cls(
+            *(np.empty(0) for _ in range(8)),
+            bbox=np.empty((0, 4), dtype=int),
+            starts=np.zeros(1, dtype=int),
+            pixels=np.empty(0, dtype=np.int32),
+            epoch=np.empty(0, dtype=int),
+        )
+
+    @classmethod
+    def concatenate(cls, catalogues):
+        """
+        Join catalogues, of several scales or of several epochs.
+
+        Parameters
+        ----------
+        catalogues : sequence of `SSPs`
+
+        Returns
+        -------
+        `SSPs`
+        """
+        catalogues = [cls.empty(), *catalogues]
+        shifts = np.cumsum([0] + [c.starts[-1] for c in catalogues[:-1]])
+        joined = {
+            f.name: np.concatenate([getattr(c, f.name) for c in catalogues])
+            for f in fields(cls)
+            if f.name != "starts"
+        }
+        starts = [c.starts[1:] + s for c, s in zip(catalogues, shifts, strict=True)]
+        return cls(**joined, starts=np.concatenate([[0], *starts]))
+
+    @classmethod
+    def of_epochs(cls, decompositions):
+        """
+        Join the SSPs of all decompositions, numbered by ``epoch``.
+
+        Parameters
+        ----------
+        decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+
+        Returns
+        -------
+        `SSPs`
+        """
+        return cls.concatenate(
+            [
+                replace(d.ssps, epoch=np.full(len(d.ssps), epoch))
+                for epoch, d in enumerate(decompositions)
+            ]
+        )
+
+
+def require_ssps(ssps, scales):
+    """Refuse epochs that show no SSP at all on the scales, by a ValueError."""
+    if len(ssps) == 0:
+        raise ValueError(
+            "no significant pattern (SSP) in any epoch on scale "
+            f"{', '.join(f'{scale:g}' for scale in scales)}: try other scales, or a "
+            "lower detection; if the images have no empty sky, give their noise and "
+            "noise='propagated'"
+        )
 
 
 def quadratic_peak(values):
     """
-    Maximum of the quadratic surface through 3 x 3 values, by least squares.
+    Find the maximum of the quadratic surface through 3 x 3 values, by least squares.
 
-    Parameters
-    ----------
-    values : array_like, shape (..., 3, 3)
-        The central value is the largest.
-
-    Returns
-    -------
-    dy, dx : `~numpy.ndarray`, shape (...)
-        Offset from the centre, within half a pixel; zero where the surface
-        has no maximum.
-    height : `~numpy.ndarray`, shape (...)
-        Value at the maximum, never below the central one.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.decomposition import quadratic_peak
-    >>> y, x = np.mgrid[-1:2, -1:2]
-    >>> dy, dx, height = quadratic_peak(1 - (x - 0.25) ** 2 - (y + 0.125) ** 2)
-    >>> float(dy), float(dx), float(height)
-    (-0.125, 0.25, 1.0)
+    ``values`` has the shape (..., 3, 3), the central one the largest.  Returns dy, dx
+    from the centre, within half a pixel and zero where the surface has no maximum,
+    and the height there, never below the central value.
     """
     v = np.asarray(values, dtype=float)
     column, row = v.sum(axis=-2), v.sum(axis=-1)
@@ -59,19 +209,7 @@ def quadratic_peak(values):
 
 
 def check_thresholds(detection, segmentation):
-    """
-    Refuse thresholds that make no SSPs.
-
-    Parameters
-    ----------
-    detection, segmentation : float
-        In units of the noise.
-
-    Raises
-    ------
-    ValueError
-        If a threshold is not positive or ``segmentation > detection``.
-    """
+    """Refuse thresholds that make no SSPs, by a ValueError."""
     if not 0 < segmentation <= detection:
         raise ValueError(
             "thresholds must satisfy 0 < segmentation <= detection, "
@@ -80,19 +218,18 @@ def check_thresholds(detection, segmentation):
 
 
 def _beside_outside(valid):
-    """Pixels that touch the outside: the image's edge, or what is missing there."""
+    """Return the pixels that touch the image's edge, or what is missing there."""
     if valid.all():
         edge = np.ones(valid.shape, dtype=bool)
         edge[1:-1, 1:-1] = False
         return edge
     outside, _ = ndimage.label(np.pad(~valid, 1, constant_values=True))
-    return ndimage.binary_dilation(outside == outside[0, 0], np.ones((3, 3)))[
-        1:-1, 1:-1
-    ]
+    beside = ndimage.binary_dilation(outside == outside[0, 0], np.ones((3, 3)))
+    return beside[1:-1, 1:-1]
 
 
 def _positions(plane, valid, peaks):
-    """Sub-pixel positions of maxima given as (y, x) pixels."""
+    """Return sub-pixel positions of maxima given as (y, x) pixels."""
     # Beside a missing pixel there is no curvature, and the pixel counts.
     padded = np.pad(np.where(valid, plane, np.nan), 1, mode="reflect")
     step = np.arange(3)
@@ -155,13 +292,7 @@ def find_ssps(plane, scale, noise, *, mask=None, detection=4.0, segmentation=3.0
         np.where(significant, plane, 0.0),
         min_distance=max(1, int(round(scale_size(scale)))),
         threshold_abs=0.0,
-        threshold_rel=None,
         exclude_border=False,
-        num_peaks=np.inf,
-        footprint=None,
-        labels=None,
-        num_peaks_per_label=np.inf,
-        p_norm=np.inf,
     )
     rows, columns = peaks.T
     peaks = peaks[
@@ -189,15 +320,8 @@ def _catalogue(plane, scale, noise, valid, labels, peaks):
     y, x = _positions(plane, valid, peaks)
     peak = plane[tuple(peaks.T)]
     first = starts[:-1]
-    bbox = np.stack(
-        [
-            np.minimum.reduceat(py, first),
-            np.minimum.reduceat(px, first),
-            np.maximum.reduceat(py, first) + 1,
-            np.maximum.reduceat(px, first) + 1,
-        ],
-        axis=1,
-    )
+    low = [np.minimum.reduceat(p, first) for p in (py, px)]
+    high = [np.maximum.reduceat(p, first) + 1 for p in (py, px)]
     return SSPs(
         scale=np.full(n, float(scale)),
         y=y,
@@ -207,7 +331,7 @@ def _catalogue(plane, scale, noise, valid, labels, peaks):
         peak=peak,
         flux=flux,
         snr=peak / noise[tuple(peaks.T)],
-        bbox=bbox,
+        bbox=np.stack([*low, *high], axis=1),
         starts=starts,
         pixels=pixels,
         epoch=np.zeros(n, dtype=int),

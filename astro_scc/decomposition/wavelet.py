@@ -4,14 +4,6 @@
 import numpy as np
 from scipy import ndimage
 
-__all__ = [
-    "KERNELS",
-    "atrous_transform",
-    "scale_kernel",
-    "scale_size",
-    "wavelet_planes",
-]
-
 #: Low-pass filters by name: linear and cubic B-spline.
 KERNELS = {
     "b1": np.array([1.0, 2.0, 1.0]) / 4,
@@ -21,7 +13,7 @@ KERNELS = {
 
 def scale_size(scale):
     """
-    Size of a scale in pixels.
+    Return the size of a scale in pixels.
 
     Scale number j means 2^j pixels; j + 1/2 names the intermediate scale of
     1.5 x 2^j pixels.
@@ -55,27 +47,11 @@ def scale_size(scale):
 
 def scale_kernel(scale, kernel="b1"):
     """
-    Filter and level of the transform that hold a scale.
+    Return the filter and the level of the transform that hold a scale.
 
     The intermediate scales are the planes of the wider cubic spline, which
-    fall between those of the linear one.
-
-    Parameters
-    ----------
-    scale : float
-        Scale number.
-    kernel : {"b1", "b3"}
-        Filter of the whole-numbered scales.
-
-    Returns
-    -------
-    kernel : str
-    level : int
-
-    Raises
-    ------
-    ValueError
-        For an unknown filter, or an intermediate scale of "b3".
+    fall between those of the linear one.  Raises a ValueError for an unknown
+    filter, no scale, or an intermediate scale of "b3".
     """
     if kernel not in KERNELS:
         raise ValueError(f"unknown wavelet kernel {kernel!r}: use 'b1' or 'b3'")
@@ -99,14 +75,9 @@ def _smooth(image, kernel, level):
     return image
 
 
-def _check_image(image, n_levels, kernel, mask):
+def missing_pixels(image, mask):
+    """Return an image as numbers, and which pixels it has not."""
     image = np.asarray(image, dtype=float)
-    if image.ndim != 2:
-        raise ValueError(f"an image has two dimensions, this has {image.ndim}")
-    if kernel not in KERNELS:
-        raise ValueError(f"unknown wavelet kernel {kernel!r}: use 'b1' or 'b3'")
-    if n_levels < 1:
-        raise ValueError(f"at least one wavelet scale is needed, got {n_levels}")
     missing = ~np.isfinite(image)
     if mask is not None:
         mask = np.asarray(mask, dtype=bool)
@@ -116,14 +87,6 @@ def _check_image(image, n_levels, kernel, mask):
                 "give one value for each pixel"
             )
         missing |= mask
-    # Half a filter must fit the image, or the planes are mirrors of mirrors.
-    reach = (len(KERNELS[kernel]) // 2) * 2 ** (n_levels - 1)
-    if reach >= min(image.shape):
-        raise ValueError(
-            f"an image of {image.shape[1]} x {image.shape[0]} px is too small for "
-            f"wavelet scale {n_levels - 1} ({2 ** (n_levels - 1)} px): "
-            "leave out the largest scales"
-        )
     return image, missing
 
 
@@ -135,60 +98,40 @@ def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
     dilated by 2^j, the planes are ``w_j = a_j - a_{j+1}`` and the image is
     exactly ``sum_j w_j + a_J`` [1]_.  Edges are mirrored.
 
-    Parameters
-    ----------
-    image : array_like, shape (ny, nx)
-    n_levels : int
-        Number J of planes.
-    kernel : {"b1", "b3"}
-        Linear ([1, 2, 1] / 4) or cubic ([1, 4, 6, 4, 1] / 16) spline.
-    mask : array_like of bool, shape (ny, nx), optional
-        True marks missing pixels.  Each smoothing is then normalised by
-        the weight of the pixels that exist (``h * (m a) / h * m``), and
-        the planes are zero where the image is missing.  Pixels that are
-        not finite are always missing.
-
-    Returns
-    -------
-    planes : `~numpy.ndarray`, shape (n_levels, ny, nx)
-    residual : `~numpy.ndarray`, shape (ny, nx)
-        The smooth image a_J.
-
-    Raises
-    ------
-    ValueError
-        If the image has not two dimensions, the mask not its shape, the
-        kernel no known name, or the largest filter does not fit the image.
+    ``image`` has the shape (ny, nx), as has the ``mask`` of missing pixels, to which
+    those that are not finite belong.  Each smoothing is normalised by the weight of
+    the pixels that exist (``h * (m a) / h * m``), and the planes are zero where the
+    image is missing.  Returns the planes, shape (n_levels, ny, nx), and the smooth
+    image a_J.  Raises a ValueError if the image has not two dimensions, the mask
+    not its shape, or the largest filter does not fit the image.
 
     References
     ----------
     .. [1] Starck, J.-L. & Murtagh, F. 2006, Astronomical Image and Data
        Analysis (Springer), chapter 2.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.decomposition import atrous_transform
-    >>> image = np.random.default_rng(1).normal(size=(64, 64))
-    >>> planes, residual = atrous_transform(image, 4)
-    >>> bool(np.allclose(planes.sum(axis=0) + residual, image))
-    True
     """
-    image, missing = _check_image(image, n_levels, kernel, mask)
+    image, missing = missing_pixels(image, mask)
+    if image.ndim != 2:
+        raise ValueError(f"an image has two dimensions, this has {image.ndim}")
     filter_ = KERNELS[kernel]
+    # Half a filter must fit the image, or the planes are mirrors of mirrors.
+    if (len(filter_) // 2) * 2 ** (n_levels - 1) >= min(image.shape):
+        raise ValueError(
+            f"an image of {image.shape[1]} x {image.shape[0]} px is too small for "
+            f"wavelet scale {n_levels - 1} ({2 ** (n_levels - 1)} px): "
+            "leave out the largest scales"
+        )
     planes = np.empty((n_levels, *image.shape))
     smooth = np.where(missing, 0.0, image)
     valid = (~missing).astype(float)
     for level in range(n_levels):
+        following = _smooth(smooth, filter_, level)
         if missing.any():
             weight = _smooth(valid, filter_, level)
-            following = _smooth(smooth, filter_, level)
             # A pixel that exists has a positive weight of its own.
             following = np.divide(
                 following, weight, out=np.zeros_like(smooth), where=~missing
             )
-        else:
-            following = _smooth(smooth, filter_, level)
         planes[level] = smooth - following
         smooth = following
     return planes, smooth
@@ -196,7 +139,7 @@ def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
 
 def wavelet_planes(image, scales, *, kernel="b1", mask=None):
     """
-    The wavelet planes of chosen scales.
+    Return the wavelet planes of chosen scales.
 
     Parameters
     ----------

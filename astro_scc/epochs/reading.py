@@ -12,7 +12,7 @@ import numpy as np
 from astropy.nddata import NDData
 from astropy.time import Time
 
-from astro_scc.correlation.workers import machine_memory
+from astro_scc.correlation.parallel import machine_memory
 from astro_scc.epochs.common_grid import lay_on_one_grid, windows_of
 from astro_scc.epochs.fits import (
     CORRECT_BEAM,

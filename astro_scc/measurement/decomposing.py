@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from astro_scc.correlation.correlator import STACK_BYTES
-from astro_scc.correlation.workers import in_order
+from astro_scc.correlation.correlate import STACK_BYTES
+from astro_scc.correlation.parallel import in_order
 from astro_scc.decomposition import Decomposer
 from astro_scc.exceptions import MeasurementWarning
 
@@ -140,7 +140,7 @@ def refuse_too_much(cube, decomposer, n_workers, *, n_windows=0):
     MemoryError
         If it is more than the machine has.
     """
-    from astro_scc.correlation.workers import machine_memory
+    from astro_scc.correlation.parallel import machine_memory
 
     need = working_memory(cube, decomposer, n_workers, n_windows=n_windows)
     have = machine_memory()

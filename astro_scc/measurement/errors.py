@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from astro_scc.correlation import landing_ssps
+from astro_scc.correlation import target_ssps
 from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.stacking import Displacements
@@ -73,7 +73,7 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
         reference=ssps.epoch[owner].astype(np.int32),
         target=matches.target.astype(np.int32),
         ssp=owner.astype(np.int32),
-        target_ssp=landing_ssps(matches, ssps).astype(np.int32),
+        target_ssp=target_ssps(matches, ssps).astype(np.int32),
         n_ssps=np.bincount(ssps.epoch[select], minlength=len(cube)),
         position=position,
         motion=sky,

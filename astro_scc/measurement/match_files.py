@@ -96,7 +96,7 @@ def write_matches(matched, path, *, overwrite=False):
     primary.header["CREATOR"] = CREATOR
     primary.header["SCCVERS"] = LAYOUT, "version of this layout"
     primary.header["KAPPA"] = matches.kappa, "smallest coefficient"
-    primary.header["REACHY"], primary.header["REACHX"] = matches.reach
+    primary.header["REACHY"], primary.header["REACHX"] = matches.search_radius
     hdus = fits.HDUList(
         [
             primary,

@@ -1,26 +1,23 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Simulation: jets whose velocities are known."""
 
-from astro_scc.simulation.files import write_simulation
-from astro_scc.simulation.flows import Flow
-from astro_scc.simulation.jets import JetSimulation, SimulatedJet
+from astro_scc.simulation.jets import JetSimulation, SimulatedJet, write_simulation
 from astro_scc.simulation.presets import (
     simulate_ballistic,
     simulate_jet,
     simulate_random_velocity,
+    simulate_shell,
     simulate_static,
     simulate_two_fluid,
     simulate_unrelated,
 )
-from astro_scc.simulation.shells import SimulatedShell, simulate_shell
-from astro_scc.simulation.streams import Stream
+from astro_scc.simulation.streams import Flow, Stream
 from astro_scc.simulation.vlbi import observe
 
 __all__ = [
     "Flow",
     "JetSimulation",
     "SimulatedJet",
-    "SimulatedShell",
     "Stream",
     "observe",
     "simulate_ballistic",

@@ -2,6 +2,7 @@
 """Images of a jet whose features move at known velocities."""
 
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -13,10 +14,9 @@ from astro_scc.epochs.components.gaussians import add_gaussians
 from astro_scc.epochs.components.noise import correlated_noise
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.positions import offset_wcs
-from astro_scc.simulation.flows import Flow
-from astro_scc.simulation.streams import Features, Stream, check_not_negative
-
-__all__ = ["JetSimulation", "SimulatedJet"]
+from astro_scc.epochs.serialize import write_epochs
+from astro_scc.partial import replace_when_complete
+from astro_scc.simulation.streams import Features, Flow, Stream, check_not_negative
 
 # Width of the negative bowl around a feature, in widths of its image.
 BOWL = 6.0
@@ -196,38 +196,37 @@ class JetSimulation:
 
     @property
     def velocity_unit(self):
-        """Proper motion of one pixel per interval."""
+        """Return the proper motion of one pixel per interval."""
         return (self.pixel_scale / self.interval).to(u.mas / u.yr)
 
     @property
     def beam_length(self):
-        """Mean full width of the beams, ``sqrt(major minor)``, in pixels."""
+        """Return the mean full width of the beams, ``sqrt(major minor)``, in pixels."""
         areas = [(b.major * b.minor / self.pixel_scale**2) for b in self.beams]
         return float(np.sqrt(np.mean(u.Quantity(areas).to_value(u.one))))
 
     @property
     def times(self):
-        """Dates in intervals from the first."""
+        """Return the dates in intervals from the first."""
         return ((self.dates - self.dates[0]).to(u.day) / self.interval).to_value(u.one)
 
     @property
     def length(self):
-        """Length of the jet in beams."""
+        """Return the length of the jet in beams."""
         return (self.extent[1] - self.extent[0]) / self.beam_length
 
     def place(self, group, along, across, flux, fwhm):
         """
-        Features given in beams from the start of the jet.
+        Return features that are given in beams from the start of the jet.
 
         Parameters
         ----------
         group : str
-        along, across : `numpy.ndarray`, shape (n, n_epochs)
-        flux, fwhm : `numpy.ndarray`, shape (n, n_epochs)
+        along, across, flux, fwhm : `~numpy.ndarray`, shape (n, n_epochs)
 
         Returns
         -------
-        `Features`
+        Features
         """
         beam = self.beam_length
         x, y = self.extent[0] + beam * along, self.axis + beam * across
@@ -235,16 +234,17 @@ class JetSimulation:
 
     def visibility(self, x):
         """
-        Fraction of the flux that is seen at x: a raised cosine at both ends.
+        Return the fraction of the flux that is seen at x, in pixels from 0.
+
+        It falls at both ends as a raised cosine.
 
         Parameters
         ----------
         x : array_like
-            Pixels from 0.
 
         Returns
         -------
-        `numpy.ndarray`
+        `~numpy.ndarray`
         """
         start, end = self.extent
         inside = np.minimum(x - start, end - x)
@@ -255,7 +255,7 @@ class JetSimulation:
 
     def covariance(self, beam):
         """
-        Covariance of a beam over (x, y).
+        Return the covariance of a beam over (x, y) in pixels squared.
 
         Parameters
         ----------
@@ -263,8 +263,7 @@ class JetSimulation:
 
         Returns
         -------
-        `numpy.ndarray`, shape (2, 2)
-            In pixels squared.
+        `~numpy.ndarray`, shape (2, 2)
         """
         scale = self.pixel_scale.to_value(u.mas)
         flip = np.diag([-1.0, 1.0])
@@ -307,7 +306,7 @@ class JetSimulation:
         return SimulatedJet(cube, self._truth(features, seen), self)
 
     def _features(self, rngs, flux_rng):
-        """All features, turned to the jet's direction; the core is the last."""
+        """Return all features, turned to the jet's direction; the core is the last."""
         parts = [
             stream.features(self, rng)
             for stream, rng in zip(self.streams, rngs, strict=True)
@@ -330,7 +329,7 @@ class JetSimulation:
         return features
 
     def _series(self, n, rng):
-        """Autoregressive series of unit variance over the epochs."""
+        """Draw autoregressive series of unit variance over the epochs."""
         series = rng.standard_normal((n, self.n_epochs))
         if self.memory:
             for i, kept in enumerate(np.exp(-np.diff(self.times) / self.memory), 1):
@@ -366,7 +365,7 @@ class JetSimulation:
         return images
 
     def _ripple(self, peak, rng):
-        """A wave about the core, of random direction, length and phase."""
+        """Draw a wave about the core, of random direction, length and phase."""
         beam = self.beam_length
         wave = 2 * np.pi / (beam * rng.uniform(1.5, 4.0))
         angle, phase = rng.uniform(0, 2 * np.pi, 2)
@@ -409,19 +408,6 @@ class JetSimulation:
         angle = self.position_angle
         outward = pm[0] * np.sin(angle).value + pm[1] * np.cos(angle).value
         outward = np.where(visible, outward, np.nan)
-        often = np.isfinite(outward).sum(axis=1) >= 2
-        streams = []
-        for stream in self.streams:
-            own = outward[often & (features.group == stream.name)]
-            speeds = np.nanmean(own, axis=1) * u.mas / u.yr
-            streams.append(
-                {f.name: _plain(getattr(stream, f.name)) for f in fields(stream)}
-                | {
-                    "n_seen": len(speeds),
-                    "mean_speed": np.mean(speeds) if len(speeds) else None,
-                    "std_speed": np.std(speeds, ddof=1) if len(speeds) > 1 else None,
-                }
-            )
         meta = {
             "name": self.name,
             "pixel_scale": self.pixel_scale,
@@ -431,15 +417,68 @@ class JetSimulation:
             "axis": self.axis,
             "position_angle": self.position_angle,
             "noise": list(self.noise),
-            "streams": streams,
+            "streams": [
+                self._stream_facts(stream, outward[features.group == stream.name])
+                for stream in self.streams
+            ],
         }
         return QTable(rows, meta=meta)
 
+    def _stream_facts(self, stream, outward):
+        """Return what a stream is, with the speeds of the features that were seen."""
+        own = outward[np.isfinite(outward).sum(axis=1) >= 2]
+        speeds = np.nanmean(own, axis=1) * u.mas / u.yr
+        return {f.name: _plain(getattr(stream, f.name)) for f in fields(stream)} | {
+            "n_seen": len(speeds),
+            "mean_speed": np.mean(speeds) if len(speeds) else None,
+            "std_speed": np.std(speeds, ddof=1) if len(speeds) > 1 else None,
+        }
+
 
 def _plain(value):
-    """A parameter of a stream as ECSV can keep it."""
+    """Return a parameter of a stream as ECSV can keep it."""
     if callable(value):
         return "function"
     if isinstance(value, tuple):
         return list(value)
     return value
+
+
+def write_simulation(jet, directory, *, overwrite=False):
+    """
+    Write a simulated jet: one FITS image an epoch, and ``truth.ecsv``.
+
+    Parameters
+    ----------
+    jet : `SimulatedJet`
+    directory : path
+        Made if need be.
+    overwrite : bool, optional
+        Replace files that exist.
+
+    Returns
+    -------
+    list of `~pathlib.Path`
+        The images, then the table.
+
+    Raises
+    ------
+    OSError
+        If a file exists and ``overwrite`` is False, or cannot be written.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from astro_scc.simulation import simulate_two_fluid, write_simulation
+    >>> jet = simulate_two_fluid(n_epochs=2, rng=1)
+    >>> with TemporaryDirectory() as folder:
+    ...     [path.name for path in write_simulation(jet, folder)]
+    ['two-fluid_00_2000-01-01.fits', 'two-fluid_01_2000-01-31.fits', 'truth.ecsv']
+    """
+    table = Path(directory) / "truth.ecsv"
+    if table.exists() and not overwrite:
+        raise OSError(f"{table}: exists already; choose another folder, or overwrite")
+    paths = write_epochs(jet.cube, directory, overwrite=overwrite)
+    with replace_when_complete(table, overwrite=True) as part:
+        jet.truth.write(part, format="ascii.ecsv")
+    return [*paths, table]

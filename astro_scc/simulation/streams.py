@@ -2,30 +2,27 @@
 """Groups of features that share one law of motion."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
+from scipy.special import ndtri
 
-__all__ = ["Features", "Stream", "check_not_negative"]
-
+DISTRIBUTIONS = ("normal", "lognormal", "uniform")
 MOTIONS = ("steady", "random", "unrelated")
+# Slowest feature, as a fraction of the mean: slower ones would stay for ever.
+SLOWEST = 0.1
+# Length in beams over which features part from the axis and fade at the end.
+RAMP = 2.0
 
 
 class Features(NamedTuple):
     """
     Features of a jet along x, at every epoch.
 
-    Attributes
-    ----------
-    group : `numpy.ndarray` of str, shape (n,)
-    x, y : `numpy.ndarray`, shape (n, n_epochs)
-        Pixels from 0; NaN where a feature does not exist.
-    flux : `numpy.ndarray`, shape (n, n_epochs)
-        In Jy.
-    fwhm : `numpy.ndarray`, shape (n, n_epochs)
-        In pixels.
+    Positions in pixels from 0, NaN where a feature does not exist, flux densities in
+    Jy and widths in pixels have the shape (n, n_epochs), groups (n,).
     """
 
     group: np.ndarray
@@ -39,18 +36,8 @@ def check_not_negative(owner, names, whose=""):
     """
     Refuse negative and infinite parameters.
 
-    Parameters
-    ----------
-    owner : object
-    names : str
-        Attributes, separated by blanks; None is left alone.
-    whose : str, optional
-        What the message begins with.
-
-    Raises
-    ------
-    ValueError
-        If one of them is not finite, or negative.
+    ``names`` are attributes, separated by blanks, of which None is left alone;
+    ``whose`` is what the message of the ValueError begins with.
     """
     for name in names.split():
         value = getattr(owner, name)
@@ -154,6 +141,206 @@ class Stream:
 
     def features(self, jet, rng):
         """
+        Draw the features, and follow those that are seen over the epochs.
+
+        Parameters
+        ----------
+        jet : `JetSimulation`
+        rng : `numpy.random.Generator`
+
+        Returns
+        -------
+        Features
+        """
+        beam, (start, end) = jet.beam_length, jet.extent
+        x, y = self._trajectories(jet, rng)
+        fwhm = rng.uniform(*self.fwhm, (len(x), 1))
+        peak = rng.uniform(*self.peak, (len(x), 1))
+        flux = peak * (beam**2 + fwhm**2) / beam**2 * jet.visibility(x)
+        seen = ((x >= start) & (x <= end)).any(axis=1)
+        group = np.full(seen.sum(), self.name)
+        fwhm = np.broadcast_to(fwhm, x.shape)
+        return Features(group, x[seen], y[seen], flux[seen], fwhm[seen])
+
+    def _trajectories(self, jet, rng):
+        """
+        Draw positions of the features at every epoch, NaN where one does not exist.
+
+        Features start over the whole stretch from which they can reach the region
+        in which they are seen, so that its density stays the same on average.
+        """
+        dx, dy = (_in_pixels(value, jet) for value in (self.dx, self.dy))
+        start, end = jet.extent
+        steps = np.diff(jet.times)
+        if self.motion != "unrelated":
+            across = np.linspace(start, end, 200)
+            limits = dx(across, np.zeros(200)) if callable(dx) else dx
+            margin = 3 * self.jitter * np.sqrt(steps.size)
+            start = start - max(np.max(limits), 0) * steps.sum() - margin
+            end = end - min(np.min(limits), 0) * steps.sum() + margin
+        n = round(self.density * (end - start) / jet.beam_length)
+        if self.motion == "unrelated":
+            x, y = np.full((2, n * jet.n_epochs, jet.n_epochs), np.nan)
+            for i in range(jet.n_epochs):
+                rows = slice(i * n, (i + 1) * n)
+                x[rows, i] = rng.uniform(start, end, n)
+                y[rows, i] = self._across(n, jet.axis, rng)
+            return x, y
+        x, y = np.empty((2, n, jet.n_epochs))
+        x[:, 0] = rng.uniform(start, end, n)
+        y[:, 0] = self._across(n, jet.axis, rng)
+        own = [_draw(value, x[:, 0], y[:, 0], rng) for value in (dx, dy)]
+        for i, step in enumerate(steps):
+            for k, value in enumerate((dx, dy)):
+                # A field of velocities is followed; drawn ones are kept.
+                if self.motion == "random" or callable(value):
+                    own[k] = _draw(value, x[:, i], y[:, i], rng)
+            for at, speed in zip((x, y), own, strict=True):
+                at[:, i + 1] = at[:, i] + speed * step + rng.normal(0, self.jitter, n)
+        return x, y
+
+    def _across(self, n, axis, rng):
+        if self.sigma is not None:
+            return rng.normal(axis, self.sigma, n)
+        return rng.uniform(axis - self.half_width, axis + self.half_width, n)
+
+
+def _in_pixels(value, jet):
+    """Return a motion in pixels per interval."""
+    if not isinstance(value, u.Quantity):
+        return value
+    return (value / jet.velocity_unit).to_value(u.one)
+
+
+def _draw(value, x, y, rng):
+    """Return the motions of features at positions: a field, a number or drawn."""
+    if callable(value):
+        return np.broadcast_to(value(x, y), x.shape)
+    return value if np.ndim(value) == 0 else rng.uniform(*value, x.size)
+
+
+@dataclass(frozen=True)
+class Flow:
+    """
+    Features ejected from the core, each with a speed of its own about a mean.
+
+    Lengths are in beams, times in median intervals between epochs.  A flow
+    of speed zero is made of standing features.
+
+    Parameters
+    ----------
+    name : str, optional
+    speed : float, optional
+        Mean speed in beams per interval, that at the middle of the jet if
+        the flow accelerates.
+    dispersion : float, optional
+        Scatter of the features' speeds: the standard deviation as a fraction
+        of the mean or, of a log-normal distribution, that of the logarithm.
+        The mean is ``speed`` in all distributions, but for the cut at a
+        tenth of it that spares the jet features which never leave.
+    distribution : {'normal', 'lognormal', 'uniform'}, optional
+    n_features : float, optional
+        Mean number of features in view at a time; of standing features
+        their number.
+    positions : sequence of float, optional
+        Distances of standing features from the core, instead of
+        ``n_features`` random ones.
+    acceleration : float, optional
+        Speed at the end of the jet over that at the core.
+    flux : float, optional
+        Median flux density in Jy at ejection.
+    flux_scatter : float, optional
+        Standard deviation of its logarithm between features.
+    fading : float, optional
+        Flux densities fall as ``(1 + s)**-fading`` with the distance s.
+    size : float, optional
+        Full width at half maximum at the core.
+    widening : float, optional
+        Full widths grow as ``(1 + s)**widening``.
+    width : float, optional
+        Standard deviation of the features' distances from the flow's axis.
+    offset : float, optional
+        Distance of the flow's axis from the jet's, to the left of the
+        direction of the jet as seen on the sky (larger position angles).
+
+    Raises
+    ------
+    ValueError
+        If a parameter is outside its range, or positions are given to
+        features that move.
+
+    Examples
+    --------
+    >>> from astro_scc.simulation import Flow
+    >>> spine = Flow("spine", speed=0.9, dispersion=0.2, size=0.2)
+    >>> comb = Flow("comb", speed=0.0, positions=(2.0, 4.0, 6.0))
+    >>> spine.distribution, comb.n_features
+    ('normal', 3)
+    """
+
+    name: str = "flow"
+    speed: float = 0.6
+    dispersion: float = 0.1
+    distribution: str = "normal"
+    n_features: float = 8
+    positions: tuple[float, ...] | None = None
+    acceleration: float = 1.0
+    flux: float = 0.2
+    flux_scatter: float = 0.5
+    fading: float = 0.8
+    size: float = 0.25
+    widening: float = 0.6
+    width: float = 0.6
+    offset: float = 0.0
+
+    def __post_init__(self):
+        if self.distribution not in DISTRIBUTIONS:
+            raise ValueError(
+                f"flow {self.name!r}: distribution must be one of "
+                f"{', '.join(DISTRIBUTIONS)}, got {self.distribution!r}"
+            )
+        if self.positions is not None:
+            positions = tuple(float(p) for p in self.positions)
+            if self.speed != 0 or not all(p >= 0 for p in positions):
+                raise ValueError(
+                    f"flow {self.name!r}: positions must be zero or positive, and "
+                    "the speed zero: they are those of standing features"
+                )
+            object.__setattr__(self, "positions", positions)
+            object.__setattr__(self, "n_features", len(positions))
+        check_not_negative(
+            self,
+            "speed dispersion n_features acceleration flux flux_scatter fading size "
+            "widening width",
+            f"flow {self.name!r}: ",
+        )
+        if self.acceleration == 0:
+            raise ValueError(f"flow {self.name!r}: acceleration must be positive")
+
+    def speeds(self, quantile):
+        """
+        Return the speeds in beams per interval at quantiles of the features.
+
+        Parameters
+        ----------
+        quantile : array_like
+            Between 0 and 1.
+
+        Returns
+        -------
+        `~numpy.ndarray`
+        """
+        quantile = np.asarray(quantile, dtype=float)
+        if self.distribution == "uniform":
+            factor = 1 + self.dispersion * np.sqrt(3) * (2 * quantile - 1)
+        elif self.distribution == "normal":
+            factor = 1 + self.dispersion * ndtri(quantile)
+        else:
+            factor = np.exp(self.dispersion * (ndtri(quantile) - self.dispersion / 2))
+        return self.speed * np.maximum(factor, SLOWEST)
+
+    def features(self, jet, rng):
+        """
         Draw the features and follow them over the epochs.
 
         Parameters
@@ -163,112 +350,46 @@ class Stream:
 
         Returns
         -------
-        `Features`
-            Those that are seen at some epoch.
+        Features
         """
-
-        def convert(value):
-            if not isinstance(value, u.Quantity):
-                return value
-            pixels = (value / jet.velocity_unit).to_value(u.one)
-            return tuple(pixels) if pixels.ndim else float(pixels)
-
-        stream = replace(self, dx=convert(self.dx), dy=convert(self.dy))
-        beam = jet.beam_length
-        start, end = jet.extent
-        x, y = stream.trajectories(np.diff(jet.times), jet.extent, jet.axis, beam, rng)
-        fwhm = rng.uniform(*self.fwhm, len(x))
-        peak = rng.uniform(*self.peak, len(x))
-        flux = (peak * (beam**2 + fwhm**2) / beam**2)[:, None] * jet.visibility(x)
-        fwhm = np.repeat(fwhm[:, None], x.shape[1], axis=1)
-        seen = ((x >= start) & (x <= end)).any(axis=1)
-        group = np.full(seen.sum(), self.name)
-        return Features(group, x[seen], y[seen], flux[seen], fwhm[seen])
-
-    def trajectories(self, steps, region, axis, beam_length, rng):
-        """
-        Positions of the stream's features at every epoch.
-
-        Features start over the whole stretch from which they can reach the
-        region, so that its density stays the same on average.
-
-        Parameters
-        ----------
-        steps : array_like, shape (n_epochs - 1,)
-            Times between epochs in units of the interval.
-        region : tuple of float
-            Limits in x between which features are seen.
-        axis : float
-            y of the jet axis.
-        beam_length : float
-            Beam length in pixels that ``density`` refers to.
-        rng : `numpy.random.Generator`
-
-        Returns
-        -------
-        x, y : `numpy.ndarray`, shape (n_features, n_epochs)
-            NaN at the epochs at which a feature does not exist.
-        """
-        steps = np.asarray(steps, dtype=float)
-        n_epochs = steps.size + 1
-        start, end = region
-        if self.motion == "unrelated":
-            return self._unrelated(n_epochs, region, axis, beam_length, rng)
-
-        low, high = self._limits(region)
-        reach = 3 * self.jitter * np.sqrt(steps.size)
-        start = start - max(high, 0) * steps.sum() - reach
-        end = end - min(low, 0) * steps.sum() + reach
-        n = round(self.density * (end - start) / beam_length)
-        x = np.empty((n, n_epochs))
-        y = np.empty((n, n_epochs))
-        x[:, 0] = rng.uniform(start, end, n)
-        y[:, 0] = self._across(n, axis, rng)
-        own = self._draw(x[:, 0], y[:, 0], rng)
-        for i, step in enumerate(steps):
-            dx, dy = own
-            if self.motion == "random":
-                dx, dy = self._draw(x[:, i], y[:, i], rng)
-            elif callable(self.dx) or callable(self.dy):
-                # A field of velocities is followed; drawn ones are kept.
-                field = self._draw(x[:, i], y[:, i], None)
-                dx = field[0] if callable(self.dx) else dx
-                dy = field[1] if callable(self.dy) else dy
-            x[:, i + 1] = x[:, i] + dx * step + rng.normal(0, self.jitter, n)
-            y[:, i + 1] = y[:, i] + dy * step + rng.normal(0, self.jitter, n)
-        return x, y
-
-    def _unrelated(self, n_epochs, region, axis, beam_length, rng):
-        start, end = region
-        n = round(self.density * (end - start) / beam_length)
-        x = np.full((n * n_epochs, n_epochs), np.nan)
-        y = np.full((n * n_epochs, n_epochs), np.nan)
-        for i in range(n_epochs):
-            rows = slice(i * n, (i + 1) * n)
-            x[rows, i] = rng.uniform(start, end, n)
-            y[rows, i] = self._across(n, axis, rng)
-        return x, y
-
-    def _across(self, n, axis, rng):
-        if self.sigma is not None:
-            return rng.normal(axis, self.sigma, n)
-        return rng.uniform(axis - self.half_width, axis + self.half_width, n)
-
-    def _draw(self, x, y, rng):
-        drawn = []
-        for value in (self.dx, self.dy):
-            if callable(value):
-                drawn.append(np.broadcast_to(value(x, y), x.shape))
-            elif rng is None or np.ndim(value) == 0:
-                drawn.append(value)
-            else:
-                drawn.append(rng.uniform(*value, x.size))
-        return drawn
-
-    def _limits(self, region):
-        if callable(self.dx):
-            x = np.linspace(*region, 200)
-            speeds = self.dx(x, np.zeros_like(x))
+        times, length = jet.times, jet.length
+        if self.speed == 0:
+            s = self.positions
+            if s is None:
+                s = rng.uniform(1, length, round(self.n_features))
+            s = np.repeat(np.asarray(s, dtype=float)[:, None], times.size, axis=1)
         else:
-            speeds = self.dx
-        return np.min(speeds), np.max(speeds)
+            s = self._moving(times, length, rng)
+        n = len(s)
+        across = self.offset + self.width * rng.standard_normal((n, 1))
+        flux = self.flux * np.exp(self.flux_scatter * rng.standard_normal((n, 1)))
+        flux = np.nan_to_num(flux * (1 + s) ** -self.fading * _end(length - s))
+        fwhm = self.size * (1 + s) ** self.widening
+        return jet.place(self.name, s, across * s / (s + RAMP), flux, fwhm)
+
+    def _moving(self, times, length, rng):
+        """Return distances from the core; NaN before the ejection and after the end."""
+        start = 2 / (1 + self.acceleration)
+        growth = start * (self.acceleration - 1) / length
+        # Distance over speed of what is needed to leave the jet.
+        needed = length / start
+        if growth:
+            needed = np.log(self.acceleration) / growth
+        grid = (np.arange(1000) + 0.5) / 1000
+        if self.n_features == 0:
+            return np.empty((0, times.size))
+        rate = self.n_features / (needed * np.mean(1 / self.speeds(grid)))
+        longest = times[-1] - times[0] + needed / self.speeds(grid[0] / 1000)
+        # One ejection in each interval of 1 / rate, at any time of it.
+        n = int(np.ceil(rate * longest))
+        ejected = times[-1] - (np.arange(n) + rng.uniform(size=n)) / rate
+        path = self.speeds(rng.uniform(size=n))[:, None] * (times - ejected[:, None])
+        path = np.where(path > 0, np.minimum(path, 1.5 * needed), np.nan)
+        s = start * np.expm1(growth * path) / growth if growth else path
+        s = np.where(s < length, s, np.nan)
+        return s[np.isfinite(s).any(axis=1)]
+
+
+def _end(left):
+    """Return the fraction of the flux that is seen this far from the end."""
+    return 0.5 * (1 - np.cos(np.pi * np.clip(left / RAMP, 0, 1)))

@@ -12,8 +12,6 @@ from astropy.coordinates import EarthLocation
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.epochs.components.gaussians import add_gaussians
 
-__all__ = ["observe"]
-
 # North latitude and west longitude in degrees, elevation in m (Napier 1995).
 STATIONS = {
     "SC": (17.7566, 64.5836, 16),
@@ -181,7 +179,7 @@ def _coverage(declination, frequency, n_scans, rng):
 
 
 def _visibilities(features, setup, uv):
-    """Fourier transform of the Gaussian features, S exp(-2 pi i (u l + v m))."""
+    """Return the sum of the features, S exp(-2 pi i (u l + v m)) of each Gaussian."""
     scale = setup.pixel_scale.to_value(u.rad)
     x, y = features["x"].value - setup.extent[0], features["y"].value - setup.axis
     sigma = FWHM_TO_SIGMA * features["fwhm"].to_value(u.rad)
@@ -191,7 +189,7 @@ def _visibilities(features, setup, uv):
 
 
 def _transform(visibility, uv, east, north):
-    """Image at the offsets: the mean of V exp(2 pi i (u l + v m))."""
+    """Return the image at the offsets: the mean of V exp(2 pi i (u l + v m))."""
     columns = np.exp(2j * np.pi * np.outer(uv[:, 0], east)) * visibility[:, None]
     rows = np.exp(2j * np.pi * np.outer(north, uv[:, 1]))
     # The real part of the product, of real products that are faster.
@@ -200,7 +198,7 @@ def _transform(visibility, uv, east, north):
 
 
 def _dirty_beam(uv, scale, shape):
-    """Response to a point, of the shape (2 ny - 1, 2 nx - 1) about its centre."""
+    """Return the response to a point, shape (2 ny - 1, 2 nx - 1) about its centre."""
     ny, nx = shape
     half = _transform(
         np.ones(len(uv)), uv, -np.arange(1 - nx, nx) * scale, np.arange(ny) * scale
@@ -209,7 +207,7 @@ def _dirty_beam(uv, scale, shape):
 
 
 def _window(setup, x, y):
-    """Pixels near the jet, in which CLEAN looks for components."""
+    """Return the pixels near the jet, in which CLEAN looks for components."""
     angle = setup.position_angle.to_value(u.rad)
     x, y = x - setup.extent[0], y - setup.axis
     along = -x * np.sin(angle) + y * np.cos(angle)
@@ -221,7 +219,7 @@ def _window(setup, x, y):
 
 
 def _clean(image, psf, window, stop, n_iterations):
-    """CLEAN components of an image, which is left with the residuals."""
+    """Find the CLEAN components of an image, which is left with the residuals."""
     ny, nx = image.shape
     model = np.zeros_like(image)
     flat = image.reshape(-1)
@@ -238,7 +236,7 @@ def _clean(image, psf, window, stop, n_iterations):
 
 
 def _fitted_beam(psf, pixel_scale):
-    """Gaussian beam of the main lobe: a parabola to its logarithm above a half."""
+    """Fit a Gaussian beam: a parabola to the logarithm of the main lobe."""
     from skimage.measure import label
 
     middle = tuple(n // 2 for n in psf.shape)

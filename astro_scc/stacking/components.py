@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from astro_scc.correlation import find_peaks
+from astro_scc.correlation.zncc import find_peaks
 
 __all__ = ["Component", "component_near", "find_components", "fit_gaussian"]
 

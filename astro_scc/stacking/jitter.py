@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from astro_scc.decomposition import quadratic_peak
+from astro_scc.decomposition.segmentation import quadratic_peak
 from astro_scc.stacking.stack import gaussian_sum, velocities
 
 __all__ = ["JitteredVelocity", "jitter_positions"]

@@ -87,7 +87,7 @@ def find_candidates(
     matches : `~astro_scc.correlation.Matches`
     landed : array_like of int, shape (n_matches,)
         The SSP that each match falls on, or -1, see
-        `~astro_scc.correlation.landing_ssps`.
+        `~astro_scc.correlation.target_ssps`.
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
     years : array_like, shape (n_epochs,)
@@ -117,7 +117,7 @@ def find_candidates(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.correlation import Correlator, all_pairs, landing_ssps
+    >>> from astro_scc.correlation import Correlator, all_pairs, target_ssps
     >>> from astro_scc.decomposition import Decomposer, SSPs
     >>> from astro_scc.tracking import find_candidates
     >>> y, x = np.mgrid[:64, :96]
@@ -128,7 +128,7 @@ def find_candidates(
     >>> ssps = SSPs.of_epochs(epochs)
     >>> matches = Correlator()(epochs, all_pairs(3), 14)
     >>> found = find_candidates(
-    ...     matches, landing_ssps(matches, ssps), ssps, [2000.0, 2000.5, 2001.0])
+    ...     matches, target_ssps(matches, ssps), ssps, [2000.0, 2000.5, 2001.0])
     >>> found.source.tolist(), found.target.tolist(), found.dx.round(1).tolist()
     ([0, 0, 1], [1, 2, 2], [6.0, 12.0, 6.0])
     """

@@ -106,7 +106,7 @@ def link(candidates, ssps, *, parent=None, place=None, evidence=None):
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.correlation import Correlator, all_pairs, landing_ssps
+    >>> from astro_scc.correlation import Correlator, all_pairs, target_ssps
     >>> from astro_scc.decomposition import Decomposer, SSPs
     >>> from astro_scc.tracking import find_candidates, link
     >>> y, x = np.mgrid[:64, :96]
@@ -117,7 +117,7 @@ def link(candidates, ssps, *, parent=None, place=None, evidence=None):
     >>> ssps = SSPs.of_epochs(epochs)
     >>> matches = Correlator()(epochs, all_pairs(3), 14)
     >>> links = link(find_candidates(
-    ...     matches, landing_ssps(matches, ssps), ssps, [2000.0, 2000.5, 2001.0]), ssps)
+    ...     matches, target_ssps(matches, ssps), ssps, [2000.0, 2000.5, 2001.0]), ssps)
     >>> links.source.tolist(), links.target.tolist()
     ([0, 1], [1, 2])
     """

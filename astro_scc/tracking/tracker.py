@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass, fields, replace
 import astropy.units as u
 import numpy as np
 
-from astro_scc.correlation import Correlator, Matches, landing_ssps
+from astro_scc.correlation import Correlator, Matches, target_ssps
 from astro_scc.decomposition import SSPs
-from astro_scc.decomposition.ssp import require_ssps
+from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs.alignment.misalignment import warn_of_misalignment
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
@@ -378,7 +378,7 @@ class FeatureTracker:
             )  # fmt: skip
         matches = matches.of_ssps(select)
         matches = matches.select(matches.coefficient >= self.kappa)
-        landed = landing_ssps(matches, ssps)
+        landed = target_ssps(matches, ssps)
         landed = np.where((landed >= 0) & select[landed], landed, -1)
         parent = parents(ssps, cube.shape[2])
         years = cube.years.to_value(u.yr)
@@ -431,5 +431,7 @@ def _joined(parts, pairs, kappa):
     from astro_scc.correlation.matches import COLUMNS
 
     columns = [tuple(getattr(part, name) for name in COLUMNS) for part in parts]
-    reach = tuple(int(r) for r in np.max([(0, 0), *(p.reach for p in parts)], axis=0))
+    reach = tuple(
+        int(r) for r in np.max([(0, 0), *(p.search_radius for p in parts)], axis=0)
+    )
     return Matches.from_columns(columns, pairs, reach, kappa).sorted()

@@ -5,7 +5,7 @@ import pytest
 
 from astro_scc.cli import main
 from astro_scc.cli.measure import WORK
-from astro_scc.correlation.blocks import match_block
+from astro_scc.correlation.correlate import match_block
 from astro_scc.simulation import simulate_two_fluid, write_simulation
 
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20", "--no-report"]
@@ -43,8 +43,8 @@ def blocks(monkeypatch):
         done.append(block)
         return match_block(block)
 
-    monkeypatch.setattr("astro_scc.correlation.correlator.match_block", count)
-    monkeypatch.setattr("astro_scc.correlation.correlator.BLOCK_WORK", 1)
+    monkeypatch.setattr("astro_scc.correlation.correlate.match_block", count)
+    monkeypatch.setattr("astro_scc.correlation.correlate.BLOCK_WORK", 1)
     done_and_limit = done, limit
     return done_and_limit
 
@@ -116,7 +116,7 @@ def test_nothing_is_left_of_what_was_not_begun(measure, tmp_path):
 
 def test_a_scheduler_that_is_not_there(measure, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("astro_scc.correlation.cluster.TIMEOUT", 0.2)
+    monkeypatch.setattr("astro_scc.correlation.parallel.TIMEOUT", 0.2)
     status, err = measure("-o", "out", "--scheduler", "tcp://127.0.0.1:9")
     assert status == 2
     assert "scheduler tcp://127.0.0.1:9: cannot be reached" in err

@@ -16,11 +16,14 @@ from operator import truediv
 
 import pytest
 
-from astro_scc.correlation.workers import as_done, in_order, workers_of
+from astro_scc.correlation.parallel import as_done, in_order, workers_of
 
 inverse = partial(truediv, 1)
 KILL = "__import__('os').kill(__import__('os').getpid(), 9)"
-STARTS = multiprocessing.get_all_start_methods()
+STARTS = [
+    pytest.param(name, marks=() if name != "forkserver" else pytest.mark.slow)
+    for name in multiprocessing.get_all_start_methods()
+]
 
 
 def deadly(values):
@@ -89,7 +92,7 @@ def test_a_pool_that_is_found_broken_with_the_next_piece():
 
 UNGUARDED = """
 import multiprocessing, operator
-from astro_scc.correlation.workers import as_done, in_order
+from astro_scc.correlation.parallel import as_done, in_order
 multiprocessing.set_start_method({context!r}, force=True)
 try:
     print(list({name}(operator.neg, [1, 2], 2)))
@@ -98,8 +101,10 @@ except ChildProcessError as error:
 """
 
 
-@pytest.mark.parametrize("name", ["as_done", "in_order"])
-@pytest.mark.parametrize("context", [c for c in STARTS if c != "fork"])
+@pytest.mark.parametrize(
+    "name", ["as_done", pytest.param("in_order", marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize("context", [c for c in STARTS if c.values != ("fork",)])
 def test_processes_that_cannot_start(tmp_path, name, context):
     script = tmp_path / "script.py"
     script.write_text(UNGUARDED.format(name=name, context=context))

@@ -14,8 +14,13 @@ import numpy as np
 import pytest
 
 from astro_scc.correlation import Correlator, all_pairs
-from astro_scc.correlation.cluster import on_cluster, open_client, result_of
-from astro_scc.correlation.workers import as_done, in_order, workers_of
+from astro_scc.correlation.parallel import (
+    _result,
+    as_done,
+    in_order,
+    open_client,
+    workers_of,
+)
 from astro_scc.decomposition import Decomposer
 
 
@@ -66,8 +71,7 @@ def test_results_come_in_order_and_as_needed(cluster):
     assert next(results) == 0
     assert len(taken) < 12
     assert list(results) == [-k for k in range(1, 12)]
-    found = {k: future.result() for k, future in on_cluster(
-        operator.neg, range(12), cluster, ordered=False)}  # fmt: skip
+    found = dict(as_done(operator.neg, range(12), cluster))
     assert found == {k: -k for k in range(12)}
 
 
@@ -90,7 +94,7 @@ def test_an_address_is_as_good_as_a_client(cluster):
 
 def test_a_killed_worker_changes_nothing(cluster, epochs, monkeypatch):
     # One block for each reference epoch.
-    monkeypatch.setattr("astro_scc.correlation.correlator.BLOCK_WORK", 1)
+    monkeypatch.setattr("astro_scc.correlation.correlate.BLOCK_WORK", 1)
     pairs = all_pairs(5)
     correlate = Correlator()
     assert len(list(correlate.blocks(epochs, pairs, 8))) == 5
@@ -109,6 +113,7 @@ def test_a_killed_worker_changes_nothing(cluster, epochs, monkeypatch):
     assert found.same_as(serial)
 
 
+@pytest.mark.slow
 def test_a_worker_killed_at_work(cluster):
     # Workers cannot import a module of tests, however the tests are started.
     slow = [f"__import__('time').sleep(0.05) or -{k}" for k in range(20)]
@@ -151,7 +156,7 @@ def threads(number):
 
 
 def test_a_scheduler_without_workers(monkeypatch):
-    monkeypatch.setattr("astro_scc.correlation.cluster.WITHOUT_WORKERS", 0.1)
+    monkeypatch.setattr("astro_scc.correlation.parallel.WITHOUT_WORKERS", 0.1)
     with threads(0) as client:
         for work in (in_order, as_done):
             with pytest.raises(OSError, match="has had no workers for 0.1 s; start"):
@@ -175,18 +180,18 @@ def test_work_that_is_not_done():
     future.cancel()
     future.set_running_or_notify_cancel()
     with pytest.raises(OSError, match="was lost; start it and this again"):
-        result_of(future)
+        _result(future)
     # As the scheduler says after four workers died of one piece.
     future = Future()
     worker = types.SimpleNamespace(address="tcp://127.0.0.1:9")
     future.set_exception(distributed.KilledWorker("piece", worker, 3))
     with pytest.raises(ChildProcessError, match="several workers died of one piece"):
-        result_of(future)
+        _result(future)
 
 
 def test_a_scheduler_that_is_not_there(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("astro_scc.correlation.cluster.TIMEOUT", 0.2)
+    monkeypatch.setattr("astro_scc.correlation.parallel.TIMEOUT", 0.2)
     with pytest.raises(OSError, match="tcp://127.0.0.1:9: cannot be reached"):
         list(in_order(operator.neg, [1], "tcp://127.0.0.1:9"))
 

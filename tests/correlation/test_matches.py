@@ -5,7 +5,7 @@ from astropy.table import Table
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.correlation import Correlator, Matches, all_pairs, landing_ssps
+from astro_scc.correlation import Correlator, Matches, all_pairs, target_ssps
 from astro_scc.decomposition import Decomposer, SSPs, scale_size
 from astro_scc.simulation import simulate_two_fluid
 
@@ -31,7 +31,7 @@ def test_table_round_trip(matches, tmp_path, empty):
     assert again.same_as(matches)
     for name in ("ssp", "target", "dx", "overlap"):
         assert getattr(again, name).dtype == getattr(matches, name).dtype
-    assert again.reach == (8, 25)
+    assert again.search_radius == (8, 25)
     assert again.kappa == 0.7
     assert again.pairs.shape == (6, 2)
 
@@ -42,8 +42,8 @@ def test_same_as_sees_any_difference(matches):
     assert changed.same_as(matches)
     changed.dx[0] += 1
     assert not changed.same_as(matches)
-    other = Matches.from_columns([], matches.pairs, matches.reach, 0.8)
-    nothing = Matches.from_columns([], matches.pairs, matches.reach, 0.7)
+    other = Matches.from_columns([], matches.pairs, matches.search_radius, 0.8)
+    nothing = Matches.from_columns([], matches.pairs, matches.search_radius, 0.7)
     assert not other.same_as(nothing)
 
 
@@ -81,7 +81,7 @@ def test_sorted_by_ssp_and_then_by_target(matches):
 
 def test_landing_is_on_the_nearest_pattern(matches, epochs):
     ssps = SSPs.of_epochs(epochs)
-    landed = landing_ssps(matches, ssps)
+    landed = target_ssps(matches, ssps)
     assert landed.shape == (len(matches),)
     assert 0.3 < np.mean(landed >= 0) < 1
     for k in range(len(matches)):
@@ -103,9 +103,9 @@ def test_landing_where_nothing_is(epochs):
     ssps = epochs[0].ssps
     columns = (np.arange(2), np.ones(2), *np.zeros((5, 2)))
     matches = Matches.from_columns([columns], [(0, 1)], (5, 5), 0.6)
-    assert landing_ssps(matches, ssps).tolist() == [-1, -1]
+    assert target_ssps(matches, ssps).tolist() == [-1, -1]
     nothing = matches.select(slice(0, 0))
-    assert landing_ssps(nothing, ssps).shape == (0,)
+    assert target_ssps(nothing, ssps).shape == (0,)
 
 
 @given(

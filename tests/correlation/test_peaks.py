@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from astro_scc.correlation import find_peaks
+from astro_scc.correlation.zncc import find_peaks
 
 
 def slow_peaks(maps, threshold):

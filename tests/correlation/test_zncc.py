@@ -5,7 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from astro_scc.correlation import Template, correlate_windows, find_peaks, zncc
+from astro_scc.correlation import correlate_windows, zncc
+from astro_scc.correlation.zncc import Template, find_peaks
 
 
 def double_loop(values, footprint, window, reach, valid=None, min_overlap=0.8):
@@ -255,5 +256,5 @@ def test_errors():
     with pytest.raises(ValueError, match=r"windows must have shape \(8, 8\)"):
         correlate_windows(values, footprint, np.zeros((8, 9)), (2, 2))
     for reach in ((2,), (2, -1), (1, 2, 3)):
-        with pytest.raises(ValueError, match="reach must be two numbers"):
+        with pytest.raises(ValueError, match="search radius must be two numbers"):
             correlate_windows(values, footprint, np.zeros((8, 8)), reach)

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from astro_scc.decomposition import (
     Decomposer,
     SSPs,
-    local_noise,
     plane_noise,
     propagated_noise,
     wavelet_planes,
 )
+from astro_scc.decomposition.noise import local_noise
 
 
 def scene(seed=0, shape=(64, 96), n=6, noise=0.005):
@@ -41,7 +41,7 @@ def same_patterns(a, b):
     np.testing.assert_allclose(a.snr, b.snr, rtol=1e-6)
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(
     st.integers(0, 2**32 - 1),
     st.floats(-9, 9),

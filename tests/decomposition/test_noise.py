@@ -5,11 +5,11 @@ import pytest
 
 from astro_scc.decomposition import (
     Decomposer,
-    local_noise,
     plane_noise,
     propagated_noise,
     wavelet_planes,
 )
+from astro_scc.decomposition.noise import local_noise
 from astro_scc.epochs import Beam
 from astro_scc.epochs.components.noise import correlated_noise
 from astro_scc.simulation import simulate_two_fluid
@@ -229,7 +229,7 @@ def test_local_noise_with_chosen_boxes_and_mask():
 def test_false_positives_are_rare(noise):
     """Above 4 sigma, about one pattern in two images of pure noise."""
     decompose = Decomposer(noise=noise)
-    images = [beam_noise(seed) for seed in range(10)]
+    images = [beam_noise(seed) for seed in range(5)]
     counts = [
         len(decompose(image, rms=RMS, beam_covariance=COVARIANCE).ssps)
         for image in images

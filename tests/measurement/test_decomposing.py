@@ -12,9 +12,9 @@ from astro_scc.decomposition import (
     Decomposer,
     plane_noise,
     propagated_noise,
-    shared_variance,
     wavelet_planes,
 )
+from astro_scc.decomposition.noise import shared_variance
 from astro_scc.epochs import Beam, read_components, restore
 from astro_scc.epochs.components.noise import correlated_noise
 from astro_scc.exceptions import MeasurementWarning

@@ -10,7 +10,7 @@ import pytest
 from astropy.io import fits
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.correlation.blocks import match_block
+from astro_scc.correlation.correlate import match_block
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement import MatchCache, MatchedEpochs, select_ssps
@@ -45,9 +45,9 @@ def counted(monkeypatch):
         blocks.append(block)
         return match_block(block)
 
-    monkeypatch.setattr("astro_scc.correlation.correlator.match_block", count)
+    monkeypatch.setattr("astro_scc.correlation.correlate.match_block", count)
     # A block for each epoch.
-    monkeypatch.setattr("astro_scc.correlation.correlator.BLOCK_WORK", 1)
+    monkeypatch.setattr("astro_scc.correlation.correlate.BLOCK_WORK", 1)
     return blocks
 
 
@@ -210,7 +210,7 @@ def test_an_interrupted_run_goes_on(scc, cube, made, counted, tmp_path, monkeypa
         counted.append(block)
         return match_block(block)
 
-    monkeypatch.setattr("astro_scc.correlation.correlator.match_block", interrupted)
+    monkeypatch.setattr("astro_scc.correlation.correlate.match_block", interrupted)
     with pytest.raises(KeyboardInterrupt):
         scc.match(cube, cache=path)
     assert len(list(tmp_path.glob("m.fits.blocks/*.npz"))) == 2

@@ -123,22 +123,22 @@ def test_parts_of_an_interrupted_run_on_other_images(scc, cube, tmp_path, what):
     path = tmp_path / "m.fits"
     done = []
 
-    def interrupt(block):
-        from astro_scc.correlation.blocks import match_block
+    from astro_scc.correlation.correlate import match_block
 
+    def interrupt(block):
         if len(done) == 3:
             raise KeyboardInterrupt
         done.append(block)
         return match_block(block)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("astro_scc.correlation.correlator.BLOCK_WORK", 1)
-        patch.setattr("astro_scc.correlation.correlator.match_block", interrupt)
+        patch.setattr("astro_scc.correlation.correlate.BLOCK_WORK", 1)
+        patch.setattr("astro_scc.correlation.correlate.match_block", interrupt)
         with pytest.raises(KeyboardInterrupt):
             scc.match(cube, cache=path)
         assert len(list(tmp_path.rglob("*.npz"))) == 3
         patch.undo()
-        patch.setattr("astro_scc.correlation.correlator.BLOCK_WORK", 1)
+        patch.setattr("astro_scc.correlation.correlate.BLOCK_WORK", 1)
         other = replace(cube, **IMAGES[what](cube))
         same(scc.match(other, cache=path), scc.match(other))
     assert [p.name for p in tmp_path.glob("m.*")] == ["m.fits"]

@@ -196,8 +196,8 @@ def test_velocity_field_is_followed():
 @given(speed=st.floats(-30, 30), jitter=st.floats(0, 3), seed=st.integers(0, 99))
 def test_region_stays_populated(speed, jitter, seed):
     stream = Stream("s", dx=speed, density=20.0, half_width=5.0, jitter=jitter)
-    rng = np.random.default_rng(seed)
-    x, y = stream.trajectories(np.ones(9), (20.0, 220.0), 64.0, 10.0, rng)
+    jet = JetSimulation([stream])
+    x = stream.features(jet, np.random.default_rng(seed)).x
     inside = ((x >= 20) & (x <= 220)).sum(axis=0)
     # 400 on average, of a binomial.
     assert np.all(np.abs(inside - 400) < 100)

@@ -13,7 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from astro_scc.correlation.workers import WAITING, in_order, machine_memory
+from astro_scc.correlation.parallel import WAITING, in_order, machine_memory
+
+STARTS = [
+    pytest.param(name, marks=() if name != "forkserver" else pytest.mark.slow)
+    for name in multiprocessing.get_all_start_methods()
+]
 
 
 def test_in_this_process():
@@ -30,9 +35,8 @@ def test_in_this_process():
     assert list(results) == [10, 20]
 
 
-@pytest.mark.parametrize("context", multiprocessing.get_all_start_methods())
-def test_results_come_in_order(context):
-    results = list(in_order(operator.neg, range(20), 2, context=context))
+def test_results_come_in_order():
+    results = list(in_order(operator.neg, range(20), 2))
     assert results == [-k for k in range(20)]
     assert multiprocessing.active_children() == []
 
@@ -59,7 +63,7 @@ def test_an_error_of_a_worker_is_raised_here():
     assert multiprocessing.active_children() == []
 
 
-@pytest.mark.parametrize("context", multiprocessing.get_all_start_methods())
+@pytest.mark.parametrize("context", STARTS)
 def test_workers_have_one_thread_each(context):
     # With numpy, of which a worker that was not forked has nothing yet.
     threads = (
@@ -83,15 +87,15 @@ def test_memory_of_the_machine_and_of_a_job(monkeypatch, tmp_path):
     names = [str(tmp_path / name) for name in ("v1", "v2", "none")]
     (tmp_path / "v1").write_text("max\n")
     (tmp_path / "v2").write_text("12345\n")
-    monkeypatch.setattr("astro_scc.correlation.workers.CONTROL_GROUPS", names[::2])
+    monkeypatch.setattr("astro_scc.correlation.parallel.CONTROL_GROUPS", names[::2])
     monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY,) * 2)
     assert machine_memory() >= whole
-    monkeypatch.setattr("astro_scc.correlation.workers.CONTROL_GROUPS", names)
+    monkeypatch.setattr("astro_scc.correlation.parallel.CONTROL_GROUPS", names)
     assert machine_memory() == 12345
     monkeypatch.setattr(resource, "getrlimit", lambda _: (1234, -1))
     assert machine_memory() == 1234
     # As on Windows.
-    monkeypatch.setattr("astro_scc.correlation.workers.CONTROL_GROUPS", ())
+    monkeypatch.setattr("astro_scc.correlation.parallel.CONTROL_GROUPS", ())
     monkeypatch.setitem(sys.modules, "resource", None)
     monkeypatch.delattr("os.sysconf")
     assert machine_memory() == math.inf
@@ -100,7 +104,7 @@ def test_memory_of_the_machine_and_of_a_job(monkeypatch, tmp_path):
 SCRIPT = """
 import signal
 import time
-from astro_scc.correlation.workers import in_order
+from astro_scc.correlation.parallel import in_order
 # Whatever starts the tests may have told its children to ignore it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 print("begun", flush=True)
@@ -134,13 +138,13 @@ def test_an_interrupt_ends_it_at_once():
 
 
 LARGE = """
-from astro_scc.correlation.workers import in_order
+from astro_scc.correlation.parallel import in_order
 
 def large(value):
     return bytes(value)
 
 if __name__ == "__main__":
-    for round in range(10):
+    for round in range(5):
         try:
             for k, _ in enumerate(in_order(large, [1_000_000] * 1000, 2)):
                 if k == 5 + round:
@@ -158,12 +162,12 @@ def test_workers_end_between_results(tmp_path):
         [sys.executable, script], stdout=subprocess.PIPE, text=True
     ) as process:
         out, _ = process.communicate(timeout=100)
-    assert out.count("ended") == 10
+    assert out.count("ended") == 5
 
 
 UNENDING = """
 import multiprocessing, sys, time
-from astro_scc.correlation.workers import in_order
+from astro_scc.correlation.parallel import in_order
 
 def nap(value):
     time.sleep(0.05)

@@ -4,17 +4,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.correlation import (
-    Correlator,
-    Template,
-    all_pairs,
-    correlator,
-    find_peaks,
-    zncc,
-)
+from astro_scc.correlation import Correlator, all_pairs, correlate, zncc
+from astro_scc.correlation.zncc import Template
 from astro_scc.decomposition import Decomposer, SSPs
 
-direct = pytest.importorskip("astro_scc.correlation.direct")
+compiled = pytest.importorskip("astro_scc.correlation.compiled")
 
 
 def blob(shape, rng):
@@ -41,7 +35,7 @@ def test_sums_are_the_definition(height, width, reach, seed):
     stack[:, shape[1] // 2 :] = 0  # as a segmented plane is
     template = Template(values, footprint, reach)
     corner = 3, 2
-    got = direct.direct_coefficients(stack, [2, 0], corner, template)
+    got = compiled.compiled_coefficients(stack, [2, 0], corner, template)
     y, x = np.nonzero(footprint)
     for own, target in zip(got, (2, 0), strict=True):
         for dy in range(2 * reach[0] + 1):
@@ -57,7 +51,7 @@ def test_beside_a_core_that_is_a_million_times_brighter():
     stack[0, 20, 33] = 1e6
     values = stack[0, 12:18, 10:17].astype(float)
     template = Template(values, np.ones(values.shape, bool), (6, 6))
-    got = direct.direct_coefficients(stack, [0], (6, 4), template)
+    got = compiled.compiled_coefficients(stack, [0], (6, 4), template)
     assert got[0, 6, 6] == pytest.approx(1, abs=1e-6)
 
 
@@ -65,31 +59,16 @@ def test_where_nothing_varies_the_coefficient_is_zero():
     stack = np.ones((1, 20, 20), dtype=np.float32)
     values = np.arange(9.0).reshape(3, 3)
     template = Template(values, np.ones((3, 3), bool), (4, 4))
-    got = direct.direct_coefficients(stack, [0], (2, 2), template)
+    got = compiled.compiled_coefficients(stack, [0], (2, 2), template)
     np.testing.assert_array_equal(got, 0)
-
-
-@settings(deadline=None, max_examples=40)
-@given(
-    shape=st.tuples(st.integers(1, 3), st.integers(1, 9), st.integers(1, 9)),
-    seed=st.integers(0, 2**32 - 1),
-    levels=st.integers(2, 50),
-)
-def test_peaks_are_those_of_find_peaks(shape, seed, levels):
-    # Few levels: equal neighbours.
-    maps = np.random.default_rng(seed).integers(0, levels, shape) / levels
-    for one, other in zip(
-        direct.direct_peaks(maps, 0.5), find_peaks(maps, 0.5), strict=True
-    ):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_large_patterns_are_transformed():
     side = 70
     small = Template(np.eye(5), np.ones((5, 5), bool), (10, 10))
     large = Template(np.eye(side), np.ones((side, side), bool), (40, 40))
-    assert direct.worth_it(small)
-    assert not direct.worth_it(large)
+    assert compiled.worth_it(small)
+    assert not compiled.worth_it(large)
 
 
 @pytest.fixture(scope="module")
@@ -127,20 +106,20 @@ def test_matches_are_those_of_transforms(epochs, target):
 
 
 def test_compiled_where_there_is_enough_to_do(epochs, monkeypatch):
-    def compiled(**settings):
+    def compiles(**settings):
         blocks = Correlator(**settings).blocks(epochs, all_pairs(3), 15)
-        return {block.compiled for block in blocks}
+        return {block.settings.compiled for block in blocks}
 
-    assert compiled() == {False}
-    monkeypatch.setattr(correlator, "COMPILE_FROM", 10)
-    assert compiled() == {True}
-    assert compiled(compiled=False) == {False}
-    monkeypatch.setattr(correlator, "find_spec", lambda name: None)
-    assert compiled() == {False}
+    assert compiles() == {False}
+    monkeypatch.setattr(correlate, "COMPILE_FROM", 10)
+    assert compiles() == {True}
+    assert compiles(compiled=False) == {False}
+    monkeypatch.setattr(correlate, "find_spec", lambda name: None)
+    assert compiles() == {False}
 
 
 def test_without_numba_a_clear_message(monkeypatch):
-    monkeypatch.setattr(correlator, "find_spec", lambda name: None)
+    monkeypatch.setattr(correlate, "find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r"astro_scc\[fast\]"):
         Correlator(compiled=True)
 
@@ -151,7 +130,7 @@ def test_where_nothing_can_be_kept_it_is_compiled_all_the_same(monkeypatch):
             raise RuntimeError("cannot cache function: no locator available")
         return lambda function: (function, options)
 
-    monkeypatch.setattr(direct, "njit", njit)
-    function, options = direct._kept(len)
+    monkeypatch.setattr(compiled, "njit", njit)
+    function, options = compiled._kept(len)
     assert function is len
     assert options == {"error_model": "numpy"}

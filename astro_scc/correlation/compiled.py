@@ -11,10 +11,7 @@ package numba.
 import numpy as np
 from numba import njit
 
-from astro_scc.correlation.peaks import placed
 from astro_scc.correlation.zncc import VARIANCE_FLOOR
-
-__all__ = ["direct_coefficients", "direct_peaks", "worth_it"]
 
 #: Up to this times N log2(N) products, sums are quicker than transforms of N
 #: pixels.
@@ -32,41 +29,17 @@ def _kept(function):
 
 
 def worth_it(template):
-    """
-    Whether summing is quicker than transforms.
-
-    Parameters
-    ----------
-    template : `~astro_scc.correlation.Template`
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether summing is quicker than transforms."""
     n = np.prod(template.fft_shape)
     return template.n_pixels * np.prod(template.result_shape) < WORTH * n * np.log2(n)
 
 
-def direct_coefficients(stack, targets, corner, template):
+def compiled_coefficients(stack, targets, corner, template):
     """
-    Coefficients of a template at every displacement in some images.
+    Return coefficients of a template in some images of a stack.
 
-    The same as ``template.of_windows`` of windows that miss no pixel, but
-    for rounding.
-
-    Parameters
-    ----------
-    stack : `~numpy.ndarray`, shape (n, ny, nx)
-        Images in single precision.
-    targets : `~numpy.ndarray` of int, shape (k,)
-        Those that are looked at.
-    corner : sequence of int
-        Where the window begins, (y, x).
-    template : `~astro_scc.correlation.Template`
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (k, 2 ry + 1, 2 rx + 1)
+    The same as ``template.of_windows`` of windows that begin at ``corner`` and miss
+    no pixel, but for rounding.
     """
     result = np.empty((len(targets), *template.result_shape))
     footprint = template.footprint > 0
@@ -81,32 +54,6 @@ def direct_coefficients(stack, targets, corner, template):
         result,
     )
     return result
-
-
-def direct_peaks(coefficient, threshold):
-    """
-    Local maxima of maps without NaN, as `~astro_scc.correlation.find_peaks`.
-
-    Parameters
-    ----------
-    coefficient : `~numpy.ndarray`, shape (n, ny, nx)
-    threshold : float
-
-    Returns
-    -------
-    index, y, x, value : `~numpy.ndarray`, shape (k,)
-    """
-    number = _maxima(coefficient, threshold, np.empty((0, 3), dtype=np.int64))
-    found = np.empty((number, 3), dtype=np.int64)
-    _maxima(coefficient, threshold, found)
-    index, y, x = found.T
-    step = np.arange(-1, 2)
-    around = coefficient[
-        index[:, None, None],
-        y[:, None, None] + step[:, None],
-        x[:, None, None] + step,
-    ]
-    return placed(index, y, x, around)
 
 
 def _runs(footprint):
@@ -221,25 +168,3 @@ def _sum_up(stack, targets, corner, shape, runs, values, least, result):
                 _normalise(
                     covariance, total, square, share, least * energy, result[t, dy]
                 )
-
-
-@_kept
-def _maxima(maps, threshold, found):
-    """Number of maxima, which ``found`` is filled with as far as it reaches."""
-    number = 0
-    for k in range(maps.shape[0]):
-        for y in range(1, maps.shape[1] - 1):
-            above, row, below = maps[k, y - 1], maps[k, y], maps[k, y + 1]
-            for x in range(1, maps.shape[2] - 1):
-                value = row[x]
-                if (
-                    value >= threshold
-                    and value >= row[x - 1]
-                    and value > row[x + 1]
-                    and value >= max(above[x - 1], above[x], above[x + 1])
-                    and value > max(below[x - 1], below[x], below[x + 1])
-                ):
-                    if number < len(found):
-                        found[number] = k, y, x
-                    number += 1
-    return number

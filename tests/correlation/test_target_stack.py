@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.correlation import Correlator, all_pairs
-from astro_scc.correlation.canvas import Canvas
+from astro_scc.correlation.correlate import TargetStack
 from astro_scc.decomposition import Decomposer, SSPs
 
 
@@ -25,7 +25,7 @@ def sparse_epochs(seed, masked):
     return epochs
 
 
-@settings(deadline=None, max_examples=12)
+@settings(deadline=None, max_examples=5)
 @given(
     seed=st.integers(0, 2**32 - 1),
     reach=st.tuples(st.integers(2, 40), st.integers(2, 40)),
@@ -38,7 +38,7 @@ def test_only_displacements_that_meet_nothing_are_left_out(seed, reach, masked):
     found = Correlator()(epochs, all_pairs(3), reach, select=select)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            Canvas, "displacements", lambda *a: (np.zeros(2, int), np.array(a[2]))
+            TargetStack, "displacements", lambda *a: (np.zeros(2, int), np.array(a[2]))
         )
         whole = Correlator()(epochs, all_pairs(3), reach, select=select)
     assert len(found) == len(whole)

@@ -1,0 +1,589 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Correlation of the SSPs of each epoch with the planes of other epochs."""
+
+from collections import Counter, deque
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+
+import numpy as np
+
+from astro_scc.correlation.matches import Matches, join_columns
+from astro_scc.correlation.parallel import in_order
+from astro_scc.correlation.zncc import Template, fft_shape, find_peaks
+from astro_scc.decomposition import SSPs
+
+#: Pixels of windows that a block correlates, about half a second's work.
+BLOCK_WORK = 2**24
+#: Bytes of target planes that a block holds.
+STACK_BYTES = 2**26
+#: Windows transformed at once: more of them leave the cache.
+BATCH = 10
+#: Transforms of a batch are kept below this number of pixels.
+BATCH_PIXELS = 2_000_000
+#: Windows that compiled loops sum up at once.
+COMPILED_BATCH = 64
+#: Fewer windows than these are done before the loops are compiled.
+COMPILE_FROM = 100_000
+#: With fewer pixels than these, two of them, anything matches anything.
+FEWEST_PIXELS = 3
+
+
+def all_pairs(n_epochs):
+    """
+    Return every ordered pair of different epochs.
+
+    Parameters
+    ----------
+    n_epochs : int
+
+    Returns
+    -------
+    `~numpy.ndarray` of int, shape (n_epochs * (n_epochs - 1), 2)
+
+    Examples
+    --------
+    >>> from astro_scc.correlation import all_pairs
+    >>> all_pairs(3).tolist()
+    [[0, 1], [0, 2], [1, 0], [1, 2], [2, 0], [2, 1]]
+    """
+    return np.argwhere(~np.eye(n_epochs, dtype=bool))
+
+
+@dataclass(frozen=True)
+class Correlator:
+    """
+    Settings of the correlation of SSPs with the images of other epochs.
+
+    Parameters
+    ----------
+    kappa : float
+        Smallest coefficient of a peak that is kept, 0.6 to 0.8 in the
+        paper.
+    target : {"segments", "plane"}
+        Whether the target is the plane with everything outside its SSPs
+        set to zero, or the plane as it is (the paper's equation).
+    min_overlap : float
+        Share of the SSP's pixels that must fall on existing pixels of the
+        target image, for a displacement and for its eight neighbours.
+    compiled : bool, optional
+        Whether small SSPs are summed up by loops that `numba
+        <https://numba.pydata.org>`_ compiles, rather than transformed.  By
+        default that is so where numba is installed (the extra ``fast``) and
+        there are more than 100 000 windows, as compiling takes some
+        seconds the first time.  Coefficients differ by rounding only.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
+    ImportError
+        If ``compiled`` is asked for without numba.
+
+    Examples
+    --------
+    >>> from astro_scc.correlation import Correlator
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> images = simulate_two_fluid(n_epochs=2, rng=1).cube.data
+    >>> epochs = [Decomposer(scales=[2])(image) for image in images]
+    >>> matches = Correlator(kappa=0.7)(epochs, [(0, 1)], (8, 25))
+    >>> bool((matches.coefficient >= 0.7).all())
+    True
+    """
+
+    kappa: float = 0.6
+    target: str = "segments"
+    min_overlap: float = 0.8
+    compiled: bool | None = None
+
+    def __post_init__(self):
+        if not 0 < self.kappa < 1:
+            raise ValueError(f"kappa must be between 0 and 1, got {self.kappa}")
+        if self.target not in ("segments", "plane"):
+            raise ValueError(
+                f"unknown target {self.target!r}: use 'segments' or 'plane'"
+            )
+        if not 0 < self.min_overlap <= 1:
+            raise ValueError(
+                f"min_overlap must be above 0 and at most 1, got {self.min_overlap}"
+            )
+        if self.compiled and not find_spec("numba"):
+            raise ImportError(
+                "compiled loops need the package numba: "
+                "pip install 'astro_scc[fast]', or leave compiled at None"
+            )
+
+    def __call__(
+        self,
+        decompositions,
+        pairs,
+        search_radius,
+        *,
+        select=None,
+        n_workers=1,
+        progress=None,
+        done=None,
+    ):
+        """
+        Find the matches of SSPs for ordered pairs of epochs.
+
+        Parameters
+        ----------
+        decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+            One for each epoch, of images of one shape and with the same scales.
+        pairs : array_like of int, shape (n_pairs, 2)
+            Reference and target epoch.
+        search_radius : int or tuple of int
+            Largest displacement in pixels, of (y, x) if two.
+        select : array_like of bool, optional
+            Which SSPs of the catalogue of all epochs to correlate.
+        n_workers : int, str or `dask.distributed.Client`, optional
+            Number of processes, or a Dask scheduler, by its address or a
+            client of it.  With more than one process, a script needs
+            ``if __name__ == "__main__":`` where processes are spawned, see
+            `multiprocessing`.
+        progress : callable, optional
+            Called with 1 for each reference epoch that is done.
+        done : mutable mapping of int to tuple of `~numpy.ndarray`, optional
+            What was found for `blocks` that were done before, by their number;
+            what is found is added.
+
+        Returns
+        -------
+        `~astro_scc.correlation.Matches`
+            Its ``ssp`` counts in ``SSPs.of_epochs(decompositions)``.
+
+        Raises
+        ------
+        ValueError
+            If pairs name epochs that do not exist, decompositions differ
+            in shape or scales, or the search radius, ``select`` or ``n_workers``
+            is not as above.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from astro_scc.correlation import Correlator, all_pairs
+        >>> from astro_scc.decomposition import Decomposer
+        >>> y, x = np.mgrid[:64, :96]
+        >>> def image(x0):
+        ...     return np.exp(-((x - x0) ** 2 + (y - 32) ** 2) / 30)
+        >>> decompose = Decomposer(scales=[2])
+        >>> epochs = [decompose(image(x0)) for x0 in (40, 46.5)]
+        >>> matches = Correlator()(epochs, all_pairs(2), 12)
+        >>> matches.dx.round(1)
+        array([ 6.5, -6.5], dtype=float32)
+        """
+        pairs, search_radius = _checked(decompositions, pairs, search_radius)
+        columns, at_work = {}, deque()
+        left = Counter(np.unique(pairs, axis=0)[:, 0].tolist())
+
+        def finish(number, found, references):
+            columns[number] = found
+            left.subtract(references)
+            for epoch in set(references):
+                if left[epoch] == 0 and progress is not None:
+                    progress(1)
+
+        def begin():
+            blocks = self.blocks(decompositions, pairs, search_radius, select=select)
+            for number, block in enumerate(blocks):
+                references = block.pairs[:, 0].tolist()
+                if done is not None and number in done:
+                    finish(number, done[number], references)
+                else:
+                    at_work.append((number, references))
+                    yield block
+
+        for found in in_order(match_block, begin(), n_workers):
+            number, references = at_work.popleft()
+            if done is not None:
+                done[number] = found
+            finish(number, found, references)
+        columns = [columns[number] for number in sorted(columns)]
+        return Matches.from_columns(columns, pairs, search_radius, self.kappa).sorted()
+
+    def blocks(self, decompositions, pairs, search_radius, *, select=None):
+        """
+        Cut the pairs of epochs into pieces of work, those of one epoch in turn.
+
+        How they are cut depends on the epochs, pairs and search radius alone, so
+        that whoever works on them gets the same numbers.  Arguments and errors are
+        those of a call.
+
+        Parameters
+        ----------
+        decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+        pairs : array_like of int, shape (n_pairs, 2)
+        search_radius : int or tuple of int
+        select : array_like of bool, optional
+
+        Yields
+        ------
+        PairBlock
+            For `match_block`, see `Correlator`.
+
+        Raises
+        ------
+        ValueError
+            As for a call.
+        """
+        pairs, search_radius = _checked(decompositions, pairs, search_radius)
+        pairs = np.unique(pairs, axis=0)
+        ssps = SSPs.of_epochs(decompositions)
+        chosen = np.ones(len(ssps), bool) if select is None else np.asarray(select)
+        if chosen.shape != (len(ssps),) or chosen.dtype != bool:
+            raise ValueError(
+                f"select must be one bool for each of the {len(ssps)} SSPs, "
+                f"got {chosen.dtype} of shape {chosen.shape}"
+            )
+        if len(pairs) == 0:
+            return
+        n, shape = len(decompositions), decompositions[0].planes.shape
+        patterns = Patterns.of(decompositions, ssps)
+        chosen = chosen & np.isin(ssps.epoch, pairs[:, 0])
+        part, work = (slice(0, 0),) * 2, np.zeros(n)
+        if chosen.any():
+            boxes, beyond = ssps.bbox[chosen], np.add(search_radius, 1)
+            part = _inside(shape[1:], *_all_windows(boxes, beyond))
+            pixels = np.prod(boxes[:, 2:] - boxes[:, :2] + 2 * beyond, axis=1)
+            work = np.bincount(ssps.epoch[chosen], pixels, n)
+        segments = self.target == "segments"
+        dense = not segments or any(np.ndim(n) for d in decompositions for n in d.noise)
+        plane_bytes = 4 * np.prod([max(p.stop - p.start, 1) for p in part])
+        most = STACK_BYTES // (plane_bytes * (shape[0] if dense else 1))
+        every = np.unique(pairs[:, 1])
+        every = np.array_split(every, -(-len(every) // max(BATCH, int(most))))
+        settings = self
+        if self.compiled is None:
+            number = np.bincount(ssps.epoch[chosen], minlength=n)[pairs[:, 0]].sum()
+            enough = bool(number > COMPILE_FROM) and find_spec("numba") is not None
+            settings = replace(self, compiled=enough)
+        groups = _groups(np.unique(pairs[:, 0]), work * len(every[0]), BLOCK_WORK)
+        for references in groups:
+            own = patterns.select(chosen & np.isin(ssps.epoch, references))
+            wanted = pairs[np.isin(pairs[:, 0], references)]
+            for some in every:
+                here = wanted[np.isin(wanted[:, 1], some)]
+                if len(here):
+                    targets = Targets.of(
+                        decompositions,
+                        np.unique(here[:, 1]),
+                        part,
+                        patterns if segments else None,
+                    )
+                    yield PairBlock(settings, own, targets, here, search_radius)
+
+
+def _checked(decompositions, pairs, search_radius):
+    """Return pairs and search radius as arrays of both axes, or say what is wrong."""
+    if len({(d.planes.shape, d.scales) for d in decompositions}) > 1:
+        raise ValueError("all epochs must have one shape and the same scales")
+    pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
+    if pairs.size and not (0 <= pairs.min() and pairs.max() < len(decompositions)):
+        raise ValueError(f"pairs name epochs outside 0 to {len(decompositions) - 1}")
+    given = (search_radius,) * 2 if np.isscalar(search_radius) else search_radius
+    both = tuple(int(r) for r in given)
+    if len(both) != 2 or min(both) < 0:
+        raise ValueError(
+            f"the search radius must be one or two numbers of pixels, got {both}"
+        )
+    return pairs, both
+
+
+def _groups(epochs, work, limit):
+    """Put consecutive epochs together, as long as their work is below a limit."""
+    groups, total = [[]], 0.0
+    for epoch in epochs.tolist():
+        if groups[-1] and total + work[epoch] > limit:
+            groups.append([])
+            total = 0.0
+        groups[-1].append(epoch)
+        total += work[epoch]
+    return groups
+
+
+def _all_windows(boxes, search_radius):
+    """Return origin and size of what the windows of some SSPs take in."""
+    corners, sizes = boxes[:, :2] - search_radius, boxes[:, 2:] - boxes[:, :2]
+    sizes, which = np.unique(sizes, axis=0, return_inverse=True)
+    shapes = np.array([fft_shape(size, search_radius) for size in sizes])
+    # Beside the outermost displacement values are looked up as well.
+    origin = corners.min(axis=0) - 2
+    end = (corners + shapes[which.ravel()]).max(axis=0) + 2
+    return origin, tuple((end - origin).tolist())
+
+
+def _inside(shape, origin, size):
+    """Return the part of an image of a shape that a box holds, as slices."""
+    low = np.clip(origin, 0, shape).tolist()
+    high = np.clip(np.add(origin, size), 0, shape).tolist()
+    return tuple(map(slice, low, high))
+
+
+def _moved(part, origin):
+    """Return slices counted from another origin."""
+    return tuple(
+        slice(int(p.start - o), int(p.stop - o))
+        for p, o in zip(part, origin, strict=True)
+    )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Patterns:
+    """SSPs, their indices in the catalogue of all epochs, and their pixels' values."""
+
+    ssps: SSPs
+    index: np.ndarray
+    values: np.ndarray
+
+    @classmethod
+    def of(cls, decompositions, ssps):
+        """Take the values of all SSPs out of the decompositions."""
+        values = [np.empty(0, np.float32)]
+        for i, (epoch, scale) in enumerate(zip(ssps.epoch, ssps.scale, strict=True)):
+            own = decompositions[epoch]
+            values.append(own.planes[own.plane_index(scale)].flat[ssps.pixels_of(i)])
+        return cls(ssps, np.arange(len(ssps)), np.concatenate(values, dtype=np.float32))
+
+    def select(self, keep):
+        """Return those for which ``keep`` is true."""
+        values = self.values[np.repeat(keep, self.ssps.n_pixels)]
+        return Patterns(self.ssps.select(keep), self.index[keep], values)
+
+    def template(self, i, width, search_radius):
+        """Return one SSP of images of a width as a `Template`."""
+        y0, x0, y1, x1 = self.ssps.bbox[i]
+        rows, columns = np.divmod(self.ssps.pixels_of(i), width)
+        inside = rows - y0, columns - x0
+        footprint = np.zeros((y1 - y0, x1 - x0), dtype=bool)
+        footprint[inside] = True
+        values = np.zeros(footprint.shape)
+        values[inside] = self.values[self.ssps.starts[i] : self.ssps.starts[i + 1]]
+        return Template(values, footprint, search_radius)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Targets:
+    """
+    What the images of some epochs hold on all scales.
+
+    Either ``patterns``, their SSPs beside which nothing counts, or ``planes``, the
+    planes as they are, of which only a ``part`` is there.  Equal ``masks`` are one
+    object.
+    """
+
+    epochs: np.ndarray
+    scales: tuple
+    shape: tuple
+    part: tuple
+    patterns: Patterns | None
+    planes: tuple | None
+    noise: tuple
+    masks: tuple
+
+    @classmethod
+    def of(cls, decompositions, epochs, part, patterns):
+        """Take epochs out of the decompositions; their planes without patterns."""
+        own, masks = [decompositions[epoch] for epoch in epochs], []
+        for mask in (d.mask for d in own):
+            masks.append(next((m for m in masks if np.array_equal(m, mask)), mask))
+        planes = None
+        if patterns is None:
+            planes = tuple(d.planes[:, *part] for d in own)
+        else:
+            patterns = patterns.select(np.isin(patterns.ssps.epoch, epochs))
+        noise, shape = tuple(d.noise for d in own), own[0].planes.shape[1:]
+        scales = own[0].scales
+        return cls(epochs, scales, shape, part, patterns, planes, noise, tuple(masks))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PairBlock:
+    """
+    Some pairs of epochs, with all that correlating them takes.
+
+    It can be pickled, and `match_block` needs nothing else.  ``patterns`` are the
+    SSPs of the reference epochs.
+    """
+
+    settings: Correlator
+    patterns: Patterns
+    targets: Targets
+    pairs: np.ndarray
+    search_radius: tuple
+
+
+def match_block(block):
+    """Return the columns of the matches of a block, by SSP and then by target."""
+    n = len(block.targets.epochs)
+    place = {epoch: k for k, epoch in enumerate(block.targets.epochs.tolist())}
+    wanted = {}
+    for reference, target in block.pairs.tolist():
+        wanted.setdefault(reference, np.zeros(n, bool))[place[target]] = True
+    parts = []
+    for scale in np.unique(block.patterns.ssps.scale):
+        patterns = block.patterns.select(block.patterns.ssps.scale == scale)
+        parts += _match_scale(block, patterns, scale, wanted)
+    joined = join_columns(parts)
+    order = np.lexsort((joined[1], joined[0]))
+    return tuple(column[order] for column in joined)
+
+
+def _match_scale(block, patterns, scale, wanted):
+    # One displacement more makes maxima at the largest one genuine.
+    beyond = np.add(block.search_radius, 1)
+    ssps, settings = patterns.ssps, block.settings
+    stack = TargetStack(block.targets, scale, *_all_windows(ssps.bbox, beyond))
+    columns = []
+    for i, box in enumerate(ssps.bbox):
+        use = wanted.get(int(ssps.epoch[i]))
+        middle, half = stack.displacements(box, beyond)
+        if use is None or half is None:
+            continue
+        template = patterns.template(i, block.targets.shape[1], half)
+        if template.energy == 0 or template.n_pixels < FEWEST_PIXELS:
+            continue
+        corner = box[:2] + middle - half - stack.origin
+        use = np.flatnonzero(use & stack.not_empty(corner, template.window_shape))
+        for some, overlap in stack.alike(use, corner, template, settings.min_overlap):
+            compiled = settings.compiled and overlap is None
+            for targets, coefficient in stack.coefficients(
+                some, corner, template, overlap, compiled
+            ):
+                which, y, x, value = find_peaks(coefficient, settings.kappa)
+                share = np.ones(len(which))
+                if overlap is not None:
+                    at = np.rint(y).astype(int), np.rint(x).astype(int)
+                    share = overlap.share[at]
+                index = np.full(len(which), i)
+                dy, dx = y + (middle[0] - half[0]), x + (middle[1] - half[1])
+                columns.append((index, targets[which], dy, dx, value, share))
+    if not columns:
+        return []
+    i, target, dy, dx, value, share = map(np.concatenate, zip(*columns, strict=True))
+    snr = stack.snr(target, ssps.y[i] + dy, ssps.x[i] + dx)
+    epoch = block.targets.epochs[target]
+    return [(patterns.index[i], epoch, dy, dx, value, share, snr)]
+
+
+class TargetStack:
+    """The target planes of one scale, padded, to cut windows from."""
+
+    def __init__(self, targets, scale, origin, size):
+        self.origin, self.shape = origin, targets.shape
+        image = _inside(targets.shape, origin, size)
+        inside = _moved(image, origin)
+        plane = targets.scales.index(scale)
+        self.noise = [noise[plane] for noise in targets.noise]
+        self.values = np.zeros((len(targets.epochs), *size), dtype=np.float32)
+        self.boxes = self.owner = None
+        if targets.patterns is None:
+            part = _moved(image, [p.start for p in targets.part])
+            for own, planes in zip(self.values, targets.planes, strict=True):
+                own[inside] = planes[plane][part]
+        else:
+            self._draw(targets, scale)
+        # Which pixels exist, for each different mask, and the number of each target's.
+        self.valid, numbers = [], {}
+        for mask in targets.masks:
+            if id(mask) not in numbers:
+                numbers[id(mask)] = len(self.valid)
+                self.valid.append(np.zeros(size, dtype=bool))
+                self.valid[-1][inside] = True if mask is None else ~mask[image]
+        self.number = np.array([numbers[id(mask)] for mask in targets.masks])
+        for own, number in zip(self.values, self.number, strict=True):
+            own[~self.valid[number]] = 0
+
+    def _draw(self, targets, scale):
+        patterns = targets.patterns.select(targets.patterns.ssps.scale == scale)
+        self.boxes = patterns.ssps.bbox - np.tile(self.origin, 2)
+        self.owner = np.searchsorted(targets.epochs, patterns.ssps.epoch)
+        epoch = np.repeat(self.owner, patterns.ssps.n_pixels)
+        y, x = np.divmod(patterns.ssps.pixels, self.shape[1])
+        y, x = y - self.origin[0], x - self.origin[1]
+        _, ny, nx = self.values.shape
+        on = (y >= 0) & (y < ny) & (x >= 0) & (x < nx)
+        self.values[epoch[on], y[on], x[on]] = patterns.values[on]
+
+    def displacements(self, box, search_radius):
+        """
+        Return the displacements at which an SSP may fall on anything.
+
+        As a middle, and how far they go to both sides of it, or None if there are
+        none.  Coefficients are zero at all others, of which one more on every side
+        is taken in, so that no maximum lies at the border.
+        """
+        middle = np.zeros(2, int)
+        if self.boxes is None:
+            return middle, search_radius
+        box = box - np.tile(self.origin, 2)
+        touch = self._touching(box[:2] - search_radius, box[2:] + search_radius)
+        if not touch.any():
+            return middle, None
+        low = self.boxes[touch, :2].min(axis=0) - box[2:]
+        high = self.boxes[touch, 2:].max(axis=0) - box[:2]
+        low, high = np.maximum(low, -search_radius), np.minimum(high, search_radius)
+        half = (high - low + 1) // 2
+        # An odd number of displacements: one more, but not beyond the radius.
+        return np.minimum(low + half, search_radius - half), half
+
+    def _touching(self, low, high):
+        return ((self.boxes[:, :2] < high) & (self.boxes[:, 2:] > low)).all(axis=1)
+
+    def not_empty(self, corner, shape):
+        """Tell which targets have anything in a window."""
+        if self.boxes is None:
+            return np.ones(len(self.values), dtype=bool)
+        owners = self.owner[self._touching(corner, corner + shape)]
+        return np.bincount(owners, minlength=len(self.values)) > 0
+
+    def alike(self, targets, corner, template, min_overlap):
+        """Group the targets that miss the same pixels, with what that does."""
+        (y, x), (h, w) = corner, template.fft_shape
+        number, whole, groups = self.number[targets], [], []
+        for k in np.unique(number):
+            own, valid = targets[number == k], self.valid[k][y : y + h, x : x + w]
+            ny, nx = template.window_shape
+            if valid[:ny, :nx].all():
+                whole.append(own)
+            else:
+                groups.append((own, template.overlap(valid, min_overlap)))
+        if whole:
+            groups.append((np.sort(np.concatenate(whole)), None))
+        return groups
+
+    def coefficients(self, targets, corner, template, overlap, compiled):
+        """Yield some targets at a time, and their coefficients."""
+        shape = template.fft_shape
+        batch = int(np.clip(BATCH_PIXELS // np.prod(shape), 1, BATCH))
+        if compiled:
+            from astro_scc.correlation.compiled import compiled_coefficients, worth_it
+
+            compiled = worth_it(template)
+            batch = COMPILED_BATCH if compiled else batch
+        for start in range(0, len(targets), batch):
+            some = targets[start : start + batch]
+            if compiled:
+                yield some, compiled_coefficients(self.values, some, corner, template)
+            else:
+                (y, x), (h, w) = corner, shape
+                part = self.values[some, y : y + h, x : x + w]
+                windows = np.zeros((len(some), *shape))
+                windows[:, : part.shape[1], : part.shape[2]] = part
+                yield some, template.of_windows(windows, overlap)
+
+    def snr(self, target, y, x):
+        """Return the largest value in 3 x 3 pixels around positions, over the noise."""
+        ny, nx = self.shape
+        y = np.clip(np.rint(y).astype(int), 0, ny - 1)
+        x = np.clip(np.rint(x).astype(int), 0, nx - 1)
+        sigma = np.empty(len(y))
+        for k in np.unique(target):
+            own = target == k
+            sigma[own] = np.broadcast_to(self.noise[k], self.shape)[y[own], x[own]]
+        step = np.arange(-1, 2)
+        rows = (y - self.origin[0])[:, None, None] + step[:, None]
+        columns = (x - self.origin[1])[:, None, None] + step
+        around = self.values[target[:, None, None], rows, columns]
+        return np.maximum(around.max(axis=(1, 2)), 0) / sigma
