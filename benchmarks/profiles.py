@@ -43,7 +43,7 @@ from astro_scc.stratification import (
     compare_speeds,
     scale_groups,
 )
-from astro_scc.tracking import track_profile
+from astro_scc.tracking.motion import track_profile
 
 SOURCE = {source.name: source for source in SOURCES}
 VIEWING_ANGLE = 15 * u.deg

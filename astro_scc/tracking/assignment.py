@@ -2,58 +2,29 @@
 """The best one-to-one choice among weighted pairs."""
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import (
     connected_components,
     min_weight_full_bipartite_matching,
 )
 
-__all__ = ["assign", "groups_of"]
-
-#: Rows of a group above which the sparse algorithm is the faster one.
-DENSE = 150
+from astro_scc.tracking.candidates import rank_in_group
 
 
-def groups_of(row, column):
-    """
-    Number the groups of rows and columns that pairs connect.
-
-    Parameters
-    ----------
-    row, column : array_like of int, shape (n,)
-        Not negative; rows and columns are counted apart.
-
-    Returns
-    -------
-    `~numpy.ndarray` of int, shape (n,)
-        Group of each pair, from 0.
-
-    Examples
-    --------
-    >>> from astro_scc.tracking import groups_of
-    >>> groups_of([0, 0, 1, 2], [5, 6, 6, 7]).tolist()
-    [0, 0, 0, 1]
-    """
-    row, column = np.asarray(row, dtype=int), np.asarray(column, dtype=int)
-    if len(row) == 0:
-        return np.empty(0, dtype=int)
-    n, m = row.max() + 1, column.max() + 1
-    graph = coo_array((np.ones(len(row)), (row, n + column)), shape=(n + m,) * 2)
-    _, label = connected_components(graph, directed=False)
-    return np.unique(label[row], return_inverse=True)[1]
+def connected(one, other, n):
+    """Number the groups of n nodes that pairs of nodes connect."""
+    graph = coo_array((np.ones(len(one)), (one, other)), shape=(n, n))
+    return connected_components(graph, directed=False)[1]
 
 
 def assign(row, column, weight):
     """
-    The choice of pairs of the largest total weight, none used twice.
+    Return the choice of pairs of the largest total weight, none used twice.
 
     Rows and columns may stay without a partner, so only pairs of positive
     weight are chosen.  Exact and polynomial: pairs that outweigh the best
-    others of their row and column together are certain; what is left falls
-    into groups, each solved by `scipy.optimize.linear_sum_assignment` (at
-    most cubic in the size of the group) or, beyond 150 rows, by
-    `scipy.sparse.csgraph.min_weight_full_bipartite_matching`.
+    others of their row and column together are certain; what is left is
+    solved by `scipy.sparse.csgraph.min_weight_full_bipartite_matching`.
 
     Parameters
     ----------
@@ -85,15 +56,12 @@ def assign(row, column, weight):
         chosen[won] = True
         taken = np.isin(row[left], row[won]) | np.isin(column[left], column[won])
         left = left[~taken]
-    group = groups_of(row[left], column[left])
-    order = np.argsort(group, kind="stable")
-    for own in np.split(left[order], np.flatnonzero(np.diff(group[order])) + 1):
-        chosen[own[_solve(row[own], column[own], weight[own])]] = True
+    chosen[left[_solve(row[left], column[left], weight[left])]] = True
     return chosen
 
 
 def _certain(row, column, weight):
-    """Pairs not lighter than the best others of row and column together."""
+    """Return the pairs not lighter than the best others of row and column together."""
     total = weight - _best_other(row, weight) - _best_other(column, weight)
     certain = np.flatnonzero(total >= 0)
     # Of equal ones that share a row or column, the first.
@@ -107,48 +75,32 @@ def _certain(row, column, weight):
 
 
 def _best_other(key, weight):
-    """Largest weight of the other entries with the same key, or 0."""
+    """Return the largest weight of the other entries with the same key, or 0."""
     order = np.lexsort((-weight, key))
-    sorted_key = key[order]
-    first = np.ones(len(key), bool)
-    first[1:] = sorted_key[1:] != sorted_key[:-1]
-    start = np.flatnonzero(first)
-    number = np.cumsum(first) - 1
-    size = np.diff([*start, len(key)])
-    best = weight[order[start]]
-    second = np.where(size > 1, weight[order[np.minimum(start + 1, len(key) - 1)]], 0.0)
+    weight, rank = weight[order], rank_in_group(key[order])
+    best = weight[np.arange(len(order)) - rank]
+    second = np.append(np.where(rank == 1, weight, 0.0), 0.0)[1:]
     other = np.empty(len(key))
-    other[order] = np.where(first, second[number], best[number])
+    other[order] = np.where(rank == 0, second, best)
     return other
 
 
 def _solve(row, column, weight):
-    """Indices of the chosen pairs of one group."""
-    rows, r = np.unique(row, return_inverse=True)
-    columns, c = np.unique(column, return_inverse=True)
-    n, m = len(rows), len(columns)
+    """Return the indices of the chosen pairs."""
     # Of pairs that are there twice the heavier.
-    order = np.lexsort((weight, c, r))
-    if n <= DENSE or m <= DENSE:
-        table, index = np.zeros((n, m)), np.full((n, m), -1)
-        table[r[order], c[order]] = weight[order]
-        index[r[order], c[order]] = order
-        found = index[linear_sum_assignment(table, maximize=True)]
-        return found[found >= 0]
-    last = np.ones(len(order), bool)
-    last[:-1] = np.diff(r[order] * m + c[order]) != 0
-    order = order[last]
+    order = np.lexsort((-weight, column, row))
+    order = order[rank_in_group(row[order], column[order]) == 0]
+    rows, r = np.unique(row[order], return_inverse=True)
+    columns, c = np.unique(column[order], return_inverse=True)
+    n, m = len(rows), len(columns)
+    if n == 0:
+        return order
     # A seat of its own for each row makes a full matching possible.  Weights
     # must not be zero, and the same shift of all of them changes nothing.
     cost = np.concatenate([-weight[order], np.zeros(n)]) - weight.max() - 1.0
-    graph = coo_array(
-        (cost, (np.r_[r[order], np.arange(n)], np.r_[c[order], m + np.arange(n)])),
-        shape=(n, m + n),
-    ).tocsr()
+    seats = np.concatenate([r, np.arange(n)]), np.concatenate([c, m + np.arange(n)])
+    graph = coo_array((cost, seats), shape=(n, m + n)).tocsr()
     at, seat = min_weight_full_bipartite_matching(graph)
-    index = dict(zip(zip(r[order].tolist(), c[order].tolist(), strict=True), order,
-                     strict=True))  # fmt: skip
-    return np.array(
-        [index[pair] for pair in zip(at.tolist(), seat.tolist(), strict=True)
-         if pair[1] < m], dtype=int
-    )  # fmt: skip
+    # Ordered by row and column, as the pairs are.
+    place = np.searchsorted(r * (m + n) + c, (at * (m + n) + seat)[seat < m])
+    return order[place]
