@@ -293,7 +293,7 @@ def streams_of_3c273(args):
               "scales 3, 4", "p, Anderson-Darling", "p, paired"]  # fmt: skip
     write_table("stratification_3c273_places", header, places)
     from astro_scc.stratification.positions import ssp_places
-    from astro_scc.visualization import plot_position_angles
+    from astro_scc.visualization.profiles import plot_position_angles
 
     angle, _, _ = ssp_places(scc, matched)
     inner = select_ssps(matched, r_min=1 * u.mas, r_max=6 * u.mas).select

@@ -61,7 +61,7 @@ def write_profile(profile, components, directory, *, configuration=None, text=No
     >>> [path.name for path in write_profile(profile, profile.components, "out")]
     ['profile.ecsv', 'profile.png', 'velocity_maps.png', 'position_angles.png']
     """
-    from astro_scc.visualization import (
+    from astro_scc.visualization.profiles import (
         plot_position_angles,
         plot_profile,
         plot_scale_maps,

@@ -73,8 +73,9 @@ class Candidates:
         Returns
         -------
         `Candidates`
+            Of links, `Links`.
         """
-        return Candidates(*(getattr(self, f.name)[keep] for f in fields(self)))
+        return type(self)(*(getattr(self, f.name)[keep] for f in fields(self)))
 
 
 def find_candidates(

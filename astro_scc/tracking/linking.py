@@ -4,10 +4,14 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import (
+    connected_components,
+    min_weight_full_bipartite_matching,
+)
 
 from astro_scc.decomposition import scale_size
-from astro_scc.tracking.assignment import assign, connected
-from astro_scc.tracking.candidates import equal_pairs, rank_in_group
+from astro_scc.tracking.candidates import Candidates, equal_pairs, rank_in_group
 from astro_scc.tracking.likelihood import MERGE_COST, LinkLikelihood, chance_density
 
 #: Rounds in which candidates are judged by the links of the round before.
@@ -15,24 +19,21 @@ ROUNDS = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Links:
+class Links(Candidates):
     """
-    Which SSP is which other one, later.
+    The candidates that are links: which SSP is which other one, later.
 
     Attributes
     ----------
     source, target : `~numpy.ndarray` of int, shape (n,)
         Indices in the catalogue of the SSPs of all epochs.  Of links of kind
         "link" no SSP has more than one before it and one after it.
+    dy, dx, interval, gap, coefficient : `~numpy.ndarray`, shape (n,)
+        As in `Candidates`.
     kind : `~numpy.ndarray` of str, shape (n,)
         "link"; "merge", the source goes into a target that has another
         source; "split", the target comes out of a source that has another
         target.
-    gap : `~numpy.ndarray` of int, shape (n,)
-        Epochs between the two at which the feature is not seen.
-    interval : `~numpy.ndarray`, shape (n,)
-    coefficient : `~numpy.ndarray`, shape (n,)
-        Correlation of source and target.
     gain : `~numpy.ndarray`, shape (n,)
         Log-likelihood by which the link betters the tracks that it joins.
 
@@ -52,16 +53,8 @@ class Links:
     True
     """
 
-    source: np.ndarray
-    target: np.ndarray
     kind: np.ndarray
-    gap: np.ndarray
-    interval: np.ndarray
-    coefficient: np.ndarray
     gain: np.ndarray
-
-    def __len__(self):
-        return len(self.source)
 
     def __repr__(self):
         counts = [f"{np.sum(self.kind == k)} {k}s" for k in ("link", "merge", "split")]
@@ -139,12 +132,8 @@ def link(candidates, ssps, *, parent=None, place=None, likelihood=None):
     links = candidates.select(np.concatenate([np.empty(0, int), *chosen]))
     order = np.lexsort((links.target, links.source))
     return Links(
-        source=links.source[order],
-        target=links.target[order],
+        **vars(links.select(order)),
         kind=np.concatenate(kinds)[order],
-        gap=links.gap[order],
-        interval=links.interval[order],
-        coefficient=links.coefficient[order],
         gain=np.concatenate(gains)[order],
     )
 
@@ -335,3 +324,101 @@ def chain(links, n_ssps, *, min_epochs=1, core=None):
     long = np.flatnonzero(size >= min_epochs)
     number[long[np.argsort(first[long])]] = np.arange(len(long))
     return number[group]
+
+
+# -- the best choice ---------------------------------------------------------------
+
+
+def assign(row, column, weight):
+    """
+    Return the choice of pairs of the largest total weight, none used twice.
+
+    Rows and columns may stay without a partner, so only pairs of positive
+    weight are chosen.  Exact and polynomial: pairs that outweigh the best
+    others of their row and column together are certain; what is left is
+    solved by `scipy.sparse.csgraph.min_weight_full_bipartite_matching`.
+
+    Parameters
+    ----------
+    row, column : array_like of int, shape (n,)
+        Not negative; rows and columns are counted apart.
+    weight : array_like, shape (n,)
+
+    Returns
+    -------
+    `~numpy.ndarray` of bool, shape (n,)
+
+    Examples
+    --------
+    Two that want the same: together they do better otherwise.
+
+    >>> from astro_scc.tracking import assign
+    >>> assign([0, 0, 1], [0, 1, 0], [3.0, 2.5, 2.5]).tolist()
+    [False, True, True]
+    """
+    row, column = np.asarray(row, dtype=int), np.asarray(column, dtype=int)
+    weight = np.asarray(weight, dtype=float)
+    chosen = np.zeros(len(row), bool)
+    left = np.flatnonzero(weight > 0)
+    while len(left):
+        certain = _certain(row[left], column[left], weight[left])
+        if not certain.any():
+            break
+        won = left[certain]
+        chosen[won] = True
+        taken = np.isin(row[left], row[won]) | np.isin(column[left], column[won])
+        left = left[~taken]
+    chosen[left[_solve(row[left], column[left], weight[left])]] = True
+    return chosen
+
+
+def _certain(row, column, weight):
+    """Return the pairs not lighter than the best others of row and column together."""
+    total = weight - _best_other(row, weight) - _best_other(column, weight)
+    certain = np.flatnonzero(total >= 0)
+    # Of equal ones that share a row or column, the first.
+    keep = np.zeros(len(row), bool)
+    first = np.intersect1d(
+        np.unique(row[certain], return_index=True)[1],
+        np.unique(column[certain], return_index=True)[1],
+    )
+    keep[certain[first]] = True
+    return keep
+
+
+def _best_other(key, weight):
+    """Return the largest weight of the other entries with the same key, or 0."""
+    order = np.lexsort((-weight, key))
+    weight, rank = weight[order], rank_in_group(key[order])
+    best = weight[np.arange(len(order)) - rank]
+    second = np.append(np.where(rank == 1, weight, 0.0), 0.0)[1:]
+    other = np.empty(len(key))
+    other[order] = np.where(rank == 0, second, best)
+    return other
+
+
+def _solve(row, column, weight):
+    """Return the indices of the chosen pairs."""
+    # Of pairs that are there twice the heavier.
+    order = np.lexsort((-weight, column, row))
+    order = order[rank_in_group(row[order], column[order]) == 0]
+    rows, r = np.unique(row[order], return_inverse=True)
+    columns, c = np.unique(column[order], return_inverse=True)
+    n, m = len(rows), len(columns)
+    if n == 0:
+        return order
+    # A seat of its own for each row makes a full matching possible.  Weights
+    # must not be zero, and the same shift of all of them changes nothing.
+    cost = np.concatenate([-weight[order], np.zeros(n)]) - weight.max() - 1.0
+    seats = np.concatenate([r, np.arange(n)]), np.concatenate([c, m + np.arange(n)])
+    graph = coo_array((cost, seats), shape=(n, m + n)).tocsr()
+    at, seat = min_weight_full_bipartite_matching(graph)
+    # Ordered by row and column, as the pairs are.
+    place = np.searchsorted(r * (m + n) + c, (at * (m + n) + seat)[seat < m])
+    return order[place]
+
+
+def connected(one, other, n):
+    """Number the groups of n nodes that pairs of nodes connect."""
+    graph = coo_array((np.ones(len(one)), (one, other)), shape=(n, n))
+    return connected_components(graph, directed=False)[1]

@@ -18,7 +18,8 @@ from astro_scc.progress import progress
 from astro_scc.tracking.candidates import core_ssps, find_candidates
 from astro_scc.tracking.likelihood import LinkLikelihood, coarser_ssps
 from astro_scc.tracking.linking import chain, link
-from astro_scc.tracking.tracks import PM_UNIT, Tracking, linked_shares, mean_fwhm
+from astro_scc.tracking.tables import PM_UNIT
+from astro_scc.tracking.tracks import Tracking, linked_shares, mean_fwhm
 
 #: Without a largest speed, displacements up to this many beams are tried.
 BEAMS_PER_INTERVAL = 4.0
@@ -209,12 +210,10 @@ class FeatureTracker:
         with progress(len(pairs), "Correlating", show=progress_bar) as done:
             for k, window in enumerate(kinds):
                 own = pairs[kind.ravel() == k]
-                # A copy, because the correlator keeps and freezes what it is given.
-                copy = None if select is None else np.array(select)
                 parts.append(
                     self._correlator()(
                         decompositions, own, tuple(int(w) for w in window),
-                        select=copy, n_workers=n_workers,
+                        select=select, n_workers=n_workers,
                     )
                 )  # fmt: skip
                 done(len(own))
@@ -341,11 +340,36 @@ class FeatureTracker:
                 cube, decompositions, select=select, permutations=permutations,
                 n_workers=n_workers, progress_bar=progress_bar,
             )  # fmt: skip
+        scales = decompositions[0].scales
+        tracks_of = self._linker(cube, ssps, select, matches, scales)
+        links, track, counts = tracks_of(np.arange(len(cube)))
+        trials = []
+        with progress(n_trials, "Permuting epochs", show=progress_bar) as done:
+            for place in permutations:
+                trials.append(tracks_of(place)[2])
+                done(1)
+        return Tracking(
+            cube=cube,
+            ssps=ssps,
+            select=select,
+            links=links,
+            track=track,
+            shares=linked_shares(counts, trials, scales, rng=rng),
+            n_trials=n_trials,
+            settings=asdict(self),
+        )
+
+    def _linker(self, cube, ssps, select, matches, scales):
+        """
+        Return a function that links the images, given their places in time.
+
+        It returns the links, the track of each SSP, and how many SSPs of each
+        scale and epoch are linked to a later one, and are there at all.
+        """
         matches = matches.of_ssps(select)
         matches = matches.select(matches.coefficient >= self.kappa)
         target = landing_ssps(matches, ssps)
         target = np.where((target >= 0) & select[target], target, -1)
-        scales = decompositions[0].scales
         core, parent = core_ssps(ssps, cube), coarser_ssps(ssps, cube.shape[2])
         years = cube.years.to_value(u.yr)
         fwhm = float(mean_fwhm(cube, scales) / cube.pixel_scale)
@@ -377,22 +401,7 @@ class FeatureTracker:
             # The last epoch has none after it.
             return links, track, np.array(counts)[:, :, :-1]
 
-        links, track, counts = tracks_of(np.arange(len(cube)))
-        trials = []
-        with progress(n_trials, "Permuting epochs", show=progress_bar) as done:
-            for place in permutations:
-                trials.append(tracks_of(place)[2])
-                done(1)
-        return Tracking(
-            cube=cube,
-            ssps=ssps,
-            select=select,
-            links=links,
-            track=track,
-            shares=linked_shares(counts, trials, scales, rng=rng),
-            n_trials=n_trials,
-            settings=asdict(self),
-        )
+        return tracks_of
 
     def _checked(self, cube, decompositions, select, n_trials):
         """Return the SSPs of all epochs, and which of them are tracked."""

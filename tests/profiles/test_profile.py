@@ -17,7 +17,11 @@ from astro_scc.profiles import (
     write_profile,
 )
 from astro_scc.simulation import simulate_jet
-from astro_scc.visualization import plot_position_angles, plot_profile, plot_scale_maps
+from astro_scc.visualization.profiles import (
+    plot_position_angles,
+    plot_profile,
+    plot_scale_maps,
+)
 
 PM = u.mas / u.yr
 TRUE = 8 * 0.1 / 30 * 365.25

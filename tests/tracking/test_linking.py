@@ -213,9 +213,8 @@ def test_transitions_are_all_pairs_that_meet():
 def links_of(pairs, kinds=None):
     source, target = np.array(pairs, dtype=int).reshape(-1, 2).T
     kinds = ["link"] * len(source) if kinds is None else kinds
-    zeros = np.zeros(len(source))
-    return Links(source, target, np.array(kinds, "U5"), zeros.astype(int), zeros, zeros,
-                 zeros)  # fmt: skip
+    zeros = np.zeros((5, len(source)))
+    return Links(source, target, *zeros, np.array(kinds, "U5"), zeros[0])
 
 
 @settings(max_examples=60, deadline=None)
@@ -252,7 +251,7 @@ def test_merges_and_splits_make_no_chains():
 
 def test_pieces_of_one_feature_make_one_track():
     source, target = np.array([0, 3, 5, 1, 7]), np.array([2, 4, 6, 8, 9])
-    links = Links(source, target, np.full(5, "link"), *(np.zeros(5) for _ in range(4)))
+    links = links_of(np.stack([source, target], axis=1))
     core = np.array([0, -1, 0, 0, 0, 1, 1, 1, -1, 1, 0])
     # SSP 10 has no link at all.
     wanted = [0, 1, 0, 0, 0, 2, 2, 2, 1, 2, -1]

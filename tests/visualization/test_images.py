@@ -15,8 +15,7 @@ from matplotlib.transforms import Affine2D
 
 from astro_scc import Beam, EpochCube
 from astro_scc.visualization import plot_epoch, plot_epochs
-from astro_scc.visualization.drawing import image_limits, ticks_of
-from astro_scc.visualization.patterns import ssp_points
+from astro_scc.visualization.drawing import image_limits, ssp_points, ticks_of
 
 
 def image_of(figure):

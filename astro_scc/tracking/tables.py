@@ -1,0 +1,247 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Features and tracks as tables of quantities."""
+
+import astropy.units as u
+import numpy as np
+from astropy.table import Column, QTable
+from astropy.time import Time
+from astropy.utils.masked import Masked
+
+from astro_scc.epochs import name_by_frame
+from astro_scc.epochs.positions import axis_words
+from astro_scc.tracking.motion import SIGNIFICANT, ejection_epoch, turn_between
+
+PM_UNIT = u.mas / u.yr
+PM_DOT_UNIT = u.mas / u.yr**2
+
+#: Name, unit or type, and what it is; of the tracks.
+COLUMNS = (
+    ("track", "U64", "name: date, scale and place of the first feature"),
+    ("scale", float, "wavelet scale number"),
+    ("n_epochs", int, "epochs at which the feature is seen"),
+    ("first", Time, "date of the first one"),
+    ("last", Time, "date of the last one"),
+    ("n_gaps", int, "epochs between them at which it is not seen"),
+    ("flux", "brightness", "median of the fluxes, sums of wavelet coefficients"),
+    ("r", u.mas, "mean distance from the reference pixel"),
+    ("pa", u.deg, "position angle of the mean position, north through east"),
+    ("middle", u.yr, "Julian year that position and motion refer to"),
+    ("east", u.mas, "fitted offset to the east at that date"),
+    ("north", u.mas, "fitted offset to the north at that date"),
+    ("pm_ra_cosdec", PM_UNIT, "proper motion to the east"),
+    ("pm_ra_cosdec_err", PM_UNIT, "standard error of pm_ra_cosdec"),
+    ("pm_dec", PM_UNIT, "proper motion to the north"),
+    ("pm_dec_err", PM_UNIT, "standard error of pm_dec"),
+    ("pm", PM_UNIT, "proper motion, its length"),
+    ("pm_err", PM_UNIT, "standard error of pm"),
+    ("pm_pa", u.deg, "direction of the proper motion, north through east"),
+    ("pm_pa_err", u.deg, "standard error of pm_pa"),
+    ("turn", u.deg, "angle between the position angle and the motion"),
+    ("scatter_east", u.mas, "robust scatter about the straight line"),
+    ("scatter_north", u.mas, "robust scatter about the straight line"),
+    ("pm_dot_parallel", PM_DOT_UNIT, "acceleration along the motion"),
+    ("pm_dot_parallel_err", PM_DOT_UNIT, "standard error of pm_dot_parallel"),
+    ("pm_dot_transverse", PM_DOT_UNIT, "acceleration to larger position angles"),
+    ("pm_dot_transverse_err", PM_DOT_UNIT, "standard error of pm_dot_transverse"),
+    ("accelerated", bool, "an acceleration of three standard errors or more"),
+    ("t_ej", u.yr, "Julian year at which the feature passed the reference pixel"),
+    ("t_ej_err", u.yr, "standard error of t_ej"),
+    ("coefficient", float, "mean correlation of its links"),
+    ("gain", float, "mean log-likelihood by which its links better no link"),
+    ("n_merges", int, "other features that went into it"),
+    ("n_splits", int, "other features that came out of it"),
+    ("merges_into", "U64", "track that it goes into at its end"),
+    ("splits_from", "U64", "track that it comes out of at its beginning"),
+)
+#: Columns that not every track has begin with these.
+PARTIAL = ("pm_dot", "t_ej")
+
+
+def track_table(tracking):
+    """Return the tracks, one row each; all columns are there even without a row."""
+    cube = tracking.cube
+    rows = [_motion_row(tracking, number) for number in range(tracking.n_tracks)]
+    table = QTable()
+    for name, kind, description in COLUMNS:
+        values = [row[name] for row in rows]
+        unit = cube.unit if kind == "brightness" else kind
+        if isinstance(unit, u.UnitBase):
+            missing = np.array([value is None for value in values], dtype=bool)
+            numbers = [0.0 if value is None else value for value in values]
+            column = np.array(numbers, dtype=float) * unit
+            masked = name.startswith(PARTIAL)
+            table[name] = Masked(column, mask=missing) if masked else column
+        elif kind is Time:
+            at = np.array(values, dtype=int)
+            table[name] = Time(cube.times[at], format="isot")
+        else:
+            table[name] = Column(np.array(values, dtype=kind))
+        table[name].info.description = description
+    return name_by_frame(table, cube)
+
+
+def _motion_row(tracking, number):
+    """Return the entries of a track: plain numbers or None, for dates the epochs."""
+    own = tracking.members(number)
+    ssps, links = tracking.ssps, tracking.links
+    fit = tracking.fits[number]
+    epochs = ssps.epoch[own]
+    east, north = tracking.offsets[:, own]
+    start = tracking.cube.times[0].jyear
+    (x, vx), (y, vy) = fit.coefficients
+    speed_err, angle_err = fit.velocity_errors
+    parallel, transverse, accelerated = _acceleration(tracking, number)
+    epoch, epoch_err = ejection_epoch(fit, tracking.fwhm.value, accelerated=accelerated)
+    starts, ends = np.isin(links.source, own), np.isin(links.target, own)
+    is_link = (links.kind == "link") & starts & ends
+    return {
+        "track": tracking.names[number],
+        "scale": ssps.scale[own[0]],
+        "n_epochs": len(own),
+        "first": epochs[0],
+        "last": epochs[-1],
+        "n_gaps": int(epochs[-1] - epochs[0] + 1 - len(own)),
+        "flux": np.median(ssps.flux[own]),
+        "r": np.mean(np.hypot(east, north)),
+        "pa": _angle(east.mean(), north.mean()),
+        "middle": start + fit.middle,
+        "east": x,
+        "north": y,
+        "pm_ra_cosdec": vx,
+        "pm_ra_cosdec_err": fit.errors[0, 1],
+        "pm_dec": vy,
+        "pm_dec_err": fit.errors[1, 1],
+        "pm": np.hypot(vx, vy),
+        "pm_err": speed_err,
+        "pm_pa": _angle(vx, vy),
+        "pm_pa_err": min(np.degrees(angle_err), 180.0),
+        "turn": turn_between((east.mean(), north.mean()), (vx, vy)),
+        "scatter_east": fit.scatter[0],
+        "scatter_north": fit.scatter[1],
+        "pm_dot_parallel": parallel[0],
+        "pm_dot_parallel_err": parallel[1],
+        "pm_dot_transverse": transverse[0],
+        "pm_dot_transverse_err": transverse[1],
+        "accelerated": accelerated,
+        "t_ej": None if epoch is None else start + epoch,
+        "t_ej_err": epoch_err,
+        "coefficient": links.coefficient[is_link].mean(),
+        "gain": links.gain[is_link].mean(),
+        "n_merges": int(np.sum(ends & (links.kind == "merge"))),
+        "n_splits": int(np.sum(starts & (links.kind == "split"))),
+        "merges_into": _name(tracking, links.target, links.source == own[-1], "merge"),
+        "splits_from": _name(tracking, links.source, links.target == own[0], "split"),
+    }
+
+
+def _name(tracking, other, at, kind):
+    """Return the name of the track at the other end of a merge or split, or none."""
+    track = tracking.track[other[at & (tracking.links.kind == kind)]][:1]
+    return tracking.names[track[0]] if np.any(track >= 0) else ""
+
+
+def _angle(east, north):
+    return float(np.degrees(np.arctan2(east, north)) % 360)
+
+
+def _acceleration(tracking, number):
+    """Return the components of the acceleration with errors, and whether it counts."""
+    fit = tracking.accelerated_fits[number]
+    if fit is None:
+        return (None, None), (None, None), False
+    velocity = fit.coefficients[:, 1]
+    speed = np.hypot(*velocity)
+    along = velocity / speed if speed > 0 else np.array([0.0, 1.0])
+    # To larger position angles, as in `PositionAngleFrame`.
+    across = np.array([along[1], -along[0]])
+    pairs = [
+        (
+            float(axis @ fit.coefficients[:, 2]),
+            float(np.sqrt(np.sum((axis * fit.errors[:, 2]) ** 2))),
+        )
+        for axis in (along, across)
+    ]
+    return *pairs, any(abs(a) >= SIGNIFICANT * e for a, e in pairs)
+
+
+def feature_table(tracking):
+    """Return the features of all tracks, one row a feature and epoch."""
+    from astropy.coordinates import SkyCoord
+
+    ssps, cube = tracking.ssps, tracking.cube
+    own = np.flatnonzero(tracking.track >= 0)
+    own = own[np.lexsort((ssps.epoch[own], tracking.track[own]))]
+    track = tracking.track[own]
+    east, north = tracking.offsets[:, own]
+    errors = tracking.offset_errors[:, own]
+    first = np.diff(track, prepend=-1) != 0
+    after = np.diff(ssps.epoch[own], prepend=0)
+    table = QTable(
+        {
+            "track": np.array([*tracking.names, ""], dtype="U64")[track],
+            "epoch": ssps.epoch[own].astype(int),
+            "date": Time(cube.times[ssps.epoch[own]], format="isot"),
+            "scale": ssps.scale[own],
+            "ssp": own,
+            "link": np.where(first, "first", np.where(after > 1, "gap", "link")),
+            "east": east * u.mas,
+            "north": north * u.mas,
+            "east_err": errors[0] * u.mas,
+            "north_err": errors[1] * u.mas,
+            "r": np.hypot(east, north) * u.mas,
+            "pa": np.degrees(np.arctan2(east, north)) % 360 * u.deg,
+            "peak": ssps.peak[own] * cube.unit,
+            "flux": ssps.flux[own] * cube.unit,
+            "snr": ssps.snr[own],
+        }
+    )
+    table["flux"].info.description = "sum of the wavelet coefficients of the pixels"
+    velocity = np.array([fit.coefficients[:, 1] for fit in tracking.fits], dtype=float)
+    vx, vy = velocity.reshape(-1, 2)[track].T * PM_UNIT
+    if axis_words(cube)[0] == "east":
+        place = cube.wcs.pixel_to_world(ssps.x[own], ssps.y[own]).icrs
+        motion = {"pm_ra_cosdec": vx, "pm_dec": vy}
+        table["sky"] = SkyCoord(ra=place.ra, dec=place.dec, frame="icrs", **motion)
+        return table
+    lon, lat = cube.wcs.pixel_to_world_values(ssps.x[own], ssps.y[own])
+    table["lon"], table["lat"] = lon * u.deg, lat * u.deg
+    table["pm_ra_cosdec"], table["pm_dec"] = vx, vy
+    return name_by_frame(table, cube)
+
+
+def plain_table(table):
+    """
+    Return a table without objects, as VOTable can hold it.
+
+    Parameters
+    ----------
+    table : `~astropy.table.QTable`
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        Coordinates become the columns ``ra`` and ``dec``, with proper
+        motions beside them, and dates text.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> from astropy.table import QTable
+    >>> from astro_scc.tracking import plain_table
+    >>> sky = SkyCoord([1, 2], [3, 4], unit="deg", pm_ra_cosdec=[0, 1] * u.mas / u.yr,
+    ...                pm_dec=[0, 1] * u.mas / u.yr)
+    >>> plain_table(QTable({"sky": sky})).colnames
+    ['ra', 'dec', 'pm_ra_cosdec', 'pm_dec']
+    """
+    from astropy.coordinates import SkyCoord
+
+    plain = QTable()
+    for name, column in table.items():
+        if isinstance(column, SkyCoord):
+            plain["ra"], plain["dec"] = column.ra.to(u.deg), column.dec.to(u.deg)
+            plain["pm_ra_cosdec"] = column.pm_ra_cosdec
+            plain["pm_dec"] = column.pm_dec
+        else:
+            plain[name] = column.isot if isinstance(column, Time) else column
+    return plain
