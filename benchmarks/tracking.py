@@ -38,7 +38,7 @@ SOURCES = {
     "3C 273": ("1226+023", Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg), 2.0),
     "3C 120": ("0430+052", Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg), 4.0),
 }
-#: A sighting of MOJAVE's is a track's if it is this near, in mas.
+#: A position of MOJAVE's feature belongs to a track if it is this near, in mas.
 NEAR = 0.3
 
 
@@ -244,7 +244,7 @@ def mojave(folder):
 
 
 def beside(tracking, components, fit):
-    """The track that is nearest to most sightings of a feature, and how it differs."""
+    """The track that is nearest to most positions of a feature, and how it differs."""
     own = np.flatnonzero(components.feature == fit["feature"])
     at = np.stack([components.east[own].value, components.north[own].value])
     near = {}

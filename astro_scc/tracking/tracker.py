@@ -242,11 +242,10 @@ class FeatureTracker:
         """Return the largest speeds along (y, x), in pixels a year."""
         limits = self._limits(cube, scales)
         matrix = np.linalg.inv(cube.pixel_matrix.value)
-        if self._any_direction:
-            return limits[0, 1] * np.hypot(*matrix.T)[::-1]
-        if isinstance(self.position_angle, str):
-            # Any direction on the sky.
-            return np.hypot(*np.abs(limits).max(axis=1)) * np.hypot(*matrix.T)[::-1]
+        if self._any_direction or isinstance(self.position_angle, str):
+            ends = np.abs(limits).max(axis=1)
+            fastest = ends[0] if self._any_direction else np.hypot(*ends)
+            return fastest * np.hypot(*matrix.T)[::-1]
         corners = np.stack(np.meshgrid(*limits)).reshape(2, -1)
         # Symmetric and orthogonal, the frame's matrix is its own inverse.
         pixels = matrix @ self._frame().matrix() @ corners

@@ -126,6 +126,7 @@ def draw_map(ax, values, grid, unit):
     )  # fmt: skip
     ax.axhline(0, color="white", linewidth=0.6, alpha=0.6)
     ax.axvline(0, color="white", linewidth=0.6, alpha=0.6)
+    ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     return drawn
 
 

@@ -20,7 +20,7 @@ OF_RESULTS = (
 )
 OF_CUBES = (
     lambda result, **kw: visualization.plot_epoch(result.cube, 0, result.ssps, **kw),
-    lambda result, **kw: visualization.plot_epochs(result.cube, result.ssps, **kw),
+    lambda result, **kw: visualization.plot_epochs(result.cube[:3], result.ssps, **kw),
     lambda result, **kw: visualization.plot_intervals(result.cube, result.pairs, **kw),
 )
 
