@@ -360,7 +360,7 @@ def linked_shares(counts, permuted, scales, *, rng=None):
         resampled = _ratio(linked[again].sum(axis=1), total[again].sum(axis=1))
         chance = np.nan, np.nan, np.nan
         if len(trials):
-            p_value = (1 + np.sum(np.array(trials) >= share)) / (1 + len(trials))
+            p_value = (1 + np.sum(trials >= share)) / (1 + len(trials))
             chance = np.mean(trials), np.std(trials), p_value
         found.append(
             LinkedShare(
