@@ -17,7 +17,7 @@ from astro_scc.kinematics import table_in_c
 from astro_scc.quantities import named, to_quantity
 from astro_scc.tracking.linking import Links
 from astro_scc.tracking.motion import fit_motion, track_profile
-from astro_scc.tracking.tables import PM_UNIT, feature_table, track_table
+from astro_scc.tracking.tables import feature_table, track_table
 
 #: Positions are not known better than to this part of a beam (Lister et al. 2009).
 POSITION_FLOOR = 0.05
@@ -304,8 +304,8 @@ class Tracking:
         return QTable(
             {
                 "r": radii[use],
-                "speed": speed[use] * PM_UNIT,
-                "speed_err": speed_err[use] * PM_UNIT,
+                "speed": speed[use] * u.mas / u.yr,
+                "speed_err": speed_err[use] * u.mas / u.yr,
                 "n_tracks": n_tracks[use],
             },
             meta={"half_width": half_width},
