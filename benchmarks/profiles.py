@@ -41,7 +41,7 @@ from astro_scc.flow import (
 )
 from astro_scc.kinematics import apparent_speed
 from astro_scc.measurement import select_ssps
-from astro_scc.tracking import track_profile
+from astro_scc.tracking.motion import track_profile
 
 SOURCE = {source.name: source for source in SOURCES}
 VIEWING_ANGLE = 15 * u.deg
@@ -291,7 +291,7 @@ def streams_of_3c273(args):
               "scales 3, 4", "p, Anderson-Darling", "p, paired"]  # fmt: skip
     write_table("stratification_3c273_places", header, places)
     from astro_scc.flow.groups import ssp_places
-    from astro_scc.visualization import plot_position_angles
+    from astro_scc.visualization.profiles import plot_position_angles
 
     angle, _, _ = ssp_places(scc, matched)
     inner = select_ssps(matched, r_min=1 * u.mas, r_max=6 * u.mas).select

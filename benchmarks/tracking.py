@@ -23,7 +23,7 @@ from astro_scc import Beam, EpochCube
 from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import read_components, restore
 from astro_scc.simulation import simulate_two_fluid
-from astro_scc.tracking import FeatureTracker, assign, groups_of
+from astro_scc.tracking import FeatureTracker, assign
 
 PM_UNIT = u.mas / u.yr
 #: Of the paper's jet: 1 pixel an epoch is 1.2175 mas/yr.
@@ -38,7 +38,7 @@ SOURCES = {
     "3C 273": ("1226+023", Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg), 2.0),
     "3C 120": ("0430+052", Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg), 4.0),
 }
-#: A sighting of MOJAVE's is a track's if it is this near, in mas.
+#: A position of MOJAVE's feature belongs to a track if it is this near, in mas.
 NEAR = 0.3
 
 
@@ -244,7 +244,7 @@ def mojave(folder):
 
 
 def beside(tracking, components, fit):
-    """The track that is nearest to most sightings of a feature, and how it differs."""
+    """The track that is nearest to most positions of a feature, and how it differs."""
     own = np.flatnonzero(components.feature == fit["feature"])
     at = np.stack([components.east[own].value, components.north[own].value])
     near = {}
@@ -379,9 +379,8 @@ def cost():
 
     row, column = (a.ravel() for a in np.mgrid[:50, :50])
     weight = np.random.default_rng(1).uniform(5, 6, row.size)
-    n_groups = groups_of(row, column).max() + 1
     chosen, spent = seconds(assign, row, column, weight)
-    rows.append([f"50 features in {n_groups} group, all pairs", int(chosen.sum()),
+    rows.append(["50 features in 1 group, all pairs", int(chosen.sum()),
                  "", "", f"{spent:.4f}"])  # fmt: skip
     header = ["what", "SSPs", "decompose (s)", "correlate (s)", "track (s)"]
     write_table("tracking_cost", header, rows)

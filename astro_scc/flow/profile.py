@@ -314,11 +314,8 @@ def write_profile(profile, components, directory, *, configuration=None, text=No
 
 def _figures(profile, components):
     """Return the figures of a profile by their names."""
-    from astro_scc.visualization import (
-        plot_position_angles,
-        plot_profile,
-        plot_scale_maps,
-    )
+    from astro_scc.visualization import plot_profile
+    from astro_scc.visualization.profiles import plot_position_angles, plot_scale_maps
 
     results = [result for result in profile.results if result is not None]
     first, beta = results[0], None

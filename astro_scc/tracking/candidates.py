@@ -7,10 +7,10 @@ import numpy as np
 
 from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 
-__all__ = ["Candidates", "core_ssps", "find_candidates"]
-
-#: Features are told apart from the core beyond this part of a beam, its half width.
+#: Features are distinguished from the core beyond this part of a beam, its half width.
 CORE_RADIUS = 0.5
+#: Candidates of one SSP for one epoch that are kept, those of highest correlation.
+MAX_CANDIDATES = 12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,9 +57,14 @@ class Candidates:
     def __repr__(self):
         return f"<Candidates: {len(self)} of {len(np.unique(self.source))} SSPs>"
 
+    @property
+    def motion(self):
+        """Displacements (y, x), shape (n, 2)."""
+        return np.stack([self.dy, self.dx], axis=1)
+
     def select(self, keep):
         """
-        Some of the candidates.
+        Return some of the candidates.
 
         Parameters
         ----------
@@ -68,24 +73,25 @@ class Candidates:
         Returns
         -------
         `Candidates`
+            Of links, `Links`.
         """
-        return Candidates(*(getattr(self, f.name)[keep] for f in fields(self)))
+        return type(self)(*(getattr(self, f.name)[keep] for f in fields(self)))
 
 
 def find_candidates(
-    matches, landed, ssps, years, *, place=None, max_gap=1, most=12, inside=None
+    matches, target_ssp, ssps, years, *, place=None, max_gap=1, inside=None
 ):
     """
-    Candidates out of the correlation peaks.
+    Return the candidates among the correlation peaks.
 
     A peak is a candidate if it falls on an SSP of the same scale of a later
     epoch.  Of several peaks of one SSP on the same other one the highest
-    counts.
+    counts, and of the candidates of one SSP for one epoch the twelve highest.
 
     Parameters
     ----------
     matches : `~astro_scc.correlation.Matches`
-    landed : array_like of int, shape (n_matches,)
+    target_ssp : array_like of int, shape (n_matches,)
         The SSP that each match falls on, or -1, see
         `~astro_scc.correlation.target_ssps`.
     ssps : `~astro_scc.decomposition.SSPs`
@@ -93,26 +99,17 @@ def find_candidates(
     years : array_like, shape (n_epochs,)
         Dates in order, not decreasing.
     place : array_like of int, shape (n_epochs,), optional
-        Place in time of each image, of a shuffled order; their own one by
-        default.
+        Place in time of each image, of a permutation of the epochs; their own
+        one by default.
     max_gap : int, optional
-        Most epochs between source and target.
-    most : int, optional
-        Of each SSP's candidates for an epoch, those of the highest
-        coefficients.
+        Most epochs between source and target, 0 or more.
     inside : callable, optional
-        Given `Candidates`, says which of them move as fast as they may.
+        Given `Candidates`, says which of them are within the limits of speed.
 
     Returns
     -------
     `Candidates`
         Ordered by source and target.
-
-    Raises
-    ------
-    ValueError
-        If ``max_gap`` is negative, ``most`` not positive, or the dates
-        decrease.
 
     Examples
     --------
@@ -133,21 +130,15 @@ def find_candidates(
     ([0, 0, 1], [1, 2, 2], [6.0, 12.0, 6.0])
     """
     years = np.asarray(years, dtype=float)
-    if max_gap < 0 or most < 1:
-        raise ValueError(
-            f"max_gap must be 0 or more and most 1 or more, got {max_gap} and {most}"
-        )
-    if np.any(np.diff(years) < 0):
-        raise ValueError("the dates of the epochs must not decrease")
     place = np.arange(len(years)) if place is None else np.asarray(place)
-    source, target = matches.ssp.astype(int), np.asarray(landed, dtype=int)
+    source, target = matches.ssp.astype(int), np.asarray(target_ssp, dtype=int)
     at, to = place[ssps.epoch[source]], place[matches.target]
     use = (target >= 0) & (to > at) & (to - at <= max_gap + 1) & (years[to] > years[at])
     source, target, at, to = source[use], target[use], at[use], to[use]
     coefficient = matches.coefficient[use].astype(float)
     # The best peak of each pair of SSPs.
     order = np.lexsort((-coefficient, target, source))
-    order = order[_first_of(source[order], target[order])]
+    order = order[rank_in_group(source[order], target[order]) == 0]
     source, target, at, to = source[order], target[order], at[order], to[order]
     found = Candidates(
         source=source,
@@ -160,44 +151,20 @@ def find_candidates(
     )
     if inside is not None:
         found = found.select(inside(found))
-    # The best ones of each SSP and epoch.
     order = np.lexsort((-found.coefficient, found.gap, found.source))
-    start = np.flatnonzero(_first_of(found.source[order], found.gap[order]))
-    size = np.diff([*start, len(order)])[: len(start)]
-    rank = np.arange(len(order)) - np.repeat(start, size)
-    return found.select(np.sort(order[rank < most]))
+    rank = rank_in_group(found.source[order], found.gap[order])
+    return found.select(np.sort(order[rank < MAX_CANDIDATES]))
 
 
 def core_ssps(ssps, cube):
     """
-    The SSPs that are the core of a jet.
+    Return the number of the scale of the SSPs that are the core of a jet.
 
-    On each scale and at each epoch the nearest one to the reference pixel,
-    if it is no farther from it than half the width of the beam; on scales
-    on which there is one at half of the epochs at least, because what
-    passes by is no core.
-
-    Parameters
-    ----------
-    ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs.
-    cube : `~astro_scc.epochs.EpochCube`
-        Aligned on the core, if it has one.
-
-    Returns
-    -------
-    `~numpy.ndarray` of int, shape (n_ssps,)
-        Number of the scale for the core's SSPs, from 0, and -1 for others.
-
-    Examples
-    --------
-    >>> from astro_scc.decomposition import Decomposer, SSPs
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.tracking import core_ssps
-    >>> cube = simulate_two_fluid(n_epochs=3, core=5.0, rng=1).cube
-    >>> ssps = SSPs.of_epochs([Decomposer(scales=[2])(image) for image in cube.data])
-    >>> (core_ssps(ssps, cube) == 0).sum().item()
-    3
+    The core is, on each scale and at each epoch, the nearest SSP to the
+    reference pixel of the cube, if it is no farther from it than half the
+    width of the beam; on scales on which there is one at half of the epochs at
+    least, because what passes by is no core.  Scales count from 0; all other
+    SSPs have -1.
     """
     offset = np.stack(ssp_offsets(ssps, cube), axis=1)
     distance = np.hypot(*offset.T)
@@ -205,7 +172,7 @@ def core_ssps(ssps, cube):
     axis = np.stack([np.sin(away), np.cos(away)], axis=1)
     distance /= beam_fwhm(cube, ssps.epoch, ssps.scale, axis[:, None])[:, 0]
     order = np.lexsort((distance, ssps.epoch, ssps.scale))
-    nearest = order[_first_of(ssps.scale[order], ssps.epoch[order])]
+    nearest = order[rank_in_group(ssps.scale[order], ssps.epoch[order]) == 0]
     nearest = nearest[distance[nearest] <= CORE_RADIUS]
     _, number, count = np.unique(
         ssps.scale[nearest], return_inverse=True, return_counts=True
@@ -215,10 +182,17 @@ def core_ssps(ssps, cube):
     return core
 
 
-def _first_of(*keys):
-    """Which entries of sorted keys differ from the one before."""
-    new = np.zeros(len(keys[0]), bool)
-    new[:1] = True
-    for key in keys:
-        new[1:] |= key[1:] != key[:-1]
-    return new
+def rank_in_group(*keys):
+    """Return the place of each entry of sorted keys among those equal to it."""
+    new = np.ones(len(keys[0]), bool)
+    new[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
+    return np.arange(len(new)) - np.flatnonzero(new)[np.cumsum(new) - 1]
+
+
+def equal_pairs(one, other):
+    """Return all (i, k) with ``one[i] == other[k]``, by k and then by i."""
+    order = np.argsort(one, kind="stable")
+    ends = [np.searchsorted(one[order], other, side=s) for s in ("left", "right")]
+    count = ends[1] - ends[0]
+    k = np.repeat(np.arange(len(other)), count)
+    return order[ends[0][k] + rank_in_group(k)], k

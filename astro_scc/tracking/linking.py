@@ -1,43 +1,39 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""From candidates to links, scale by scale, the coarsest first."""
+"""From candidates to links, scale by scale, the coarsest first, and to tracks."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import (
+    connected_components,
+    min_weight_full_bipartite_matching,
+)
 
 from astro_scc.decomposition import scale_size
-from astro_scc.tracking.assignment import assign
-from astro_scc.tracking.evidence import Evidence, chance_density
-from astro_scc.tracking.paths import Transitions, link_gains
-from astro_scc.tracking.sharing import company_gain, shared_seats
-
-__all__ = ["Links", "link"]
+from astro_scc.tracking.candidates import Candidates, equal_pairs, rank_in_group
+from astro_scc.tracking.likelihood import MERGE_COST, LinkLikelihood, chance_density
 
 #: Rounds in which candidates are judged by the links of the round before.
 ROUNDS = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Links:
+class Links(Candidates):
     """
-    Which SSP is which other one, later.
+    The candidates that are links: which SSP is which other one, later.
 
     Attributes
     ----------
     source, target : `~numpy.ndarray` of int, shape (n,)
         Indices in the catalogue of the SSPs of all epochs.  Of links of kind
         "link" no SSP has more than one before it and one after it.
+    dy, dx, interval, gap, coefficient : `~numpy.ndarray`, shape (n,)
+        As in `Candidates`.
     kind : `~numpy.ndarray` of str, shape (n,)
         "link"; "merge", the source goes into a target that has another
         source; "split", the target comes out of a source that has another
         target.
-    gap : `~numpy.ndarray` of int, shape (n,)
-        Epochs between the two at which the feature is not seen.
-    interval : `~numpy.ndarray`, shape (n,)
-    coefficient : `~numpy.ndarray`, shape (n,)
-        Correlation of source and target.
     gain : `~numpy.ndarray`, shape (n,)
         Log-likelihood by which the link betters the tracks that it joins.
 
@@ -50,41 +46,31 @@ class Links:
     >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
     >>> decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
     >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
-    >>> tracking = tracker(cube, decompositions)
-    >>> links = tracking.links
+    >>> links = tracker(cube, decompositions).links
     >>> set(links.kind.tolist()) <= {"link", "merge", "split"}
     True
     >>> bool((links.interval > 0).all())
     True
     """
 
-    source: np.ndarray
-    target: np.ndarray
     kind: np.ndarray
-    gap: np.ndarray
-    interval: np.ndarray
-    coefficient: np.ndarray
     gain: np.ndarray
-
-    def __len__(self):
-        return len(self.source)
 
     def __repr__(self):
         counts = [f"{np.sum(self.kind == k)} {k}s" for k in ("link", "merge", "split")]
         return f"<Links: {', '.join(counts)}>"
 
 
-def link(candidates, ssps, *, parent=None, place=None, evidence=None):
+def link(candidates, ssps, *, parent=None, place=None, likelihood=None):
     """
     Choose links among candidates.
 
     On each scale, the coarsest first, all candidates are judged by what they
-    add to the best paths through several epochs (`link_gains`), and the
-    choice of the largest sum is made for each pair of epochs (`assign`),
-    consecutive ones first.  Then candidates are judged anew, each by the
-    links that were chosen and their mean velocity, before it and after it,
-    until nothing changes or five times.
-    What is left without a partner may merge or split (`shared_seats`).
+    add to the best paths through several epochs, and the choice of the
+    largest sum is made for each pair of epochs (`assign`), consecutive ones
+    first.  Then candidates are judged anew, each by the links that were
+    chosen and their mean velocity, before it and after it, until nothing
+    changes or five times.  What is left without a partner may merge or split.
 
     Parameters
     ----------
@@ -92,11 +78,11 @@ def link(candidates, ssps, *, parent=None, place=None, evidence=None):
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
     parent : array_like of int, shape (n_ssps,), optional
-        The larger SSP that each lies in, see `parents`: its motion is then
-        the first guess for the smaller ones in it.
+        The SSP of the next coarser scale that each lies in, or -1: its motion
+        is then the prior of the smaller ones in it.
     place : array_like of int, shape (n_epochs,), optional
         Place in time of each image, as for `find_candidates`.
-    evidence : `Evidence`, optional
+    likelihood : `LinkLikelihood`, optional
 
     Returns
     -------
@@ -121,66 +107,72 @@ def link(candidates, ssps, *, parent=None, place=None, evidence=None):
     >>> links.source.tolist(), links.target.tolist()
     ([0, 1], [1, 2])
     """
-    evidence = Evidence() if evidence is None else evidence
-    n_epochs = int(ssps.epoch.max(initial=-1)) + 1
-    place = np.arange(n_epochs) if place is None else np.asarray(place)
-    step = place[ssps.epoch]
+    likelihood = LinkLikelihood() if likelihood is None else likelihood
+    place = np.arange(ssps.epoch.max(initial=-1) + 1) if place is None else place
+    step = np.asarray(place)[ssps.epoch]
     density = chance_density(ssps)
-    looks = evidence.looks(candidates, ssps)
+    similarity = likelihood.similarity(candidates, ssps)
     scale = ssps.scale[candidates.source]
-    coarser, parts = None, []
+    chosen, kinds, gains = [], [np.empty(0, "U5")], [np.empty(0)]
+    coarse = width = None
     for value in sorted(np.unique(ssps.scale), reverse=True):
         own = np.flatnonzero(scale == value)
         part = candidates.select(own)
-        worth = looks[own] + company_gain(part, ssps, evidence)
-        if coarser is not None and parent is not None:
-            worth = worth + _guidance(part, *coarser, density, evidence)
-        chosen, gain = _link_scale(part, worth, step, density, evidence)
-        kind, extra = shared_seats(part, chosen, ssps, evidence)
-        gain = np.where(chosen, gain, extra)
-        parts.append((part, kind, gain))
-        coarser = chosen, part, parent, value
-    return _joined(parts)
+        worth = similarity[own] + likelihood.merged_flux(part, ssps)
+        if coarse is not None and parent is not None:
+            worth = worth + likelihood.coarse_to_fine(
+                part, coarse, parent, width, density
+            )
+        best, gain = _link_scale(part, worth, step, density, likelihood)
+        kind, seat_gain = _merges_and_splits(part, best, ssps, likelihood)
+        coarse, width = part.select(best), scale_size(value)
+        chosen.append(own[kind != ""])
+        kinds.append(kind[kind != ""])
+        gains.append(np.where(best, gain, seat_gain)[kind != ""])
+    links = candidates.select(np.concatenate([np.empty(0, int), *chosen]))
+    order = np.lexsort((links.target, links.source))
+    return Links(
+        **vars(links.select(order)),
+        kind=np.concatenate(kinds)[order],
+        gain=np.concatenate(gains)[order],
+    )
 
 
-def _link_scale(part, worth, step, density, evidence):
-    n_nodes = len(step)
-    transitions = Transitions.of(part.source, part.target, n_nodes)
+def _link_scale(part, worth, step, density, likelihood):
+    """Return which candidates of a scale are chosen, and the gains of all."""
+    transitions = equal_pairs(part.target, part.source)
     use, chosen, gain = None, np.zeros(len(part), bool), np.zeros(len(part))
     for _ in range(ROUNDS):
-        between = _steadiness(part, chosen, transitions, step, density, evidence)
-        gain = link_gains(
-            part.source, part.target, worth, transitions, between, step, n_nodes,
-            use=use,
-        )  # fmt: skip
-        now = _choose(part, gain, step, n_nodes)
+        between = _steady_motion(part, chosen, transitions, step, density, likelihood)
+        gain = path_gains(part, worth, transitions, between, step, use=use)
+        now = _choose(part, gain, len(step))
         if np.array_equal(now, chosen):
             break
         use = chosen = now
     return chosen, gain
 
 
-def _steadiness(part, chosen, transitions, step, density, evidence):
-    """Each transition by the track before it, and by the track after it."""
-    motion = np.stack([part.dy, part.dx], axis=1)
+def _steady_motion(part, chosen, transitions, step, density, likelihood):
+    """Return the term of each transition by the track before and the one after it."""
+    motion = part.motion
     weight = part.interval**2
     total = motion * part.interval[:, None]
     own = np.flatnonzero(chosen)
     # The links of one track after another, each in time order.
-    ends = part.source[own], part.target[own]
-    graph = coo_array((np.ones(len(own)), ends), shape=(len(step),) * 2)
-    track = connected_components(graph, directed=False)[1][ends[0]]
-    order = np.lexsort((step[ends[0]], track))
+    source = part.source[own]
+    track = connected(source, part.target[own], len(step))[source]
+    order = np.lexsort((step[source], track))
     own, track = own[order], track[order]
+    before, after = transitions
     between = []
     for one, other, end, way in (
-        (transitions.before, transitions.after, part.target, slice(None)),
-        (transitions.after, transitions.before, part.source, slice(None, None, -1)),
+        (before, after, part.target, slice(None)),
+        (after, before, part.source, slice(None, None, -1)),
     ):
         sums = np.column_stack([weight, total])
         sums[own[way]] = _running_sums(sums[own[way]], track[way])
         between.append(
-            evidence.steadiness(
+            likelihood.steady_motion(
                 motion[other], part.interval[other],
                 sums[one, 1:] / sums[one, :1], sums[one, 0], density[end[other]],
             )
@@ -189,62 +181,244 @@ def _steadiness(part, chosen, transitions, step, density, evidence):
 
 
 def _running_sums(values, group):
-    """Sums of the rows up to each one, within its group."""
+    """Return the sums of the rows up to each one, within its group."""
     sums = np.cumsum(values, axis=0)
-    first = np.flatnonzero(np.diff(group, prepend=-1))
-    size = np.diff([*first, len(group)])
-    return sums - np.repeat(sums[first] - values[first], size, axis=0)
+    first = np.arange(len(group)) - rank_in_group(group)
+    return sums - (sums[first] - values[first])
 
 
-def _choose(part, gain, step, n_nodes):
-    """The best links of each pair of epochs, the nearest epochs first."""
+def _choose(part, gain, n_ssps):
+    """Return the best links of each pair of epochs, the nearest epochs first."""
     chosen = np.zeros(len(part), bool)
     for gap in np.unique(part.gap):
-        gone = np.zeros((2, n_nodes), bool)
-        gone[0, part.source[chosen]] = True
-        gone[1, part.target[chosen]] = True
+        taken = np.zeros((2, n_ssps), bool)
+        taken[0, part.source[chosen]] = True
+        taken[1, part.target[chosen]] = True
         # The pairs of epochs have no SSPs in common: one call for all of them.
         own = np.flatnonzero(
-            (part.gap == gap) & ~gone[0, part.source] & ~gone[1, part.target]
+            (part.gap == gap) & ~taken[0, part.source] & ~taken[1, part.target]
         )
         chosen[own[assign(part.source[own], part.target[own], gain[own])]] = True
     return chosen
 
 
-def _guidance(part, chosen, coarse, parent, scale, density, evidence):
-    """What the links of the coarser scale say of the candidates of the finer."""
-    worth = np.zeros(len(part))
-    larger = parent[part.source]
-    for gap in np.unique(part.gap):
-        of_gap = chosen & (coarse.gap == gap)
-        motion = np.full((len(parent), 2), np.nan)
-        motion[coarse.source[of_gap], 0] = coarse.dy[of_gap]
-        motion[coarse.source[of_gap], 1] = coarse.dx[of_gap]
-        own = np.flatnonzero((part.gap == gap) & (larger >= 0))
-        own = own[np.isfinite(motion[larger[own], 0])]
-        away = np.stack([part.dy[own], part.dx[own]], axis=1) - motion[larger[own]]
-        worth[own] = evidence.guidance(
-            away, scale_size(scale), density[part.target[own]]
+def path_gains(part, worth, transitions, between, step, *, use=None):
+    """
+    Return what each candidate adds to the best paths that it connects.
+
+    The value of a path is the sum of the worth of its candidates and of the
+    transitions between them; a path may begin and end anywhere.  Two passes,
+    forward and back in time, give the best path through each candidate; its
+    gain is the value of that less the values of the best path that ends at
+    its source and of the best one that begins at its target.  The work is
+    linear in the number of transitions.
+
+    ``transitions`` are the pairs of candidates that meet in an SSP, earlier
+    and later one, ``between`` their values forward and back in time, shape (2,
+    n_transitions), ``step`` the place in time of each SSP; only candidates of
+    ``use``, all by default, come before and after another one.
+    """
+    use = np.ones(len(part), bool) if use is None else use
+    before, after = transitions
+    into, onto = use[before], use[after]
+    forward, ending = _best_paths(
+        part.source, part.target, worth, before[into], after[into], between[0, into],
+        step, use,
+    )  # fmt: skip
+    back, beginning = _best_paths(
+        part.target, part.source, worth, after[onto], before[onto], between[1, onto],
+        -step, use,
+    )  # fmt: skip
+    return forward + back - worth - ending[part.source] - beginning[part.target]
+
+
+def _best_paths(source, target, worth, before, after, between, step, use):
+    """Return the value of the best path up to each candidate, and to each SSP."""
+    best = worth.astype(float).copy()
+    at = step[source]
+    order = np.lexsort((after, at[after]))
+    before, after, between = before[order], after[order], between[order]
+    first = np.flatnonzero(rank_in_group(at[after]) == 0)
+    for start, stop in zip(first, [*first[1:], len(after)][: len(first)], strict=True):
+        own = slice(start, stop)
+        head = np.flatnonzero(rank_in_group(after[own]) == 0)
+        gain = np.maximum.reduceat(best[before[own]] + between[own], head)
+        best[after[own][head]] += np.maximum(gain, 0.0)
+    ending = np.zeros(len(step))
+    np.maximum.at(ending, target[use], best[use])
+    return best, ending
+
+
+def _merges_and_splits(part, chosen, ssps, likelihood):
+    """
+    Give SSPs without a partner a seat beside a neighbour.
+
+    A source that has no target may share that of a neighbour (a merge), a
+    target that has no source that of a neighbour (a split), up to three
+    together.  Its candidate must move as the neighbour's link does, and the
+    sum of their fluxes must explain the flux on the other side better than one
+    of them alone: the gain of the seat is that of the candidate's correlation
+    and of the brightness, less one.  The seats are given by `assign`, merges
+    first.  Returned are the kind of each candidate, "" for what is no link, and
+    the gains of the seats.
+    """
+    kind = np.where(chosen, "link", "").astype("U5")
+    gain = np.zeros(len(part))
+    motion, flux = part.motion, ssps.flux
+    for name, free, shared in (
+        ("merge", part.source, part.target),
+        ("split", part.target, part.source),
+    ):
+        # The link that already sits there, of the same pair of epochs.
+        sitting = np.full(len(ssps), -1)
+        sitting[shared[chosen]] = np.flatnonzero(chosen)
+        host = sitting[shared]
+        busy = np.zeros(len(ssps), bool)
+        busy[free[kind != ""]] = True
+        own = np.flatnonzero((host >= 0) & ~busy[free])
+        own = own[part.gap[own] == part.gap[host[own]]]
+        alike = likelihood.moves_alike(motion[own] - motion[host[own]])
+        own = own[alike & likelihood.neighbours(free[own], free[host[own]], ssps)]
+        if len(own) == 0:
+            continue
+        beside, other = free[host[own]], shared[own]
+        together = likelihood.brightness(
+            np.log((flux[free[own]] + flux[beside]) / flux[other])
         )
-    return worth
+        better = together - likelihood.brightness(np.log(flux[beside] / flux[other]))
+        correlation = likelihood.correlation(part.coefficient[own])
+        value = better + np.minimum(correlation, 0.0) - MERGE_COST
+        # Two more seats; to take the first is never worse.
+        seats = np.concatenate([other, len(ssps) + other])
+        values = np.concatenate([value, value - 1e-9])
+        taken = assign(np.tile(free[own], 2), seats, values)
+        taken = taken[: len(own)] | taken[len(own) :]
+        kind[own[taken]] = name
+        gain[own[taken]] = value[taken]
+    return kind, gain
 
 
-def _joined(parts):
-    def join(name):
-        return np.concatenate(
-            [np.empty(0), *(getattr(p, name)[k != ""] for p, k, _ in parts)]
-        )
+def chain(links, n_ssps, *, min_epochs=1, core=None):
+    """
+    Return the track of each SSP that one-to-one links make, or -1.
 
-    kind = np.concatenate([np.empty(0, "U5"), *(k[k != ""] for _, k, _ in parts)])
-    gain = np.concatenate([np.empty(0), *(g[k != ""] for _, k, g in parts)])
-    source, target = join("source").astype(int), join("target").astype(int)
-    order = np.lexsort((target, source))
-    return Links(
-        source=source[order],
-        target=target[order],
-        kind=kind[order],
-        gap=join("gap").astype(int)[order],
-        interval=join("interval")[order],
-        coefficient=join("coefficient")[order],
-        gain=gain[order],
+    Tracks are numbered in the order of their first SSPs; those of less than
+    ``min_epochs`` are none.  SSPs with the same number of ``core``, if it is
+    not negative, are one feature: those of them that are linked at all make
+    one track, however long it is not seen.
+    """
+    own = links.kind == "link"
+    source, target = links.source[own], links.target[own]
+    n = n_ssps
+    if core is not None:
+        # Through a node of its own for each core.
+        linked = np.union1d(source, target)
+        linked = linked[core[linked] >= 0]
+        source, target = np.r_[source, linked], np.r_[target, n_ssps + core[linked]]
+        n += core.max(initial=-1) + 1
+    label = connected(source, target, n)[:n_ssps]
+    _, first, group, size = np.unique(
+        label, return_index=True, return_inverse=True, return_counts=True
     )
+    number = np.full(len(first), -1)
+    long = np.flatnonzero(size >= min_epochs)
+    number[long[np.argsort(first[long])]] = np.arange(len(long))
+    return number[group]
+
+
+# -- the best choice ---------------------------------------------------------------
+
+
+def assign(row, column, weight):
+    """
+    Return the choice of pairs of the largest total weight, none used twice.
+
+    Rows and columns may stay without a partner, so only pairs of positive
+    weight are chosen.  Exact and polynomial: pairs that outweigh the best
+    others of their row and column together are certain; what is left is
+    solved by `scipy.sparse.csgraph.min_weight_full_bipartite_matching`.
+
+    Parameters
+    ----------
+    row, column : array_like of int, shape (n,)
+        Not negative; rows and columns are counted apart.
+    weight : array_like, shape (n,)
+
+    Returns
+    -------
+    `~numpy.ndarray` of bool, shape (n,)
+
+    Examples
+    --------
+    Two that want the same: together they do better otherwise.
+
+    >>> from astro_scc.tracking import assign
+    >>> assign([0, 0, 1], [0, 1, 0], [3.0, 2.5, 2.5]).tolist()
+    [False, True, True]
+    """
+    row, column = np.asarray(row, dtype=int), np.asarray(column, dtype=int)
+    weight = np.asarray(weight, dtype=float)
+    chosen = np.zeros(len(row), bool)
+    left = np.flatnonzero(weight > 0)
+    while len(left):
+        certain = _certain(row[left], column[left], weight[left])
+        if not certain.any():
+            break
+        won = left[certain]
+        chosen[won] = True
+        taken = np.isin(row[left], row[won]) | np.isin(column[left], column[won])
+        left = left[~taken]
+    chosen[left[_solve(row[left], column[left], weight[left])]] = True
+    return chosen
+
+
+def _certain(row, column, weight):
+    """Return the pairs not lighter than the best others of row and column together."""
+    total = weight - _best_other(row, weight) - _best_other(column, weight)
+    certain = np.flatnonzero(total >= 0)
+    # Of equal ones that share a row or column, the first.
+    keep = np.zeros(len(row), bool)
+    first = np.intersect1d(
+        np.unique(row[certain], return_index=True)[1],
+        np.unique(column[certain], return_index=True)[1],
+    )
+    keep[certain[first]] = True
+    return keep
+
+
+def _best_other(key, weight):
+    """Return the largest weight of the other entries with the same key, or 0."""
+    order = np.lexsort((-weight, key))
+    weight, rank = weight[order], rank_in_group(key[order])
+    best = weight[np.arange(len(order)) - rank]
+    second = np.append(np.where(rank == 1, weight, 0.0), 0.0)[1:]
+    other = np.empty(len(key))
+    other[order] = np.where(rank == 0, second, best)
+    return other
+
+
+def _solve(row, column, weight):
+    """Return the indices of the chosen pairs."""
+    # Of pairs that are there twice the heavier.
+    order = np.lexsort((-weight, column, row))
+    order = order[rank_in_group(row[order], column[order]) == 0]
+    rows, r = np.unique(row[order], return_inverse=True)
+    columns, c = np.unique(column[order], return_inverse=True)
+    n, m = len(rows), len(columns)
+    if n == 0:
+        return order
+    # A seat of its own for each row makes a full matching possible.  Weights
+    # must not be zero, and the same shift of all of them changes nothing.
+    cost = np.concatenate([-weight[order], np.zeros(n)]) - weight.max() - 1.0
+    seats = np.concatenate([r, np.arange(n)]), np.concatenate([c, m + np.arange(n)])
+    graph = coo_array((cost, seats), shape=(n, m + n)).tocsr()
+    at, seat = min_weight_full_bipartite_matching(graph)
+    # Ordered by row and column, as the pairs are.
+    place = np.searchsorted(r * (m + n) + c, (at * (m + n) + seat)[seat < m])
+    return order[place]
+
+
+def connected(one, other, n):
+    """Number the groups of n nodes that pairs of nodes connect."""
+    graph = coo_array((np.ones(len(one)), (one, other)), shape=(n, n))
+    return connected_components(graph, directed=False)[1]

@@ -3,24 +3,17 @@
 
 import astropy.units as u
 import numpy as np
-from astropy.table import Column, MaskedColumn, QTable
+from astropy.table import Column, QTable
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from astro_scc.epochs.positions import axis_words, name_by_frame
-from astro_scc.tracking.ejection import (
-    SIGNIFICANT,
-    ejection_epoch,
-    speed_errors,
-    turn_between,
-)
-
-__all__ = ["feature_table", "motion_row", "plain_table", "share_table", "track_table"]
+from astro_scc.tracking.motion import SIGNIFICANT, ejection_epoch, turn_between
 
 PM_UNIT = u.mas / u.yr
 PM_DOT_UNIT = u.mas / u.yr**2
 
-#: Name, unit (None for a plain column), and what it is; of the tracks.
+#: Name, unit or type, and what it is; of the tracks.
 COLUMNS = (
     ("track", "U64", "name: date, scale and place of the first feature"),
     ("scale", float, "wavelet scale number"),
@@ -59,42 +52,47 @@ COLUMNS = (
     ("merges_into", "U64", "track that it goes into at its end"),
     ("splits_from", "U64", "track that it comes out of at its beginning"),
 )
-#: Columns that not every track has.
-PARTIAL = frozenset(
-    ("pm_dot_parallel", "pm_dot_parallel_err", "pm_dot_transverse",
-     "pm_dot_transverse_err", "t_ej", "t_ej_err")
-)  # fmt: skip
+#: Columns that not every track has begin with these.
+PARTIAL = ("pm_dot", "t_ej")
 
 
-def motion_row(tracking, number):
-    """
-    The entries of a track in the table of tracks.
+def track_table(tracking):
+    """Return the tracks, one row each; all columns are there even without a row."""
+    cube = tracking.cube
+    rows = [_motion_row(tracking, number) for number in range(tracking.n_tracks)]
+    table = QTable()
+    for name, kind, description in COLUMNS:
+        values = [row[name] for row in rows]
+        unit = cube.unit if kind == "brightness" else kind
+        if isinstance(unit, u.UnitBase):
+            missing = np.array([value is None for value in values], dtype=bool)
+            numbers = [0.0 if value is None else value for value in values]
+            column = np.array(numbers, dtype=float) * unit
+            masked = name.startswith(PARTIAL)
+            table[name] = Masked(column, mask=missing) if masked else column
+        elif kind is Time:
+            at = np.array(values, dtype=int)
+            table[name] = Time(cube.times[at], format="isot")
+        else:
+            table[name] = Column(np.array(values, dtype=kind))
+        table[name].info.description = description
+    return name_by_frame(table, cube)
 
-    Parameters
-    ----------
-    tracking : `~astro_scc.tracking.Tracking`
-    number : int
-        Of the track, from 0.
 
-    Returns
-    -------
-    dict
-        Plain numbers, None where there is none; of dates, the epochs.
-    """
+def _motion_row(tracking, number):
+    """Return the entries of a track: plain numbers or None, for dates the epochs."""
     own = tracking.members(number)
-    ssps, cube, links = tracking.ssps, tracking.cube, tracking.links
+    ssps, links = tracking.ssps, tracking.links
     fit = tracking.fits[number]
     epochs = ssps.epoch[own]
     east, north = tracking.offsets[:, own]
-    start = cube.times[0].jyear
+    start = tracking.cube.times[0].jyear
     (x, vx), (y, vy) = fit.coefficients
-    speed_err, angle_err = speed_errors(fit)
+    speed_err, angle_err = fit.velocity_errors
     parallel, transverse, accelerated = _acceleration(tracking, number)
     epoch, epoch_err = ejection_epoch(fit, tracking.fwhm.value, accelerated=accelerated)
-    is_link = (links.kind == "link") & np.isin(links.source, own)
-    is_link &= np.isin(links.target, own)
-    into = np.isin(links.target, own) & (links.kind == "merge")
-    out = np.isin(links.source, own) & (links.kind == "split")
+    starts, ends = np.isin(links.source, own), np.isin(links.target, own)
+    is_link = (links.kind == "link") & starts & ends
     return {
         "track": tracking.names[number],
         "scale": ssps.scale[own[0]],
@@ -128,19 +126,17 @@ def motion_row(tracking, number):
         "t_ej_err": epoch_err,
         "coefficient": links.coefficient[is_link].mean(),
         "gain": links.gain[is_link].mean(),
-        "n_merges": int(into.sum()),
-        "n_splits": int(out.sum()),
-        "merges_into": _name(tracking, links.target, links.source, own[-1], "merge"),
-        "splits_from": _name(tracking, links.source, links.target, own[0], "split"),
+        "n_merges": int(np.sum(ends & (links.kind == "merge"))),
+        "n_splits": int(np.sum(starts & (links.kind == "split"))),
+        "merges_into": _name(tracking, links.target, links.source == own[-1], "merge"),
+        "splits_from": _name(tracking, links.source, links.target == own[0], "split"),
     }
 
 
-def _name(tracking, other, own, ssp, kind):
-    """Name of the track at the other end of a merge or split, if it has one."""
-    at = np.flatnonzero((own == ssp) & (tracking.links.kind == kind))
-    if len(at) == 0 or tracking.track[other[at[0]]] < 0:
-        return ""
-    return tracking.names[tracking.track[other[at[0]]]]
+def _name(tracking, other, at, kind):
+    """Return the name of the track at the other end of a merge or split, or none."""
+    track = tracking.track[other[at & (tracking.links.kind == kind)]][:1]
+    return tracking.names[track[0]] if np.any(track >= 0) else ""
 
 
 def _angle(east, north):
@@ -148,7 +144,7 @@ def _angle(east, north):
 
 
 def _acceleration(tracking, number):
-    """Components of the acceleration with errors, and whether it counts."""
+    """Return the components of the acceleration with errors, and whether it counts."""
     fit = tracking.accelerated_fits[number]
     if fit is None:
         return (None, None), (None, None), False
@@ -167,87 +163,26 @@ def _acceleration(tracking, number):
     return *pairs, any(abs(a) >= SIGNIFICANT * e for a, e in pairs)
 
 
-def track_table(rows, cube, *, meta=None):
-    """
-    Tracks as a table.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-        See `motion_row`.  May be empty.
-    cube : `~astro_scc.epochs.EpochCube`
-    meta : dict, optional
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        All columns are there even if there is no row.  Accelerations and
-        ejection epochs are masked where the track has none.
-    """
-    table = QTable()
-    for name, kind, description in COLUMNS:
-        values = [row[name] for row in rows]
-        unit = cube.unit if kind == "brightness" else kind
-        if isinstance(unit, u.UnitBase):
-            missing = [value is None for value in values]
-            numbers = np.array([0.0 if v is None else v for v in values], dtype=float)
-            column = numbers * unit
-            if name in PARTIAL:
-                column = Masked(column, mask=np.array(missing, dtype=bool))
-            table[name] = column
-            table[name].info.description = description
-        elif kind is Time:
-            at = np.array(values, dtype=int)
-            table[name] = Time(cube.times[at], format="isot")
-            table[name].info.description = description
-        else:
-            table[name] = Column(np.array(values, dtype=kind), description=description)
-    table.meta.update(meta or {})
-    return name_by_frame(table, cube)
-
-
 def feature_table(tracking):
-    """
-    The features of all tracks, one row a feature and epoch.
-
-    Parameters
-    ----------
-    tracking : `~astro_scc.tracking.Tracking`
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        By track and date, which is a `~astropy.time.Time`.  ``sky`` is a
-        `~astropy.coordinates.SkyCoord` with the proper motion of the track; in
-        frames without right ascension there are ``lon`` and ``lat`` in its
-        place, with ``pm_lon_coslat`` and ``pm_lat``.  ``link`` says how the
-        feature follows from the one before it: "first", "link", or "gap" where
-        epochs lie between.
-    """
+    """Return the features of all tracks, one row a feature and epoch."""
     from astropy.coordinates import SkyCoord
 
     ssps, cube = tracking.ssps, tracking.cube
-    own = np.concatenate(
-        [np.empty(0, int), *map(tracking.members, range(tracking.n_tracks))]
-    )
+    own = np.flatnonzero(tracking.track >= 0)
+    own = own[np.lexsort((ssps.epoch[own], tracking.track[own]))]
     track = tracking.track[own]
     east, north = tracking.offsets[:, own]
     errors = tracking.offset_errors[:, own]
-    velocity = np.array(
-        [fit.coefficients[:, 1] for fit in tracking.fits], dtype=float
-    ).reshape(-1, 2)
     first = np.diff(track, prepend=-1) != 0
     after = np.diff(ssps.epoch[own], prepend=0)
-    kind = np.where(first, "first", np.where(after > 1, "gap", "link"))
-    names = np.array(tracking.names, dtype="U64")
     table = QTable(
         {
-            "track": names[track] if len(own) else np.empty(0, "U64"),
+            "track": np.array([*tracking.names, ""], dtype="U64")[track],
             "epoch": ssps.epoch[own].astype(int),
             "date": Time(cube.times[ssps.epoch[own]], format="isot"),
             "scale": ssps.scale[own],
             "ssp": own,
-            "link": kind.astype("U5"),
+            "link": np.where(first, "first", np.where(after > 1, "gap", "link")),
             "east": east * u.mas,
             "north": north * u.mas,
             "east_err": errors[0] * u.mas,
@@ -260,7 +195,8 @@ def feature_table(tracking):
         }
     )
     table["flux"].info.description = "sum of the wavelet coefficients of the pixels"
-    vx, vy = velocity[track].T * PM_UNIT
+    velocity = np.array([fit.coefficients[:, 1] for fit in tracking.fits], dtype=float)
+    vx, vy = velocity.reshape(-1, 2)[track].T * PM_UNIT
     if axis_words(cube)[0] == "east":
         place = cube.wcs.pixel_to_world(ssps.x[own], ssps.y[own]).icrs
         motion = {"pm_ra_cosdec": vx, "pm_dec": vy}
@@ -272,42 +208,9 @@ def feature_table(tracking):
     return name_by_frame(table, cube)
 
 
-def share_table(shares):
-    """
-    Shares of linked SSPs as a table.
-
-    Parameters
-    ----------
-    shares : sequence of `~astro_scc.tracking.LinkedShare`
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        Scale 0 stands for all of them together.  What shuffled orders give
-        is masked where there were none.
-    """
-    table = QTable(
-        {
-            "scale": np.array([s.scale or 0.0 for s in shares], dtype=float),
-            "n_ssps": np.array([s.n_ssps for s in shares], dtype=int),
-            "n_linked": np.array([s.n_linked for s in shares], dtype=int),
-            "share": np.array([s.share for s in shares], dtype=float),
-            "share_err": np.array([s.share_err for s in shares], dtype=float),
-        }
-    )
-    for name, attribute in (
-        ("share_shuffled", "shuffled"),
-        ("share_shuffled_err", "shuffled_err"),
-        ("p_value", "p_value"),
-    ):
-        values = np.array([getattr(s, attribute) for s in shares], dtype=float)
-        table[name] = MaskedColumn(np.nan_to_num(values), mask=np.isnan(values))
-    return table
-
-
 def plain_table(table):
     """
-    A table without objects, as VOTable can hold it.
+    Return a table without objects, as VOTable can hold it.
 
     Parameters
     ----------
@@ -317,34 +220,27 @@ def plain_table(table):
     -------
     `~astropy.table.QTable`
         Coordinates become the columns ``ra`` and ``dec``, with proper
-        motions beside them.
+        motions beside them, and dates text.
 
     Examples
     --------
     >>> import astropy.units as u
-    >>> from astro_scc.decomposition import Decomposer
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.tracking import FeatureTracker
+    >>> from astropy.coordinates import SkyCoord
+    >>> from astropy.table import QTable
     >>> from astro_scc.tracking import plain_table
-    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
-    >>> decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
-    >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
-    >>> tracking = tracker(cube, decompositions)
-    >>> table = plain_table(tracking.features)
-    >>> "coord" in table.colnames, {"ra", "dec"} <= set(table.colnames)
-    (False, True)
+    >>> sky = SkyCoord([1, 2], [3, 4], unit="deg", pm_ra_cosdec=[0, 1] * u.mas / u.yr,
+    ...                pm_dec=[0, 1] * u.mas / u.yr)
+    >>> plain_table(QTable({"sky": sky})).colnames
+    ['ra', 'dec', 'pm_ra_cosdec', 'pm_dec']
     """
     from astropy.coordinates import SkyCoord
 
     plain = QTable()
-    for name in table.colnames:
-        column = table[name]
+    for name, column in table.items():
         if isinstance(column, SkyCoord):
             plain["ra"], plain["dec"] = column.ra.to(u.deg), column.dec.to(u.deg)
             plain["pm_ra_cosdec"] = column.pm_ra_cosdec
             plain["pm_dec"] = column.pm_dec
-        elif isinstance(column, Time):
-            plain[name] = column.isot
         else:
-            plain[name] = column
+            plain[name] = column.isot if isinstance(column, Time) else column
     return plain

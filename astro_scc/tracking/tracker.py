@@ -7,6 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.correlation import Correlator, Matches, target_ssps
+from astro_scc.correlation.matches import COLUMNS
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs.alignment.misalignment import warn_of_misalignment
@@ -15,16 +16,11 @@ from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.progress import progress
 from astro_scc.settings import require
 from astro_scc.tracking.candidates import core_ssps, find_candidates
-from astro_scc.tracking.chains import chain
-from astro_scc.tracking.confidence import linked_counts, linked_share, shuffled_orders
-from astro_scc.tracking.evidence import Evidence
-from astro_scc.tracking.linking import link
-from astro_scc.tracking.nesting import parents
-from astro_scc.tracking.result import Tracking, mean_fwhm
+from astro_scc.tracking.likelihood import LinkLikelihood, coarser_ssps
+from astro_scc.tracking.linking import chain, link
+from astro_scc.tracking.tables import PM_UNIT
+from astro_scc.tracking.tracks import Tracking, linked_shares, mean_fwhm
 
-__all__ = ["FeatureTracker"]
-
-PM_UNIT = u.mas / u.yr
 #: Without a largest speed, displacements up to this many beams are tried.
 BEAMS_PER_INTERVAL = 4.0
 #: Displacements may pass the limits by so many tolerances.
@@ -123,19 +119,9 @@ class FeatureTracker:
             kappa=self.kappa, target=self.target, min_overlap=self.min_overlap
         )
 
-    def to_dict(self):
-        """
-        The settings, as a dictionary that a table's meta can hold.
-
-        Returns
-        -------
-        dict
-        """
-        return asdict(self)
-
     def speed_limit(self, cube, scales):
         """
-        The largest speed that is searched.
+        Return the largest speed that is searched.
 
         Parameters
         ----------
@@ -163,28 +149,19 @@ class FeatureTracker:
         fwhm = mean_fwhm(cube, scales).value
         return BEAMS_PER_INTERVAL * fwhm / np.median(steps[steps > 0]) * PM_UNIT
 
-    def pairs(self, cube, *, orders=()):
+    def _pairs(self, cube, permutations):
         """
-        The pairs of epochs that may be linked, in time order.
+        Return the pairs of epochs that may be linked, and their longest interval.
 
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-        orders : sequence of array_like of int, optional
-            Places in time of the images in shuffled orders.
-
-        Returns
-        -------
-        pairs : `~numpy.ndarray` of int, shape (n_pairs, 2)
-        interval : `~numpy.ndarray`, shape (n_pairs,)
-            The longest that the pair has in any order, in years.
+        In time order, shape (n_pairs, 2); intervals are the longest that a pair
+        has in any permutation of the epochs, in years.
         """
         years = cube.years.to_value(u.yr)
         n = len(years)
         first, second = np.nonzero(~np.eye(n, dtype=bool))
         longest = np.zeros(len(first))
         limit = np.inf if self.max_interval is None else self.max_interval.value
-        for place in (np.arange(n), *np.asarray(orders, dtype=int).reshape(-1, n)):
+        for place in (np.arange(n), *permutations):
             gap = place[second] - place[first]
             interval = years[place[second]] - years[place[first]]
             use = (gap > 0) & (gap <= self.max_gap + 1) & (interval <= limit)
@@ -198,7 +175,7 @@ class FeatureTracker:
         decompositions,
         *,
         select=None,
-        orders=(),
+        permutations=(),
         n_workers=1,
         progress_bar=False,
     ):
@@ -211,8 +188,8 @@ class FeatureTracker:
         decompositions : sequence of `~astro_scc.decomposition.Decomposition`
         select : array_like of bool, shape (n_ssps,), optional
             The SSPs that are tracked.
-        orders : sequence of array_like of int, optional
-            Shuffled orders that are to be linked too.
+        permutations : sequence of `~numpy.ndarray` of int, optional
+            Places in time of the images in permutations that are linked too.
         n_workers : int, optional
         progress_bar : bool, optional
 
@@ -221,44 +198,55 @@ class FeatureTracker:
         `~astro_scc.correlation.Matches`
             The windows are as large as the interval of the pair needs.
         """
-        pairs, interval = self.pairs(cube, orders=orders)
+        pairs, interval = self._pairs(cube, permutations)
         scales = decompositions[0].scales
         margin = (MARGIN + 1) * self.tolerance * mean_fwhm(cube, scales)
         margin = float(margin / cube.pixel_scale)
-        reach = self._fastest(cube, scales) * interval[:, None] + margin
-        reach = np.array(WINDOWS)[np.searchsorted(WINDOWS[:-1], reach)]
-        reach = np.minimum(reach, np.array(cube.shape[1:]) - 1)
+        radius = self._fastest(cube, scales) * interval[:, None] + margin
+        radius = np.array(WINDOWS)[np.searchsorted(WINDOWS[:-1], radius)]
+        radius = np.minimum(radius, np.array(cube.shape[1:]) - 1)
         parts = []
-        # A copy of its own for each call, whatever becomes of it there.
-        copies = (None if select is None else np.array(select) for _ in pairs)
-        kinds, kind = np.unique(reach, axis=0, return_inverse=True)
+        kinds, kind = np.unique(radius, axis=0, return_inverse=True)
         with progress(len(pairs), "Correlating", show=progress_bar) as done:
             for k, window in enumerate(kinds):
                 own = pairs[kind.ravel() == k]
                 parts.append(
                     self._correlator()(
                         decompositions, own, tuple(int(w) for w in window),
-                        select=next(copies), n_workers=n_workers,
+                        select=select, n_workers=n_workers,
                     )
                 )  # fmt: skip
                 done(len(own))
-        return _joined(parts, pairs, self.kappa)
+        if len(parts) == 1:
+            return replace(parts[0], pairs=pairs)
+        columns = [tuple(getattr(part, name) for name in COLUMNS) for part in parts]
+        reach = np.max([(0, 0), *(part.search_radius for part in parts)], axis=0)
+        reach = tuple(int(r) for r in reach)
+        return Matches.from_columns(columns, pairs, reach, self.kappa).sorted()
+
+    def _limits(self, cube, scales):
+        """Return the ranges of speed along and across in mas/yr, shape (2, 2)."""
+        limit = self.speed_limit(cube, scales).value
+        return np.array(
+            [
+                [-limit, limit] if ends is None else ends.value
+                for ends in (self.along, self.across)
+            ]
+        )
+
+    @property
+    def _any_direction(self):
+        return self.along is None and self.across is None
 
     def _fastest(self, cube, scales):
-        """The largest speeds along (y, x), in pixels a year."""
-        limit = self.speed_limit(cube, scales).value
+        """Return the largest speeds along (y, x), in pixels a year."""
+        limits = self._limits(cube, scales)
         matrix = np.linalg.inv(cube.pixel_matrix.value)
-        if self.along is None and self.across is None:
-            return limit * np.hypot(*matrix.T)[::-1]
-        ends = [
-            np.array([-limit, limit]) if value is None else value.value
-            for value in (self.along, self.across)
-        ]
-        if isinstance(self.position_angle, str):
-            # Any direction on the sky.
-            farthest = np.hypot(*(np.abs(end).max() for end in ends))
-            return farthest * np.hypot(*matrix.T)[::-1]
-        corners = np.stack(np.meshgrid(*ends)).reshape(2, -1)
+        if self._any_direction or isinstance(self.position_angle, str):
+            ends = np.abs(limits).max(axis=1)
+            fastest = ends[0] if self._any_direction else np.hypot(*ends)
+            return fastest * np.hypot(*matrix.T)[::-1]
+        corners = np.stack(np.meshgrid(*limits)).reshape(2, -1)
         # Symmetric and orthogonal, the frame's matrix is its own inverse.
         pixels = matrix @ self._frame().matrix() @ corners
         return np.abs(pixels).max(axis=1)[::-1]
@@ -271,7 +259,7 @@ class FeatureTracker:
         return PositionAngleFrame(self.position_angle)
 
     def _inside(self, candidates, ssps, cube, scales):
-        """Which candidates move within the limits."""
+        """Return which candidates are within the limits of speed."""
         matrix = cube.pixel_matrix.value
         x0, y0 = cube.reference_pixel
         at = np.stack([ssps.x[candidates.source] - x0, ssps.y[candidates.source] - y0])
@@ -280,22 +268,16 @@ class FeatureTracker:
         axes = np.where(np.isfinite(axes), axes, np.eye(2))
         sky = np.stack([candidates.dx, candidates.dy], axis=1) @ matrix.T
         moved = np.einsum("nai,ni->na", axes, sky)
-        limit = self.speed_limit(cube, scales).value
+        low, high = self._limits(cube, scales).T
         spare = MARGIN * self.tolerance * mean_fwhm(cube, scales).value
-        time = candidates.interval
-        inside = np.ones(len(candidates), bool)
-        for k, ends in enumerate((self.along, self.across)):
-            if ends is not None:
-                low, high = ends.value
-                inside &= moved[:, k] >= low * time - spare
-                inside &= moved[:, k] <= high * time + spare
-        if self.along is None and self.across is None:
-            inside &= np.hypot(*moved.T) <= limit * time + spare
-        elif self.along is None or self.across is None:
-            other = 0 if self.along is None else 1
-            inside &= np.abs(moved[:, other]) <= limit * time + spare
+        time = candidates.interval[:, None]
+        if self._any_direction:
+            inside = np.hypot(*moved.T) <= high[0] * candidates.interval + spare
+        else:
+            inside = (moved >= low * time - spare) & (moved <= high * time + spare)
+            inside = inside.all(axis=1)
         if self.max_interval is not None:
-            inside &= time <= self.max_interval.value
+            inside &= candidates.interval <= self.max_interval.value
         return inside
 
     def __call__(
@@ -317,19 +299,19 @@ class FeatureTracker:
         ----------
         cube : `~astro_scc.epochs.EpochCube`
             Aligned; distances are from its reference pixel, and what stands
-            there is the core, see `core_ssps`.
+            there is the core.
         decompositions : sequence of `~astro_scc.decomposition.Decomposition`
-            One an epoch.
+            One for each epoch.
         matches : `~astro_scc.correlation.Matches`, optional
-            With the pairs of epochs that `pairs` names at least, for shuffled
-            orders all of them.  By default those of `match`.
+            Of the pairs of epochs that may be linked at least, with
+            permutations of all pairs.  By default those of `match`.
         select : array_like of bool, shape (n_ssps,), optional
             The SSPs that are tracked.
         n_trials : int, optional
-            Number of shuffled orders that are linked too, to see what chance
-            gives.
+            Number of permutations of the epochs that are linked too, to see
+            what chance gives.
         rng : None, int or `~numpy.random.Generator`, optional
-            Seed of the orders, and of the resampled epochs.
+            Seed of the permutations, and of the resampled epochs.
         n_workers : int, optional
         progress_bar : bool, optional
 
@@ -340,15 +322,88 @@ class FeatureTracker:
         Raises
         ------
         ValueError
-            If there is not one decomposition an epoch, ``select`` has not one
-            value an SSP, no epoch shows an SSP, no two epochs have different
-            dates, or their beams differ and ``common_beam`` is True.
+            If there is not one decomposition for each epoch, ``select`` has not
+            one value for each SSP, no epoch shows an SSP, no two epochs have
+            different dates, or their beams differ and ``common_beam`` is True.
 
         Warns
         -----
         `~astro_scc.exceptions.MeasurementWarning`
-            If the epochs lie on one another to 0.2 beams or worse.
+            If the epochs are aligned with one another to 0.2 beams or worse.
         """
+        rng = np.random.default_rng(rng)
+        ssps, select = self._checked(cube, decompositions, select, n_trials)
+        permutations = [rng.permutation(len(cube)) for _ in range(n_trials)]
+        if matches is None:
+            matches = self.match(
+                cube, decompositions, select=select, permutations=permutations,
+                n_workers=n_workers, progress_bar=progress_bar,
+            )  # fmt: skip
+        scales = decompositions[0].scales
+        tracks_of = self._linker(cube, ssps, select, matches, scales)
+        links, track, counts = tracks_of(np.arange(len(cube)))
+        trials = []
+        with progress(n_trials, "Permuting epochs", show=progress_bar) as done:
+            for place in permutations:
+                trials.append(tracks_of(place)[2])
+                done(1)
+        return Tracking(
+            cube=cube,
+            ssps=ssps,
+            select=select,
+            links=links,
+            track=track,
+            shares=linked_shares(counts, trials, scales, rng=rng),
+            n_trials=n_trials,
+            settings=asdict(self),
+        )
+
+    def _linker(self, cube, ssps, select, matches, scales):
+        """
+        Return a function that links the images, given their places in time.
+
+        It returns the links, the track of each SSP, and how many SSPs of each
+        scale and epoch are linked to a later one, and are there at all.
+        """
+        matches = matches.of_ssps(select)
+        matches = matches.select(matches.coefficient >= self.kappa)
+        target = target_ssps(matches, ssps)
+        target = np.where((target >= 0) & select[target], target, -1)
+        core, parent = core_ssps(ssps, cube), coarser_ssps(ssps, cube.shape[2])
+        years = cube.years.to_value(u.yr)
+        fwhm = float(mean_fwhm(cube, scales) / cube.pixel_scale)
+        likelihood = LinkLikelihood(tolerance=self.tolerance * fwhm)
+
+        def inside(found):
+            # Nothing jumps into the core or out of it.
+            same = core[found.source] == core[found.target]
+            return same & self._inside(found, ssps, cube, scales)
+
+        def tracks_of(place):
+            candidates = find_candidates(
+                matches, target, ssps, years, place=place, max_gap=self.max_gap,
+                inside=inside,
+            )  # fmt: skip
+            links = link(
+                candidates, ssps, parent=parent, place=place, likelihood=likelihood
+            )
+            track = chain(links, len(ssps), min_epochs=self.min_epochs, core=core)
+            linked = np.zeros(len(ssps), bool)
+            linked[links.source] = True
+            linked &= select & (track >= 0)
+            at = place[ssps.epoch]
+            counts = [
+                [np.bincount(at[own & (ssps.scale == scale)], minlength=len(cube))
+                 for scale in scales]
+                for own in (linked, select)
+            ]  # fmt: skip
+            # The last epoch has none after it.
+            return links, track, np.array(counts)[:, :, :-1]
+
+        return tracks_of
+
+    def _checked(self, cube, decompositions, select, n_trials):
+        """Return the SSPs of all epochs, and which of them are tracked."""
         if self.common_beam:
             require_common_beam(cube)
         warn_of_misalignment(cube)
@@ -359,79 +414,13 @@ class FeatureTracker:
             )
         if n_trials < 0:
             raise ValueError(f"n_trials must be 0 or more, got {n_trials}")
-        rng = np.random.default_rng(rng)
         ssps = SSPs.of_epochs(decompositions)
-        scales = decompositions[0].scales
-        require_ssps(ssps, scales)
+        require_ssps(ssps, decompositions[0].scales)
         select = np.ones(len(ssps), bool) if select is None else np.asarray(select)
         if select.shape != (len(ssps),) or select.dtype != bool:
             raise ValueError(
                 f"select must be one bool for each of the {len(ssps)} SSPs, "
                 f"got {select.dtype} of shape {select.shape}"
             )
-        self.speed_limit(cube, scales)
-        orders = shuffled_orders(len(cube), n_trials, rng)
-        if matches is None:
-            matches = self.match(
-                cube, decompositions, select=select, orders=orders,
-                n_workers=n_workers, progress_bar=progress_bar,
-            )  # fmt: skip
-        matches = matches.of_ssps(select)
-        matches = matches.select(matches.coefficient >= self.kappa)
-        landed = target_ssps(matches, ssps)
-        landed = np.where((landed >= 0) & select[landed], landed, -1)
-        parent = parents(ssps, cube.shape[2])
-        years = cube.years.to_value(u.yr)
-        fwhm = mean_fwhm(cube, scales) / cube.pixel_scale
-        evidence = Evidence(tolerance=self.tolerance * float(fwhm))
-
-        core = core_ssps(ssps, cube)
-
-        def inside(found):
-            # Nothing jumps into the core or out of it.
-            same = core[found.source] == core[found.target]
-            return same & self._inside(found, ssps, cube, scales)
-
-        def tracks_of(place):
-            candidates = find_candidates(
-                matches, landed, ssps, years, place=place, max_gap=self.max_gap,
-                inside=inside,
-            )  # fmt: skip
-            links = link(
-                candidates, ssps, parent=parent, place=place, evidence=evidence
-            )
-            track = chain(links, len(ssps), min_epochs=self.min_epochs, one=core)
-            counts = linked_counts(
-                links, ssps, scales, len(cube), track=track, select=select, place=place
-            )
-            return links, track, counts
-
-        links, track, counts = tracks_of(np.arange(len(cube)))
-        trials = []
-        with progress(n_trials, "Shuffling", show=progress_bar) as done:
-            for place in orders:
-                trials.append(tracks_of(place)[2])
-                done(1)
-        return Tracking(
-            cube=cube,
-            ssps=ssps,
-            select=select,
-            links=links,
-            track=track,
-            shares=tuple(linked_share(counts, trials, scales, rng=rng)),
-            n_trials=n_trials,
-            settings=self.to_dict(),
-        )
-
-
-def _joined(parts, pairs, kappa):
-    """Matches of several calls as one."""
-    if len(parts) == 1:
-        return replace(parts[0], pairs=pairs)
-    from astro_scc.correlation.matches import COLUMNS
-
-    columns = [tuple(getattr(part, name) for name in COLUMNS) for part in parts]
-    reach = tuple(
-        int(r) for r in np.max([(0, 0), *(p.search_radius for p in parts)], axis=0)
-    )
-    return Matches.from_columns(columns, pairs, reach, kappa).sorted()
+        self.speed_limit(cube, decompositions[0].scales)
+        return ssps, select

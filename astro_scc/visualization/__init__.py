@@ -1,26 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Visualization: one function a figure, each a matplotlib figure of its own."""
 
-from astro_scc.visualization.animation import animate_epochs, write_animation
 from astro_scc.visualization.diagram import plot_diagram
-from astro_scc.visualization.images import plot_epoch, plot_epochs
-from astro_scc.visualization.members import plot_members
-from astro_scc.visualization.profiles import (
-    plot_position_angles,
-    plot_profile,
-    plot_scale_maps,
+from astro_scc.visualization.epochs import (
+    animate_epochs,
+    plot_epoch,
+    plot_epochs,
+    plot_intervals,
+    write_animation,
 )
-from astro_scc.visualization.significance import (
+from astro_scc.visualization.profiles import plot_profile, plot_track_profile
+from astro_scc.visualization.tracks import plot_members, plot_separation, plot_tracks
+from astro_scc.visualization.velocity import (
     plot_map_and_significance,
     plot_significance,
+    plot_velocity_map,
 )
-from astro_scc.visualization.timeline import plot_intervals
-from astro_scc.visualization.tracks import (
-    plot_separation,
-    plot_track_profile,
-    plot_tracks,
-)
-from astro_scc.visualization.velocity import plot_velocity_map
 
 __all__ = [
     "animate_epochs",
@@ -30,9 +25,7 @@ __all__ = [
     "plot_intervals",
     "plot_map_and_significance",
     "plot_members",
-    "plot_position_angles",
     "plot_profile",
-    "plot_scale_maps",
     "plot_separation",
     "plot_significance",
     "plot_track_profile",

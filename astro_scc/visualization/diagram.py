@@ -7,23 +7,10 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.positions import axis_words
-from astro_scc.visualization.style import (
-    BLACK,
-    GREY,
-    PM_UNIT,
-    component_kinds,
-    figure_and_axes,
-    offset_unit,
-    outline,
-    speed_unit,
-    unit_name,
-)
+from astro_scc.visualization import style
+from astro_scc.visualization.style import BLACK, KINDS, PM_UNIT, unit_name
 from astro_scc.visualization.velocity import on_sky
 
-__all__ = ["plot_diagram"]
-
-#: Line of each kind of component.
-LINES = {"moving": "-", "stationary": "--", "not significant": ":"}
 #: Intervals are shown up to this many times the one in which the slowest
 #: stream that moves leaves the diagram, and at least this many.
 BEYOND = 1.3
@@ -78,7 +65,7 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     """
     image = result.diagram()
     components = result.components if components is None else components
-    kinds = component_kinds(components)
+    kinds = style.component_kinds(components)
     numbers = np.asarray(components["component"], dtype=int)
     velocities = [result.velocities[number - 1] for number in numbers]
     # What stands still has no speed beyond its errors.
@@ -87,24 +74,19 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
         for kind, velocity in zip(kinds, velocities, strict=True)
     ]
     _, displacement = image.wcs.pixel_to_world_values(0, np.arange(len(image.data)))
-    unit = offset_unit(displacement[-1], unit)
+    unit = style.offset_unit(displacement[-1], unit)
     seen = image.meta["n_pairs"] > 0
     years, excess = image.meta["interval"].to_value(u.yr)[seen], image.data[:, seen]
     longest = _longest(years, slopes, kinds, displacement[-1])
     time = next((v for v in (u.yr, u.day, u.h) if longest >= 0.3 * v.to(u.yr)), u.min)
     highest = np.quantile(np.abs(excess[:, years <= longest]), UNSATURATED) or 1.0
-    figure, ax = figure_and_axes(ax, SIZE)
+    figure, ax = style.figure_and_axes(ax, SIZE)
     drawn = ax.pcolormesh(
         (_edges(years) * u.yr).to_value(time),
-        (_edges(displacement) * u.mas).to_value(unit),
-        excess,
-        cmap="RdBu_r",
-        vmin=-highest,
-        vmax=highest,
-        rasterized=True,
-        gid="excess",
-    )
-    ax.axhline(0, color=GREY, linewidth=0.6)
+        (_edges(displacement) * u.mas).to_value(unit), excess, cmap="RdBu_r",
+        vmin=-highest, vmax=highest, rasterized=True, gid="excess",
+    )  # fmt: skip
+    ax.axhline(0, color=style.GREY, linewidth=0.6)
     ax.set_xlim(0, (longest * u.yr).to_value(time))
     top = (displacement[-1] * u.mas).to_value(unit)
     ax.set_ylim(-top, top)
@@ -113,7 +95,7 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
         numbers, kinds, slopes, velocities, _texts(components, kinds), strict=True
     ):
         spread = 0.0 if kind == "stationary" else np.nan_to_num(velocity.dispersion)
-        _draw_ray(ax, slope * factor, spread * factor, LINES[kind], number, text)
+        _draw_ray(ax, slope * factor, spread * factor, KINDS[kind].line, number, text)
     if kinds:
         corner = "lower right" if slopes[0] >= 0 else "upper right"
         ax.legend(loc=corner, fontsize="small", framealpha=0.85)
@@ -134,8 +116,8 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
 
 
 def _texts(components, kinds):
-    """Number and speed of each component, or that it stands still."""
-    unit = speed_unit(components["pm"].to_value(PM_UNIT).max(initial=0.0))
+    """Return number and speed of each component, or that it stands still."""
+    unit = style.speed_unit(components["pm"].to_value(PM_UNIT).max(initial=0.0))
     texts = []
     for row, kind in zip(components, kinds, strict=True):
         value, error = row["pm"].to_value(unit), row["pm_err"].to_value(unit)
@@ -149,7 +131,7 @@ def _texts(components, kinds):
 
 
 def _longest(years, slopes, kinds, reach):
-    """Longest interval that is shown, in years."""
+    """Return the longest interval that is shown, in years."""
     last = _edges(years)[-1]
     for shown in ("moving", "not significant"):
         own = [abs(v) for v, kind in zip(slopes, kinds, strict=True) if kind == shown]
@@ -161,7 +143,7 @@ def _longest(years, slopes, kinds, reach):
 
 
 def _edges(middle):
-    """Edges of cells, halfway between their middles."""
+    """Return the edges of cells, halfway between their middles."""
     if len(middle) == 1:
         return middle[0] * np.array([0.9, 1.1])
     half = np.diff(middle) / 2
@@ -170,11 +152,11 @@ def _edges(middle):
     )
 
 
-def _draw_ray(ax, slope, spread, style, number, text):
+def _draw_ray(ax, slope, spread, line, number, text):
     (_, right), (_, top) = ax.get_xlim(), ax.get_ylim()
     ax.axline(
-        (0, 0), slope=slope, linestyle=style, color=BLACK, linewidth=1.4,
-        path_effects=outline(2.6), label=text, gid="ray",
+        (0, 0), slope=slope, linestyle=line, color=BLACK, linewidth=1.4,
+        path_effects=style.outline(2.6), label=text, gid="ray",
     )  # fmt: skip
     if spread > 0:
         for other in (slope - spread, slope + spread):
@@ -192,7 +174,7 @@ def _draw_ray(ax, slope, spread, style, number, text):
 
 
 def _direction(result, image):
-    """What the displacement is along."""
+    """Return what the displacement is along."""
     if not on_sky(result):
         jet = result.frame.axis_names[0] == "parallel"
         return f"Displacement {'along the jet' if jet else 'outward'}"

@@ -1,18 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""How an image is drawn in offsets from its reference pixel."""
+"""How images and their SSPs are drawn in offsets from the reference pixel."""
+
+from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
 
+from astro_scc.decomposition import scale_size
 from astro_scc.epochs.positions import axis_words
-from astro_scc.visualization.style import (
-    BLACK,
-    HEIGHT,
-    WIDTH,
-    unit_name,
-)
-
-__all__ = []
+from astro_scc.visualization import style
+from astro_scc.visualization.style import unit_name
 
 #: Ground of masked pixels, a colour that the greys of the image do not have.
 MASKED = "#BFDFF2"
@@ -22,99 +19,46 @@ LINEAR_NOISE = 3.0
 EDGE = 0.015
 
 
-def draw_image(ax, cube, values, norm, unit, limits):
-    """Draw an image of the cube's grid in offsets, and set the limits."""
-    import matplotlib
-    from matplotlib.transforms import Affine2D
-
-    matrix = cube.pixel_matrix.to_value(unit)
-    to_offset = np.eye(3)
-    to_offset[:2, :2] = matrix
-    to_offset[:2, 2] = -matrix @ cube.reference_pixel
-    drawn = ax.imshow(
-        values,
-        origin="lower",
-        norm=norm,
-        cmap=matplotlib.colormaps["Greys"].with_extremes(bad=MASKED),
-        transform=Affine2D(to_offset) + ax.transData,
-    )
-    (east0, east1), (north0, north1) = (limits * u.mas).to_value(unit)
-    _, _, to_the_left = axis_words(cube)
-    ax.set_xlim((east1, east0) if to_the_left else (east0, east1))
-    ax.set_ylim(north0, north1)
-    ax.set_aspect("equal")
-    return drawn
+# -- which part, in which unit and colours -----------------------------------------
 
 
-def draw_beam(ax, beam, unit, limits):
-    """Draw the beam in the lower left corner."""
-    from matplotlib.patches import Ellipse
+@dataclass(frozen=True, eq=False)
+class View:
+    """
+    Which part of a cube's images is shown, in which unit and colours.
 
-    (_, east1), (north0, _) = (limits * u.mas).to_value(unit)
-    half = beam.fwhm_along([90, 0] * u.deg).to_value(unit) / 2
-    margin = 0.03 * (limits[:, 1] - limits[:, 0]).min() * u.mas.to(unit)
-    ellipse = Ellipse(
-        (east1 - half[0] - margin, north0 + half[1] + margin),
-        width=beam.minor.to_value(unit),
-        height=beam.major.to_value(unit),
-        # Counted from the second axis towards the first, north through east.
-        angle=-beam.pa.to_value(u.deg),
-        facecolor="white",
-        edgecolor=BLACK,
-        hatch="////",
-        linewidth=0.8,
-        zorder=4,
-        gid="beam",
-    )
-    return ax.add_patch(ellipse)
+    ``points`` are the SSPs, see `ssp_points`, ``limits`` the offsets in mas, shape
+    (2, 2): east, then north, and ``norm`` turns brightness into colour.
+    """
 
+    cube: object
+    points: dict | None
+    limits: np.ndarray
+    unit: u.UnitBase
+    norm: object
 
-def label_offsets(ax, cube, unit):
-    """Name the two axes of an image."""
-    across, up = offset_labels(cube, unit)
-    ax.set_xlabel(across)
-    ax.set_ylabel(up)
+    @classmethod
+    def of(cls, cube, ssps, image, *, zoom=True, unit=None, **colors):
+        """Return the view of an image, or images, and SSPs."""
+        points = ssp_points(cube, ssps)
+        limits = image_limits(cube, points if zoom else None)
+        unit = style.offset_unit(lengths(limits).max(), unit)
+        return cls(cube, points, limits, unit, plotting_norm(cube, image, **colors))
 
-
-def offset_labels(cube, unit):
-    """What the two axes of an image are called."""
-    names = (n if " " in n else f"the {n}" for n in axis_words(cube)[:2])
-    return tuple(f"Offset to {name} ({unit_name(unit)})" for name in names)
+    @property
+    def factor(self):
+        """The unit of the offsets over mas."""
+        return u.mas.to(self.unit)
 
 
-def label_panels(figure, cube, unit):
-    """Name the axes that all panels share."""
-    across, up = offset_labels(cube, unit)
-    figure.supxlabel(across, fontsize="medium")
-    figure.supylabel(up, fontsize="medium")
-
-
-def panels_size(rows, columns, limits, *, aside, above=0.0):
-    """Size of a figure of panels, with room for labels aside and above."""
-    width, height = lengths(limits)
-    panel = (WIDTH - aside) / columns * height / width
-    panel = min(panel, (HEIGHT - 0.7 - above) / rows - 0.06)
-    return (
-        float(max(columns * panel * width / height + aside, WIDTH / 2)),
-        float(max(rows * (panel + 0.06) + 0.7 + above, 2.4)),
-    )
-
-
-def columns_of(n, limits, figure=None):
-    """The number of columns whose panels are largest, in a figure or on a page."""
-    page = (5.0, 8.0) if figure is None else figure.get_size_inches() - [1.2, 1.0]
-    width, height = lengths(limits)
-    sizes = [
-        min(page[0] / columns, page[1] / -(-n // columns) * width / height)
-        for columns in range(1, n + 1)
-    ]
-    # Equal but for rounding, the grid with fewer empty places.
-    return 1 + int(np.argmax(np.round(sizes, 3)))
+def lengths(limits):
+    """Return the east-west and north-south length of a range of offsets, in mas."""
+    return limits[:, 1] - limits[:, 0]
 
 
 def image_limits(cube, points=None):
     """
-    Range of offsets to show, shape (2, 2) in mas: east, then north.
+    Return the range of offsets to show, shape (2, 2) in mas: east, then north.
 
     All of the image or, for the points of `ssp_points`, where they are, with a
     margin; the outermost are left out, which may be noise at the edges.
@@ -137,10 +81,8 @@ def image_limits(cube, points=None):
     # A strip of a few pixels across shows nothing: a third of its length at least.
     short = np.maximum(lengths(near).max() / 3 - lengths(near), 0)
     near += short[:, None] * [-0.5, 0.5]
-    return np.stack(
-        [np.maximum(near[:, 0], whole[:, 0]), np.minimum(near[:, 1], whole[:, 1])],
-        axis=1,
-    )
+    low, high = whole.T
+    return np.stack([np.maximum(near[:, 0], low), np.minimum(near[:, 1], high)], axis=1)
 
 
 def _inner_range(values, weight):
@@ -153,7 +95,7 @@ def _inner_range(values, weight):
 def plotting_norm(
     cube, image, epochs=slice(None), stretch="asinh", vmin=None, vmax=None
 ):
-    """The norm that turns brightness into colour, for the noise of some epochs."""
+    """Return the norm that turns brightness into colour, for the noise of epochs."""
     from matplotlib.colors import AsinhNorm, LogNorm, Normalize
 
     if stretch not in ("asinh", "log", "linear"):
@@ -176,7 +118,7 @@ def plotting_norm(
 
 
 def ticks_of(norm):
-    """Zero and the powers of ten that are apart from it; None for matplotlib's."""
+    """Return zero and the powers of ten that are apart from it; None for others."""
     width = getattr(norm, "linear_width", None)
     if width is None or norm.vmax < 30 * width:
         return None
@@ -184,24 +126,214 @@ def ticks_of(norm):
     return [0.0, *powers.tolist()]
 
 
-def lengths(limits):
-    """East-west and north-south length of a range of offsets, in mas."""
-    return limits[:, 1] - limits[:, 0]
-
-
-def longest(limits):
-    """The larger of the two lengths, in mas."""
-    return lengths(limits).max()
-
-
-def date_of(cube, index):
-    """The date of an epoch, with the time where another epoch has the same."""
-    day = cube.times[index].strftime("%Y-%m-%d")
-    same = sum(t.strftime("%Y-%m-%d") == day for t in cube.times)
-    return day if same == 1 else cube.times[index].strftime("%Y-%m-%d %H:%M")
-
-
 def brightness_label(unit):
-    """Label of a colour bar."""
+    """Return the label of a colour bar."""
     name = unit_name(unit)
     return f"Brightness ({name})" if name else "Brightness"
+
+
+# -- images ------------------------------------------------------------------------
+
+
+def draw_image(ax, view, image, beam=None):
+    """Draw an image, and the beam in the lower left corner; set the limits."""
+    import matplotlib
+    from matplotlib.transforms import Affine2D
+
+    cube, unit = view.cube, view.unit
+    matrix = cube.pixel_matrix.to_value(unit)
+    to_offset = np.eye(3)
+    to_offset[:2, :2] = matrix
+    to_offset[:2, 2] = -matrix @ cube.reference_pixel
+    greys = matplotlib.colormaps["Greys"].with_extremes(bad=MASKED)
+    place = Affine2D(to_offset) + ax.transData
+    drawn = ax.imshow(
+        image, origin="lower", norm=view.norm, cmap=greys, transform=place
+    )
+    (east0, east1), (north0, north1) = (view.limits * u.mas).to_value(unit)
+    _, _, to_the_left = axis_words(cube)
+    ax.set_xlim((east1, east0) if to_the_left else (east0, east1))
+    ax.set_ylim(north0, north1)
+    ax.set_aspect("equal")
+    draw_beam(ax, view, beam)
+    return drawn
+
+
+def draw_beam(ax, view, beam):
+    """Draw a beam, if there is one, in the lower left corner."""
+    from matplotlib.patches import Ellipse
+
+    if beam is None:
+        return
+    (_, east1), (north0, _) = (view.limits * u.mas).to_value(view.unit)
+    half = beam.fwhm_along([90, 0] * u.deg).to_value(view.unit) / 2
+    margin = 0.03 * lengths(view.limits).min() * view.factor
+    ellipse = Ellipse(
+        (east1 - half[0] - margin, north0 + half[1] + margin),
+        width=beam.minor.to_value(view.unit), height=beam.major.to_value(view.unit),
+        # Counted from the second axis towards the first, north through east.
+        angle=-beam.pa.to_value(u.deg), facecolor="white", edgecolor=style.BLACK,
+        hatch="////", linewidth=0.8, zorder=4, gid="beam",
+    )  # fmt: skip
+    ax.add_patch(ellipse)
+
+
+def offset_labels(cube, unit):
+    """Return what the two axes of an image are called."""
+    names = (n if " " in n else f"the {n}" for n in axis_words(cube)[:2])
+    return tuple(f"Offset to {name} ({unit_name(unit)})" for name in names)
+
+
+def image_panels(view, n, figure, *, aside=0.6, above=0.0):
+    """
+    Return a figure, the given one or a new one, and its axes for n images.
+
+    There are as many columns as make the panels largest, in the figure or on a
+    page; ``aside`` and ``above`` are the room for labels in inches.
+    """
+    width, height = lengths(view.limits)
+    page = (5.0, 8.0) if figure is None else figure.get_size_inches() - [1.2, 1.0]
+    sizes = [
+        min(page[0] / columns, page[1] / -(-n // columns) * width / height)
+        for columns in range(1, n + 1)
+    ]
+    # Equal but for rounding, the grid with fewer empty places.
+    columns = 1 + int(np.argmax(np.round(sizes, 3)))
+    rows = -(-n // columns)
+    if figure is None:
+        panel = (style.WIDTH - aside) / columns * height / width
+        panel = min(panel, (style.HEIGHT - 0.7 - above) / rows - 0.06)
+        wide = max(columns * panel * width / height + aside, style.WIDTH / 2)
+        high = max(rows * (panel + 0.06) + 0.7 + above, 2.4)
+        figure = style.new_figure((float(wide), float(high)))
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for ax in grid.flat[n:]:
+        ax.set_axis_off()
+    for ax in grid.flat[max(n - columns, 0) : n]:
+        # Shared axes hide their ticks all but in the last row.
+        ax.tick_params(labelbottom=True)
+    across, up = offset_labels(view.cube, view.unit)
+    figure.supxlabel(across, fontsize="medium")
+    figure.supylabel(up, fontsize="medium")
+    return figure, grid.flat[:n]
+
+
+def mean_image_panels(cube, ssps, n, *, figure, unit):
+    """Return a view, a figure, and its axes with the mean image in pale colours."""
+    mean = cube.mean_image()
+    image = np.ma.masked_array(mean.data, mean.mask)
+    view = View.of(cube, ssps, image, unit=unit)
+    figure, axes = image_panels(view, n, figure)
+    common = cube.beams is not None and all(b == cube.beams[0] for b in cube.beams)
+    for ax in axes:
+        drawn = draw_image(ax, view, image, cube.beams[0] if common else None)
+        drawn.set_alpha(0.5)
+    return view, figure, axes
+
+
+def panel_text(ax, text, x=0.02, y=0.95, color=style.BLACK):
+    """Write in the upper left corner of a panel."""
+    ax.text(
+        x, y, text, transform=ax.transAxes, va="top", fontsize="small", color=color,
+        path_effects=style.outline(),
+    )  # fmt: skip
+
+
+# -- SSPs --------------------------------------------------------------------------
+
+
+def ssp_points(cube, ssps):
+    """
+    Return what is drawn of SSPs: a dictionary of arrays, or None for None.
+
+    Positions in mas, ``epoch``, ``scale``, whether they are ``used``, and a
+    ``weight`` that is small where an SSP is hardly more than noise.
+    """
+    if ssps is None:
+        return None
+    used = np.ones(len(ssps), bool)
+    if is_catalogue(ssps):
+        east, north = cube.pixel_to_offset(ssps.x, ssps.y)
+        epoch, scale, snr = ssps.epoch, ssps.scale, ssps.snr
+    else:
+        names = "east", "north"
+        if "lon_offset" in ssps.colnames:
+            names = "lon_offset", "lat_offset"
+        east, north = (u.Quantity(ssps[name]) for name in names)
+        epoch, scale, snr = (np.asarray(ssps[n]) for n in ("epoch", "scale", "snr"))
+        if "in_region" in ssps.colnames:
+            used = np.asarray(ssps["in_region"], bool)
+    snr = np.asarray(snr, dtype=float)
+    return {
+        "east": east.to_value(u.mas),
+        "north": north.to_value(u.mas),
+        "epoch": epoch,
+        "scale": np.asarray(scale, dtype=float),
+        "used": used,
+        "weight": 0.05 + np.log(snr / snr.min(initial=np.inf)),
+    }
+
+
+def is_catalogue(ssps):
+    """Return whether SSPs know their pixels, as those of a decomposition do."""
+    return hasattr(ssps, "pixels_of")
+
+
+def draw_ssps(ax, view, ssps, epoch, size=1.0):
+    """Draw the SSPs of an epoch; return legend handles for all scales of the cube."""
+    from matplotlib.lines import Line2D
+
+    if ssps is None:
+        return []
+    hollow = {"linestyle": "", "marker": "o", "markerfacecolor": "none"}
+    handles = []
+    points = view.points
+    colors = style.scale_colors(points["scale"])
+    for rank, (scale, color) in enumerate(colors.items()):
+        here = (points["epoch"] == epoch) & (points["scale"] == scale)
+        diameter = (4.0 + 3.0 * rank) * size
+        label = _scale_label(view, scale, rank == 0, rank == len(colors) - 1)
+        if is_catalogue(ssps):
+            line = {"color": color, "linewidth": 0.7 + 0.4 * rank}
+            _draw_outlines(ax, view, ssps, np.flatnonzero(here), **line)
+            handles.append(Line2D([], [], label=label, **line))
+            continue
+        for used, alpha in ((True, 1.0), (False, 0.3)):
+            some = here & (points["used"] == used)
+            ax.plot(
+                points["east"][some] * view.factor, points["north"][some] * view.factor,
+                markersize=diameter, markeredgecolor=color, markeredgewidth=1.1,
+                alpha=alpha, gid=f"ssps {scale:g}", **hollow,
+            )  # fmt: skip
+        hollow_size = diameter / size * 0.8
+        handles.append(Line2D([], [], ms=hollow_size, mec=color, label=label, **hollow))
+    if not np.all(points["used"]):
+        pale = {"alpha": 0.4, "mec": style.GREY, "label": "not used"}
+        handles.append(Line2D([], [], ms=5, **pale, **hollow))
+    return handles
+
+
+def _scale_label(view, scale, first, last):
+    """Return the size of a scale; the first says what it is, the last has the unit."""
+    size = (scale_size(scale) * view.cube.pixel_scale).to_value(view.unit)
+    words = ["SSPs of scale"] * first + [f"{size:.2g}"]
+    return " ".join(words + [unit_name(view.unit)] * last)
+
+
+def _draw_outlines(ax, view, ssps, indices, **line):
+    """Draw the edges of the pixels of SSPs, none over another."""
+    from matplotlib.collections import LineCollection
+
+    _, ny, nx = view.cube.shape
+    label = np.zeros(ny * nx, dtype=int)
+    for index in indices:
+        label[ssps.pixels_of(index)] = index + 1
+    label = np.pad(label.reshape(ny, nx), 1)
+    row, column = np.nonzero(label[:, 1:] != label[:, :-1])
+    upright = np.stack([[column - 0.5, row - 1.5], [column - 0.5, row - 0.5]])
+    row, column = np.nonzero(label[1:] != label[:-1])
+    level = np.stack([[column - 1.5, row - 0.5], [column - 0.5, row - 0.5]])
+    ends = np.concatenate([upright, level], axis=2)
+    lines = np.stack(view.cube.pixel_to_offset(ends[:, 0], ends[:, 1]), axis=-1)
+    lines = lines.to_value(view.unit).swapaxes(0, 1)
+    ax.add_collection(LineCollection(lines, gid="outlines", **line), autolim=False)

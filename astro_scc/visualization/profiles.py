@@ -1,33 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Speed against distance, maps of velocity by scale, histograms of position angles."""
+"""Speed against distance, maps of velocity by scale, and position angles."""
 
 import astropy.units as u
 import numpy as np
 
-from astro_scc.visualization.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    PM_UNIT,
-    SCALE_COLORS,
-    VERMILLION,
-    WIDTH,
-    add_speed_axis,
-    figure_and_axes,
-    new_figure,
-    unit_name,
-)
-
-__all__ = ["plot_position_angles", "plot_profile", "plot_scale_maps"]
+from astro_scc.visualization import drawing, style
+from astro_scc.visualization.style import BLUE, LINES, PM_UNIT, SCALE_COLORS, unit_name
+from astro_scc.visualization.velocity import draw_map
 
 #: Half the height of the strip of jet above the profile, in beams.
 STRIP = 3.0
-#: Sign of each kind of component: marker, filled, name.
-SIGNS = {
-    "moving": ("o", True, "component"),
-    "stationary": ("s", True, "stationary"),
-    "not significant": ("o", False, "not significant"),
-}
 
 
 def plot_profile(
@@ -87,7 +69,8 @@ def plot_profile(
     'Distance from the core (mas)'
     """
     above = cube is not None and line is not None
-    figure = new_figure((WIDTH, 4.6 if above else 3.4)) if figure is None else figure
+    if figure is None:
+        figure = style.new_figure((style.WIDTH, 4.6 if above else 3.4))
     if above:
         figure.set_layout_engine("constrained")
         top, ax = figure.subplots(
@@ -99,7 +82,7 @@ def plot_profile(
     for name, r, v, e in others:
         ax.errorbar(
             u.Quantity(r).to_value(u.mas), u.Quantity(v).to_value(PM_UNIT),
-            u.Quantity(e).to_value(PM_UNIT), fmt="D", color=GREY, ms=3, lw=0.8,
+            u.Quantity(e).to_value(PM_UNIT), fmt="D", color=style.GREY, ms=3, lw=0.8,
             label=name, zorder=1,
         )  # fmt: skip
         far = max(far, float(np.max(u.Quantity(r).to_value(u.mas), initial=0)))
@@ -109,7 +92,7 @@ def plot_profile(
         ax.plot(
             grid.value, u.Quantity(fit(grid)).to_value(PM_UNIT), lw=1.2, zorder=2,
             color=SCALE_COLORS[(k + 1) % len(SCALE_COLORS)], label=fit.model,
-            ls=("-", "--", ":")[k % 3],
+            ls=LINES[k % 3],
         )  # fmt: skip
     ax.set_xlim(0, 1.02 * far)
     _limit_speeds(ax, table, column)
@@ -118,8 +101,7 @@ def plot_profile(
     handles, labels = ax.get_legend_handles_labels()
     if handles:
         ax.legend(handles, labels, fontsize="small", framealpha=0.85)
-    if beta_per_pm is not None:
-        add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
+    style.add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
     if above:
         _draw_strip(top, cube, line, far)
     return figure
@@ -128,10 +110,8 @@ def plot_profile(
 def _draw_components(ax, table, column):
     kinds = np.asarray(table["kind"], dtype=str)
     main = table["main"] if "main" in table.colnames else np.ones(len(table), bool)
-    for kind, (marker, full, name) in SIGNS.items():
+    for kind, sign in style.KINDS.items():
         own = kinds == kind
-        if not own.any():
-            continue
         for part, alpha in ((own & main, 1.0), (own & ~main, 0.45)):
             if not part.any():
                 continue
@@ -143,14 +123,15 @@ def _draw_components(ax, table, column):
                 np.where(np.isfinite(error), error, 0.0),
                 [middle - rows["r_min"].to_value(u.mas),
                  rows["r_max"].to_value(u.mas) - middle],
-                fmt=marker, ms=5, color=BLUE if kind != "stationary" else VERMILLION,
-                mfc=None if full else "white", alpha=alpha, lw=1.0, zorder=3,
-                label=name if alpha == 1.0 or not (own & main).any() else None,
+                fmt=sign.on_profile, ms=5, alpha=alpha, lw=1.0, zorder=3,
+                color=style.VERMILLION if kind == "stationary" else BLUE,
+                mfc="white" if kind == "not significant" else None,
+                label=sign.name if alpha == 1.0 or not (own & main).any() else None,
             )  # fmt: skip
 
 
 def _limit_speeds(ax, table, column):
-    """Errors that say nothing must not squeeze the rest."""
+    """Set limits so that errors that say nothing do not squeeze the rest."""
     if len(table) == 0:
         return
     v = table[column].to_value(PM_UNIT)
@@ -161,11 +142,8 @@ def _limit_speeds(ax, table, column):
 
 
 def _draw_strip(ax, cube, line, far):
-    """The mean image, straightened along a line."""
-    import matplotlib
+    """Draw the mean image, straightened along a line."""
     from scipy.ndimage import map_coordinates
-
-    from astro_scc.visualization.drawing import plotting_norm
 
     beam = 4 * cube.pixel_scale.value
     if cube.beams is not None:
@@ -182,7 +160,7 @@ def _draw_strip(ax, cube, line, far):
     strip = np.ma.masked_invalid(map_coordinates(image, [y, x], order=1, cval=np.nan))
     ax.imshow(
         strip, origin="lower", extent=(0, far, -half, half), aspect="auto",
-        cmap=matplotlib.colormaps["Greys"], norm=plotting_norm(cube, strip),
+        cmap="Greys", norm=drawing.plotting_norm(cube, strip),
     )  # fmt: skip
     ax.set_ylabel("Across\n(mas)")
 
@@ -213,7 +191,7 @@ def plot_scale_maps(maps, grid, *, axis_names=("parallel", "transverse"), figure
     --------
     >>> import numpy as np
     >>> from astro_scc.stacking import VelocityGrid
-    >>> from astro_scc.visualization import plot_scale_maps
+    >>> from astro_scc.visualization.profiles import plot_scale_maps
     >>> grid = VelocityGrid.covering(2.0, 0.5)
     >>> figure = plot_scale_maps({"scale 1": np.ones(grid.shape)}, grid)
     >>> figure.axes[0].get_title()
@@ -223,23 +201,13 @@ def plot_scale_maps(maps, grid, *, axis_names=("parallel", "transverse"), figure
         raise ValueError("maps must hold one map or more, got none")
     columns = min(len(maps), 2)
     rows = -(-len(maps) // columns)
-    figure = new_figure((WIDTH, 2.9 * rows)) if figure is None else figure
+    figure = style.new_figure((style.WIDTH, 2.9 * rows)) if figure is None else figure
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    (left, right), (bottom, top) = (
-        (axis[0] - step / 2, axis[-1] + step / 2)
-        for axis, step in zip((grid.v1, grid.v2), grid.step, strict=True)
-    )
     for ax, (name, values) in zip(axes.flat, maps.items(), strict=False):
-        high = float(np.max(values, initial=0.0))
-        ax.imshow(
-            values, origin="lower", extent=(left, right, bottom, top), cmap="cividis",
-            vmin=0, vmax=high if high > 0 else 1.0, interpolation="bilinear",
-        )  # fmt: skip
-        if high > 0:
+        draw_map(ax, values, grid, PM_UNIT)
+        if np.max(values, initial=0.0) > 0:
             row, column = np.unravel_index(values.argmax(), values.shape)
             ax.plot(grid.v1[column], grid.v2[row], "+", color="white", ms=8)
-        ax.axhline(0, color="white", lw=0.6, alpha=0.6)
-        ax.axvline(0, color="white", lw=0.6, alpha=0.6)
         ax.set_title(name)
     for ax in axes.flat[len(maps) :]:
         ax.set_axis_off()
@@ -270,12 +238,12 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
     Examples
     --------
     >>> import astropy.units as u
-    >>> from astro_scc.visualization import plot_position_angles
+    >>> from astro_scc.visualization.profiles import plot_position_angles
     >>> figure = plot_position_angles({"scales 1, 2": [240, 250, 251] * u.deg})
     >>> figure.axes[0].get_xlabel()
     'Position angle (deg)'
     """
-    figure, ax = figure_and_axes(ax, (WIDTH, 3.2))
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.2))
     values = [np.atleast_1d(u.Quantity(v)) for v in groups.values()]
     unit = next((v.unit for v in values if len(v)), u.deg)
     values = [v.to_value(unit) if len(v) else v.value for v in values]
@@ -285,17 +253,83 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
     )
     edges = np.linspace(low, high if high > low else low + 1, n_bins + 1)
     for k, (name, v) in enumerate(zip(groups, values, strict=True)):
-        weight = np.full(len(v), 1 / max(len(v), 1))
+        color = SCALE_COLORS[k % len(SCALE_COLORS)]
         ax.hist(
-            v, edges, weights=weight, histtype="step", lw=1.6,
-            ls=("-", "--", ":")[k % 3],
-            color=SCALE_COLORS[k % len(SCALE_COLORS)], label=f"{name}: {len(v)} SSPs",
+            v, edges, weights=np.full(len(v), 1 / max(len(v), 1)), histtype="step",
+            lw=1.6, ls=LINES[k % 3], color=color, label=f"{name}: {len(v)} SSPs",
         )  # fmt: skip
         if len(v):
-            ax.axvline(np.median(v), color=SCALE_COLORS[k % len(SCALE_COLORS)], lw=0.8)
+            ax.axvline(np.median(v), color=color, lw=0.8)
     ax.set_xlabel(label or f"Position angle ({unit_name(unit)})")
     ax.set_ylabel("Share of the SSPs")
     if groups:
         ax.legend(fontsize="small")
-    ax.tick_params(colors=BLACK)
+    ax.tick_params(colors=style.BLACK)
+    return figure
+
+
+def plot_track_profile(profile, *, stack=None, beta_per_pm=None, ax=None):
+    """
+    Draw the speed of tracks against distance, and that of the stack over it.
+
+    Parameters
+    ----------
+    profile : `~astropy.table.QTable`
+        As `~astro_scc.tracking.Tracking.profile` gives it.
+    stack : `~astropy.table.QTable`, optional
+        What stacked cross-correlation gives: columns ``r_mid``,
+        ``pm_parallel``, ``pm_parallel_err`` and, for bars, ``r_min`` and
+        ``r_max``.
+    beta_per_pm : float, optional
+        Apparent speed in units of c of 1 mas/yr, for a second axis.
+    ax : `matplotlib.axes.Axes`, optional
+        Drawn on these instead of a new figure.
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Raises
+    ------
+    ValueError
+        If ``stack`` lacks a column, or ``beta_per_pm`` is not positive.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> from astro_scc.visualization import plot_track_profile
+    >>> pm = u.mas / u.yr
+    >>> profile = QTable({"r": [1, 2] * u.mas, "speed": [1.0, 1.2] * pm,
+    ...                   "speed_err": [0.1, 0.1] * pm, "n_tracks": [3, 4]})
+    >>> figure = plot_track_profile(profile)
+    >>> figure.axes[0].get_xlabel()
+    'Distance from the core (mas)'
+    """
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
+    unit = style.offset_unit(profile["r"].to_value(u.mas).max(initial=1.0))
+    r = profile["r"].to_value(unit)
+    speed, error = (profile[n].to_value(PM_UNIT) for n in ("speed", "speed_err"))
+    ax.fill_between(
+        r, speed - error, speed + error, color=style.ORANGE, alpha=0.3, lw=0
+    )
+    ax.plot(r, speed, "o-", color=style.ORANGE, markersize=4, label="tracks")
+    if stack is not None:
+        wanted = ("r_mid", "pm_parallel", "pm_parallel_err")
+        missing = [name for name in wanted if name not in stack.colnames]
+        if missing:
+            raise ValueError(f"the profile of the stack has no {', '.join(missing)}")
+        middle = stack["r_mid"].to_value(unit)
+        bars = None
+        if {"r_min", "r_max"} <= set(stack.colnames):
+            bars = [abs(stack[n].to_value(unit) - middle) for n in ("r_min", "r_max")]
+        ax.errorbar(
+            middle, stack["pm_parallel"].to_value(PM_UNIT),
+            stack["pm_parallel_err"].to_value(PM_UNIT), bars,
+            fmt="s", color=style.BLUE, markersize=4, linewidth=1, label="stack",
+        )  # fmt: skip
+    ax.legend(fontsize="small", frameon=False)
+    ax.set_xlabel(f"Distance from the core ({unit_name(unit)})")
+    ax.set_ylabel(f"Speed ({unit_name(PM_UNIT)})")
+    style.add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
     return figure

@@ -1,45 +1,99 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Features that were followed from epoch to epoch."""
+"""Features over the mean image and in time: of components, and of tracks."""
 
 import astropy.units as u
 import numpy as np
 
 from astro_scc.decomposition import scale_size
-from astro_scc.visualization.drawing import (
-    columns_of,
-    draw_beam,
-    draw_image,
-    image_limits,
-    label_panels,
-    longest,
-    panels_size,
-    plotting_norm,
-)
-from astro_scc.visualization.patterns import ssp_points
-from astro_scc.visualization.style import (
-    BLACK,
-    BLUE,
-    ORANGE,
-    PM_UNIT,
-    VERMILLION,
-    WIDTH,
-    add_speed_axis,
-    figure_and_axes,
-    new_figure,
-    offset_unit,
-    outline,
-    scale_colors,
-    unit_name,
-)
+from astro_scc.visualization import drawing, style
+from astro_scc.visualization.style import BLACK, PM_UNIT, unit_name
 
-__all__ = ["plot_separation", "plot_track_profile", "plot_tracks"]
+
+def plot_members(result, *, figure=None, components=None, max_panels=4, unit=None):
+    """
+    Draw the displacements that make each component on the mean image.
+
+    One panel per component: each arrow goes from an SSP to where its match is in
+    the next epoch in which its feature is seen.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    figure : `matplotlib.figure.Figure`, optional
+        Drawn on this one instead of a new figure.
+    components : `~astropy.table.QTable`, optional
+        By default ``result.components``.
+    max_panels : int, optional
+        Of more components than these, those that count as found come
+        first, then the others, each in the order of the table.
+    unit : `~astropy.units.Unit`, optional
+        Of the offsets.
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+        With the mean image alone if there is no component.
+
+    Raises
+    ------
+    ValueError
+        If ``max_panels`` is below 1, or the unit no angle.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.visualization import plot_members
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
+    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
+    >>> figure = plot_members(result)
+    """
+    if max_panels < 1:
+        raise ValueError(f"max_panels must be at least 1, got {max_panels}")
+    components = result.components if components is None else components
+    kinds = style.component_kinds(components)
+    order = sorted(range(len(kinds)), key=lambda k: kinds[k] == "not significant")
+    panels = [(int(components["component"][k]), kinds[k]) for k in order[:max_panels]]
+    view, figure, axes = drawing.mean_image_panels(
+        result.cube, result.ssps, max(len(panels), 1), figure=figure, unit=unit
+    )
+    for ax, (number, kind) in zip(axes, panels, strict=False):
+        _draw_members(ax, view, result, number, kind)
+    if not panels:
+        axes[0].set_title("no component")
+    return figure
+
+
+def _draw_members(ax, view, result, number, kind):
+    member, d = result.members(number), result.displacements
+    n_ssp = len(np.unique(d.ssp[member]))
+    member = member[d.target[member] > d.reference[member]]
+    member = member[np.argsort(d.target[member], kind="stable")]
+    owner, first = np.unique(d.ssp[member], return_index=True)
+    member = member[first]
+    east, north = view.points["east"][owner], view.points["north"][owner]
+    axes = np.broadcast_to(result.frame.matrix(east, north), (len(owner), 2, 2))
+    # Orthogonal, so its transpose leads back to the sky.
+    motion = np.stack([d.d1[member], d.d2[member]], axis=-1)
+    motion = np.einsum("nai,na->in", axes, motion) * view.factor
+    strong = kind != "not significant"
+    ax.quiver(
+        east * view.factor, north * view.factor, *motion, angles="xy",
+        scale_units="xy", scale=1, color=style.VERMILLION if strong else style.BLUE,
+        width=0.0035, headwidth=4, headlength=5, minlength=0.5, alpha=0.75,
+    )  # fmt: skip
+    speed = result.components["pm"][number - 1]
+    speed = speed.to(style.speed_unit(speed.to_value(PM_UNIT)))
+    text = f"{number}: {speed.value:.3g} {unit_name(speed.unit)}, {n_ssp} SSPs"
+    drawing.panel_text(ax, text + ("" if strong else ", not significant"))
 
 
 def plot_separation(tracking, *, figure=None, unit=None, min_epochs=None):
     """
     Draw the distances of tracked features against time, with their fits.
 
-    A panel a scale.  Solid lines are the straight fits, dashed ones the
+    One panel per scale.  Solid lines are the straight fits, dashed ones the
     accelerated fits where these count; dotted ones lead back to the ejection
     epoch.
 
@@ -76,21 +130,18 @@ def plot_separation(tracking, *, figure=None, unit=None, min_epochs=None):
     >>> figure.axes[-1].get_xlabel()
     'Year'
     """
-    numbers = _shown(tracking, min_epochs)
-    scales = _scales(tracking)
-    colors = scale_colors(scales)
+    scales, colors = _scales(tracking)
     if figure is None:
-        figure = new_figure((WIDTH, max(1.0 + 1.9 * len(scales), 2.8)))
+        figure = style.new_figure((style.WIDTH, max(1.0 + 1.9 * len(scales), 2.8)))
     axes = figure.subplots(len(scales), 1, sharex=True, sharey=True, squeeze=False)
     start = tracking.cube.times[0].jyear
     years = tracking.cube.years.to_value(u.yr)
     distance = np.hypot(*tracking.offsets)
     tracked = distance[tracking.track >= 0]
-    unit = offset_unit(tracked.max(initial=1.0), unit)
+    unit = style.offset_unit(tracked.max(initial=1.0), unit)
     factor = u.mas.to(unit)
-    table = tracking.tracks
     for ax, scale in zip(axes[:, 0], scales, strict=True):
-        own = [n for n in numbers if table["scale"][n] == scale]
+        own = _shown(tracking, scale, min_epochs)
         for number in own:
             ssps = tracking.members(number)
             time = years[tracking.ssps.epoch[ssps]]
@@ -99,20 +150,18 @@ def plot_separation(tracking, *, figure=None, unit=None, min_epochs=None):
                 markersize=3, markeredgewidth=0,
             )  # fmt: skip
             _draw_fits(ax, tracking, number, time, start, factor)
-        _name_panel(ax, tracking.cube, scale, unit, len(own))
+        _name_panel(ax, tracking, scale, unit, len(own))
         # Room for the name above the features.
         ax.set_ylim(0, 1.15 * factor * tracked.max(initial=0.0) or 1.0)
-        ax.set_ylabel(f"Distance from the core ({unit_name(unit)})")
     margin = 0.03 * (np.ptp(years) or 1.0)
     axes[-1, 0].set_xlim(start - margin, start + years[-1] + margin)
     axes[-1, 0].set_xlabel("Year")
     axes[-1, 0].ticklabel_format(axis="x", useOffset=False)
-    if len(scales) > 1:
-        for ax in axes[:, 0]:
-            ax.set_ylabel("")
-        figure.supylabel(
-            f"Distance from the core ({unit_name(unit)})", fontsize="medium"
-        )
+    label = f"Distance from the core ({unit_name(unit)})"
+    if len(scales) == 1:
+        axes[0, 0].set_ylabel(label)
+    else:
+        figure.supylabel(label, fontsize="medium")
     return figure
 
 
@@ -134,10 +183,10 @@ def _draw_fits(ax, tracking, number, time, start, factor):
 
 def plot_tracks(tracking, *, figure=None, unit=None, min_epochs=None):
     """
-    Draw the tracks over the mean image, a panel a scale.
+    Draw the tracks over the mean image, one panel per scale.
 
-    Each track is a line through the positions of its feature, with a dot
-    an epoch and an arrow head at the last one.
+    Each track is a line through the positions of its feature, with one dot
+    per epoch and an arrow head at the last one.
 
     Parameters
     ----------
@@ -171,30 +220,15 @@ def plot_tracks(tracking, *, figure=None, unit=None, min_epochs=None):
     >>> len(plot_tracks(tracking).axes)
     2
     """
-    numbers, scales = _shown(tracking, min_epochs), _scales(tracking)
-    colors, cube = scale_colors(scales), tracking.cube
-    limits = image_limits(cube, ssp_points(cube, tracking.ssps))
-    unit = offset_unit(longest(limits), unit)
-    factor = u.mas.to(unit)
-    mean = cube.mean_image()
-    image = np.ma.masked_array(mean.data, mean.mask)
-    norm = plotting_norm(cube, image)
-    columns = columns_of(len(scales), limits, figure)
-    rows = -(-len(scales) // columns)
-    if figure is None:
-        figure = new_figure(panels_size(rows, columns, limits, aside=0.6))
-    axes = figure.subplots(
-        rows, columns, sharex=True, sharey=True, squeeze=False
-    ).ravel()
-    table = tracking.tracks
-    for ax, scale in zip(axes, scales, strict=False):
-        # Pale, so that the tracks stand out.
-        draw_image(ax, cube, image, norm, unit, limits).set_alpha(0.5)
-        if cube.beams is not None and all(b == cube.beams[0] for b in cube.beams):
-            draw_beam(ax, cube.beams[0], unit, limits)
-        own = [n for n in numbers if table["scale"][n] == scale]
+    scales, colors = _scales(tracking)
+    view, figure, axes = drawing.mean_image_panels(
+        tracking.cube, tracking.ssps, len(scales), figure=figure, unit=unit
+    )
+    for ax, scale in zip(axes, scales, strict=True):
+        own = _shown(tracking, scale, min_epochs)
         for number in own:
-            east, north = factor * tracking.offsets[:, tracking.members(number)]
+            offsets = tracking.offsets[:, tracking.members(number)]
+            east, north = view.factor * offsets
             ax.plot(
                 east, north, "-o", color=colors[scale], linewidth=0.9,
                 markersize=2, markeredgewidth=0,
@@ -206,96 +240,25 @@ def plot_tracks(tracking, *, figure=None, unit=None, min_epochs=None):
                             "mutation_scale": 7},
                 annotation_clip=True,
             )  # fmt: skip
-        _name_panel(ax, cube, scale, unit, len(own))
-    for ax in axes[len(scales) :]:
-        ax.set_axis_off()
-    label_panels(figure, cube, unit)
+        _name_panel(ax, tracking, scale, view.unit, len(own))
     return figure
 
 
-def plot_track_profile(profile, *, stack=None, beta_per_pm=None, ax=None):
-    """
-    Draw the speed of tracks against distance, and that of the stack over it.
-
-    Parameters
-    ----------
-    profile : `~astropy.table.QTable`
-        As `~astro_scc.tracking.Tracking.profile` gives it.
-    stack : `~astropy.table.QTable`, optional
-        What stacked cross-correlation gives: columns ``r_mid``,
-        ``pm_parallel``, ``pm_parallel_err`` and, for bars, ``r_min`` and
-        ``r_max``.
-    beta_per_pm : float, optional
-        Apparent speed in units of c of 1 mas/yr, for a second axis.
-    ax : `matplotlib.axes.Axes`, optional
-        Drawn on these instead of a new figure.
-
-    Returns
-    -------
-    `matplotlib.figure.Figure`
-
-    Raises
-    ------
-    ValueError
-        If ``stack`` lacks a column, or ``beta_per_pm`` is not positive.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astropy.table import QTable
-    >>> from astro_scc.visualization import plot_track_profile
-    >>> pm = u.mas / u.yr
-    >>> profile = QTable({"r": [1, 2] * u.mas, "speed": [1.0, 1.2] * pm,
-    ...                   "speed_err": [0.1, 0.1] * pm, "n_tracks": [3, 4]})
-    >>> figure = plot_track_profile(profile)
-    >>> figure.axes[0].get_xlabel()
-    'Distance from the core (mas)'
-    """
-    figure, ax = figure_and_axes(ax, (WIDTH, 3.4))
-    unit = offset_unit(profile["r"].to_value(u.mas).max(initial=1.0))
-    r = profile["r"].to_value(unit)
-    speed, error = (profile[n].to_value(PM_UNIT) for n in ("speed", "speed_err"))
-    ax.fill_between(r, speed - error, speed + error, color=ORANGE, alpha=0.3, lw=0)
-    ax.plot(r, speed, "o-", color=ORANGE, markersize=4, label="tracks")
-    if stack is not None:
-        wanted = ("r_mid", "pm_parallel", "pm_parallel_err")
-        missing = [name for name in wanted if name not in stack.colnames]
-        if missing:
-            raise ValueError(f"the profile of the stack has no {', '.join(missing)}")
-        middle = stack["r_mid"].to_value(unit)
-        bars = None
-        if "r_min" in stack.colnames and "r_max" in stack.colnames:
-            ends = [stack[name].to_value(unit) for name in ("r_min", "r_max")]
-            bars = np.abs(np.stack(ends) - middle)
-        ax.errorbar(
-            middle, stack["pm_parallel"].to_value(PM_UNIT),
-            stack["pm_parallel_err"].to_value(PM_UNIT), bars,
-            fmt="s", color=BLUE, markersize=4, linewidth=1, label="stack",
-        )  # fmt: skip
-    ax.legend(fontsize="small", frameon=False)
-    ax.set_xlabel(f"Distance from the core ({unit_name(unit)})")
-    ax.set_ylabel(f"Speed ({unit_name(PM_UNIT)})")
-    if beta_per_pm is not None:
-        add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
-    return figure
-
-
-def _shown(tracking, min_epochs):
-    counts = np.asarray(tracking.tracks["n_epochs"])
-    return np.flatnonzero(counts >= (min_epochs or 0)).tolist()
+def _shown(tracking, scale, min_epochs):
+    """Return the numbers of the tracks of a scale that are long enough."""
+    table = tracking.tracks
+    long = np.asarray(table["n_epochs"]) >= (min_epochs or 0)
+    return np.flatnonzero(long & (np.asarray(table["scale"]) == scale)).tolist()
 
 
 def _scales(tracking):
-    """The scales of all SSPs, those without a track too; one at least."""
-    return np.unique(tracking.ssps.scale).tolist() or [1.0]
+    """Return the scales of all SSPs, one at least, and a colour for each."""
+    scales = np.unique(tracking.ssps.scale).tolist() or [1.0]
+    return scales, style.scale_colors(scales)
 
 
-def _name_panel(ax, cube, scale, unit, number):
-    angle = (scale_size(scale) * cube.pixel_scale).to_value(unit)
+def _name_panel(ax, tracking, scale, unit, number):
+    size = (scale_size(scale) * tracking.cube.pixel_scale).to_value(unit)
     tracks = "track" if number == 1 else "tracks"
-    ax.text(
-        0.02, 0.95,
-        f"scale {scale:g} ({angle:.3g} {unit_name(unit)}), {number} {tracks}",
-        transform=ax.transAxes, va="top", fontsize="small",
-        color=BLACK if number else VERMILLION, path_effects=outline(),
-    )  # fmt: skip
+    text = f"scale {scale:g} ({size:.3g} {unit_name(unit)}), {number} {tracks}"
+    drawing.panel_text(ax, text, color=BLACK if number else style.VERMILLION)

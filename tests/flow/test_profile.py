@@ -17,7 +17,11 @@ from astro_scc.flow.profile import bins_of
 from astro_scc.kinematics import RidgeLine, paper_cosmology
 from astro_scc.measurement import component_table, select_ssps, ssp_distances
 from astro_scc.simulation import simulate_jet
-from astro_scc.visualization import plot_position_angles, plot_profile, plot_scale_maps
+from astro_scc.visualization.profiles import (
+    plot_position_angles,
+    plot_profile,
+    plot_scale_maps,
+)
 
 PM = u.mas / u.yr
 TRUE = 6 * 0.1 / 30 * 365.25

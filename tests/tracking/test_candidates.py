@@ -10,7 +10,8 @@ import pytest
 from astro_scc import Beam
 from astro_scc.correlation import Matches
 from astro_scc.simulation import simulate_static
-from astro_scc.tracking import Links, chain, core_ssps, find_candidates
+from astro_scc.tracking import candidates, find_candidates
+from astro_scc.tracking.candidates import core_ssps
 
 
 def random_matches(rng, ssps, n):
@@ -55,10 +56,11 @@ def test_candidates_are_those_of_loops(ssps, place, max_gap):
         assert gap == b - a - 1
 
 
-def test_only_the_best_candidates_of_an_epoch_are_kept(ssps):
+def test_only_the_best_candidates_of_an_epoch_are_kept(monkeypatch, ssps):
     matches, landed = random_matches(np.random.default_rng(3), ssps, 500)
     every = find_candidates(matches, landed, ssps, np.arange(4.0))
-    one = find_candidates(matches, landed, ssps, np.arange(4.0), most=1)
+    monkeypatch.setattr(candidates, "MAX_CANDIDATES", 1)
+    one = find_candidates(matches, landed, ssps, np.arange(4.0))
     groups = {}
     for i, gap, c in zip(every.source, every.gap, every.coefficient, strict=True):
         groups.setdefault((i, gap), []).append(c)
@@ -72,16 +74,6 @@ def test_select_and_repr(ssps):
     found = find_candidates(matches, landed, ssps, np.arange(4.0))
     assert len(found.select(found.gap == 0)) == np.sum(found.gap == 0)
     assert repr(found).startswith(f"<Candidates: {len(found)} of ")
-
-
-def test_what_makes_no_sense_is_refused(ssps):
-    matches, landed = random_matches(np.random.default_rng(3), ssps, 5)
-    with pytest.raises(ValueError, match="max_gap must be 0 or more and most 1"):
-        find_candidates(matches, landed, ssps, np.arange(4.0), max_gap=-1)
-    with pytest.raises(ValueError, match="got 1 and 0"):
-        find_candidates(matches, landed, ssps, np.arange(4.0), most=0)
-    with pytest.raises(ValueError, match="dates of the epochs must not decrease"):
-        find_candidates(matches, landed, ssps, [1.0, 0, 2, 3])
 
 
 # -- the core ----------------------------------------------------------------------
@@ -126,14 +118,3 @@ def test_half_of_a_long_beam_reaches_farther_along_it(catalogue, cube):
     plain = replace(cube, beams=None)
     assert np.all(core_ssps(catalogue(west, scale=2.0), plain) == 0)
     assert np.all(core_ssps(catalogue(north, scale=2.0), plain) == -1)
-
-
-def test_pieces_of_one_feature_make_one_track():
-    source, target = np.array([0, 3, 5, 1, 7]), np.array([2, 4, 6, 8, 9])
-    links = Links(source, target, np.full(5, "link"), *(np.zeros(5) for _ in range(4)))
-    one = np.array([0, -1, 0, 0, 0, 1, 1, 1, -1, 1, 0])
-    # SSP 10 has no link at all.
-    wanted = [0, 1, 0, 0, 0, 2, 2, 2, 1, 2, -1]
-    assert chain(links, 11, min_epochs=2, one=one).tolist() == wanted
-    wanted = [0, -1, 0, 0, 0, 1, 1, 1, -1, 1, -1]
-    assert chain(links, 11, min_epochs=4, one=one).tolist() == wanted

@@ -5,8 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from astro_scc.tracking import Candidates, Evidence, link
+from astro_scc.tracking import Candidates, LinkLikelihood, Links, link
+from astro_scc.tracking.candidates import equal_pairs
+from astro_scc.tracking.linking import chain, path_gains
 
 
 def everything(ssps, *, most=20.0, max_gap=1):
@@ -35,7 +39,7 @@ def streams(seed=1, n_epochs=6):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_streams_of_two_speeds_are_told_apart(catalogue, seed):
+def test_streams_of_two_speeds_are_distinguished(catalogue, seed):
     rows, feature = streams(seed)
     ssps = catalogue(rows)
     links = link(everything(ssps), ssps)
@@ -46,7 +50,7 @@ def test_streams_of_two_speeds_are_told_apart(catalogue, seed):
 
 
 @pytest.mark.parametrize(("x", "linked"), [(124, True), (112, False)])
-def test_a_track_foretells_more_than_its_last_step(catalogue, x, linked):
+def test_a_track_predicts_more_than_its_last_step(catalogue, x, linked):
     # Steady, but for a last step that is too short; then eight times the interval.
     # The mean velocity leads to 124, the last step to 112.
     rows = [[t, 50, 50 + 4.0 * t, 1] for t in range(12)]
@@ -54,7 +58,7 @@ def test_a_track_foretells_more_than_its_last_step(catalogue, x, linked):
     ssps = catalogue([*rows, [12, 50, x, 1]])
     pairs = everything(ssps, most=60.0, max_gap=0)
     pairs = replace(pairs, interval=np.where(ssps.epoch[pairs.target] == 12, 8.0, 1.0))
-    found = link(pairs, ssps, evidence=Evidence(tolerance=1.0))
+    found = link(pairs, ssps, likelihood=LinkLikelihood(tolerance=1.0))
     assert list(found.source) == list(range(12 if linked else 11))
 
 
@@ -89,10 +93,11 @@ def test_one_pattern_follows_the_larger_one_that_it_lies_in(catalogue):
         scale=[1, 1, 1, 2, 2],
     )  # fmt: skip
     parent = np.array([3, -1, 4, -1, -1])
-    found = link(everything(ssps), ssps, parent=parent, evidence=Evidence(follow=0.9))
+    likelihood = LinkLikelihood(follow=0.9)
+    found = link(everything(ssps), ssps, parent=parent, likelihood=likelihood)
     assert (0, 2) in list(zip(found.source, found.target, strict=True))
     mirrored = everything(ssps)
-    away = link(mirrored, ssps, evidence=Evidence(follow=0.9))
+    away = link(mirrored, ssps, likelihood=likelihood)
     gains = {(i, k): g for i, k, g in zip(away.source, away.target, away.gain,
                                           strict=True)}  # fmt: skip
     assert found.gain[found.source == 0] > gains.get((0, 2), gains.get((0, 1)))
@@ -126,7 +131,7 @@ def test_three_go_into_one_but_not_four(catalogue):
     links = link(
         everything(ssps, max_gap=0),
         ssps,
-        evidence=Evidence(variability=1.0, tolerance=5),
+        likelihood=LinkLikelihood(variability=1.0, tolerance=5),
     )
     assert len(links) <= 3
     assert np.sum(links.kind == "link") == 1
@@ -137,3 +142,119 @@ def test_what_is_far_away_does_not_merge(catalogue):
     ssps = catalogue(rows)
     links = link(everything(ssps, most=100, max_gap=0), ssps)
     assert not np.isin(links.kind, ["merge", "split"]).any()
+
+
+# -- paths ---------------------------------------------------------------------------
+
+
+def all_paths(source, target, use, start):
+    """All paths of candidates that begin with one."""
+    yield (start,)
+    for k in np.flatnonzero((source == target[start]) & use):
+        for rest in all_paths(source, target, use, k):
+            yield (start, *rest)
+
+
+def slow_gains(source, target, value, between, use):
+    n = len(source)
+    paths = [
+        p for e in range(n) for p in all_paths(source, target, np.ones(n, bool), e)
+    ]
+
+    def worth(path):
+        steps = zip(path[:-1], path[1:], strict=True)
+        return value[list(path)].sum() + sum(between[pair] for pair in steps)
+
+    gains = []
+    for e in range(n):
+        through = max(
+            worth(p) for p in paths if e in p and all(use[k] or k == e for k in p)
+        )
+        used = [p for p in paths if all(use[k] for k in p)]
+        ends = [worth(p) for p in used if target[p[-1]] == source[e]]
+        begins = [worth(p) for p in used if source[p[0]] == target[e]]
+        gains.append(through - max([0, *ends]) - max([0, *begins]))
+    return gains
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6))
+def test_gains_are_those_of_all_paths(seed):
+    rng = np.random.default_rng(seed)
+    step = np.array([0, 0, 1, 1, 2, 2, 3])
+    every = [(i, k) for i in range(7) for k in range(7) if 0 < step[k] - step[i] <= 2]
+    pick = rng.permutation(len(every))[:8]
+    source, target = np.array(every)[pick].T
+    value = rng.normal(0.5, 1, len(pick))
+    use = rng.random(len(pick)) < 0.7
+    transitions = equal_pairs(target, source)
+    values = rng.normal(0, 1, len(transitions[0]))
+    pairs = zip(*(part.tolist() for part in transitions), strict=True)
+    between = dict(zip(pairs, values, strict=True))
+    zeros = np.zeros(len(pick))
+    gains = path_gains(
+        Candidates(source, target, zeros, zeros, zeros, zeros, zeros), value,
+        transitions, np.stack([values, values]), step, use=use,
+    )  # fmt: skip
+    assert gains == pytest.approx(slow_gains(source, target, value, between, use))
+
+
+def test_transitions_are_all_pairs_that_meet():
+    rng = np.random.default_rng(1)
+    source, target = rng.integers(0, 6, 20), rng.integers(0, 6, 20)
+    before, after = equal_pairs(target, source)
+    wanted = [(a, b) for b in range(20) for a in range(20) if target[a] == source[b]]
+    assert list(zip(before.tolist(), after.tolist(), strict=True)) == wanted
+
+
+# -- tracks --------------------------------------------------------------------------
+
+
+def links_of(pairs, kinds=None):
+    source, target = np.array(pairs, dtype=int).reshape(-1, 2).T
+    kinds = ["link"] * len(source) if kinds is None else kinds
+    zeros = np.zeros((5, len(source)))
+    return Links(source, target, *zeros, np.array(kinds, "U5"), zeros[0])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 4))
+def test_chains_are_what_links_connect(seed, least):
+    rng = np.random.default_rng(seed)
+    # Fifteen SSPs in five epochs; one-to-one links onwards.
+    pairs = [
+        (3 * e + i, 3 * (e + 1) + k)
+        for e in range(4)
+        for i, k in enumerate(rng.permutation(3))
+        if rng.random() < 0.6
+    ]
+    track = chain(links_of(pairs), 15, min_epochs=least)
+    follower = dict(pairs)
+    paths = []
+    for start in sorted(set(range(15)) - set(follower.values())):
+        path = [start]
+        while path[-1] in follower:
+            path.append(follower[path[-1]])
+        paths.append(path)
+    wanted = np.full(15, -1)
+    for number, path in enumerate(p for p in paths if len(p) >= least):
+        wanted[path] = number
+    assert track.tolist() == wanted.tolist()
+
+
+def test_merges_and_splits_make_no_chains():
+    links = links_of(
+        [(0, 2), (1, 2), (2, 3), (2, 4)], ["link", "merge", "link", "split"]
+    )
+    assert chain(links, 5).tolist() == [0, 1, 0, 0, 2]
+
+
+def test_pieces_of_one_feature_make_one_track():
+    source, target = np.array([0, 3, 5, 1, 7]), np.array([2, 4, 6, 8, 9])
+    links = links_of(np.stack([source, target], axis=1))
+    core = np.array([0, -1, 0, 0, 0, 1, 1, 1, -1, 1, 0])
+    # SSP 10 has no link at all.
+    wanted = [0, 1, 0, 0, 0, 2, 2, 2, 1, 2, -1]
+    assert chain(links, 11, min_epochs=2, core=core).tolist() == wanted
+    wanted = [0, -1, 0, 0, 0, 1, 1, 1, -1, 1, -1]
+    assert chain(links, 11, min_epochs=4, core=core).tolist() == wanted

@@ -122,7 +122,7 @@ def test_features_have_places_and_motions_on_the_sky(tracking):
     )
 
 
-def test_confidence_is_observed_and_shuffled(tracking):
+def test_confidence_is_observed_and_permuted(tracking):
     table = tracking.confidence
     assert table["scale"].tolist() == [0, 1, 2]
     assert table["share"][0] == 1.0
@@ -236,6 +236,13 @@ def test_names_stay_when_epochs_are_added(tracker, tracking):
     cube, decompositions = jet()
     fewer = tracker(cube[:9], decompositions[:9])
     assert fewer.names == tracking.names
+
+
+def test_names_are_different_where_places_round_to_one(tracking):
+    ssps = tracking.ssps
+    names = replace(tracking, ssps=replace(ssps, y=0 * ssps.y, x=0 * ssps.x)).names
+    first = [name for name in names if "_s1_" in name]
+    assert first == ["20000101_s1_+2.0-2.0" + end for end in ("", ".2", ".3")]
 
 
 def test_matches_may_be_those_of_a_measurement(tracker, tracking):

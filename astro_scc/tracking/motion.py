@@ -1,0 +1,332 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Motion fitted to the positions of features, and what follows from it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtrit
+
+#: Residuals beyond so many standard deviations lose weight (Huber 1981).
+HUBER = 1.345
+#: Normalised median absolute deviation of a normal distribution.
+MAD = 1.4826
+#: Largest factor of a variance by residuals that depend on one another.
+LARGEST_INFLATION = 10.0
+#: Share of a normal distribution below one standard deviation.
+ONE_SIGMA = 0.8413447
+#: A speed or an acceleration counts from so many standard errors.
+SIGNIFICANT = 3.0
+#: Largest angle, with two standard errors, between motion and radius (deg).
+RADIAL = 15.0
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFit:
+    """
+    The motion of a feature, fitted on two axes.
+
+    Attributes
+    ----------
+    middle : float
+        Time that the coefficients refer to, the middle of first and last.
+    coefficients : `~numpy.ndarray`, shape (2, degree + 1)
+        Of each axis: position, velocity and, for degree 2, acceleration.
+    covariance : `~numpy.ndarray`, shape (2, degree + 1, degree + 1)
+    scatter : `~numpy.ndarray`, shape (2,)
+        Robust standard deviation of the residuals.
+    weight : `~numpy.ndarray`, shape (2, n)
+        Between 0 and 1: how much each position counts.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.tracking import fit_motion
+    >>> years = np.arange(6.0)
+    >>> fit = fit_motion(years, [0.3 * years, 2 - 0.1 * years], np.full((2, 6), 0.05))
+    >>> float(fit.middle), fit.coefficients.round(2).tolist()
+    (2.5, [[0.75, 0.3], [1.75, -0.1]])
+    """
+
+    middle: float
+    coefficients: np.ndarray
+    covariance: np.ndarray
+    scatter: np.ndarray
+    weight: np.ndarray
+
+    @property
+    def errors(self):
+        """Standard errors of the coefficients, shape (2, degree + 1)."""
+        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+
+    def at(self, time):
+        """
+        Return the fitted positions.
+
+        Parameters
+        ----------
+        time : array_like, shape (n,)
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (2, n)
+        """
+        return self.coefficients @ _design(
+            np.asarray(time, dtype=float) - self.middle, self.coefficients.shape[1] - 1
+        )
+
+    @property
+    def velocity_errors(self):
+        """Standard errors of speed and direction, in radians and at most pi."""
+        v, error = self.coefficients[:, 1], self.errors[:, 1]
+        speed = np.hypot(*v)
+        if speed == 0:
+            return float(np.hypot(*error)), np.pi
+        along, across = v / speed, np.array([v[1], -v[0]]) / speed
+        length = np.sqrt(np.sum((along * error) ** 2))
+        return float(length), min(np.sqrt(np.sum((across * error) ** 2)) / speed, np.pi)
+
+
+def _design(time, degree):
+    """Return the powers of the time, that of the acceleration halved."""
+    return np.stack([time**k / (1 if k < 2 else 2) for k in range(degree + 1)])
+
+
+def fit_motion(time, position, error, *, degree=1):
+    r"""
+    Fit a straight line or a parabola to positions on two axes.
+
+    .. math:: x(t) = x_m + \mu (t - t_m) + \tfrac12 \dot\mu (t - t_m)^2
+
+    with :math:`t_m` the middle of first and last date (Lister et al. 2009,
+    AJ 138, 1874, Eq. 1).  Positions are weighted by their errors and, by
+    Huber's function of the residuals, less if they lie away.  The errors
+    of positions count relative to one another only: the covariance is
+    scaled by the robust scatter of the residuals, with Huber's correction
+    for small numbers, by Student's factor, so that one standard error holds
+    68% with few dates too, and by :math:`(1 + r)/(1 - r)`, ten at most, where
+    residuals of consecutive dates have a correlation r above what chance
+    gives, for features that wander.  The scatter is never taken below the
+    errors of the positions.
+
+    Parameters
+    ----------
+    time : array_like, shape (n,)
+        Not decreasing.
+    position : array_like, shape (2, n)
+    error : array_like, shape (2, n)
+        Standard errors, positive.
+    degree : int, optional
+        1 or 2.
+
+    Returns
+    -------
+    `MotionFit`
+
+    Raises
+    ------
+    ValueError
+        If there are fewer different dates than coefficients.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.tracking import fit_motion
+    >>> time = np.arange(2000.0, 2006.0)
+    >>> fit = fit_motion(time, [0.3 * time, 0 * time], np.full((2, 6), 0.1))
+    >>> fit.coefficients[:, 1].round(6) + 0.0
+    array([0.3, 0. ])
+    """
+    time = np.asarray(time, dtype=float)
+    position, error = (np.asarray(a, dtype=float) for a in (position, error))
+    if len(np.unique(time)) < degree + 1:
+        raise ValueError(
+            f"a motion of degree {degree} needs {degree + 1} different dates, "
+            f"got {len(np.unique(time))}"
+        )
+    middle = (time.min() + time.max()) / 2
+    design = _design(time - middle, degree)
+    fits = [_fit_axis(design, x, e) for x, e in zip(position, error, strict=True)]
+    return MotionFit(middle, *(np.stack(parts) for parts in zip(*fits, strict=True)))
+
+
+def _fit_axis(design, x, error):
+    """Fit one axis by iteratively reweighted least squares."""
+    p, n = design.shape
+    free = n - p
+    # In units of the errors, all positions are alike.
+    a, y = design / error, x / error
+    weight = np.ones(n)
+    scatter = 1.0
+    for _ in range(50):
+        root = np.sqrt(weight)
+        solution = np.linalg.lstsq((a * root).T, y * root, rcond=None)[0]
+        residual = y - solution @ a
+        scatter = _scatter(residual, free)
+        size = np.abs(residual) / (HUBER * scatter)
+        new = 1 / np.maximum(size, 1.0) if free > 1 else np.ones(n)
+        if np.max(np.abs(new - weight)) < 1e-6:
+            break
+        weight = new
+    variance = scatter**2
+    if free > 0:
+        # Huber (1981), Sect. 7.6: psi is the clipped residual.
+        inside = np.mean(weight == 1.0)
+        psi = weight * residual
+        small = 1 + p / n * (1 - inside) / max(inside, 1e-3)
+        robust = small**2 * np.sum(psi**2) / free / max(inside, 0.5) ** 2
+        # A scatter from few residuals is uncertain itself.
+        robust *= stdtrit(free, ONE_SIGMA) ** 2
+        # Never better than the positions themselves.
+        variance = max(robust * _inflation(psi, p), 1.0)
+    inverse = np.linalg.pinv(a @ a.T)
+    return solution, variance * inverse, scatter * np.median(error), weight
+
+
+def _scatter(residual, free):
+    """Return the normalised median deviation, of few residuals the standard one."""
+    if free < 1:
+        return 1.0
+    n = len(residual)
+    usual = np.sqrt(np.sum(residual**2) / free)
+    if n < 5:
+        return max(usual, 1e-9)
+    robust = MAD * np.median(np.abs(residual)) * np.sqrt(n / free)
+    return max(robust, 0.1 * usual, 1e-9)
+
+
+def _inflation(residual, p):
+    """Return by how much the variance grows if residuals follow one another."""
+    n = len(residual)
+    energy = np.sum(residual**2)
+    if n < 6 or energy <= 0:
+        return 1.0
+    # A fit of p coefficients makes independent residuals look anticorrelated.
+    r = np.sum(residual[1:] * residual[:-1]) / energy + p / n
+    r = np.clip(r, 0.0, 0.95)
+    if r < 1 / np.sqrt(n):
+        return 1.0
+    return min((1 + r) / (1 - r), LARGEST_INFLATION)
+
+
+def ejection_epoch(fit, beam, *, accelerated=False):
+    r"""
+    Return the date at which a feature that moves radially was at the origin.
+
+    .. math:: t_\mathrm{ej} = t_m - \frac{\boldsymbol r \cdot \boldsymbol\mu}
+                                         {|\boldsymbol\mu|^2}
+
+    with position and velocity of the straight fit at its middle date.  As
+    in MOJAVE (Lister et al. 2009, AJ 138, 1874; 2019, ApJ 874, 43) there is
+    none unless the speed is three standard errors or more, the motion is
+    not accelerated, and it points outward within 15 degrees with two
+    standard errors of the angle to spare.  Far out 15 degrees are several
+    beams: the straight line must pass the origin within one as well, nearer
+    than which a feature is not distinguished from the core.
+
+    Parameters
+    ----------
+    fit : `~astro_scc.tracking.MotionFit`
+        Of degree 1; the first axis is east, the second north.
+    beam : float
+        Width of the beam, in the unit of the positions.
+    accelerated : bool, optional
+
+    Returns
+    -------
+    epoch, error : float or None
+        In the unit and from the zero of the times of the fit; None where it
+        is not allowed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.tracking import ejection_epoch, fit_motion
+    >>> time = np.arange(2000.0, 2006.0)
+    >>> fit = fit_motion(time, [0.3 * (time - 1998), 0 * time], np.full((2, 6), 0.01))
+    >>> round(ejection_epoch(fit, 0.5)[0], 3)
+    1998.0
+    """
+    r, v = fit.coefficients[:, 0], fit.coefficients[:, 1]
+    speed = np.hypot(*v)
+    speed_err, angle_err = fit.velocity_errors
+    if accelerated or speed < SIGNIFICANT * speed_err:
+        return None, None
+    distance = np.hypot(*r)
+    passes = np.abs(r[0] * v[1] - r[1] * v[0]) / speed
+    if distance == 0 or passes > beam:
+        return None, None
+    # The direction to the mean position has an error of its own.
+    across = np.array([r[1], -r[0]]) / distance**2
+    radius_err = np.sqrt(np.sum(across**2 * fit.covariance[:, 0, 0]))
+    off = turn_between(r, v)
+    if off + 2 * np.degrees(np.hypot(angle_err, radius_err)) > RADIAL:
+        return None, None
+    along = r @ v
+    by_r = -v / speed**2
+    by_v = -r / speed**2 + 2 * v * along / speed**4
+    gradient = np.stack([by_r, by_v], axis=1)
+    variance = np.einsum("ai,aij,aj->", gradient, fit.covariance[:, :2, :2], gradient)
+    return float(fit.middle - along / speed**2), float(np.sqrt(variance))
+
+
+def turn_between(a, b):
+    """Return the angle between two vectors in degrees, 0 for one without length."""
+    cross = a[0] * b[1] - a[1] * b[0]
+    return float(np.degrees(np.abs(np.arctan2(cross, np.dot(a, b)))))
+
+
+def track_profile(
+    time, distance, error, track, radii, *, half_width, min_epochs=3, scale=None
+):
+    """
+    Return the mean radial speed of the features near each distance.
+
+    At each radius a straight line is fitted to the distances of every track,
+    with its features within ``half_width`` of the radius alone, and the
+    slopes are averaged (Mertens & Lobanov 2016, Sect. 3.3).  Tracks with fewer
+    features than ``min_epochs`` there do not count.  One feature makes tracks
+    on several scales, which are not independent: given the ``scale`` of each
+    feature, errors grow by the root of the number of scales that count.
+
+    Returned are speeds, their errors, zero where no track counts, and numbers
+    of tracks, each of the shape of ``radii``.
+    """
+    time, distance, error = (np.asarray(a, dtype=float) for a in
+                             (time, distance, error))  # fmt: skip
+    track, radii = np.asarray(track), np.asarray(radii, dtype=float)
+    speed, speed_err = np.zeros((2, len(radii)))
+    n_tracks = np.zeros(len(radii), dtype=int)
+    for k, radius in enumerate(radii):
+        slopes, errors, scales = [], [], set()
+        near = np.abs(distance - radius) <= half_width
+        for number in np.unique(track[near]):
+            own = np.flatnonzero(near & (track == number))
+            if len(np.unique(time[own])) < max(min_epochs, 2):
+                continue
+            fit = fit_motion(time[own], distance[None, own], error[None, own])
+            if scale is not None:
+                scales.add(float(scale[own[0]]))
+            slopes.append(fit.coefficients[0, 1])
+            errors.append(fit.errors[0, 1])
+        n_tracks[k] = len(slopes)
+        if slopes:
+            speed[k], mean_err = average_with_scatter(slopes, errors)
+            speed_err[k] = mean_err * np.sqrt(len(scales) or 1)
+    return speed, speed_err, n_tracks
+
+
+def average_with_scatter(values, errors):
+    """
+    Return the weighted mean and its error of values that scatter beyond their errors.
+
+    Weights are ``1 / (error^2 + s^2)`` with the scatter s that the values
+    have beyond their errors (DerSimonian & Laird 1986).
+    """
+    values, weight = np.asarray(values, float), 1 / np.asarray(errors, float) ** 2
+    mean = np.average(values, weights=weight)
+    free = len(values) - 1
+    spare = weight.sum() - np.sum(weight**2) / weight.sum()
+    excess = np.sum(weight * (values - mean) ** 2) - free
+    extra = max(excess / spare, 0.0) if free else 0.0
+    weight = 1 / (1 / weight + extra)
+    return float(np.average(values, weights=weight)), float(weight.sum() ** -0.5)

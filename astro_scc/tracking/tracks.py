@@ -1,0 +1,378 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Tracked features: the result of tracking."""
+
+from collections import Counter
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import astropy.units as u
+import numpy as np
+from astropy.table import MaskedColumn, QTable
+
+from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.epochs import EpochCube
+from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
+from astro_scc.kinematics.cosmology import table_in_c
+from astro_scc.quantities import named, to_quantity
+from astro_scc.settings import require
+from astro_scc.tracking.linking import Links
+from astro_scc.tracking.motion import fit_motion, track_profile
+from astro_scc.tracking.tables import feature_table, track_table
+
+#: Positions are not known better than to this part of a beam (Lister et al. 2009).
+POSITION_FLOOR = 0.05
+#: Tracks of so many epochs get an accelerated fit.
+ACCELERATED_EPOCHS = 10
+#: Resamples of the epochs for the errors of shares.
+N_BOOTSTRAP = 1000
+
+
+class LinkedShare(NamedTuple):
+    """
+    The share of SSPs that tracks link to a later one, and what chance gives.
+
+    The scale is None for all of them together; ``n_ssps`` counts those that
+    have a later epoch.  The error of the share is its standard deviation over
+    resampled epochs.  ``shuffled`` is the mean of the share over permutations
+    of the epochs, with its standard deviation, and ``p_value`` the part of the
+    permutations, the observed order included, that link as many; NaN without
+    permutations.
+    """
+
+    scale: float | None
+    n_ssps: int
+    n_linked: int
+    share: float
+    share_err: float
+    shuffled: float
+    shuffled_err: float
+    p_value: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracking:
+    """
+    The features of a cube, followed over its epochs.
+
+    Attributes
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+    select : `~numpy.ndarray` of bool, shape (n_ssps,)
+        The SSPs that were tracked.
+    links : `~astro_scc.tracking.Links`
+    track : `~numpy.ndarray` of int, shape (n_ssps,)
+        Number of the track of each SSP, -1 for none.
+    shares : tuple
+        The shares of SSPs that are linked, of all scales and of each, see
+        ``confidence``.
+    n_trials : int
+        Permutations of the epochs that were linked.
+    settings : dict
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.decomposition import Decomposer
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.tracking import FeatureTracker
+    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    >>> decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
+    >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
+    >>> tracking = tracker(cube, decompositions)
+    >>> len(tracking.tracks) == len(set(tracking.track.tolist()) - {-1})
+    True
+    """
+
+    cube: EpochCube
+    ssps: SSPs
+    select: np.ndarray
+    links: Links
+    track: np.ndarray
+    shares: tuple[LinkedShare, ...]
+    n_trials: int
+    settings: dict
+
+    def __repr__(self):
+        return (
+            f"<Tracking: {self.n_tracks} tracks with {np.sum(self.track >= 0)} of "
+            f"{np.sum(self.select)} SSPs in {len(self.cube)} epochs>"
+        )
+
+    @property
+    def n_tracks(self):
+        """Number of tracks."""
+        return int(self.track.max(initial=-1)) + 1
+
+    def members(self, number):
+        """
+        Return the SSPs of a track, in time order.
+
+        Parameters
+        ----------
+        number : int
+            From 0.
+
+        Returns
+        -------
+        `~numpy.ndarray` of int
+        """
+        own = np.flatnonzero(self.track == number)
+        return own[np.argsort(self.ssps.epoch[own], kind="stable")]
+
+    @cached_property
+    def names(self):
+        """
+        Names of the tracks by the date, scale and place at which they begin.
+
+        A name stays what it is when epochs are added after the first one of its
+        track, whatever the other tracks are.
+        """
+        dates = self.cube.times.isot
+        days = [date[:10] for date in dates]
+        dates = days if len(set(days)) == len(days) else dates
+        decimals = max(0, int(np.ceil(-np.log10(self.cube.pixel_scale.value))))
+        names, seen = [], Counter()
+        for number in range(self.n_tracks):
+            first = self.members(number)[0]
+            date = str(dates[self.ssps.epoch[first]]).replace("-", "").replace(":", "")
+            place = "".join(
+                f"{np.round(offset, decimals) + 0.0:+.{decimals}f}"
+                for offset in self.offsets[:, first]
+            )
+            name = f"{date}_s{self.ssps.scale[first]:g}_{place}"
+            # Two that round to one place: in the order of the catalogue.
+            seen[name] += 1
+            names.append(name if seen[name] == 1 else f"{name}.{seen[name]}")
+        return tuple(names)
+
+    @cached_property
+    def fwhm(self):
+        """Size of the resolution in mas, the mean beam or twice the middle scale."""
+        return mean_fwhm(self.cube, np.unique(self.ssps.scale))
+
+    @cached_property
+    def offsets(self):
+        """East and north of every SSP in mas, shape (2, n_ssps)."""
+        return np.stack(ssp_offsets(self.ssps, self.cube))
+
+    @cached_property
+    def offset_errors(self):
+        """
+        Standard errors of the offsets in mas, shape (2, n_ssps).
+
+        See `~astro_scc.epochs.position_errors`; the floor is that of one
+        position.
+        """
+        ssps = self.ssps
+        fwhm = beam_fwhm(self.cube, ssps.epoch, ssps.scale, np.eye(2))
+        return position_errors(ssps.snr, fwhm, np.sqrt(2) * POSITION_FLOOR).T
+
+    @cached_property
+    def fits(self):
+        """
+        Fitted motions, a `MotionFit` of a straight line for each track.
+
+        Offsets in mas, times in Julian years since the first epoch.
+        """
+        return tuple(self._fit(number, 1) for number in range(self.n_tracks))
+
+    @cached_property
+    def accelerated_fits(self):
+        """Fits of a parabola, None for tracks of less than ten epochs."""
+        return tuple(
+            self._fit(number, 2)
+            if len(self.members(number)) >= ACCELERATED_EPOCHS
+            else None
+            for number in range(self.n_tracks)
+        )
+
+    def _fit(self, number, degree):
+        own = self.members(number)
+        time = self.cube.years.to_value(u.yr)[self.ssps.epoch[own]]
+        return fit_motion(
+            time, self.offsets[:, own], self.offset_errors[:, own], degree=degree
+        )
+
+    @cached_property
+    def features(self):
+        """
+        One row a feature and epoch, `~astropy.table.QTable`.
+
+        By track and date, which is a `~astropy.time.Time`.  ``sky`` is a
+        `~astropy.coordinates.SkyCoord` with the proper motion of the track; in
+        frames without right ascension there are ``lon`` and ``lat`` in its
+        place, with ``pm_lon_coslat`` and ``pm_lat``.  ``link`` says how the
+        feature follows from the one before it: "first", "link", or "gap" where
+        epochs lie between.
+        """
+        table = feature_table(self)
+        table.meta.update(self._meta())
+        return table
+
+    @cached_property
+    def tracks(self):
+        """
+        One row a track, `~astropy.table.QTable`.
+
+        All columns are there even if there is no row.  Accelerations and
+        ejection epochs are masked where the track has none.
+        """
+        table = track_table(self)
+        table.meta.update(self._meta())
+        return table
+
+    def tracks_in_c(self, *, redshift=None, cosmology=None, distance=None):
+        """
+        Return the tracks with apparent speeds in units of c.
+
+        Parameters
+        ----------
+        redshift, cosmology, distance
+            See `~astro_scc.kinematics.apparent_speed`.
+
+        Returns
+        -------
+        `~astropy.table.QTable`
+            ``tracks`` with the columns ``beta_app`` and ``beta_app_err``, see
+            `~astro_scc.kinematics.table_in_c`.
+        """
+        return table_in_c(
+            self.tracks, redshift=redshift, cosmology=cosmology, distance=distance
+        )
+
+    @cached_property
+    def confidence(self):
+        """
+        Shares of linked SSPs, observed and permuted, `~astropy.table.QTable`.
+
+        The first row, with scale 0, is that of all scales.  What permutations
+        of the epochs give is masked where there were none.
+        """
+        table = QTable(
+            rows=[(share.scale or 0.0, *share[1:]) for share in self.shares],
+            names=("scale", "n_ssps", "n_linked", "share", "share_err",
+                   "share_shuffled", "share_shuffled_err", "p_value"),
+            dtype=(float, int, int, *[float] * 5),
+        )  # fmt: skip
+        for name in table.colnames[5:]:
+            values = np.asarray(table[name])
+            table[name] = MaskedColumn(np.nan_to_num(values), mask=np.isnan(values))
+        return table
+
+    def profile(self, radii, *, half_width=2 * u.mas, scales=None):
+        """
+        Return the mean radial speed of the features near each distance.
+
+        At each radius a straight line is fitted to the distances of every
+        track, with its features within ``half_width`` of the radius alone, and
+        the slopes are averaged (Mertens & Lobanov 2016, Sect. 3.3).
+
+        Parameters
+        ----------
+        radii : `~astropy.units.Quantity`, shape (n,)
+            Distances from the core.
+        half_width : `~astropy.units.Quantity`, optional
+            Features within this of a radius count, 2 mas in the paper.
+        scales : sequence of float, optional
+            The scales whose tracks count.
+
+        Returns
+        -------
+        `~astropy.table.QTable`
+            ``r``, ``speed``, ``speed_err``, ``n_tracks``; radii without a
+            track are left out.
+        """
+        own = np.flatnonzero(self.track >= 0)
+        if scales is not None:
+            own = own[np.isin(self.ssps.scale[own], scales)]
+        offset, offset_error = self.offsets[:, own], self.offset_errors[:, own]
+        distance = np.hypot(*offset)
+        radial = offset / np.maximum(distance, 1e-30)
+        error = np.sqrt(np.sum((radial * offset_error) ** 2, axis=0))
+        error = np.maximum(error, offset_error.min(axis=0))
+        wanted = "must be distances with a unit, such as '1 2 3 mas'"
+        radii = named("radii", to_quantity, radii, u.mas, wanted).to(u.mas).reshape(-1)
+        half_width = require("half_width", half_width).to(u.mas)
+        speed, speed_err, n_tracks = track_profile(
+            self.cube.years.to_value(u.yr)[self.ssps.epoch[own]], distance, error,
+            self.track[own], radii.value, half_width=half_width.value,
+            min_epochs=self.settings["min_epochs"], scale=self.ssps.scale[own],
+        )  # fmt: skip
+        use = n_tracks > 0
+        return QTable(
+            {
+                "r": radii[use],
+                "speed": speed[use] * u.mas / u.yr,
+                "speed_err": speed_err[use] * u.mas / u.yr,
+                "n_tracks": n_tracks[use],
+            },
+            meta={"half_width": half_width},
+        )
+
+    def _meta(self):
+        names = {"shuffled": "share_shuffled", "p_value": "p_value"}
+        confidence = []
+        for share in self.shares:
+            cells = share._asdict()
+            entry = dict(list(cells.items())[:5], scale=share.scale or "all")
+            if self.n_trials:
+                entry |= {new: float(cells[old]) for old, new in names.items()}
+            confidence.append(entry)
+        return {
+            "settings": self.settings,
+            "n_trials": self.n_trials,
+            "confidence": confidence,
+            "epochs": list(self.cube.labels),
+            "history": list(self.cube.meta.get("history", ())),
+        }
+
+
+def mean_fwhm(cube, scales):
+    """Return the size of the resolution in mas, the mean beam or twice the scale."""
+    if cube.beams is None:
+        middle = np.exp(np.mean(np.log([scale_size(s) for s in scales])))
+        return 2 * middle * cube.pixel_scale
+    areas = [(b.major * b.minor).to_value(u.mas**2) for b in cube.beams]
+    return np.sqrt(np.mean(areas)) * u.mas
+
+
+def linked_shares(counts, permuted, scales, *, rng=None):
+    """
+    Return the `LinkedShare` of all scales, and of each.
+
+    ``counts``, shape (2, n_scales, n), are linked SSPs and all of them, and
+    ``permuted`` a sequence of the same for permutations of the epochs.  The
+    error is the standard deviation of 1000 resamples of the epochs, with
+    replacement (Efron & Tibshirani 1993).
+    """
+    rng = np.random.default_rng(rng)
+    n = counts.shape[2]
+    again = rng.integers(0, max(n, 1), (N_BOOTSTRAP, n))
+    found = []
+    for k in (slice(None), *range(len(scales))):
+        linked, total = (np.atleast_2d(c[k]).sum(axis=0) for c in counts)
+        trials = np.array(
+            [_ratio(*(np.sum(c[k]) for c in trial)) for trial in permuted]
+        )
+        share = _ratio(linked.sum(), total.sum())
+        resampled = _ratio(linked[again].sum(axis=1), total[again].sum(axis=1))
+        chance = np.nan, np.nan, np.nan
+        if len(trials):
+            p_value = (1 + np.sum(trials >= share)) / (1 + len(trials))
+            chance = np.mean(trials), np.std(trials), p_value
+        found.append(
+            LinkedShare(
+                None if isinstance(k, slice) else float(scales[k]),
+                int(total.sum()), int(linked.sum()), float(share),
+                float(np.std(resampled)) if n else 0.0, *map(float, chance),
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def _ratio(part, whole):
+    """Return the quotients, 0 where there is nothing."""
+    return np.divide(part, whole, out=np.zeros(np.shape(whole)), where=whole != 0)

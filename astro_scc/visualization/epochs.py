@@ -1,0 +1,454 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Pictures of the epochs with their SSPs, alone, together and moving, and of dates."""
+
+import operator
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.partial import replace_when_complete
+from astro_scc.stacking import consecutive_pairs
+from astro_scc.visualization import drawing, style
+
+#: What writes which files, by their ending.
+WRITERS = {".gif": "pillow", ".mp4": "ffmpeg"}
+LEGEND = {
+    "fontsize": "small",
+    "frameon": False,
+    "columnspacing": 1.0,
+    "handletextpad": 0.3,
+    "borderaxespad": 0.2,
+    "ncols": 9,
+}
+
+
+def plot_epoch(
+    cube,
+    epoch,
+    ssps=None,
+    *,
+    ax=None,
+    unit=None,
+    stretch="asinh",
+    vmin=None,
+    vmax=None,
+    zoom=True,
+    colorbar=True,
+):
+    """
+    Draw one epoch in offsets from the reference pixel, east to the left.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    epoch : int
+        Index of the epoch.
+    ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
+        The SSPs of all epochs: a table (``result.ssps``) is drawn as
+        circles, larger for larger scales and pale where the SSP is outside
+        the region that was measured; a catalogue
+        (``result.matched.ssps``) as the outlines of the SSPs.
+    ax : `matplotlib.axes.Axes`, optional
+        Drawn on these instead of a new figure.
+    unit : `~astropy.units.Unit`, optional
+        Of the offsets.
+    stretch : {"asinh", "log", "linear"}
+        Asinh is linear up to three times the noise and logarithmic above.
+    vmin, vmax : float, optional
+        Brightness at the ends of the colours, in the unit of the cube.
+    zoom : bool, optional
+        Show the part of the image that holds SSPs (but for the
+        outermost, which may be noise), not all of it.
+    colorbar : bool, optional
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Raises
+    ------
+    ValueError
+        If the stretch is unknown, or the unit no angle.
+    IndexError
+        If there is no such epoch.
+
+    Examples
+    --------
+    >>> from astro_scc.simulation import simulate_static
+    >>> from astro_scc.visualization import plot_epoch
+    >>> cube = simulate_static(n_epochs=2, rng=1).cube
+    >>> figure = plot_epoch(cube, 0)
+    >>> figure.axes[0].get_xlabel()
+    'Offset to the east (mas)'
+    """
+    index = operator.index(epoch)
+    if not -len(cube) <= index < len(cube):
+        raise IndexError(f"epoch {index} of a cube with {len(cube)} epochs")
+    index %= len(cube)
+    image = np.ma.masked_array(cube.data[index], cube.mask[index])
+    view = drawing.View.of(
+        cube, ssps, image, zoom=zoom, unit=unit, epochs=[index], stretch=stretch,
+        vmin=vmin, vmax=vmax,
+    )  # fmt: skip
+    figure, ax = style.figure_and_axes(ax, _figsize(view))
+    drawn = drawing.draw_image(ax, view, image, _beam(cube, index))
+    handles = drawing.draw_ssps(ax, view, ssps, index)
+    _name_axes(ax, view, index, handles + _masked_handle(view, image.mask))
+    if colorbar:
+        _add_bar(ax, drawn, view)
+    return figure
+
+
+def plot_epochs(
+    cube,
+    ssps=None,
+    *,
+    figure=None,
+    max_panels=12,
+    unit=None,
+    stretch="asinh",
+    vmin=None,
+    vmax=None,
+    zoom=True,
+):
+    """
+    Draw all epochs with the same colours, or some of them evenly chosen.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
+        As in `plot_epoch`.
+    figure : `matplotlib.figure.Figure`, optional
+        Drawn on this one instead of a new figure.
+    max_panels : int, optional
+        Of more epochs than these, the first, the last and others evenly
+        between them are drawn.
+    unit, stretch, vmin, vmax, zoom
+        As in `plot_epoch`.
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Raises
+    ------
+    ValueError
+        If ``max_panels`` is below 1, the stretch is unknown, or the unit no
+        angle.
+
+    Examples
+    --------
+    >>> from astro_scc.simulation import simulate_static
+    >>> from astro_scc.visualization import plot_epochs
+    >>> cube = simulate_static(n_epochs=5, rng=1).cube
+    >>> figure = plot_epochs(cube, max_panels=4)
+    """
+    if max_panels < 1:
+        raise ValueError(f"max_panels must be at least 1, got {max_panels}")
+    n = len(cube)
+    chosen = np.unique(np.rint(np.linspace(0, n - 1, min(n, max_panels))).astype(int))
+    images = np.ma.masked_array(cube.data[chosen], cube.mask[chosen])
+    view = drawing.View.of(
+        cube, ssps, images, zoom=zoom, unit=unit, epochs=chosen, stretch=stretch,
+        vmin=vmin, vmax=vmax,
+    )  # fmt: skip
+    figure, axes = drawing.image_panels(view, len(chosen), figure, aside=1.4, above=0.4)
+    for ax, index, image in zip(axes, chosen, images, strict=True):
+        drawn = drawing.draw_image(ax, view, image, _beam(cube, index))
+        handles = drawing.draw_ssps(ax, view, ssps, index, size=0.5)
+        drawing.panel_text(ax, _date_of(cube, index), 0.03, 0.96)
+    label = drawing.brightness_label(cube.unit)
+    bar = figure.colorbar(drawn, ax=figure.axes, label=label, pad=0.02, aspect=40)
+    style.set_ticks(bar, drawing.ticks_of(view.norm))
+    handles = handles + _masked_handle(view, images.mask.any(axis=0))
+    if handles:
+        figure.legend(handles=handles, loc="outside upper center", **LEGEND)
+    return figure
+
+
+def plot_intervals(cube, pairs=None, *, ax=None):
+    """
+    Draw the dates of the epochs, and the pairs of them that are compared.
+
+    Each pair is a bar from its first date to its second, as high as the time
+    between them: speeds come from motion over these times.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    pairs : `~astro_scc.stacking.DatePairs`, optional
+        By default consecutive epochs; ``result.pairs`` of a measurement.
+    ax : `matplotlib.axes.Axes`, optional
+        Drawn on these instead of a new figure.
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Examples
+    --------
+    >>> from astro_scc.simulation import simulate_static
+    >>> from astro_scc.visualization import plot_intervals
+    >>> figure = plot_intervals(simulate_static(n_epochs=5, rng=1).cube)
+    >>> figure.axes[0].get_ylabel()
+    'Time between epochs (d)'
+    """
+    from matplotlib.collections import LineCollection
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
+    if pairs is None:
+        pairs = consecutive_pairs(cube.years.to_value(u.yr))
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 2.6))
+    interval = pairs.interval * u.yr
+    unit = u.yr
+    if len(pairs):
+        longest = interval.max()
+        unit = next((v for v in (u.yr, u.day, u.hour) if longest >= 1 * v), u.min)
+    height = interval.to_value(unit)
+    dates = cube.times.plot_date
+    both = np.stack([dates[pairs.first], dates[pairs.second]], axis=1)
+    ends = np.stack([both, np.stack([height, height], axis=1)], axis=-1)
+    many = len(pairs) > 60
+    bar = (
+        {"linewidths": 0.8, "alpha": 0.4} if many else {"linewidths": 1.8, "alpha": 0.9}
+    )
+    bars = LineCollection(ends, colors=style.BLUE, gid="pairs", **bar)
+    ax.add_collection(bars, autolim=False)
+    if not many:
+        ax.plot(ends[..., 0], ends[..., 1], "o", color=style.BLUE, markersize=3)
+    top = 1.15 * height.max(initial=0.0) or 1.0
+    ax.vlines(dates, -0.12 * top, -0.02 * top, color=style.BLACK, linewidth=1.2)
+    ax.axhline(0, color=style.BLACK, linewidth=0.6)
+    ax.set_ylim(-0.14 * top, top)
+    margin = 0.03 * np.ptp(dates) or 1.0
+    ax.set_xlim(dates[0] - margin, dates[-1] + margin)
+    locator = AutoDateLocator(minticks=3, maxticks=8)
+    ax.xaxis.set_major_locator(locator)
+    ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    ax.set_xlabel("Date of observation")
+    ax.set_ylabel(f"Time between epochs ({unit})")
+    return figure
+
+
+def animate_epochs(
+    cube,
+    ssps=None,
+    *,
+    n_frames=None,
+    trail=3,
+    interval=400 * u.ms,
+    ax=None,
+    unit=None,
+    stretch="asinh",
+    zoom=True,
+):
+    """
+    Show the epochs one after the other, with their SSPs.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
+        As in `plot_epoch`.
+    n_frames : int, optional
+        By default one frame per epoch.  With a number, so many frames at equal
+        steps of time, each of the last epoch before it: motion then looks as
+        fast as it is, and gaps between the epochs as long.
+    trail : int, optional
+        Dots show where SSPs were in so many epochs before.
+    interval : `~astropy.units.Quantity`, optional
+        Time between frames.
+    ax : `matplotlib.axes.Axes`, optional
+        Drawn on these instead of a new figure.
+    unit, stretch, zoom
+        As in `plot_epoch`.
+
+    Returns
+    -------
+    `matplotlib.animation.FuncAnimation`
+        To be kept in a variable.  In a notebook,
+        ``IPython.display.HTML(animation.to_jshtml())`` plays it;
+        `write_animation` saves it.
+
+    Raises
+    ------
+    ValueError
+        If ``n_frames`` is below 1, ``trail`` negative, the interval not
+        positive, the stretch unknown, or the unit no angle.
+
+    Examples
+    --------
+    >>> from astro_scc.simulation import simulate_static
+    >>> from astro_scc.visualization import animate_epochs, write_animation
+    >>> cube = simulate_static(n_epochs=2, rng=1).cube
+    >>> animation = animate_epochs(cube)
+    >>> write_animation(animation, "jet.gif").name
+    'jet.gif'
+    """
+    from matplotlib.animation import FuncAnimation
+    from matplotlib.lines import Line2D
+
+    if trail < 0:
+        raise ValueError(f"trail must be at least 0, got {trail}")
+    wait = u.Quantity(interval).to_value(u.ms)
+    if not wait > 0:
+        raise ValueError(f"interval must be positive, got {interval}")
+    shown = _epochs_shown(cube, n_frames)
+    images = np.ma.masked_array(cube.data, cube.mask)
+    view = drawing.View.of(cube, ssps, images, zoom=zoom, unit=unit, stretch=stretch)
+    figure, ax = style.figure_and_axes(ax, _figsize(view))
+    picture = drawing.draw_image(ax, view, images[shown[0]])
+    _add_bar(ax, picture, view)
+    # Laid out with a title and a legend, the same in all frames.
+    handles = drawing.draw_ssps(ax, view, ssps, -1)
+    if handles and trail:
+        dot = {"linestyle": "", "marker": "o", "ms": 2.5, "color": style.ORANGE}
+        handles.append(Line2D([], [], label="before", **dot))
+    _name_axes(ax, view, shown[0], handles)
+    drawn = []
+
+    def draw(index):
+        while drawn:
+            drawn.pop().remove()
+        picture.set_data(images[index])
+        ax.title.set_text(_date_of(cube, index))
+        before = {id(artist) for artist in ax.get_children()}
+        drawing.draw_beam(ax, view, _beam(cube, index))
+        if ssps is not None:
+            _draw_trail(ax, view, index, trail)
+        drawing.draw_ssps(ax, view, ssps, index)
+        drawn.extend(a for a in ax.get_children() if id(a) not in before)
+        return [picture, ax.title, *drawn]
+
+    return FuncAnimation(
+        figure, draw, frames=shown, init_func=lambda: draw(shown[0]), interval=wait,
+        cache_frame_data=False,
+    )  # fmt: skip
+
+
+def write_animation(animation, path, *, fps=None, dpi=100, overwrite=False):
+    """
+    Save an animation as GIF or MP4.
+
+    Parameters
+    ----------
+    animation : `matplotlib.animation.FuncAnimation`
+        Of `animate_epochs`.
+    path : path
+        Its ending says what is written: ``.gif``, or ``.mp4`` where the
+        program ``ffmpeg`` is found.
+    fps : float, optional
+        Frames a second, by default those of the animation.
+    dpi : float, optional
+        Pixels an inch; a figure is six inches wide.
+    overwrite : bool, optional
+        Replace a file that exists.
+
+    Returns
+    -------
+    `~pathlib.Path`
+
+    Raises
+    ------
+    ValueError
+        If the ending is neither ``.gif`` nor ``.mp4``.
+    OSError
+        If the file exists and ``overwrite`` is False, cannot be written, or
+        there is no ``ffmpeg``.
+
+    Examples
+    --------
+    >>> from astro_scc.simulation import simulate_static
+    >>> from astro_scc.visualization import animate_epochs, write_animation
+    >>> animation = animate_epochs(simulate_static(n_epochs=2, rng=1).cube)
+    >>> write_animation(animation, "jet.gif", dpi=40).name
+    'jet.gif'
+    """
+    from matplotlib.animation import writers
+
+    path = Path(path)
+    writer = WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise ValueError(f"{path}: animations are written as .gif or .mp4")
+    if not writers.is_available(writer):
+        raise OSError(
+            f"{path}: the program {writer} is not found; install it, or write a .gif"
+        )
+    with replace_when_complete(path, overwrite=overwrite) as part:
+        animation.save(part, writer=writer, fps=fps, dpi=dpi)
+    return path
+
+
+# -- what one epoch has ------------------------------------------------------------
+
+
+def _figsize(view):
+    """Return the size of a figure of one image."""
+    width, height = drawing.lengths(view.limits)
+    return style.WIDTH, float(np.clip(4.6 * height / width + 1.0, 2.4, 8.0))
+
+
+def _beam(cube, index):
+    return None if cube.beams is None else cube.beams[index]
+
+
+def _date_of(cube, index):
+    """Return the date of an epoch, with the time where another has the same."""
+    days = list(cube.times.strftime("%Y-%m-%d"))
+    if days.count(days[index]) == 1:
+        return days[index]
+    return cube.times[index].strftime("%Y-%m-%d %H:%M")
+
+
+def _name_axes(ax, view, index, handles):
+    """Name the axes, and write the date above a line with the legend."""
+    across, up = drawing.offset_labels(view.cube, view.unit)
+    ax.set_xlabel(across)
+    ax.set_ylabel(up)
+    ax.set_title(_date_of(view.cube, index), pad=22.0 if handles else None)
+    if handles:
+        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
+        ax.legend(handles=handles, **place, **LEGEND)
+
+
+def _add_bar(ax, drawn, view):
+    label = drawing.brightness_label(view.cube.unit)
+    style.add_colorbar(ax, drawn, label, drawing.ticks_of(view.norm))
+
+
+def _masked_handle(view, mask):
+    """Return what the colour of masked pixels means, if some are seen."""
+    from matplotlib.patches import Patch
+
+    row, column = np.nonzero(mask)
+    offset = np.stack(view.cube.pixel_to_offset(column, row), axis=-1).value
+    low, high = view.limits.T
+    seen = np.all((offset > low) & (offset < high), axis=1)
+    return [Patch(color=drawing.MASKED, label="masked")] if seen.any() else []
+
+
+def _draw_trail(ax, view, index, trail):
+    """Draw where SSPs were before, the older, the paler."""
+    points = view.points
+    past = points["used"] & (points["epoch"] < index)
+    past &= points["epoch"] >= index - trail
+    if past.any():
+        ax.scatter(
+            points["east"][past] * view.factor, points["north"][past] * view.factor,
+            s=4.0, color=style.ORANGE, linewidths=0, gid="trail",
+            alpha=1 - (index - points["epoch"][past]) / (trail + 1),
+        )  # fmt: skip
+
+
+def _epochs_shown(cube, n_frames):
+    """Return the index of the epoch that each frame shows."""
+    if n_frames is None:
+        return list(range(len(cube)))
+    if n_frames < 1:
+        raise ValueError(f"n_frames must be at least 1, got {n_frames}")
+    years = cube.years.value
+    # Rounding must not put the last frame before the last epoch.
+    dates = np.linspace(0.0, years[-1], n_frames) + 1e-9
+    return (np.searchsorted(years, dates, side="right") - 1).tolist()
