@@ -79,8 +79,8 @@ def read_epochs(config, *, files=None, note=None):
     (3, ['two-fluid_03_2000-03-31.fits'])
     """
     from astro_scc.epochs import EpochCube
+    from astro_scc.epochs.cutout import refuse_pixels
     from astro_scc.epochs.files.assembly import find_files
-    from astro_scc.epochs.grids.cutout import refuse_pixels
 
     config = dict(config)
     if files is None:

@@ -1,20 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Epochs: the images, where they come from and how they are laid on one another."""
 
-from astro_scc.epochs.alignment.core import core_positions
-from astro_scc.epochs.alignment.shifts import align
+from astro_scc.epochs.alignment import align
 from astro_scc.epochs.beam import Beam
-from astro_scc.epochs.components.lists import ComponentList
-from astro_scc.epochs.components.noise import correlated_noise
-from astro_scc.epochs.components.reading import read_components
-from astro_scc.epochs.components.restoring import restore
+from astro_scc.epochs.components import ComponentList, read_components
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.cutout import crop, distance_mask, region_mask
 from astro_scc.epochs.files.epoch_files import write_epochs
 from astro_scc.epochs.files.fits import read_vlbi_fits
 from astro_scc.epochs.files.inspection import inspect_epochs
-from astro_scc.epochs.grids.cutout import crop, distance_mask, region_mask
-from astro_scc.epochs.grids.reprojection import reproject_cube, shared_grid
-from astro_scc.epochs.grids.smoothing import common_beam, smallest_common_beam
+from astro_scc.epochs.grid import reproject_cube, shared_grid
 from astro_scc.epochs.intervals import IntervalPlan, plan_intervals
 from astro_scc.epochs.offset_grid import offset_wcs
 from astro_scc.epochs.positions import (
@@ -24,6 +19,9 @@ from astro_scc.epochs.positions import (
     sky_columns,
     ssp_offsets,
 )
+from astro_scc.epochs.registration import core_positions
+from astro_scc.epochs.restoring import correlated_noise, restore
+from astro_scc.epochs.smoothing import common_beam, smallest_common_beam
 from astro_scc.epochs.statistics import measure_noise
 
 __all__ = [

@@ -27,7 +27,7 @@ class EpochSteps:
         -------
         `EpochCube`
         """
-        from astro_scc.epochs.grids.smoothing import common_beam
+        from astro_scc.epochs.smoothing import common_beam
 
         return common_beam(self, beam=beam)
 
@@ -47,7 +47,7 @@ class EpochSteps:
         -------
         `EpochCube`
         """
-        from astro_scc.epochs.alignment.shifts import align
+        from astro_scc.epochs.alignment import align
 
         return align(self, method, **kwargs)
 
@@ -57,9 +57,9 @@ class EpochSteps:
         Scatter of the epochs about where their neighbours put them, in beams.
 
         None where that cannot be told, see
-        `~astro_scc.epochs.alignment.misalignment.misalignment`.
+        `~astro_scc.epochs.misalignment.misalignment`.
         """
-        from astro_scc.epochs.alignment.misalignment import misalignment
+        from astro_scc.epochs.misalignment import misalignment
 
         return misalignment(self)
 
@@ -82,7 +82,7 @@ class EpochSteps:
         -------
         `EpochCube`
         """
-        from astro_scc.epochs.grids.reprojection import reproject_cube
+        from astro_scc.epochs.grid import reproject_cube
 
         return reproject_cube(self, wcs, shape, order, method=method)
 
@@ -102,7 +102,7 @@ class EpochSteps:
         -------
         `EpochCube`
         """
-        from astro_scc.epochs.grids.cutout import crop
+        from astro_scc.epochs.cutout import crop
 
         return crop(self, region, pad=pad)
 
@@ -120,7 +120,7 @@ class EpochSteps:
         `~numpy.ndarray` of bool, shape (ny, nx)
             True inside.
         """
-        from astro_scc.epochs.grids.cutout import region_mask
+        from astro_scc.epochs.cutout import region_mask
 
         return region_mask(self, region)
 

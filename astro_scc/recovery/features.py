@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
-from astro_scc.epochs.components.gaussians import add_gaussians
+from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.recovery.checks import PM_UNIT
 
 __all__ = ["FeaturePaths", "draw_paths", "inject"]

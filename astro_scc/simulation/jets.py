@@ -9,10 +9,9 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
-from astro_scc.epochs.components.gaussians import add_gaussians
-from astro_scc.epochs.components.noise import correlated_noise
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.offset_grid import offset_wcs
+from astro_scc.epochs.restoring import add_gaussians, correlated_noise
 from astro_scc.simulation.flows import Flow
 from astro_scc.simulation.streams import Features, Stream, check_not_negative
 

@@ -8,8 +8,8 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.epochs.components.gaussians import add_gaussians
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.restoring import add_gaussians
 
 __all__ = ["SimulatedShell", "simulate_shell"]
 

@@ -18,7 +18,7 @@ from astro_scc.config import (
     read_epochs,
     settings_as_used,
 )
-from astro_scc.epochs.grids.cutout import refuse_pixels
+from astro_scc.epochs.cutout import refuse_pixels
 from astro_scc.measurement import select_ssps, versions, write_products
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.survey.names import folder_names

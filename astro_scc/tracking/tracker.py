@@ -10,8 +10,8 @@ from astro_scc.config.settings import require
 from astro_scc.correlation import Correlator, Matches, landing_ssps
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.ssp import require_ssps
-from astro_scc.epochs.alignment.misalignment import warn_of_misalignment
 from astro_scc.epochs.beam import require_common_beam
+from astro_scc.epochs.misalignment import warn_of_misalignment
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.progress import progress
 from astro_scc.tracking.candidates import core_ssps, find_candidates

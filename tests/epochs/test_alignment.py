@@ -13,11 +13,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from regions import CirclePixelRegion, PixCoord
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.alignment.core import core_positions
-from astro_scc.epochs.alignment.registration import displacement
-from astro_scc.epochs.alignment.shift_tables import offsets_from_table
-from astro_scc.epochs.alignment.shifts import align
-from astro_scc.epochs.components.noise import correlated_noise
+from astro_scc.epochs.alignment import align, offsets_from_table
+from astro_scc.epochs.registration import core_positions, displacement
+from astro_scc.epochs.restoring import correlated_noise
 from astro_scc.exceptions import MeasurementWarning
 
 DATES = ["2000-01-01", "2000-07-01", "2001-01-01", "2001-07-01"]

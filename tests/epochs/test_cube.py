@@ -406,8 +406,7 @@ def test_mean_image_leaves_masked_pixels_out():
 
 
 def test_steps_are_those_of_their_modules(monkeypatch):
-    from astro_scc.epochs.alignment import shifts
-    from astro_scc.epochs.grids import cutout, reprojection, smoothing
+    from astro_scc.epochs import alignment, cutout, grid, smoothing
 
     cube = make_cube()
     calls = []
@@ -416,8 +415,8 @@ def test_steps_are_those_of_their_modules(monkeypatch):
         return lambda *args, **kwargs: calls.append((name, args[1:], kwargs))
 
     monkeypatch.setattr(smoothing, "common_beam", record("beam"))
-    monkeypatch.setattr(shifts, "align", record("align"))
-    monkeypatch.setattr(reprojection, "reproject_cube", record("reproject"))
+    monkeypatch.setattr(alignment, "align", record("align"))
+    monkeypatch.setattr(grid, "reproject_cube", record("reproject"))
     monkeypatch.setattr(cutout, "crop", record("crop"))
     monkeypatch.setattr(cutout, "region_mask", record("region"))
     cube.to_common_beam(ROUND)

@@ -21,7 +21,7 @@ from regions import (
 )
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.grids.cutout import (
+from astro_scc.epochs.cutout import (
     crop,
     distance_mask,
     refuse_pixels,

@@ -12,7 +12,7 @@ from scipy import ndimage
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import Beam, read_components, restore
-from astro_scc.epochs.alignment.misalignment import misalignment
+from astro_scc.epochs.misalignment import misalignment
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.simulation import (
     simulate_ballistic,
@@ -193,7 +193,7 @@ def test_it_is_measured_once(unaligned, monkeypatch):
     cube = replace(unaligned)
     calls = []
     monkeypatch.setattr(
-        "astro_scc.epochs.alignment.misalignment.misalignment",
+        "astro_scc.epochs.misalignment.misalignment",
         lambda cube: calls.append(1) or 0.123,
     )
     assert cube.misalignment == cube.misalignment == 0.123

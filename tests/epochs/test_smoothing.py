@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.grids.smoothing import (
+from astro_scc.epochs.smoothing import (
     common_beam,
     gaussian_smooth,
-    is_per_beam,
+    is_per,
     smallest_common_beam,
 )
 
@@ -194,7 +194,7 @@ def test_a_kernel_in_one_direction_only():
     ],
 )
 def test_units_per_beam(unit, expected):
-    assert is_per_beam(unit) is expected
+    assert is_per(unit, "beam") is expected
 
 
 def contains(large, small, tolerance=1e-9):

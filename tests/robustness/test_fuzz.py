@@ -12,7 +12,7 @@ from astropy.time import Time
 
 from astro_scc.config import read_config, select_epochs
 from astro_scc.epochs import EpochCube, read_components
-from astro_scc.epochs.alignment.shift_tables import offsets_from_table
+from astro_scc.epochs.alignment import offsets_from_table
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="limits of time and memory are of Linux"

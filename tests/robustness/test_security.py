@@ -13,7 +13,7 @@ import astro_scc
 from astro_scc.cli import main
 from astro_scc.cli.reporter import Reporter
 from astro_scc.epochs import EpochCube, write_epochs
-from astro_scc.epochs.alignment.shift_tables import offsets_from_table
+from astro_scc.epochs.alignment import offsets_from_table
 from astro_scc.survey import folder_names
 
 HOSTILE = (

@@ -15,6 +15,7 @@ from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.cutout import crop_line
 from astro_scc.epochs.files.consistency import (
     find_odd,
     find_same_dates,
@@ -30,7 +31,6 @@ from astro_scc.epochs.files.fits import (
 from astro_scc.epochs.files.gridding import FRAMES, lay_on_one_grid
 from astro_scc.epochs.files.headers import header_beam, header_facts, observing_time
 from astro_scc.epochs.files.windows import Grid, windows_of
-from astro_scc.epochs.grids.cutout import crop_line
 from astro_scc.epochs.keywords import get
 from astro_scc.epochs.validation import (
     UNEVEN,

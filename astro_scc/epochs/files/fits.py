@@ -25,7 +25,7 @@ from astro_scc.epochs.files.headers import (
     header_beam,
     header_facts,
 )
-from astro_scc.epochs.grids.resampling import cut_wcs
+from astro_scc.epochs.grid import cut_wcs
 from astro_scc.epochs.keywords import get, parse_unit
 from astro_scc.exceptions import EpochWarning
 

@@ -10,8 +10,7 @@ from astropy.wcs import WCS
 
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.description import readable_angle
-from astro_scc.epochs.grids.reprojection import reproject_cube, shared_grid
-from astro_scc.epochs.grids.resampling import grid_step, moved_wcs
+from astro_scc.epochs.grid import grid_step, moved_wcs, reproject_cube, shared_grid
 
 __all__ = ["FRAMES", "Grid", "lay_on_one_grid", "offset_frame"]
 

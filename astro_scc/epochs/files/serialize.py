@@ -12,9 +12,9 @@ from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.cutout import box, crop_line
 from astro_scc.epochs.files.fits import CUBE_CREATOR, open_fits
-from astro_scc.epochs.grids.cutout import box, crop_line
-from astro_scc.epochs.grids.resampling import cut_wcs
+from astro_scc.epochs.grid import cut_wcs
 from astro_scc.partial import replace_when_complete
 
 __all__ = [

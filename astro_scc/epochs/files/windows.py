@@ -9,8 +9,8 @@ from astropy.time import Time
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel
 
+from astro_scc.epochs.cutout import box
 from astro_scc.epochs.files.gridding import offset_frame
-from astro_scc.epochs.grids.cutout import box
 from astro_scc.epochs.validation import as_times
 
 __all__ = ["Grid", "windows_of"]

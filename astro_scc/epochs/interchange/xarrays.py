@@ -13,7 +13,7 @@ from astro_scc.epochs.files.serialize import (
     unpack_facts,
     unpack_wcs,
 )
-from astro_scc.epochs.grids.resampling import moved_wcs
+from astro_scc.epochs.grid import moved_wcs
 from astro_scc.epochs.interchange.optional import optional
 from astro_scc.epochs.offset_grid import offset_wcs
 from astro_scc.epochs.positions import axis_words

@@ -11,11 +11,8 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from astro_scc.epochs.description import readable_angle
-from astro_scc.epochs.grids.resampling import cut_wcs
+from astro_scc.epochs.grid import cut_wcs
 from astro_scc.exceptions import EpochWarning
-
-__all__ = ["box", "crop", "crop_line", "distance_mask", "refuse_pixels", "region_mask"]
-
 
 #: Decimal places of degrees that are more than somebody writes by hand.
 DECIMALS = 5

@@ -8,39 +8,23 @@ from scipy import fft, optimize
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.epochs.validation import as_beam
 
-__all__ = ["common_beam", "gaussian_smooth", "is_per_beam", "smallest_common_beam"]
-
 # Beams from headers in single precision, or typed from them, contain
 # themselves within this much of their variance.
 CONTAINS = 1e-4
 EQUAL = 1e-6
 
 
-def is_per_beam(unit):
+def is_per(unit, *names):
     """
-    Whether a unit counts intensities per beam.
+    Return whether a unit counts per one of some units, "beam" or "pix".
 
-    Parameters
-    ----------
-    unit : `~astropy.units.UnitBase`
-        Unrecognised units such as 'JY/BEAM' are judged by their name.
-
-    Returns
-    -------
-    bool
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> is_per_beam(u.mJy / u.beam), is_per_beam(u.Jy / u.pix)
-    (True, False)
-    >>> is_per_beam(u.Unit("JY/BEAM", parse_strict="silent"))
-    True
+    Unrecognised units such as 'JY/BEAM' are judged by how they end.
     """
     if isinstance(unit, u.UnrecognizedUnit):
-        return unit.name.lower().replace(" ", "").endswith(("/beam", "beam-1"))
+        text = unit.name.lower().replace(" ", "")
+        return "beam" in names and text.endswith(("/beam", "beam-1"))
     return any(
-        base.name.lower() == "beam" and power == -1
+        base.name.lower() in names and power < 0
         for base, power in zip(unit.bases, unit.powers, strict=True)
     )
 
@@ -95,17 +79,7 @@ def gaussian_smooth(image, covariance, mask=None):
         bad |= np.asarray(mask, dtype=bool)
     pad = int(np.ceil(6 * np.sqrt(variances[1]))) + 2
     shape = [fft.next_fast_len(n + pad, real=True) for n in image.shape]
-    ky = fft.fftfreq(shape[0])[:, None]
-    kx = fft.rfftfreq(shape[1])[None, :]
-    transfer = np.exp(
-        -2
-        * np.pi**2
-        * (
-            covariance[0, 0] * kx**2
-            + 2 * covariance[0, 1] * kx * ky
-            + covariance[1, 1] * ky**2
-        )
-    )
+    transfer = gaussian_transfer(covariance, shape)
 
     def convolve(values):
         smooth = fft.irfft2(fft.rfft2(values, s=shape) * transfer, s=shape)
@@ -115,6 +89,26 @@ def gaussian_smooth(image, covariance, mask=None):
     smooth = convolve(np.where(bad, 0.0, image))
     # Good pixels have their own weight, so nothing is divided by zero there.
     return np.divide(smooth, weight, out=np.full(image.shape, np.nan), where=~bad)
+
+
+def gaussian_transfer(covariance, shape):
+    """
+    Return the Fourier transform of a Gaussian of unit sum, as `scipy.fft.rfft2` has it.
+
+    ``covariance`` is over (x, y) in square pixels, ``shape`` (ny, nx) that of
+    the image; it may be singular.
+    """
+    ky = fft.fftfreq(shape[0])[:, None]
+    kx = fft.rfftfreq(shape[1])[None, :]
+    return np.exp(
+        -2
+        * np.pi**2
+        * (
+            covariance[0, 0] * kx**2
+            + 2 * covariance[0, 1] * kx * ky
+            + covariance[1, 1] * ky**2
+        )
+    )
 
 
 def _covariance(beam):
@@ -130,12 +124,6 @@ def _excess(covariance, others):
     """
     root = np.linalg.inv(np.linalg.cholesky(covariance))
     return np.linalg.eigvalsh(root @ np.asarray(others) @ root.T)[..., -1]
-
-
-def _beam_of(covariance):
-    variances, axes = np.linalg.eigh(covariance)
-    minor, major = np.sqrt(variances) / FWHM_TO_SIGMA * u.mas
-    return Beam(major, minor, np.arctan2(axes[0, 1], axes[1, 1]) * u.rad)
 
 
 def smallest_common_beam(beams):
@@ -177,7 +165,9 @@ def smallest_common_beam(beams):
     found = _least_covariance(covariances)
     # What is left of rounding must not stick out.
     found = found * max(1.0, _excess(found, covariances).max() * (1 + 1e-9))
-    return _beam_of(found)
+    variances, axes = np.linalg.eigh(found)
+    minor, major = np.sqrt(variances) / FWHM_TO_SIGMA * u.mas
+    return Beam(major, minor, np.arctan2(axes[0, 1], axes[1, 1]) * u.rad)
 
 
 def _least_covariance(covariances):
@@ -269,9 +259,11 @@ def common_beam(cube, beam=None):
             )
         if max(_excess(goal, covariance), _excess(covariance, goal)) <= 1 + EQUAL:
             continue
-        difference = _positive(to_pixels @ (goal - covariance) @ to_pixels.T)
+        variances, axes = np.linalg.eigh(to_pixels @ (goal - covariance) @ to_pixels.T)
+        # Rounding must not leave a negative variance.
+        difference = (axes * np.maximum(variances, 0)) @ axes.T
         data[i] = gaussian_smooth(data[i], difference, cube.mask[i])
-        if is_per_beam(cube.unit):
+        if is_per(cube.unit, "beam"):
             data[i] *= float(target.area / own.area)
         changed.append(i)
     return cube.with_step(
@@ -280,9 +272,3 @@ def common_beam(cube, beam=None):
         beams=(target,) * len(cube),
         noise=None if changed else cube.noise,
     )
-
-
-def _positive(covariance):
-    """The nearest covariance without negative variances."""
-    variances, axes = np.linalg.eigh(covariance)
-    return (axes * np.maximum(variances, 0)) @ axes.T

@@ -8,11 +8,9 @@ import astropy.units as u
 import numpy as np
 from scipy import ndimage
 
-from astro_scc.epochs.alignment.core import core_positions
-from astro_scc.epochs.grids.resampling import fill_masked
+from astro_scc.epochs.grid import fill_masked
+from astro_scc.epochs.registration import core_positions
 from astro_scc.exceptions import MeasurementWarning
-
-__all__ = ["misalignment", "warn_of_misalignment"]
 
 #: Epochs that scatter by so many beams can make still jets move: 5 of 42 static jets
 #: did at 0.3 beams, none of 132 at 0.2.
@@ -65,7 +63,7 @@ def misalignment(cube):
 
     Examples
     --------
-    >>> from astro_scc.epochs.alignment.misalignment import misalignment
+    >>> from astro_scc.epochs.misalignment import misalignment
     >>> from astro_scc.simulation import simulate_jet
     >>> jet = simulate_jet(n_epochs=12, alignment_error=0.3, rng=1)
     >>> round(misalignment(jet.cube), 1)
