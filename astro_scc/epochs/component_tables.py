@@ -5,10 +5,11 @@ import re
 import warnings
 from datetime import datetime
 from difflib import get_close_matches
-from functools import partial
 
 import astropy.units as u
 import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import Column, Table
 from astropy.time import Time
 
 from astro_scc.epochs.files.fits import open_fits
@@ -48,24 +49,31 @@ COLUMNS = {
         "separation sep r dist distance radius",
         "position offset|separation|distance from",
     ),
-    "east": (u.mas, "east x dra", None),
-    "north": (u.mas, "north y ddec", None),
+    "east": (u.mas, "east x dra deltax", None),
+    "north": (u.mas, "north y ddec deltay", None),
     "major": (
         u.mas,
-        "majorfwhm maj major fwhm majaxis",
+        "majorfwhm maj major fwhm majaxis majorax",
         "FWHM( of)?( the)? major|major axis FWHM",
     ),
-    "minor": (u.mas, "minorfwhm min minor minaxis", None),
+    "minor": (u.mas, "minorfwhm min minor minaxis minorax", None),
     "ratio": (u.one, "axialratio ratio axratio", "axial ratio"),
     "pa": (
         u.deg,
-        "majorpa majpa pamaj phi",
+        "majorpa majpa pamaj phi posangle",
         "major axis position angle|position angle of( the)? major",
     ),
     "position_angle": (u.deg, "positionangle pa theta", "position angle"),
+    "type": (u.one, "typeobj", None),
     "excluded": (None, "excludedfromfit excluded fid ffeature", ".*not used in"),
 }
-NEVER_BLANK = ("feature", "flux", "east", "north")
+NEVER_BLANK = ("feature", "flux", "east", "north", "type")
+# What to do about files that have no date.
+UNDATED = {
+    "difmap": "no date in the file's name; rename it like source_2006-03-09.mod, or "
+    "give dates",
+    "aips-cc": "no DATE-OBS in the header; give dates",
+}
 NO = ("", "--", "n", "no", "f", "false", "0")
 #: Names of sources that a message lists.
 LISTED = 8
@@ -74,21 +82,26 @@ FILE_DATE = re.compile(
 )
 
 
-def read_table(path, source, dates, *, kind):
+def read_columns(path, kind, source, dates):
     """
-    Return the columns and meta of an ECSV or machine-readable table.
+    Return what a file has of each component, as arrays in `UNITS`, and its meta.
 
-    Columns are arrays in `UNITS`, with a list of dates and whether the
-    positions are relative to the core.
+    There are a list of dates, one for all rows or one for each, and whether the
+    positions are relative to the core besides.
     """
-    table = _open_table(path, kind)
+    table, names, meta, own_dates = OPENERS[kind](path)
     columns = _find_columns(table)
-    table = _select_source(table, columns, source, path)
+    table = _select_source(table, columns, names, source, path)
     if len(table) == 0:
-        raise ValueError(f"{path}: the table has no rows")
+        raise ValueError(f"{path}: no components in the file")
+    if meta is None:
+        meta = _table_meta(table, columns)
     has_offsets = {"east", "north"} <= columns.keys()
-    in_parts = "epoch" not in columns and {"year", "month", "day"} <= columns.keys()
     needed = {"flux"} | (set() if has_offsets else {"separation", "position_angle"})
+    in_parts = "epoch" not in columns and {"year", "month", "day"} <= columns.keys()
+    dates = dates or own_dates
+    if dates == [None]:
+        raise ValueError(f"{path}: {UNDATED[kind]}")
     if dates is None and not in_parts:
         needed.add("epoch")
     missing = sorted(needed - columns.keys())
@@ -98,7 +111,7 @@ def read_table(path, source, dates, *, kind):
             f"{', '.join(table.colnames)}"
         )
     values = {
-        what: _numbers(table[columns[what]], unit, what in NEVER_BLANK, path)
+        what: numbers(table[columns[what]], unit, path, blank=what not in NEVER_BLANK)
         for what, (unit, *_) in COLUMNS.items()
         if unit is not None and what in columns
     }
@@ -110,54 +123,15 @@ def read_table(path, source, dates, *, kind):
     elif dates is None:
         column = table[columns["epoch"]]
         dates = list(column.utc.isot if isinstance(column, Time) else column)
-    zeros = np.zeros(len(table))
-    major = values.get("major", zeros)
-    minor = values.get("minor", major * values.get("ratio", 1.0))
-    out = {
-        "pa": zeros,
-        **values,
-        **({} if has_offsets else _offsets(values, path)),
-        "date": dates,
-        "relative": not has_offsets and "feature" in values,
-        "major": major,
-        # A blank size or ratio is that of a circle.
-        "minor": np.where(np.isnan(minor), major, minor),
-    }
+    if not has_offsets:
+        values.update(_offsets(values, path))
+    values.update(_sizes(values, path))
     if "excluded" in columns:
         flags = (str(flag).strip().lower() for flag in table[columns["excluded"]])
-        out["excluded"] = np.array([flag not in NO for flag in flags])
-    return out, _table_meta(table, columns)
-
-
-def _open_table(path, kind):
-    from astropy.table import Table
-
-    options = {}
-    if kind == "ascii.mrt":
-        with path.open(encoding="utf-8", errors="replace") as file:
-            # Titles, authors and abstracts come before the description.
-            described = "Byte-by-byte" in file.read(100_000)
-        readme = path.parent / "ReadMe"
-        if not described and not readme.is_file():
-            raise OSError(
-                f"{path}: has no byte-by-byte description; lay the file ReadMe of CDS "
-                "beside it"
-            )
-        if not described:
-            kind, options = "ascii.cds", {"readme": str(readme)}
-    try:
-        with warnings.catch_warnings():
-            # The units of columns that are needed are checked below.
-            warnings.simplefilter("ignore", u.UnitsWarning)
-            return Table.read(path, format=kind, **options)
-    except Exception as error:  # the parsers of astropy raise all sorts
-        raise OSError(
-            f"{path}: not a readable {kind} table: {first_line(error)}"
-        ) from None
-
-
-def first_line(error):
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+        values["excluded"] = np.array([flag not in NO for flag in flags])
+    values["date"] = dates
+    values["relative"] = not has_offsets and "feature" in values
+    return values, meta
 
 
 def _find_columns(table):
@@ -176,29 +150,21 @@ def _find_columns(table):
     return found
 
 
-def _select_source(table, columns, source, path):
-    """Return the rows of one source; without a column for it, the meta names it."""
-    if "source" not in columns:
-        names = [str(table.meta[k]) for k in ("source", "name") if k in table.meta]
-        require_source(source, names, path)
-        return table
-    column = [str(name).strip() for name in table[columns["source"]]]
-    names = list(dict.fromkeys(column))
-    if source is None and len(names) > 1:
-        raise ValueError(
-            f"{path}: {len(names)} sources in the table ({_some(names)}); say which "
-            "one with --source NAME (source= in Python)"
-        )
-    if source is None:
-        return table
-    require_source(source, names, path)
-    return table[[_plain(name) == _plain(source) for name in column]]
-
-
-def require_source(source, names, path):
-    """Refuse a file that has not the source that is wanted, or does not say."""
+def _select_source(table, columns, names, source, path):
+    """Return the rows of one source; without a column for it, a file has ``names``."""
+    mine = slice(None)
+    if "source" in columns:
+        column = [str(name).strip() for name in table[columns["source"]]]
+        names = list(dict.fromkeys(column))
+        if source is None and len(names) > 1:
+            raise ValueError(
+                f"{path}: {len(names)} sources in the table ({_some(names)}); say "
+                "which one with --source NAME (source= in Python)"
+            )
+        if source is not None:
+            mine = np.array([_plain(name) == _plain(source) for name in column])
     if source is None or _plain(source) in map(_plain, names):
-        return
+        return table[mine]
     near = get_close_matches(source, names, n=3, cutoff=0.7)
     if near and len(names) > LISTED:
         has = f"did you mean {' or '.join(near)}?"
@@ -219,29 +185,33 @@ def _some(names):
     return ", ".join(names[:LISTED]) + more
 
 
-def _numbers(column, unit, never_blank, path):
-    """Return a column as floats in ``unit``, blanks as NaN."""
+def numbers(column, unit, path, *, blank=True, own_unit=None):
+    """
+    Return a column as floats in ``unit``, blanks as NaN where they may be.
+
+    ``own_unit`` is that of a column that does not tell; `astropy.units.one`
+    takes the numbers as they are.
+    """
     name = column.info.name
     try:
-        values = np.ma.filled(np.ma.asarray(column, dtype=float), np.nan)
+        values = np.array(np.ma.filled(np.ma.asarray(column, dtype=float), np.nan))
     except (TypeError, ValueError):
         raise ValueError(f"{path}: column {name!r} is not numeric") from None
-    values = np.array(values, dtype=float)
-    for i in np.flatnonzero(~np.isfinite(values) if never_blank else np.isinf(values)):
-        problem = "blank or not finite" if never_blank else "infinite"
+    for i in np.flatnonzero(np.isinf(values) if blank else ~np.isfinite(values)):
+        problem = "infinite" if blank else "blank or not finite"
         raise ValueError(f"{path}, row {i + 1}: {name} is {problem}")
     if unit == u.one:
         return values
-    if column.unit is None:
+    own_unit = own_unit or column.unit
+    if own_unit is None:
         raise ValueError(
             f"{path}: column {name!r} has no unit; give it one, such as {unit}"
         )
     try:
-        return values * u.Unit(column.unit).to(unit)
+        return values * u.Unit(own_unit).to(unit)
     except (u.UnitConversionError, TypeError, ValueError):
         raise ValueError(
-            f"{path}: column {name!r} has the unit {column.unit}, expected one "
-            f"like {unit}"
+            f"{path}: column {name!r} has the unit {own_unit}, expected one like {unit}"
         ) from None
 
 
@@ -261,6 +231,25 @@ def _offsets(values, path):
         "east": separation * np.sin(np.radians(angle)),
         "north": separation * np.cos(np.radians(angle)),
     }
+
+
+def _sizes(values, path):
+    """Return the axes and angles; a blank size is a point, a blank ratio a circle."""
+    zeros = np.zeros(len(values["flux"]))
+    major = values.get("major", zeros)
+    minor = values.get("minor", major * values.get("ratio", 1.0))
+    types = values.get("type", np.ones(len(zeros)))
+    for i in np.flatnonzero(~np.isin(types, (0, 1))):
+        raise ValueError(
+            f"{path}, row {i + 1}: component type {types[i]:g} is neither a point (0) "
+            "nor a Gaussian (1); replace it by one of these"
+        )
+    sizes = {
+        "major": major,
+        "minor": np.where(np.isnan(minor), major, minor),
+        "pa": values.get("pa", zeros),
+    }
+    return {name: np.where(types == 0, 0.0, size) for name, size in sizes.items()}
 
 
 def _table_meta(table, columns):
@@ -303,55 +292,81 @@ def row_date(text, where):
         ) from None
 
 
-def read_difmap(path, source, dates):
+# Each returns a table, what the file calls its source, the meta, None to take it from
+# the table, and a list of the one date of the file, None to take those of the table.
+
+
+def _open_ascii(path, kind, **options):
+    try:
+        with warnings.catch_warnings():
+            # The units of columns that are needed are checked later.
+            warnings.simplefilter("ignore", u.UnitsWarning)
+            table = Table.read(path, format=kind, **options)
+    except Exception as error:  # the parsers of astropy raise all sorts
+        raise OSError(
+            f"{path}: not a readable {kind} table: {first_line(error)}"
+        ) from None
+    names = [str(table.meta[k]) for k in ("source", "name") if k in table.meta]
+    return table, names, None, None
+
+
+def _open_ecsv(path):
+    return _open_ascii(path, "ascii.ecsv")
+
+
+def _open_mrt(path):
+    with path.open(encoding="utf-8", errors="replace") as file:
+        # Titles, authors and abstracts come before the description.
+        if "Byte-by-byte" in file.read(100_000):
+            return _open_ascii(path, "ascii.mrt")
+    readme = path.parent / "ReadMe"
+    if not readme.is_file():
+        raise OSError(
+            f"{path}: has no byte-by-byte description; lay the file ReadMe of CDS "
+            "beside it"
+        )
+    return _open_ascii(path, "ascii.cds", readme=str(readme))
+
+
+def first_line(error):
+    """Return what an error says, in one line."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+def _open_difmap(path):
     """
-    Return the columns and meta of a difmap model.
+    Return a difmap model as a table.
 
     Lines are flux, radius, theta, major axis, axial ratio, phi, type; a 'v'
     marks a value that was free in the fit; three values are a point.
     """
-    if dates is None:
-        found = FILE_DATE.search(path.name)
-        if found is None:
-            raise ValueError(
-                f"{path}: no date in the file's name; rename it like "
-                "source_2006-03-09.mod, or give dates"
-            )
-        dates = ["-".join(found.group(1, 3, 4))]
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except UnicodeDecodeError:
         raise OSError(f"{path}: not a difmap model, it is not text") from None
-    scale, meta, rows = 1.0, {}, []
+    unit, meta, rows = u.mas, {}, []
     for number, line in enumerate(lines, start=1):
         text, _, comment = line.partition("!")
         if re.search(r"Radius\s*\(arcsec\)", comment):
-            scale = u.arcsec.to(u.mas)
+            unit = u.arcsec
         centre = re.search(r"Center RA:\s*(.+?),\s*Dec:\s*(.+?)\s*\(2000", comment)
         if centre:
-            meta["position"] = _position(*centre.groups(), (u.hourangle, u.deg))
+            meta["position"] = SkyCoord(*centre.groups(), unit=(u.hourangle, u.deg))
         if text.split():
             rows.append(_difmap_row(text, f"{path}, line {number}"))
-    if not rows:
-        raise ValueError(f"{path}: no components in the file")
-    flux, radius, theta, major, ratio, phi, _ = np.transpose(rows)
-    columns = {
-        "date": dates,
-        "relative": False,
-        "flux": flux,
-        "east": scale * radius * np.sin(np.radians(theta)),
-        "north": scale * radius * np.cos(np.radians(theta)),
-        "major": scale * major,
-        "minor": scale * major * ratio,
-        "pa": phi,
+    units = {
+        "flux": u.Jy,
+        "radius": unit,
+        "theta": u.deg,
+        "major": unit,
+        "ratio": u.one,
+        "phi": u.deg,
+        "type obj": u.one,
     }
-    return columns, meta
-
-
-def _position(ra, dec, unit):
-    from astropy.coordinates import SkyCoord
-
-    return SkyCoord(ra, dec, unit=unit)
+    values = np.reshape(rows, (len(rows), len(units)))
+    table = Table(values, names=list(units), units=units)
+    found = FILE_DATE.search(path.name)
+    return table, [], meta, ["-".join(found.group(1, 3, 4)) if found else None]
 
 
 def _difmap_row(text, where):
@@ -367,66 +382,26 @@ def _difmap_row(text, where):
     # Without a type, a size makes it a Gaussian.
     row += [0.0] * (6 - len(row))
     row += [float(row[3] > 0)] * (7 - len(row))
-    _check_type(row[6], where)
-    if row[6] == 0:
-        row[3:6] = 0.0, 1.0, 0.0
-    if row[3] < 0 or not 0 <= row[4] <= 1:
-        raise ValueError(
-            f"{where}: a size must not be negative, an axial ratio must lie between 0 "
-            f"and 1, got {row[3]:g} and {row[4]:g}"
-        )
     return row
 
 
-def _check_type(code, where):
-    if code not in (0, 1):
-        raise ValueError(
-            f"{where}: component type {code:g} is neither a point (0) nor a Gaussian "
-            "(1); replace it by one of these"
-        )
-
-
-def read_aips(path, source, dates):
-    """Return the columns and meta of the newest AIPS CC table of a FITS file."""
-    header, table, units = _open_aips(path)
+def _open_aips(path):
+    """Return the newest AIPS CC table of a FITS file."""
+    with warnings.catch_warnings():
+        # AIPS files break small rules of the standard throughout.
+        warnings.simplefilter("ignore")
+        try:
+            # astropy.io.fits forgets to close files that it fails to open.
+            with path.open("rb") as file, open_fits(file) as hdus:
+                header = hdus[0].header
+                found = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
+                table = _aips_table(max(found, key=lambda h: h.ver)) if found else None
+        except Exception as error:  # a damaged file can fail anywhere
+            raise OSError(
+                f"{path}: not a readable FITS file: {first_line(error)}"
+            ) from None
     if table is None:
         raise ValueError(f"{path}: no AIPS CC table in the file; it cannot be restored")
-    missing = {"FLUX", "DELTAX", "DELTAY"} - table.keys()
-    if missing:
-        raise ValueError(
-            f"{path}: the AIPS CC table has no column {', '.join(sorted(missing))}"
-        )
-    if table["FLUX"].size == 0:
-        raise ValueError(f"{path}: the AIPS CC table is empty")
-    for name, expected in (("FLUX", "JY"), ("DELTAX", "DEG"), ("DELTAY", "DEG")):
-        if units[name] and not units[name].upper().startswith(expected):
-            raise ValueError(
-                f"{path}: column {name} of the AIPS CC table is in {units[name]!r}, "
-                f"expected {expected}"
-            )
-    zeros = np.zeros(table["FLUX"].size)
-    types = table.get("TYPE OBJ", zeros)
-    for i, code in enumerate(types, start=1):
-        _check_type(code, f"{path}, row {i}")
-    major, minor, pa = (
-        np.where(types == 0, 0.0, table.get(name, zeros))
-        for name in ("MAJOR AX", "MINOR AX", "POSANGLE")
-    )
-    if dates is None:
-        dates = [get(header, "DATE-OBS", kind=str)]
-        if dates == [None]:
-            raise ValueError(f"{path}: no DATE-OBS in the header; give dates")
-    to_mas = u.deg.to(u.mas)
-    columns = {
-        "date": dates,
-        "relative": False,
-        "flux": table["FLUX"],
-        "east": table["DELTAX"] * to_mas,
-        "north": table["DELTAY"] * to_mas,
-        "major": major * to_mas,
-        "minor": minor * to_mas,
-        "pa": pa,
-    }
     meta = header_facts(header)
     axes = {
         (get(header, f"CTYPE{i}", kind=str) or "").split("-")[0]: f"CRVAL{i}"
@@ -436,42 +411,28 @@ def read_aips(path, source, dates):
         get(header, axes.get(name, "CRVAL0"), kind=float) for name in ("RA", "DEC")
     ]
     if None not in centre:
-        meta["position"] = _position(*centre, u.deg)
-    return columns, meta
+        meta["position"] = SkyCoord(*centre, unit=u.deg)
+    names = [meta["object"]] if "object" in meta else []
+    return table, names, meta, [get(header, "DATE-OBS", kind=str)]
 
 
-def _open_aips(path):
-    """Return the header of the image, and the columns and units of the table."""
-    with warnings.catch_warnings():
-        # AIPS files break small rules of the standard throughout.
-        warnings.simplefilter("ignore")
-        try:
-            # astropy.io.fits forgets to close files that it fails to open.
-            with path.open("rb") as file, open_fits(file) as hdus:
-                header = hdus[0].header
-                tables = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
-                if not tables:
-                    return header, None, {}
-                hdu = max(tables, key=lambda h: h.ver)
-                table = {
-                    column.name.strip(): np.array(
-                        hdu.data[column.name], dtype=float
-                    ).ravel()
-                    for column in hdu.columns
-                }
-                units = {c.name.strip(): (c.unit or "").strip() for c in hdu.columns}
-                return header, table, units
-        except Exception as error:  # a damaged file can fail anywhere
-            raise OSError(
-                f"{path}: not a readable FITS file: {first_line(error)}"
-            ) from None
+def _aips_table(hdu):
+    table = Table()
+    for column in hdu.columns:
+        name, unit = column.name.strip(), (column.unit or "").strip()
+        usual = {"FLUX": "Jy", "TYPE OBJ": ""}.get(name, "deg")
+        if not unit or unit.upper().startswith(usual.upper()):
+            unit = usual
+        values = np.array(hdu.data[column.name], dtype=float).ravel()
+        table[name] = Column(values, unit=u.Unit(unit, parse_strict="silent"))
+    return table
 
 
-READERS = {
-    "ecsv": partial(read_table, kind="ascii.ecsv"),
-    "mrt": partial(read_table, kind="ascii.mrt"),
-    "difmap": read_difmap,
-    "aips-cc": read_aips,
+OPENERS = {
+    "ecsv": _open_ecsv,
+    "mrt": _open_mrt,
+    "difmap": _open_difmap,
+    "aips-cc": _open_aips,
 }
 SUFFIXES = {
     ".ecsv": "ecsv",

@@ -12,10 +12,10 @@ from astropy.time import Time
 
 from astro_scc.epochs.component_tables import (
     CORE,
-    READERS,
+    OPENERS,
     SUFFIXES,
     UNITS,
-    require_source,
+    read_columns,
     row_date,
 )
 from astro_scc.epochs.files.fits import check_ordinary
@@ -320,8 +320,8 @@ def read_components(paths, *, format=None, source=None, origin=None, dates=None)
         raise ValueError("no component files were given")
     if origin not in (None, "core", "map"):
         raise ValueError(f"origin must be 'core' or 'map', got {origin!r}")
-    if format is not None and format not in READERS:
-        raise ValueError(f"format must be one of {', '.join(READERS)}, got {format!r}")
+    if format is not None and format not in OPENERS:
+        raise ValueError(f"format must be one of {', '.join(OPENERS)}, got {format!r}")
     if dates is None:
         dates = [None] * len(paths)
     elif isinstance(dates, str) or (isinstance(dates, Time) and dates.isscalar):
@@ -349,13 +349,11 @@ def _read_file(path, kind, source, origin, date):
     if kind is None:
         raise ValueError(
             f"{path}: the suffix {path.suffix!r} tells no format; give one of "
-            f"{', '.join(READERS)}"
+            f"{', '.join(OPENERS)}"
         )
     if not path.is_file():
         raise OSError(f"{path}: no such file")
-    columns, meta = READERS[kind](path, source, None if date is None else [date])
-    if kind in ("difmap", "aips-cc"):
-        require_source(source, [meta["object"]] if "object" in meta else [], path)
+    columns, meta = read_columns(path, kind, source, None if date is None else [date])
     texts, n = columns["date"], len(columns["flux"])
     known = {}
     for i, text in enumerate(map(str, texts), start=1):
