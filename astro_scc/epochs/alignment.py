@@ -12,7 +12,7 @@ import numpy as np
 from astropy.table import Table
 from astropy.time import Time
 
-from astro_scc.epochs.component_tables import first_line
+from astro_scc.epochs.component_tables import first_line, numbers
 from astro_scc.epochs.cutout import region_mask
 from astro_scc.epochs.grid import (
     WHOLE_PIXEL,
@@ -282,9 +282,7 @@ def _by_table(cube, *, table=None):
     if table is None:
         raise ValueError("align method 'table' needs table=, a path or a Table")
     offsets, errors = offsets_from_table(table, cube.times, cube.labels)
-    return _from_sky(
-        cube, offsets.to_value(u.mas), errors.to_value(u.mas), "positions of a table"
-    )
+    return _from_sky(cube, offsets.value, errors.value, "positions of a table")
 
 
 def _by_wcs(cube):
@@ -504,9 +502,8 @@ def _axis(table, axis, name):
 
 
 def _angles(table, column, name):
-    """Return a column in mas, blanks as NaN."""
-    values = table[column]
-    unit = getattr(values, "unit", None)
+    """Return a column in mas, blanks as NaN; its name may tell its unit."""
+    unit = getattr(table[column], "unit", None)
     if unit is None:
         units = [UNITS[word] for word in _words(column) if word in UNITS]
         if len(units) != 1:
@@ -515,14 +512,7 @@ def _angles(table, column, name):
                 f"or in its name, as in {column + '_mas'!r}"
             )
         unit = units[0]
-    blank = np.ma.getmaskarray(values) if hasattr(values, "mask") else False
-    try:
-        numbers = np.ma.getdata(getattr(values, "value", values)).astype(float)
-        return np.where(blank, np.nan, (numbers * unit).to_value(u.mas))
-    except (ValueError, u.UnitConversionError) as error:
-        raise ValueError(
-            f"{name}: column {column!r} must hold angles as numbers ({error})"
-        ) from error
+    return numbers(table[column], u.mas, name, own_unit=unit)
 
 
 # Name -> the function that measures, and the options that it has.
