@@ -17,15 +17,6 @@ from astro_scc.epochs.files.headers import header_facts, parse_date
 from astro_scc.epochs.keywords import get
 
 CORE = 0  # the number of the feature that is the core
-# Units of the numbers that describe a component.
-UNITS = {
-    "flux": u.Jy,
-    "east": u.mas,
-    "north": u.mas,
-    "major": u.mas,
-    "minor": u.mas,
-    "pa": u.deg,
-}
 # What a column holds -> its unit, what it is called in a table, and how a
 # machine-readable table explains it where its label is not among these.
 COLUMNS = {
@@ -66,6 +57,10 @@ COLUMNS = {
     "position_angle": (u.deg, "positionangle pa theta", "position angle"),
     "type": (u.one, "typeobj", None),
     "excluded": (None, "excludedfromfit excluded fid ffeature", ".*not used in"),
+}
+# Units of the numbers that describe a component.
+UNITS = {
+    name: COLUMNS[name][0] for name in ("flux", "east", "north", "major", "minor", "pa")
 }
 NEVER_BLANK = ("feature", "flux", "east", "north", "type")
 # What to do about files that have no date.

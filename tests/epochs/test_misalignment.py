@@ -15,9 +15,7 @@ from astro_scc.epochs import Beam, read_components, restore
 from astro_scc.epochs.misalignment import misalignment
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.simulation import (
-    simulate_ballistic,
     simulate_jet,
-    simulate_random_velocity,
     simulate_static,
     simulate_two_fluid,
     simulate_unrelated,
@@ -101,8 +99,6 @@ def test_brightness_that_goes_from_feature_to_feature_is_no_misalignment():
     "simulate",
     [
         simulate_two_fluid,
-        simulate_random_velocity,
-        simulate_ballistic,
         simulate_unrelated,
     ],
 )
@@ -129,7 +125,15 @@ def test_masked_epochs_are_compared_where_all_are_there(jet):
     assert found == pytest.approx(misalignment(bad), rel=0.2)
 
 
-@pytest.mark.parametrize("name", ["0430+052", "1226+023", "1308+326", "2200+420"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "1308+326",
+        pytest.param("0430+052", marks=pytest.mark.slow),
+        pytest.param("1226+023", marks=pytest.mark.slow),
+        pytest.param("2200+420", marks=pytest.mark.slow),
+    ],
+)
 def test_jets_that_are_aligned_by_their_cores(shared_data, name):
     lists = read_components(shared_data / "mojave_xviii" / f"{name}.ecsv")
     cube = restore(

@@ -233,7 +233,7 @@ def least_area(beams):
     return least
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(BEAMS)
 @example([beam(1.0, 1.0, 0.0), beam(2.0, 0.4375, 45.0)])
 def test_the_smallest_common_beam_contains_all(beams):
