@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Epochs laid on one another, by shifts."""
+"""Alignment of the epochs, by shifts measured in them or given in a table."""
 
 import os
 import re
@@ -22,6 +22,7 @@ from astro_scc.epochs.grid import (
     shift_image,
 )
 from astro_scc.epochs.registration import core_positions, displacement
+from astro_scc.epochs.validation import as_times
 from astro_scc.exceptions import MeasurementWarning
 
 # Rows of a table are of the epoch whose date they have to this, in days.
@@ -38,7 +39,7 @@ UNITS = {
 @dataclass(frozen=True)
 class Offsets:
     """
-    Where each epoch lies, in pixels (x, y) from where it ought to.
+    How far each epoch is, in pixels (x, y), from where it ought to be.
 
     ``covariance`` is of shape (n, 2, 2), NaN where errors are not known,
     and ``turned`` marks epochs whose grid differs by more than a shift.
@@ -61,7 +62,7 @@ def align(
     max_shift=None,
 ):
     """
-    Shift the epochs so that they lie on one another.
+    Return the epochs shifted so that they are aligned.
 
     Parameters
     ----------
@@ -254,7 +255,7 @@ def _records(cube, method, offsets):
 
 
 def _from_sky(cube, offsets, errors, what):
-    """Offsets (n, 2) and errors in mas as pixels."""
+    """Return offsets (n, 2) and errors in mas as `Offsets`."""
     inverse = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
     variances = errors[:, :, None] ** 2 * np.eye(2)
     return Offsets(offsets @ inverse.T, inverse @ variances @ inverse.T, what)
@@ -371,46 +372,15 @@ def _mean_of_moved(cube, shifts):
 
 def offsets_from_table(table, times, labels):
     """
-    Look up an offset for every epoch.
+    Return the offset of each epoch in a table, and its error, shape (n, 2) in mas.
 
-    Parameters
-    ----------
-    table : path-like or `~astropy.table.Table`
-        CSV or ECSV.  A column of dates (``epoch``, ``date``, ``date_obs``,
-        ``time``, ``mjd``, ``jd`` or ``year``: a Time, ISO dates, or numbers)
-        and two of offsets, which have ``east`` and ``north`` as a part of
-        their names.  Their unit is the column's, or else a part of the name
-        as in ``core_x_mas_east``.  Two more with ``err`` or ``error`` in
-        their names, if there are, are the errors.
-    times : `~astropy.time.Time`, shape (n,)
-    labels : sequence of str, length n
-        For messages.
-
-    Returns
-    -------
-    offsets, errors : `~astropy.units.Quantity`, shape (n, 2)
-        (east, north) in mas.  Errors are NaN where there are none.
-
-    Raises
-    ------
-    ValueError
-        If a column or its unit is missing or dates cannot be understood,
-        no row is within a day of an epoch, its values are blank, or two
-        rows are equally near to it and differ.
-    OSError
-        If the file cannot be read.
-
-    Examples
-    --------
-    >>> from astropy.table import Table
-    >>> from astropy.time import Time
-    >>> table = Table({
-    ...     "epoch": ["2006-03-09", "2006-12-01"],
-    ...     "core_x_mas_east": [-0.05, -0.09],
-    ...     "core_y_mas_north": [0.02, 0.07],
-    ... })
-    >>> offsets_from_table(table, Time(["2006-12-01"]), ["b.fits"])[0]
-    <Quantity [[-0.09,  0.07]] mas>
+    The table, a path of CSV or ECSV or one in memory, has a column of dates
+    (``epoch``, ``date``, ``date_obs``, ``time``, ``mjd``, ``jd`` or ``year``: a
+    Time, ISO dates, or numbers) and two of offsets, which have ``east`` and
+    ``north`` as a part of their names.  Their unit is the column's, or else a
+    part of the name as in ``core_x_mas_east``.  Two more with ``err`` or
+    ``error`` in their names are the errors, NaN where there are none.  The
+    row of an epoch is the nearest within a day.
     """
     name, table = _read_table(table)
     dates = _dates(table, name)
@@ -473,17 +443,16 @@ def _dates(table, name):
         kind = "jyear" if column.dtype.kind in "fi" else None
     try:
         values = np.asarray(column).astype(float if kind else str)
-        with warnings.catch_warnings(record=True) as dubious:
+        with warnings.catch_warnings():
             # ERFA calls dates dubious for which leap seconds are unknown.
-            warnings.simplefilter("always")
+            warnings.simplefilter("ignore")
             times = Time(values, format=kind, scale="utc")
-            atomic = times.tai
-        return atomic if dubious else times
     except ValueError as error:
         raise ValueError(
             f"{name}: the dates in column {columns[0]!r} are not understood "
             f"({first_line(error)}); write them as 2006-03-09"
         ) from error
+    return as_times(times, len(table))
 
 
 def _axis(table, axis, name):

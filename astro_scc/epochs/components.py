@@ -256,7 +256,7 @@ def _concatenate(lists):
 
 def read_components(paths, *, format=None, source=None, origin=None, dates=None):
     """
-    Read component lists of one source.
+    Return the model components of one source that are in files.
 
     Parameters
     ----------
@@ -383,26 +383,22 @@ def _refer(columns, epoch, days, origin, path):
     if not relative and origin != "core":
         return
     core = columns.get("feature", np.full(len(epoch), -1)) == CORE
-    for i, day in enumerate(days):
-        here = epoch == i
-        at = np.flatnonzero(here & core)
-        if len(at) > 1:
+    cores = np.bincount(epoch[core], minlength=len(days))
+    needed = origin == ("map" if relative else "core")
+    for day, n in zip(days, cores, strict=True):
+        if n > 1 or (needed and n == 0):
             raise ValueError(
-                f"{path}: {len(at)} core components (feature 0) on {day[:10]}, "
-                "expected one"
+                f"{path}: {n or 'no'} core components (feature 0) on {day[:10]}, "
+                "expected one to refer positions to; correct the file, or give "
+                "another origin"
             )
-        if len(at) == 0:
-            if relative and origin != "map":
-                continue
-            raise ValueError(
-                f"{path}: no core component (feature 0) on {day[:10]}, which "
-                f"origin={origin!r} needs"
-            )
-        for offsets in (columns["east"], columns["north"]):
-            if relative and origin == "map":
-                # The core's row keeps its own offset from the map's centre.
-                offsets[here & ~core] += offsets[at]
-            elif relative:
-                offsets[at] = 0
-            else:
-                offsets[here] -= offsets[at]
+    for offsets in (columns["east"], columns["north"]):
+        of_core = np.zeros(len(days))
+        of_core[epoch[core]] = offsets[core]
+        if relative and origin == "map":
+            # The core's row keeps its own offset from the map's centre.
+            offsets[~core] += of_core[epoch[~core]]
+        elif relative:
+            offsets[core] = 0
+        else:
+            offsets -= of_core[epoch]

@@ -22,7 +22,7 @@ MOVED = 0.02
 
 def region_mask(cube, region=None):
     """
-    Pixels whose centres lie inside a region.
+    Return the pixels whose centres lie inside a region.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def _refuse_rounded(item, size, wcs, places, name):
 
 def _step(values, places, fewest):
     """
-    To what numbers were rounded that a file writes with so many decimal places.
+    Return the step to which numbers of so many decimal places were rounded.
 
     Nothing, 0, for those that end before the ``fewest`` places, as what is written
     by hand does, and for those that do not end.
@@ -178,7 +178,7 @@ def _step(values, places, fewest):
 
 
 def _read(path):
-    """Regions of a file, and the decimal places of the numbers in it."""
+    """Return the regions of a file, and the decimal places of its numbers."""
     from regions import Regions
 
     path = Path(path)
@@ -215,24 +215,9 @@ def _read(path):
 
 def box(cube, region, pad=0):
     """
-    The bounding box of a region.
+    Return the bounding box of a region, slices of rows and columns, see `crop`.
 
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-        Or anything with its ``shape`` and ``wcs``.
-    region, pad
-        See `crop`.
-
-    Returns
-    -------
-    (slice, slice)
-        Rows and columns.
-
-    Raises
-    ------
-    ValueError, TypeError, OSError
-        See `crop`.
+    The cube is anything with a ``shape`` and a ``wcs``.
     """
     if pad != int(pad) or pad < 0:
         raise ValueError(f"pad={pad} must be a whole number of at least 0")
@@ -259,7 +244,7 @@ def box(cube, region, pad=0):
 
 def crop(cube, region, pad=0):
     """
-    Cut all epochs down to the bounding box of a region.
+    Return all epochs cut down to the bounding box of a region.
 
     Parameters
     ----------
@@ -322,14 +307,7 @@ def refuse_pixels(path):
     """
     Refuse a region file in pixels, for images of which a part is read.
 
-    Parameters
-    ----------
-    path : path
-
-    Raises
-    ------
-    ValueError
-        If a region in it is in pixels: those of the part are counted anew.
+    The pixels of a part are counted anew.
     """
     from regions import PixelRegion
 
@@ -342,7 +320,7 @@ def refuse_pixels(path):
 
 def distance_mask(cube, r_min, r_max, origin=None):
     """
-    Pixels whose centres lie in a ring about a point.
+    Return the pixels whose centres lie in a ring about a point.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Pixel grids: images moved on theirs, laid onto another, and one for several."""
+"""Pixel grids: images moved, resampled to another grid, and one for several."""
 
 import warnings
 
@@ -30,34 +30,13 @@ SAMPLED = 2.0
 
 def fill_masked(image, mask, n_iterations=20):
     """
-    Replace masked pixels by a smooth continuation of their surroundings.
+    Return an image with its masked pixels replaced by a smooth continuation.
 
     Interpolation with splines needs a value everywhere, and a jump at the
     edge of the mask would ring into the good pixels.  The nearest good
-    values are relaxed towards a solution of Laplace's equation.
-
-    Parameters
-    ----------
-    image : `~numpy.ndarray`, shape (ny, nx)
-    mask : `~numpy.ndarray` of bool, shape (ny, nx)
-        True marks bad pixels; their values are never looked at.
-    n_iterations : int, optional
-        Steps of the relaxation, about the width in pixels of the holes
-        that it smooths.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (ny, nx)
-        Finite everywhere, zero if no pixel is good.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> ramp = np.tile(np.arange(5.0), (5, 1))
-    >>> hole = np.zeros((5, 5), dtype=bool)
-    >>> hole[2, 2] = True
-    >>> float(fill_masked(np.where(hole, np.nan, ramp), hole)[2, 2])
-    2.0
+    values are relaxed towards a solution of Laplace's equation; holes wider
+    than ``n_iterations`` pixels are smoothed at their edges.  Without any good
+    pixel all are zero.
     """
     if not mask.any():
         return np.array(image, dtype=float)
@@ -75,39 +54,15 @@ def fill_masked(image, mask, n_iterations=20):
 
 def shift_image(image, mask, shift):
     """
-    Move an image by a number of pixels.
+    Return an image whose sources are moved by ``shift`` (dx, dy) pixels, and its mask.
 
     Whole pixels are copied, anything else is interpolated with cubic
     splines.  Pixels that would come from outside the image or to which bad
-    pixels contribute are masked.
+    pixels contribute are masked, and NaN.
 
-    Parameters
-    ----------
-    image : `~numpy.ndarray`, shape (ny, nx)
-    mask : `~numpy.ndarray` of bool, shape (ny, nx)
-        True marks bad pixels.
-    shift : (float, float)
-        Steps (dx, dy) that every source is moved by, in pixels.
-
-    Returns
-    -------
-    image : `~numpy.ndarray`, shape (ny, nx)
-        NaN where masked.
-    mask : `~numpy.ndarray` of bool, shape (ny, nx)
-
-    Notes
-    -----
     Cubic splines damp the smallest structures: white noise loses up to 30%
     of its rms at half a pixel, noise correlated over a beam of five pixels
     or more loses nothing that can be measured.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> image = np.arange(6.0).reshape(2, 3)
-    >>> shift_image(image, np.zeros((2, 3), dtype=bool), (1, 0))[0]
-    array([[nan,  0.,  1.],
-           [nan,  3.,  4.]])
     """
     step = np.asarray(shift, dtype=float)[::-1]
     whole = np.rint(step)
@@ -136,24 +91,11 @@ def _copy(data, mask, step, shape):
 
 def grid_step(wcs, target, shape, tolerance=ONE_SHIFT):
     """
-    Return the shift between two pixel grids, and whether they differ by it only.
+    Return the shift (dx, dy) between two grids, and whether it is all between them.
 
-    Parameters
-    ----------
-    wcs, target : `~astropy.wcs.WCS`
-        Two-dimensional and celestial.
-    shape : (int, int)
-        Shape (ny, nx) of the image on the grid of ``wcs``.
-    tolerance : float, optional
-        Largest departure from a shift at any corner, in pixels.
-
-    Returns
-    -------
-    step : `~numpy.ndarray`, shape (2,)
-        (dx, dy) from the centre of the image on ``wcs`` to the pixel of
-        ``target`` at the same place of the sky.
-    pure : bool
-        Whether all corners have the same step.
+    It is the step from the centre of an image of ``shape`` (ny, nx) on ``wcs`` to
+    the pixel of ``target`` at the same place of the sky; it is all if no corner
+    departs from it by ``tolerance`` pixels.
     """
     pixels = _probe_pixels(shape)
     step = np.array(pixel_to_pixel(wcs, target, *pixels)) - pixels
@@ -188,22 +130,9 @@ def cut_wcs(wcs, window, shape):
 
 def resample(data, bad, wcs, new_wcs, *, shape, method="bicubic"):
     """
-    Lay images with bad pixels on another grid.
+    Return images (n, ny, nx) and their bad pixels on another grid, NaN where bad.
 
-    Parameters
-    ----------
-    data : `~numpy.ndarray`, shape (n, ny, nx)
-    bad : `~numpy.ndarray` of bool, shape (n, ny, nx)
-    wcs, new_wcs : `~astropy.wcs.WCS`
-    shape : (int, int)
-        Of the new grid.
-    method : str, optional
-        ``"exact"``, ``"adaptive"``, or an order of `reproject.reproject_interp`.
-
-    Returns
-    -------
-    data, bad : `~numpy.ndarray`, shape (n, *shape)
-        NaN where bad.
+    The method is "exact", "adaptive", or an order of `reproject.reproject_interp`.
     """
     import reproject
 
@@ -223,7 +152,7 @@ def resample(data, bad, wcs, new_wcs, *, shape, method="bicubic"):
 
 def reproject_cube(cube, wcs, shape=None, order=None, *, method="interp"):
     """
-    Lay all epochs of a cube onto another pixel grid.
+    Return all epochs of a cube resampled to another pixel grid.
 
     Parameters
     ----------
@@ -334,7 +263,7 @@ def reproject_cube(cube, wcs, shape=None, order=None, *, method="interp"):
 
 
 def _grid_of(target, shape):
-    """WCS and shape of the grid that something describes."""
+    """Return the WCS and shape of the grid that something describes."""
     if isinstance(target, fits.Header):
         axes = target.get("NAXIS2"), target.get("NAXIS1")
         try:
@@ -355,7 +284,7 @@ def _grid_of(target, shape):
 
 
 def _warn_of_undersampling(cube, wcs):
-    """Interpolation takes pixels one by one, and leaves out those between them."""
+    """Warn if interpolation leaves out pixels between those that it takes."""
     side, own = (np.sqrt(_pixel_area(grid)) * u.deg for grid in (wcs, cube.wcs))
     beams = [beam.minor / SAMPLED for beam in cube.beams or ()]
     if side > 1.01 * max(own, min(beams, default=own)):
@@ -369,7 +298,7 @@ def _warn_of_undersampling(cube, wcs):
 
 
 def _new_epoch_wcs(cube, wcs, shape):
-    """Absolute coordinates of the new grid, where they differ by a shift only."""
+    """Return absolute coordinates of the new grid, None if not all are shifts."""
     if cube.epoch_wcs is None:
         return None
     result = []
@@ -384,13 +313,13 @@ def _new_epoch_wcs(cube, wcs, shape):
 
 
 def _pixel_area(wcs):
-    """Solid angle of a pixel in square degrees."""
+    """Return the solid angle of a pixel in square degrees."""
     return abs(np.linalg.det(wcs.pixel_scale_matrix))
 
 
 def shared_grid(grids):
     """
-    Smallest grid that holds several grids at the finest of their pixels.
+    Return the smallest grid that holds several grids at the finest of their pixels.
 
     The grid with the smallest pixels gives its projection, orientation and
     reference point, the first of them if there are several, so that epochs

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""How well epochs lie on one another."""
+"""How well the epochs are aligned."""
 
 import warnings
 
@@ -30,7 +30,7 @@ STEPS, CONVERGED = 10, 0.01
 
 def misalignment(cube):
     r"""
-    Scatter of the epochs about one another.
+    Return the scatter of the epochs about one another, in beams.
 
     Each epoch is registered on the mean of the one before it and the one
     after it, weighted by time, so that what moves steadily, by less than its
@@ -157,7 +157,7 @@ def _shift(cube, k, weights, threshold, width, positions):
 
 def _displacement(image, reference, use, reach):
     """
-    Displacement (x, y) from a reference, None if it does not resemble it.
+    Return the displacement (x, y) from a reference, None if they are not alike.
 
     ``I(x + d) = a R(x) + b`` is solved for d, gain a and level b with the
     slopes of R, again and again from where it has led.

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Where epochs are: the core of each, or all of an image, against a reference."""
+"""Registration: the position of the core, or the displacement of an image."""
 
 import astropy.units as u
 import numpy as np
@@ -27,7 +27,7 @@ FEWEST = 10
 
 def core_positions(cube, *, jet_pa=None, max_shift=None):
     """
-    Measure the position of the core in each epoch.
+    Return the position of the core in each epoch.
 
     The core is taken for the upstream end of the jet: of the local maxima
     of at least a tenth of the epoch's peak, the one farthest against the
@@ -149,7 +149,7 @@ def core_positions(cube, *, jet_pa=None, max_shift=None):
 
 
 def _mean_direction(cube, shape, level):
-    """Unit step (x, y) down the jet, None if the source does not show one."""
+    """Return the unit step (x, y) down the jet, None if there is no direction."""
     mean = cube.mean_image()
     values = np.where(mean.mask, 0, mean.data)
     bright = values > max(0.01 * values.max(), 5 * level)
@@ -165,7 +165,7 @@ def _mean_direction(cube, shape, level):
 
 
 def _candidate(image, good, shape, direction, noise):
-    """The (x, y) of the local maximum that is farthest upstream."""
+    """Return the (x, y) of the local maximum that is farthest upstream."""
     # Half a beam apart, at least the eight neighbours.
     size = np.maximum(np.sqrt(np.diag(shape)[::-1]) / FWHM_TO_SIGMA / 2, 3)
     size = (2 * np.rint((size - 1) / 2) + 1).astype(int)
@@ -184,7 +184,7 @@ def _candidate(image, good, shape, direction, noise):
 
 
 def _fit(image, good, shape, start, direction, noise):
-    """Position, its covariance and whether the core is blended, in pixels."""
+    """Return the position in pixels, its covariance and whether it is blended."""
     precision = np.linalg.inv(shape)
     # The box around the ellipse; images may be a hundred times as large.
     reach = RADIUS / FWHM_TO_SIGMA * np.sqrt(np.diag(shape))
@@ -237,7 +237,7 @@ def _fit(image, good, shape, start, direction, noise):
 
 
 def _distance2(x, y, centre, precision):
-    """Squared distance in standard deviations of the beam."""
+    """Return the squared distance in standard deviations of the beam."""
     dx, dy = x - centre[0], y - centre[1]
     (a, b), (_, d) = precision
     return a * dx**2 + 2 * b * dx * dy + d * dy**2
@@ -245,53 +245,18 @@ def _distance2(x, y, centre, precision):
 
 def displacement(image, mask, reference, use, reach, start=None):
     """
-    Displacement of an image from a reference image.
+    Return the displacement (dx, dy) of an image from a reference, and its covariance.
 
     The zero-mean normalised cross-correlation of the good pixels gives it
-    to a pixel.  From there the sum of squares of
-    ``a I(x + d) + b - R(x)`` over the pixels in use is minimised over d,
-    with gain a and level b solved for, and I interpolated with cubic
-    splines.  Pixels where R is flat, its slope less than 1% of the
-    steepest, say nothing about d and are left out.
+    to a pixel, not farther than ``reach``, unless ``start`` does.  From there
+    the sum of squares of ``a I(x + d) + b - R(x)`` over the pixels in ``use``,
+    all good ones of the reference, is minimised over d, with gain a and level b
+    solved for, and I interpolated with cubic splines.  Pixels where R is flat,
+    its slope less than 1% of the steepest, say nothing about d and are left out.
 
-    Parameters
-    ----------
-    image : `~numpy.ndarray`, shape (ny, nx)
-    mask : `~numpy.ndarray` of bool, shape (ny, nx)
-        True marks bad pixels of ``image``.
-    reference : `~numpy.ndarray`, shape (ny, nx)
-    use : `~numpy.ndarray` of bool, shape (ny, nx)
-        Pixels of ``reference`` to compare; they must be good.
-    reach : float
-        Longest displacement to search, in pixels.
-    start : array_like, shape (2,), optional
-        (dx, dy) known to a pixel; nothing is searched then.
-
-    Returns
-    -------
-    shift : `~numpy.ndarray`, shape (2,)
-        (dx, dy): a source at x in the reference is at x + dx here.
-    covariance : `~numpy.ndarray`, shape (2, 2)
-        Of the shift, for residuals that are independent from pixel to
-        pixel.  Where the beam spans several pixels it is too small by half
-        the beam's area in pixels.
-
-    Raises
-    ------
-    ValueError
-        If nothing correlates inside ``reach``, or fewer than ten good
-        pixels can be compared.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> y, x = np.mgrid[:40, :50]
-    >>> def spot(x0, y0):
-    ...     return np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / 18)
-    >>> good = np.ones((40, 50), dtype=bool)
-    >>> shift, _ = displacement(spot(22.7, 15.3), ~good, spot(25, 20), good, 10)
-    >>> shift.round(2)
-    array([-2.3, -4.7])
+    A source at x in the reference is at x + d in the image.  The covariance is
+    for residuals that are independent from pixel to pixel; where the beam spans
+    several, it is too small by half the beam's area in pixels.
     """
     filled = fill_masked(image, mask)
     if start is None:
@@ -331,7 +296,7 @@ def displacement(image, mask, reference, use, reach, start=None):
 
 
 def _whole_pixels(filled, mask, reference, use, reach):
-    """The displacement (dx, dy) of the largest correlation."""
+    """Return the displacement (dx, dy) of the largest correlation."""
     steps = int(np.ceil(reach)) + 1
     rows, columns = (np.flatnonzero(use.any(axis=k)) for k in (1, 0))
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)

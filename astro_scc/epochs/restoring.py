@@ -39,7 +39,7 @@ def restore(
     margin=4.0,
 ):
     """
-    Images of component lists, as seen with a beam.
+    Return images of model components, as seen with a beam.
 
     A Gaussian component of covariance ``C`` and flux density ``S`` appears
     in a beam of covariance ``B`` as a Gaussian of covariance ``B + C`` and
@@ -183,7 +183,7 @@ def _in_pixels(beam, scale):
 
 
 def _grid(x, y, border, shape, reference_pixel):
-    """Shape and reference pixel that hold all (x, y), which count from it."""
+    """Return a shape and reference pixel for all (x, y), which count from it."""
     left, right = (np.floor((x - border).min()), np.ceil((x + border).max()))
     bottom, top = (np.floor((y - border).min()), np.ceil((y + border).max()))
     if shape is None:
@@ -210,7 +210,7 @@ def _grid(x, y, border, shape, reference_pixel):
 
 
 def _covariances(components):
-    """Covariances of the components over (x, y) in mas^2, shape (n, 2, 2)."""
+    """Return the covariances over (x, y) in mas^2, shape (n, 2, 2)."""
     pa = components.pa.to_value(u.rad)
     along = np.stack([-np.sin(pa), np.cos(pa)], axis=-1)
     across = np.stack([-np.cos(pa), -np.sin(pa)], axis=-1)
@@ -226,33 +226,12 @@ def _covariances(components):
 
 def add_gaussians(image, x, y, peak, covariance):
     """
-    Add elliptical Gaussians to an image, in place.
+    Add elliptical Gaussians to an image (ny, nx), in place, and return it.
 
-    Each is evaluated at the pixel centres of a box of 7 standard deviations
-    on each side; what falls outside the image is left out.
-
-    Parameters
-    ----------
-    image : `numpy.ndarray` of float, shape (ny, nx)
-    x, y : array_like, shape (n,)
-        Centres, in pixels from 0.
-    peak : array_like, shape (n,)
-        Values at the centres.
-    covariance : array_like, shape (n, 2, 2)
-        Covariances over (x, y) in pixels squared.
-
-    Returns
-    -------
-    `numpy.ndarray`
-        ``image``.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.epochs.restoring import add_gaussians
-    >>> image = add_gaussians(np.zeros((5, 5)), [2], [1], [3.0], [np.eye(2)])
-    >>> float(image[1, 2]), float((image[2, 2] / image[1, 2]).round(4))
-    (3.0, 0.6065)
+    Their centres ``x`` and ``y`` count from 0, ``peak`` is the value there, and
+    ``covariance``, shape (n, 2, 2), is over (x, y) in square pixels.  Each is
+    evaluated at the pixel centres of a box of 7 standard deviations on each side;
+    what falls outside the image is left out.
     """
     ny, nx = image.shape
     for x0, y0, p, c in zip(x, y, peak, np.asarray(covariance), strict=True):
@@ -281,7 +260,7 @@ def _bounds(centre, reach, length):
 
 def correlated_noise(shape, *, rms, beam=None, pixel_scale=None, rng=None):
     """
-    Gaussian noise as the image of a beam has it.
+    Return Gaussian noise with the correlation that a beam gives to it.
 
     White noise is convolved with the beam, so that its autocorrelation is
     the beam convolved with itself, and scaled by the theoretical gain of

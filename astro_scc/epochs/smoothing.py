@@ -31,40 +31,15 @@ def is_per(unit, *names):
 
 def gaussian_smooth(image, covariance, mask=None):
     """
-    Convolve an image with an elliptical Gaussian of unit sum.
+    Return an image convolved with an elliptical Gaussian of unit sum.
 
-    The image is multiplied in Fourier space by
-    ``exp(-2 pi^2 k^T C k)``, which is exact for well-sampled images however
-    narrow the Gaussian is, and a normalised convolution leaves out bad
-    pixels and what lies beyond the edges (Knutsson & Westin 1993):
-    ``(g * (m I)) / (g * m)`` with m 1 for good pixels and 0 for others.
-
-    Parameters
-    ----------
-    image : array_like, shape (ny, nx)
-    covariance : array_like, shape (2, 2)
-        C, over (x, y) in square pixels.  It may be singular.
-    mask : array_like of bool, shape (ny, nx), optional
-        True marks bad pixels.  Pixels that are not finite are always bad.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (ny, nx)
-        NaN where the pixel was bad.
-
-    Raises
-    ------
-    ValueError
-        If ``covariance`` has a negative eigenvalue.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> image = np.zeros((31, 31))
-    >>> image[15, 15] = 1
-    >>> smooth = gaussian_smooth(image, [[9, 0], [0, 4]])
-    >>> float(smooth[15, 15].round(6)), round(1 / (2 * np.pi * 3 * 2), 6)
-    (0.026526, 0.026526)
+    The image is multiplied in Fourier space by ``exp(-2 pi^2 k^T C k)``, with
+    the ``covariance`` C over (x, y) in square pixels, which may be singular;
+    that is exact for well-sampled images however narrow the Gaussian is.  A
+    normalised convolution leaves out bad pixels and what lies beyond the edges
+    (Knutsson & Westin 1993): ``(g * (m I)) / (g * m)`` with m 1 for good pixels
+    and 0 for others.  Bad are those of the mask and those that are not finite,
+    and they stay NaN.
     """
     image = np.asarray(image, dtype=float)
     covariance = np.asarray(covariance, dtype=float)
@@ -117,7 +92,7 @@ def _covariance(beam):
 
 def _excess(covariance, others):
     """
-    How far Gaussians stick out of one, as variances in units of its own.
+    Return how far Gaussians stick out of one, as variances in units of its own.
 
     Largest eigenvalue of ``C^-1 C_i`` for each i: at most 1 for those that
     fit inside.
@@ -128,7 +103,7 @@ def _excess(covariance, others):
 
 def smallest_common_beam(beams):
     """
-    Smallest beam to which every one of several beams can be convolved.
+    Return the smallest beam to which several beams can all be convolved.
 
     Its covariance C is the one of least determinant for which no ``C - C_i``
     has a negative variance, found by a simplex search over axis ratio and
@@ -171,7 +146,7 @@ def smallest_common_beam(beams):
 
 
 def _least_covariance(covariances):
-    """Containing covariance of least determinant, over shapes of determinant 1."""
+    """Return the containing covariance of least determinant."""
 
     def shape(p):
         r, angle = np.hypot(*p), np.arctan2(p[1], p[0])
@@ -191,7 +166,7 @@ def _least_covariance(covariances):
 
 def common_beam(cube, beam=None):
     """
-    Convolve every epoch to one and the same beam.
+    Return all epochs convolved to one and the same beam.
 
     An epoch with beam covariance ``C_i`` is convolved with a Gaussian of
     covariance ``C - C_i``; intensities per beam are multiplied by the ratio
