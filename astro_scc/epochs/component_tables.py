@@ -5,6 +5,7 @@ import re
 import warnings
 from datetime import datetime
 from difflib import get_close_matches
+from functools import partial
 
 import astropy.units as u
 import numpy as np
@@ -84,7 +85,7 @@ def read_columns(path, kind, source, dates):
     There are a list of dates, one for all rows or one for each, and whether the
     positions are relative to the core besides.
     """
-    table, names, meta, own_dates = OPENERS[kind](path)
+    table, names, meta, own_dates = FORMATS[kind][0](path)
     columns = _find_columns(table)
     table = _select_source(table, columns, names, source, path)
     if len(table) == 0:
@@ -305,10 +306,6 @@ def _open_ascii(path, kind, **options):
     return table, names, None, None
 
 
-def _open_ecsv(path):
-    return _open_ascii(path, "ascii.ecsv")
-
-
 def _open_mrt(path):
     with path.open(encoding="utf-8", errors="replace") as file:
         # Titles, authors and abstracts come before the description.
@@ -423,20 +420,10 @@ def _aips_table(hdu):
     return table
 
 
-OPENERS = {
-    "ecsv": _open_ecsv,
-    "mrt": _open_mrt,
-    "difmap": _open_difmap,
-    "aips-cc": _open_aips,
-}
-SUFFIXES = {
-    ".ecsv": "ecsv",
-    ".mod": "difmap",
-    ".mdl": "difmap",
-    ".fits": "aips-cc",
-    ".fit": "aips-cc",
-    ".fts": "aips-cc",
-    ".txt": "mrt",
-    ".dat": "mrt",
-    ".mrt": "mrt",
+# Name of a format -> what opens it, and the suffixes of its files.
+FORMATS = {
+    "ecsv": (partial(_open_ascii, kind="ascii.ecsv"), (".ecsv",)),
+    "mrt": (_open_mrt, (".txt", ".dat", ".mrt")),
+    "difmap": (_open_difmap, (".mod", ".mdl")),
+    "aips-cc": (_open_aips, (".fits", ".fit", ".fts")),
 }

@@ -12,8 +12,7 @@ from astropy.time import Time
 
 from astro_scc.epochs.component_tables import (
     CORE,
-    OPENERS,
-    SUFFIXES,
+    FORMATS,
     UNITS,
     read_columns,
     row_date,
@@ -320,8 +319,8 @@ def read_components(paths, *, format=None, source=None, origin=None, dates=None)
         raise ValueError("no component files were given")
     if origin not in (None, "core", "map"):
         raise ValueError(f"origin must be 'core' or 'map', got {origin!r}")
-    if format is not None and format not in OPENERS:
-        raise ValueError(f"format must be one of {', '.join(OPENERS)}, got {format!r}")
+    if format is not None and format not in FORMATS:
+        raise ValueError(f"format must be one of {', '.join(FORMATS)}, got {format!r}")
     if dates is None:
         dates = [None] * len(paths)
     elif isinstance(dates, str) or (isinstance(dates, Time) and dates.isscalar):
@@ -345,11 +344,12 @@ def read_components(paths, *, format=None, source=None, origin=None, dates=None)
 
 def _read_file(path, kind, source, origin, date):
     check_ordinary(path)
-    kind = kind or SUFFIXES.get(path.suffix.lower())
+    suffix = path.suffix.lower()
+    kind = kind or next((k for k, (_, own) in FORMATS.items() if suffix in own), None)
     if kind is None:
         raise ValueError(
             f"{path}: the suffix {path.suffix!r} tells no format; give one of "
-            f"{', '.join(OPENERS)}"
+            f"{', '.join(FORMATS)}"
         )
     if not path.is_file():
         raise OSError(f"{path}: no such file")
