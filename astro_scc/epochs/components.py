@@ -387,10 +387,10 @@ def _refer(columns, epoch, days, origin, path):
     needed = origin == ("map" if relative else "core")
     for day, n in zip(days, cores, strict=True):
         if n > 1 or (needed and n == 0):
+            found = f"{n} core components" if n else "no core component"
             raise ValueError(
-                f"{path}: {n or 'no'} core components (feature 0) on {day[:10]}, "
-                "expected one to refer positions to; correct the file, or give "
-                "another origin"
+                f"{path}: {found} (feature 0) on {day[:10]}, expected one to refer "
+                "positions to; correct the file, or give another origin"
             )
     for offsets in (columns["east"], columns["north"]):
         of_core = np.zeros(len(days))

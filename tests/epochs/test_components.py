@@ -242,7 +242,7 @@ def test_bad_tables(tmp_path, changes, message):
 def test_core_that_the_origin_needs(tmp_path):
     path = write(mojave(feature=[0, 1, 3, 2]), tmp_path / "t.ecsv")
     assert len(read_components(path)) == 4
-    with pytest.raises(ValueError, match="no core components .* on 2006-12-01"):
+    with pytest.raises(ValueError, match="no core component .* on 2006-12-01"):
         read_components(path, origin="map")
 
 
@@ -541,7 +541,7 @@ def test_model_without_a_date(tmp_path):
 
 
 def test_model_has_no_core(tmp_path):
-    with pytest.raises(ValueError, match="no core components .* expected one"):
+    with pytest.raises(ValueError, match="no core component .* expected one"):
         read_components(model(tmp_path), origin="core")
 
 
