@@ -9,8 +9,8 @@ from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.correlation.parallel import workers_of
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.segmentation import require_ssps
-from astro_scc.epochs.alignment.misalignment import warn_of_misalignment
 from astro_scc.epochs.beam import require_common_beam
+from astro_scc.epochs.misalignment import warn_of_misalignment
 from astro_scc.measurement import (
     MatchCache,
     MatchedEpochs,

@@ -33,8 +33,7 @@ from PIL import Image
 
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
-from astro_scc.epochs.components.gaussians import add_gaussians
-from astro_scc.epochs.components.noise import correlated_noise
+from astro_scc.epochs.restoring import add_gaussians, correlated_noise
 from astro_scc.simulation import (
     JetSimulation,
     Stream,

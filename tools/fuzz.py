@@ -33,7 +33,7 @@ from astropy.utils.exceptions import AstropyWarning
 
 from astro_scc.cli.sources import read_survey
 from astro_scc.epochs import EpochCube, read_components
-from astro_scc.epochs.alignment.shift_tables import offsets_from_table
+from astro_scc.epochs.alignment import offsets_from_table
 from astro_scc.settings import Settings, read_config
 
 #: What a user may get.

@@ -122,8 +122,8 @@ def read_epochs(settings, *, files=None, note=lambda text: None):
         If files cannot be read, or not as one cube.
     """
     from astro_scc.epochs import EpochCube
+    from astro_scc.epochs.cutout import refuse_pixels
     from astro_scc.epochs.fits import find_files
-    from astro_scc.epochs.grids.cutout import refuse_pixels
 
     if files is None:
         files = find_files(settings.epochs)

@@ -103,7 +103,7 @@ def _cores(cube):
     """Offset of the core of each epoch as text, by label, and its scatter in beams."""
     import numpy as np
 
-    from astro_scc.epochs.alignment.core import core_positions
+    from astro_scc.epochs.registration import core_positions
 
     if cube is None or cube.beams is None:
         return {}, 0.0
@@ -119,7 +119,7 @@ def _cores(cube):
 
 def _alignment(cube, of_core):
     """Return how well the epochs are aligned, and what to do about it."""
-    from astro_scc.epochs.alignment.misalignment import LARGEST
+    from astro_scc.epochs.misalignment import LARGEST
 
     scatter = cube.misalignment
     lines = ["", misalignment_text(scatter)]

@@ -22,7 +22,7 @@ from astro_scc.cli.inputs import read_epochs
 from astro_scc.cli.measure import WORK, write_measurement
 from astro_scc.cli.reporter import one_line
 from astro_scc.correlation.parallel import as_done, workers_of
-from astro_scc.epochs.grids.cutout import refuse_pixels
+from astro_scc.epochs.cutout import refuse_pixels
 from astro_scc.measurement import (
     component_table,
     false_discovery_rate,

@@ -1,24 +1,22 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Epochs: the images, where they come from and how they are laid on one another."""
 
-from astro_scc.epochs.alignment.core import core_positions
-from astro_scc.epochs.alignment.shifts import align
+from astro_scc.epochs.alignment import align
 from astro_scc.epochs.beam import Beam
-from astro_scc.epochs.components.lists import ComponentList
-from astro_scc.epochs.components.noise import correlated_noise
-from astro_scc.epochs.components.reading import read_components
-from astro_scc.epochs.components.restoring import restore
+from astro_scc.epochs.components import ComponentList, read_components
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.cutout import distance_mask
 from astro_scc.epochs.fits import read_vlbi_fits
-from astro_scc.epochs.grids.cutout import distance_mask
-from astro_scc.epochs.grids.reprojection import reproject_cube, shared_grid
-from astro_scc.epochs.grids.smoothing import common_beam, smallest_common_beam
+from astro_scc.epochs.grid import reproject_cube, shared_grid
 from astro_scc.epochs.inspection import (
     inspect_epochs,
     measure_noise,
     plan_intervals,
 )
+from astro_scc.epochs.registration import core_positions
+from astro_scc.epochs.restoring import correlated_noise, restore
 from astro_scc.epochs.serialize import write_epochs
+from astro_scc.epochs.smoothing import common_beam, smallest_common_beam
 
 __all__ = [
     "Beam",

@@ -7,9 +7,8 @@ import astropy.units as u
 import numpy as np
 from astropy.wcs.utils import pixel_to_pixel
 
-from astro_scc.epochs.grids.cutout import box
-from astro_scc.epochs.grids.reprojection import shared_grid
-from astro_scc.epochs.grids.resampling import grid_step, resample
+from astro_scc.epochs.cutout import box
+from astro_scc.epochs.grid import grid_step, resample, shared_grid
 from astro_scc.epochs.positions import readable_angle
 
 # Grids that agree to this part of a pixel all over the image are one grid.

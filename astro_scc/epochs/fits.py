@@ -23,7 +23,7 @@ from astropy.nddata import (
 )
 from astropy.wcs import WCS
 
-from astro_scc.epochs.grids.resampling import cut_wcs
+from astro_scc.epochs.grid import cut_wcs
 from astro_scc.epochs.headers import (
     HeaderRecord,
     axis_kind,

@@ -14,6 +14,7 @@ from astropy.time import Time
 
 from astro_scc.correlation.parallel import machine_memory
 from astro_scc.epochs.common_grid import lay_on_one_grid, windows_of
+from astro_scc.epochs.cutout import crop_line
 from astro_scc.epochs.fits import (
     CORRECT_BEAM,
     Plane,
@@ -21,7 +22,6 @@ from astro_scc.epochs.fits import (
     plane_of_hdu,
     read_plane,
 )
-from astro_scc.epochs.grids.cutout import crop_line
 from astro_scc.epochs.headers import get, read_header
 from astro_scc.epochs.inspection import (
     find_odd,

@@ -15,9 +15,9 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.cutout import box, crop_line
 from astro_scc.epochs.fits import CUBE_CREATOR, open_fits
-from astro_scc.epochs.grids.cutout import box, crop_line
-from astro_scc.epochs.grids.resampling import cut_wcs
+from astro_scc.epochs.grid import cut_wcs
 from astro_scc.epochs.headers import epoch_header
 from astro_scc.partial import replace_when_complete
 

@@ -6,7 +6,7 @@ import numpy as np
 from astropy.time import Time
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.grids.resampling import moved_wcs
+from astro_scc.epochs.grid import moved_wcs
 from astro_scc.epochs.positions import axis_words, offset_wcs
 from astro_scc.epochs.serialize import (
     pack_facts,

@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
-from astro_scc.epochs.components.gaussians import add_gaussians
+from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.kinematics import RadialFrame
 from astro_scc.measurement.tables import PM_UNIT
 

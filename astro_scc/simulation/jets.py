@@ -10,10 +10,9 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
-from astro_scc.epochs.components.gaussians import add_gaussians
-from astro_scc.epochs.components.noise import correlated_noise
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.positions import offset_wcs
+from astro_scc.epochs.restoring import add_gaussians, correlated_noise
 from astro_scc.epochs.serialize import write_epochs
 from astro_scc.partial import replace_when_complete
 from astro_scc.simulation.streams import Features, Flow, Stream, check_not_negative

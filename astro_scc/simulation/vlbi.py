@@ -10,7 +10,7 @@ from astropy.constants import c
 from astropy.coordinates import EarthLocation
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
-from astro_scc.epochs.components.gaussians import add_gaussians
+from astro_scc.epochs.restoring import add_gaussians
 
 # North latitude and west longitude in degrees, elevation in m (Napier 1995).
 STATIONS = {

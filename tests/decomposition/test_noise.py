@@ -11,7 +11,7 @@ from astro_scc.decomposition import (
 )
 from astro_scc.decomposition.noise import local_noise
 from astro_scc.epochs import Beam
-from astro_scc.epochs.components.noise import correlated_noise
+from astro_scc.epochs.restoring import correlated_noise
 from astro_scc.simulation import simulate_two_fluid
 
 SCALES = (1, 2, 3, 4)

@@ -83,8 +83,14 @@ def test_sizes_are_optional():
     ("changes", "message"),
     [
         ({"flux": [1, 2] * u.Jy}, "flux has shape"),
-        ({"flux": [1, np.nan, 2] * u.Jy}, "component 2 of 3: flux is not finite"),
-        ({"east": [1, 1, np.inf] * u.mas}, "component 3 of 3: east is not finite"),
+        (
+            {"flux": [1, np.nan, 2] * u.Jy},
+            "component 2 of 3: flux is blank or not finite",
+        ),
+        (
+            {"east": [1, 1, np.inf] * u.mas},
+            "component 3 of 3: east is blank or not finite",
+        ),
         ({"minor": [0.4, 0, 0] * u.mas}, "component 1 of 3: axes must be"),
         ({"minor": [0.3, -1, 0] * u.mas}, "component 2 of 3: axes must be"),
         ({"epoch": [0, 1, 2]}, "indices into an array of times"),
@@ -116,30 +122,10 @@ def test_selection():
         components.select(after="2010-01-01")
 
 
-def test_concatenation():
-    one = ComponentList(**columns(meta={"object": "a", "redshift": 1.0}))
-    two = ComponentList(
-        **columns(
-            times=Time(["2006-04-01", "2005-01-01"]),
-            meta={"object": "a", "redshift": 2.0},
-        )
-    )
-    both = ComponentList.concatenate([one, two])
-    assert both.n_epochs == 4
-    assert np.all(np.diff(both.times.mjd) > 0)
-    assert both.meta == {"object": "a"}
-    for i in range(both.n_epochs):
-        assert len(both.flux[both.epoch == i]) in (1, 2)
-    late = both.times[both.epoch[both.flux == 0.8 * u.Jy]]
-    assert list(late.strftime("%Y-%m-%d")) == ["2006-07-01", "2006-04-01"]
-    with pytest.raises(ValueError, match="no component lists"):
-        ComponentList.concatenate([])
-
-
 def test_round_trip_through_ecsv(tmp_path):
     components = ComponentList(**columns(meta={"name": "3C 273", "redshift": 0.158}))
     path = write(components.to_table(), tmp_path / "list.ecsv")
-    back = ComponentList.read(path)
+    back = read_components(path)
     assert back.meta == {"object": "3C 273", "redshift": 0.158}
     assert np.all(back.times == components.times)
     for name in ("epoch", "feature", "excluded"):
@@ -242,7 +228,7 @@ def test_dates(tmp_path, text, iso):
         ({"separation": [1, np.nan, 1, 1] * u.mas}, "row 2: separation or position"),
         ({"feature": [0, np.nan, 0, 1.0]}, "row 2: feature is blank"),
         ({"feature": [0, 0, 0, 1]}, "2 core components .* on 2006-03-09"),
-        ({"axial_ratio": [0.5, 1, 1, 1.5]}, "row 4: the minor axis exceeds"),
+        ({"axial_ratio": [0.5, 1, 1, 1.5]}, "component 4 of 4: axes must be"),
         ({"source": ["a", "a", "b", "b"]}, "2 sources in the table"),
     ],
 )
@@ -272,7 +258,7 @@ def test_source_of_many(tmp_path):
 
 def test_empty_table(tmp_path):
     path = write(mojave()[:0], tmp_path / "t.ecsv")
-    with pytest.raises(ValueError, match="the table has no rows"):
+    with pytest.raises(ValueError, match="no components in the file"):
         read_components(path)
 
 
@@ -455,7 +441,7 @@ def test_machine_readable_and_ecsv_agree(tmp_path):
 
 def test_mojave_xviii(shared_data):
     folder = shared_data / "mojave_xviii"
-    expected = {"0430+052": (128, 1257), "1226+023": (105, 957), "1228+126": (37, 295)}
+    expected = {"1226+023": (105, 957), "1228+126": (37, 295)}
     for source, (n_epochs, n) in expected.items():
         components = read_components(folder / f"{source}.ecsv")
         assert (components.n_epochs, len(components)) == (n_epochs, n)
@@ -536,9 +522,9 @@ def test_size_without_a_type_is_a_gaussian(tmp_path):
         ("1 2\n", "line 1: expected 3, 6 or 7 finite values"),
         ("! x\n1 2 nan\n", "line 2: expected 3, 6 or 7 finite values"),
         ("1 2 many\n", "line 1: not numbers"),
-        ("1 2 3 4 1 0 2\n", "line 1: component type 2 is neither"),
-        ("1 2 3 4 1.5 0 1\n", "line 1: a size must not be negative"),
-        ("1 2 3 -4 1 0 1\n", "line 1: a size must not be negative"),
+        ("1 2 3 4 1 0 2\n", "row 1: component type 2 is neither"),
+        ("1 2 3 4 1.5 0 1\n", "component 1 of 1: axes must be"),
+        ("1 2 3 -4 1 0 1\n", "component 1 of 1: axes must be"),
         ("! nothing\n", "no components in the file"),
     ],
 )
@@ -555,7 +541,7 @@ def test_model_without_a_date(tmp_path):
 
 
 def test_model_has_no_core(tmp_path):
-    with pytest.raises(ValueError, match="no core component .* origin='core' needs"):
+    with pytest.raises(ValueError, match="no core component .* expected one"):
         read_components(model(tmp_path), origin="core")
 
 
@@ -650,7 +636,7 @@ def test_aips_date_may_be_given(tmp_path):
     ("options", "message"),
     [
         ({"tables": 0}, "no AIPS CC table"),
-        ({"drop": ("DELTAX",)}, "no column DELTAX"),
+        ({"drop": ("DELTAX",)}, "no column for position_angle, sep"),
         ({"FLUX": [1, np.nan]}, "row 2: FLUX is blank"),
         ({"TYPE OBJ": [0, 3]}, "row 2: component type 3"),
         ({"MINOR AX": [0, 1.0]}, "component 2 of 2: axes must be"),
@@ -667,14 +653,14 @@ def test_aips_table_in_other_units(tmp_path):
     path = aips(tmp_path / "a.fits")
     with fits.open(path, mode="update") as hdus:
         hdus[1].header["TUNIT2"] = "ARCSEC"
-    with pytest.raises(ValueError, match="column DELTAX .* is in 'ARCSEC'"):
+    with pytest.raises(ValueError, match="column 'DELTAX' has the unit ARCSEC"):
         read_components(path)
 
 
 def test_empty_aips_table(tmp_path):
     names = ("FLUX", "DELTAX", "DELTAY", "MAJOR AX", "MINOR AX", "POSANGLE", "TYPE OBJ")
     path = aips(tmp_path / "a.fits", **{name: [] for name in names})
-    with pytest.raises(ValueError, match="table is empty"):
+    with pytest.raises(ValueError, match="no components in the file"):
         read_components(path)
 
 

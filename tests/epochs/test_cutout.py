@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.wcs import WCS
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from regions import (
@@ -21,7 +21,7 @@ from regions import (
 )
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.grids.cutout import (
+from astro_scc.epochs.cutout import (
     crop,
     distance_mask,
     refuse_pixels,
@@ -295,6 +295,7 @@ def test_regions_that_cannot_be_used():
 # -- crops --------------------------------------------------------------------
 
 
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 38), st.integers(1, 40), st.integers(0, 48), st.integers(1, 50))
 def test_offsets_and_values_stay_where_they_are(y0, height, x0, width):
     cube = make(25, epoch_wcs=[grid(25), grid(25, crval=(187.0, 12.0 + 1e-7))])

@@ -12,12 +12,10 @@ from scipy import ndimage
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import Beam, read_components, restore
-from astro_scc.epochs.alignment.misalignment import misalignment
+from astro_scc.epochs.misalignment import misalignment
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.simulation import (
-    simulate_ballistic,
     simulate_jet,
-    simulate_random_velocity,
     simulate_static,
     simulate_two_fluid,
     simulate_unrelated,
@@ -101,8 +99,6 @@ def test_brightness_that_goes_from_feature_to_feature_is_no_misalignment():
     "simulate",
     [
         simulate_two_fluid,
-        simulate_random_velocity,
-        simulate_ballistic,
         simulate_unrelated,
     ],
 )
@@ -129,13 +125,21 @@ def test_masked_epochs_are_compared_where_all_are_there(jet):
     assert found == pytest.approx(misalignment(bad), rel=0.2)
 
 
-@pytest.mark.parametrize("name", ["0430+052", "1226+023", "1308+326", "2200+420"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "1308+326",
+        pytest.param("0430+052", marks=pytest.mark.slow),
+        pytest.param("1226+023", marks=pytest.mark.slow),
+        pytest.param("2200+420", marks=pytest.mark.slow),
+    ],
+)
 def test_jets_that_are_aligned_by_their_cores(shared_data, name):
     lists = read_components(shared_data / "mojave_xviii" / f"{name}.ecsv")
     cube = restore(
         lists, beam=BEAM, pixel_scale=0.1 * u.mas, noise=0.3 * u.mJy / u.beam, rng=1
     )
-    for part in (cube[:12], cube[12:24], cube[:40]):
+    for part in (cube[:12], cube[12:24]):
         # What moves by beams between epochs does not tell.
         assert (misalignment(part) or 0) < 0.2
     assert misalignment(cube[:12]) is not None
@@ -173,13 +177,13 @@ LINE = (
 def test_the_call_says_it_and_what_mends_it(unaligned):
     scc = StackedCrossCorrelation(scales=[2], max_speed=5 * u.mas / u.yr)
     with pytest.warns(MeasurementWarning, match=LINE):
-        result = scc(unaligned, n_trials=20, rng=1)
+        result = scc(unaligned, n_trials=2, rng=1)
     meta = result.components.meta
     assert meta["misalignment_beams"] == unaligned.misalignment > 0.2
     aligned = unaligned.align("core")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        meta = scc(aligned, n_trials=20, rng=1).components.meta
+        meta = scc(aligned, n_trials=2, rng=1).components.meta
     assert meta["misalignment_beams"] < 0.05
 
 
@@ -193,7 +197,7 @@ def test_it_is_measured_once(unaligned, monkeypatch):
     cube = replace(unaligned)
     calls = []
     monkeypatch.setattr(
-        "astro_scc.epochs.alignment.misalignment.misalignment",
+        "astro_scc.epochs.misalignment.misalignment",
         lambda cube: calls.append(1) or 0.123,
     )
     assert cube.misalignment == cube.misalignment == 0.123

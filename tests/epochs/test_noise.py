@@ -59,7 +59,7 @@ def test_elongated_along_the_beam():
 
 
 def test_opposite_edges_are_independent():
-    noise = cubes(2000, BEAM, shape=(20, 20))
+    noise = cubes(600, BEAM, shape=(20, 20))
     assert abs(np.mean(noise[:, 0] * noise[:, -1])) < 0.06
 
 

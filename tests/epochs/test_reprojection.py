@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.grids.reprojection import reproject_cube, shared_grid
-from astro_scc.epochs.grids.resampling import fill_masked, shift_image
+from astro_scc.epochs.grid import fill_masked, reproject_cube, shared_grid, shift_image
 from astro_scc.exceptions import EpochWarning
 
 DATES = ["2000-01-01", "2001-01-01"]

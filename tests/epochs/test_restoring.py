@@ -10,9 +10,15 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.epochs import Beam, ComponentList, read_components, restore, write_epochs
-from astro_scc.epochs.components.gaussians import add_gaussians
+from astro_scc.epochs import (
+    Beam,
+    ComponentList,
+    read_components,
+    restore,
+    write_epochs,
+)
 from astro_scc.epochs.positions import offset_wcs
+from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.exceptions import EpochWarning
 
 PIXEL = 0.1 * u.mas
@@ -212,7 +218,7 @@ def test_units_of_the_image():
     assert cube.data.max() == pytest.approx(2000)
     with pytest.raises(u.UnitConversionError):
         restore(one(), beam=BEAM, pixel_scale=PIXEL, unit=u.Jy)
-    with pytest.raises(u.UnitConversionError):
+    with pytest.raises(TypeError, match="noise must be a Quantity in Jy / beam"):
         restore(one(), beam=BEAM, pixel_scale=PIXEL, noise=1 * u.mas)
 
 
@@ -231,8 +237,8 @@ def test_facts_and_history():
         ({"beam": [BEAM]}, "2 epochs need 2 beams, got 1"),
         ({"beam": None}, "needs a beam; give one"),
         ({"beam": []}, "needs a beam; give one"),
-        ({"noise": [1, 2, 3] * u.mJy / u.beam}, "3 noise levels for 2 epochs"),
-        ({"noise": -1 * u.mJy / u.beam}, "rms must be"),
+        ({"noise": [1, 2, 3] * u.mJy / u.beam}, "2 epochs need 2 noises"),
+        ({"noise": -1 * u.mJy / u.beam}, "noise must be finite and not negative"),
         ({"pixel_scale": 0 * u.mas}, "pixel_scale must be positive"),
         ({"shape": (0, 5)}, "shape must be"),
         ({"shape": (5,)}, "shape must be"),

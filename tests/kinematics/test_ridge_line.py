@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.components.gaussians import add_gaussians
+from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.kinematics import (
     PositionAngleFrame,
     RidgeLine,

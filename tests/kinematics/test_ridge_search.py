@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.components.gaussians import add_gaussians
+from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.kinematics import RidgeLine, find_ridge_line, fit_position_angle
 from astro_scc.kinematics.ridge_search import (
     STEP,

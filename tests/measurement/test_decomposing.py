@@ -16,7 +16,7 @@ from astro_scc.decomposition import (
 )
 from astro_scc.decomposition.noise import shared_variance
 from astro_scc.epochs import Beam, read_components, restore
-from astro_scc.epochs.components.noise import correlated_noise
+from astro_scc.epochs.restoring import correlated_noise
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.decomposing import (
     LazyDecompositions,

@@ -5,7 +5,7 @@ import pytest
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.epochs import Beam
-from astro_scc.epochs.components.noise import correlated_noise
+from astro_scc.epochs.restoring import correlated_noise
 
 #: Uneven, 20 to 45 days apart.
 DATES = [

@@ -12,7 +12,7 @@ from astropy.time import Time
 
 from astro_scc.cli.inputs import select_epochs
 from astro_scc.epochs import EpochCube, read_components
-from astro_scc.epochs.alignment.shift_tables import offsets_from_table
+from astro_scc.epochs.alignment import offsets_from_table
 from astro_scc.settings import Settings, read_config
 
 pytestmark = pytest.mark.skipif(

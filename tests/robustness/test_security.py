@@ -14,7 +14,7 @@ from astro_scc.cli import main
 from astro_scc.cli.reporter import Reporter
 from astro_scc.cli.sources import folder_names
 from astro_scc.epochs import EpochCube, write_epochs
-from astro_scc.epochs.alignment.shift_tables import offsets_from_table
+from astro_scc.epochs.alignment import offsets_from_table
 
 HOSTILE = (
     "../../evil", "/etc/passwd", "..", ".", "a/../../b", "CON", "x\\..\\y", "$HOME",

@@ -91,7 +91,7 @@ def test_like_the_jets_of_the_paper(shared_data, folder, options):
 
 def test_images_of_the_paper_from_their_truth(shared_data):
     """Our image of their features is their image, but for the noise."""
-    from astro_scc.epochs.components.gaussians import add_gaussians
+    from astro_scc.epochs.restoring import add_gaussians
 
     folder = shared_data / "paper_test" / "two_fluid"
     paper = json.loads((folder / "truth.json").read_text())

@@ -7,7 +7,7 @@ import pytest
 from astropy.table import QTable
 
 from astro_scc.epochs import Beam
-from astro_scc.epochs.components.gaussians import add_gaussians
+from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.simulation import observe, simulate_jet
 from astro_scc.simulation.vlbi import (
     _coverage,

@@ -10,12 +10,9 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from astro_scc.epochs.grids.resampling import cut_wcs
+from astro_scc.epochs.grid import cut_wcs
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.exceptions import EpochWarning
-
-__all__ = ["box", "crop", "crop_line", "distance_mask", "refuse_pixels", "region_mask"]
-
 
 #: Decimal places of degrees that are more than somebody writes by hand.
 DECIMALS = 5
@@ -25,7 +22,7 @@ MOVED = 0.02
 
 def region_mask(cube, region=None):
     """
-    Pixels whose centres lie inside a region.
+    Return the pixels whose centres lie inside a region.
 
     Parameters
     ----------
@@ -72,10 +69,15 @@ def region_mask(cube, region=None):
            [0, 0, 1, 1, 1, 0, 0],
            [0, 0, 0, 0, 0, 0, 0]])
     """
+    from regions import Region
+
     shape = cube.shape[1:]
-    name = "region"
     if region is None:
         return np.ones(shape, dtype=bool)
+    name, places = "region", ()
+    if isinstance(region, str | os.PathLike):
+        name = str(region)
+        region, places = _read(region)
     if isinstance(region, np.ndarray):
         if region.dtype != bool or region.shape != shape:
             raise ValueError(
@@ -84,11 +86,14 @@ def region_mask(cube, region=None):
             )
         inside = region.copy()
     else:
-        places = ()
-        if isinstance(region, str | os.PathLike):
-            name = str(region)
-            region, places = _read(region)
-        inside = _combine(cube, _as_list(region), name, places)
+        items = [region] if isinstance(region, Region) else region
+        items = list(items) if np.iterable(items) else []
+        if not items or not all(isinstance(item, Region) for item in items):
+            raise TypeError(
+                "region must be a regions.Region, a non-empty list of them, the path "
+                f"of a region file or an array of bool, got {region!r}"
+            )
+        inside = _combine(cube, items, name, places)
     if not inside.any():
         raise ValueError(
             f"{name}: holds no pixel of the {shape[1]} x {shape[0]} image; "
@@ -97,60 +102,39 @@ def region_mask(cube, region=None):
     return inside
 
 
-def _as_list(region):
-    from regions import Region
-
-    items = [region] if isinstance(region, Region) else region
-    try:
-        items = list(items)
-    except TypeError:
-        items = [None]
-    if not items or not all(isinstance(item, Region) for item in items):
-        raise TypeError(
-            "region must be a regions.Region, a non-empty list of them, the path of a "
-            f"region file or an array of bool, got {region!r}"
-        )
-    return items
-
-
 def _combine(cube, items, name, places):
+    """Return the pixels in any region that is included and in none excluded."""
     from regions import PixelRegion, SkyRegion
 
     shape = cube.shape[1:]
-    included = np.zeros(shape, dtype=bool)
+    wanted = [bool(item.meta.get("include", True)) for item in items]
+    included = np.full(shape, not any(wanted))
     excluded = np.zeros(shape, dtype=bool)
-    only_excluded = True
-    for item in items:
-        wanted = bool(item.meta.get("include", True))
-        only_excluded &= not wanted
-        combined = included if wanted else excluded
+    for item, include in zip(items, wanted, strict=True):
         try:
             # Images are so small that spherical regions are plane in them.
             pixel = item if isinstance(item, PixelRegion) else item.to_pixel(cube.wcs)
             mask = pixel.to_mask(mode="center")
-        except NotImplementedError:
+        except (NotImplementedError, OverflowError, ValueError) as error:
+            reason = {
+                NotImplementedError: "has no inside",
+                OverflowError: "has a size or place without end",
+            }.get(type(error), f"cannot be laid on the image ({_one_line(error)})")
             raise ValueError(
-                f"{name}: a {type(item).__name__} has no inside; "
+                f"{name}: a {type(item).__name__} {reason}; "
                 "use circles, ellipses, rectangles or polygons"
-            ) from None
-        except ValueError as error:
-            reason = " ".join(str(error).split())
-            raise ValueError(
-                f"{name}: a {type(item).__name__} cannot be laid on the image "
-                f"({reason}); use circles, ellipses, rectangles or polygons"
-            ) from None
-        except OverflowError:
-            raise ValueError(
-                f"{name}: a {type(item).__name__} of a size or place without end; "
-                "correct its numbers"
             ) from None
         if places and isinstance(item, SkyRegion):
             _refuse_rounded(item, min(mask.shape), cube.wcs, places, name)
         # Masks ignore "include", and have no part in the image outside it.
         target, source = mask.get_overlap_slices(shape)
         if target is not None:
-            combined[target] |= mask.data[source] > 0
-    return ~excluded if only_excluded else included & ~excluded
+            (included if include else excluded)[target] |= mask.data[source] > 0
+    return included & ~excluded
+
+
+def _one_line(error):
+    return " ".join(str(error).split())
 
 
 def _refuse_rounded(item, size, wcs, places, name):
@@ -180,7 +164,7 @@ def _refuse_rounded(item, size, wcs, places, name):
 
 def _step(values, places, fewest):
     """
-    To what numbers were rounded that a file writes with so many decimal places.
+    Return the step to which numbers of so many decimal places were rounded.
 
     Nothing, 0, for those that end before the ``fewest`` places, as what is written
     by hand does, and for those that do not end.
@@ -194,7 +178,7 @@ def _step(values, places, fewest):
 
 
 def _read(path):
-    """Regions of a file, and the decimal places of the numbers in it."""
+    """Return the regions of a file, and the decimal places of its numbers."""
     from regions import Regions
 
     path = Path(path)
@@ -216,7 +200,7 @@ def _read(path):
         except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
             raise ValueError(
                 f"{path}: cannot be read as a {file_format} region file "
-                f"({' '.join(str(error).split())})"
+                f"({_one_line(error)})"
             ) from error
     if len(found) == 0:
         raise ValueError(f"{path}: holds no region that can be used")
@@ -231,33 +215,14 @@ def _read(path):
 
 def box(cube, region, pad=0):
     """
-    The bounding box of a region.
+    Return the bounding box of a region, slices of rows and columns, see `crop`.
 
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-        Or anything with its ``shape`` and ``wcs``.
-    region, pad
-        See `crop`.
-
-    Returns
-    -------
-    (slice, slice)
-        Rows and columns.
-
-    Raises
-    ------
-    ValueError, TypeError, OSError
-        See `crop`.
+    The cube is anything with a ``shape`` and a ``wcs``.
     """
     if pad != int(pad) or pad < 0:
         raise ValueError(f"pad={pad} must be a whole number of at least 0")
-    pad = int(pad)
     shape = cube.shape[1:]
-    is_slices = isinstance(region, tuple) and all(
-        isinstance(item, slice) for item in region
-    )
-    if is_slices:
+    if isinstance(region, tuple) and all(isinstance(item, slice) for item in region):
         if len(region) != 2:
             raise ValueError("slices must be two, (y, x)")
         if any(item.step not in (None, 1) for item in region):
@@ -269,10 +234,8 @@ def box(cube, region, pad=0):
             )
     else:
         inside = region_mask(cube, region)
-        bounds = []
-        for axis in (1, 0):
-            hit = np.flatnonzero(inside.any(axis=axis))
-            bounds.append((hit[0], hit[-1] + 1))
+        hits = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
+        bounds = [(hit[0], hit[-1] + 1) for hit in hits]
     return tuple(
         slice(int(max(start - pad, 0)), int(min(stop + pad, n)))
         for (start, stop), n in zip(bounds, shape, strict=True)
@@ -281,7 +244,7 @@ def box(cube, region, pad=0):
 
 def crop(cube, region, pad=0):
     """
-    Cut all epochs down to the bounding box of a region.
+    Return all epochs cut down to the bounding box of a region.
 
     Parameters
     ----------
@@ -332,17 +295,7 @@ def crop(cube, region, pad=0):
 
 
 def crop_line(window):
-    """
-    What `crop` writes to the history.
-
-    Parameters
-    ----------
-    window : (slice, slice)
-
-    Returns
-    -------
-    str
-    """
+    """Return what `crop` writes to the history of slices (y, x)."""
     ys, xs = window
     return (
         f"cropped to pixels x {xs.start} to {xs.stop - 1}, "
@@ -354,14 +307,7 @@ def refuse_pixels(path):
     """
     Refuse a region file in pixels, for images of which a part is read.
 
-    Parameters
-    ----------
-    path : path
-
-    Raises
-    ------
-    ValueError
-        If a region in it is in pixels: those of the part are counted anew.
+    The pixels of a part are counted anew.
     """
     from regions import PixelRegion
 
@@ -374,7 +320,7 @@ def refuse_pixels(path):
 
 def distance_mask(cube, r_min, r_max, origin=None):
     """
-    Pixels whose centres lie in a ring about a point.
+    Return the pixels whose centres lie in a ring about a point.
 
     Parameters
     ----------

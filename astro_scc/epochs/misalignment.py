@@ -1,18 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""How well epochs lie on one another."""
+"""How well the epochs are aligned."""
 
 import warnings
-from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
 from scipy import ndimage
 
-from astro_scc.epochs.alignment.core import core_positions
-from astro_scc.epochs.grids.resampling import fill_masked
+from astro_scc.epochs.grid import fill_masked
+from astro_scc.epochs.registration import core_positions
 from astro_scc.exceptions import MeasurementWarning
-
-__all__ = ["misalignment", "warn_of_misalignment"]
 
 #: Epochs that scatter by so many beams can make still jets move: 5 of 42 static jets
 #: did at 0.3 beams, none of 132 at 0.2.
@@ -33,7 +30,7 @@ STEPS, CONVERGED = 10, 0.01
 
 def misalignment(cube):
     r"""
-    Scatter of the epochs about one another.
+    Return the scatter of the epochs about one another, in beams.
 
     Each epoch is registered on the mean of the one before it and the one
     after it, weighted by time, so that what moves steadily, by less than its
@@ -65,7 +62,7 @@ def misalignment(cube):
 
     Examples
     --------
-    >>> from astro_scc.epochs.alignment.misalignment import misalignment
+    >>> from astro_scc.epochs.misalignment import misalignment
     >>> from astro_scc.simulation import simulate_jet
     >>> jet = simulate_jet(n_epochs=12, alignment_error=0.3, rng=1)
     >>> round(misalignment(jet.cube), 1)
@@ -83,87 +80,84 @@ def misalignment(cube):
     if cube.beams is None or len(middle) == 0:
         return None
     width = np.mean([np.sqrt(b.major * b.minor).to_value(u.mas) for b in cube.beams])
-    epochs = _Neighbours(cube, years, cube.noise_rms().value, width)
-    scatter = epochs.scatter(_spread(middle, ENOUGH))
-    if scatter is not None:
-        return scatter
+    # Weights of the epochs before and after.
+    weights = {
+        k: np.diff(years[k - 1 : k + 2])[::-1] / (years[k + 1] - years[k - 1])
+        for k in middle
+    }
+    noise = cube.noise_rms().value
+
+    def scatter(epochs, positions=None):
+        shifts = {
+            k: _shift(cube, k, weights[k], SOURCE_SNR * noise[k], width, positions)
+            for k in epochs
+        }
+        return _scatter(shifts, weights, width)
+
+    found = scatter(_spread(middle, ENOUGH))
+    if found is not None:
+        return found
     some = _spread(middle, CORES)
     every = np.unique([some - 1, some, some + 1])
     try:
-        found = core_positions(cube[every])
+        cores = core_positions(cube[every])
     except ValueError:
         return None
-    core = np.stack([found[name].to_value(u.mas) for name in ("east", "north")], axis=1)
-    core = dict(zip(every, core, strict=True))
-    certain = epochs.scatter(some, core)
+    cores = np.stack(
+        [cores[name].to_value(u.mas) for name in ("east", "north")], axis=1
+    )
+    cores = dict(zip(every, cores, strict=True))
+    certain = scatter(some, cores)
     if certain is None or certain > AGREE:
         return None
-    return epochs.scatter_of_positions(some, core)
+    shifts = {}
+    for k in some:
+        before, after = weights[k]
+        shifts[k] = cores[k] - (before * cores[k - 1] + after * cores[k + 1])
+    return _scatter(shifts, weights, width)
 
 
 def _spread(values, most):
-    """So many of some values at most, from the first to the last."""
+    """Return so many of some values at most, from the first to the last."""
     places = np.linspace(0, len(values) - 1, most).round().astype(int)
     return values[np.unique(places)]
 
 
-@dataclass(frozen=True, eq=False)
-class _Neighbours:
-    """Epochs among their neighbours in time; ``width`` is that of the beam in mas."""
+def _scatter(shifts, weights, width):
+    """
+    Return the scatter of one epoch, in beams, None if most shifts are None.
 
-    cube: object
-    years: np.ndarray
-    noise: np.ndarray
-    width: float
+    The neighbours, from whose weighted mean it is shifted, scatter as much.
+    """
+    squares = [
+        np.mean(shift**2) / (1 + np.sum(np.square(weights[k])))
+        for k, shift in shifts.items()
+        if shift is not None
+    ]
+    if 2 * len(squares) <= len(shifts):
+        return None
+    return float(np.sqrt(np.mean(squares)) / width)
 
-    def weights(self, k):
-        """Of an epoch's neighbours, by time."""
-        t = self.years[k - 1 : k + 2]
-        return (t[2] - t[1]) / (t[2] - t[0]), (t[1] - t[0]) / (t[2] - t[0])
 
-    def scatter(self, epochs, positions=None):
-        """In beams, without positions in mas; None if most epochs do not tell."""
-        told = {k: self._shift(k, positions) for k in epochs}
-        told = {k: shift for k, shift in told.items() if shift is not None}
-        return self.rms(told) if 2 * len(told) > len(epochs) else None
-
-    def scatter_of_positions(self, epochs, positions):
-        """In beams, of positions in mas about those of their neighbours."""
-        shifts = {}
-        for k in epochs:
-            before, after = self.weights(k)
-            expected = before * positions[k - 1] + after * positions[k + 1]
-            shifts[k] = positions[k] - expected
-        return self.rms(shifts)
-
-    def rms(self, shifts):
-        """Of one epoch, of displacements from neighbours that scatter as much."""
-        squares = [
-            np.mean(shift**2) / (1 + np.sum(np.square(self.weights(k))))
-            for k, shift in shifts.items()
-        ]
-        return float(np.sqrt(np.mean(squares)) / self.width)
-
-    def _shift(self, k, positions):
-        matrix = self.cube.pixel_matrix.to_value(u.mas)
-        three = slice(k - 1, k + 2)
-        images = list(map(fill_masked, self.cube.data[three], self.cube.mask[three]))
-        if positions is not None:
-            for i, image in enumerate(images):
-                x, y = np.linalg.solve(matrix, positions[k - 1 + i])
-                images[i] = ndimage.shift(image, (-y, -x), order=3)
-        before, after = self.weights(k)
-        reference = before * images[0] + after * images[2]
-        source = ~self.cube.mask[three].any(axis=0)
-        source &= reference > SOURCE_SNR * self.noise[k]
-        reach = self.width / np.sqrt(abs(np.linalg.det(matrix)))
-        shift = _displacement(images[1], reference, source, reach)
-        return None if shift is None else matrix @ shift
+def _shift(cube, k, weights, threshold, width, positions):
+    """Return the shift of an epoch from its neighbours in mas, None if unknown."""
+    matrix = cube.pixel_matrix.to_value(u.mas)
+    three = slice(k - 1, k + 2)
+    images = list(map(fill_masked, cube.data[three], cube.mask[three]))
+    if positions is not None:
+        for i, image in enumerate(images):
+            x, y = np.linalg.solve(matrix, positions[k - 1 + i])
+            images[i] = ndimage.shift(image, (-y, -x), order=3)
+    reference = weights[0] * images[0] + weights[1] * images[2]
+    source = ~cube.mask[three].any(axis=0) & (reference > threshold)
+    reach = width / np.sqrt(abs(np.linalg.det(matrix)))
+    shift = _displacement(images[1], reference, source, reach)
+    return None if shift is None else matrix @ shift
 
 
 def _displacement(image, reference, use, reach):
     """
-    Displacement (x, y) from a reference, None if it does not resemble it.
+    Return the displacement (x, y) from a reference, None if they are not alike.
 
     ``I(x + d) = a R(x) + b`` is solved for d, gain a and level b with the
     slopes of R, again and again from where it has led.
@@ -195,17 +189,7 @@ def _displacement(image, reference, use, reach):
 
 
 def warn_of_misalignment(cube):
-    """
-    Say so if epochs scatter by two tenths of the beam or more.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-
-    Warns
-    -----
-    `~astro_scc.exceptions.MeasurementWarning`
-    """
+    """Warn if epochs scatter by two tenths of the beam or more."""
     scatter = cube.misalignment
     if scatter is not None and scatter >= LARGEST:
         warnings.warn(

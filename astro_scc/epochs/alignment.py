@@ -1,34 +1,45 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Epochs laid on one another, by shifts."""
+"""Alignment of the epochs, by shifts measured in them or given in a table."""
 
 import os
+import re
 import warnings
 from dataclasses import dataclass
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 from astropy.table import Table
+from astropy.time import Time
 
-from astro_scc.epochs.alignment.core import core_positions
-from astro_scc.epochs.alignment.registration import displacement
-from astro_scc.epochs.alignment.shift_tables import offsets_from_table
-from astro_scc.epochs.grids.cutout import region_mask
-from astro_scc.epochs.grids.resampling import (
+from astro_scc.epochs.component_tables import first_line, numbers
+from astro_scc.epochs.cutout import region_mask
+from astro_scc.epochs.grid import (
     WHOLE_PIXEL,
     grid_step,
     moved_wcs,
     resample,
     shift_image,
 )
+from astro_scc.epochs.registration import core_positions, displacement
+from astro_scc.epochs.validation import as_times
 from astro_scc.exceptions import MeasurementWarning
 
-__all__ = ["align"]
+# Rows of a table are of the epoch whose date they have to this, in days.
+TOLERANCE = 1.0
+DATES = ("epoch", "date", "date_obs", "date-obs", "time", "mjd", "jd", "year")
+# Words in the names of columns that are their units.
+UNITS = {
+    **{word: u.Unit(word) for word in ("deg", "arcsec", "mas", "uas")},
+    "marcsec": u.mas,
+    "uarcsec": u.uas,
+}
 
 
 @dataclass(frozen=True)
 class Offsets:
     """
-    Where each epoch lies, in pixels (x, y) from where it ought to.
+    How far each epoch is, in pixels (x, y), from where it ought to be.
 
     ``covariance`` is of shape (n, 2, 2), NaN where errors are not known,
     and ``turned`` marks epochs whose grid differs by more than a shift.
@@ -51,7 +62,7 @@ def align(
     max_shift=None,
 ):
     """
-    Shift the epochs so that they lie on one another.
+    Return the epochs shifted so that they are aligned.
 
     Parameters
     ----------
@@ -77,7 +88,7 @@ def align(
     table : path-like or `~astropy.table.Table`, optional
         For "table".  CSV or ECSV with a date and the offsets of the core
         from the reference pixel, see
-        `~astro_scc.epochs.alignment.shift_tables.offsets_from_table`.
+        `~astro_scc.epochs.alignment.offsets_from_table`.
     reference : int or array_like, shape (ny, nx), optional
         For "correlate": an epoch, or an image, by default the mean of the
         aligned epochs, found by iteration.
@@ -150,55 +161,45 @@ def align(
         raise ValueError(
             f"align method {method!r} is none of {', '.join(METHODS)}, nor a file"
         )
+    measure, known = METHODS[method]
     options = {
-        "table": table,
+        "jet_pa": jet_pa,
         "reference": reference,
         "region": region,
-        "jet_pa": jet_pa,
+        "table": table,
         "max_shift": max_shift,
     }
     options = {name: value for name, value in options.items() if value is not None}
-    measure, known = METHODS[method]
-    strange = set(options) - {*known, "max_shift"}
+    strange = sorted(set(options) - {*known, "max_shift"})
     if strange:
-        raise ValueError(
-            f"align method {method!r} has no option {', '.join(sorted(strange))}"
-        )
+        raise ValueError(f"align method {method!r} has no option {', '.join(strange)}")
     if method == "none":
         return cube.with_step("aligned by reference pixels (no shifts)")
-    if "max_shift" in options and not u.Quantity(max_shift).to_value(u.mas) > 0:
+    if max_shift is not None and not u.Quantity(max_shift).to_value(u.mas) > 0:
         raise ValueError(f"max_shift={max_shift} must be positive")
-    if "max_shift" not in known:
-        options.pop("max_shift", None)
-    offsets = measure(cube, **options)
-    _check_size(cube, offsets, max_shift)
+    offsets = measure(cube, **{k: v for k, v in options.items() if k in known})
+    if max_shift is not None:
+        size = np.hypot(*(cube.pixel_matrix @ offsets.pixels.T))
+        worst = int(np.argmax(size))
+        if size[worst] > max_shift:
+            raise ValueError(
+                f"{cube.labels[worst]}: its shift of {size[worst].to(u.mas):.3g} "
+                f"exceeds max_shift={max_shift}; leave the epoch out or give a larger "
+                "one"
+            )
     return _move(cube, method, offsets)
 
 
-def _check_size(cube, offsets, max_shift):
-    if max_shift is None:
-        return
-    size = np.hypot(*(cube.pixel_matrix @ offsets.pixels.T))
-    worst = int(np.argmax(size))
-    if size[worst] > max_shift:
-        raise ValueError(
-            f"{cube.labels[worst]}: its shift of {size[worst].to(u.mas):.3g} exceeds "
-            f"max_shift={max_shift}; leave the epoch out or give a larger one"
-        )
-
-
 def _move(cube, method, offsets):
-    """The cube with every epoch moved against its offset."""
+    """Return the cube with every epoch moved against its offset."""
     shifts = -offsets.pixels
+    turned = np.zeros(len(cube), bool) if offsets.turned is None else offsets.turned
     data, mask = np.empty(cube.shape), np.empty(cube.shape, dtype=bool)
     for i, shift in enumerate(shifts):
-        if offsets.turned is not None and offsets.turned[i]:
-            data[[i]], mask[[i]] = resample(
-                cube.data[[i]],
-                cube.mask[[i]],
-                cube.epoch_wcs[i],
-                cube.wcs,
-                shape=cube.shape[1:],
+        if turned[i]:
+            one, own = slice(i, i + 1), cube.epoch_wcs[i]
+            data[one], mask[one] = resample(
+                cube.data[one], cube.mask[one], own, cube.wcs, shape=cube.shape[1:]
             )
         else:
             data[i], mask[i] = shift_image(cube.data[i], cube.mask[i], shift)
@@ -207,15 +208,11 @@ def _move(cube, method, offsets):
                 f"{cube.labels[i]}: its shift of {shift.round(1).tolist()} pixels "
                 "(x, y) takes it off the grid; leave the epoch out"
             )
-    if method == "wcs":
-        epoch_wcs = tuple(cube.wcs.deepcopy() for _ in shifts)
-    else:
-        epoch_wcs = cube.epoch_wcs and tuple(
-            moved_wcs(own, shift)
-            for own, shift in zip(cube.epoch_wcs, shifts, strict=True)
-        )
-    whole = np.all(np.abs(shifts - np.rint(shifts)) < WHOLE_PIXEL)
-    whole = whole and not np.any(offsets.turned)
+    epoch_wcs = cube.epoch_wcs and tuple(
+        cube.wcs.deepcopy() if method == "wcs" else moved_wcs(own, shift)
+        for own, shift in zip(cube.epoch_wcs, shifts, strict=True)
+    )
+    whole = np.all(np.abs(shifts - np.rint(shifts)) < WHOLE_PIXEL) and not turned.any()
     records = _records(cube, method, offsets)
     east, north = (
         np.array([r[f"shift_{k}_mas"] for r in records]) for k in ("east", "north")
@@ -226,20 +223,19 @@ def _move(cube, method, offsets):
         f"(east) and {np.sqrt(np.mean(north**2)):.3g} mas (north) rms, largest "
         f"({east[largest]:+.3g}, {north[largest]:+.3g}) mas for {cube.labels[largest]}"
     )
+    earlier = cube.meta.get("alignment", ())
     return cube.with_step(
         line,
         data=data,
         mask=mask,
         epoch_wcs=epoch_wcs,
         noise=cube.noise if whole else None,
-        meta={
-            **cube.meta,
-            "alignment": [*cube.meta.get("alignment", ()), *records],
-        },
+        meta={**cube.meta, "alignment": [*earlier, *records]},
     )
 
 
 def _records(cube, method, offsets):
+    """Return what was done with each epoch, for ``meta["alignment"]``."""
     matrix = cube.pixel_matrix.to_value(u.mas)
     shift = -offsets.pixels @ matrix.T + 0.0
     variance = np.einsum("ij,njk,ik->ni", matrix, offsets.covariance, matrix)
@@ -259,7 +255,7 @@ def _records(cube, method, offsets):
 
 
 def _from_sky(cube, offsets, errors, what):
-    """Offsets (n, 2) and errors in mas as pixels."""
+    """Return offsets (n, 2) and errors in mas as `Offsets`."""
     inverse = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
     variances = errors[:, :, None] ** 2 * np.eye(2)
     return Offsets(offsets @ inverse.T, inverse @ variances @ inverse.T, what)
@@ -287,9 +283,7 @@ def _by_table(cube, *, table=None):
     if table is None:
         raise ValueError("align method 'table' needs table=, a path or a Table")
     offsets, errors = offsets_from_table(table, cube.times, cube.labels)
-    return _from_sky(
-        cube, offsets.to_value(u.mas), errors.to_value(u.mas), "positions of a table"
-    )
+    return _from_sky(cube, offsets.value, errors.value, "positions of a table")
 
 
 def _by_wcs(cube):
@@ -348,6 +342,7 @@ def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
 
 
 def _reference_image(cube, reference):
+    """Return an image, None for the mean, and what it is called."""
     if reference is None:
         return None, "their mean"
     image = np.asarray(reference, dtype=float)
@@ -373,6 +368,120 @@ def _mean_of_moved(cube, shifts):
     total = np.where(good, moved, 0).sum(axis=0)
     # Pixels that only some epochs have would bring steps into the mean.
     return np.where(count == len(cube), total / np.maximum(count, 1), np.nan)
+
+
+def offsets_from_table(table, times, labels):
+    """
+    Return the offset of each epoch in a table, and its error, shape (n, 2) in mas.
+
+    The table, a path of CSV or ECSV or one in memory, has a column of dates
+    (``epoch``, ``date``, ``date_obs``, ``time``, ``mjd``, ``jd`` or ``year``: a
+    Time, ISO dates, or numbers) and two of offsets, which have ``east`` and
+    ``north`` as a part of their names.  Their unit is the column's, or else a
+    part of the name as in ``core_x_mas_east``.  Two more with ``err`` or
+    ``error`` in their names are the errors, NaN where there are none.  The
+    row of an epoch is the nearest within a day.
+    """
+    name, table = _read_table(table)
+    dates = _dates(table, name)
+    axes = [_axis(table, axis, name) for axis in ("east", "north")]
+    values, errors = (np.stack(pair, axis=1) for pair in zip(*axes, strict=True))
+    rows = []
+    for time, label in zip(times, labels, strict=True):
+        where = f"{time.isot[:10]} ({label})"
+        apart = np.abs((dates - time).to_value(u.day))
+        if len(apart) == 0 or not apart.min() <= TOLERANCE:
+            raise ValueError(
+                f"{name}: no row within {TOLERANCE:g} d of {where}; add one, or leave "
+                "the epoch out"
+            )
+        nearest = np.flatnonzero(apart <= apart.min() + 1e-6)
+        found = values[nearest]
+        if not np.all(np.isfinite(found)):
+            raise ValueError(f"{name}: the row for {where} has no numbers")
+        if np.any(found != found[0]):
+            raise ValueError(f"{name}: rows that differ for {where}; keep one")
+        rows.append(nearest[0])
+    return values[rows] * u.mas, errors[rows] * u.mas
+
+
+def _read_table(table):
+    if isinstance(table, Table):
+        return "table", table
+    if not isinstance(table, str | os.PathLike):
+        raise TypeError(
+            f"table must be a path or an astropy Table, got {type(table).__name__}"
+        )
+    path = Path(table)
+    try:
+        text = path.read_text(encoding="utf-8")
+        kind = "ascii.ecsv" if text.startswith("# %ECSV") else "ascii.csv"
+        return str(path), Table.read(text.splitlines(), format=kind)
+    except OSError:
+        raise
+    except Exception as error:  # the parsers of astropy raise all sorts
+        raise ValueError(
+            f"{path}: is neither CSV nor ECSV ({first_line(error)})"
+        ) from error
+
+
+def _words(name):
+    return re.split(r"[^a-z]+", name.lower())
+
+
+def _dates(table, name):
+    columns = [c for c in table.colnames if c.lower() in DATES]
+    if len(columns) != 1:
+        raise ValueError(
+            f"{name}: {len(columns)} columns of dates, one is needed, "
+            f"called one of {', '.join(DATES)}; it has {', '.join(table.colnames)}"
+        )
+    column, kind = table[columns[0]], columns[0].lower()
+    if isinstance(column, Time):
+        return column
+    if kind not in ("mjd", "jd"):
+        kind = "jyear" if column.dtype.kind in "fi" else None
+    try:
+        values = np.asarray(column).astype(float if kind else str)
+        with warnings.catch_warnings():
+            # ERFA calls dates dubious for which leap seconds are unknown.
+            warnings.simplefilter("ignore")
+            times = Time(values, format=kind, scale="utc")
+    except ValueError as error:
+        raise ValueError(
+            f"{name}: the dates in column {columns[0]!r} are not understood "
+            f"({first_line(error)}); write them as 2006-03-09"
+        ) from error
+    return as_times(times, len(table))
+
+
+def _axis(table, axis, name):
+    """Return the offsets along "east" or "north" in mas, and their errors."""
+    columns = [c for c in table.colnames if axis in _words(c)]
+    wrong = [c for c in columns if {"err", "error"} & set(_words(c))]
+    columns = [c for c in columns if c not in wrong]
+    if len(columns) != 1:
+        raise ValueError(
+            f"{name}: {len(columns)} columns have '{axis}' as a part of their "
+            f"names, one is needed, such as 'core_mas_{axis}'; "
+            f"it has {', '.join(table.colnames)}"
+        )
+    errors = _angles(table, wrong[0], name) if wrong else np.full(len(table), np.nan)
+    return _angles(table, columns[0], name), errors
+
+
+def _angles(table, column, name):
+    """Return a column in mas, blanks as NaN; its name may tell its unit."""
+    unit = getattr(table[column], "unit", None)
+    if unit is None:
+        units = [UNITS[word] for word in _words(column) if word in UNITS]
+        if len(units) != 1:
+            raise ValueError(
+                f"{name}: column {column!r} has no unit; give it one in an ECSV table "
+                f"or in its name, as in {column + '_mas'!r}"
+            )
+        unit = units[0]
+    return numbers(table[column], u.mas, name, own_unit=unit)
 
 
 # Name -> the function that measures, and the options that it has.

@@ -1,24 +1,28 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Images from component lists."""
+"""Images of model components, and the noise that a restoring beam correlates."""
 
 import warnings
 
 import astropy.units as u
 import numpy as np
+from scipy import fft
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
-from astro_scc.epochs.components.gaussians import add_gaussians
-from astro_scc.epochs.components.noise import correlated_noise
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.positions import offset_wcs
-from astro_scc.epochs.validation import as_beams
+from astro_scc.epochs.smoothing import gaussian_transfer
+from astro_scc.epochs.validation import as_beams, as_noise
 from astro_scc.exceptions import EpochWarning
-
-__all__ = ["restore"]
 
 # East is to the left, north up: (x, y) = FLIP (east, north) / pixel.
 FLIP = np.diag([-1.0, 1.0])
 MAX_SIDE = 20000
+# Half side of the box in which a Gaussian is evaluated, in standard
+# deviations: exp(-7**2 / 2) = 2e-11 of the peak is left out.
+REACH = 7.0
+# Padding of the periodic Fourier grid, in standard deviations of the beam:
+# the noise of opposite edges is then independent to exp(-(6 / 2)**2).
+PADDING = 6.0
 
 
 def restore(
@@ -35,7 +39,7 @@ def restore(
     margin=4.0,
 ):
     """
-    Images of component lists, as seen with a beam.
+    Return images of model components, as seen with a beam.
 
     A Gaussian component of covariance ``C`` and flux density ``S`` appears
     in a beam of covariance ``B`` as a Gaussian of covariance ``B + C`` and
@@ -79,7 +83,7 @@ def restore(
     ValueError
         If the numbers of beams or noise levels are not those of the epochs,
         a size is not positive, or the images would be absurdly large.
-    `~astropy.units.UnitConversionError`
+    TypeError
         If a unit does not fit.
 
     Warns
@@ -108,11 +112,8 @@ def restore(
     beams = as_beams(beam, n_epochs)
     if not beams:
         raise ValueError("restore needs a beam; give one, or one for each epoch")
-    levels = _noise_levels(noise, n_epochs, unit)
-    scale = u.Quantity(pixel_scale).to_value(u.mas)
-    if not (np.isfinite(scale) and scale > 0):
-        raise ValueError(f"pixel_scale must be positive, got {pixel_scale}")
-
+    noise = as_noise(noise, n_epochs, unit)
+    scale = _pixel_side(pixel_scale)
     x = -components.east.to_value(u.mas) / scale
     y = components.north.to_value(u.mas) / scale
     size = components.major.to_value(u.mas) / scale
@@ -133,14 +134,14 @@ def restore(
     data = np.zeros((n_epochs, *shape))
     for i, noise_rng in enumerate(np.random.default_rng(rng).spawn(n_epochs)):
         here = components.epoch == i
-        blur = FLIP @ beams[i].covariance.to_value(u.mas**2) @ FLIP / scale**2
+        blur = _in_pixels(beams[i], scale)
         total = own[here] + blur
         peak = flux[here] * np.sqrt(np.linalg.det(blur) / np.linalg.det(total))
         add_gaussians(data[i], x[here], y[here], peak, total)
-        if levels is not None:
+        if noise is not None:
             data[i] += correlated_noise(
                 shape,
-                rms=levels[i],
+                rms=noise[i].value,
                 beam=beams[i],
                 pixel_scale=pixel_scale,
                 rng=noise_rng,
@@ -152,7 +153,7 @@ def restore(
         if key in components.meta
     }
     line = f"restored {len(components)} components at {n_epochs} epochs"
-    if levels is not None:
+    if noise is not None:
         line += ", noise added"
     if position is None:
         position = components.meta.get("position")
@@ -162,27 +163,27 @@ def restore(
         wcs=offset_wcs(pixel_scale, reference_pixel, position),
         unit=unit,
         beams=beams,
-        noise=None if levels is None else levels * unit,
+        noise=noise,
         labels=components.labels,
         epoch_meta=tuple(dict(facts) for _ in range(n_epochs)),
         meta={**components.meta, "history": [line]},
     )
 
 
-def _noise_levels(noise, n_epochs, unit):
-    if noise is None:
-        return None
-    levels = u.Quantity(noise).to_value(unit)
-    if np.ndim(levels) > 1 or np.size(levels) not in (1, n_epochs):
-        raise ValueError(
-            f"{np.size(levels)} noise levels for {n_epochs} epochs; give one, or one "
-            "for each epoch"
-        )
-    return np.broadcast_to(levels, n_epochs).astype(float)
+def _pixel_side(pixel_scale):
+    scale = u.Quantity(pixel_scale).to_value(u.mas)
+    if not (np.isfinite(scale) and scale > 0):
+        raise ValueError(f"pixel_scale must be positive, got {pixel_scale}")
+    return scale
+
+
+def _in_pixels(beam, scale):
+    """Return the covariance of a beam over (x, y) in pixels of ``scale`` mas."""
+    return FLIP @ beam.covariance.to_value(u.mas**2) @ FLIP / scale**2
 
 
 def _grid(x, y, border, shape, reference_pixel):
-    """Shape and reference pixel that hold all (x, y), which count from it."""
+    """Return a shape and reference pixel for all (x, y), which count from it."""
     left, right = (np.floor((x - border).min()), np.ceil((x + border).max()))
     bottom, top = (np.floor((y - border).min()), np.ceil((y + border).max()))
     if shape is None:
@@ -209,7 +210,7 @@ def _grid(x, y, border, shape, reference_pixel):
 
 
 def _covariances(components):
-    """Covariances of the components over (x, y) in mas^2, shape (n, 2, 2)."""
+    """Return the covariances over (x, y) in mas^2, shape (n, 2, 2)."""
     pa = components.pa.to_value(u.rad)
     along = np.stack([-np.sin(pa), np.cos(pa)], axis=-1)
     across = np.stack([-np.cos(pa), -np.sin(pa)], axis=-1)
@@ -221,3 +222,110 @@ def _covariances(components):
         major[:, None, None] * along[:, :, None] * along[:, None, :]
         + minor[:, None, None] * across[:, :, None] * across[:, None, :]
     )
+
+
+def add_gaussians(image, x, y, peak, covariance):
+    """
+    Add elliptical Gaussians to an image (ny, nx), in place, and return it.
+
+    Their centres ``x`` and ``y`` count from 0, ``peak`` is the value there, and
+    ``covariance``, shape (n, 2, 2), is over (x, y) in square pixels.  Each is
+    evaluated at the pixel centres of a box of 7 standard deviations on each side;
+    what falls outside the image is left out.
+    """
+    ny, nx = image.shape
+    for x0, y0, p, c in zip(x, y, peak, np.asarray(covariance), strict=True):
+        if p == 0:
+            continue
+        reach_x, reach_y = REACH * np.sqrt(np.diag(c))
+        left, right = _bounds(x0, reach_x, nx)
+        bottom, top = _bounds(y0, reach_y, ny)
+        if left >= right or bottom >= top:
+            continue
+        dx = np.arange(left, right) - x0
+        dy = (np.arange(bottom, top) - y0)[:, None]
+        (a, b), (_, d) = np.linalg.inv(c)
+        if b == 0:
+            box = p * np.exp(-0.5 * d * dy**2) * np.exp(-0.5 * a * dx**2)
+        else:
+            box = p * np.exp(-0.5 * (a * dx**2 + 2 * b * dx * dy + d * dy**2))
+        image[bottom:top, left:right] += box
+    return image
+
+
+def _bounds(centre, reach, length):
+    start = max(int(np.ceil(centre - reach)), 0)
+    return start, min(int(np.floor(centre + reach)) + 1, length)
+
+
+def correlated_noise(shape, *, rms, beam=None, pixel_scale=None, rng=None):
+    """
+    Return Gaussian noise with the correlation that a beam gives to it.
+
+    White noise is convolved with the beam, so that its autocorrelation is
+    the beam convolved with itself, and scaled by the theoretical gain of
+    that convolution: the expected root mean square is ``rms`` whatever the
+    beam, while that of one image scatters about it.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Shape (ny, nx) of the image.
+    rms : float or `~astropy.units.Quantity`
+        Root mean square of the noise.
+    beam : `~astro_scc.epochs.Beam`, optional
+        Without it the noise is white.
+    pixel_scale : `~astropy.units.Quantity`, optional
+        Side of a pixel; needed with a beam.  East is towards smaller x,
+        north towards larger y.
+    rng : `numpy.random.Generator`, seed or None, optional
+        Passed to `numpy.random.default_rng`.
+
+    Returns
+    -------
+    `numpy.ndarray` or `~astropy.units.Quantity`, shape (ny, nx)
+        In the unit of ``rms``.
+
+    Raises
+    ------
+    ValueError
+        If ``rms`` is negative or not finite, or a beam comes without a
+        positive ``pixel_scale``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.epochs.beam import Beam
+    >>> from astro_scc.epochs import correlated_noise
+    >>> beam = Beam(1 * u.mas, 0.5 * u.mas)
+    >>> noise = correlated_noise((64, 128), rms=0.3 * u.mJy / u.beam, beam=beam,
+    ...                          pixel_scale=0.1 * u.mas, rng=1)
+    >>> noise.shape, noise.unit
+    ((64, 128), Unit("mJy / beam"))
+    """
+    rng = np.random.default_rng(rng)
+    level = u.Quantity(rms)
+    if not (level.isscalar and np.isfinite(level) and level.value >= 0):
+        raise ValueError(f"rms must be one finite, non-negative number, got {rms}")
+    if beam is None:
+        return rms * rng.standard_normal(shape)
+    if pixel_scale is None:
+        raise ValueError("noise with a beam needs pixel_scale, the side of a pixel")
+
+    ny, nx = shape
+    covariance = _in_pixels(beam, _pixel_side(pixel_scale))
+    padding = int(np.ceil(PADDING * np.sqrt(np.trace(covariance))))
+    padded = tuple(fft.next_fast_len(n + padding, real=True) for n in (ny, nx))
+
+    transfer = gaussian_transfer(covariance, padded)
+    # A kernel h turns unit white noise into variance sum h^2 = mean |H|^2
+    # (Parseval), over the whole plane of which rfft keeps one half.
+    weight = np.full(transfer.shape[1], 2.0)
+    weight[0] = 1.0
+    if padded[1] % 2 == 0:
+        weight[-1] = 1.0
+    gain = np.sqrt(np.sum(weight * transfer**2) / np.prod(padded))
+
+    white = rng.standard_normal(padded)
+    noise = fft.irfft2(fft.rfft2(white) * transfer, s=padded)
+    return rms * (noise[:ny, :nx] / gain)

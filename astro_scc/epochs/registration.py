@@ -1,15 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Where the core of a jet is in each epoch."""
+"""Registration: the position of the core, or the displacement of an image."""
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from scipy import ndimage, optimize
 
+from astro_scc.correlation import correlate_windows
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
-from astro_scc.epochs.grids.resampling import fill_masked
-
-__all__ = ["core_positions"]
+from astro_scc.epochs.grid import BAD_WEIGHT, fill_masked
 
 # A local maximum, or a blended component, of less than this fraction of the
 # brightest is no core.
@@ -18,11 +17,17 @@ FAINTEST = 0.1
 RADIUS = 1.5
 # A second component must lower chi^2 by this much.
 CHI_SQUARE = 25.0
+# Share of the pixels in use that must fall on good pixels of the image.
+MIN_OVERLAP = 0.5
+# Pixels where the slope is a smaller part of the steepest are flat.
+FLAT = 0.01
+# Pixels that must be left to compare.
+FEWEST = 10
 
 
 def core_positions(cube, *, jet_pa=None, max_shift=None):
     """
-    Measure the position of the core in each epoch.
+    Return the position of the core in each epoch.
 
     The core is taken for the upstream end of the jet: of the local maxima
     of at least a tenth of the epoch's peak, the one farthest against the
@@ -144,7 +149,7 @@ def core_positions(cube, *, jet_pa=None, max_shift=None):
 
 
 def _mean_direction(cube, shape, level):
-    """Unit step (x, y) down the jet, None if the source does not show one."""
+    """Return the unit step (x, y) down the jet, None if there is no direction."""
     mean = cube.mean_image()
     values = np.where(mean.mask, 0, mean.data)
     bright = values > max(0.01 * values.max(), 5 * level)
@@ -160,7 +165,7 @@ def _mean_direction(cube, shape, level):
 
 
 def _candidate(image, good, shape, direction, noise):
-    """The (x, y) of the local maximum that is farthest upstream."""
+    """Return the (x, y) of the local maximum that is farthest upstream."""
     # Half a beam apart, at least the eight neighbours.
     size = np.maximum(np.sqrt(np.diag(shape)[::-1]) / FWHM_TO_SIGMA / 2, 3)
     size = (2 * np.rint((size - 1) / 2) + 1).astype(int)
@@ -179,7 +184,7 @@ def _candidate(image, good, shape, direction, noise):
 
 
 def _fit(image, good, shape, start, direction, noise):
-    """Position, its covariance and whether the core is blended, in pixels."""
+    """Return the position in pixels, its covariance and whether it is blended."""
     precision = np.linalg.inv(shape)
     # The box around the ellipse; images may be a hundred times as large.
     reach = RADIUS / FWHM_TO_SIGMA * np.sqrt(np.diag(shape))
@@ -232,7 +237,82 @@ def _fit(image, good, shape, start, direction, noise):
 
 
 def _distance2(x, y, centre, precision):
-    """Squared distance in standard deviations of the beam."""
+    """Return the squared distance in standard deviations of the beam."""
     dx, dy = x - centre[0], y - centre[1]
     (a, b), (_, d) = precision
     return a * dx**2 + 2 * b * dx * dy + d * dy**2
+
+
+def displacement(image, mask, reference, use, reach, start=None):
+    """
+    Return the displacement (dx, dy) of an image from a reference, and its covariance.
+
+    The zero-mean normalised cross-correlation of the good pixels gives it
+    to a pixel, not farther than ``reach``, unless ``start`` does.  From there
+    the sum of squares of ``a I(x + d) + b - R(x)`` over the pixels in ``use``,
+    all good ones of the reference, is minimised over d, with gain a and level b
+    solved for, and I interpolated with cubic splines.  Pixels where R is flat,
+    its slope less than 1% of the steepest, say nothing about d and are left out.
+
+    A source at x in the reference is at x + d in the image.  The covariance is
+    for residuals that are independent from pixel to pixel; where the beam spans
+    several, it is too small by half the beam's area in pixels.
+    """
+    filled = fill_masked(image, mask)
+    if start is None:
+        start = _whole_pixels(filled, mask, reference, use, reach)
+    start = np.asarray(start, dtype=float)
+
+    slope = np.hypot(*np.gradient(fill_masked(reference, ~use)))
+    use = use & (slope >= FLAT * slope[use].max())
+    y, x = np.nonzero(use)
+    # The spline carries what the bad pixels were filled with two pixels far,
+    # and the fit moves on by one and a half.
+    around = ndimage.binary_dilation(mask, iterations=3).astype(float)
+    far = ndimage.map_coordinates(
+        around, [y + start[1], x + start[0]], order=1, cval=1.0
+    )
+    keep = far <= BAD_WEIGHT
+    if keep.sum() < FEWEST:
+        raise ValueError("too few good pixels to compare with the reference")
+    y, x, target = y[keep], x[keep], reference[use][keep]
+    spline = ndimage.spline_filter(filled, order=3)
+
+    def residual(d):
+        values = ndimage.map_coordinates(
+            spline, [y + d[1], x + d[0]], order=3, prefilter=False, mode="mirror"
+        )
+        basis = np.stack([values, np.ones_like(values)], axis=1)
+        solution = np.linalg.lstsq(basis, target, rcond=None)[0]
+        return basis @ solution - target
+
+    # One and a half pixels are more than the whole-pixel peak can be off.
+    fit = optimize.least_squares(
+        residual, start, bounds=(start - 1.5, start + 1.5), diff_step=1e-3, xtol=1e-10
+    )
+    freedom = max(len(target) - 4, 1)
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * 2 * fit.cost / freedom
+    return fit.x, covariance
+
+
+def _whole_pixels(filled, mask, reference, use, reach):
+    """Return the displacement (dx, dy) of the largest correlation."""
+    steps = int(np.ceil(reach)) + 1
+    rows, columns = (np.flatnonzero(use.any(axis=k)) for k in (1, 0))
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    # Windows reach past the box on all sides, and past the image.
+    window = tuple(slice(s.start, s.stop + 2 * steps) for s in box)
+    coefficient, _ = correlate_windows(
+        np.where(use, reference, 0)[box],
+        use[box],
+        np.pad(filled, steps)[window],
+        (steps, steps),
+        valid=np.pad(~mask, steps)[window],
+        min_overlap=MIN_OVERLAP,
+    )
+    dy, dx = np.mgrid[-steps : steps + 1, -steps : steps + 1]
+    coefficient = np.where(np.hypot(dx, dy) <= max(reach, 0.5), coefficient, 0)
+    if coefficient.max() <= 0:
+        raise ValueError("nothing in the image correlates with the reference")
+    best = np.unravel_index(np.argmax(coefficient), coefficient.shape)
+    return dx[best], dy[best]

@@ -8,79 +8,38 @@ from scipy import fft, optimize
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.epochs.validation import as_beam
 
-__all__ = ["common_beam", "gaussian_smooth", "is_per_beam", "smallest_common_beam"]
-
 # Beams from headers in single precision, or typed from them, contain
 # themselves within this much of their variance.
 CONTAINS = 1e-4
 EQUAL = 1e-6
 
 
-def is_per_beam(unit):
+def is_per(unit, *names):
     """
-    Whether a unit counts intensities per beam.
+    Return whether a unit counts per one of some units, "beam" or "pix".
 
-    Parameters
-    ----------
-    unit : `~astropy.units.UnitBase`
-        Unrecognised units such as 'JY/BEAM' are judged by their name.
-
-    Returns
-    -------
-    bool
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> is_per_beam(u.mJy / u.beam), is_per_beam(u.Jy / u.pix)
-    (True, False)
-    >>> is_per_beam(u.Unit("JY/BEAM", parse_strict="silent"))
-    True
+    Unrecognised units such as 'JY/BEAM' are judged by how they end.
     """
     if isinstance(unit, u.UnrecognizedUnit):
-        return unit.name.lower().replace(" ", "").endswith(("/beam", "beam-1"))
+        text = unit.name.lower().replace(" ", "")
+        return "beam" in names and text.endswith(("/beam", "beam-1"))
     return any(
-        base.name.lower() == "beam" and power == -1
+        base.name.lower() in names and power < 0
         for base, power in zip(unit.bases, unit.powers, strict=True)
     )
 
 
 def gaussian_smooth(image, covariance, mask=None):
     """
-    Convolve an image with an elliptical Gaussian of unit sum.
+    Return an image convolved with an elliptical Gaussian of unit sum.
 
-    The image is multiplied in Fourier space by
-    ``exp(-2 pi^2 k^T C k)``, which is exact for well-sampled images however
-    narrow the Gaussian is, and a normalised convolution leaves out bad
-    pixels and what lies beyond the edges (Knutsson & Westin 1993):
-    ``(g * (m I)) / (g * m)`` with m 1 for good pixels and 0 for others.
-
-    Parameters
-    ----------
-    image : array_like, shape (ny, nx)
-    covariance : array_like, shape (2, 2)
-        C, over (x, y) in square pixels.  It may be singular.
-    mask : array_like of bool, shape (ny, nx), optional
-        True marks bad pixels.  Pixels that are not finite are always bad.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (ny, nx)
-        NaN where the pixel was bad.
-
-    Raises
-    ------
-    ValueError
-        If ``covariance`` has a negative eigenvalue.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> image = np.zeros((31, 31))
-    >>> image[15, 15] = 1
-    >>> smooth = gaussian_smooth(image, [[9, 0], [0, 4]])
-    >>> float(smooth[15, 15].round(6)), round(1 / (2 * np.pi * 3 * 2), 6)
-    (0.026526, 0.026526)
+    The image is multiplied in Fourier space by ``exp(-2 pi^2 k^T C k)``, with
+    the ``covariance`` C over (x, y) in square pixels, which may be singular;
+    that is exact for well-sampled images however narrow the Gaussian is.  A
+    normalised convolution leaves out bad pixels and what lies beyond the edges
+    (Knutsson & Westin 1993): ``(g * (m I)) / (g * m)`` with m 1 for good pixels
+    and 0 for others.  Bad are those of the mask and those that are not finite,
+    and they stay NaN.
     """
     image = np.asarray(image, dtype=float)
     covariance = np.asarray(covariance, dtype=float)
@@ -95,17 +54,7 @@ def gaussian_smooth(image, covariance, mask=None):
         bad |= np.asarray(mask, dtype=bool)
     pad = int(np.ceil(6 * np.sqrt(variances[1]))) + 2
     shape = [fft.next_fast_len(n + pad, real=True) for n in image.shape]
-    ky = fft.fftfreq(shape[0])[:, None]
-    kx = fft.rfftfreq(shape[1])[None, :]
-    transfer = np.exp(
-        -2
-        * np.pi**2
-        * (
-            covariance[0, 0] * kx**2
-            + 2 * covariance[0, 1] * kx * ky
-            + covariance[1, 1] * ky**2
-        )
-    )
+    transfer = gaussian_transfer(covariance, shape)
 
     def convolve(values):
         smooth = fft.irfft2(fft.rfft2(values, s=shape) * transfer, s=shape)
@@ -117,13 +66,33 @@ def gaussian_smooth(image, covariance, mask=None):
     return np.divide(smooth, weight, out=np.full(image.shape, np.nan), where=~bad)
 
 
+def gaussian_transfer(covariance, shape):
+    """
+    Return the Fourier transform of a Gaussian of unit sum, as `scipy.fft.rfft2` has it.
+
+    ``covariance`` is over (x, y) in square pixels, ``shape`` (ny, nx) that of
+    the image; it may be singular.
+    """
+    ky = fft.fftfreq(shape[0])[:, None]
+    kx = fft.rfftfreq(shape[1])[None, :]
+    return np.exp(
+        -2
+        * np.pi**2
+        * (
+            covariance[0, 0] * kx**2
+            + 2 * covariance[0, 1] * kx * ky
+            + covariance[1, 1] * ky**2
+        )
+    )
+
+
 def _covariance(beam):
     return beam.covariance.to_value(u.mas**2)
 
 
 def _excess(covariance, others):
     """
-    How far Gaussians stick out of one, as variances in units of its own.
+    Return how far Gaussians stick out of one, as variances in units of its own.
 
     Largest eigenvalue of ``C^-1 C_i`` for each i: at most 1 for those that
     fit inside.
@@ -132,15 +101,9 @@ def _excess(covariance, others):
     return np.linalg.eigvalsh(root @ np.asarray(others) @ root.T)[..., -1]
 
 
-def _beam_of(covariance):
-    variances, axes = np.linalg.eigh(covariance)
-    minor, major = np.sqrt(variances) / FWHM_TO_SIGMA * u.mas
-    return Beam(major, minor, np.arctan2(axes[0, 1], axes[1, 1]) * u.rad)
-
-
 def smallest_common_beam(beams):
     """
-    Smallest beam to which every one of several beams can be convolved.
+    Return the smallest beam to which several beams can all be convolved.
 
     Its covariance C is the one of least determinant for which no ``C - C_i``
     has a negative variance, found by a simplex search over axis ratio and
@@ -177,11 +140,13 @@ def smallest_common_beam(beams):
     found = _least_covariance(covariances)
     # What is left of rounding must not stick out.
     found = found * max(1.0, _excess(found, covariances).max() * (1 + 1e-9))
-    return _beam_of(found)
+    variances, axes = np.linalg.eigh(found)
+    minor, major = np.sqrt(variances) / FWHM_TO_SIGMA * u.mas
+    return Beam(major, minor, np.arctan2(axes[0, 1], axes[1, 1]) * u.rad)
 
 
 def _least_covariance(covariances):
-    """Containing covariance of least determinant, over shapes of determinant 1."""
+    """Return the containing covariance of least determinant."""
 
     def shape(p):
         r, angle = np.hypot(*p), np.arctan2(p[1], p[0])
@@ -201,7 +166,7 @@ def _least_covariance(covariances):
 
 def common_beam(cube, beam=None):
     """
-    Convolve every epoch to one and the same beam.
+    Return all epochs convolved to one and the same beam.
 
     An epoch with beam covariance ``C_i`` is convolved with a Gaussian of
     covariance ``C - C_i``; intensities per beam are multiplied by the ratio
@@ -269,9 +234,11 @@ def common_beam(cube, beam=None):
             )
         if max(_excess(goal, covariance), _excess(covariance, goal)) <= 1 + EQUAL:
             continue
-        difference = _positive(to_pixels @ (goal - covariance) @ to_pixels.T)
+        variances, axes = np.linalg.eigh(to_pixels @ (goal - covariance) @ to_pixels.T)
+        # Rounding must not leave a negative variance.
+        difference = (axes * np.maximum(variances, 0)) @ axes.T
         data[i] = gaussian_smooth(data[i], difference, cube.mask[i])
-        if is_per_beam(cube.unit):
+        if is_per(cube.unit, "beam"):
             data[i] *= float(target.area / own.area)
         changed.append(i)
     return cube.with_step(
@@ -280,9 +247,3 @@ def common_beam(cube, beam=None):
         beams=(target,) * len(cube),
         noise=None if changed else cube.noise,
     )
-
-
-def _positive(covariance):
-    """The nearest covariance without negative variances."""
-    variances, axes = np.linalg.eigh(covariance)
-    return (axes * np.maximum(variances, 0)) @ axes.T

@@ -1,0 +1,428 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Files of model components: tables, difmap models and AIPS CC tables."""
+
+import re
+import warnings
+from datetime import datetime
+from difflib import get_close_matches
+from functools import partial
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import Column, Table
+from astropy.time import Time
+
+from astro_scc.epochs.fits import open_fits
+from astro_scc.epochs.headers import get, header_facts, parse_date
+
+CORE = 0  # the number of the feature that is the core
+# What a column holds -> its unit, what it is called in a table, and how a
+# machine-readable table explains it where its label is not among these.
+COLUMNS = {
+    "source": (None, "name source iau iauname", "source name|IAU name"),
+    "feature": (
+        u.one,
+        "feature id comp component featureid",
+        "(feature|component) (identification|number|ID)",
+    ),
+    "epoch": (
+        None,
+        "epoch date obsdate obs",
+        "(observation|observing) (date|epoch)|date of observation|epoch",
+    ),
+    "year": (None, "obsy year obsyear", None),
+    "month": (None, "obsm month obsmonth", None),
+    "day": (None, "obsd day obsday", None),
+    "flux": (u.Jy, "flux i s fluxdensity", "flux density"),
+    "separation": (
+        u.mas,
+        "separation sep r dist distance radius",
+        "position offset|separation|distance from",
+    ),
+    "east": (u.mas, "east x dra deltax", None),
+    "north": (u.mas, "north y ddec deltay", None),
+    "major": (
+        u.mas,
+        "majorfwhm maj major fwhm majaxis majorax",
+        "FWHM( of)?( the)? major|major axis FWHM",
+    ),
+    "minor": (u.mas, "minorfwhm min minor minaxis minorax", None),
+    "ratio": (u.one, "axialratio ratio axratio", "axial ratio"),
+    "pa": (
+        u.deg,
+        "majorpa majpa pamaj phi posangle",
+        "major axis position angle|position angle of( the)? major",
+    ),
+    "position_angle": (u.deg, "positionangle pa theta", "position angle"),
+    "type": (u.one, "typeobj", None),
+    "excluded": (None, "excludedfromfit excluded fid ffeature", ".*not used in"),
+}
+# Units of the numbers that describe a component.
+UNITS = {
+    name: COLUMNS[name][0] for name in ("flux", "east", "north", "major", "minor", "pa")
+}
+NEVER_BLANK = ("feature", "flux", "east", "north", "type")
+# What to do about files that have no date.
+UNDATED = {
+    "difmap": "no date in the file's name; rename it like source_2006-03-09.mod, or "
+    "give dates",
+    "aips-cc": "no DATE-OBS in the header; give dates",
+}
+NO = ("", "--", "n", "no", "f", "false", "0")
+#: Names of sources that a message lists.
+LISTED = 8
+FILE_DATE = re.compile(
+    r"(?<!\d)(?=((?:19|20)\d\d)([-_.]?)(0[1-9]|1[0-2])\2([0-3]\d)(?!\d))"
+)
+
+
+def read_columns(path, kind, source, dates):
+    """
+    Return what a file has of each component, as arrays in `UNITS`, and its meta.
+
+    There are a list of dates, one for all rows or one for each, and whether the
+    positions are relative to the core besides.
+    """
+    table, names, meta, own_dates = FORMATS[kind][0](path)
+    columns = _find_columns(table)
+    table = _select_source(table, columns, names, source, path)
+    if len(table) == 0:
+        raise ValueError(f"{path}: no components in the file")
+    if meta is None:
+        meta = _table_meta(table, columns)
+    has_offsets = {"east", "north"} <= columns.keys()
+    needed = {"flux"} | (set() if has_offsets else {"separation", "position_angle"})
+    in_parts = "epoch" not in columns and {"year", "month", "day"} <= columns.keys()
+    dates = dates or own_dates
+    if dates == [None]:
+        raise ValueError(f"{path}: {UNDATED[kind]}")
+    if dates is None and not in_parts:
+        needed.add("epoch")
+    missing = sorted(needed - columns.keys())
+    if missing:
+        raise ValueError(
+            f"{path}: no column for {', '.join(missing)}; the table has "
+            f"{', '.join(table.colnames)}"
+        )
+    values = {
+        what: numbers(table[columns[what]], unit, path, blank=what not in NEVER_BLANK)
+        for what, (unit, *_) in COLUMNS.items()
+        if unit is not None and what in columns
+    }
+    if "feature" in values:
+        values["feature"] = values["feature"].astype(int)
+    if dates is None and in_parts:
+        parts = zip(*(table[columns[p]] for p in ("year", "month", "day")), strict=True)
+        dates = ["-".join(str(value).zfill(2) for value in row) for row in parts]
+    elif dates is None:
+        column = table[columns["epoch"]]
+        dates = list(column.utc.isot if isinstance(column, Time) else column)
+    if not has_offsets:
+        values.update(_offsets(values, path))
+    values.update(_sizes(values, path))
+    if "excluded" in columns:
+        flags = (str(flag).strip().lower() for flag in table[columns["excluded"]])
+        values["excluded"] = np.array([flag not in NO for flag in flags])
+    values["date"] = dates
+    values["relative"] = not has_offsets and "feature" in values
+    return values, meta
+
+
+def _find_columns(table):
+    """Return the names of the table's columns by what they hold."""
+    found = {}
+    for name in table.colnames:
+        plain = re.sub(r"[^a-z]", "", name.lower())
+        for what, (_, labels, _) in COLUMNS.items():
+            if plain in labels.split():
+                found.setdefault(what, name)
+    for what, (*_, pattern) in COLUMNS.items():
+        for name in table.colnames if pattern else ():
+            explanation = table[name].info.description or ""
+            if name not in found.values() and re.match(pattern, explanation, re.I):
+                found.setdefault(what, name)
+    return found
+
+
+def _select_source(table, columns, names, source, path):
+    """Return the rows of one source; without a column for it, a file has ``names``."""
+    mine = slice(None)
+    if "source" in columns:
+        column = [str(name).strip() for name in table[columns["source"]]]
+        names = list(dict.fromkeys(column))
+        if source is None and len(names) > 1:
+            raise ValueError(
+                f"{path}: {len(names)} sources in the table ({_some(names)}); say "
+                "which one with --source NAME (source= in Python)"
+            )
+        if source is not None:
+            mine = np.array([_plain(name) == _plain(source) for name in column])
+    if source is None or _plain(source) in map(_plain, names):
+        return table[mine]
+    near = get_close_matches(source, names, n=3, cutoff=0.7)
+    if near and len(names) > LISTED:
+        has = f"did you mean {' or '.join(near)}?"
+    elif names:
+        has = f"it has {_some(names)}"
+    else:
+        has = "it does not say of which source it is; leave --source out"
+    raise ValueError(f"{path}: no source {source!r}; {has}")
+
+
+def _plain(name):
+    return "".join(str(name).split()).casefold()
+
+
+def _some(names):
+    """Return the first of names that may be many."""
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more
+
+
+def numbers(column, unit, path, *, blank=True, own_unit=None):
+    """
+    Return a column as floats in ``unit``, blanks as NaN where they may be.
+
+    ``own_unit`` is that of a column that does not tell; `astropy.units.one`
+    takes the numbers as they are.
+    """
+    name = column.info.name
+    try:
+        values = np.array(np.ma.filled(np.ma.asarray(column, dtype=float), np.nan))
+    except (TypeError, ValueError):
+        raise ValueError(f"{path}: column {name!r} is not numeric") from None
+    for i in np.flatnonzero(np.isinf(values) if blank else ~np.isfinite(values)):
+        problem = "infinite" if blank else "blank or not finite"
+        raise ValueError(f"{path}, row {i + 1}: {name} is {problem}")
+    if unit == u.one:
+        return values
+    own_unit = own_unit or column.unit
+    if own_unit is None:
+        raise ValueError(
+            f"{path}: column {name!r} has no unit; give it one, such as {unit}"
+        )
+    try:
+        return values * u.Unit(own_unit).to(unit)
+    except (u.UnitConversionError, TypeError, ValueError):
+        raise ValueError(
+            f"{path}: column {name!r} has the unit {own_unit}, expected one like {unit}"
+        ) from None
+
+
+def _offsets(values, path):
+    """Return the offsets that have a separation and a position angle."""
+    separation, angle = values["separation"], values["position_angle"]
+    if "feature" in values:
+        # A core whose offset from the map's centre is blank has none.
+        blank = (values["feature"] == CORE) & np.isnan(separation)
+        separation = np.where(blank, 0.0, separation)
+    angle = np.where((separation == 0) & np.isnan(angle), 0.0, angle)
+    for i in np.flatnonzero(np.isnan(separation + angle)):
+        raise ValueError(
+            f"{path}, row {i + 1}: separation or position_angle is blank or not finite"
+        )
+    return {
+        "east": separation * np.sin(np.radians(angle)),
+        "north": separation * np.cos(np.radians(angle)),
+    }
+
+
+def _sizes(values, path):
+    """Return the axes and angles; a blank size is a point, a blank ratio a circle."""
+    zeros = np.zeros(len(values["flux"]))
+    major = values.get("major", zeros)
+    minor = values.get("minor", major * values.get("ratio", 1.0))
+    types = values.get("type", np.ones(len(zeros)))
+    for i in np.flatnonzero(~np.isin(types, (0, 1))):
+        raise ValueError(
+            f"{path}, row {i + 1}: component type {types[i]:g} is neither a point (0) "
+            "nor a Gaussian (1); replace it by one of these"
+        )
+    sizes = {
+        "major": major,
+        "minor": np.where(np.isnan(minor), major, minor),
+        "pa": values.get("pa", zeros),
+    }
+    return {name: np.where(types == 0, 0.0, size) for name, size in sizes.items()}
+
+
+def _table_meta(table, columns):
+    meta = {}
+    name = table.meta.get("name") or table.meta.get("source")
+    if name is None and "source" in columns:
+        name = str(table[columns["source"]][0]).strip()
+    if name is not None:
+        meta["object"] = str(name)
+    if "redshift" in table.meta:
+        meta["redshift"] = float(table.meta["redshift"])
+    if "frequency" in table.meta:
+        meta["frequency"] = u.Quantity(table.meta["frequency"], u.Hz).value
+    return meta
+
+
+def row_date(text, where):
+    """
+    Return the ISO date and time, UTC, of a date as tables and headers write it.
+
+    That is what `parse_date` understands, 2006_03_09, 2006 Mar 09, or a decimal
+    year; ``where`` names the file and the row if it is none of them.
+    """
+    if isinstance(text, Time):
+        return text.utc.isot
+    text = str(text).strip().replace("_", "-")
+    try:
+        with warnings.catch_warnings():
+            # ERFA calls dates dubious for which leap seconds are unknown.
+            warnings.simplefilter("ignore")
+            if re.fullmatch(r"\d{4}\.\d{2,3}|\d{4}\.\d{5,}", text):
+                return Time(float(text), format="decimalyear", scale="utc").isot
+            if re.fullmatch(r"\d{4}[ -][A-Za-z]{3}[ -]\d{1,2}", text):
+                day = datetime.strptime(text.replace("-", " "), "%Y %b %d")
+                return parse_date(day.isoformat()).utc.isot
+            return parse_date(text).utc.isot
+    except ValueError:
+        raise ValueError(
+            f"{where}: {text!r} is no date; write it as 2006-03-09"
+        ) from None
+
+
+# Each returns a table, what the file calls its source, the meta, None to take it from
+# the table, and a list of the one date of the file, None to take those of the table.
+
+
+def _open_ascii(path, kind, **options):
+    try:
+        with warnings.catch_warnings():
+            # The units of columns that are needed are checked later.
+            warnings.simplefilter("ignore", u.UnitsWarning)
+            table = Table.read(path, format=kind, **options)
+    except Exception as error:  # the parsers of astropy raise all sorts
+        raise OSError(
+            f"{path}: not a readable {kind} table: {first_line(error)}"
+        ) from None
+    names = [str(table.meta[k]) for k in ("source", "name") if k in table.meta]
+    return table, names, None, None
+
+
+def _open_mrt(path):
+    with path.open(encoding="utf-8", errors="replace") as file:
+        # Titles, authors and abstracts come before the description.
+        if "Byte-by-byte" in file.read(100_000):
+            return _open_ascii(path, "ascii.mrt")
+    readme = path.parent / "ReadMe"
+    if not readme.is_file():
+        raise OSError(
+            f"{path}: has no byte-by-byte description; lay the file ReadMe of CDS "
+            "beside it"
+        )
+    return _open_ascii(path, "ascii.cds", readme=str(readme))
+
+
+def first_line(error):
+    """Return what an error says, in one line."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+def _open_difmap(path):
+    """
+    Return a difmap model as a table.
+
+    Lines are flux, radius, theta, major axis, axial ratio, phi, type; a 'v'
+    marks a value that was free in the fit; three values are a point.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise OSError(f"{path}: not a difmap model, it is not text") from None
+    unit, meta, rows = u.mas, {}, []
+    for number, line in enumerate(lines, start=1):
+        text, _, comment = line.partition("!")
+        if re.search(r"Radius\s*\(arcsec\)", comment):
+            unit = u.arcsec
+        centre = re.search(r"Center RA:\s*(.+?),\s*Dec:\s*(.+?)\s*\(2000", comment)
+        if centre:
+            meta["position"] = SkyCoord(*centre.groups(), unit=(u.hourangle, u.deg))
+        if text.split():
+            rows.append(_difmap_row(text, f"{path}, line {number}"))
+    units = {
+        "flux": u.Jy,
+        "radius": unit,
+        "theta": u.deg,
+        "major": unit,
+        "ratio": u.one,
+        "phi": u.deg,
+        "type obj": u.one,
+    }
+    values = np.reshape(rows, (len(rows), len(units)))
+    table = Table(values, names=list(units), units=units)
+    found = FILE_DATE.search(path.name)
+    return table, [], meta, ["-".join(found.group(1, 3, 4)) if found else None]
+
+
+def _difmap_row(text, where):
+    try:
+        row = [float(word.rstrip("vV")) for word in text.split()[:7]]
+    except ValueError:
+        raise ValueError(f"{where}: not numbers: {text!r}") from None
+    if len(row) not in (3, 6, 7) or not np.all(np.isfinite(row)):
+        raise ValueError(
+            f"{where}: expected 3, 6 or 7 finite values (flux, radius, theta, major, "
+            f"ratio, phi, type), got {len(row)}"
+        )
+    # Without a type, a size makes it a Gaussian.
+    row += [0.0] * (6 - len(row))
+    row += [float(row[3] > 0)] * (7 - len(row))
+    return row
+
+
+def _open_aips(path):
+    """Return the newest AIPS CC table of a FITS file."""
+    with warnings.catch_warnings():
+        # AIPS files break small rules of the standard throughout.
+        warnings.simplefilter("ignore")
+        try:
+            # astropy.io.fits forgets to close files that it fails to open.
+            with path.open("rb") as file, open_fits(file) as hdus:
+                header = hdus[0].header
+                found = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
+                table = _aips_table(max(found, key=lambda h: h.ver)) if found else None
+        except Exception as error:  # a damaged file can fail anywhere
+            raise OSError(
+                f"{path}: not a readable FITS file: {first_line(error)}"
+            ) from None
+    if table is None:
+        raise ValueError(f"{path}: no AIPS CC table in the file; it cannot be restored")
+    meta = header_facts(header)
+    axes = {
+        (get(header, f"CTYPE{i}", kind=str) or "").split("-")[0]: f"CRVAL{i}"
+        for i in range(1, (get(header, "NAXIS") or 0) + 1)
+    }
+    centre = [
+        get(header, axes.get(name, "CRVAL0"), kind=float) for name in ("RA", "DEC")
+    ]
+    if None not in centre:
+        meta["position"] = SkyCoord(*centre, unit=u.deg)
+    names = [meta["object"]] if "object" in meta else []
+    return table, names, meta, [get(header, "DATE-OBS", kind=str)]
+
+
+def _aips_table(hdu):
+    table = Table()
+    for column in hdu.columns:
+        name, unit = column.name.strip(), (column.unit or "").strip()
+        usual = {"FLUX": "Jy", "TYPE OBJ": ""}.get(name, "deg")
+        if not unit or unit.upper().startswith(usual.upper()):
+            unit = usual
+        values = np.array(hdu.data[column.name], dtype=float).ravel()
+        table[name] = Column(values, unit=u.Unit(unit, parse_strict="silent"))
+    return table
+
+
+# Name of a format -> what opens it, and the suffixes of its files.
+FORMATS = {
+    "ecsv": (partial(_open_ascii, kind="ascii.ecsv"), (".ecsv",)),
+    "mrt": (_open_mrt, (".txt", ".dat", ".mrt")),
+    "difmap": (_open_difmap, (".mod", ".mdl")),
+    "aips-cc": (_open_aips, (".fits", ".fit", ".fts")),
+}

@@ -1,0 +1,404 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Model components: lists of Gaussians at many dates, and reading them from files."""
+
+import warnings
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+from astropy.time import Time
+
+from astro_scc.epochs.component_tables import (
+    CORE,
+    FORMATS,
+    UNITS,
+    read_columns,
+    row_date,
+)
+from astro_scc.epochs.fits import check_ordinary
+from astro_scc.epochs.validation import as_times
+from astro_scc.exceptions import EpochWarning
+
+# Blank sizes and the angles of round components mean nothing.
+MAY_BE_BLANK = ("major", "minor", "pa")
+COLUMNS = (*UNITS, "feature", "excluded")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ComponentList:
+    """
+    Components of one source at many dates, one entry for each.
+
+    Parameters
+    ----------
+    times : `~astropy.time.Time`, shape (n_epochs,)
+        Dates; they are put in order.
+    epoch : array_like of int, shape (n,)
+        Index into ``times`` of each component.
+    flux : `~astropy.units.Quantity`, shape (n,)
+        Flux densities.
+    east, north : `~astropy.units.Quantity`, shape (n,)
+        Offsets from the origin, small angles.
+    major, minor : `~astropy.units.Quantity`, shape (n,), optional
+        Full widths at half maximum of the Gaussians; 0 or NaN is a point.
+    pa : `~astropy.units.Quantity`, shape (n,), optional
+        Position angles of the major axes, north through east.
+    feature : array_like of int, shape (n,), optional
+        The same number at every epoch for the same feature; 0 is the core,
+        -1 a component that was not identified.
+    excluded : array_like of bool, shape (n,), optional
+        Components that their authors left out of their own fits.
+    labels : sequence of str, length n_epochs, optional
+        What an epoch is called; its date by default.
+    meta : dict, optional
+        Facts about the source: object, redshift, frequency, position.
+
+    Raises
+    ------
+    ValueError
+        If lengths disagree, a value is not finite, or a minor axis exceeds
+        its major axis.
+    `~astropy.units.UnitConversionError`
+        If a column has the wrong kind of unit.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.time import Time
+    >>> from astro_scc.epochs import ComponentList
+    >>> components = ComponentList(
+    ...     times=Time(["2006-01-01", "2006-07-01"]),
+    ...     epoch=[0, 0, 1, 1],
+    ...     flux=[900, 300, 950, 280] * u.mJy,
+    ...     east=[0, 1.0, 0, 1.3] * u.mas,
+    ...     north=[0, 0.5, 0, 0.6] * u.mas,
+    ... )
+    >>> components
+    <ComponentList: 4 components at 2 epochs, 2006-01-01 to 2006-07-01>
+    >>> components.select(before="2006-03-01").n_epochs
+    1
+    """
+
+    times: Time
+    epoch: np.ndarray
+    flux: u.Quantity
+    east: u.Quantity
+    north: u.Quantity
+    major: u.Quantity | None = None
+    minor: u.Quantity | None = None
+    pa: u.Quantity | None = None
+    feature: np.ndarray | None = None
+    excluded: np.ndarray | None = None
+    labels: tuple[str, ...] = ()
+    meta: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        times, epoch = Time(self.times), np.asarray(self.epoch, dtype=int)
+        n = epoch.size
+        if times.isscalar or (n and not 0 <= epoch.min() <= epoch.max() < len(times)):
+            raise ValueError("components: epoch must be indices into an array of times")
+        labels = tuple(self.labels) or tuple(times.strftime("%Y-%m-%d"))
+        if len(labels) != len(times):
+            raise ValueError(
+                f"components: {len(labels)} labels for {len(times)} epochs"
+            )
+        order = np.argsort(times.mjd, kind="stable")
+        columns = {
+            "times": times[order],
+            "labels": tuple(str(labels[i]) for i in order),
+            "epoch": np.argsort(order)[epoch],
+            "feature": np.asarray(_or(self.feature, np.full(n, -1)), dtype=int),
+            "excluded": np.asarray(_or(self.excluded, np.zeros(n)), dtype=bool),
+        }
+        round_ = {"major": np.zeros(n) * u.mas, "pa": np.zeros(n) * u.deg}
+        round_["minor"] = _or(self.major, round_["major"])
+        for name, unit in UNITS.items():
+            values = u.Quantity(_or(getattr(self, name), round_.get(name))).to(unit)
+            if name in MAY_BE_BLANK:
+                values = np.nan_to_num(values, nan=0.0)
+            columns[name] = values
+        for name in COLUMNS:
+            if columns[name].shape != (n,):
+                raise ValueError(
+                    f"components: {name} has shape {columns[name].shape}, epoch has "
+                    f"({n},)"
+                )
+        major, minor = columns["major"], columns["minor"]
+        problems = {
+            f"{name} is blank or not finite": ~np.isfinite(columns[name])
+            for name in UNITS
+        }
+        problems["axes must be 0 <= minor <= major"] = (minor < 0) | (
+            minor > major * (1 + 1e-6)
+        )
+        for problem, wrong in problems.items():
+            if wrong.any():
+                row = np.flatnonzero(wrong)[0] + 1
+                raise ValueError(f"component {row} of {n}: {problem}")
+        for name, values in columns.items():
+            object.__setattr__(self, name, values)
+
+    def __len__(self):
+        return self.epoch.size
+
+    @property
+    def n_epochs(self):
+        """Number of epochs."""
+        return len(self.times)
+
+    def __repr__(self):
+        days = self.times.strftime("%Y-%m-%d")
+        span = f", {days[0]} to {days[-1]}" if len(days) else ""
+        return (
+            f"<ComponentList: {len(self)} components at {self.n_epochs} epochs{span}>"
+        )
+
+    def select(self, *, after=None, before=None, features=None, excluded=True):
+        """
+        Return some of the components; epochs that are left with none are dropped.
+
+        Parameters
+        ----------
+        after, before : `~astropy.time.Time` or str, optional
+            Keep ``after <= date < before``.
+        features : sequence of int, optional
+            Keep these features only.
+        excluded : bool, optional
+            False leaves out the components flagged as excluded.
+
+        Returns
+        -------
+        `ComponentList`
+
+        Raises
+        ------
+        ValueError
+            If nothing is left.
+        """
+        dates = np.ones(self.n_epochs, dtype=bool)
+        if after is not None:
+            dates &= self.times >= Time(after)
+        if before is not None:
+            dates &= self.times < Time(before)
+        keep = dates[self.epoch]
+        if features is not None:
+            keep &= np.isin(self.feature, features)
+        if not excluded:
+            keep &= ~self.excluded
+        if not keep.any():
+            days = self.times.strftime("%Y-%m-%d")
+            raise ValueError(
+                f"no component is left of {len(self)} between {days[0]} and "
+                f"{days[-1]}; widen the selection"
+            )
+        epochs, epoch = np.unique(self.epoch[keep], return_inverse=True)
+        return replace(
+            self,
+            times=self.times[epochs],
+            epoch=epoch,
+            labels=tuple(self.labels[i] for i in epochs),
+            **{name: getattr(self, name)[keep] for name in COLUMNS},
+        )
+
+    def to_table(self):
+        """
+        Return all components as a table, which `read_components` reads from ECSV.
+
+        Returns
+        -------
+        `~astropy.table.QTable`
+            A row a component, its offsets from the origin of this list.
+        """
+        return QTable(
+            {
+                "epoch": self.times[self.epoch].isot,
+                "feature": self.feature,
+                "flux": self.flux,
+                "east": self.east,
+                "north": self.north,
+                "major_fwhm": self.major,
+                "minor_fwhm": self.minor,
+                "major_pa": self.pa,
+                "excluded_from_fit": self.excluded,
+            },
+            meta=dict(self.meta),
+        )
+
+
+def _or(value, default):
+    return default if value is None else value
+
+
+def _concatenate(lists):
+    """Put lists together, with the first one's position and the meta common to all."""
+    starts = np.cumsum([0] + [part.n_epochs for part in lists[:-1]])
+    epochs = [part.epoch + start for part, start in zip(lists, starts, strict=True)]
+    dates = np.concatenate([part.times.utc.isot for part in lists])
+    return ComponentList(
+        times=Time(dates, format="isot", scale="utc"),
+        epoch=np.concatenate(epochs),
+        labels=tuple(label for part in lists for label in part.labels),
+        meta={
+            key: value
+            for key, value in lists[0].meta.items()
+            if key == "position"
+            or all(part.meta.get(key) == value for part in lists[1:])
+        },
+        **{
+            name: np.concatenate([getattr(part, name) for part in lists])
+            for name in COLUMNS
+        },
+    )
+
+
+def read_components(paths, *, format=None, source=None, origin=None, dates=None):
+    """
+    Return the model components of one source that are in files.
+
+    Parameters
+    ----------
+    paths : path or sequence of paths
+        A table of many epochs, or one file an epoch.
+    format : {'ecsv', 'mrt', 'difmap', 'aips-cc'}, optional
+        By default from the file's suffix: ``.ecsv``; ``.txt``, ``.dat`` or
+        ``.mrt``, a machine-readable table of the AAS or, with its file
+        ``ReadMe`` beside it, of the CDS; ``.mod``; ``.fits`` with an AIPS CC
+        table, of several the one with the highest version.
+    source : str, optional
+        Which source to take from a table of many.  A file of another source
+        is refused.
+    origin : {'core', 'map'}, optional
+        Put the core, feature 0, at the origin, or leave the map's centre
+        there.  By default 'core' for tables whose positions refer to the
+        core, as MOJAVE's, whose core rows alone refer to the map's centre;
+        'map' for all others.
+    dates : sequence of `~astropy.time.Time` or str, optional
+        Dates of the files.  Without it a difmap file must have its date in
+        its name (2006-03-09, 2006_03_09 or 20060309).
+
+    Returns
+    -------
+    `ComponentList`
+
+    Raises
+    ------
+    OSError
+        If a file is missing or is not of its format.
+    ValueError
+        If a value cannot be used; the message names the file and the row.
+
+    Notes
+    -----
+    Tables need columns for the date (``epoch``, or ``Obs.Y``, ``Obs.M`` and
+    ``Obs.D`` for year, month and day), ``flux``, ``separation`` and
+    ``position_angle`` (or ``east`` and ``north``), with units; they may have
+    ``feature``, ``major_fwhm``, ``axial_ratio`` or ``minor_fwhm``,
+    ``major_pa`` and ``excluded_from_fit``.  Machine-readable tables are
+    understood by their labels and explanations.  A blank size is a point, a
+    blank ratio a circle.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from astro_scc.epochs import read_components
+    >>> model = "0.9v 0.1v 90 0.2v 1 0 1\\n0.1v 2.0v -45.0v\\n"
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "source_2006-03-09.mod"
+    ...     _ = path.write_text(model)
+    ...     components = read_components(path)
+    >>> components
+    <ComponentList: 2 components at 1 epochs, 2006-03-09 to 2006-03-09>
+    >>> components.east.round(2)
+    <Quantity [ 0.1 , -1.41] mas>
+    """
+    paths = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
+    if not paths:
+        raise ValueError("no component files were given")
+    if origin not in (None, "core", "map"):
+        raise ValueError(f"origin must be 'core' or 'map', got {origin!r}")
+    if format is not None and format not in FORMATS:
+        raise ValueError(f"format must be one of {', '.join(FORMATS)}, got {format!r}")
+    if dates is None:
+        dates = [None] * len(paths)
+    elif isinstance(dates, str) or (isinstance(dates, Time) and dates.isscalar):
+        dates = [dates]
+    if len(dates) != len(paths):
+        raise ValueError(f"{len(dates)} dates for {len(paths)} component files")
+    lists = [
+        _read_file(path, format, source, origin, date)
+        for path, date in zip(paths, dates, strict=True)
+    ]
+    objects = sorted({part.meta["object"] for part in lists if "object" in part.meta})
+    if len(objects) > 1:
+        warnings.warn(
+            f"the component files are of {', '.join(objects)}; if these are not "
+            "names of one source, leave the wrong files out",
+            EpochWarning,
+            stacklevel=2,
+        )
+    return lists[0] if len(lists) == 1 else _concatenate(lists)
+
+
+def _read_file(path, kind, source, origin, date):
+    check_ordinary(path)
+    suffix = path.suffix.lower()
+    kind = kind or next((k for k, (_, own) in FORMATS.items() if suffix in own), None)
+    if kind is None:
+        raise ValueError(
+            f"{path}: the suffix {path.suffix!r} tells no format; give one of "
+            f"{', '.join(FORMATS)}"
+        )
+    if not path.is_file():
+        raise OSError(f"{path}: no such file")
+    columns, meta = read_columns(path, kind, source, None if date is None else [date])
+    texts, n = columns["date"], len(columns["flux"])
+    known = {}
+    for i, text in enumerate(map(str, texts), start=1):
+        if text not in known:
+            where = path if len(texts) == 1 else f"{path}, row {i}"
+            known[text] = row_date(texts[i - 1], where)
+    rows = np.broadcast_to([known[str(text)] for text in texts], n)
+    days, epoch = np.unique(rows, return_inverse=True)
+    _refer(columns, epoch, days, origin, path)
+    try:
+        return ComponentList(
+            times=as_times(list(days), len(days)),
+            epoch=epoch,
+            feature=columns.get("feature"),
+            excluded=columns.get("excluded"),
+            labels=() if len(days) > 1 else (path.name,),
+            meta=meta,
+            **{name: columns[name] * unit for name, unit in UNITS.items()},
+        )
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _refer(columns, epoch, days, origin, path):
+    """Move the positions of each epoch to the origin that is wanted, in place."""
+    relative = columns["relative"]
+    if not relative and origin != "core":
+        return
+    core = columns.get("feature", np.full(len(epoch), -1)) == CORE
+    cores = np.bincount(epoch[core], minlength=len(days))
+    needed = origin == ("map" if relative else "core")
+    for day, n in zip(days, cores, strict=True):
+        if n > 1 or (needed and n == 0):
+            found = f"{n} core components" if n else "no core component"
+            raise ValueError(
+                f"{path}: {found} (feature 0) on {day[:10]}, expected one to refer "
+                "positions to; correct the file, or give another origin"
+            )
+    for offsets in (columns["east"], columns["north"]):
+        of_core = np.zeros(len(days))
+        of_core[epoch[core]] = offsets[core]
+        if relative and origin == "map":
+            # The core's row keeps its own offset from the map's centre.
+            offsets[~core] += of_core[epoch[~core]]
+        elif relative:
+            offsets[core] = 0
+        else:
+            offsets -= of_core[epoch]
