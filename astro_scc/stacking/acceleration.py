@@ -6,11 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtr
 
-from astro_scc.stacking.streams import (
-    INFLATION,
-    feature_speeds,
-    scattered_fit,
-)
+from astro_scc.stacking.search import DEFAULT
+from astro_scc.stacking.streams import feature_speeds, scattered_fit
 
 __all__ = ["Acceleration", "fit_acceleration"]
 
@@ -86,7 +83,7 @@ def fit_acceleration(features):
     >>> for start in (1.5, 3.0, 5.0, 7.0, 9.0):
     ...     along = (start + 10) * np.exp(0.05 * years) - 10
     ...     place = np.stack([along, np.zeros(6)], axis=1)
-    ...     features.append(Feature.through(np.arange(6), years, place, 0.02))
+    ...     features.append(Feature.through(np.arange(6), years, place))
     >>> found = fit_acceleration(features)
     >>> found.p_value < 0.05, round(found.gradient * found.speed, 2)
     (True, 0.05)
@@ -108,9 +105,8 @@ def fit_acceleration(features):
     bent = [f for f in beyond if np.isfinite(f.acceleration)]
     if len(bent) >= FEWEST_BENDS:
         own = np.array([f.acceleration / f.speed for f in bent])
-        error = np.array(
-            [INFLATION * f.acceleration_error / abs(f.speed) for f in bent]
-        )
+        error = np.array([f.acceleration_error / abs(f.speed) for f in bent])
+        error *= DEFAULT.error_inflation
         (mean,), covariance, _, _ = scattered_fit(np.ones((len(bent), 1)), own, error)
         found.append((mean, covariance[0, 0], len(bent) - 1))
     if not found:

@@ -5,16 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Feature", "find_features"]
+from astro_scc.stacking.search import DEFAULT
 
-#: Speeds that single SSPs are given, relative step.
-SPEED_STEP = 0.06
-#: Fewest SSPs of a feature of which an acceleration is known.
-ACCELERATED = 5
-#: Degrees of freedom that the assumed position error counts as.
-PRIOR_FREEDOM = 3
-#: Features closer than this many beams to the line of a longer one are parts of it.
-SAME_FEATURE = 0.5
+__all__ = ["Feature", "find_features"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +39,7 @@ class Feature:
     >>> from astro_scc.stacking import Feature
     >>> years = np.array([0.0, 1.0, 2.0])
     >>> place = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
-    >>> Feature.through(np.arange(3), years, place, 0.06).speed
+    >>> Feature.through(np.arange(3), years, place).speed
     0.5
     """
 
@@ -65,19 +58,19 @@ class Feature:
         return len(self.ssp)
 
     @classmethod
-    def through(cls, ssp, years, position, position_error):
+    def through(cls, ssp, years, position, settings=DEFAULT):
         """
         Fit a straight line to the positions of SSPs.
 
         The variance of a position is that of the residuals, drawn towards
-        ``position_error`` as if by three more measurements.
+        ``position_error`` of the settings as if by three more measurements.
 
         Parameters
         ----------
         ssp : `~numpy.ndarray` of int, shape (n,)
         years : `~numpy.ndarray`, shape (n,)
         position : `~numpy.ndarray`, shape (n, 2)
-        position_error : float
+        settings : `~astro_scc.stacking.SearchSettings`, optional
 
         Returns
         -------
@@ -89,13 +82,13 @@ class Feature:
         left = position - position.mean(axis=0) - time[:, None] * velocity
 
         def variance(left, n_parameters):
-            freedom = max(len(ssp) - n_parameters, 0) + PRIOR_FREEDOM
-            total = (left**2).sum(axis=0) + PRIOR_FREEDOM * position_error**2
-            return total / freedom
+            prior = settings.prior_freedom
+            total = (left**2).sum(axis=0) + prior * settings.position_error**2
+            return total / (max(len(ssp) - n_parameters, 0) + prior)
 
         error = np.sqrt(variance(left, 2) * (response @ response))
         bend = bend_error = np.nan
-        if len(ssp) >= ACCELERATED:
+        if len(ssp) >= settings.accelerated_epochs:
             design = np.stack([np.ones(len(ssp)), time, time**2 / 2], axis=1)
             inverse = np.linalg.inv(design.T @ design)
             curve = inverse @ design.T @ position[:, 0]
@@ -182,7 +175,7 @@ def find_features(displacements, rays, settings, prior):
         least = max(settings.least_epochs, settings.least_share * (last - first + 1))
         if len(chosen) >= least:
             found.append(_feature(chosen, d, settings))
-    return _different(found, d)
+    return _different(found, d, settings)
 
 
 def standing_features(displacements, settings):
@@ -220,7 +213,7 @@ def standing_features(displacements, settings):
             feature = _feature(chosen, d, settings)
             if abs(feature.speed) <= 2 * feature.error:
                 found.append(feature)
-    return _different(found, d)
+    return _different(found, d, settings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +248,7 @@ class _Links:
 def _speeds(rays):
     """Speeds of single features: somewhat beyond those of streams."""
     fastest, slowest = 1.1 * rays.speed.max(), 0.5 * np.abs(rays.speed).min()
-    n = int(np.ceil(np.log(fastest / slowest) / SPEED_STEP))
+    n = int(np.ceil(np.log(fastest / slowest) / rays.settings.feature_speed_step))
     speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
     return np.concatenate([-speed[::-1], speed])
 
@@ -350,10 +343,10 @@ def _on_line(chosen, d, settings):
 
 def _feature(chosen, d, settings):
     years, place = d.years[d.epoch[chosen]], d.position[chosen]
-    return Feature.through(chosen, years, place, settings.position_error)
+    return Feature.through(chosen, years, place, settings)
 
 
-def _different(features, d):
+def _different(features, d, settings):
     """The longest of those that follow one another on one line or several scales."""
     kept = []
     # The finer scale of two as long is blended less.
@@ -363,7 +356,7 @@ def _different(features, d):
             time = years - d.years[d.epoch[other.ssp]].mean()
             velocity = np.array([other.speed, other.across])
             line = d.position[other.ssp].mean(axis=0) + time[:, None] * velocity
-            if np.median(np.hypot(*(place - line).T)) < SAME_FEATURE:
+            if np.median(np.hypot(*(place - line).T)) < settings.same_feature:
                 break
         else:
             kept.append(feature)

@@ -9,19 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from astro_scc.stacking.diagram import PairDensity
+from astro_scc.stacking.search import DEFAULT
 from astro_scc.stacking.shuffle import random_orders
 
 __all__ = ["EpochPermutations", "number_of_orders", "permutations_of_epochs"]
 
-#: Standard deviations of the permutations are at least this share of the largest
-#: of any axis at the same speed: single matches across the flow are no surprise.
-STD_FLOOR = 0.3
 #: Bytes of permuted diagrams that are made at once.
 BYTES = 2**26
 #: Factorials beyond this one are as good as endless.
 MOST = 20
-#: Up to so many epochs all orders are taken: a sample of few has a poor variance.
-ALL_ORDERS_OF = 6
 
 
 def number_of_orders(n_epochs):
@@ -45,7 +41,7 @@ def number_of_orders(n_epochs):
     return max(math.factorial(min(n_epochs, MOST)) / 2, 1.0)
 
 
-def permutations_of_epochs(n_epochs, n_trials, rng):
+def permutations_of_epochs(n_epochs, n_trials, rng, settings=DEFAULT):
     """
     Draw permutations of the epochs, as likely as the observed order.
 
@@ -53,6 +49,7 @@ def permutations_of_epochs(n_epochs, n_trials, rng):
     ----------
     n_epochs, n_trials : int
     rng : `~numpy.random.Generator`
+    settings : `~astro_scc.stacking.SearchSettings`, optional
 
     Returns
     -------
@@ -67,7 +64,8 @@ def permutations_of_epochs(n_epochs, n_trials, rng):
     >>> permutations_of_epochs(3, 10, np.random.default_rng(1)).tolist()
     [[0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]]
     """
-    if n_epochs <= ALL_ORDERS_OF or math.factorial(min(n_epochs, MOST)) <= n_trials + 1:
+    few = n_epochs <= settings.all_orders_of
+    if few or math.factorial(min(n_epochs, MOST)) <= n_trials + 1:
         return np.array(list(itertools.permutations(range(n_epochs))))[1:]
     return random_orders(n_epochs, n_trials, rng)
 
@@ -137,7 +135,7 @@ class EpochPermutations:
         """
         years, bins = axes[0].years, rays.bins
         speed = rays.speed[rays.speed > 0] if outward else rays.speed
-        orders = permutations_of_epochs(len(years), n_trials, rng)
+        orders = permutations_of_epochs(len(years), n_trials, rng, settings)
         orders = np.concatenate([np.arange(len(years))[None], orders])
         sums, largest = [], 1e-300
         for axis in axes:
@@ -154,7 +152,9 @@ class EpochPermutations:
         sums = np.stack(sums, axis=1)
         std = sums.std(axis=0)
         # Epochs that are all the same differ by rounding only.
-        z = sums / np.maximum(std, STD_FLOOR * std.max(axis=0) + 1e-6 * largest)
+        z = sums / np.maximum(
+            std, settings.least_std * std.max(axis=0) + 1e-6 * largest
+        )
         return cls(
             speed=speed,
             z=z[0],

@@ -10,7 +10,7 @@ from scipy.special import stdtr
 
 from astro_scc.kinematics import RadialFrame, RidgeLine, SkyFrame
 from astro_scc.measurement.axes import AxisProjection
-from astro_scc.stacking.features import SAME_FEATURE
+from astro_scc.stacking.search import DEFAULT
 from astro_scc.stacking.streams import feature_speeds, scattered_fit
 from astro_scc.stratification.groups import check_groups
 
@@ -114,7 +114,7 @@ def _groups_of(features, d, ssps, groups):
         for ssp in feature.ssp:
             here = np.flatnonzero(d.epoch == d.epoch[ssp])
             away = np.hypot(*(d.position[here] - d.position[ssp]).T)
-            here = here[away <= SAME_FEATURE]
+            here = here[away <= DEFAULT.same_feature]
             row += [ssps.peak[here[g[here]]].max(initial=0) for g in groups]
     share = np.log(np.maximum(total, np.finfo(float).tiny))
     share -= share.mean(axis=1, keepdims=True)

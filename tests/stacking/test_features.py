@@ -33,7 +33,7 @@ class TestFeature:
         rng = np.random.default_rng(n)
         years = 2000 + np.sort(rng.uniform(0, 5, n))
         position = rng.normal(size=(n, 2))
-        found = Feature.through(np.arange(n) + 3, years, position, 0.06)
+        found = Feature.through(np.arange(n) + 3, years, position)
         (speed, across), _ = np.polyfit(years - 2000, position, 1)
         assert found.speed == pytest.approx(speed)
         assert found.across == pytest.approx(across)
@@ -45,7 +45,9 @@ class TestFeature:
     def test_the_error_is_of_the_residuals_and_three_assumed_ones(self):
         rng = np.random.default_rng(1)
         years, position = np.sort(rng.uniform(0, 5, 9)), rng.normal(size=(9, 2))
-        found = Feature.through(np.arange(9), years, position, 0.5)
+        found = Feature.through(
+            np.arange(9), years, position, SearchSettings(position_error=0.5)
+        )
         for k, error in enumerate((found.error, found.across_error)):
             slope, offset = np.polyfit(years, position[:, k], 1)
             squares = np.sum((position[:, k] - offset - slope * years) ** 2)
@@ -57,11 +59,11 @@ class TestFeature:
     def test_the_response_is_the_change_of_the_speed(self):
         rng = np.random.default_rng(2)
         years, position = np.sort(rng.uniform(0, 5, 6)), rng.normal(size=(6, 2))
-        found = Feature.through(np.arange(6), years, position, 0.06)
+        found = Feature.through(np.arange(6), years, position)
         for k in range(6):
             moved = position.copy()
             moved[k, 0] += 0.01
-            other = Feature.through(np.arange(6), years, moved, 0.06)
+            other = Feature.through(np.arange(6), years, moved)
             assert found.response[k] == pytest.approx(
                 (other.speed - found.speed) / 0.01
             )
@@ -78,9 +80,10 @@ class TestFeature:
         rng = np.random.default_rng(seed)
         years, position = np.cumsum(rng.uniform(0.2, 2, 6)), rng.normal(size=(6, 2))
         sign = -1 if back else 1
-        a = Feature.through(np.arange(6), years, position, 0.06)
+        a = Feature.through(np.arange(6), years, position)
+        blended = SearchSettings(position_error=length * 0.06)
         b = Feature.through(
-            np.arange(6), sign * time * years, length * position, length * 0.06
+            np.arange(6), sign * time * years, length * position, blended
         )
         unit = length / time
         # Speeds may cancel.

@@ -211,7 +211,9 @@ class TestTwoStreams:
 
         module = sys.modules[find_streams.__module__]
         monkeypatch.setattr(
-            module, "separate_streams", lambda f, n, rng: (1.0, np.zeros(len(f), bool))
+            module,
+            "separate_streams",
+            lambda f, n, rng, _: (1.0, np.zeros(len(f), bool)),
         )
         test = search(two).permutations
         axis, speed = test.largest()
