@@ -395,7 +395,7 @@ class StackedCrossCorrelation:
 
         Returns
         -------
-        displacements : `~astro_scc.stacking.Displacements`
+        displacements : `~astro_scc.stacking.VelocitySamples`
             In mas, of the SSPs that are selected.
         frame : frame of `astro_scc.kinematics`
         """

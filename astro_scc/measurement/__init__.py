@@ -2,7 +2,7 @@
 """Measurement: what an array of matches means in angles, years and tables."""
 
 from astro_scc.epochs import beam_fwhm, position_errors, ssp_offsets
-from astro_scc.measurement.errors import angular_displacements
+from astro_scc.measurement.errors import alignment_errors, angular_displacements
 from astro_scc.measurement.exports import write_epoch_regions, write_votables
 from astro_scc.measurement.false_discovery import false_discovery_rate
 from astro_scc.measurement.match_files import (
@@ -30,14 +30,12 @@ from astro_scc.measurement.tables import (
     ssp_table,
     versions,
 )
-from astro_scc.measurement.velocity_error import StreamVelocity, alignment_errors
 from astro_scc.measurement.votable import write_votable
 
 __all__ = [
     "MatchCache",
     "MatchedEpochs",
     "SCCResult",
-    "StreamVelocity",
     "alignment_errors",
     "angular_displacements",
     "beam_fwhm",

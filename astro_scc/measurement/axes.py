@@ -1,12 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Displacements along one axis of a frame, in beams."""
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs import beam_fwhm, ssp_offsets
 from astro_scc.kinematics import ExpansionFrame, RidgeLine
-from astro_scc.stacking import AxisDisplacements
 
 __all__ = ["AxisProjection"]
 
@@ -17,7 +18,7 @@ class AxisProjection:
 
     Parameters
     ----------
-    displacements : `~astro_scc.stacking.Displacements`
+    displacements : `~astro_scc.stacking.VelocitySamples`
         In mas, along the axes of the frame.
     ssps : `~astro_scc.decomposition.SSPs`
     cube : `~astro_scc.epochs.EpochCube`
@@ -79,18 +80,17 @@ class AxisProjection:
 
         Returns
         -------
-        `~astro_scc.stacking.AxisDisplacements`
+        `~astro_scc.stacking.VelocitySamples`
         """
         d, turn, beam = self.displacements, _turn(angle), self.beam(angle)
         along, across = (turn @ np.stack([d.d1, d.d2])) / beam[:, None]
-        return AxisDisplacements(
-            along=along,
-            across=across,
-            weight=d.weight,
-            reference=d.reference,
-            target=d.target,
-            ssp=d.ssp,
-            target_ssp=d.target_ssp,
+        return replace(
+            d,
+            d1=along,
+            d2=across,
+            s1=None,
+            s2=None,
+            motion=None,
             position=(self._position @ turn.T) / beam,
             epoch=self.ssps.epoch,
             scale=self.ssps.scale,

@@ -1,12 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """From matches in pixels to displacements in angle, with their errors."""
 
+import astropy.units as u
 import numpy as np
 
 from astro_scc.correlation import landing_ssps
 from astro_scc.epochs import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics import frame_displacements
-from astro_scc.stacking import Displacements
+from astro_scc.stacking import VelocitySamples
 
 __all__ = ["angular_displacements"]
 
@@ -30,7 +31,7 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
 
     Returns
     -------
-    `~astro_scc.stacking.Displacements`
+    `~astro_scc.stacking.VelocitySamples`
         Without the matches of SSPs at which the frame has no axes; they
         count as SSPs without a match.
 
@@ -64,7 +65,7 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
     variance = position_errors(ssps.snr[owner], here, fraction) ** 2
     variance = variance + position_errors(matches.target_snr, there, fraction) ** 2
     s = np.sqrt(variance)
-    return Displacements(
+    return VelocitySamples(
         d1=d[:, 0],
         d2=d[:, 1],
         s1=s[:, 0],
@@ -75,8 +76,11 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
         ssp=owner.astype(np.int32),
         target_ssp=landing_ssps(matches, ssps).astype(np.int32),
         n_ssps=np.bincount(ssps.epoch[select], minlength=len(cube)),
-        position=position,
+        position=np.stack([east, north], axis=-1),
         motion=sky,
+        epoch=ssps.epoch,
+        scale=ssps.scale,
+        years=cube.years.to_value(u.yr),
     )
 
 
@@ -89,3 +93,54 @@ def _widths(cube, ssps, axes, owner, target):
         every = np.arange(len(cube))
         return here, beam_fwhm(cube, every, every, axes)[target]
     return here, beam_fwhm(cube, target, ssps.scale[owner], axes[owner])
+
+
+def alignment_errors(cube, error=None):
+    """
+    Standard error of the alignment of each epoch, on either axis.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    error : `~astropy.units.Quantity`, optional
+        One for all epochs, or one for each.  By default what the alignment
+        left with each epoch (``shift_east_err_mas``, ``shift_north_err_mas``
+        in its meta), and none where it left nothing.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n_epochs, 2)
+        In mas.
+
+    Raises
+    ------
+    ValueError
+        If there are neither one nor as many as epochs, or one is negative
+        or not finite.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.measurement.errors import alignment_errors
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    >>> alignment_errors(cube, 20 * u.uas).tolist()
+    [[0.02, 0.02], [0.02, 0.02], [0.02, 0.02]]
+    """
+    n = len(cube)
+    if error is None:
+        left = [
+            [meta.get(f"shift_{axis}_err_mas") or 0.0 for axis in ("east", "north")]
+            for meta in cube.epoch_meta
+        ]
+        each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
+    else:
+        each = np.atleast_1d(error.to_value(u.mas)).astype(float)
+        if each.shape not in ((1,), (n,)):
+            raise ValueError(
+                f"alignment_error must be one angle or {n}, one an epoch, "
+                f"got {each.size}"
+            )
+        if not np.all((each >= 0) & np.isfinite(each)):
+            raise ValueError(f"alignment_error must be zero or positive, got {error}")
+    return np.broadcast_to(each[:, None], (n, 2)) + np.zeros((n, 2))

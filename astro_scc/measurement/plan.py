@@ -272,7 +272,7 @@ def map_grid(displacements, pairs, limit):
 
     Parameters
     ----------
-    displacements : `~astro_scc.stacking.Displacements`
+    displacements : `~astro_scc.stacking.VelocitySamples`
     pairs : `~astro_scc.stacking.DatePairs`
     limit : float
         Largest velocity along either axis.

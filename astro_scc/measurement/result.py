@@ -17,17 +17,16 @@ from astro_scc.epochs.positions import axis_words
 from astro_scc.kinematics import table_in_c
 from astro_scc.measurement.diagram_image import diagram_image
 from astro_scc.measurement.tables import component_table, feature_table, ssp_table
-from astro_scc.measurement.velocity_error import StreamVelocity
 from astro_scc.stacking import (
-    Component,
     DatePairs,
-    Displacements,
-    JitteredVelocity,
     Search,
-    ShuffledStacks,
     VelocityGrid,
+    VelocityPeak,
+    VelocitySamples,
 )
-from astro_scc.stacking.stack import velocities
+from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
+from astro_scc.stacking.permutations import PermutedStacks
+from astro_scc.stacking.stack import sample_velocities
 
 __all__ = ["MatchedEpochs", "SCCResult"]
 
@@ -154,20 +153,21 @@ class SCCResult:
     position_angle : `~astropy.units.Quantity`
         Direction of the jet, to which ``pm_parallel`` refers.
     pairs : `~astro_scc.stacking.DatePairs`
-    displacements : `~astro_scc.stacking.Displacements`
+    displacements : `~astro_scc.stacking.VelocitySamples`
     grid : `~astro_scc.stacking.VelocityGrid`
         In mas/yr.
     coefficient, z_score : `~numpy.ndarray`, shape ``grid.shape``
         The stack and its significance.
-    shuffled : `~astro_scc.stacking.ShuffledStacks`
+    permuted : `~astro_scc.stacking.permutations.PermutedStacks`
+        Mean and standard deviation of the stacks of permuted epochs.
     search : `~astro_scc.stacking.Search`
         The streams, and the displacement-interval diagram they are found on.
-    velocities : tuple of `~astro_scc.measurement.StreamVelocity`
+    velocities : tuple of `~astro_scc.stacking.errors.StreamVelocity`
         Of the streams, with their errors.
-    maxima : tuple of `~astro_scc.stacking.Component`
+    maxima : tuple of `~astro_scc.stacking.VelocityPeak`
         Of the stack, the nearest one to each velocity.
-    jitters : tuple of `~astro_scc.stacking.JitteredVelocity`
-        The paper's uncertainty: SSPs shifted by their position errors.
+    jitters : tuple of `~astro_scc.stacking.errors.JitteredVelocity`
+        The velocity-jitter test, the paper's uncertainty.
     meta : dict
         Settings, seed and versions.
 
@@ -189,14 +189,14 @@ class SCCResult:
     frame: object
     position_angle: u.Quantity
     pairs: DatePairs
-    displacements: Displacements
+    displacements: VelocitySamples
     grid: VelocityGrid
     coefficient: np.ndarray
     z_score: np.ndarray
-    shuffled: ShuffledStacks
+    permuted: PermutedStacks
     search: Search
     velocities: tuple[StreamVelocity, ...]
-    maxima: tuple[Component, ...]
+    maxima: tuple[VelocityPeak, ...]
     jitters: tuple[JitteredVelocity, ...]
     meta: dict = field(default_factory=dict)
 
@@ -367,7 +367,7 @@ class SCCResult:
             there = np.where(d.target_ssp >= 0, label[d.target_ssp], -1)
             return np.flatnonzero((there >= 0) & (label[d.ssp] == there))
         v = self.velocities[number - 1].value
-        index, v1, v2, s1, s2, _ = velocities(d, self.pairs)
+        index, v1, v2, s1, s2, _ = sample_velocities(d, self.pairs)
         near = (np.abs(v1 - v[0]) <= MEMBER_SIGMA * s1) & (
             np.abs(v2 - v[1]) <= MEMBER_SIGMA * s2
         )
@@ -420,7 +420,7 @@ class SCCResult:
         where = self.frame, self.position_angle
         row.update(_vectors(velocity.value, velocity.covariance, *where))
         for name, covariance in (
-            ("jitter", _covariance(jitter)),
+            ("jitter", jitter.covariance),
             ("alignment", velocity.alignment),
         ):
             row[f"pm_err_{name}"] = _vectors(velocity.value, covariance, *where)[
@@ -429,15 +429,6 @@ class SCCResult:
         still = stream.kind != "moving"
         row["pm_limit"] = row["pm"] + LIMIT * row["pm_err"] if still else np.nan
         return row
-
-
-def _covariance(jitter):
-    return np.array(
-        [
-            [jitter.err1**2, jitter.covariance],
-            [jitter.covariance, jitter.err2**2],
-        ]
-    )
 
 
 def _root(variance):

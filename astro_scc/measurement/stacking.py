@@ -17,23 +17,16 @@ from astro_scc.kinematics import (
     fit_position_angle,
 )
 from astro_scc.measurement.axes import AxisProjection
-from astro_scc.measurement.errors import angular_displacements
+from astro_scc.measurement.errors import alignment_errors, angular_displacements
 from astro_scc.measurement.plan import flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
 from astro_scc.measurement.tables import versions
-from astro_scc.measurement.velocity_error import alignment_errors, velocity_of
 from astro_scc.progress import progress
-from astro_scc.stacking import (
-    PairMaps,
-    SearchSettings,
-    baseline_pairs,
-    component_near,
-    find_streams,
-    jitter_positions,
-    number_of_orders,
-    shuffle_epochs,
-    stack,
-)
+from astro_scc.stacking import SearchSettings, baseline_pairs, find_streams, stack
+from astro_scc.stacking.errors import jitter_positions, velocity_of
+from astro_scc.stacking.pair_maps import PairMaps
+from astro_scc.stacking.permutations import number_of_permutations, permute_stacks
+from astro_scc.stacking.stack import velocity_peak_near
 
 __all__ = ["stack_matches", "velocity_frame"]
 
@@ -93,7 +86,7 @@ def stack_matches(
     alignment_error : `~astropy.units.Quantity`, optional
         See `alignment_errors`.
     small_displacement_correction : bool
-        Shift the shuffled images of the z-score by a fifth of the beam.
+        Shift the permuted images of the z-score by a fifth of the beam.
     n_trials : int
     rng : None, int or `~numpy.random.Generator`
     progress_bar : bool
@@ -180,14 +173,14 @@ def stack_matches(
     scc = stack(displacements, pairs, grid)
     maps = PairMaps.of(displacements, grid.v_max, pairs.interval.max())
     shift = (SMALL_SHIFT * fwhm,) * 2 if small_displacement_correction else None
-    with progress(n_trials, "Shuffling", show=progress_bar) as done:
-        shuffled = shuffle_epochs(
-            maps, pairs, grid, scc, n_trials, rng=paper_rng, shift=shift, progress=done
+    with progress(n_trials, "Permuting", show=progress_bar) as done:
+        permuted = permute_stacks(
+            maps, pairs, grid, n_trials, rng=paper_rng, shift=shift, progress=done
         )
     box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
     maxima, jitters = [], []
     for velocity, own in zip(velocities, error_rng.spawn(len(velocities)), strict=True):
-        peak = component_near(scc, grid, box, *velocity.value)
+        peak = velocity_peak_near(scc, grid, box, *velocity.value)
         maxima.append(replace(peak, coefficient=float(scc[peak.row, peak.column])))
         jitters.append(
             jitter_positions(displacements, pairs, peak, box, n_trials, rng=own)
@@ -200,8 +193,8 @@ def stack_matches(
         displacements=displacements,
         grid=grid,
         coefficient=scc,
-        z_score=shuffled.z_score(scc),
-        shuffled=shuffled,
+        z_score=permuted.z_score(scc),
+        permuted=permuted,
         search=search,
         velocities=velocities,
         maxima=tuple(maxima),
@@ -221,7 +214,7 @@ def _warn_of_limits(smallest, n_epochs, n_trials, level):
     """Tell when no probability can be as small as the level."""
     if smallest <= level:
         return
-    if 1 / number_of_orders(n_epochs) <= level:
+    if 1 / number_of_permutations(n_epochs) <= level:
         what = (
             f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, "
             f"so no component can reach level {level:g}: give n_trials of "

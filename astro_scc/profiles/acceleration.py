@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.measurement.axes import AxisProjection
-from astro_scc.stacking import fit_acceleration
+from astro_scc.stacking.streams import fit_acceleration
 
 __all__ = ["FlowAcceleration", "measure_acceleration"]
 
@@ -72,7 +72,7 @@ def measure_acceleration(result, row=0):
     Measure the acceleration of a flow.
 
     The slope of the speeds of its features against their distances and their
-    own accelerations are combined, see `~astro_scc.stacking.fit_acceleration`.
+    own accelerations are combined, see `~astro_scc.stacking.streams.fit_acceleration`.
 
     Parameters
     ----------

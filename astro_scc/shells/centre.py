@@ -8,7 +8,7 @@ import numpy as np
 
 from astro_scc.measurement import alignment_errors
 from astro_scc.shells.rates import refine_expansion
-from astro_scc.stacking import Expansion, Sightings, fit_expansion
+from astro_scc.stacking.expansion import Expansion, fit_expansion
 
 __all__ = ["ShellFit", "fit_shell"]
 
@@ -32,7 +32,7 @@ class ShellFit:
         (east, north) from the reference pixel.
     radius : `~astropy.units.Quantity`
         Mean distance of the SSPs from the centre.
-    fitted : `~astro_scc.stacking.Expansion`
+    fitted : `~astro_scc.stacking.expansion.Expansion`
 
     Examples
     --------
@@ -133,7 +133,10 @@ def fit_shell(scc, matched, groups=None, *, centre=None):
         )
 
     x, v = joined(lambda s, _: s.middle), joined(lambda s, _: s.velocity)
-    interval, sigma = joined(lambda s, _: s.interval), joined(lambda s, _: s.sigma)
+    interval, sigma = (
+        joined(lambda s, _: np.abs(s.interval)),
+        joined(lambda s, _: s.sigma),
+    )
     group = np.repeat(np.arange(len(seen)), list(map(len, seen)))
     distance = np.hypot(*(x - x.mean(axis=0)).T)
     given = None if centre is None else u.Quantity(centre).to_value(u.mas)
@@ -153,7 +156,7 @@ def fit_shell(scc, matched, groups=None, *, centre=None):
     errors = alignment_errors(cube, scc.alignment_error)
     if errors.any():
         years = cube.years.to_value(u.yr)
-        first = joined(lambda s, _: s.first)
+        first = joined(lambda s, _: np.minimum(s.reference, s.target))
         fitted = _with_alignment(fitted, response, first, interval, years, errors)
     away = np.hypot(*(x - fitted.centre).T)
     rate = u.percent / u.yr
@@ -187,8 +190,7 @@ def _parts(matched, groups):
 
 def _sightings(scc, part, limit):
     displacements, _ = scc.displacements(part)
-    years = part.cube.years.to_value(u.yr)
-    return Sightings.of(displacements, scc.date_pairs(part.cube), years, (limit, limit))
+    return displacements.within(scc.date_pairs(part.cube), (limit, limit))
 
 
 def _kinds(group, scale, snr):

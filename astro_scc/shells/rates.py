@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from astro_scc.stacking import Expansion
+from astro_scc.stacking.expansion import Expansion
 
 __all__ = ["refine_expansion"]
 
@@ -56,7 +56,7 @@ def refine_expansion(
 
     Parameters
     ----------
-    start : `~astro_scc.stacking.Expansion`
+    start : `~astro_scc.stacking.expansion.Expansion`
     position, velocity : `~numpy.ndarray`, shape (n, 2)
         At the mean date of each sighting.
     interval : `~numpy.ndarray`, shape (n,)
@@ -70,7 +70,7 @@ def refine_expansion(
 
     Returns
     -------
-    expansion : `~astro_scc.stacking.Expansion`
+    expansion : `~astro_scc.stacking.expansion.Expansion`
         Errors are those of a jackknife over 24 parts of the azimuth, each
         with all epochs of its features.
     response : `~numpy.ndarray`, shape (n, 2, n_groups + 2)
@@ -81,7 +81,7 @@ def refine_expansion(
     --------
     >>> import numpy as np
     >>> from astro_scc.shells.rates import refine_expansion
-    >>> from astro_scc.stacking import fit_expansion
+    >>> from astro_scc.stacking.expansion import fit_expansion
     >>> rng = np.random.default_rng(1)
     >>> x = rng.uniform(-100, 100, (900, 2))
     >>> v = 0.02 * x + rng.normal(0, 0.1, (900, 2))

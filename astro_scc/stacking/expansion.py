@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Expansion", "fit_expansion"]
+from astro_scc.stacking.errors import jackknife_covariance
 
-#: Width of the kernel in standard errors of a sighting, from wide to narrow.
+#: Width of the kernel in standard errors of a velocity sample, from wide to narrow.
 WIDTHS = (4.0, 2.0, 1.0)
 #: Rates that are tried first, on each side.
 TRIED = 60
@@ -31,18 +31,7 @@ class Expansion:
     covariance : `~numpy.ndarray`, shape (n_groups + 2, n_groups + 2)
         Of the rates and the centre.
     n_used : `~numpy.ndarray` of int, shape (n_groups,)
-        Sightings within two kernels of the model.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.stacking import fit_expansion
-    >>> rng = np.random.default_rng(1)
-    >>> x = rng.uniform(-100, 100, (400, 2))
-    >>> v, one = 0.02 * x + rng.normal(0, 0.1, (400, 2)), np.ones(400)
-    >>> found = fit_expansion(x, v, 0.1 * one, one, np.zeros(400, int), max_rate=0.1)
-    >>> found.rate.round(3).tolist(), found.covariance.shape
-    ([0.02], (3, 3))
+        Velocity samples within two kernels of the model.
     """
 
     rate: np.ndarray
@@ -57,7 +46,7 @@ def fit_expansion(
     position, velocity, error, weight, group, *, max_rate, centre=None, start=None
 ):
     r"""
-    Fit rates of expansion of groups of sightings, and their centre.
+    Fit rates of expansion of groups of velocity samples, and their centre.
 
     The maximum of
 
@@ -71,7 +60,7 @@ def fit_expansion(
     Parameters
     ----------
     position, velocity : array_like, shape (n, 2)
-        At the mean date of each sighting.
+        At the mean date of each velocity sample.
     error : array_like, shape (n,)
         Standard error of the velocity.
     weight : array_like, shape (n,)
@@ -91,20 +80,7 @@ def fit_expansion(
     Raises
     ------
     ValueError
-        If there are fewer sightings than ten in a group.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.stacking import fit_expansion
-    >>> rng = np.random.default_rng(1)
-    >>> angle = rng.uniform(0, 2 * np.pi, 400)
-    >>> x = 100 * np.stack([np.sin(angle), np.cos(angle)], axis=1)
-    >>> v = 0.02 * (x - [5.0, -3.0]) + rng.normal(0, 0.1, (400, 2))
-    >>> one = np.ones(400)
-    >>> found = fit_expansion(x, v, 0.1 * one, one, np.zeros(400, int), max_rate=0.1)
-    >>> found.rate.round(3), found.centre.round(0)
-    (array([0.02]), array([ 5., -3.]))
+        If there are fewer velocity samples than ten in a group.
     """
     x, v = np.asarray(position, dtype=float), np.asarray(velocity, dtype=float)
     s, w = np.asarray(error, dtype=float), np.asarray(weight, dtype=float)
@@ -113,7 +89,7 @@ def fit_expansion(
     counts = np.bincount(group, minlength=max(n_groups, 1))
     if counts.min() < 10:
         raise ValueError(
-            "an expansion needs ten sightings of each group or more, got "
+            "an expansion needs ten velocity samples of each group or more, got "
             f"{counts.min()}"
         )
     given = centre is not None
@@ -144,11 +120,9 @@ def fit_expansion(
         if np.all(np.bincount(group[keep], minlength=n_groups) > 3):
             part = tuple(column[keep] for column in data)
             others.append(_climb(place, n_groups, *part, width=WIDTHS[-1], fixed=given))
-    n = len(others)
-    covariance = np.full((len(place),) * 2, np.inf)
-    if n >= 4:
-        apart = np.array(others) - np.mean(others, axis=0)
-        covariance = (n - 1) / n * apart.T @ apart
+    covariance = (
+        jackknife_covariance(others) if others else np.full((len(place),) * 2, np.inf)
+    )
     errors = np.sqrt(np.diag(covariance))
     rest = _square(v - place[group][:, None] * (x - middle), WIDTHS[-1] * s)
     return Expansion(

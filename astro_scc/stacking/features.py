@@ -7,8 +7,6 @@ import numpy as np
 
 from astro_scc.stacking.search import DEFAULT
 
-__all__ = ["Feature", "find_features"]
-
 
 @dataclass(frozen=True, eq=False)
 class Feature:
@@ -108,7 +106,7 @@ class Feature:
         )
 
 
-def find_features(displacements, rays, settings, prior):
+def find_features(samples, rays, settings, prior):
     """
     Find features that move, each with a speed of its own.
 
@@ -120,7 +118,7 @@ def find_features(displacements, rays, settings, prior):
 
     Parameters
     ----------
-    displacements : `~astro_scc.stacking.AxisDisplacements`
+    samples : `~astro_scc.stacking.VelocitySamples`
     rays : `~astro_scc.stacking.Rays`
     settings : `~astro_scc.stacking.SearchSettings`
     prior : callable
@@ -130,30 +128,9 @@ def find_features(displacements, rays, settings, prior):
     -------
     list of `Feature`
         Those of several scales that are the same only once.
-
-    Examples
-    --------
-    Two features of different speeds, seen in six epochs:
-
-    >>> import numpy as np
-    >>> from astro_scc.stacking import (AxisDisplacements, Rays, SearchSettings,
-    ...                                 find_features)
-    >>> years = np.arange(6.0)
-    >>> epoch, feature = (k.ravel() for k in np.indices((6, 2)))
-    >>> place = 3.0 * feature + np.array([0.3, 0.5])[feature] * years[epoch]
-    >>> ssp, to = np.nonzero((feature[:, None] == feature) & (epoch[:, None] != epoch))
-    >>> d = AxisDisplacements(
-    ...     along=place[to] - place[ssp], across=np.zeros(len(to)),
-    ...     weight=np.ones(len(to)), reference=epoch[ssp], target=epoch[to], ssp=ssp,
-    ...     target_ssp=to, position=np.stack([place, 0 * place], axis=1), epoch=epoch,
-    ...     scale=np.ones(12), years=years)
-    >>> rays = Rays.of(years, 1.5, SearchSettings())
-    >>> found = find_features(d, rays, SearchSettings(), np.ones_like)
-    >>> [(round(feature.speed, 2), len(feature)) for feature in found]
-    [(0.3, 6), (0.5, 6)]
     """
-    d = displacements
-    keep = (np.abs(d.across) <= settings.across) & (np.abs(d.along) <= rays.radius)
+    d = samples
+    keep = (np.abs(d.d2) <= settings.across) & (np.abs(d.d1) <= rays.radius)
     keep &= (d.target_ssp >= 0) & (d.interval != 0)
     links = _Links.of(d.select(keep))
     if len(links.ssp) == 0:
@@ -178,13 +155,13 @@ def find_features(displacements, rays, settings, prior):
     return _different(found, d, settings)
 
 
-def standing_features(displacements, settings):
+def standing_features(samples, settings):
     """
     Find features that stand still in at least half of the epochs.
 
     Parameters
     ----------
-    displacements : `~astro_scc.stacking.AxisDisplacements`
+    samples : `~astro_scc.stacking.VelocitySamples`
     settings : `~astro_scc.stacking.SearchSettings`
 
     Returns
@@ -192,8 +169,8 @@ def standing_features(displacements, settings):
     list of `Feature`
         With speeds below two standard errors.
     """
-    d = displacements
-    close = (np.hypot(d.along, d.across) <= settings.nearest) & (d.target_ssp >= 0)
+    d = samples
+    close = (np.hypot(d.d1, d.d2) <= settings.nearest) & (d.target_ssp >= 0)
     # Images of one date say nothing about motion.
     close &= d.interval != 0
     links = _Links.of(d.select(close))
@@ -231,7 +208,7 @@ class _Links:
     def of(cls, d):
         ssp = np.concatenate([d.ssp, d.target_ssp])
         to = np.concatenate([d.target_ssp, d.ssp])
-        along = np.concatenate([d.along, -d.along])
+        along = np.concatenate([d.d1, -d.d1])
         weight = np.concatenate([d.weight, d.weight])
         order = np.argsort(ssp, kind="stable")
         ssp, to = ssp[order], to[order]

@@ -3,8 +3,6 @@
 
 from dataclasses import dataclass
 
-__all__ = ["SearchSettings"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings:

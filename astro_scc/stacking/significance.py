@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from astro_scc.stacking.diagram import AxisDisplacements, Diagram, Rays
+from astro_scc.stacking.diagram import Diagram, Rays
 from astro_scc.stacking.features import find_features, standing_features
 from astro_scc.stacking.permutations import EpochPermutations
 from astro_scc.stacking.search import SearchSettings
@@ -15,8 +15,7 @@ from astro_scc.stacking.streams import (
     random_effects,
     separate_streams,
 )
-
-__all__ = ["Search", "Stream", "find_streams"]
+from astro_scc.stacking.velocities import VelocitySamples
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +30,7 @@ class Stream:
         Why it is not significant, or ''.
     angle : float
         Direction of the axis from the first axis of the frame, in radians.
-    along, across : `~astro_scc.stacking.Population`
+    along, across : `~astro_scc.stacking.streams.Population`
         Of the speeds of its features, in beams a year.
     z : float
         Excess along its ray in standard deviations of the permutations.
@@ -72,7 +71,7 @@ class Search:
     streams : tuple of `Stream`
         The moving ones, that with more features first, then what stands still;
         or the strongest speed that is not significant.  Empty without matches.
-    diagram : `~astro_scc.stacking.Diagram`
+    diagram : `~astro_scc.stacking.diagram.Diagram`
         Along the direction of the first stream.
     angle : float
         Of that direction from the first axis of the frame, in radians.
@@ -86,11 +85,11 @@ class Search:
     One feature that moves half a beam a year through eight epochs:
 
     >>> import numpy as np
-    >>> from astro_scc.stacking import AxisDisplacements, find_streams
+    >>> from astro_scc.stacking import VelocitySamples, find_streams
     >>> years = np.arange(8.0)
     >>> ssp, to = (k[~np.eye(8, dtype=bool)] for k in np.indices((8, 8)))
-    >>> d = AxisDisplacements(
-    ...     along=0.5 * (to - ssp), across=np.zeros(56), weight=np.ones(56),
+    >>> d = VelocitySamples(
+    ...     d1=0.5 * (to - ssp), d2=np.zeros(56), weight=np.ones(56),
     ...     reference=ssp, target=to, ssp=ssp, target_ssp=to,
     ...     position=np.outer(0.5 * years, [1, 0]), epoch=np.arange(8),
     ...     scale=np.ones(8), years=years)
@@ -109,13 +108,13 @@ class Search:
     axis: int
     rays: Rays
 
-    def follow(self, displacements):
+    def follow(self, samples):
         """
         Follow the features of some of the SSPs along the first stream.
 
         Parameters
         ----------
-        displacements : `~astro_scc.stacking.AxisDisplacements`
+        samples : `~astro_scc.stacking.VelocitySamples`
             Along the direction of that stream.
 
         Returns
@@ -126,7 +125,7 @@ class Search:
         """
         if not self.streams:
             return []
-        axis = _Axis(self.angle, displacements, self.rays, self.permutations, self.axis)
+        axis = _Axis(self.angle, samples, self.rays, self.permutations, self.axis)
         return axis.moving(axis.features(), self.streams[0].along.mean)
 
 
@@ -156,7 +155,7 @@ def find_streams(
     Parameters
     ----------
     project : callable
-        The `~astro_scc.stacking.AxisDisplacements` along an angle in radians
+        The `~astro_scc.stacking.VelocitySamples` along an angle in radians
         from the first axis of the frame.
     angles : sequence of float
         Axes to search, evenly over half a turn from the first axis of the
@@ -190,13 +189,13 @@ def find_streams(
     Ten features that move half a beam a year through eight epochs:
 
     >>> import numpy as np
-    >>> from astro_scc.stacking import AxisDisplacements, find_streams
+    >>> from astro_scc.stacking import VelocitySamples, find_streams
     >>> years = np.arange(8.0)
     >>> epoch, feature = (k.ravel() for k in np.indices((8, 10)))
     >>> place = 3.0 * feature + 0.5 * years[epoch]
     >>> ssp, to = np.nonzero((feature[:, None] == feature) & (epoch[:, None] != epoch))
-    >>> d = AxisDisplacements(
-    ...     along=place[to] - place[ssp], across=np.zeros(len(to)),
+    >>> d = VelocitySamples(
+    ...     d1=place[to] - place[ssp], d2=np.zeros(len(to)),
     ...     weight=np.ones(len(to)), reference=epoch[ssp], target=epoch[to], ssp=ssp,
     ...     target_ssp=to, position=np.stack([place, 0 * place], axis=1), epoch=epoch,
     ...     scale=np.ones(80), years=years)
@@ -259,7 +258,7 @@ def classify(along, p_global, features, permutations, alpha, settings):
 
     Parameters
     ----------
-    along : `~astro_scc.stacking.Population`
+    along : `~astro_scc.stacking.streams.Population`
     p_global : float
     features : sequence of `~astro_scc.stacking.Feature`
     permutations : `~astro_scc.stacking.EpochPermutations`
@@ -302,7 +301,7 @@ class _Axis:
     """
 
     angle: float
-    samples: AxisDisplacements
+    samples: VelocitySamples
     rays: Rays
     permutations: EpochPermutations
     number: int

@@ -1,14 +1,20 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Streams: mean and dispersion of the speeds of features, and their number."""
+"""Streams of features: mean speed, dispersion, number and acceleration."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import stdtr, stdtrit
 
 from astro_scc.stacking.search import DEFAULT
 
-__all__ = ["Population", "random_effects", "separate_streams"]
+#: The core pulls at features that are nearer, in beams.
+CORE = 2.0
+#: Relative gradient of the speed that blends leave on jets without acceleration, per
+#: beam (``benchmarks/calibration/design.py``).
+BLENDS = 0.009
+#: Fewest features whose speeds have a gradient, and whose bends have a mean.
+FEWEST_SPEEDS, FEWEST_BENDS = 4, 2
 
 
 @dataclass(frozen=True)
@@ -135,31 +141,6 @@ def feature_speeds(features, settings=DEFAULT):
     )
 
 
-def alignment_response(stream, epoch, n_epochs):
-    """
-    Change of a stream's mean speed for a displacement of whole epochs.
-
-    Parameters
-    ----------
-    stream : `~astro_scc.stacking.Stream`
-    epoch : `~numpy.ndarray` of int, shape (n_ssps,)
-    n_epochs : int
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n_epochs,)
-        In 1/yr.
-    """
-    response = np.zeros(n_epochs)
-    if not stream.features:
-        return response
-    _, error = feature_speeds(stream.features)
-    weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
-    for feature, w in zip(stream.features, weight / weight.sum(), strict=True):
-        response[epoch[feature.ssp]] += w * feature.response
-    return response
-
-
 def separate_streams(features, n_trials, rng, settings=DEFAULT):
     """
     Whether the features' speeds are of two streams rather than one.
@@ -189,7 +170,8 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import Feature, separate_streams
+    >>> from astro_scc.stacking import Feature
+    >>> from astro_scc.stacking.streams import separate_streams
     >>> epoch = np.arange(4)
     >>> features = [
     ...     Feature.through(epoch, epoch, np.outer(epoch, [speed, 0]))
@@ -270,3 +252,98 @@ def _two(y, e, dispersions):
             better = value > best
             best[better], where[better] = value[better], split
     return best, where
+
+
+@dataclass(frozen=True)
+class Acceleration:
+    """
+    Gradient of the speed along a flow.
+
+    Attributes
+    ----------
+    gradient, error : float
+        Of the speed with distance over the mean speed, in 1/beam; NaN if too
+        few features are seen.
+    p_value : float
+        Of as large a gradient, of either sign, if there is none.
+    speed : float
+        Mean speed of the features, in beams a year.
+    centre : float
+        Their mean distance, in beams.
+    n_features : int
+    """
+
+    gradient: float
+    error: float
+    p_value: float
+    speed: float
+    centre: float
+    n_features: int
+
+
+def fit_acceleration(features):
+    """
+    Fit the gradient of the speed of features that pass through a flow.
+
+    Two estimates are combined, weighted by their errors: the slope of the
+    features' speeds against distance, and the mean of their own
+    accelerations a, as a flow with the speed v(x) has ``a = v dv/dx``.  Both
+    are random-effects models (see `random_effects`).
+
+    Parameters
+    ----------
+    features : sequence of `~astro_scc.stacking.Feature`
+        Those within two beams of the origin, where the core pulls at them,
+        do not count.
+
+    Returns
+    -------
+    `Acceleration`
+
+    Examples
+    --------
+    Features that speed up by a tenth in each beam:
+
+    >>> import numpy as np
+    >>> from astro_scc.stacking import Feature
+    >>> from astro_scc.stacking.streams import fit_acceleration
+    >>> years, features = np.arange(6.0), []
+    >>> for start in (1.5, 3.0, 5.0, 7.0, 9.0):
+    ...     along = (start + 10) * np.exp(0.05 * years) - 10
+    ...     place = np.stack([along, np.zeros(6)], axis=1)
+    ...     features.append(Feature.through(np.arange(6), years, place))
+    >>> found = fit_acceleration(features)
+    >>> found.p_value < 0.05, round(found.gradient * found.speed, 2)
+    (True, 0.05)
+    """
+    ways = np.sign([f.speed for f in features])
+    beyond = [f for f, way in zip(features, ways, strict=True) if f.place * way > CORE]
+    n = len(beyond)
+    unknown = Acceleration(np.nan, np.nan, np.nan, np.nan, np.nan, n)
+    if n < FEWEST_BENDS:
+        return unknown
+    place = np.array([f.place for f in beyond])
+    v, error = feature_speeds(beyond)
+    speed, centre = v.mean(), place.mean()
+    found = []
+    if n >= FEWEST_SPEEDS:
+        design = np.stack([np.ones(n), place - centre], axis=1)
+        (_, slope), covariance, _, _ = scattered_fit(design, v, error)
+        found.append((slope, covariance[1, 1], n - 2))
+    bent = [f for f in beyond if np.isfinite(f.acceleration)]
+    if len(bent) >= FEWEST_BENDS:
+        own = np.array([f.acceleration / f.speed for f in bent])
+        error = np.array([f.acceleration_error / abs(f.speed) for f in bent])
+        error *= DEFAULT.error_inflation
+        (mean,), covariance, _, _ = scattered_fit(np.ones((len(bent), 1)), own, error)
+        found.append((mean, covariance[0, 0], len(bent) - 1))
+    if not found:
+        return unknown
+    values, variances, freedom = np.array(found).T
+    weight = 1 / variances
+    gradient = (weight * values).sum() / weight.sum() / abs(speed)
+    error = np.hypot(1 / np.sqrt(weight.sum()) / abs(speed), BLENDS)
+    p_value = 2 * stdtr(freedom.sum(), -abs(gradient) / error)
+    return Acceleration(
+        float(gradient), float(error), float(p_value), float(speed), float(centre), n
+    )

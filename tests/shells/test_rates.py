@@ -11,7 +11,7 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.shells import fit_shell, remove_compact
 from astro_scc.shells.rates import refine_expansion
 from astro_scc.simulation import simulate_shell
-from astro_scc.stacking import fit_expansion
+from astro_scc.stacking.expansion import fit_expansion
 
 CENTRE = np.array([4.0, -3.0])
 RATES = np.array([0.02, 0.012])

@@ -6,9 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import kstest
 
-from astro_scc.stacking import Feature, SearchSettings, fit_acceleration
-from astro_scc.stacking.acceleration import BLENDS
-from astro_scc.stacking.streams import scattered_fit
+from astro_scc.stacking import Feature, SearchSettings
+from astro_scc.stacking.streams import BLENDS, fit_acceleration, scattered_fit
 
 YEARS = np.arange(8.0)
 

@@ -4,11 +4,11 @@
 import numpy as np
 import pytest
 
-from astro_scc.stacking import fit_expansion
+from astro_scc.stacking.expansion import fit_expansion
 
 
 def shell(rng, rates=(0.01, 0.006), centre=(8.0, -5.0), n=300, noise=0.1, chance=0):
-    """Sightings of groups at 60 to 110 from a centre, and chance ones."""
+    """VelocitySamples of groups at 60 to 110 from a centre, and chance ones."""
     x, v, group = [], [], []
     for g, rate in enumerate(rates):
         angle = rng.uniform(0, 2 * np.pi, n)
@@ -62,7 +62,7 @@ def test_a_given_centre_stays():
 
 def test_too_few():
     x, v, s, w, group = shell(np.random.default_rng(5), n=5)
-    with pytest.raises(ValueError, match="ten sightings of each group"):
+    with pytest.raises(ValueError, match="ten velocity samples of each group"):
         fit_expansion(x, v, s, w, group, max_rate=0.03)
     none = np.zeros((0, 2))
     with pytest.raises(ValueError, match="got 0"):

@@ -8,14 +8,9 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.stats import norm, t
 
-from astro_scc.stacking import (
-    Feature,
-    SearchSettings,
-    Stream,
-    random_effects,
-    separate_streams,
-)
-from astro_scc.stacking.streams import alignment_response, feature_speeds
+from astro_scc.stacking import Feature, SearchSettings, Stream, random_effects
+from astro_scc.stacking.errors import alignment_response
+from astro_scc.stacking.streams import feature_speeds, separate_streams
 
 SEARCH = SearchSettings()
 
