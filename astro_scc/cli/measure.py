@@ -233,12 +233,8 @@ def measure(
         plain_settings,
         settings_as_used,
     )
-    from astro_scc.measurement import (
-        versions,
-        write_epoch_regions,
-        write_products,
-        write_votables,
-    )
+    from astro_scc.measurement import versions, write_epoch_regions, write_products
+    from astro_scc.measurement.products import write_votables
 
     how = distance_of(config)
     scc = StackedCrossCorrelation.from_settings(config)

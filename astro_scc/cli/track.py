@@ -199,12 +199,12 @@ def _stack_profile(path):
 
 def _track(cube, tracker, config, reporter, n_workers):
     from astro_scc.decomposition import Decomposer
-    from astro_scc.measurement.decomposing import (
-        allow_for_structure,
-        decompose_epochs,
+    from astro_scc.measurement.decomposing import allow_for_structure, decompose_epochs
+    from astro_scc.measurement.plan import (
+        scales_of_pixels,
+        ssps_inside,
+        warn_of_none_inside,
     )
-    from astro_scc.measurement.plan import scales_of_pixels, ssps_inside
-    from astro_scc.measurement.selection import warn_of_none_inside
 
     names = {"wavelet": "kernel", "detection": "detection", "noise": "noise",
              "segmentation": "segmentation"}  # fmt: skip

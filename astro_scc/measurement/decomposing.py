@@ -12,15 +12,6 @@ from astro_scc.correlation.workers import in_order
 from astro_scc.decomposition import Decomposer
 from astro_scc.exceptions import MeasurementWarning
 
-__all__ = [
-    "LazyDecompositions",
-    "allow_for_structure",
-    "decompose_epochs",
-    "noise_facts",
-    "refuse_too_much",
-    "working_memory",
-]
-
 #: Bytes of this package with the libraries that it works with, in each process.
 LIBRARIES = 250e6
 #: Bytes of maps that a stack keeps, and what is made of them, at most.

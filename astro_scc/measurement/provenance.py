@@ -10,14 +10,6 @@ import numpy as np
 from astro_scc.measurement.decomposing import noise_facts
 from astro_scc.measurement.tables import versions
 
-__all__ = [
-    "digest_of",
-    "image_provenance",
-    "match_provenance",
-    "selection_digest",
-    "stale_parts",
-]
-
 #: How each part is called in messages.
 NAMES = {
     "data": "images",
@@ -95,7 +87,7 @@ def match_provenance(cube, decomposer, correlator, reach, inside):
     --------
     >>> from astro_scc.correlation import Correlator
     >>> from astro_scc.decomposition import Decomposer
-    >>> from astro_scc.measurement import match_provenance
+    >>> from astro_scc.measurement.provenance import match_provenance
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
     >>> decomposer = Decomposer(scales=[2])

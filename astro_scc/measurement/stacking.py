@@ -16,8 +16,11 @@ from astro_scc.kinematics import (
     find_ridge_line,
     fit_position_angle,
 )
-from astro_scc.measurement.axes import AxisProjection
-from astro_scc.measurement.errors import alignment_errors, angular_displacements
+from astro_scc.measurement.axes import (
+    AxisProjection,
+    alignment_errors,
+    angular_displacements,
+)
 from astro_scc.measurement.plan import flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
 from astro_scc.measurement.tables import versions
@@ -27,8 +30,6 @@ from astro_scc.stacking.errors import jitter_positions, velocity_of
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.permutations import number_of_permutations, permute_stacks
 from astro_scc.stacking.stack import velocity_peak_near
-
-__all__ = ["stack_matches", "velocity_frame"]
 
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2
@@ -112,7 +113,7 @@ def stack_matches(
     --------
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import stack_matches
+    >>> from astro_scc.measurement.stacking import stack_matches
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
@@ -248,7 +249,7 @@ def velocity_frame(matched, position_angle):
     --------
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import velocity_frame
+    >>> from astro_scc.measurement.stacking import velocity_frame
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)

@@ -6,42 +6,12 @@ from importlib.metadata import PackageNotFoundError, version
 
 import astropy.units as u
 import numpy as np
-from astropy.table import Column, QTable
+from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.decomposition import scale_size
 from astro_scc.epochs import beam_fwhm, name_by_frame, position_errors, ssp_offsets
 from astro_scc.measurement.axes import AxisProjection
-
-__all__ = ["PM_UNIT", "component_table", "feature_table", "ssp_table", "versions"]
-
-PM_UNIT = u.mas / u.yr
-
-DESCRIPTIONS = {
-    "component": "number of the component, in the order of the search",
-    "kind": "moving, stationary (within its errors) or not significant",
-    "pm_ra_cosdec": "proper motion to the east",
-    "pm_dec": "proper motion to the north",
-    "pm": "proper motion, its length",
-    "pm_pa": "direction of the proper motion, north through east",
-    "pm_parallel": "proper motion along the jet",
-    "pm_transverse": "proper motion across the jet, positive to larger angles",
-    "coefficient": "stacked correlation coefficient",
-    "z_score": "(coefficient - mean) / std of shuffled epochs (paper)",
-    "dispersion": "standard deviation of the features' speeds, without their errors",
-    "pm_limit": "95% upper limit of the speed of what is not seen to move",
-    "p_local": "probability that permuted epochs show as much at this velocity",
-    "p_global": "probability that permuted epochs show as much at any velocity",
-    "p_distinct": "probability that one stream fewer shows features as separate",
-    "note": "why it is not significant, or -",
-    "p_global_err": "Monte Carlo standard error of p_global",
-    "n_features": "number of features that were followed",
-    "p_smallest": "smallest p_global that permutations and epochs allow",
-    "pm_err_jitter": "standard error of pm from shifted SSPs (paper)",
-    "pm_err_alignment": "part of pm_err by the alignment of the epochs",
-    "n_ssp": "SSPs with a match at the component's velocity",
-    "n_pairs": "pairs of epochs with a match at the component's velocity",
-}
 
 
 def versions():
@@ -90,19 +60,6 @@ def ssp_table(ssps, cube, *, select=None):
         pixel, with thermal errors ``beam / (sqrt(2) SNR)``.  In frames
         without right ascension columns are called as
         `~astro_scc.epochs.name_by_frame` says.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import ssp_table
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> table = ssp_table(matched.ssps, cube)
-    >>> len(table) == len(matched.ssps), table["east"].unit
-    (True, Unit("mas"))
     """
     n = len(ssps)
     select = np.ones(n, bool) if select is None else np.asarray(select, bool)
@@ -153,17 +110,6 @@ def feature_table(result):
         ``distance`` from the reference pixel along the component, the
         ``motion`` in that time, its speed ``pm`` along and ``pm_transverse``
         across the component with errors, and its ``acceleration``.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=6, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], position_angle=270 * u.deg)
-    >>> features = scc(cube, n_trials=20, rng=1).features
-    >>> features.colnames[:5]
-    ['component', 'scale', 'n_epochs', 'first', 'last']
     """
     ssps, cube = result.matched.ssps, result.cube
     project = AxisProjection(result.displacements, ssps, cube, result.frame)
@@ -200,68 +146,4 @@ def feature_table(result):
         table[name] = (values * beam[axis] * unit).to(unit * u.mas)
     table["pm"].info.description = "along the component"
     table["pm_transverse"].info.description = "across the component"
-    return table
-
-
-def component_table(rows, *, meta=None):
-    """
-    Velocity components as a table.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-        One a component: the columns as plain numbers, proper motions in
-        mas/yr and angles in degrees.  May be empty.
-    meta : dict, optional
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        All columns are there with their units even if there is no row.
-
-    Examples
-    --------
-    >>> from astro_scc.measurement import component_table
-    >>> empty = component_table([])
-    >>> len(empty), empty["pm"].unit
-    (0, Unit("mas / yr"))
-    """
-    units = {}
-    for name in ("pm_ra_cosdec", "pm_dec", "pm", "pm_pa", "pm_parallel",
-                 "pm_transverse"):  # fmt: skip
-        unit = u.deg if name == "pm_pa" else PM_UNIT
-        units[name] = units[f"{name}_err"] = unit
-    for name in ("dispersion", "dispersion_err", "pm_limit"):
-        units[name] = PM_UNIT
-    for name in ("jitter", "alignment"):
-        units[f"pm_err_{name}"] = PM_UNIT
-    names = [
-        "component",
-        "kind",
-        *units,
-        "coefficient",
-        "z_score",
-        "p_local",
-        "p_global",
-        "p_global_err",
-        "p_distinct",
-        "p_smallest",
-        "n_ssp",
-        "n_pairs",
-        "n_features",
-        "note",
-    ]
-    dtypes = dict.fromkeys(("component", "n_ssp", "n_pairs", "n_features"), int)
-    dtypes["kind"], dtypes["note"] = "U15", str
-    table = QTable()
-    for name in names:
-        values = np.array([row[name] for row in rows], dtype=dtypes.get(name, float))
-        if name in units:
-            table[name] = values * units[name]
-            table[name].info.description = DESCRIPTIONS.get(
-                name, f"standard error of {name.removesuffix('_err')}"
-            )
-        else:
-            table[name] = Column(values, description=DESCRIPTIONS[name])
-    table.meta.update(meta or {})
     return table

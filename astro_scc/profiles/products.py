@@ -6,8 +6,8 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 
+from astro_scc.epochs import ssp_offsets
 from astro_scc.kinematics import RidgeLine, apparent_speed
-from astro_scc.measurement import ssp_offsets
 from astro_scc.profiles.fits import fit_profile
 from astro_scc.stacking import stack
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import astropy.units as u
 import numpy as np
 
-from astro_scc.measurement import alignment_errors
+from astro_scc.measurement.axes import alignment_errors
 from astro_scc.shells.rates import refine_expansion
 from astro_scc.stacking.expansion import Expansion, fit_expansion
 
@@ -94,7 +94,7 @@ def fit_shell(scc, matched, groups=None, *, centre=None):
     searched.  It starts where a stack with the kernel of ``scc`` has its
     maximum.  Errors are those of a jackknife over 24 parts of the azimuth,
     each with all epochs of its features, and of the alignment of the epochs
-    as `~astro_scc.measurement.alignment_errors` knows it: epochs that drift
+    as `~astro_scc.measurement.axes.alignment_errors` knows it: epochs that drift
     by :math:`\delta` in the time T move the centre by
     :math:`\delta / (e\, T)`.
 

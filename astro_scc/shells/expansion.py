@@ -7,8 +7,9 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, vstack
 
+from astro_scc.epochs import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame
-from astro_scc.measurement import false_discovery_rate, ssp_offsets
+from astro_scc.measurement import false_discovery_rate
 
 __all__ = ["expansion_speed", "measure_expansion"]
 

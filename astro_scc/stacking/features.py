@@ -138,16 +138,10 @@ def find_features(samples, rays, settings, prior):
     speeds = _speeds(rays)
     excess = _excess(links, d, speeds, rays) * prior(speeds)
     best, fastest = excess.max(axis=1), speeds[excess.argmax(axis=1)]
-    free = np.ones(len(d.epoch), dtype=bool)
+    seeds = np.argsort(-best, kind="stable")
+    seeds = seeds[best[seeds] >= settings.least_score]
     found = []
-    for seed in np.argsort(-best, kind="stable"):
-        if best[seed] < settings.least_score:
-            break
-        if not free[seed]:
-            continue
-        chosen = _follow(seed, fastest[seed], links, d, free, settings)
-        free[chosen] = False
-        chosen = _on_line(chosen, d, settings)
+    for chosen in _chains(seeds, fastest, links, d, settings):
         first, last = d.epoch[chosen[0]], d.epoch[chosen[-1]]
         least = max(settings.least_epochs, settings.least_share * (last - first + 1))
         if len(chosen) >= least:
@@ -174,22 +168,13 @@ def standing_features(samples, settings):
     # Images of one date say nothing about motion.
     close &= d.interval != 0
     links = _Links.of(d.select(close))
-    free = np.ones(len(d.epoch), dtype=bool)
     least = max(settings.least_epochs, len(d.years) / 2)
-    found = []
     number = np.diff(links.start)
-    for seed in np.argsort(-number, kind="stable"):
-        if number[seed] + 1 < least:
-            break
-        if not free[seed]:
-            continue
-        chosen = _follow(seed, 0.0, links, d, free, settings)
-        free[chosen] = False
-        chosen = _on_line(chosen, d, settings)
-        if len(chosen) >= least:
-            feature = _feature(chosen, d, settings)
-            if abs(feature.speed) <= 2 * feature.error:
-                found.append(feature)
+    seeds = np.argsort(-number, kind="stable")
+    seeds = seeds[number[seeds] + 1 >= least]
+    chains = _chains(seeds, np.zeros(len(d.epoch)), links, d, settings)
+    found = [_feature(k, d, settings) for k in chains if len(k) >= least]
+    found = [f for f in found if abs(f.speed) <= 2 * f.error]
     return _different(found, d, settings)
 
 
@@ -261,6 +246,16 @@ def _excess(links, d, speeds, rays):
     return found
 
 
+def _chains(seeds, speed, links, d, settings):
+    """Yield the SSPs that lie on a line with each seed, each SSP in one chain only."""
+    free = np.ones(len(d.epoch), dtype=bool)
+    for seed in seeds:
+        if free[seed]:
+            chosen = _follow(seed, speed[seed], links, d, free, settings)
+            free[chosen] = False
+            yield _on_line(chosen, d, settings)
+
+
 def _follow(seed, speed, links, d, free, settings):
     """SSPs along a line from one of them, one an epoch."""
     members = {int(d.epoch[seed]): int(seed)}
@@ -270,10 +265,8 @@ def _follow(seed, speed, links, d, free, settings):
         index = links.of_ssps(front)
         index = index[free[links.to[index]]]
         off = links.along[index] - speed * links.interval[index]
-        index, off = (
-            index[np.abs(off) <= 2 * settings.smoothing],
-            off[np.abs(off) <= 2 * settings.smoothing],
-        )
+        near = np.abs(off) <= 2 * settings.smoothing
+        index, off = index[near], off[near]
         to = links.to[index]
         time = d.years[d.epoch[to]] - when
         line = here + np.stack([speed * time, across * time], axis=1)
@@ -297,8 +290,7 @@ def _follow(seed, speed, links, d, free, settings):
             time = years - years.mean()
             speed, across = time @ place / (time @ time)
             here, when = place.mean(axis=0), years.mean()
-    chosen = np.array([members[epoch] for epoch in sorted(members)])
-    return chosen
+    return np.array([members[epoch] for epoch in sorted(members)])
 
 
 def _on_line(chosen, d, settings):

@@ -8,8 +8,10 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from astro_scc.epochs import ssp_offsets
 from astro_scc.kinematics import RadialFrame, RidgeLine
-from astro_scc.measurement import select_ssps, ssp_offsets, velocity_frame
+from astro_scc.measurement import select_ssps
+from astro_scc.measurement.stacking import velocity_frame
 from astro_scc.stratification.groups import check_groups
 from astro_scc.stratification.speeds import along_flow
 

@@ -17,8 +17,7 @@ from astro_scc.kinematics import (
     RidgeLine,
     SkyFrame,
 )
-from astro_scc.measurement import angular_displacements
-from astro_scc.measurement.axes import AxisProjection
+from astro_scc.measurement.axes import AxisProjection, angular_displacements
 
 DAYS = np.array([0, 73, 292])
 BEAM = Beam(1.0 * u.mas, 0.4 * u.mas, 25 * u.deg)

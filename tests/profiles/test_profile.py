@@ -8,7 +8,8 @@ from astropy.table import QTable
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.kinematics import RidgeLine, paper_cosmology
-from astro_scc.measurement import component_table, select_ssps, ssp_distances
+from astro_scc.measurement import component_table, select_ssps
+from astro_scc.measurement.plan import ssp_distances
 from astro_scc.profiles import (
     Profile,
     bins_of,

@@ -126,6 +126,7 @@ def test_many_intervals_are_few_for_the_maps(random_displacements, shift):
     )
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_baselines(random_displacements, monkeypatch):
     """Wide maps of many epochs and pairs of dates: no more than the blocks allow."""
     rng = np.random.default_rng(12)
