@@ -14,7 +14,6 @@ from astro_scc.epochs.alignment.misalignment import warn_of_misalignment
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.measurement import MatchedEpochs
 from astro_scc.measurement.axes import angular_displacements
-from astro_scc.measurement.components import PM_UNIT
 from astro_scc.measurement.decomposing import (
     LazyDecompositions,
     allow_for_structure,
@@ -34,6 +33,7 @@ from astro_scc.measurement.plan import (
 )
 from astro_scc.measurement.provenance import match_provenance, selection_digest
 from astro_scc.measurement.stacking import stack_matches, velocity_frame
+from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]

@@ -1,12 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Measurement: what an array of matches means in angles, years and tables."""
 
-from astro_scc.measurement.components import component_table, false_discovery_rate
-from astro_scc.measurement.match_files import (
-    MatchedEpochs,
-    read_matches,
-    write_matches,
-)
+from astro_scc.measurement.match_files import MatchedEpochs
 from astro_scc.measurement.plan import select_ssps
 from astro_scc.measurement.products import (
     product_folder,
@@ -20,7 +15,7 @@ from astro_scc.measurement.regions import (
     write_ssp_regions,
 )
 from astro_scc.measurement.result import SCCResult
-from astro_scc.measurement.tables import versions
+from astro_scc.measurement.tables import component_table, false_discovery_rate, versions
 
 __all__ = [
     "MatchedEpochs",
@@ -28,13 +23,11 @@ __all__ = [
     "component_table",
     "false_discovery_rate",
     "product_folder",
-    "read_matches",
     "select_ssps",
     "ssp_regions",
     "ssp_segmentation",
     "versions",
     "write_epoch_regions",
-    "write_matches",
     "write_products",
     "write_ssp_regions",
     "write_votable",

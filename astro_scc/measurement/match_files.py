@@ -95,7 +95,7 @@ class MatchedEpochs:
 
     def write(self, path, *, overwrite=False):
         """
-        Write the SSPs and their matches, see `astro_scc.measurement.write_matches`.
+        Write the SSPs and their matches.
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class MatchedEpochs:
     @classmethod
     def read(cls, path, cube):
         """
-        Read what `write` wrote, see `astro_scc.measurement.read_matches`.
+        Read what `write` wrote.
 
         Parameters
         ----------
@@ -160,22 +160,6 @@ def write_matches(matched, path, *, overwrite=False):
     ``SSPS`` and ``MATCHES`` are tables, ``PIXELS`` the pixels of the SSPs,
     ``PAIRS`` the pairs of epochs, ``PROVENANCE`` JSON.  The images are not
     in the file, nor their wavelet planes, which are quickly made again.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astropy.io import fits
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import write_matches
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> write_matches(matched, "matches.fits")
-    >>> with fits.open("matches.fits") as hdus:
-    ...     n = len(hdus["MATCHES"].data)
-    >>> n == len(matched.matches)
-    True
     """
     if not matched.provenance:
         raise ValueError(
@@ -236,20 +220,6 @@ def read_matches(path, cube, *, wanted=None):
         If the file cannot be read, or is not of this kind.
     ValueError
         If it is of other images, settings or versions.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import read_matches, write_matches
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> write_matches(matched, "matches.fits")
-    >>> again = read_matches("matches.fits", cube)
-    >>> again.matches.same_as(matched.matches)
-    True
     """
     with open(path, "rb") as file:
         try:

@@ -14,9 +14,13 @@ from astro_scc.epochs import name_by_frame
 from astro_scc.epochs.positions import axis_words
 from astro_scc.kinematics import table_in_c
 from astro_scc.measurement.axes import AxisProjection
-from astro_scc.measurement.components import component_row, component_table
 from astro_scc.measurement.match_files import MatchedEpochs
-from astro_scc.measurement.tables import feature_table, ssp_table
+from astro_scc.measurement.tables import (
+    component_row,
+    component_table,
+    feature_table,
+    ssp_table,
+)
 from astro_scc.stacking import (
     DatePairs,
     Search,

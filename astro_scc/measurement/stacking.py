@@ -2,7 +2,6 @@
 """From matched epochs to velocity components."""
 
 import warnings
-from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -182,7 +181,7 @@ def stack_matches(
     maxima, jitters = [], []
     for velocity, own in zip(velocities, error_rng.spawn(len(velocities)), strict=True):
         peak = velocity_peak_near(scc, grid, box, *velocity.value)
-        maxima.append(replace(peak, coefficient=float(scc[peak.row, peak.column])))
+        maxima.append(peak)
         jitters.append(
             jitter_positions(displacements, pairs, peak, box, n_trials, rng=own)
         )

@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.kinematics import cosmology_text
-from astro_scc.measurement.components import PM_UNIT
+from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.report.words import (
     listed,
     plain_value,

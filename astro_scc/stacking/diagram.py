@@ -67,25 +67,6 @@ class Diagram:
             excess=observed[0] - bins.number[:, None] * density.mean,
         )
 
-    def share_of_motion(self, along, interval):
-        """
-        Share of the matches beyond chance at displacements and intervals.
-
-        Parameters
-        ----------
-        along, interval : array_like, shape (n,)
-
-        Returns
-        -------
-        `~numpy.ndarray`, shape (n,)
-            Between 0 and 1.
-        """
-        share = np.clip(self.excess / np.maximum(self.observed, 1e-9), 0, 1)
-        row = np.abs(np.log(interval)[:, None] - np.log(self.interval)).argmin(axis=1)
-        step = self.displacement[1] - self.displacement[0]
-        column = np.rint((along - self.displacement[0]) / step).astype(int)
-        return share[row, np.clip(column, 0, len(self.displacement) - 1)]
-
 
 @dataclass(frozen=True, eq=False)
 class PairDensity:

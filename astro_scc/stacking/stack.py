@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The stacked cross-correlation on a grid of velocities, and its maxima."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -167,9 +167,6 @@ class VelocityPeak:
     fitted : bool
         False where no Gaussian with a maximum in the box fits, and the
         velocity is that of the local quadratic.
-    points : tuple of `~numpy.ndarray`
-        Columns and rows of the grid that the fit's box has, and which of
-        its points took part.
 
     Examples
     --------
@@ -190,7 +187,6 @@ class VelocityPeak:
     row: int
     column: int
     fitted: bool
-    points: tuple = field(default=(), repr=False, compare=False)
 
 
 def fit_gaussian(values, x, y):
@@ -308,7 +304,6 @@ def find_velocity_peaks(scc, grid, box, *, threshold=0.0):
                 row=row,
                 column=column,
                 fitted=inside,
-                points=(near1, near2, used),
             )
         )
     return sorted(found, key=lambda c: -c.coefficient)

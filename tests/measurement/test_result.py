@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
-from astro_scc.measurement.components import velocity_columns
+from astro_scc.measurement.tables import velocity_columns
 
 PM = u.mas / u.yr
 PAPER = FlatLambdaCDM(H0=71, Om0=0.27)

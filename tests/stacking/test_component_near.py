@@ -54,7 +54,6 @@ def test_within_half_the_box_or_at_the_velocity_itself(v1, v2):
     assert not c.fitted
     assert (c.v1, c.v2) == (v1, v2)
     assert np.isnan([c.width1, c.width2]).all()
-    assert c.points == ()
     # The coefficient of the nearest point of the grid.
     assert abs(GRID.v1[c.column] - v1) <= GRID.step[0] / 2 + 1e-9
     assert abs(GRID.v2[c.row] - v2) <= GRID.step[1] / 2 + 1e-9

@@ -188,19 +188,6 @@ class TestDiagram:
             peak[inside], 0.5 * found.interval[inside], atol=step
         )
 
-    def test_share_of_motion(self, d, rays):
-        found = Diagram.of(d, rays, SEARCH)
-        wanted = np.clip(found.excess / np.maximum(found.observed, 1e-9), 0, 1)
-        rows, columns = np.indices(wanted.shape)
-        every = found.share_of_motion(
-            found.displacement[columns.ravel()], found.interval[rows.ravel()]
-        )
-        np.testing.assert_array_equal(every, wanted.ravel())
-        # The nearest cell, at the border that of the border.
-        between = found.share_of_motion([found.displacement[7] + 0.01, 9.0, -9.0],
-                                        [1.02 * found.interval[3]] * 3)  # fmt: skip
-        np.testing.assert_array_equal(between, wanted[3, [7, -1, 0]])
-
 
 class TestAxisDisplacements:
     def test_intervals_have_the_sign_of_time(self, d):
