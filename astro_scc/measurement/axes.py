@@ -23,20 +23,6 @@ class AxisProjection:
     ssps : `~astro_scc.decomposition.SSPs`
     cube : `~astro_scc.epochs.EpochCube`
     frame : frame of `astro_scc.kinematics`
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement.axes import AxisProjection
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> displacements, frame = scc.displacements(matched)
-    >>> project = AxisProjection(displacements, matched.ssps, cube, frame)
-    >>> bool(len(project(0.0)) == len(displacements)), project.beam(0.0)
-    (True, array([1., 1.]))
     """
 
     def __init__(self, displacements, ssps, cube, frame):
@@ -48,7 +34,7 @@ class AxisProjection:
 
     def beam(self, angle):
         """
-        Mean width of the beam along an axis and across it.
+        Return the mean width of the beam along an axis and across it.
 
         Parameters
         ----------
@@ -71,7 +57,7 @@ class AxisProjection:
 
     def __call__(self, angle):
         """
-        The displacements along an axis.
+        Return the displacements along an axis.
 
         Parameters
         ----------
@@ -127,7 +113,7 @@ def _positions(frame, east, north):
 
 def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
     """
-    The matches as displacements along the axes of a frame.
+    Return the matches as displacements along the axes of a frame.
 
     Parameters
     ----------
@@ -147,20 +133,6 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
     `~astro_scc.stacking.VelocitySamples`
         Without the matches of SSPs at which the frame has no axes; they
         count as SSPs without a match.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.kinematics import SkyFrame
-    >>> from astro_scc.measurement.axes import angular_displacements
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> d = angular_displacements(matched.matches, matched.ssps, cube, SkyFrame(), 0.2)
-    >>> len(d) == len(matched.matches), bool((d.s1 >= 0.2).all())
-    (True, True)
     """
     select = np.ones(len(ssps), bool) if select is None else np.asarray(select, bool)
     matches = matches.of_ssps(select)
@@ -230,15 +202,6 @@ def alignment_errors(cube, error=None):
     ValueError
         If there are neither one nor as many as epochs, or one is negative
         or not finite.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc.measurement.axes import alignment_errors
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
-    >>> alignment_errors(cube, 20 * u.uas).tolist()
-    [[0.02, 0.02], [0.02, 0.02], [0.02, 0.02]]
     """
     n = len(cube)
     if error is None:

@@ -297,7 +297,7 @@ class MatchCache:
 
     def load(self, cube):
         """
-        The matches, if they are there and of this provenance.
+        Return the matches, if they are there and of this provenance.
 
         Parameters
         ----------

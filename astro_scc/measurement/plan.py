@@ -43,7 +43,7 @@ FAR_BEAMS = 4.0
 
 def scales_of_pixels(scales, pixel_scale):
     """
-    The numbers of scales that are given as angles.
+    Return the numbers of scales that are given as angles.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def scales_of_pixels(scales, pixel_scale):
 
 def pairs_of_dates(cube, baseline):
     """
-    The pairs of dates that are compared.
+    Return the pairs of dates that are compared.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def pairs_of_dates(cube, baseline):
 
 def mean_fwhm(cube, scale):
     """
-    Mean width of the resolution over the epochs and both axes, in mas.
+    Return the mean width of the resolution over the epochs and both axes, in mas.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def mean_fwhm(cube, scale):
 
 def search_radius(cube, max_speed, fwhm):
     """
-    Largest displacement between two epochs that is searched, in beams.
+    Return the largest displacement between two epochs that is searched, in beams.
 
     One and a half, and farther where even the shortest intervals are too
     long for that: as far as the largest speed moves in the shorter quarter
@@ -169,7 +169,7 @@ def search_radius(cube, max_speed, fwhm):
 
 def largest_speed(cube, radius, baseline=None):
     """
-    Largest speed that is searched for streams if none is given.
+    Return the largest speed that is searched for streams if none is given.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def largest_speed(cube, radius, baseline=None):
 
 def search_reach(cube, pairs, radius, fwhm, max_speed):
     """
-    Largest displacement in pixels that is matched, whatever the dates.
+    Return the largest displacement in pixels that is matched, whatever the dates.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def _check_speed(speed, pairs, side, shape, limit):
 
 def map_grid(displacements, pairs, limit):
     """
-    The grid of velocities of the stack.
+    Return the grid of velocities of the stack.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ def map_grid(displacements, pairs, limit):
 
 def ssps_inside(decompositions, cube, region):
     """
-    The SSPs of all epochs, and which have their centroid in a region.
+    Return the SSPs of all epochs, and which have their centroid in a region.
 
     Parameters
     ----------
@@ -326,7 +326,7 @@ def centroids_inside(ssps, cube, region):
 
 def flow_direction(matched):
     """
-    Position angle of the mean offset of the SSPs, weighted by flux.
+    Return the position angle of the mean offset of the SSPs, weighted by flux.
 
     Parameters
     ----------
@@ -381,7 +381,7 @@ def select_ssps(
     ridge=None,
 ):
     """
-    The matches of the SSPs in a part of the jet and on some scales.
+    Return the matches of the SSPs in a part of the jet and on some scales.
 
     Nothing is correlated again: what is chosen is whose matches are
     stacked.  An SSP belongs where its centroid is; what it is matched with

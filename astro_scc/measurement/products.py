@@ -263,7 +263,7 @@ def plain_meta(value):
 
 def velocity_hdus(result, *, text=None):
     """
-    The velocity map, its significance and the diagram as FITS extensions.
+    Return the velocity map, its significance and the diagram as FITS extensions.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ DIGITS = 13
 
 def ssp_regions(ssps, cube, epoch, *, scales=None, shape="outline", frame="cube"):
     """
-    The SSPs of an epoch as regions on the sky.
+    Return the SSPs of an epoch as regions on the sky.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def write_ssp_regions(ssps, cube, epoch, path, *, overwrite=False, **options):
 
 def ssp_segmentation(ssps, cube, epoch, scale):
     """
-    The SSPs of one scale of an epoch as segmentation image of photutils.
+    Return the SSPs of one scale of an epoch as segmentation image of photutils.
 
     Parameters
     ----------

@@ -153,7 +153,7 @@ class SCCResult:
 
     def components_in_c(self, *, redshift=None, cosmology=None, distance=None):
         """
-        The components with apparent speeds in units of c.
+        Return the components with apparent speeds in units of c.
 
         Parameters
         ----------
@@ -183,7 +183,7 @@ class SCCResult:
 
     def velocity_map(self, which="coefficient"):
         """
-        The stack as an image with velocity coordinates.
+        Return the stack as an image with velocity coordinates.
 
         Parameters
         ----------
@@ -214,7 +214,7 @@ class SCCResult:
 
     def diagram(self):
         """
-        The displacement-interval diagram along the direction of the streams.
+        Return the displacement-interval diagram along the direction of the streams.
 
         What moves at a constant speed lies on a ray from the origin, what
         stands still at no displacement.
@@ -235,7 +235,7 @@ class SCCResult:
 
     def members(self, number):
         """
-        The matches that make a component.
+        Return the matches that make a component.
 
         Parameters
         ----------
@@ -291,7 +291,7 @@ class SCCResult:
 
 def diagram_image(result):
     """
-    The diagram of a search with a WCS, see `SCCResult.diagram`.
+    Return the diagram of a search with a WCS, see `SCCResult.diagram`.
 
     Parameters
     ----------
@@ -343,7 +343,7 @@ def diagram_image(result):
 
 
 def _shortest(years, diagram):
-    """The shortest interval that was used, with which the first bin begins."""
+    """Return the shortest interval that was used, with which the first bin begins."""
     first, second = np.triu_indices(len(years), 1)
     every, n = np.sort(years[second] - years[first]), diagram.n_pairs[0]
     every = every[every > 0]

@@ -107,20 +107,6 @@ def stack_matches(
     `~astro_scc.exceptions.MeasurementWarning`
         If the trials or the epochs are so few that no ``p_global`` can be as
         small as ``level``.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement.stacking import stack_matches
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> result = stack_matches(matched, scc.date_pairs(cube), radius=3.0, fwhm=1.0,
-    ...                        n_trials=20, rng=1)
-    >>> result.components["pm"].unit
-    Unit("mas / yr")
     """
     n_trials = require("n_trials", n_trials)
     if rng is None:
@@ -155,15 +141,10 @@ def stack_matches(
         velocity_of(stream, project.beam(stream.angle), misaligned, matched.ssps.epoch)
         for stream in search.streams
     )
+    moving = baseline is None and any(s.kind == "moving" for s in search.streams[:1])
+    if moving:
+        pairs = _pairs_of_speed(cube, pairs, fwhm / np.hypot(*velocities[0].value))
     fastest = max((np.hypot(*v.value) for v in velocities), default=0.0)
-    if baseline is None and any(s.kind == "moving" for s in search.streams[:1]):
-        main = fwhm / np.hypot(*velocities[0].value)
-        found = baseline_pairs(
-            cube.years.to_value(u.yr),
-            search_settings.nearest * main,
-            search_settings.farthest * main,
-        )
-        pairs = found if len(found) >= FEWEST_PAIRS else pairs
     limit = radius * fwhm / np.median(pairs.interval)
     if max_speed is not None:
         limit = max_speed
@@ -178,13 +159,11 @@ def stack_matches(
             maps, pairs, grid, n_trials, rng=paper_rng, shift=shift, progress=done
         )
     box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
-    maxima, jitters = [], []
-    for velocity, own in zip(velocities, error_rng.spawn(len(velocities)), strict=True):
-        peak = velocity_peak_near(scc, grid, box, *velocity.value)
-        maxima.append(peak)
-        jitters.append(
-            jitter_positions(displacements, pairs, peak, box, n_trials, rng=own)
-        )
+    peaks = tuple(velocity_peak_near(scc, grid, box, *v.value) for v in velocities)
+    jitters = tuple(
+        jitter_positions(displacements, pairs, peak, box, n_trials, rng=own)
+        for peak, own in zip(peaks, error_rng.spawn(len(peaks)), strict=True)
+    )
     return SCCResult(
         matched=matched,
         frame=frame,
@@ -197,8 +176,8 @@ def stack_matches(
         permuted=permuted,
         search=search,
         velocities=velocities,
-        maxima=tuple(maxima),
-        jitters=tuple(jitters),
+        maxima=peaks,
+        jitters=jitters,
         meta={
             "settings": {**(settings or {}), "level": level},
             "n_trials": int(n_trials),
@@ -208,6 +187,17 @@ def stack_matches(
             "misalignment_beams": cube.misalignment,
         },
     )
+
+
+def _pairs_of_speed(cube, pairs, years):
+    """Return pairs of dates in which what moves a beam in some years moves enough."""
+    settings = SearchSettings()
+    found = baseline_pairs(
+        cube.years.to_value(u.yr),
+        settings.nearest * years,
+        settings.farthest * years,
+    )
+    return found if len(found) >= FEWEST_PAIRS else pairs
 
 
 def _warn_of_limits(smallest, n_epochs, n_trials, level):
@@ -230,7 +220,7 @@ def _warn_of_limits(smallest, n_epochs, n_trials, level):
 
 def velocity_frame(matched, position_angle):
     """
-    The velocity axes of a measurement.
+    Return the velocity axes of a measurement.
 
     Parameters
     ----------
@@ -243,19 +233,6 @@ def velocity_frame(matched, position_angle):
     frame : frame of `astro_scc.kinematics`
     angle : `~astropy.units.Quantity`
         Direction of the jet.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement.stacking import velocity_frame
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> frame, angle = velocity_frame(matched, 270 * u.deg)
-    >>> frame.axis_names, angle
-    (('parallel', 'transverse'), <Quantity 270. deg>)
     """
     if isinstance(position_angle, str) and position_angle == "fit":
         position_angle, _ = fit_position_angle(matched.cube)

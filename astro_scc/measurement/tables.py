@@ -97,7 +97,7 @@ def versions():
 
 def ssp_table(ssps, cube, *, select=None):
     """
-    The catalogue of SSPs with sky positions and errors.
+    Return the catalogue of SSPs with sky positions and errors.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def ssp_table(ssps, cube, *, select=None):
 
 def feature_table(result):
     """
-    The features that were followed, each with its own speed.
+    Return the features that were followed, each with its own speed.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ class Diagram:
     @classmethod
     def of(cls, samples, rays, settings):
         """
-        The diagram of the epochs in their order.
+        Return the diagram of the epochs in their order.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class Rays:
     @classmethod
     def of(cls, years, radius, settings, fastest=np.inf, intervals=(0.0, np.inf)):
         """
-        The rays for some dates.
+        Return the rays for some dates.
 
         Parameters
         ----------
@@ -247,7 +247,7 @@ class Rays:
 
     def matrix(self, speed, grid):
         """
-        Sums of a diagram over rays, as a matrix.
+        Return the sums of a diagram over rays, as a matrix.
 
         Parameters
         ----------

@@ -227,7 +227,7 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
 
 
 def _maximum(scc, grid1, grid2):
-    """Position of the largest value, None if it is on the border."""
+    """Return the position of the largest value, None if it is on the border."""
     row, column = np.unravel_index(np.argmax(scc), scc.shape)
     if not (0 < row < len(grid2) - 1 and 0 < column < len(grid1) - 1):
         return None

@@ -208,7 +208,7 @@ class _Links:
 
 
 def _speeds(rays):
-    """Speeds of single features: somewhat beyond those of streams."""
+    """Return the speeds of single features: somewhat beyond those of streams."""
     fastest, slowest = 1.1 * rays.speed.max(), 0.5 * np.abs(rays.speed).min()
     n = int(np.ceil(np.log(fastest / slowest) / rays.settings.feature_speed_step))
     speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
@@ -216,7 +216,7 @@ def _speeds(rays):
 
 
 def _excess(links, d, speeds, rays):
-    """Matches of each SSP on rays, less those that permutations give."""
+    """Return the matches of each SSP on rays, less those that permutations give."""
     n, n_epochs, sigma = len(d.epoch), len(d.years), rays.settings.smoothing
     step = sigma / 2
     half = np.ceil(rays.radius / step) + 2

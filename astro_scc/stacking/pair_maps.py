@@ -130,7 +130,7 @@ class PairMaps:
 
     def _maps(self, pairs):
         """
-        Maps of pairs of images, as coefficients of splines.
+        Return the maps of pairs of images, as coefficients of splines.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class PairMaps:
 
     def stacks(self, pairs, grid, orders, *, shift=(0.0, 0.0)):
         """
-        The stacks of many permutations of the images over the dates.
+        Return the stacks of many permutations of the images over the dates.
 
         Parameters
         ----------
@@ -272,7 +272,7 @@ class _Stretch:
         return total
 
     def _stretched(self, added, first):
-        """Sums of maps, those of some intervals, as one stack."""
+        """Return the sums of maps, those of some intervals, as one stack."""
         lines = []
         for k, own in enumerate(added, first):
             lines.append(own[self.rows[k], self.columns[k]] @ self.to1[k])
@@ -282,14 +282,14 @@ class _Stretch:
 
 
 def _support(matrix):
-    """The columns that are not all zero."""
+    """Return the columns that are not all zero."""
     used = np.flatnonzero(matrix.any(axis=0))
     return slice(used[0], used[-1] + 1) if len(used) else slice(0, 0)
 
 
 def _intervals(maps, pairs, grid):
     """
-    The intervals that maps are stretched by, and how pairs share in them.
+    Return the intervals that maps are stretched by, and how pairs share in them.
 
     Returns
     -------

@@ -160,7 +160,7 @@ class EpochPermutations:
 
     def largest(self):
         """
-        The axis and speed with the largest z.
+        Return the axis and speed with the largest z.
 
         Returns
         -------

@@ -406,7 +406,7 @@ def _clear_features(features, standing, axis):
 
 
 def _population(features, settings):
-    """Return mean and dispersion of the speeds along and across the axis."""
+    """Return the mean and dispersion of the speeds along and across the axis."""
     speed, error = feature_speeds(features, settings)
     across = [f.across for f in features], [f.across_error for f in features]
     return (

@@ -43,7 +43,7 @@ def gaussian_sum(x, y, sx, sy, weight, grid_x, grid_y):
 
 def sample_velocities(samples, pairs, order=None):
     """
-    The matches of a stack as velocities with errors and weights.
+    Return the matches of a stack as velocities with errors and weights.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def sample_velocities(samples, pairs, order=None):
 
 def number_of_ssps(samples, pairs, order=None):
     """
-    The normalisation of a stack: SSPs of all its reference images.
+    Return the normalisation of a stack: SSPs of all its reference images.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def find_velocity_peaks(scc, grid, box, *, threshold=0.0):
 
 
 def _fitted_points(scc, grid, box, point, points):
-    """Grid points of the box, and which of them take part in the fit."""
+    """Return the grid points of the box, and which of them take part in the fit."""
     row, column = point
     step1, step2 = grid.step
     near1 = np.abs(grid.v1 - grid.v1[column]) <= max(box[0] / 2, 1.5 * step1)
@@ -322,7 +322,7 @@ def _fitted_points(scc, grid, box, point, points):
 
 def velocity_peak_near(scc, grid, box, v1, v2):
     """
-    The maximum of a stack nearest to a velocity.
+    Return the maximum of a stack nearest to a velocity.
 
     Parameters
     ----------
@@ -359,7 +359,7 @@ def velocity_peak_near(scc, grid, box, v1, v2):
 
 
 def _grid_point(scc, y, x):
-    """The maximum's grid point; half a step aside, rounding may miss it."""
+    """Return the maximum's grid point; half a step aside, rounding may miss it."""
     rows = {int(np.floor(y)), int(np.ceil(y))}
     columns = {int(np.floor(x)), int(np.ceil(x))}
     return max(((r, c) for r in rows for c in columns), key=lambda p: scc[p])

@@ -44,7 +44,7 @@ class Population:
 
 def random_effects(values, errors, settings=DEFAULT):
     """
-    Mean and dispersion of values that differ by more than their errors.
+    Return the mean and dispersion of values that differ by more than their errors.
 
     The dispersion solves ``sum (x - m)^2 / (tau^2 + e^2) = n - 1`` (Paule &
     Mandel 1982, J. Res. NBS 87, 377); the error of the mean is that of
@@ -210,7 +210,7 @@ def _log_normal(y, e, m, tau):
 
 def _one(y, e, dispersions):
     """
-    Largest log-likelihood of one stream by trial, normal or log-normal.
+    Return the largest log-likelihood of one stream by trial, normal or log-normal.
 
     With the logarithm of its mean, its relative dispersion, and whether it is
     normal.
@@ -237,7 +237,7 @@ def _keep_better(best, value, *what):
 
 
 def _two(y, e, dispersions):
-    """Largest log-likelihood of two streams, and where they are split."""
+    """Return the largest log-likelihood of two streams, and where they are split."""
     n = y.shape[1]
     best, where = np.full(len(y), -np.inf), np.zeros(len(y), dtype=int)
     for split in range(1, n):

@@ -326,7 +326,7 @@ class VelocityGrid:
     @classmethod
     def covering(cls, v_max, step, *, max_size=601):
         """
-        The grid that reaches a velocity in every direction.
+        Return the grid that reaches a velocity in every direction.
 
         Parameters
         ----------
