@@ -150,14 +150,16 @@ def stack_matches(
         limit = max_speed
     elif fastest > 0:
         limit = min(limit, MAP_SPEEDS * fastest)
-    grid = map_grid(displacements, pairs, max(limit, 1.2 * fastest))
-    scc = stack(displacements, pairs, grid)
-    maps = PairMaps.of(displacements, grid.v_max, pairs.interval.max())
     shift = (SMALL_SHIFT * fwhm,) * 2 if small_displacement_correction else None
-    with progress(n_trials, "Permuting", show=progress_bar) as done:
-        permuted = permute_stacks(
-            maps, pairs, grid, n_trials, rng=paper_rng, shift=shift, progress=done
-        )
+    grid, scc, permuted = _velocity_map(
+        displacements,
+        pairs,
+        max(limit, 1.2 * fastest),
+        shift,
+        n_trials=n_trials,
+        rng=paper_rng,
+        progress_bar=progress_bar,
+    )
     box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
     peaks = tuple(velocity_peak_near(scc, grid, box, *v.value) for v in velocities)
     jitters = tuple(
@@ -187,6 +189,17 @@ def stack_matches(
             "misalignment_beams": cube.misalignment,
         },
     )
+
+
+def _velocity_map(samples, pairs, limit, shift, *, n_trials, rng, progress_bar):
+    """Return the grid, the stack on it, and the stacks of permuted epochs."""
+    grid = map_grid(samples, pairs, limit)
+    maps = PairMaps.of(samples, grid.v_max, pairs.interval.max())
+    with progress(n_trials, "Permuting", show=progress_bar) as done:
+        permuted = permute_stacks(
+            maps, pairs, grid, n_trials, rng=rng, shift=shift, progress=done
+        )
+    return grid, stack(samples, pairs, grid), permuted
 
 
 def _pairs_of_speed(cube, pairs, years):
