@@ -769,7 +769,7 @@ def test_progress_is_shown_when_asked_for(cube, capsys, monkeypatch):
     make_scc()(cube, n_trials=20, rng=1, progress_bar=True)
     shown = capsys.readouterr()
     assert shown.out == ""
-    for label in ("Correlating", "Shuffling", "Searching"):
+    for label in ("Correlating", "Permuting", "Searching"):
         assert label in shown.err
     make_scc()(cube, n_trials=20, rng=1)
     assert capsys.readouterr() == ("", "")
