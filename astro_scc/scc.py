@@ -11,20 +11,15 @@ from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.epochs.misalignment import warn_of_misalignment
-from astro_scc.measurement import (
-    MatchCache,
-    MatchedEpochs,
-    angular_displacements,
-    match_provenance,
-    stack_matches,
-    velocity_frame,
-)
+from astro_scc.measurement import MatchedEpochs
+from astro_scc.measurement.axes import angular_displacements
 from astro_scc.measurement.decomposing import (
     LazyDecompositions,
     allow_for_structure,
     decompose_epochs,
     refuse_too_much,
 )
+from astro_scc.measurement.match_files import MatchCache
 from astro_scc.measurement.plan import (
     largest_speed,
     mean_fwhm,
@@ -33,9 +28,10 @@ from astro_scc.measurement.plan import (
     search_radius,
     search_reach,
     ssps_inside,
+    warn_of_none_inside,
 )
-from astro_scc.measurement.provenance import selection_digest
-from astro_scc.measurement.selection import warn_of_none_inside
+from astro_scc.measurement.provenance import match_provenance, selection_digest
+from astro_scc.measurement.stacking import stack_matches, velocity_frame
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
 from astro_scc.settings import MeasurementSettings, require
@@ -376,7 +372,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Returns
         -------
-        displacements : `~astro_scc.stacking.Displacements`
+        displacements : `~astro_scc.stacking.VelocitySamples`
             In mas, of the SSPs that are selected.
         frame : frame of `astro_scc.kinematics`
         """

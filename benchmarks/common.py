@@ -12,7 +12,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Table
 
-from astro_scc.measurement import ssp_offsets
+from astro_scc.epochs.positions import ssp_offsets
 
 RESULTS = Path(__file__).parent / "results"
 PM_UNIT = u.mas / u.yr

@@ -14,7 +14,7 @@ from astropy.wcs import WCS
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation, measure_velocities
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.simulation import simulate_static, simulate_two_fluid
-from astro_scc.stacking import find_components
+from astro_scc.stacking import find_velocity_peaks
 
 PM = u.mas / u.yr
 DAYS = 30
@@ -99,7 +99,7 @@ def in_pixels(table):
 def maxima(result):
     """Maxima of the stack by falling coefficient, as `in_pixels`."""
     box = (6 * PIXEL).value
-    found = find_components(result.coefficient, result.grid, (box, box))
+    found = find_velocity_peaks(result.coefficient, result.grid, (box, box))
     sky = np.array([result.frame.matrix().T @ (c.v1, c.v2) for c in found])
     return sky * [-1, 1] / PIXEL.value
 
@@ -613,7 +613,7 @@ def test_expansion_about_the_reference_pixel():
         ]
     )
     found = measure(make_cube(data), position_angle="radial")
-    best = find_components(found.coefficient, found.grid, (6 * PIXEL.value,) * 2)[0]
+    best = find_velocity_peaks(found.coefficient, found.grid, (6 * PIXEL.value,) * 2)[0]
     assert best.v1 / PIXEL.value == pytest.approx(3, abs=0.15)
     assert best.v2 / PIXEL.value == pytest.approx(0, abs=0.15)
     assert best.coefficient > 0.7
@@ -769,7 +769,7 @@ def test_progress_is_shown_when_asked_for(cube, capsys, monkeypatch):
     make_scc()(cube, n_trials=20, rng=1, progress_bar=True)
     shown = capsys.readouterr()
     assert shown.out == ""
-    for label in ("Correlating", "Shuffling", "Searching"):
+    for label in ("Correlating", "Permuting", "Searching"):
         assert label in shown.err
     make_scc()(cube, n_trials=20, rng=1)
     assert capsys.readouterr() == ("", "")

@@ -70,11 +70,7 @@ def make_products(out):
     """One of every kind of file that the package writes."""
     from astro_scc import StackedCrossCorrelation
     from astro_scc.epochs import write_epochs
-    from astro_scc.measurement import (
-        write_products,
-        write_ssp_regions,
-        write_votable,
-    )
+    from astro_scc.measurement import write_products, write_ssp_regions, write_votable
     from astro_scc.report import write_report
     from astro_scc.simulation import simulate_two_fluid
 

@@ -18,7 +18,7 @@ from astropy.time import Time
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.velocity_error import SAMPLING
+from astro_scc.measurement.axes import SAMPLING
 
 PIXEL, DAYS, N = 0.1, 30.0, 5
 STEPS = np.arange(1, 11) / 10

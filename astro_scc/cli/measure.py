@@ -80,11 +80,8 @@ def add_arguments(parser):
 
 def run(args, reporter):
     """Measure, as the arguments say."""
-    from astro_scc.measurement import (
-        product_folder,
-        write_epoch_regions,
-        write_votables,
-    )
+    from astro_scc.measurement import product_folder, write_epoch_regions
+    from astro_scc.measurement.products import write_votables
 
     settings = settings_of(args, reporter, n_trials=1000)
     n_workers = workers_of(args)

@@ -112,12 +112,12 @@ def _stack_profile(path):
 def _track(cube, tracker, settings, reporter, n_workers):
     """Decompose the epochs and link their features."""
     from astro_scc.decomposition import Decomposer
-    from astro_scc.measurement.decomposing import (
-        allow_for_structure,
-        decompose_epochs,
+    from astro_scc.measurement.decomposing import allow_for_structure, decompose_epochs
+    from astro_scc.measurement.plan import (
+        scales_of_pixels,
+        ssps_inside,
+        warn_of_none_inside,
     )
-    from astro_scc.measurement.plan import scales_of_pixels, ssps_inside
-    from astro_scc.measurement.selection import warn_of_none_inside
 
     region = settings.region
     inside = None if region is None else cube.region_mask(region)

@@ -7,8 +7,7 @@ from typing import NamedTuple
 import astropy.units as u
 import numpy as np
 
-from astro_scc.measurement import alignment_errors
-from astro_scc.stacking import Sightings
+from astro_scc.measurement.axes import alignment_errors
 
 #: Kinds of one scale, by signal-to-noise ratio, and velocity samples that each should
 #: have.
@@ -80,7 +79,7 @@ def fit_shell(scc, matched, groups=None, *, centre=None):
     searched.  It starts where a stack with the kernel of ``scc`` has its
     maximum.  Errors are those of a jackknife over 24 parts of the azimuth,
     each with all epochs of its features, and of the alignment of the epochs
-    as `~astro_scc.measurement.alignment_errors` knows it: epochs that drift
+    as `~astro_scc.measurement.axes.alignment_errors` knows it: epochs that drift
     by :math:`\delta` in the time T move the centre by
     :math:`\delta / (e\, T)`.
 
@@ -180,13 +179,13 @@ def _samples_of(scc, names, parts, limit):
     columns = []
     for k, part in enumerate(parts):
         displacements, _ = sky.displacements(part)
-        years = part.cube.years.to_value(u.yr)
-        pairs = scc.date_pairs(part.cube)
-        s = Sightings.of(displacements, pairs, years, (limit, limit))
+        s = displacements.within(scc.date_pairs(part.cube), (limit, limit))
         # What is alike is not known before all are seen: the group for now.
         group = np.full(len(s), k)
-        fitted = s.middle, s.velocity, s.interval, s.sigma, group, group
-        more = s.first, s.weight, part.ssps.scale[s.ssp], part.ssps.snr[s.ssp]
+        interval = np.abs(s.interval)
+        fitted = s.middle, s.velocity, interval, s.sigma, group, group
+        first = np.minimum(s.reference, s.target)
+        more = first, s.weight, part.ssps.scale[s.ssp], part.ssps.snr[s.ssp]
         columns.append(fitted + more)
     numbers = [len(column[0]) for column in columns]
     if not any(numbers):

@@ -7,8 +7,9 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, vstack
 
+from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame
-from astro_scc.measurement import false_discovery_rate, ssp_offsets
+from astro_scc.measurement import false_discovery_rate
 
 #: Columns of the components that a row of a sector keeps.
 KEPT = ("kind", "coefficient", "z_score", "p_local", "p_global", "p_fdr", "n_ssp",

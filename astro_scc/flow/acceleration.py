@@ -9,7 +9,8 @@ import numpy as np
 from scipy.special import stdtr
 
 from astro_scc.measurement.axes import AxisProjection
-from astro_scc.stacking.streams import INFLATION, feature_speeds, scattered_fit
+from astro_scc.stacking.search import DEFAULT
+from astro_scc.stacking.streams import feature_speeds, scattered_fit
 
 #: The core pulls at features that are nearer, in beams.
 CORE = 2.0
@@ -175,9 +176,8 @@ def fit_gradient(features):
     bent = [f for f in beyond if np.isfinite(f.acceleration)]
     if len(bent) >= FEWEST_BENDS:
         own = np.array([f.acceleration / f.speed for f in bent])
-        error = np.array(
-            [INFLATION * f.acceleration_error / abs(f.speed) for f in bent]
-        )
+        error = np.array([f.acceleration_error / abs(f.speed) for f in bent])
+        error *= DEFAULT.error_inflation
         (mean,), covariance, _, _ = scattered_fit(np.ones((len(bent), 1)), own, error)
         found.append((mean, covariance[0, 0], len(bent) - 1))
     if not found:

@@ -9,11 +9,13 @@ import numpy as np
 from astropy.table import QTable
 from scipy.special import stdtr
 
+from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.flow.acceleration import projection_of
 from astro_scc.kinematics import RadialFrame, RidgeLine, SkyFrame
 from astro_scc.kinematics.ridge_search import limb_masks, mean_width
-from astro_scc.measurement import select_ssps, ssp_offsets, velocity_frame
-from astro_scc.stacking.features import SAME_FEATURE
+from astro_scc.measurement import select_ssps
+from astro_scc.measurement.stacking import velocity_frame
+from astro_scc.stacking.search import DEFAULT
 from astro_scc.stacking.streams import feature_speeds, scattered_fit
 
 #: SSPs of one feature are those ejected within so many beams of one another.
@@ -205,7 +207,7 @@ def _groups_of(features, d, ssps, groups):
         for ssp in feature.ssp:
             here = np.flatnonzero(d.epoch == d.epoch[ssp])
             away = np.hypot(*(d.position[here] - d.position[ssp]).T)
-            here = here[away <= SAME_FEATURE]
+            here = here[away <= DEFAULT.same_feature]
             row += [ssps.peak[here[g[here]]].max(initial=0) for g in groups]
     share = np.log(np.maximum(total, np.finfo(float).tiny))
     share -= share.mean(axis=1, keepdims=True)

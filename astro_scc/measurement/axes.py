@@ -1,14 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Displacements along one axis of a frame, in beams."""
+"""Matches as velocity samples along the axes of a frame, with their errors."""
+
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
 
-from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
+from astro_scc.correlation import target_ssps
+from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics import ExpansionFrame, RidgeLine
-from astro_scc.stacking import AxisDisplacements
-
-__all__ = ["AxisProjection"]
+from astro_scc.kinematics.frames import frame_displacements
+from astro_scc.stacking import VelocitySamples
 
 
 class AxisProjection:
@@ -17,25 +19,11 @@ class AxisProjection:
 
     Parameters
     ----------
-    displacements : `~astro_scc.stacking.Displacements`
+    displacements : `~astro_scc.stacking.VelocitySamples`
         In mas, along the axes of the frame.
     ssps : `~astro_scc.decomposition.SSPs`
     cube : `~astro_scc.epochs.EpochCube`
     frame : frame of `astro_scc.kinematics`
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement.axes import AxisProjection
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> displacements, frame = scc.displacements(matched)
-    >>> project = AxisProjection(displacements, matched.ssps, cube, frame)
-    >>> bool(len(project(0.0)) == len(displacements)), project.beam(0.0)
-    (True, array([1., 1.]))
     """
 
     def __init__(self, displacements, ssps, cube, frame):
@@ -47,7 +35,7 @@ class AxisProjection:
 
     def beam(self, angle):
         """
-        Mean width of the beam along an axis and across it.
+        Return the mean width of the beam along an axis and across it.
 
         Parameters
         ----------
@@ -70,7 +58,7 @@ class AxisProjection:
 
     def __call__(self, angle):
         """
-        The displacements along an axis.
+        Return the displacements along an axis.
 
         Parameters
         ----------
@@ -79,18 +67,17 @@ class AxisProjection:
 
         Returns
         -------
-        `~astro_scc.stacking.AxisDisplacements`
+        `~astro_scc.stacking.VelocitySamples`
         """
         d, turn, beam = self.displacements, _turn(angle), self.beam(angle)
         along, across = (turn @ np.stack([d.d1, d.d2])) / beam[:, None]
-        return AxisDisplacements(
-            along=along,
-            across=across,
-            weight=d.weight,
-            reference=d.reference,
-            target=d.target,
-            ssp=d.ssp,
-            target_ssp=d.target_ssp,
+        return replace(
+            d,
+            d1=along,
+            d2=across,
+            s1=None,
+            s2=None,
+            motion=None,
             position=(self._position @ turn.T) / beam,
             epoch=self.ssps.epoch,
             scale=self.ssps.scale,
@@ -123,3 +110,114 @@ def _positions(frame, east, north):
     # Angles are cut opposite to where most SSPs are.
     angle = (angle - np.angle(np.exp(1j * angle).sum()) + np.pi) % (2 * np.pi)
     return np.stack([distance, length * angle], axis=1)
+
+
+def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
+    """
+    Return the matches as displacements along the axes of a frame.
+
+    Parameters
+    ----------
+    matches : `~astro_scc.correlation.Matches`
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+    cube : `~astro_scc.epochs.EpochCube`
+    frame : frame of `astro_scc.kinematics`
+        Gives the two axes at the position of each SSP.
+    fraction : float
+        Floor of the displacement error in beams.
+    select : array_like of bool, shape (n_ssps,), optional
+        The SSPs that count.
+
+    Returns
+    -------
+    `~astro_scc.stacking.VelocitySamples`
+        Without the matches of SSPs at which the frame has no axes; they
+        count as SSPs without a match.
+    """
+    select = np.ones(len(ssps), bool) if select is None else np.asarray(select, bool)
+    matches = matches.of_ssps(select)
+    east, north = ssp_offsets(ssps, cube)
+    axes = frame.matrix(east, north)
+    # At the origin of a radial frame there are no axes.
+    known = np.isfinite(axes).all(axis=(-2, -1))
+    matches = matches.of_ssps(np.broadcast_to(known, len(ssps)))
+    owner = matches.ssp
+    pixels = np.stack([matches.dx, matches.dy], axis=-1).astype(float)
+    sky = pixels @ cube.pixel_matrix.value.T
+    position = np.stack([east[owner], north[owner]], axis=-1)
+    d = frame_displacements(frame, position, sky)
+    here, there = _widths(cube, ssps, axes, owner, matches.target)
+    variance = position_errors(ssps.snr[owner], here, fraction) ** 2
+    variance = variance + position_errors(matches.target_snr, there, fraction) ** 2
+    s = np.sqrt(variance)
+    return VelocitySamples(
+        d1=d[:, 0],
+        d2=d[:, 1],
+        s1=s[:, 0],
+        s2=s[:, 1],
+        weight=(matches.coefficient * matches.overlap).astype(float),
+        reference=ssps.epoch[owner].astype(np.int32),
+        target=matches.target.astype(np.int32),
+        ssp=owner.astype(np.int32),
+        target_ssp=target_ssps(matches, ssps).astype(np.int32),
+        n_ssps=np.bincount(ssps.epoch[select], minlength=len(cube)),
+        position=np.stack([east, north], axis=-1),
+        motion=sky,
+        epoch=ssps.epoch,
+        scale=ssps.scale,
+        years=cube.years.to_value(u.yr),
+    )
+
+
+def _widths(cube, ssps, axes, owner, target):
+    """Resolution in the epochs of SSPs and in those of their matches, (n, 2)."""
+    here = beam_fwhm(cube, ssps.epoch, ssps.scale, axes)[owner]
+    if cube.beams is None:
+        return here, here
+    if np.ndim(axes) == 2:
+        every = np.arange(len(cube))
+        return here, beam_fwhm(cube, every, every, axes)[target]
+    return here, beam_fwhm(cube, target, ssps.scale[owner], axes[owner])
+
+
+def alignment_errors(cube, error=None):
+    """
+    Standard error of the alignment of each epoch, on either axis.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    error : `~astropy.units.Quantity`, optional
+        One for all epochs, or one for each.  By default what the alignment
+        left with each epoch (``shift_east_err_mas``, ``shift_north_err_mas``
+        in its meta), and none where it left nothing.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n_epochs, 2)
+        In mas.
+
+    Raises
+    ------
+    ValueError
+        If there are neither one nor as many as epochs, or one is negative
+        or not finite.
+    """
+    n = len(cube)
+    if error is None:
+        left = [
+            [meta.get(f"shift_{axis}_err_mas") or 0.0 for axis in ("east", "north")]
+            for meta in cube.epoch_meta
+        ]
+        each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
+    else:
+        each = np.atleast_1d(error.to_value(u.mas)).astype(float)
+        if each.shape not in ((1,), (n,)):
+            raise ValueError(
+                f"alignment_error must be one angle or {n}, one an epoch, "
+                f"got {each.size}"
+            )
+        if not np.all((each >= 0) & np.isfinite(each)):
+            raise ValueError(f"alignment_error must be zero or positive, got {error}")
+    return np.broadcast_to(each[:, None], (n, 2)) + np.zeros((n, 2))

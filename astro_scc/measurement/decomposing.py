@@ -3,23 +3,13 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from astro_scc.correlation.correlate import STACK_BYTES
 from astro_scc.correlation.parallel import in_order
-from astro_scc.decomposition import Decomposer
 from astro_scc.exceptions import MeasurementWarning
-
-__all__ = [
-    "LazyDecompositions",
-    "allow_for_structure",
-    "decompose_epochs",
-    "noise_facts",
-    "refuse_too_much",
-    "working_memory",
-]
 
 #: Bytes of this package with the libraries that it works with, in each process.
 LIBRARIES = 250e6
@@ -179,7 +169,7 @@ def decompose_epochs(cube, decomposer, *, n_workers=1):
     """
     facts = noise_facts(cube, decomposer)
     work = (
-        _Epoch(decomposer, image, cube.mask[k], *own)
+        (decomposer, image, cube.mask[k], *own)
         for k, (image, own) in enumerate(zip(cube.data, facts, strict=True))
     )
     return tuple(in_order(_decompose, work, n_workers))
@@ -217,7 +207,7 @@ class LazyDecompositions(Sequence):
         if k not in self._made:
             facts = noise_facts(self.cube, self.decomposer)[k]
             self._made[k] = _decompose(
-                _Epoch(self.decomposer, self.cube.data[k], self.cube.mask[k], *facts)
+                (self.decomposer, self.cube.data[k], self.cube.mask[k], *facts)
             )
         return self._made[k]
 
@@ -246,21 +236,7 @@ def noise_facts(cube, decomposer):
     return list(zip(rms, covariances, strict=True))
 
 
-@dataclass(frozen=True, eq=False)
-class _Epoch:
-    """An epoch to decompose, as a piece of work."""
-
-    decomposer: Decomposer
-    image: np.ndarray
-    mask: np.ndarray
-    rms: float | None
-    beam_covariance: np.ndarray | None
-
-
 def _decompose(epoch):
-    return epoch.decomposer(
-        epoch.image,
-        mask=epoch.mask,
-        rms=epoch.rms,
-        beam_covariance=epoch.beam_covariance,
-    )
+    """Decompose one epoch, given as a piece of work."""
+    decomposer, image, mask, rms, beam_covariance = epoch
+    return decomposer(image, mask=mask, rms=rms, beam_covariance=beam_covariance)

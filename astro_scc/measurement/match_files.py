@@ -4,15 +4,18 @@
 import json
 import shutil
 import warnings
-from collections.abc import MutableMapping
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
+from astropy.io import fits
+from astropy.table import Table
 
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.decomposing import LazyDecompositions
 from astro_scc.measurement.provenance import (
@@ -21,11 +24,8 @@ from astro_scc.measurement.provenance import (
     selection_digest,
     stale_parts,
 )
-from astro_scc.measurement.result import MatchedEpochs
 from astro_scc.measurement.tables import versions
 from astro_scc.partial import replace_when_complete
-
-__all__ = ["MatchCache", "read_matches", "write_matches"]
 
 CREATOR = "astro_scc matches"
 LAYOUT = 1
@@ -36,6 +36,106 @@ MATCH_COLUMNS = (
 )  # fmt: skip
 #: Columns that `astro_scc.correlation.match_block` returns.
 N_COLUMNS = len(MATCH_COLUMNS)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MatchedEpochs:
+    """
+    Epochs decomposed and correlated: all that a stack needs but the dates.
+
+    Attributes
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+        Made again when they are asked for.
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+    select : `~numpy.ndarray` of bool, shape (n_ssps,)
+        The SSPs of the region.
+    matches : `~astro_scc.correlation.Matches`
+    provenance : dict
+        What determined the matches, see
+        `astro_scc.measurement.match_provenance`; `write` needs it.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> int(matched.select.sum()) == len(matched.ssps)
+    True
+    >>> matched.write("matches.fits")
+    >>> again = type(matched).read("matches.fits", cube)
+    >>> len(again.matches) == len(matched.matches)
+    True
+    """
+
+    cube: EpochCube
+    decompositions: Sequence
+    ssps: SSPs
+    select: np.ndarray
+    matches: Matches
+    provenance: dict = field(default_factory=dict)
+
+    def __repr__(self):
+        return (
+            f"<MatchedEpochs: {len(self.cube)} epochs, "
+            f"{int(self.select.sum())} SSPs, {len(self.matches)} matches>"
+        )
+
+    @property
+    def scales(self):
+        """Numbers of the scales that were decomposed."""
+        return tuple(getattr(self.decompositions, "scales", ())) or tuple(
+            self.decompositions[0].scales
+        )
+
+    def write(self, path, *, overwrite=False):
+        """
+        Write the SSPs and their matches.
+
+        Parameters
+        ----------
+        path : path
+            A FITS file.
+        overwrite : bool, optional
+
+        Raises
+        ------
+        OSError
+            If the file exists and ``overwrite`` is False, or cannot be
+            written.
+        ValueError
+            If these matches have no ``provenance``.
+        """
+        write_matches(self, path, overwrite=overwrite)
+
+    @classmethod
+    def read(cls, path, cube):
+        """
+        Read what `write` wrote.
+
+        Parameters
+        ----------
+        path : path
+        cube : `~astro_scc.epochs.EpochCube`
+            The same that was matched; its dates may be others.
+
+        Returns
+        -------
+        `MatchedEpochs`
+
+        Raises
+        ------
+        OSError
+            If the file cannot be read, or is not of this kind.
+        ValueError
+            If it is of other images or versions.
+        """
+        return read_matches(path, cube)
 
 
 def write_matches(matched, path, *, overwrite=False):
@@ -60,25 +160,7 @@ def write_matches(matched, path, *, overwrite=False):
     ``SSPS`` and ``MATCHES`` are tables, ``PIXELS`` the pixels of the SSPs,
     ``PAIRS`` the pairs of epochs, ``PROVENANCE`` JSON.  The images are not
     in the file, nor their wavelet planes, which are quickly made again.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astropy.io import fits
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import write_matches
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> write_matches(matched, "matches.fits")
-    >>> with fits.open("matches.fits") as hdus:
-    ...     n = len(hdus["MATCHES"].data)
-    >>> n == len(matched.matches)
-    True
     """
-    from astropy.io import fits
-
     if not matched.provenance:
         raise ValueError(
             "these matches have no provenance and cannot be written: get them from "
@@ -112,9 +194,6 @@ def write_matches(matched, path, *, overwrite=False):
 
 
 def _table(columns, name):
-    from astropy.io import fits
-    from astropy.table import Table
-
     return fits.BinTableHDU(Table(columns), name=name)
 
 
@@ -141,20 +220,6 @@ def read_matches(path, cube, *, wanted=None):
         If the file cannot be read, or is not of this kind.
     ValueError
         If it is of other images, settings or versions.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import read_matches, write_matches
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> write_matches(matched, "matches.fits")
-    >>> again = read_matches("matches.fits", cube)
-    >>> again.matches.same_as(matched.matches)
-    True
     """
     with open(path, "rb") as file:
         try:
@@ -179,8 +244,6 @@ def read_matches(path, cube, *, wanted=None):
 
 def _parts(file):
     """Layout, provenance, and the SSPs, selection and matches of a file."""
-    from astropy.io import fits
-
     with warnings.catch_warnings():
         # A checksum that is not that of the data is a warning of astropy's.
         warnings.simplefilter("error")
@@ -224,23 +287,6 @@ class MatchCache:
         A FITS file, or a folder for files of many provenances.
     provenance : dict
         See `match_provenance`.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import MatchCache
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> wanted = {k: v for k, v in matched.provenance.items() if k != "selected"}
-    >>> cache = MatchCache("matches.fits", wanted)
-    >>> cache.load(cube) is None
-    True
-    >>> cache.store(matched)
-    >>> len(cache.load(cube).matches) == len(matched.matches)
-    True
     """
 
     def __init__(self, path, provenance):
@@ -251,7 +297,7 @@ class MatchCache:
 
     def load(self, cube):
         """
-        The matches, if they are there and of this provenance.
+        Return the matches, if they are there and of this provenance.
 
         Parameters
         ----------
@@ -302,7 +348,7 @@ class MatchCache:
         self.blocks().clear()
 
 
-class BlockFiles(MutableMapping):
+class BlockFiles:
     """
     The columns of blocks of pairs of epochs, each in a file by its number.
 
@@ -326,8 +372,6 @@ class BlockFiles(MutableMapping):
         return self._file(number).exists()
 
     def __getitem__(self, number):
-        if number not in self:
-            raise KeyError(number)
         with np.load(self._file(number), allow_pickle=False) as arrays:
             return tuple(arrays[f"arr_{k}"] for k in range(N_COLUMNS))
 
@@ -339,16 +383,6 @@ class BlockFiles(MutableMapping):
                 path.unlink(missing_ok=True)
         with replace_when_complete(self._file(number), overwrite=True) as part:
             np.savez(part, *columns)
-
-    def __delitem__(self, number):
-        self._file(number).unlink()
-
-    def __iter__(self):
-        names = (path.stem for path in self.folder.glob(f"{self.digest}-*.npz"))
-        return iter(sorted(int(name.rsplit("-")[-1]) for name in names))
-
-    def __len__(self):
-        return sum(1 for _ in self)
 
     def clear(self):
         """Take the folder away."""

@@ -1,7 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What a measurement of a cube comes to: scales, pairs, speeds and windows."""
 
+import os
 import warnings
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -9,6 +11,7 @@ import numpy as np
 from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.settings import require
 from astro_scc.stacking import (
     Rays,
     SearchSettings,
@@ -16,19 +19,6 @@ from astro_scc.stacking import (
     baseline_pairs,
     consecutive_pairs,
 )
-
-__all__ = [
-    "centroids_inside",
-    "flow_direction",
-    "largest_speed",
-    "map_grid",
-    "mean_fwhm",
-    "pairs_of_dates",
-    "scales_of_pixels",
-    "search_radius",
-    "search_reach",
-    "ssps_inside",
-]
 
 #: Angles may differ so much from the size of a scale that they name.
 SCALE_TOLERANCE = 0.2
@@ -53,7 +43,7 @@ FAR_BEAMS = 4.0
 
 def scales_of_pixels(scales, pixel_scale):
     """
-    The numbers of scales that are given as angles.
+    Return the numbers of scales that are given as angles.
 
     Parameters
     ----------
@@ -86,7 +76,7 @@ def scales_of_pixels(scales, pixel_scale):
 
 def pairs_of_dates(cube, baseline):
     """
-    The pairs of dates that are compared.
+    Return the pairs of dates that are compared.
 
     Parameters
     ----------
@@ -127,7 +117,7 @@ def pairs_of_dates(cube, baseline):
 
 def mean_fwhm(cube, scale):
     """
-    Mean width of the resolution over the epochs and both axes, in mas.
+    Return the mean width of the resolution over the epochs and both axes, in mas.
 
     Parameters
     ----------
@@ -145,7 +135,7 @@ def mean_fwhm(cube, scale):
 
 def search_radius(cube, max_speed, fwhm):
     """
-    Largest displacement between two epochs that is searched, in beams.
+    Return the largest displacement between two epochs that is searched, in beams.
 
     One and a half, and farther where even the shortest intervals are too
     long for that: as far as the largest speed moves in the shorter quarter
@@ -179,7 +169,7 @@ def search_radius(cube, max_speed, fwhm):
 
 def largest_speed(cube, radius, baseline=None):
     """
-    Largest speed that is searched for streams if none is given.
+    Return the largest speed that is searched for streams if none is given.
 
     Parameters
     ----------
@@ -207,7 +197,7 @@ def largest_speed(cube, radius, baseline=None):
 
 def search_reach(cube, pairs, radius, fwhm, max_speed):
     """
-    Largest displacement in pixels that is matched, whatever the dates.
+    Return the largest displacement in pixels that is matched, whatever the dates.
 
     Parameters
     ----------
@@ -268,11 +258,11 @@ def _check_speed(speed, pairs, side, shape, limit):
 
 def map_grid(displacements, pairs, limit):
     """
-    The grid of velocities of the stack.
+    Return the grid of velocities of the stack.
 
     Parameters
     ----------
-    displacements : `~astro_scc.stacking.Displacements`
+    displacements : `~astro_scc.stacking.VelocitySamples`
     pairs : `~astro_scc.stacking.DatePairs`
     limit : float
         Largest velocity along either axis.
@@ -293,7 +283,7 @@ def map_grid(displacements, pairs, limit):
 
 def ssps_inside(decompositions, cube, region):
     """
-    The SSPs of all epochs, and which have their centroid in a region.
+    Return the SSPs of all epochs, and which have their centroid in a region.
 
     Parameters
     ----------
@@ -336,7 +326,7 @@ def centroids_inside(ssps, cube, region):
 
 def flow_direction(matched):
     """
-    Position angle of the mean offset of the SSPs, weighted by flux.
+    Return the position angle of the mean offset of the SSPs, weighted by flux.
 
     Parameters
     ----------
@@ -354,3 +344,128 @@ def flow_direction(matched):
         return 0.0 * u.deg
     mean = [np.average(offset[use], weights=weight) for offset in (east, north)]
     return np.degrees(np.arctan2(*mean)) % 360 * u.deg
+
+
+def ssp_distances(matched, *, origin=None, ridge=None):
+    """
+    Distances of the centroids of SSPs.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    origin : `~astropy.units.Quantity`, shape (2,), optional
+        (east, north) of the core, by default the reference pixel.
+    ridge : `~astro_scc.kinematics.RidgeLine`, optional
+        Along this line instead of from a point.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`, shape (n_ssps,)
+        In mas.
+    """
+    east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True) * u.mas
+    if ridge is not None:
+        return ridge.coordinates(east, north)[0]
+    origin = u.Quantity([0, 0] * u.mas if origin is None else origin)
+    return np.hypot(east - origin[0], north - origin[1]).to(u.mas)
+
+
+def select_ssps(
+    matched,
+    *,
+    region=None,
+    r_min=None,
+    r_max=None,
+    scales=None,
+    origin=None,
+    ridge=None,
+):
+    """
+    Return the matches of the SSPs in a part of the jet and on some scales.
+
+    Nothing is correlated again: what is chosen is whose matches are
+    stacked.  An SSP belongs where its centroid is; what it is matched with
+    may lie outside.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    region : optional
+        Anything that ``cube.region_mask`` takes.
+    r_min, r_max : `~astropy.units.Quantity`, optional
+        ``r_min <= r < r_max``.
+    scales : sequence of float or `~astropy.units.Quantity`, optional
+        Numbers, or angles.
+    origin, ridge : optional
+        From where, or along what, r is counted, see `ssp_distances`.
+
+    Returns
+    -------
+    `~astro_scc.measurement.MatchedEpochs`
+
+    Raises
+    ------
+    ValueError
+        If ``r_min`` is not below ``r_max``, or a scale was not decomposed.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import select_ssps
+    >>> from astro_scc.simulation import simulate_static
+    >>> matched = StackedCrossCorrelation(scales=[1, 2]).match(
+    ...     simulate_static(n_epochs=3, rng=1).cube)
+    >>> inner = select_ssps(matched, r_max=8 * u.mas, scales=[1])
+    >>> bool(0 < inner.select.sum() < matched.select.sum())
+    True
+    """
+    select = matched.select.copy()
+    if region is not None:
+        select &= centroids_inside(matched.ssps, matched.cube, region)
+    if r_min is not None or r_max is not None:
+        low = 0 * u.mas if r_min is None else u.Quantity(r_min)
+        high = np.inf * u.mas if r_max is None else u.Quantity(r_max)
+        if not low < high:
+            raise ValueError(f"r_min={r_min} must be below r_max={r_max}")
+        r = ssp_distances(matched, origin=origin, ridge=ridge)
+        select &= (r >= low) & (r < high)
+    if scales is not None:
+        scales = require("scales", scales)
+        numbers = scales_of_pixels(scales, matched.cube.pixel_scale)
+        have = matched.scales
+        missing = [s for s in numbers if s not in have]
+        if missing:
+            what, there = (", ".join(f"{s:g}" for s in v) for v in (missing, have))
+            raise ValueError(
+                f"scale {what} was not decomposed; there are scales {there}"
+            )
+        select &= np.isin(matched.ssps.scale, numbers)
+    return replace(matched, select=select)
+
+
+def warn_of_none_inside(ssps, select, region):
+    """
+    Say so if a region was asked for that holds none of the SSPs.
+
+    Parameters
+    ----------
+    ssps : `~astro_scc.decomposition.SSPs`
+    select : `~numpy.ndarray` of bool, shape (n_ssps,)
+        Those with their centroid in the region.
+    region : optional
+        What it was, or None for everything, of which nothing is said.
+
+    Warns
+    -----
+    `~astro_scc.exceptions.MeasurementWarning`
+    """
+    if region is None or np.any(select) or len(ssps) == 0:
+        return
+    name = region if isinstance(region, str | os.PathLike) else "the region"
+    warnings.warn(
+        f"{name}: no significant pattern has its centroid inside, {len(ssps)} in the "
+        "rest of the images: check where it lies, or make it larger",
+        MeasurementWarning,
+        stacklevel=3,
+    )

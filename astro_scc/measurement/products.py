@@ -11,13 +11,17 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
-from astropy.table import QTable
+from astropy.table import Column, MaskedColumn, QTable, Table
+from astropy.time import Time
 
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.partial import is_held, partial_folder, remove_left
+from astro_scc.partial import (
+    is_held,
+    partial_folder,
+    remove_left,
+    replace_when_complete,
+)
 from astro_scc.stacking import SearchSettings
-
-__all__ = ["plain_meta", "product_folder", "velocity_hdus", "write_products"]
 
 # Of the disk, which do not always come with the name of a file.
 DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
@@ -259,7 +263,7 @@ def plain_meta(value):
 
 def velocity_hdus(result, *, text=None):
     """
-    The velocity map, its significance and the diagram as FITS extensions.
+    Return the velocity map, its significance and the diagram as FITS extensions.
 
     Parameters
     ----------
@@ -274,16 +278,6 @@ def velocity_hdus(result, *, text=None):
         with a linear WCS in mas/yr along the axes of the velocities; the
         image ``DIAGRAM`` of `SCCResult.diagram`, and the table ``INTERVALS``
         of its columns.
-
-    Examples
-    --------
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import velocity_hdus
-    >>> from astro_scc.simulation import simulate_static
-    >>> cube = simulate_static(n_epochs=5, rng=1).cube
-    >>> result = StackedCrossCorrelation(scales=[2])(cube, n_trials=20, rng=1)
-    >>> [hdu.name for hdu in velocity_hdus(result)]
-    ['COEFFICIENT', 'ZSCORE', 'DIAGRAM', 'INTERVALS']
     """
     hdus = []
     for which, name in MAPS:
@@ -361,3 +355,103 @@ def _facts(result):
 
 def _ascii(text):
     return " ".join(str(text).split()).encode("ascii", "replace").decode()
+
+
+def write_votables(result, components, directory):
+    """
+    Write the tables of a measurement as VOTable.
+
+    Parameters
+    ----------
+    result : `SCCResult`
+    components : `~astropy.table.QTable`
+        `SCCResult.components`, with apparent speeds if there are any.
+    directory : path
+        A folder that exists.  Files of these names are replaced.
+
+    Returns
+    -------
+    list of `~pathlib.Path`
+        ``components.vot`` and ``ssps.vot``, see `write_votable`.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+    """
+    tables = {"components": components, "ssps": result.ssps}
+    paths = [Path(directory, f"{name}.vot") for name in tables]
+    for path, table in zip(paths, tables.values(), strict=True):
+        write_votable(table, path, overwrite=True)
+    return paths
+
+
+def write_votable(table, path, *, overwrite=False):
+    """
+    Write a table as VOTable, which TOPCAT, STILTS and Aladin read.
+
+    Parameters
+    ----------
+    table : `~astropy.table.Table`
+        Any table of this package, in memory or read from its ECSV file.
+    path : path
+        A file, commonly ``.vot`` or ``.xml``.
+    overwrite : bool, optional
+
+    Raises
+    ------
+    OSError
+        If the file exists and ``overwrite`` is False, or cannot be written.
+
+    Notes
+    -----
+    Columns keep their units and descriptions.  Dates become ISO text.  Of
+    the meta, what is one number or one line of text becomes a parameter;
+    ECSV keeps all of it.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> from astro_scc.measurement import write_votable
+    >>> write_votable(QTable({"pm": [0.5] * u.mas / u.yr}), "components.vot")
+    >>> QTable.read("components.vot")["pm"].unit
+    Unit("mas / yr")
+    """
+    from astropy.io.votable import from_table
+    from astropy.io.votable.tree import Param
+
+    plain = Table()
+    for name in table.colnames:
+        plain[name] = _plain_column(table[name])
+    votable = from_table(plain)
+    first = votable.get_first_table()
+    for key, value in table.meta.items():
+        if isinstance(value, bool | int | float | str) and value != "":
+            datatype = {bool: "boolean", int: "long", float: "double"}
+            kind = datatype.get(type(value), "unicodeChar")
+            more = {"arraysize": "*"} if kind == "unicodeChar" else {}
+            first.params.append(
+                Param(votable, name=key, datatype=kind, value=value, **more)
+            )
+    with replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
+        votable.to_xml(str(part))
+
+
+def _plain_column(values):
+    if isinstance(values, Time):
+        # Of no dates, text is not known to be text.
+        dates = np.asarray(values.isot, dtype=str if len(values) else "U23")
+        return Column(dates, description=values.info.description)
+    plain = getattr(values, "value", values)
+    masked = {"mask": values.mask} if hasattr(values, "mask") else {}
+    column = (MaskedColumn if masked else Column)(
+        getattr(plain, "unmasked", plain),
+        unit=getattr(values, "unit", None),
+        description=values.info.description,
+        **masked,
+    )
+    # VOTable has no type for numbers of 8 bits with a sign, nor of 128 bits.
+    if column.dtype == np.int8:
+        column = column.astype(np.int16)
+    return column

@@ -10,14 +10,6 @@ import numpy as np
 from astro_scc.measurement.decomposing import noise_facts
 from astro_scc.measurement.tables import versions
 
-__all__ = [
-    "digest_of",
-    "image_provenance",
-    "match_provenance",
-    "selection_digest",
-    "stale_parts",
-]
-
 #: How each part is called in messages.
 NAMES = {
     "data": "images",
@@ -35,7 +27,7 @@ NAMES = {
 
 def image_provenance(cube):
     """
-    The images of a cube as digests.
+    Return the images of a cube as digests.
 
     Parameters
     ----------
@@ -90,20 +82,6 @@ def match_provenance(cube, decomposer, correlator, reach, inside):
     dict
         Text, numbers and lists, which JSON can hold.  The dates of the epochs
         enter through their order and ``reach`` alone.
-
-    Examples
-    --------
-    >>> from astro_scc.correlation import Correlator
-    >>> from astro_scc.decomposition import Decomposer
-    >>> from astro_scc.measurement import match_provenance
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> decomposer = Decomposer(scales=[2])
-    >>> one, other = (
-    ...     match_provenance(cube, decomposer, Correlator(kappa=k), (9, 9), None)
-    ...     for k in (0.6, 0.7))
-    >>> one == other
-    False
     """
     facts = [
         (rms, None if beam is None else np.asarray(beam).tolist())

@@ -1,144 +1,51 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What a measurement found."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 
 import astropy.units as u
 import numpy as np
 from astropy.nddata import NDData
 from astropy.wcs import WCS
 
-from astro_scc.correlation import Matches
-from astro_scc.decomposition import SSPs
-from astro_scc.epochs import EpochCube
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.kinematics.cosmology import table_in_c
-from astro_scc.measurement.diagram_image import diagram_image
-from astro_scc.measurement.tables import component_table, feature_table, ssp_table
-from astro_scc.measurement.velocity_error import StreamVelocity
-from astro_scc.stacking import (
-    Component,
-    DatePairs,
-    Displacements,
-    JitteredVelocity,
-    Search,
-    ShuffledStacks,
-    VelocityGrid,
+from astro_scc.measurement.axes import AxisProjection
+from astro_scc.measurement.match_files import MatchedEpochs
+from astro_scc.measurement.tables import (
+    component_row,
+    component_table,
+    feature_table,
+    ssp_table,
 )
-from astro_scc.stacking.stack import velocities
-
-__all__ = ["MatchedEpochs", "SCCResult"]
+from astro_scc.stacking import (
+    DatePairs,
+    Search,
+    SearchSettings,
+    VelocityGrid,
+    VelocityPeak,
+    VelocitySamples,
+)
+from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
+from astro_scc.stacking.permutations import PermutedStacks
+from astro_scc.stacking.stack import sample_velocities
 
 #: A match belongs to a component within this many of its standard errors.
 MEMBER_SIGMA = 2.0
-#: Errors of a normal distribution above its mean at the one-sided limit of 95%.
-LIMIT = 1.645
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class MatchedEpochs:
-    """
-    Epochs decomposed and correlated: all that a stack needs but the dates.
-
-    Attributes
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    decompositions : sequence of `~astro_scc.decomposition.Decomposition`
-        Made again when they are asked for.
-    ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs.
-    select : `~numpy.ndarray` of bool, shape (n_ssps,)
-        The SSPs of the region.
-    matches : `~astro_scc.correlation.Matches`
-    provenance : dict
-        What determined the matches, see
-        `astro_scc.measurement.match_provenance`; `write` needs it.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> int(matched.select.sum()) == len(matched.ssps)
-    True
-    >>> matched.write("matches.fits")
-    >>> again = type(matched).read("matches.fits", cube)
-    >>> len(again.matches) == len(matched.matches)
-    True
-    """
-
-    cube: EpochCube
-    decompositions: Sequence
-    ssps: SSPs
-    select: np.ndarray
-    matches: Matches
-    provenance: dict = field(default_factory=dict)
-
-    def __repr__(self):
-        return (
-            f"<MatchedEpochs: {len(self.cube)} epochs, "
-            f"{int(self.select.sum())} SSPs, {len(self.matches)} matches>"
-        )
-
-    @property
-    def scales(self):
-        """Numbers of the scales that were decomposed."""
-        return tuple(getattr(self.decompositions, "scales", ())) or tuple(
-            self.decompositions[0].scales
-        )
-
-    def write(self, path, *, overwrite=False):
-        """
-        Write the SSPs and their matches, see `astro_scc.measurement.write_matches`.
-
-        Parameters
-        ----------
-        path : path
-            A FITS file.
-        overwrite : bool, optional
-
-        Raises
-        ------
-        OSError
-            If the file exists and ``overwrite`` is False, or cannot be
-            written.
-        ValueError
-            If these matches have no ``provenance``.
-        """
-        from astro_scc.measurement.match_files import write_matches
-
-        write_matches(self, path, overwrite=overwrite)
-
-    @classmethod
-    def read(cls, path, cube):
-        """
-        Read what `write` wrote, see `astro_scc.measurement.read_matches`.
-
-        Parameters
-        ----------
-        path : path
-        cube : `~astro_scc.epochs.EpochCube`
-            The same that was matched; its dates may be others.
-
-        Returns
-        -------
-        `MatchedEpochs`
-
-        Raises
-        ------
-        OSError
-            If the file cannot be read, or is not of this kind.
-        ValueError
-            If it is of other images or versions.
-        """
-        from astro_scc.measurement.match_files import read_matches
-
-        return read_matches(path, cube)
+#: Columns of the components that fit on a screen, and how they are printed.
+COLUMNS = {
+    "component": "d",
+    "kind": "s",
+    "pm": ".3g",
+    "pm_err": ".2g",
+    "pm_pa": ".1f",
+    "coefficient": ".3f",
+    "p_global": ".2g",
+    "n_ssp": "d",
+    "n_pairs": "d",
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -154,20 +61,21 @@ class SCCResult:
     position_angle : `~astropy.units.Quantity`
         Direction of the jet, to which ``pm_parallel`` refers.
     pairs : `~astro_scc.stacking.DatePairs`
-    displacements : `~astro_scc.stacking.Displacements`
+    displacements : `~astro_scc.stacking.VelocitySamples`
     grid : `~astro_scc.stacking.VelocityGrid`
         In mas/yr.
     coefficient, z_score : `~numpy.ndarray`, shape ``grid.shape``
         The stack and its significance.
-    shuffled : `~astro_scc.stacking.ShuffledStacks`
+    permuted : `~astro_scc.stacking.permutations.PermutedStacks`
+        Mean and standard deviation of the stacks of permuted epochs.
     search : `~astro_scc.stacking.Search`
         The streams, and the displacement-interval diagram they are found on.
-    velocities : tuple of `~astro_scc.measurement.StreamVelocity`
+    velocities : tuple of `~astro_scc.stacking.errors.StreamVelocity`
         Of the streams, with their errors.
-    maxima : tuple of `~astro_scc.stacking.Component`
+    maxima : tuple of `~astro_scc.stacking.VelocityPeak`
         Of the stack, the nearest one to each velocity.
-    jitters : tuple of `~astro_scc.stacking.JitteredVelocity`
-        The paper's uncertainty: SSPs shifted by their position errors.
+    jitters : tuple of `~astro_scc.stacking.errors.JitteredVelocity`
+        The velocity-jitter test, the paper's uncertainty.
     meta : dict
         Settings, seed and versions.
 
@@ -189,14 +97,14 @@ class SCCResult:
     frame: object
     position_angle: u.Quantity
     pairs: DatePairs
-    displacements: Displacements
+    displacements: VelocitySamples
     grid: VelocityGrid
     coefficient: np.ndarray
     z_score: np.ndarray
-    shuffled: ShuffledStacks
+    permuted: PermutedStacks
     search: Search
     velocities: tuple[StreamVelocity, ...]
-    maxima: tuple[Component, ...]
+    maxima: tuple[VelocityPeak, ...]
     jitters: tuple[JitteredVelocity, ...]
     meta: dict = field(default_factory=dict)
 
@@ -204,8 +112,6 @@ class SCCResult:
         return f"<SCCResult: {len(self.maxima)} components of {self.matched.cube!r}>"
 
     def _repr_html_(self):
-        from astro_scc.measurement.notebook import result_html
-
         return result_html(self)
 
     @property
@@ -239,12 +145,14 @@ class SCCResult:
         ``note`` says why.  The meta holds the settings, the seed and the
         versions.
         """
-        rows = [self._row(number) for number in range(1, len(self.maxima) + 1)]
+        rows = [
+            component_row(self, number) for number in range(1, len(self.maxima) + 1)
+        ]
         return name_by_frame(component_table(rows, meta=dict(self.meta)), self.cube)
 
     def components_in_c(self, *, redshift=None, cosmology=None, distance=None):
         """
-        The components with apparent speeds in units of c.
+        Return the components with apparent speeds in units of c.
 
         Parameters
         ----------
@@ -274,7 +182,7 @@ class SCCResult:
 
     def velocity_map(self, which="coefficient"):
         """
-        The stack as an image with velocity coordinates.
+        Return the stack as an image with velocity coordinates.
 
         Parameters
         ----------
@@ -305,7 +213,7 @@ class SCCResult:
 
     def diagram(self):
         """
-        The displacement-interval diagram along the direction of the streams.
+        Return the displacement-interval diagram along the direction of the streams.
 
         What moves at a constant speed lies on a ray from the origin, what
         stands still at no displacement.
@@ -321,23 +229,12 @@ class SCCResult:
             ``n_pairs`` of each bin, the ``beam`` along the displacement, its
             ``direction`` on the axes of the frame, and its ``position_angle``
             if that is the same everywhere, else None.
-
-        Examples
-        --------
-        >>> import astropy.units as u
-        >>> from astro_scc import StackedCrossCorrelation
-        >>> from astro_scc.simulation import simulate_two_fluid
-        >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-        >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=20, rng=1)
-        >>> diagram = result.diagram()
-        >>> diagram.data.shape[1] == len(diagram.meta["n_pairs"])
-        True
         """
         return diagram_image(self)
 
     def members(self, number):
         """
-        The matches that make a component.
+        Return the matches that make a component.
 
         Parameters
         ----------
@@ -367,7 +264,7 @@ class SCCResult:
             there = np.where(d.target_ssp >= 0, label[d.target_ssp], -1)
             return np.flatnonzero((there >= 0) & (label[d.ssp] == there))
         v = self.velocities[number - 1].value
-        index, v1, v2, s1, s2, _ = velocities(d, self.pairs)
+        index, v1, v2, s1, s2, _ = sample_velocities(d, self.pairs)
         near = (np.abs(v1 - v[0]) <= MEMBER_SIGMA * s1) & (
             np.abs(v2 - v[1]) <= MEMBER_SIGMA * s2
         )
@@ -390,98 +287,118 @@ class SCCResult:
 
         return plot_velocity_map(self, **kwargs)
 
-    def _row(self, number):
-        peak, stream = self.maxima[number - 1], self.search.streams[number - 1]
-        velocity, jitter = self.velocities[number - 1], self.jitters[number - 1]
-        member = self.members(number)
-        d = self.displacements
-        pairs = np.stack([d.reference[member], d.target[member]])
-        p, n = stream.p_global, len(self.search.permutations.permuted)
-        row = {
-            "component": number,
-            "kind": stream.kind,
-            "dispersion": velocity.dispersion,
-            "dispersion_err": velocity.dispersion_error,
-            "coefficient": peak.coefficient,
-            "z_score": float(self.z_score[peak.row, peak.column]),
-            "p_local": stream.p_local,
-            "p_global": p,
-            "p_global_err": np.sqrt(p * (1 - p) / n),
-            "p_distinct": stream.p_distinct,
-            "p_smallest": self.search.permutations.smallest_p,
-            "n_ssp": len(np.unique(d.ssp[member])),
-            "n_pairs": len(
-                np.unique(pairs.min(axis=0) * d.n_epochs + pairs.max(axis=0))
-            ),
-            "n_features": len(stream.features),
-            # ECSV takes empty text for a missing value.
-            "note": stream.reason or "-",
-        }
-        where = self.frame, self.position_angle
-        row.update(_vectors(velocity.value, velocity.covariance, *where))
-        for name, covariance in (
-            ("jitter", _covariance(jitter)),
-            ("alignment", velocity.alignment),
-        ):
-            row[f"pm_err_{name}"] = _vectors(velocity.value, covariance, *where)[
-                "pm_err"
-            ]
-        still = stream.kind != "moving"
-        row["pm_limit"] = row["pm"] + LIMIT * row["pm_err"] if still else np.nan
-        return row
 
+def diagram_image(result):
+    """
+    Return the diagram of a search with a WCS, see `SCCResult.diagram`.
 
-def _covariance(jitter):
-    return np.array(
-        [
-            [jitter.err1**2, jitter.covariance],
-            [jitter.covariance, jitter.err2**2],
-        ]
+    Parameters
+    ----------
+    result : `SCCResult`
+
+    Returns
+    -------
+    `~astropy.nddata.NDData`
+    """
+    diagram, angle = result.search.diagram, result.search.angle
+    where = result.displacements, result.matched.ssps, result.cube, result.frame
+    beam = AxisProjection(*where).beam(angle)[0]
+    direction, position_angle = np.array([np.cos(angle), np.sin(angle)]), None
+    excess = (diagram.excess / diagram.n_pairs[:, None]).T
+    if result.frame.uniform:
+        sky = np.linalg.solve(result.frame.matrix(0.0, 0.0), direction)
+        position_angle = np.degrees(np.arctan2(*sky)) * u.deg
+        if np.cos(position_angle - result.position_angle) < 0:
+            # Displacements down the jet are positive.
+            direction, excess = -direction, excess[::-1]
+            position_angle += 180 * u.deg
+        position_angle %= 360 * u.deg
+    step = SearchSettings().interval_step
+    shortest = _shortest(result.cube.years.to_value(u.yr), diagram)
+    bins = np.floor(np.log(diagram.interval / shortest) / step + 1e-9).astype(int)
+    data = np.full((len(excess), bins[-1] + 1), np.nan)
+    interval, n_pairs = np.full(bins[-1] + 1, np.nan), np.zeros(bins[-1] + 1, int)
+    data[:, bins], interval[bins], n_pairs[bins] = (
+        excess, diagram.interval, diagram.n_pairs
+    )  # fmt: skip
+    middle = shortest * np.exp(step / 2)
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype, wcs.wcs.cunit = ["INTV-LOG", "DISPLACE"], ["yr", "mas"]
+    wcs.wcs.crpix = [1.0, (len(data) + 1) / 2]
+    wcs.wcs.crval = [middle, 0.0]
+    wcs.wcs.cdelt = [step * middle, beam * np.diff(diagram.displacement).mean()]
+    return NDData(
+        data,
+        wcs=wcs,
+        meta={
+            "axes": ("interval", "displacement"),
+            "interval": interval * u.yr,
+            "n_pairs": n_pairs,
+            "beam": beam * u.mas,
+            "direction": direction,
+            "position_angle": position_angle,
+        },
     )
 
 
-def _root(variance):
-    # That of errors along a line only is zero across it, but for rounding.
-    return np.sqrt(np.maximum(variance, 0.0))
+def _shortest(years, diagram):
+    """Return the shortest interval that was used, with which the first bin begins."""
+    first, second = np.triu_indices(len(years), 1)
+    every, n = np.sort(years[second] - years[first]), diagram.n_pairs[0]
+    every = every[every > 0]
+    total = np.concatenate([[0.0], every.cumsum()])
+    mean = (total[n:] - total[:-n]) / n
+    return every[np.abs(mean - diagram.interval[0]).argmin()]
 
 
-def _vectors(velocity, covariance, frame, position_angle):
+def result_html(result):
     """
-    Components of a velocity and their errors, on the sky and to the jet.
+    A measurement in a few lines, its components as a table.
 
-    Errors that the data do not give are NaN.
+    Parameters
+    ----------
+    result : `SCCResult`
+
+    Returns
+    -------
+    str
+        HTML without scripts and styles.
     """
-    if not np.all(np.isfinite(covariance)):
-        row = _vectors(velocity, np.zeros((2, 2)), frame, position_angle)
-        row.update(dict.fromkeys([n for n in row if n.endswith("_err")], np.nan))
-        return row
-    if frame.uniform:
-        to_sky = np.linalg.inv(frame.matrix(0.0, 0.0))
-        sky, sky_covariance = to_sky @ velocity, to_sky @ covariance @ to_sky.T
-        pa = position_angle.to_value(u.rad)
-        jet = np.array([[np.sin(pa), np.cos(pa)], [np.cos(pa), -np.sin(pa)]])
-        along, along_covariance = jet @ sky, jet @ sky_covariance @ jet.T
-    else:
-        # Away from a point or along a bend there is no one direction on the sky.
-        sky, sky_covariance = np.full(2, np.nan), np.full((2, 2), np.nan)
-        along, along_covariance = velocity, covariance
-    speed = float(np.hypot(*along))
-    unit = along / speed if speed > 0 else np.array([1.0, 0.0])
-    across = np.array([-unit[1], unit[0]])
-    speed_err = _root(unit @ along_covariance @ unit)
-    pa_err = np.pi
-    if not frame.uniform:
-        pa_err = np.nan
-    elif speed > 0:
-        # No direction is more than half a turn off.
-        across_err = _root(across @ along_covariance @ across)
-        pa_err = np.minimum(across_err, np.pi * speed) / speed
-    names = ("pm_ra_cosdec", "pm_dec", "pm_parallel", "pm_transverse")
-    row = dict(zip(names, map(float, (*sky, *along)), strict=True))
-    variances = (*np.diag(sky_covariance), *np.diag(along_covariance))
-    for name, variance in zip(names, variances, strict=True):
-        row[f"{name}_err"] = float(_root(variance))
-    row["pm"], row["pm_err"] = speed, float(speed_err)
-    row["pm_pa"] = float(np.degrees(np.arctan2(*sky)) % 360)
-    row["pm_pa_err"] = float(np.degrees(pa_err))
-    return row
+    cube, table = result.cube, result.components
+    name = str(cube.meta.get("object", "")).strip()
+    title = f"{name}: " if name else ""
+    kinds = [str(kind) for kind in table["kind"]]
+    found = ", ".join(
+        f"{kinds.count(kind)} {kind}"
+        for kind in ("moving", "stationary", "not significant")
+        if kind in kinds
+    )
+    lines = [
+        f"SCCResult {title}{found or 'no component'}",
+        repr(cube)[1:-1],
+        f"{len(result.pairs)} pairs of epochs, {np.sum(result.matched.select)} SSPs, "
+        f"{result.meta.get('n_trials')} trials, seed {result.meta.get('seed')}",
+    ]
+    text = "<br>".join(escape(line) for line in lines)
+    if not kinds:
+        return f"<p>{text}</p>"
+    return f"<p>{text}</p>{_table(table)}"
+
+
+def _table(table):
+    head = "".join(f"<th>{escape(_heading(table, name))}</th>" for name in COLUMNS)
+    rows = []
+    for row in table:
+        cells = (_cell(row[name], form) for name, form in COLUMNS.items())
+        rows.append("".join(f"<td>{escape(cell)}</td>" for cell in cells))
+    body = "".join(f"<tr>{row}</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _heading(table, name):
+    unit = getattr(table[name], "unit", None)
+    return f"{name} ({unit})" if unit else name
+
+
+def _cell(value, form):
+    return format(getattr(value, "value", value), form)

@@ -2,7 +2,6 @@
 """From matched epochs to velocity components."""
 
 import warnings
-from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -15,27 +14,21 @@ from astro_scc.kinematics import (
     find_ridge_line,
     fit_position_angle,
 )
-from astro_scc.measurement.axes import AxisProjection
-from astro_scc.measurement.errors import angular_displacements
+from astro_scc.measurement.axes import (
+    AxisProjection,
+    alignment_errors,
+    angular_displacements,
+)
 from astro_scc.measurement.plan import flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
 from astro_scc.measurement.tables import versions
-from astro_scc.measurement.velocity_error import alignment_errors, velocity_of
 from astro_scc.progress import progress
 from astro_scc.settings import require
-from astro_scc.stacking import (
-    PairMaps,
-    SearchSettings,
-    baseline_pairs,
-    component_near,
-    find_streams,
-    jitter_positions,
-    number_of_orders,
-    shuffle_epochs,
-    stack,
-)
-
-__all__ = ["stack_matches", "velocity_frame"]
+from astro_scc.stacking import SearchSettings, baseline_pairs, find_streams, stack
+from astro_scc.stacking.errors import jitter_positions, velocity_of
+from astro_scc.stacking.pair_maps import PairMaps
+from astro_scc.stacking.permutations import number_of_permutations, permute_stacks
+from astro_scc.stacking.stack import velocity_peak_near
 
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2
@@ -93,7 +86,7 @@ def stack_matches(
     alignment_error : `~astropy.units.Quantity`, optional
         See `alignment_errors`.
     small_displacement_correction : bool
-        Shift the shuffled images of the z-score by a fifth of the beam.
+        Shift the permuted images of the z-score by a fifth of the beam.
     n_trials : int
     rng : None, int or `~numpy.random.Generator`
     progress_bar : bool
@@ -114,20 +107,6 @@ def stack_matches(
     `~astro_scc.exceptions.MeasurementWarning`
         If the trials or the epochs are so few that no ``p_global`` can be as
         small as ``level``.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import stack_matches
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> result = stack_matches(matched, scc.date_pairs(cube), radius=3.0, fwhm=1.0,
-    ...                        n_trials=20, rng=1)
-    >>> result.components["pm"].unit
-    Unit("mas / yr")
     """
     n_trials = require("n_trials", n_trials)
     if rng is None:
@@ -162,36 +141,31 @@ def stack_matches(
         velocity_of(stream, project.beam(stream.angle), misaligned, matched.ssps.epoch)
         for stream in search.streams
     )
+    moving = baseline is None and any(s.kind == "moving" for s in search.streams[:1])
+    if moving:
+        pairs = _pairs_of_speed(cube, pairs, fwhm / np.hypot(*velocities[0].value))
     fastest = max((np.hypot(*v.value) for v in velocities), default=0.0)
-    if baseline is None and any(s.kind == "moving" for s in search.streams[:1]):
-        main = fwhm / np.hypot(*velocities[0].value)
-        found = baseline_pairs(
-            cube.years.to_value(u.yr),
-            search_settings.nearest * main,
-            search_settings.farthest * main,
-        )
-        pairs = found if len(found) >= FEWEST_PAIRS else pairs
     limit = radius * fwhm / np.median(pairs.interval)
     if max_speed is not None:
         limit = max_speed
     elif fastest > 0:
         limit = min(limit, MAP_SPEEDS * fastest)
-    grid = map_grid(displacements, pairs, max(limit, 1.2 * fastest))
-    scc = stack(displacements, pairs, grid)
-    maps = PairMaps.of(displacements, grid.v_max, pairs.interval.max())
     shift = (SMALL_SHIFT * fwhm,) * 2 if small_displacement_correction else None
-    with progress(n_trials, "Shuffling", show=progress_bar) as done:
-        shuffled = shuffle_epochs(
-            maps, pairs, grid, scc, n_trials, rng=paper_rng, shift=shift, progress=done
-        )
+    grid, scc, permuted = _velocity_map(
+        displacements,
+        pairs,
+        max(limit, 1.2 * fastest),
+        shift,
+        n_trials=n_trials,
+        rng=paper_rng,
+        progress_bar=progress_bar,
+    )
     box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
-    maxima, jitters = [], []
-    for velocity, own in zip(velocities, error_rng.spawn(len(velocities)), strict=True):
-        peak = component_near(scc, grid, box, *velocity.value)
-        maxima.append(replace(peak, coefficient=float(scc[peak.row, peak.column])))
-        jitters.append(
-            jitter_positions(displacements, pairs, peak, box, n_trials, rng=own)
-        )
+    peaks = tuple(velocity_peak_near(scc, grid, box, *v.value) for v in velocities)
+    jitters = tuple(
+        jitter_positions(displacements, pairs, peak, box, n_trials, rng=own)
+        for peak, own in zip(peaks, error_rng.spawn(len(peaks)), strict=True)
+    )
     return SCCResult(
         matched=matched,
         frame=frame,
@@ -200,12 +174,12 @@ def stack_matches(
         displacements=displacements,
         grid=grid,
         coefficient=scc,
-        z_score=shuffled.z_score(scc),
-        shuffled=shuffled,
+        z_score=permuted.z_score(scc),
+        permuted=permuted,
         search=search,
         velocities=velocities,
-        maxima=tuple(maxima),
-        jitters=tuple(jitters),
+        maxima=peaks,
+        jitters=jitters,
         meta={
             "settings": {**(settings or {}), "level": level},
             "n_trials": int(n_trials),
@@ -217,11 +191,33 @@ def stack_matches(
     )
 
 
+def _velocity_map(samples, pairs, limit, shift, *, n_trials, rng, progress_bar):
+    """Return the grid, the stack on it, and the stacks of permuted epochs."""
+    grid = map_grid(samples, pairs, limit)
+    maps = PairMaps.of(samples, grid.v_max, pairs.interval.max())
+    with progress(n_trials, "Permuting", show=progress_bar) as done:
+        permuted = permute_stacks(
+            maps, pairs, grid, n_trials, rng=rng, shift=shift, progress=done
+        )
+    return grid, stack(samples, pairs, grid), permuted
+
+
+def _pairs_of_speed(cube, pairs, years):
+    """Return pairs of dates in which what moves a beam in some years moves enough."""
+    settings = SearchSettings()
+    found = baseline_pairs(
+        cube.years.to_value(u.yr),
+        settings.nearest * years,
+        settings.farthest * years,
+    )
+    return found if len(found) >= FEWEST_PAIRS else pairs
+
+
 def _warn_of_limits(smallest, n_epochs, n_trials, level):
     """Tell when no probability can be as small as the level."""
     if smallest <= level:
         return
-    if 1 / number_of_orders(n_epochs) <= level:
+    if 1 / number_of_permutations(n_epochs) <= level:
         what = (
             f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, "
             f"so no component can reach level {level:g}: give n_trials of "
@@ -237,7 +233,7 @@ def _warn_of_limits(smallest, n_epochs, n_trials, level):
 
 def velocity_frame(matched, position_angle):
     """
-    The velocity axes of a measurement.
+    Return the velocity axes of a measurement.
 
     Parameters
     ----------
@@ -250,19 +246,6 @@ def velocity_frame(matched, position_angle):
     frame : frame of `astro_scc.kinematics`
     angle : `~astropy.units.Quantity`
         Direction of the jet.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import velocity_frame
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> frame, angle = velocity_frame(matched, 270 * u.deg)
-    >>> frame.axis_names, angle
-    (('parallel', 'transverse'), <Quantity 270. deg>)
     """
     if isinstance(position_angle, str) and position_angle == "fit":
         position_angle, _ = fit_position_angle(matched.cube)

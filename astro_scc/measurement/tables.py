@@ -1,12 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Results as tables of quantities."""
+"""Results as tables: components, features, SSPs, and adjusted probabilities."""
 
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 
 import astropy.units as u
 import numpy as np
-from astropy.table import Column, QTable
+from astropy.table import Column, QTable, Table
 from astropy.time import Time
 
 from astro_scc.decomposition import scale_size
@@ -18,34 +18,59 @@ from astro_scc.epochs.positions import (
 )
 from astro_scc.measurement.axes import AxisProjection
 
-__all__ = ["PM_UNIT", "component_table", "feature_table", "ssp_table", "versions"]
-
+#: Unit of proper motions.
 PM_UNIT = u.mas / u.yr
+#: Errors of a normal distribution above its mean at the one-sided limit of 95%.
+LIMIT = 1.645
+P_FDR = "p_global adjusted for all searches: share of false discoveries up to it"
 
-DESCRIPTIONS = {
-    "component": "number of the component, in the order of the search",
-    "kind": "moving, stationary (within its errors) or not significant",
-    "pm_ra_cosdec": "proper motion to the east",
-    "pm_dec": "proper motion to the north",
-    "pm": "proper motion, its length",
-    "pm_pa": "direction of the proper motion, north through east",
-    "pm_parallel": "proper motion along the jet",
-    "pm_transverse": "proper motion across the jet, positive to larger angles",
-    "coefficient": "stacked correlation coefficient",
-    "z_score": "(coefficient - mean) / std of shuffled epochs (paper)",
-    "dispersion": "standard deviation of the features' speeds, without their errors",
-    "pm_limit": "95% upper limit of the speed of what is not seen to move",
-    "p_local": "probability that permuted epochs show as much at this velocity",
-    "p_global": "probability that permuted epochs show as much at any velocity",
-    "p_distinct": "probability that one stream fewer shows features as separate",
-    "note": "why it is not significant, or -",
-    "p_global_err": "Monte Carlo standard error of p_global",
-    "n_features": "number of features that were followed",
-    "p_smallest": "smallest p_global that permutations and epochs allow",
-    "pm_err_jitter": "standard error of pm from shifted SSPs (paper)",
-    "pm_err_alignment": "part of pm_err by the alignment of the epochs",
-    "n_ssp": "SSPs with a match at the component's velocity",
-    "n_pairs": "pairs of epochs with a match at the component's velocity",
+#: Every column of the velocity components: unit or type, and meaning.
+COLUMNS = {
+    "component": (int, "number of the component, in the order of the search"),
+    "kind": ("U15", "moving, stationary (within its errors) or not significant"),
+    "pm_ra_cosdec": (PM_UNIT, "proper motion to the east"),
+    "pm_ra_cosdec_err": (PM_UNIT, "standard error of pm_ra_cosdec"),
+    "pm_dec": (PM_UNIT, "proper motion to the north"),
+    "pm_dec_err": (PM_UNIT, "standard error of pm_dec"),
+    "pm": (PM_UNIT, "proper motion, its length"),
+    "pm_err": (PM_UNIT, "standard error of pm"),
+    "pm_pa": (u.deg, "direction of the proper motion, north through east"),
+    "pm_pa_err": (u.deg, "standard error of pm_pa"),
+    "pm_parallel": (PM_UNIT, "proper motion along the jet"),
+    "pm_parallel_err": (PM_UNIT, "standard error of pm_parallel"),
+    "pm_transverse": (
+        PM_UNIT,
+        "proper motion across the jet, positive to larger angles",
+    ),
+    "pm_transverse_err": (PM_UNIT, "standard error of pm_transverse"),
+    "dispersion": (
+        PM_UNIT,
+        "standard deviation of the features' speeds, without their errors",
+    ),
+    "dispersion_err": (PM_UNIT, "standard error of dispersion"),
+    "pm_limit": (PM_UNIT, "95% upper limit of the speed of what is not seen to move"),
+    "pm_err_jitter": (PM_UNIT, "standard error of pm from shifted SSPs (paper)"),
+    "pm_err_alignment": (PM_UNIT, "part of pm_err by the alignment of the epochs"),
+    "coefficient": (float, "stacked correlation coefficient"),
+    "z_score": (float, "(coefficient - mean) / std of shuffled epochs (paper)"),
+    "p_local": (
+        float,
+        "probability that permuted epochs show as much at this velocity",
+    ),
+    "p_global": (
+        float,
+        "probability that permuted epochs show as much at any velocity",
+    ),
+    "p_global_err": (float, "Monte Carlo standard error of p_global"),
+    "p_distinct": (
+        float,
+        "probability that one stream fewer shows features as separate",
+    ),
+    "p_smallest": (float, "smallest p_global that permutations and epochs allow"),
+    "n_ssp": (int, "SSPs with a match at the component's velocity"),
+    "n_pairs": (int, "pairs of epochs with a match at the component's velocity"),
+    "n_features": (int, "number of features that were followed"),
+    "note": (str, "why it is not significant, or -"),
 }
 
 
@@ -77,7 +102,7 @@ def versions():
 
 def ssp_table(ssps, cube, *, select=None):
     """
-    The catalogue of SSPs with sky positions and errors.
+    Return the catalogue of SSPs with sky positions and errors.
 
     Parameters
     ----------
@@ -94,20 +119,7 @@ def ssp_table(ssps, cube, *, select=None):
         ``east`` and ``north`` are offsets of the maximum from the reference
         pixel, with thermal errors ``beam / (sqrt(2) SNR)``.  In frames
         without right ascension columns are called as
-        `~astro_scc.epochs.positions.name_by_frame` says.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import ssp_table
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> table = ssp_table(matched.ssps, cube)
-    >>> len(table) == len(matched.ssps), table["east"].unit
-    (True, Unit("mas"))
+        `~astro_scc.epochs.name_by_frame` says.
     """
     n = len(ssps)
     select = np.ones(n, bool) if select is None else np.asarray(select, bool)
@@ -144,7 +156,7 @@ def ssp_table(ssps, cube, *, select=None):
 
 def feature_table(result):
     """
-    The features that were followed, each with its own speed.
+    Return the features that were followed, each with its own speed.
 
     Parameters
     ----------
@@ -158,17 +170,6 @@ def feature_table(result):
         ``distance`` from the reference pixel along the component, the
         ``motion`` in that time, its speed ``pm`` along and ``pm_transverse``
         across the component with errors, and its ``acceleration``.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=6, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], position_angle=270 * u.deg)
-    >>> features = scc(cube, n_trials=20, rng=1).features
-    >>> features.colnames[:5]
-    ['component', 'scale', 'n_epochs', 'first', 'last']
     """
     ssps, cube = result.matched.ssps, result.cube
     project = AxisProjection(result.displacements, ssps, cube, result.frame)
@@ -231,42 +232,233 @@ def component_table(rows, *, meta=None):
     >>> len(empty), empty["pm"].unit
     (0, Unit("mas / yr"))
     """
-    units = {}
-    for name in ("pm_ra_cosdec", "pm_dec", "pm", "pm_pa", "pm_parallel",
-                 "pm_transverse"):  # fmt: skip
-        unit = u.deg if name == "pm_pa" else PM_UNIT
-        units[name] = units[f"{name}_err"] = unit
-    for name in ("dispersion", "dispersion_err", "pm_limit"):
-        units[name] = PM_UNIT
-    for name in ("jitter", "alignment"):
-        units[f"pm_err_{name}"] = PM_UNIT
-    names = [
-        "component",
-        "kind",
-        *units,
-        "coefficient",
-        "z_score",
-        "p_local",
-        "p_global",
-        "p_global_err",
-        "p_distinct",
-        "p_smallest",
-        "n_ssp",
-        "n_pairs",
-        "n_features",
-        "note",
-    ]
-    dtypes = dict.fromkeys(("component", "n_ssp", "n_pairs", "n_features"), int)
-    dtypes["kind"], dtypes["note"] = "U15", str
     table = QTable()
-    for name in names:
-        values = np.array([row[name] for row in rows], dtype=dtypes.get(name, float))
-        if name in units:
-            table[name] = values * units[name]
-            table[name].info.description = DESCRIPTIONS.get(
-                name, f"standard error of {name.removesuffix('_err')}"
-            )
+    for name, (kind, description) in COLUMNS.items():
+        is_unit = isinstance(kind, u.UnitBase)
+        values = np.array([row[name] for row in rows], dtype=float if is_unit else kind)
+        if is_unit:
+            table[name] = values * kind
+            table[name].info.description = description
         else:
-            table[name] = Column(values, description=DESCRIPTIONS[name])
+            table[name] = Column(values, description=description)
     table.meta.update(meta or {})
+    return table
+
+
+def component_row(result, number):
+    """Return the columns of one component as plain numbers."""
+    peak, stream = result.maxima[number - 1], result.search.streams[number - 1]
+    velocity, jitter = result.velocities[number - 1], result.jitters[number - 1]
+    member = result.members(number)
+    d = result.displacements
+    pairs = np.stack([d.reference[member], d.target[member]])
+    p, n = stream.p_global, len(result.search.permutations.permuted)
+    row = {
+        "component": number,
+        "kind": stream.kind,
+        "dispersion": velocity.dispersion,
+        "dispersion_err": velocity.dispersion_error,
+        "coefficient": peak.coefficient,
+        "z_score": float(result.z_score[peak.row, peak.column]),
+        "p_local": stream.p_local,
+        "p_global": p,
+        "p_global_err": np.sqrt(p * (1 - p) / n),
+        "p_distinct": stream.p_distinct,
+        "p_smallest": result.search.permutations.smallest_p,
+        "n_ssp": len(np.unique(d.ssp[member])),
+        "n_pairs": len(np.unique(pairs.min(axis=0) * d.n_epochs + pairs.max(axis=0))),
+        "n_features": len(stream.features),
+        # ECSV takes empty text for a missing value.
+        "note": stream.reason or "-",
+    }
+    where = result.frame, result.position_angle
+    row.update(velocity_columns(velocity.value, velocity.covariance, *where))
+    for name, covariance in (
+        ("jitter", jitter.covariance),
+        ("alignment", velocity.alignment),
+    ):
+        row[f"pm_err_{name}"] = velocity_columns(velocity.value, covariance, *where)[
+            "pm_err"
+        ]
+    still = stream.kind != "moving"
+    row["pm_limit"] = row["pm"] + LIMIT * row["pm_err"] if still else np.nan
+    return row
+
+
+def _root(variance):
+    # That of errors along a line only is zero across it, but for rounding.
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def velocity_columns(velocity, covariance, frame, position_angle):
+    """
+    Components of a velocity and their errors, on the sky and to the jet.
+
+    Errors that the data do not give are NaN.
+    """
+    if not np.all(np.isfinite(covariance)):
+        row = velocity_columns(velocity, np.zeros((2, 2)), frame, position_angle)
+        row.update(dict.fromkeys([n for n in row if n.endswith("_err")], np.nan))
+        return row
+    if frame.uniform:
+        to_sky = np.linalg.inv(frame.matrix(0.0, 0.0))
+        sky, sky_covariance = to_sky @ velocity, to_sky @ covariance @ to_sky.T
+        pa = position_angle.to_value(u.rad)
+        jet = np.array([[np.sin(pa), np.cos(pa)], [np.cos(pa), -np.sin(pa)]])
+        along, along_covariance = jet @ sky, jet @ sky_covariance @ jet.T
+    else:
+        # Away from a point or along a bend there is no one direction on the sky.
+        sky, sky_covariance = np.full(2, np.nan), np.full((2, 2), np.nan)
+        along, along_covariance = velocity, covariance
+    speed = float(np.hypot(*along))
+    unit = along / speed if speed > 0 else np.array([1.0, 0.0])
+    across = np.array([-unit[1], unit[0]])
+    speed_err = _root(unit @ along_covariance @ unit)
+    pa_err = np.pi
+    if not frame.uniform:
+        pa_err = np.nan
+    elif speed > 0:
+        # No direction is more than half a turn off.
+        across_err = _root(across @ along_covariance @ across)
+        pa_err = np.minimum(across_err, np.pi * speed) / speed
+    names = ("pm_ra_cosdec", "pm_dec", "pm_parallel", "pm_transverse")
+    row = dict(zip(names, map(float, (*sky, *along)), strict=True))
+    variances = (*np.diag(sky_covariance), *np.diag(along_covariance))
+    for name, variance in zip(names, variances, strict=True):
+        row[f"{name}_err"] = float(_root(variance))
+    row["pm"], row["pm_err"] = speed, float(speed_err)
+    row["pm_pa"] = float(np.degrees(np.arctan2(*sky)) % 360)
+    row["pm_pa_err"] = float(np.degrees(pa_err))
+    return row
+
+
+def false_discovery_rate(tables, *, method="bh"):
+    """
+    Adjust the probabilities of components of regions searched together.
+
+    Of m velocities that were tested in all regions, bins or groups of
+    scales together, with :math:`p_{(1)} \\le \\ldots \\le p_{(m)}` their
+    ``p_global``, the k-th smallest becomes
+
+    .. math:: q_{(k)} = \\min_{l \\ge k}\\ \\min(1,\\ c_m\\, m\\, p_{(l)} / l),
+
+    with :math:`c_m = 1` [1]_, or :math:`c_m = \\sum_{l=1}^{m} 1 / l` [2]_.  Of
+    the components with ``p_fdr <= q`` a share of at most q is expected to be
+    false.
+
+    Parameters
+    ----------
+    tables : sequence of `~astropy.table.QTable`, or a mapping to them
+        Components, see `SCCResult.components`: one table for each region,
+        bin or group of scales, *those without components included*.
+    method : {"bh", "by"}, optional
+        Benjamini & Hochberg, which holds for independent tests and for
+        those that depend on one another positively, as regions that share
+        features and scales that see the same feature do; or Benjamini &
+        Yekutieli, which holds for any dependence and costs the factor
+        :math:`c_m`, 3.6 for m = 20.
+
+    Returns
+    -------
+    list or dict of `~astropy.table.QTable`
+        Copies with the column ``p_fdr`` behind ``p_global_err``; its meta
+        has the method and the number of tests.
+
+    Raises
+    ------
+    TypeError
+        If ``tables`` is one table.
+    ValueError
+        If a table has no column ``p_global`` or one that is no probability,
+        or for another ``method``.
+
+    Notes
+    -----
+    ``p_global`` enters because it has paid already for all the velocities at
+    which one region was searched; ``p_local`` has not.  Every velocity that
+    was tested counts, those "not significant" too, and a table without any
+    counts as one test with a probability of 1.  Were only those counted that
+    are significant by themselves, a lone false alarm among twenty regions
+    would have nothing to pay for the other nineteen.  What is "stationary" is
+    not tested and does not count.  ``kind`` is not changed: a component is a
+    discovery of the whole search if it is "moving" *and* its ``p_fdr`` is
+    small.
+
+    With n trials no ``p_fdr`` of a lone component is below m / (n + 1).
+
+    References
+    ----------
+    .. [1] Benjamini, Y. & Hochberg, Y. 1995, J. R. Stat. Soc. B 57, 289.
+    .. [2] Benjamini, Y. & Yekutieli, D. 2001, Ann. Statist. 29, 1165.
+
+    Examples
+    --------
+    >>> from astropy.table import QTable
+    >>> from astro_scc.measurement import false_discovery_rate
+    >>> kinds = ["moving", "not significant"]
+    >>> inner = QTable({"kind": kinds, "p_global": [0.004, 0.3]})
+    >>> outer = QTable({"kind": ["moving"], "p_global": [0.04]})
+    >>> inner, outer = false_discovery_rate([inner, outer])
+    >>> inner["p_fdr"].tolist(), outer["p_fdr"].tolist()
+    ([0.012, 0.3], [0.06])
+    """
+    from scipy.stats import false_discovery_control
+
+    if method not in ("bh", "by"):
+        raise ValueError(f"unknown method {method!r}: use 'bh' or 'by'")
+    if isinstance(tables, Table):
+        raise TypeError("tables must be a sequence of tables, got one: give [table]")
+    if hasattr(tables, "items"):
+        names, tables = list(tables), list(tables.values())
+    else:
+        names, tables = None, list(tables)
+    tested = [
+        _probabilities(t, k if names is None else names[k])
+        for k, t in enumerate(tables)
+    ]
+    moved = [_tested(table) for table in tables]
+    # Where nothing could be tested was searched all the same.
+    p = [
+        own[use] if use.any() else np.ones(1)
+        for own, use in zip(tested, moved, strict=True)
+    ]
+    adjusted = false_discovery_control(np.concatenate(p), method=method) if p else []
+    ends = np.cumsum([len(own) for own in p])
+    parts = np.split(adjusted, ends[:-1]) if p else []
+    meta = {"false_discovery": {"method": method, "n_tests": len(adjusted)}}
+    done = []
+    for table, own, use, q in zip(tables, tested, moved, parts, strict=True):
+        values = own.copy()
+        values[use] = q[: use.sum()]
+        done.append(_with_column(table, values, meta))
+    return done if names is None else dict(zip(names, done, strict=True))
+
+
+def _probabilities(table, name):
+    if "p_global" not in table.colnames:
+        raise ValueError(
+            f"table {name!r} has no column p_global: give tables of components"
+        )
+    p = np.asarray(table["p_global"], dtype=float)
+    # A comparison with NaN is false.
+    if not np.all((p >= 0) & (p <= 1)):
+        raise ValueError(f"table {name!r}: p_global must be from 0 to 1, got {p}")
+    return p
+
+
+def _tested(table):
+    """Which velocities were tested: not those of what stands still."""
+    if "kind" not in table.colnames:
+        return np.ones(len(table), dtype=bool)
+    return np.asarray(table["kind"], dtype=str) != "stationary"
+
+
+def _with_column(table, values, meta):
+    table = table.copy()
+    if "p_fdr" in table.colnames:
+        table.remove_column("p_fdr")
+    column = Column(np.array(values, dtype=float), description=P_FDR)
+    before = "p_global_err" if "p_global_err" in table.colnames else "p_global"
+    table.add_column(column, name="p_fdr", index=table.colnames.index(before) + 1)
+    table.meta.update(meta)
     return table

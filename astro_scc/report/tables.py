@@ -151,7 +151,7 @@ def feature_rows(components, features):
     components : `~astropy.table.QTable`
         Of which the speeds have their unit.
     features : `~astropy.table.QTable`
-        See `~astro_scc.measurement.feature_table`.
+        See `~astro_scc.measurement.tables.feature_table`.
 
     Returns
     -------

@@ -8,102 +8,8 @@ from scipy.sparse import csr_array
 
 from astro_scc.stacking.search import SearchSettings
 
-__all__ = ["AxisDisplacements", "Diagram", "Rays"]
-
 #: Grid points of the displacement in one blur.
 POINTS = 4
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class AxisDisplacements:
-    """
-    Displacements of matches along one axis, and the SSPs that they connect.
-
-    Lengths are in beams.
-
-    Attributes
-    ----------
-    along, across : `~numpy.ndarray`, shape (n,)
-        From the SSP to its match, along the axis and across it.
-    weight : `~numpy.ndarray`, shape (n,)
-    reference, target : `~numpy.ndarray` of int, shape (n,)
-        Epochs of the SSP and of its match.
-    ssp, target_ssp : `~numpy.ndarray` of int, shape (n,)
-        The SSP, and the one that the match falls on or -1.
-    position : `~numpy.ndarray`, shape (n_ssps, 2)
-        Of each SSP along the axis and across it.
-    epoch, scale : `~numpy.ndarray`, shape (n_ssps,)
-    years : `~numpy.ndarray`, shape (n_epochs,)
-        Dates in years, ascending.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.stacking import AxisDisplacements
-    >>> one = np.ones(1)
-    >>> d = AxisDisplacements(
-    ...     along=0.4 * one, across=0 * one, weight=one, reference=np.array([0]),
-    ...     target=np.array([1]), ssp=np.array([0]), target_ssp=np.array([1]),
-    ...     position=np.array([[1.0, 0], [1.4, 0]]), epoch=np.array([0, 1]),
-    ...     scale=np.ones(2), years=np.array([2000.0, 2000.5]))
-    >>> len(d), d.interval
-    (1, array([0.5]))
-    """
-
-    along: np.ndarray
-    across: np.ndarray
-    weight: np.ndarray
-    reference: np.ndarray
-    target: np.ndarray
-    ssp: np.ndarray
-    target_ssp: np.ndarray
-    position: np.ndarray
-    epoch: np.ndarray
-    scale: np.ndarray
-    years: np.ndarray
-
-    def __len__(self):
-        return len(self.along)
-
-    @property
-    def interval(self):
-        """Time from the SSP's epoch to its match's, in years, with its sign."""
-        return self.years[self.target] - self.years[self.reference]
-
-    def select(self, keep):
-        """
-        A selection of the matches.
-
-        Parameters
-        ----------
-        keep : array_like of bool, shape (n,), or indices
-
-        Returns
-        -------
-        `AxisDisplacements`
-        """
-        names = ("along", "across", "weight", "reference", "target", "ssp",
-                 "target_ssp")  # fmt: skip
-        rest = ("position", "epoch", "scale", "years")
-        return AxisDisplacements(
-            **{name: getattr(self, name)[keep] for name in names},
-            **{name: getattr(self, name) for name in rest},
-        )
-
-    def without_ssps(self, taken):
-        """
-        The matches from and to SSPs that are not taken.
-
-        Parameters
-        ----------
-        taken : `~numpy.ndarray` of bool, shape (n_ssps,)
-
-        Returns
-        -------
-        `AxisDisplacements`
-        """
-        there = np.where(self.target_ssp >= 0, taken[self.target_ssp], False)
-        return self.select(~(taken[self.ssp] | there))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -127,22 +33,6 @@ class Diagram:
     n_pairs : `~numpy.ndarray` of int, shape (n_tau,)
         Pairs of dates in each bin.
     observed, excess : `~numpy.ndarray`, shape (n_tau, n_d)
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.stacking import AxisDisplacements, Diagram, Rays, SearchSettings
-    >>> years = np.array([0.0, 1.0, 2.5])
-    >>> ssp, to = np.array([0, 0, 1]), np.array([1, 2, 2])
-    >>> d = AxisDisplacements(
-    ...     along=0.4 * (years[to] - years[ssp]), across=np.zeros(3), weight=np.ones(3),
-    ...     reference=ssp, target=to, ssp=ssp, target_ssp=to,
-    ...     position=np.zeros((3, 2)), epoch=np.arange(3), scale=np.ones(3),
-    ...     years=years)
-    >>> rays = Rays.of(years, 1.5, SearchSettings())
-    >>> diagram = Diagram.of(d, rays, SearchSettings())
-    >>> diagram.displacement[diagram.excess.argmax(axis=1)].round(1)
-    array([0.4, 0.6, 1. ])
     """
 
     displacement: np.ndarray
@@ -152,13 +42,13 @@ class Diagram:
     excess: np.ndarray
 
     @classmethod
-    def of(cls, displacements, rays, settings):
+    def of(cls, samples, rays, settings):
         """
-        The diagram of the epochs in their order.
+        Return the diagram of the epochs in their order.
 
         Parameters
         ----------
-        displacements : `AxisDisplacements`
+        samples : `~astro_scc.stacking.VelocitySamples`
         rays : `Rays`
         settings : `~astro_scc.stacking.SearchSettings`
 
@@ -167,8 +57,8 @@ class Diagram:
         `Diagram`
         """
         bins = rays.bins
-        density = PairDensity.of(displacements, rays.radius, settings)
-        observed = bins.sums(density.pairs, np.arange(len(displacements.years))[None])
+        density = PairDensity.of(samples, rays.radius, settings)
+        observed = bins.sums(density.pairs, np.arange(len(samples.years))[None])
         return cls(
             displacement=density.grid,
             interval=bins.mean,
@@ -176,25 +66,6 @@ class Diagram:
             observed=observed[0],
             excess=observed[0] - bins.number[:, None] * density.mean,
         )
-
-    def share_of_motion(self, along, interval):
-        """
-        Share of the matches beyond chance at displacements and intervals.
-
-        Parameters
-        ----------
-        along, interval : array_like, shape (n,)
-
-        Returns
-        -------
-        `~numpy.ndarray`, shape (n,)
-            Between 0 and 1.
-        """
-        share = np.clip(self.excess / np.maximum(self.observed, 1e-9), 0, 1)
-        row = np.abs(np.log(interval)[:, None] - np.log(self.interval)).argmin(axis=1)
-        step = self.displacement[1] - self.displacement[0]
-        column = np.rint((along - self.displacement[0]) / step).astype(int)
-        return share[row, np.clip(column, 0, len(self.displacement) - 1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,8 +82,8 @@ class PairDensity:
         half = int(np.ceil(POINTS * radius / settings.blur))
         step = radius / half
         grid = step * np.arange(-half, half + 1)
-        use = (np.abs(d.across) <= settings.across) & (np.abs(d.along) <= radius)
-        place = (d.along[use] + radius) / step
+        use = (np.abs(d.d2) <= settings.across) & (np.abs(d.d1) <= radius)
+        place = (d.d1[use] + radius) / step
         low = np.clip(np.floor(place).astype(int), 0, 2 * half - 1)
         part = place - low
         row = d.reference[use].astype(int) * n + d.target[use]
@@ -308,7 +179,7 @@ class Rays:
     @classmethod
     def of(cls, years, radius, settings, fastest=np.inf, intervals=(0.0, np.inf)):
         """
-        The rays for some dates.
+        Return the rays for some dates.
 
         Parameters
         ----------
@@ -376,7 +247,7 @@ class Rays:
 
     def matrix(self, speed, grid):
         """
-        Sums of a diagram over rays, as a matrix.
+        Return the sums of a diagram over rays, as a matrix.
 
         Parameters
         ----------

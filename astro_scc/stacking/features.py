@@ -5,16 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Feature", "find_features"]
-
-#: Speeds that single SSPs are given, relative step.
-SPEED_STEP = 0.06
-#: Fewest SSPs of a feature of which an acceleration is known.
-ACCELERATED = 5
-#: Degrees of freedom that the assumed position error counts as.
-PRIOR_FREEDOM = 3
-#: Features closer than this many beams to the line of a longer one are parts of it.
-SAME_FEATURE = 0.5
+from astro_scc.stacking.search import DEFAULT
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +37,7 @@ class Feature:
     >>> from astro_scc.stacking import Feature
     >>> years = np.array([0.0, 1.0, 2.0])
     >>> place = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
-    >>> Feature.through(np.arange(3), years, place, 0.06).speed
+    >>> Feature.through(np.arange(3), years, place).speed
     0.5
     """
 
@@ -65,19 +56,19 @@ class Feature:
         return len(self.ssp)
 
     @classmethod
-    def through(cls, ssp, years, position, position_error):
+    def through(cls, ssp, years, position, settings=DEFAULT):
         """
         Fit a straight line to the positions of SSPs.
 
         The variance of a position is that of the residuals, drawn towards
-        ``position_error`` as if by three more measurements.
+        ``position_error`` of the settings as if by three more measurements.
 
         Parameters
         ----------
         ssp : `~numpy.ndarray` of int, shape (n,)
         years : `~numpy.ndarray`, shape (n,)
         position : `~numpy.ndarray`, shape (n, 2)
-        position_error : float
+        settings : `~astro_scc.stacking.SearchSettings`, optional
 
         Returns
         -------
@@ -89,13 +80,13 @@ class Feature:
         left = position - position.mean(axis=0) - time[:, None] * velocity
 
         def variance(left, n_parameters):
-            freedom = max(len(ssp) - n_parameters, 0) + PRIOR_FREEDOM
-            total = (left**2).sum(axis=0) + PRIOR_FREEDOM * position_error**2
-            return total / freedom
+            prior = settings.prior_freedom
+            total = (left**2).sum(axis=0) + prior * settings.position_error**2
+            return total / (max(len(ssp) - n_parameters, 0) + prior)
 
         error = np.sqrt(variance(left, 2) * (response @ response))
         bend = bend_error = np.nan
-        if len(ssp) >= ACCELERATED:
+        if len(ssp) >= settings.accelerated_epochs:
             design = np.stack([np.ones(len(ssp)), time, time**2 / 2], axis=1)
             inverse = np.linalg.inv(design.T @ design)
             curve = inverse @ design.T @ position[:, 0]
@@ -115,7 +106,7 @@ class Feature:
         )
 
 
-def find_features(displacements, rays, settings, prior):
+def find_features(samples, rays, settings, prior):
     """
     Find features that move, each with a speed of its own.
 
@@ -127,7 +118,7 @@ def find_features(displacements, rays, settings, prior):
 
     Parameters
     ----------
-    displacements : `~astro_scc.stacking.AxisDisplacements`
+    samples : `~astro_scc.stacking.VelocitySamples`
     rays : `~astro_scc.stacking.Rays`
     settings : `~astro_scc.stacking.SearchSettings`
     prior : callable
@@ -137,30 +128,9 @@ def find_features(displacements, rays, settings, prior):
     -------
     list of `Feature`
         Those of several scales that are the same only once.
-
-    Examples
-    --------
-    Two features of different speeds, seen in six epochs:
-
-    >>> import numpy as np
-    >>> from astro_scc.stacking import (AxisDisplacements, Rays, SearchSettings,
-    ...                                 find_features)
-    >>> years = np.arange(6.0)
-    >>> epoch, feature = (k.ravel() for k in np.indices((6, 2)))
-    >>> place = 3.0 * feature + np.array([0.3, 0.5])[feature] * years[epoch]
-    >>> ssp, to = np.nonzero((feature[:, None] == feature) & (epoch[:, None] != epoch))
-    >>> d = AxisDisplacements(
-    ...     along=place[to] - place[ssp], across=np.zeros(len(to)),
-    ...     weight=np.ones(len(to)), reference=epoch[ssp], target=epoch[to], ssp=ssp,
-    ...     target_ssp=to, position=np.stack([place, 0 * place], axis=1), epoch=epoch,
-    ...     scale=np.ones(12), years=years)
-    >>> rays = Rays.of(years, 1.5, SearchSettings())
-    >>> found = find_features(d, rays, SearchSettings(), np.ones_like)
-    >>> [(round(feature.speed, 2), len(feature)) for feature in found]
-    [(0.3, 6), (0.5, 6)]
     """
-    d = displacements
-    keep = (np.abs(d.across) <= settings.across) & (np.abs(d.along) <= rays.radius)
+    d = samples
+    keep = (np.abs(d.d2) <= settings.across) & (np.abs(d.d1) <= rays.radius)
     keep &= (d.target_ssp >= 0) & (d.interval != 0)
     links = _Links.of(d.select(keep))
     if len(links.ssp) == 0:
@@ -168,30 +138,24 @@ def find_features(displacements, rays, settings, prior):
     speeds = _speeds(rays)
     excess = _excess(links, d, speeds, rays) * prior(speeds)
     best, fastest = excess.max(axis=1), speeds[excess.argmax(axis=1)]
-    free = np.ones(len(d.epoch), dtype=bool)
+    seeds = np.argsort(-best, kind="stable")
+    seeds = seeds[best[seeds] >= settings.least_score]
     found = []
-    for seed in np.argsort(-best, kind="stable"):
-        if best[seed] < settings.least_score:
-            break
-        if not free[seed]:
-            continue
-        chosen = _follow(seed, fastest[seed], links, d, free, settings)
-        free[chosen] = False
-        chosen = _on_line(chosen, d, settings)
+    for chosen in _chains(seeds, fastest, links, d, settings):
         first, last = d.epoch[chosen[0]], d.epoch[chosen[-1]]
         least = max(settings.least_epochs, settings.least_share * (last - first + 1))
         if len(chosen) >= least:
             found.append(_feature(chosen, d, settings))
-    return _different(found, d)
+    return _different(found, d, settings)
 
 
-def standing_features(displacements, settings):
+def standing_features(samples, settings):
     """
     Find features that stand still in at least half of the epochs.
 
     Parameters
     ----------
-    displacements : `~astro_scc.stacking.AxisDisplacements`
+    samples : `~astro_scc.stacking.VelocitySamples`
     settings : `~astro_scc.stacking.SearchSettings`
 
     Returns
@@ -199,28 +163,19 @@ def standing_features(displacements, settings):
     list of `Feature`
         With speeds below two standard errors.
     """
-    d = displacements
-    close = (np.hypot(d.along, d.across) <= settings.nearest) & (d.target_ssp >= 0)
+    d = samples
+    close = (np.hypot(d.d1, d.d2) <= settings.nearest) & (d.target_ssp >= 0)
     # Images of one date say nothing about motion.
     close &= d.interval != 0
     links = _Links.of(d.select(close))
-    free = np.ones(len(d.epoch), dtype=bool)
     least = max(settings.least_epochs, len(d.years) / 2)
-    found = []
     number = np.diff(links.start)
-    for seed in np.argsort(-number, kind="stable"):
-        if number[seed] + 1 < least:
-            break
-        if not free[seed]:
-            continue
-        chosen = _follow(seed, 0.0, links, d, free, settings)
-        free[chosen] = False
-        chosen = _on_line(chosen, d, settings)
-        if len(chosen) >= least:
-            feature = _feature(chosen, d, settings)
-            if abs(feature.speed) <= 2 * feature.error:
-                found.append(feature)
-    return _different(found, d)
+    seeds = np.argsort(-number, kind="stable")
+    seeds = seeds[number[seeds] + 1 >= least]
+    chains = _chains(seeds, np.zeros(len(d.epoch)), links, d, settings)
+    found = [_feature(k, d, settings) for k in chains if len(k) >= least]
+    found = [f for f in found if abs(f.speed) <= 2 * f.error]
+    return _different(found, d, settings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +193,7 @@ class _Links:
     def of(cls, d):
         ssp = np.concatenate([d.ssp, d.target_ssp])
         to = np.concatenate([d.target_ssp, d.ssp])
-        along = np.concatenate([d.along, -d.along])
+        along = np.concatenate([d.d1, -d.d1])
         weight = np.concatenate([d.weight, d.weight])
         order = np.argsort(ssp, kind="stable")
         ssp, to = ssp[order], to[order]
@@ -253,15 +208,15 @@ class _Links:
 
 
 def _speeds(rays):
-    """Speeds of single features: somewhat beyond those of streams."""
+    """Return the speeds of single features: somewhat beyond those of streams."""
     fastest, slowest = 1.1 * rays.speed.max(), 0.5 * np.abs(rays.speed).min()
-    n = int(np.ceil(np.log(fastest / slowest) / SPEED_STEP))
+    n = int(np.ceil(np.log(fastest / slowest) / rays.settings.feature_speed_step))
     speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
     return np.concatenate([-speed[::-1], speed])
 
 
 def _excess(links, d, speeds, rays):
-    """Matches of each SSP on rays, less those that permutations give."""
+    """Return the matches of each SSP on rays, less those that permutations give."""
     n, n_epochs, sigma = len(d.epoch), len(d.years), rays.settings.smoothing
     step = sigma / 2
     half = np.ceil(rays.radius / step) + 2
@@ -291,6 +246,16 @@ def _excess(links, d, speeds, rays):
     return found
 
 
+def _chains(seeds, speed, links, d, settings):
+    """Yield the SSPs that lie on a line with each seed, each SSP in one chain only."""
+    free = np.ones(len(d.epoch), dtype=bool)
+    for seed in seeds:
+        if free[seed]:
+            chosen = _follow(seed, speed[seed], links, d, free, settings)
+            free[chosen] = False
+            yield _on_line(chosen, d, settings)
+
+
 def _follow(seed, speed, links, d, free, settings):
     """SSPs along a line from one of them, one an epoch."""
     members = {int(d.epoch[seed]): int(seed)}
@@ -300,10 +265,8 @@ def _follow(seed, speed, links, d, free, settings):
         index = links.of_ssps(front)
         index = index[free[links.to[index]]]
         off = links.along[index] - speed * links.interval[index]
-        index, off = (
-            index[np.abs(off) <= 2 * settings.smoothing],
-            off[np.abs(off) <= 2 * settings.smoothing],
-        )
+        near = np.abs(off) <= 2 * settings.smoothing
+        index, off = index[near], off[near]
         to = links.to[index]
         time = d.years[d.epoch[to]] - when
         line = here + np.stack([speed * time, across * time], axis=1)
@@ -327,8 +290,7 @@ def _follow(seed, speed, links, d, free, settings):
             time = years - years.mean()
             speed, across = time @ place / (time @ time)
             here, when = place.mean(axis=0), years.mean()
-    chosen = np.array([members[epoch] for epoch in sorted(members)])
-    return chosen
+    return np.array([members[epoch] for epoch in sorted(members)])
 
 
 def _on_line(chosen, d, settings):
@@ -350,10 +312,10 @@ def _on_line(chosen, d, settings):
 
 def _feature(chosen, d, settings):
     years, place = d.years[d.epoch[chosen]], d.position[chosen]
-    return Feature.through(chosen, years, place, settings.position_error)
+    return Feature.through(chosen, years, place, settings)
 
 
-def _different(features, d):
+def _different(features, d, settings):
     """The longest of those that follow one another on one line or several scales."""
     kept = []
     # The finer scale of two as long is blended less.
@@ -363,7 +325,7 @@ def _different(features, d):
             time = years - d.years[d.epoch[other.ssp]].mean()
             velocity = np.array([other.speed, other.across])
             line = d.position[other.ssp].mean(axis=0) + time[:, None] * velocity
-            if np.median(np.hypot(*(place - line).T)) < SAME_FEATURE:
+            if np.median(np.hypot(*(place - line).T)) < settings.same_feature:
                 break
         else:
             kept.append(feature)

@@ -1,20 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Stacks of many orders of the epochs, from one map for each pair of images."""
+"""Stacks of many permutations of the epochs, from one map for each pair of images."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from astro_scc.stacking.stack import (
-    REACH_SIGMA,
-    gaussian_sum,
-    number_of_ssps,
-    stack,
-)
-
-__all__ = ["PairMaps"]
+from astro_scc.stacking.stack import REACH_SIGMA, gaussian_sum, number_of_ssps
+from astro_scc.stacking.velocities import VelocitySamples
 
 #: Spacing of the maps in units of the narrowest kernel.
 STEP_SIGMA = 2 / 3
@@ -69,53 +63,29 @@ class PairMaps:
 
     Attributes
     ----------
-    displacements : `Displacements`
+    samples : `~astro_scc.stacking.VelocitySamples`
     axis1, axis2 : `~numpy.ndarray`
         Displacements at which the maps are sampled.
     index : `~numpy.ndarray` of int, shape (n_matches,)
         Matches by pair of images.
     ends : `~numpy.ndarray` of int, shape (n_images ** 2 + 1,)
         Where those of images (r, t) begin, at ``r * n_images + t``.
-    turned : bool
-        Whether the matches of the target's side count, too, turned round.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.stacking import Displacements, consecutive_pairs
-    >>> from astro_scc.stacking import PairMaps
-    >>> from astro_scc.stacking import VelocityGrid, stack
-    >>> rng = np.random.default_rng(1)
-    >>> years, n, one = np.array([0.0, 1.0, 2.0]), 40, np.ones(40)
-    >>> first = np.repeat([0, 1], 20)
-    >>> d = Displacements(
-    ...     d1=3 + rng.normal(0, 0.2, n), d2=rng.normal(0, 0.2, n), s1=0.3 * one,
-    ...     s2=0.3 * one, weight=0.8 * one, reference=first, target=first + 1,
-    ...     ssp=np.arange(n), target_ssp=np.full(n, -1), n_ssps=np.full(3, 20))
-    >>> pairs = consecutive_pairs(years)
-    >>> grid = VelocityGrid.covering(6.0, 0.2)
-    >>> scc = stack(d, pairs, grid)
-    >>> maps = PairMaps.of(d, grid.v_max, 1.0)
-    >>> again = maps.stack(pairs, grid)
-    >>> bool(np.abs(again - scc).max() < 1e-3 * scc.max())
-    True
     """
 
-    displacements: object
+    samples: VelocitySamples
     axis1: np.ndarray
     axis2: np.ndarray
     index: np.ndarray
     ends: np.ndarray
-    turned: bool = False
 
     @classmethod
-    def of(cls, displacements, v_max, longest):
+    def of(cls, samples, v_max, longest):
         """
         Prepare the maps.
 
         Parameters
         ----------
-        displacements : `Displacements`
+        samples : `~astro_scc.stacking.VelocitySamples`
         v_max : tuple of float
             Largest velocities that will be asked for.
         longest : float
@@ -125,7 +95,7 @@ class PairMaps:
         -------
         `PairMaps`
         """
-        d = displacements
+        d = samples
         n = d.n_epochs
         axes = []
         for position, sigma, v in ((d.d1, d.s1, v_max[0]), (d.d2, d.s2, v_max[1])):
@@ -137,33 +107,13 @@ class PairMaps:
         pair = d.reference.astype(int) * n + d.target
         order = np.argsort(pair, kind="stable")
         ends = np.searchsorted(pair[order], np.arange(n * n + 1))
-        return cls(displacements, *axes, order.astype(np.int32), ends)
-
-    def both_ways(self):
-        """
-        The maps of the matches and, turned round, of the same from the target.
-
-        Returns
-        -------
-        `PairMaps`
-            Equivalent to those of ``displacements.both_ways()``.
-
-        Raises
-        ------
-        ValueError
-            If they are of both ways already.
-        """
-        if self.turned:
-            raise ValueError("these maps are of both ways already")
-        return replace(self, turned=True)
+        return cls(samples, *axes, order.astype(np.int32), ends)
 
     @cached_property
     def _rows(self):
         """Row of each pair of images among the maps, or -1 for an empty one."""
-        n = self.displacements.n_epochs
-        number = np.diff(self.ends).reshape(n, n)
-        used = np.triu(number + number.T) > 0 if self.turned else number > 0
-        return np.where(used.ravel(), np.cumsum(used) - 1, -1)
+        used = np.diff(self.ends) > 0
+        return np.where(used, np.cumsum(used) - 1, -1)
 
     @property
     def map_bytes(self):
@@ -180,7 +130,7 @@ class PairMaps:
 
     def _maps(self, pairs):
         """
-        Maps of pairs of images, as coefficients of splines.
+        Return the maps of pairs of images, as coefficients of splines.
 
         Parameters
         ----------
@@ -190,9 +140,9 @@ class PairMaps:
         Returns
         -------
         `~numpy.ndarray`, shape (n, n2 * n1)
-            In single precision; turned round is read backwards.
+            In single precision.
         """
-        d, n = self.displacements, self.displacements.n_epochs
+        d = self.samples
         axis1, axis2 = (a.astype(np.float32) for a in (self.axis1, self.axis2))
         to1, to2 = (
             _coefficients(a).astype(np.float32) for a in (self.axis1, self.axis2)
@@ -202,17 +152,12 @@ class PairMaps:
         for own, pair in zip(maps, pairs.tolist(), strict=True):
             k = self.index[self.ends[pair] : self.ends[pair + 1]]
             values = gaussian_sum(*(a[k] for a in columns), axis1, axis2)
-            if self.turned:
-                back = pair % n * n + pair // n
-                k = self.index[self.ends[back] : self.ends[back + 1]]
-                there = gaussian_sum(*(a[k] for a in columns), axis1, axis2)
-                values = values + there[::-1, ::-1]
             own[:] = (to2 @ values.astype(np.float32) @ to1.T).ravel()
         return maps
 
     def stacks(self, pairs, grid, orders, *, shift=(0.0, 0.0)):
         """
-        The stacks of many orders of the images over the dates.
+        Return the stacks of many permutations of the images over the dates.
 
         Parameters
         ----------
@@ -236,25 +181,16 @@ class PairMaps:
 
     def _block(self, pairs, stretch, orders):
         reference, target = pairs.images(orders)
-        flipped = np.zeros(reference.shape, dtype=bool)
-        if self.turned:
-            flipped = reference > target
-            reference, target = (
-                np.minimum(reference, target),
-                np.maximum(reference, target),
-            )
-        images = reference * self.displacements.n_epochs + target
+        images = reference * self.samples.n_epochs + target
         total = np.zeros((len(orders), *stretch.shape))
         for maps, rows in self._parts(images):
             for trial in range(len(orders)):
                 here = rows[trial] >= 0
                 if here.any():
-                    total[trial] += stretch(
-                        maps, rows[trial], here, flipped[trial], pairs.weight
-                    )
+                    total[trial] += stretch(maps, rows[trial], here, pairs.weight)
             # Before the next part is made.
             del maps
-        number = number_of_ssps(self.displacements, pairs, orders)
+        number = number_of_ssps(self.samples, pairs, orders)
         total /= number[:, None, None]
         return total
 
@@ -271,23 +207,6 @@ class PairMaps:
             rows = np.full(len(self._rows), -1)
             rows[part] = np.arange(len(part))
             yield self._maps(part), rows[images]
-
-    def stack(self, pairs, grid, order=None):
-        """
-        The exact stack of one order, see `~astro_scc.stacking.stack`.
-
-        Parameters
-        ----------
-        pairs : `DatePairs`
-        grid : `VelocityGrid`
-        order : array_like of int, optional
-
-        Returns
-        -------
-        `~numpy.ndarray`, shape ``grid.shape``
-        """
-        d = self.displacements.both_ways() if self.turned else self.displacements
-        return stack(d, pairs, grid, order=order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,27 +254,25 @@ class _Stretch:
             (len(maps.axis2), len(maps.axis1)),
         )
 
-    def __call__(self, maps, row, here, flipped, weight):
-        """The stack of one order."""
+    def __call__(self, maps, row, here, weight):
+        """Return the stack of one permutation."""
         total = np.zeros(self.shape)
         kind = self.share.dtype
+        slots = np.flatnonzero(here)
         # A few intervals and a few pairs of dates at a time bound memory.
         few = max(1, WORK_BYTES // (kind.itemsize * maps.shape[1]))
         for first in range(0, len(self.share), few):
             some = slice(first, first + few)
             added = 0
-            for sense, back in ((here & ~flipped, False), (here & flipped, True)):
-                slots = np.flatnonzero(sense)
-                for start in range(0, len(slots), few):
-                    use = slots[start : start + few]
-                    share = self.share[some, use] * weight[use].astype(kind)
-                    sums = share @ maps[row[use]].astype(kind, copy=False)
-                    added = added + (sums[:, ::-1] if back else sums)
+            for start in range(0, len(slots), few):
+                use = slots[start : start + few]
+                share = self.share[some, use] * weight[use].astype(kind)
+                added = added + share @ maps[row[use]].astype(kind, copy=False)
             total += self._stretched(added.reshape(-1, *self.size), first)
         return total
 
     def _stretched(self, added, first):
-        """Sums of maps, those of some intervals, as one stack."""
+        """Return the sums of maps, those of some intervals, as one stack."""
         lines = []
         for k, own in enumerate(added, first):
             lines.append(own[self.rows[k], self.columns[k]] @ self.to1[k])
@@ -365,14 +282,14 @@ class _Stretch:
 
 
 def _support(matrix):
-    """The columns that are not all zero."""
+    """Return the columns that are not all zero."""
     used = np.flatnonzero(matrix.any(axis=0))
     return slice(used[0], used[-1] + 1) if len(used) else slice(0, 0)
 
 
 def _intervals(maps, pairs, grid):
     """
-    The intervals that maps are stretched by, and how pairs share in them.
+    Return the intervals that maps are stretched by, and how pairs share in them.
 
     Returns
     -------
@@ -380,7 +297,7 @@ def _intervals(maps, pairs, grid):
     share : `~numpy.ndarray`, shape (n, n_pairs)
     """
     own, kind = np.unique(np.round(pairs.interval, 9), return_inverse=True)
-    d = maps.displacements
+    d = maps.samples
     if len(own) > 1 and len(d):
         # Along the line v t the map varies on the scale of the kernel.
         fastest = np.hypot(

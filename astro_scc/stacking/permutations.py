@@ -1,30 +1,25 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Permutations of the epochs, and what they show along the rays of the diagram."""
+"""Permutations of the epochs: along the rays of the diagram, and on stacks."""
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from astro_scc.stacking.diagram import PairDensity
-from astro_scc.stacking.shuffle import random_orders
+from astro_scc.stacking.search import DEFAULT
 
-__all__ = ["EpochPermutations", "number_of_orders", "permutations_of_epochs"]
-
-#: Standard deviations of the permutations are at least this share of the largest
-#: of any axis at the same speed: single matches across the flow are no surprise.
-STD_FLOOR = 0.3
+#: Standard deviations of stacks are floored at this share of their largest value.
+STD_FLOOR = 0.01
 #: Bytes of permuted diagrams that are made at once.
 BYTES = 2**26
 #: Factorials beyond this one are as good as endless.
 MOST = 20
-#: Up to so many epochs all orders are taken: a sample of few has a poor variance.
-ALL_ORDERS_OF = 6
 
 
-def number_of_orders(n_epochs):
+def number_of_permutations(n_epochs):
     """
     Return how many orders are distinguished: one and its reversal are not.
 
@@ -35,17 +30,11 @@ def number_of_orders(n_epochs):
     Returns
     -------
     float
-
-    Examples
-    --------
-    >>> from astro_scc.stacking import number_of_orders
-    >>> number_of_orders(4)
-    12.0
     """
     return max(math.factorial(min(n_epochs, MOST)) / 2, 1.0)
 
 
-def permutations_of_epochs(n_epochs, n_trials, rng):
+def permutations_of_epochs(n_epochs, n_trials, rng, settings=DEFAULT):
     """
     Draw permutations of the epochs, as likely as the observed order.
 
@@ -53,23 +42,23 @@ def permutations_of_epochs(n_epochs, n_trials, rng):
     ----------
     n_epochs, n_trials : int
     rng : `~numpy.random.Generator`
+    settings : `~astro_scc.stacking.SearchSettings`, optional
 
     Returns
     -------
     `~numpy.ndarray` of int, shape (n, n_epochs)
         All but the observed one of up to six epochs, or if there are no more
         than ``n_trials``.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.stacking import permutations_of_epochs
-    >>> permutations_of_epochs(3, 10, np.random.default_rng(1)).tolist()
-    [[0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]]
     """
-    if n_epochs <= ALL_ORDERS_OF or math.factorial(min(n_epochs, MOST)) <= n_trials + 1:
+    few = n_epochs <= settings.all_orders_of
+    if few or math.factorial(min(n_epochs, MOST)) <= n_trials + 1:
         return np.array(list(itertools.permutations(range(n_epochs))))[1:]
-    return random_orders(n_epochs, n_trials, rng)
+    return random_permutations(n_epochs, n_trials, rng)
+
+
+def random_permutations(n_epochs, n_trials, rng):
+    """Return random permutations, all equally likely, (n_trials, n_epochs)."""
+    return rng.permuted(np.tile(np.arange(n_epochs), (n_trials, 1)), axis=1)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,12 +81,12 @@ class EpochPermutations:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import (AxisDisplacements, EpochPermutations,
-    ...                                 Rays, SearchSettings)
+    >>> from astro_scc.stacking import (
+    ...     EpochPermutations, Rays, SearchSettings, VelocitySamples)
     >>> years = np.arange(6.0)
     >>> ssp, to = (k[~np.eye(6, dtype=bool)] for k in np.indices((6, 6)))
-    >>> d = AxisDisplacements(
-    ...     along=0.5 * (to - ssp), across=np.zeros(30), weight=np.ones(30),
+    >>> d = VelocitySamples(
+    ...     d1=0.5 * (to - ssp), d2=np.zeros(30), weight=np.ones(30),
     ...     reference=ssp, target=to, ssp=ssp, target_ssp=to,
     ...     position=np.zeros((6, 2)), epoch=np.arange(6), scale=np.ones(6),
     ...     years=years)
@@ -121,7 +110,7 @@ class EpochPermutations:
 
         Parameters
         ----------
-        axes : sequence of `AxisDisplacements`
+        axes : sequence of `~astro_scc.stacking.VelocitySamples`
             The same matches along each axis that is searched.
         rays : `Rays`
         n_trials : int
@@ -137,7 +126,7 @@ class EpochPermutations:
         """
         years, bins = axes[0].years, rays.bins
         speed = rays.speed[rays.speed > 0] if outward else rays.speed
-        orders = permutations_of_epochs(len(years), n_trials, rng)
+        orders = permutations_of_epochs(len(years), n_trials, rng, settings)
         orders = np.concatenate([np.arange(len(years))[None], orders])
         sums, largest = [], 1e-300
         for axis in axes:
@@ -154,12 +143,14 @@ class EpochPermutations:
         sums = np.stack(sums, axis=1)
         std = sums.std(axis=0)
         # Epochs that are all the same differ by rounding only.
-        z = sums / np.maximum(std, STD_FLOOR * std.max(axis=0) + 1e-6 * largest)
+        z = sums / np.maximum(
+            std, settings.least_std * std.max(axis=0) + 1e-6 * largest
+        )
         return cls(
             speed=speed,
             z=z[0],
             permuted=z[1:].astype(np.float32),
-            smallest_p=max(1 / len(orders), 1 / number_of_orders(len(years))),
+            smallest_p=max(1 / len(orders), 1 / number_of_permutations(len(years))),
         )
 
     @cached_property
@@ -169,7 +160,7 @@ class EpochPermutations:
 
     def largest(self):
         """
-        The axis and speed with the largest z.
+        Return the axis and speed with the largest z.
 
         Returns
         -------
@@ -231,3 +222,73 @@ class EpochPermutations:
         n = len(self.permuted) + 1
         p_local = ((here >= z - 1e-6).sum() + 1) / n
         return float(p_local), float(((self.maxima >= z - 1e-6).sum() + 1) / n)
+
+
+@dataclass(frozen=True, eq=False)
+class PermutedStacks:
+    """Mean and standard deviation of the stacks of permuted epochs, on the grid."""
+
+    mean: np.ndarray
+    std: np.ndarray
+
+    def z_score(self, scc):
+        """
+        Return the significance of a stack, ``(C - mean) / std`` (paper, Sect. 2.3).
+
+        It is no probability: the paper's 11 sigma come from 1000 trials.  The
+        standard deviation is floored at a hundredth of its largest value; where
+        no trial has any correlation the result is zero.
+        """
+        floor = np.maximum(self.std, STD_FLOOR * self.std.max(initial=0.0))
+        excess = scc - self.mean
+        return np.divide(excess, floor, out=np.zeros_like(excess), where=floor > 0)
+
+
+def permute_stacks(pair_maps, pairs, grid, n_trials, *, rng, shift=None, progress=None):
+    """
+    Stack the epochs in permuted order, again and again, for the paper's z-score.
+
+    Parameters
+    ----------
+    pair_maps : `~astro_scc.stacking.pair_maps.PairMaps`
+    pairs : `~astro_scc.stacking.DatePairs`
+    grid : `~astro_scc.stacking.VelocityGrid`
+    n_trials : int
+    rng : `~numpy.random.Generator`
+    shift : tuple of float, optional
+        Displacement (the paper: a fifth of the beam) by which the images of
+        a trial are shifted, along either axis and in either sense in turn;
+        the paper's correction for small displacements, at which permuted
+        epochs of standing structure still correlate.
+    progress : callable, optional
+        Called with the number of trials done at a time.
+
+    Returns
+    -------
+    `PermutedStacks`
+
+    Raises
+    ------
+    ValueError
+        If ``n_trials`` is below 2.
+    """
+    if n_trials < 2:
+        raise ValueError(f"permutations need at least 2 trials, got {n_trials}")
+    orders = random_permutations(pairs.n_dates, n_trials, rng)
+    # The maps that a copy makes go with it.
+    pair_maps = replace(pair_maps)
+    parts = [(orders, (0.0, 0.0))]
+    if shift is not None:
+        s1, s2 = shift
+        shifts = [(s1, 0.0), (-s1, 0.0), (0.0, s2), (0.0, -s2)]
+        parts = [(orders[i::4], s) for i, s in enumerate(shifts)]
+    total, squares = np.zeros(grid.shape), np.zeros(grid.shape)
+    for some, offset in parts:
+        for block in pair_maps.stacks(pairs, grid, some, shift=offset):
+            total += block.sum(axis=0)
+            squares += np.einsum("tij,tij->ij", block, block)
+            if progress is not None:
+                progress(len(block))
+    mean = total / n_trials
+    variance = np.maximum(squares / n_trials - mean**2, 0.0)
+    return PermutedStacks(mean, np.sqrt(variance * n_trials / (n_trials - 1)))

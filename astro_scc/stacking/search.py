@@ -3,8 +3,6 @@
 
 from dataclasses import dataclass
 
-__all__ = ["SearchSettings"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings:
@@ -56,6 +54,57 @@ class SearchSettings:
     full_prior : float
         Significance, in standard deviations of the permutations, from which
         on a speed counts fully for single features.
+    least_prior : float
+        Weight of a speed for single features that no permutation test
+        supports: features of any speed are followed, but never first.
+    least_z : float
+        Speeds less significant than this, in standard deviations of the
+        permutations, are not those of a feature of the stream.
+    max_turns : int
+        The direction is that of the features after so many steps at most;
+        on simulated jets it stays after two.
+    rest_errors : float
+        Errors that a speed is from rest: 95% of a normal distribution, one-sided.
+    pull, fewest_clear : float, int
+        Features that stand still pull at those nearer than 2.5 beams: their
+        speeds are 10% too small on simulated jets, farther out 0.3%.  They do
+        not count if three others are left.
+    apart : float
+        Two streams differ by so many standard deviations of what a flow
+        with ``lone_dispersion`` scatters.
+    same_speed : float
+        Largest relative difference from the tested speed of the features
+        that count where the mean of all is not significant.
+    feature_speed_step : float
+        Relative step of the speeds that single SSPs are given.
+    accelerated_epochs : int
+        Fewest SSPs of a feature of which an acceleration is known.
+    prior_freedom : int
+        Degrees of freedom that ``position_error`` counts as: a straight line
+        through three SSPs has one of its own.
+    same_feature : float
+        Features closer than this to the line of a longer one are parts of it.
+    error_inflation : float
+        Errors of features are larger than their residuals say by this
+        factor, as blends move smoothly; measured on simulated jets.
+    core_bias : float
+        Relative error of a feature's speed that is left of the pull of the
+        core on simulated jets.
+    lone_dispersion : float
+        Dispersion, relative to the speed, that is assumed of a stream of
+        which one feature is seen: that of the flows of blazars is 10 to 30%.
+    fewest_of_two : int
+        Fewest features of which two streams can be distinguished.
+    one_dispersions, two_dispersions : tuple of float
+        Dispersions, relative to the mean, that are tried for one stream and
+        for each of two.
+    least_std : float
+        Standard deviations of the permutations are at least this share of the
+        largest of any axis at the same speed: single matches across the flow
+        are no surprise.
+    all_orders_of : int
+        Up to so many epochs all permutations are taken: a sample of few has a
+        poor variance.
 
     Examples
     --------
@@ -81,3 +130,30 @@ class SearchSettings:
     least_motion: float = 1.75
     least_score: float = 1.5
     full_prior: float = 6.0
+    least_prior: float = 0.15
+    least_z: float = 1.5
+    max_turns: int = 4
+    rest_errors: float = 1.645
+    pull: float = 2.5
+    fewest_clear: int = 3
+    apart: float = 3.0
+    same_speed: float = 0.35
+    feature_speed_step: float = 0.06
+    accelerated_epochs: int = 5
+    prior_freedom: int = 3
+    same_feature: float = 0.5
+    error_inflation: float = 1.3
+    core_bias: float = 0.02
+    lone_dispersion: float = 0.15
+    fewest_of_two: int = 4
+    one_dispersions: tuple = (
+        0.01, 0.03, 0.05, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6,
+        0.7, 0.8, 1.0,
+    )  # fmt: skip
+    two_dispersions: tuple = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25)
+    least_std: float = 0.3
+    all_orders_of: int = 6
+
+
+#: What is used where no other settings are given.
+DEFAULT = SearchSettings()

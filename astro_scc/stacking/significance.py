@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Which speeds the epochs show: the search for streams and its significance."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,30 +10,12 @@ from astro_scc.stacking.features import find_features, standing_features
 from astro_scc.stacking.permutations import EpochPermutations
 from astro_scc.stacking.search import SearchSettings
 from astro_scc.stacking.streams import (
-    LONE,
     Population,
     feature_speeds,
     random_effects,
     separate_streams,
 )
-
-__all__ = ["Search", "Stream", "find_streams"]
-
-#: Weight of a speed for single features that no permutation test supports.
-LEAST_PRIOR = 0.15
-#: Speeds less significant than this, in standard deviations of the
-#: permutations, are not those of a feature of the stream.
-LEAST_Z = 1.5
-#: The direction is that of the features after so many steps at most.
-TURNS = 4
-#: Errors that a speed is from rest: at 95%, one-sided.
-REST = 1.645
-#: Features that stand still pull at those nearer than so many beams: their speeds are
-#: 10% too small on simulated jets, farther out 0.3%.  They do not count if so many are
-#: left.
-PULL, FEWEST_CLEAR = 2.5, 3
-#: Streams differ by so many standard deviations of what a flow scatters.
-APART = 3.0
+from astro_scc.stacking.velocities import VelocitySamples
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +30,7 @@ class Stream:
         Why it is not significant, or ''.
     angle : float
         Direction of the axis from the first axis of the frame, in radians.
-    along, across : `~astro_scc.stacking.Population`
+    along, across : `~astro_scc.stacking.streams.Population`
         Of the speeds of its features, in beams a year.
     z : float
         Excess along its ray in standard deviations of the permutations.
@@ -89,7 +71,7 @@ class Search:
     streams : tuple of `Stream`
         The moving ones, that with more features first, then what stands still;
         or the strongest speed that is not significant.  Empty without matches.
-    diagram : `~astro_scc.stacking.Diagram`
+    diagram : `~astro_scc.stacking.diagram.Diagram`
         Along the direction of the first stream.
     angle : float
         Of that direction from the first axis of the frame, in radians.
@@ -103,11 +85,11 @@ class Search:
     One feature that moves half a beam a year through eight epochs:
 
     >>> import numpy as np
-    >>> from astro_scc.stacking import AxisDisplacements, find_streams
+    >>> from astro_scc.stacking import VelocitySamples, find_streams
     >>> years = np.arange(8.0)
     >>> ssp, to = (k[~np.eye(8, dtype=bool)] for k in np.indices((8, 8)))
-    >>> d = AxisDisplacements(
-    ...     along=0.5 * (to - ssp), across=np.zeros(56), weight=np.ones(56),
+    >>> d = VelocitySamples(
+    ...     d1=0.5 * (to - ssp), d2=np.zeros(56), weight=np.ones(56),
     ...     reference=ssp, target=to, ssp=ssp, target_ssp=to,
     ...     position=np.outer(0.5 * years, [1, 0]), epoch=np.arange(8),
     ...     scale=np.ones(8), years=years)
@@ -126,13 +108,13 @@ class Search:
     axis: int
     rays: Rays
 
-    def follow(self, displacements):
+    def follow(self, samples):
         """
         Follow the features of some of the SSPs along the first stream.
 
         Parameters
         ----------
-        displacements : `~astro_scc.stacking.AxisDisplacements`
+        samples : `~astro_scc.stacking.VelocitySamples`
             Along the direction of that stream.
 
         Returns
@@ -143,9 +125,8 @@ class Search:
         """
         if not self.streams:
             return []
-        found = _follow(displacements, self.rays, self.permutations, self.axis)
-        speed = self.streams[0].along.mean
-        return _moving(found, self.permutations, self.axis, speed)
+        axis = _Axis(self.angle, samples, self.rays, self.permutations, self.axis)
+        return axis.moving(axis.features(), self.streams[0].along.mean)
 
 
 def find_streams(
@@ -174,7 +155,7 @@ def find_streams(
     Parameters
     ----------
     project : callable
-        The `~astro_scc.stacking.AxisDisplacements` along an angle in radians
+        The `~astro_scc.stacking.VelocitySamples` along an angle in radians
         from the first axis of the frame.
     angles : sequence of float
         Axes to search, evenly over half a turn from the first axis of the
@@ -208,13 +189,13 @@ def find_streams(
     Ten features that move half a beam a year through eight epochs:
 
     >>> import numpy as np
-    >>> from astro_scc.stacking import AxisDisplacements, find_streams
+    >>> from astro_scc.stacking import VelocitySamples, find_streams
     >>> years = np.arange(8.0)
     >>> epoch, feature = (k.ravel() for k in np.indices((8, 10)))
     >>> place = 3.0 * feature + 0.5 * years[epoch]
     >>> ssp, to = np.nonzero((feature[:, None] == feature) & (epoch[:, None] != epoch))
-    >>> d = AxisDisplacements(
-    ...     along=place[to] - place[ssp], across=np.zeros(len(to)),
+    >>> d = VelocitySamples(
+    ...     d1=place[to] - place[ssp], d2=np.zeros(len(to)),
     ...     weight=np.ones(len(to)), reference=epoch[ssp], target=epoch[to], ssp=ssp,
     ...     target_ssp=to, position=np.stack([place, 0 * place], axis=1), epoch=epoch,
     ...     scale=np.ones(80), years=years)
@@ -226,109 +207,49 @@ def find_streams(
     """
     settings = SearchSettings() if settings is None else settings
     test_rng, model_rng = rng.spawn(2)
-    axes = [project(angle) for angle in angles]
-    rays = Rays.of(axes[0].years, radius, settings, fastest, intervals)
-    permutations = EpochPermutations.of(
-        axes, rays, n_trials, test_rng, settings, outward=outward
-    )
-    axis, speed = permutations.largest()
-    p_local, p_global = permutations.p_values(axis, speed)
-    angle, d = angles[axis], axes[axis]
-    features = _follow(d, rays, permutations, axis)
-    # Displacements along a wrong axis are shorter: along the features' own direction.
-    for _ in range(TURNS if len(angles) > 1 else 0):
-        near = [f for f in features if f.speed * speed > 0] or features
-        if not near:
-            break
-        mean = np.mean([(f.speed, f.across) for f in near], axis=0)
-        turn = np.arctan(mean[1] / mean[0])
-        half_turns, axis = divmod(
-            round((angle + turn) * len(angles) / np.pi), len(angles)
+    projected = [project(angle) for angle in angles]
+    rays = Rays.of(projected[0].years, radius, settings, fastest, intervals)
+
+    def permuted(axes):
+        return EpochPermutations.of(
+            axes, rays, n_trials, test_rng, settings, outward=outward
         )
-        angle += turn - half_turns * np.pi
-        speed = float(np.hypot(*mean) * np.sign(mean[0]) * (-1) ** half_turns)
-        d = project(angle)
-        features = _follow(d, rays, permutations, axis)
-        if abs(turn) < np.pi / len(angles) / 2:
-            break
-    still = standing_features(d, settings)
-    streams, searched, first_axis = [], permutations, axis
-    for group, p_distinct in _groups(
-        features, permutations, axis, speed, alpha, n_trials, model_rng
-    ):
-        along, across = _population(_clear(group, still, d))
+
+    # 1. The speed with the largest excess over the permutations, along any ray.
+    permutations = permuted(projected)
+    number, speed = permutations.largest()
+    axis = _Axis(angles[number], projected[number], rays, permutations, number)
+    # 2. The features that move at such speeds, along their own direction.
+    axis, speed, features = _turn_to_features(axis, speed, project, len(angles))
+    # 3. Their streams: one, or two where a parametric bootstrap rejects one.
+    groups = _feature_groups(axis, features, speed, alpha, n_trials, model_rng)
+    standing = standing_features(axis.samples, settings)
+    streams, tested = [], axis
+    for group, p_distinct in groups:
         if streams:
-            # What the faster or slower one shows beside the first.
-            ssps = np.concatenate([f.ssp for f in streams[0].features])
-            rest = d.without_ssps(np.isin(np.arange(len(d.epoch)), ssps))
-            axis, permutations = (
-                0,
-                EpochPermutations.of(
-                    [rest], rays, n_trials, test_rng, settings, outward=outward
-                ),
+            # The second one is tested without the features of the first.
+            first = _is_member(streams[0].features, axis.samples)
+            rest = axis.samples.without_ssps(first)
+            tested = replace(
+                axis, samples=rest, permutations=permuted([rest]), number=0
             )
-        p_local, p_global = permutations.p_values(axis, along.mean)
-        kind, reason = classify(along, p_global, group, permutations, alpha, settings)
-        streams.append(
-            Stream(
-                kind=kind,
-                reason=reason,
-                angle=angle,
-                along=along,
-                across=across,
-                z=float(permutations.significance(axis, along.mean)),
-                p_local=p_local,
-                p_global=p_global,
-                p_distinct=p_global if p_distinct is None else p_distinct,
-                features=tuple(group),
-            )
-        )
+        # 4. The mean speed of its features, and the permutation test at that speed.
+        mean = _population(_clear_features(group, standing, axis), settings)
+        streams.append(_stream(tested, *mean, group, alpha, p_distinct))
     if not streams and permutations.z.any():
-        streams.append(
-            _without_features(permutations, axis, speed, angle, alpha, settings)
-        )
-    streams += _standing(d, streams, angle, settings)
+        along = Population(float(speed), np.nan, np.nan, np.nan)
+        across = Population(0.0, np.nan, np.nan, np.nan)
+        streams.append(_stream(axis, along, across, (), alpha))
+    # 5. What stands still, without the features that move.
+    streams += _standing_stream(axis, streams)
     return Search(
         streams=tuple(streams),
-        diagram=Diagram.of(d, rays, settings),
-        angle=float(angle),
-        permutations=searched,
-        axis=first_axis,
+        diagram=Diagram.of(axis.samples, rays, settings),
+        angle=float(axis.angle),
+        permutations=permutations,
+        axis=axis.number,
         rays=rays,
     )
-
-
-def _follow(d, rays, permutations, axis):
-    """Features along an axis, of which the significant speeds count more."""
-
-    def prior(speeds):
-        z = permutations.significance(axis, speeds)
-        return np.clip(z / rays.settings.full_prior, LEAST_PRIOR, 1.0)
-
-    return find_features(d, rays, rays.settings, prior)
-
-
-def _clear(features, still, d):
-    """Without those that features which stand still pull at, if three are left."""
-    if not still:
-        return features
-    places = np.array([d.position[f.ssp].mean(axis=0) for f in still])
-    clear = [
-        f
-        for f in features
-        if np.hypot(*(places - d.position[f.ssp].mean(axis=0)).T).min() > PULL
-    ]
-    return clear if len(clear) >= FEWEST_CLEAR else features
-
-
-def _moving(features, permutations, axis, speed):
-    """Those that move in the direction of a speed, as the epochs show."""
-    z = permutations.significance(axis, np.array([f.speed for f in features]))
-    return [
-        f
-        for f, own in zip(features, z, strict=True)
-        if f.speed * speed > 0 and own >= LEAST_Z
-    ]
 
 
 def classify(along, p_global, features, permutations, alpha, settings):
@@ -337,7 +258,7 @@ def classify(along, p_global, features, permutations, alpha, settings):
 
     Parameters
     ----------
-    along : `~astro_scc.stacking.Population`
+    along : `~astro_scc.stacking.streams.Population`
     p_global : float
     features : sequence of `~astro_scc.stacking.Feature`
     permutations : `~astro_scc.stacking.EpochPermutations`
@@ -363,71 +284,171 @@ def classify(along, p_global, features, permutations, alpha, settings):
             f"its features move {moved:.1f} beams, added in squares, less than "
             f"{settings.least_motion:g}: blends of standing features drift as far"
         )
-    elif abs(along.mean) <= REST * along.error:
-        reason = "rest is within 1.645 errors of the speed (95%)"
+    elif abs(along.mean) <= settings.rest_errors * along.error:
+        reason = f"rest is within {settings.rest_errors:g} errors of the speed (95%)"
     else:
         return "moving", ""
     return "not significant", reason
 
 
-def _groups(features, permutations, axis, speed, alpha, n_trials, rng):
-    """Features of each stream, and the probability that it is none of its own."""
-    moving = _moving(features, permutations, axis, speed)
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """
+    One axis: the matches along it, and what permuted epochs show there.
+
+    The permutations are of the axis ``number`` of those that were searched, which is
+    the nearest one.
+    """
+
+    angle: float
+    samples: VelocitySamples
+    rays: Rays
+    permutations: EpochPermutations
+    number: int
+
+    @property
+    def settings(self):
+        """Settings of the search."""
+        return self.rays.settings
+
+    def z(self, speed):
+        """Return the significance of speeds."""
+        return self.permutations.significance(self.number, speed)
+
+    def p_values(self, speed):
+        """Return the local and the global p-value of a speed."""
+        return self.permutations.p_values(self.number, speed)
+
+    def features(self):
+        """Return the features, those of significant speeds first."""
+
+        def prior(speeds):
+            z = self.z(speeds) / self.settings.full_prior
+            return np.clip(z, self.settings.least_prior, 1.0)
+
+        return find_features(self.samples, self.rays, self.settings, prior)
+
+    def moving(self, features, speed):
+        """Return those that move in the direction of a speed, significantly."""
+        z = self.z(np.array([f.speed for f in features]))
+        return [
+            f
+            for f, own in zip(features, z, strict=True)
+            if f.speed * speed > 0 and own >= self.settings.least_z
+        ]
+
+
+def _turn_to_features(axis, speed, project, n_axes):
+    """Turn an axis to its features, whose motion is foreshortened along another."""
+    features = axis.features()
+    for _ in range(axis.settings.max_turns if n_axes > 1 else 0):
+        near = [f for f in features if f.speed * speed > 0] or features
+        if not near:
+            break
+        mean = np.mean([(f.speed, f.across) for f in near], axis=0)
+        turn = np.arctan(mean[1] / mean[0])
+        half_turns, number = divmod(round((axis.angle + turn) * n_axes / np.pi), n_axes)
+        angle = axis.angle + (turn - half_turns * np.pi)
+        speed = float(np.hypot(*mean) * np.sign(mean[0]) * (-1) ** half_turns)
+        axis = replace(axis, angle=angle, samples=project(angle), number=number)
+        features = axis.features()
+        if abs(turn) < np.pi / n_axes / 2:
+            break
+    return axis, speed, features
+
+
+def _feature_groups(axis, features, speed, alpha, n_trials, rng):
+    """Return the features of each stream, and the p-value of being distinct."""
+    moving, settings = axis.moving(features, speed), axis.settings
     if not moving:
         return []
-    p_two, second = separate_streams(moving, n_trials, rng)
+    p_two, is_fast = separate_streams(moving, n_trials, rng, settings)
     parts = [
-        [f for f, fast in zip(moving, second, strict=True) if fast == which]
+        [f for f, fast in zip(moving, is_fast, strict=True) if fast == which]
         for which in (False, True)
     ]
-    if p_two <= alpha and _apart(*parts):
+    if p_two <= alpha and _are_apart(*parts, settings):
+
+        def rank(part):
+            return len(part), axis.z(_population(part, settings)[0].mean)
+
         # The one with more features first, of equal ones the more significant.
-        parts.sort(
-            key=lambda part: (
-                len(part),
-                permutations.significance(axis, _population(part)[0].mean),
-            ),
-            reverse=True,
-        )
-        return [(parts[0], None), (parts[1], p_two)]
-    mean = _population(moving)[0].mean
-    if permutations.p_values(axis, mean)[1] > max(alpha, permutations.smallest_p):
+        first, second = sorted(parts, key=rank, reverse=True)
+        return [(first, None), (second, p_two)]
+    mean = _population(moving, settings)[0].mean
+    if axis.p_values(mean)[1] > max(alpha, axis.permutations.smallest_p):
         # Speeds so different that their mean is none of theirs.
-        near = [f for f in moving if abs(f.speed / speed - 1) <= 0.35]
+        near = [f for f in moving if abs(f.speed / speed - 1) <= settings.same_speed]
         return [(near or moving, None)]
     return [(moving, None)]
 
 
-def _apart(one, other):
+def _are_apart(one, other, settings):
     """Whether the speeds differ by more than those of so few of one flow may."""
-    (v, _), (w, _) = map(feature_speeds, (one, other))
+    (v, _), (w, _) = (feature_speeds(part, settings) for part in (one, other))
     difference = np.log(abs(np.mean(v) / np.mean(w)))
-    return abs(difference) > APART * LONE * np.sqrt(1 / len(one) + 1 / len(other))
+    scatter = settings.lone_dispersion * np.sqrt(1 / len(one) + 1 / len(other))
+    return abs(difference) > settings.apart * scatter
 
 
-def _population(features):
-    speed, error = feature_speeds(features)
+def _clear_features(features, standing, axis):
+    """Return those that no standing feature pulls at, if enough are left."""
+    if not standing:
+        return features
+    settings, position = axis.settings, axis.samples.position
+    places = np.array([position[f.ssp].mean(axis=0) for f in standing])
+    clear = [
+        f
+        for f in features
+        if np.hypot(*(places - position[f.ssp].mean(axis=0)).T).min() > settings.pull
+    ]
+    return clear if len(clear) >= settings.fewest_clear else features
+
+
+def _population(features, settings):
+    """Return the mean and dispersion of the speeds along and across the axis."""
+    speed, error = feature_speeds(features, settings)
     across = [f.across for f in features], [f.across_error for f in features]
-    return random_effects(speed, error), random_effects(*across)
+    return (
+        random_effects(speed, error, settings),
+        random_effects(*across, settings),
+    )
 
 
-def _without_features(permutations, axis, speed, angle, alpha, settings):
-    p_local, p_global = permutations.p_values(axis, speed)
-    unknown = Population(0.0, np.nan, np.nan, np.nan)
-    along = Population(float(speed), np.nan, np.nan, np.nan)
-    kind, reason = classify(along, p_global, (), permutations, alpha, settings)
-    z = float(permutations.significance(axis, speed))
-    return Stream(kind, reason, angle, along, unknown, z, p_local, p_global, p_global)
+def _stream(axis, along, across, features, alpha, p_distinct=None):
+    """Test a stream at its mean speed."""
+    p_local, p_global = axis.p_values(along.mean)
+    kind, reason = classify(
+        along, p_global, features, axis.permutations, alpha, axis.settings
+    )
+    return Stream(
+        kind=kind,
+        reason=reason,
+        angle=axis.angle,
+        along=along,
+        across=across,
+        z=float(axis.z(along.mean)),
+        p_local=p_local,
+        p_global=p_global,
+        p_distinct=p_global if p_distinct is None else p_distinct,
+        features=tuple(features),
+    )
 
 
-def _standing(d, streams, angle, settings):
-    """The stream at rest, if features stand still."""
-    taken = np.zeros(len(d.epoch), dtype=bool)
-    for stream in streams:
-        for feature in stream.features if stream.kind == "moving" else ():
-            taken[feature.ssp] = True
-    still = standing_features(d.without_ssps(taken), settings)
+def _standing_stream(axis, streams):
+    """Return the stream at rest in a list, empty if nothing stands still."""
+    moving = [f for s in streams if s.kind == "moving" for f in s.features]
+    rest = axis.samples.without_ssps(_is_member(moving, axis.samples))
+    still = standing_features(rest, axis.settings)
     if not still:
         return []
-    along, across = _population(still)
-    return [Stream("stationary", "", angle, along, across, features=tuple(still))]
+    along, across = _population(still, axis.settings)
+    return [Stream("stationary", "", axis.angle, along, across, features=tuple(still))]
+
+
+def _is_member(features, samples):
+    """Whether each SSP is one of a feature."""
+    member = np.zeros(len(samples.epoch), dtype=bool)
+    for feature in features:
+        member[feature.ssp] = True
+    return member

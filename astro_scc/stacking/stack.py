@@ -1,14 +1,18 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The stacked cross-correlation on a grid of velocities."""
+"""The stacked cross-correlation on a grid of velocities, and its maxima."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["gaussian_sum", "stack"]
+from astro_scc.correlation.zncc import find_peaks
 
 #: Matches that are summed at once; bounds memory.
 BLOCK = 16384
 #: Beyond this many standard deviations a Gaussian does not count.
 REACH_SIGMA = 5.0
+#: Share of a maximum that a grid point must reach to take part in its fit.
+LEVEL = 0.5
 
 
 def gaussian_sum(x, y, sx, sy, weight, grid_x, grid_y):
@@ -27,15 +31,6 @@ def gaussian_sum(x, y, sx, sy, weight, grid_x, grid_y):
     Returns
     -------
     `~numpy.ndarray`, shape (ny, nx)
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.stacking import gaussian_sum
-    >>> one, x = np.ones(2), np.array([0.0, 1.0])
-    >>> grid = np.array([0.0, 0.5]), np.array([0.0])
-    >>> gaussian_sum(x, 0 * x, one, one, one, *grid).round(2)
-    array([[1.61, 1.76]])
     """
     total = np.zeros((len(grid_y), len(grid_x)))
     for start in range(0, len(x), BLOCK):
@@ -46,13 +41,13 @@ def gaussian_sum(x, y, sx, sy, weight, grid_x, grid_y):
     return total
 
 
-def velocities(displacements, pairs, order=None):
+def sample_velocities(samples, pairs, order=None):
     """
-    The matches of a stack as velocities with errors and weights.
+    Return the matches of a stack as velocities with errors and weights.
 
     Parameters
     ----------
-    displacements : `Displacements`
+    samples : `VelocitySamples`
     pairs : `DatePairs`
     order : array_like of int, shape (n_dates,), optional
         Image at each date; their own by default.
@@ -66,30 +61,30 @@ def velocities(displacements, pairs, order=None):
     """
     order = np.arange(pairs.n_dates) if order is None else order
     reference, target = pairs.images(order)
-    n = displacements.n_epochs
+    n = samples.n_epochs
     # Each ordered pair of images meets at most one pair of dates.
     slot = np.full((n, n), -1)
     slot[reference, target] = np.arange(len(pairs))
-    of_match = slot[displacements.reference, displacements.target]
+    of_match = slot[samples.reference, samples.target]
     index = np.flatnonzero(of_match >= 0)
     rate = 1 / pairs.interval[of_match[index]]
     return (
         index,
-        displacements.d1[index] * rate,
-        displacements.d2[index] * rate,
-        displacements.s1[index] * rate,
-        displacements.s2[index] * rate,
-        displacements.weight[index] * pairs.weight[of_match[index]],
+        samples.d1[index] * rate,
+        samples.d2[index] * rate,
+        samples.s1[index] * rate,
+        samples.s2[index] * rate,
+        samples.weight[index] * pairs.weight[of_match[index]],
     )
 
 
-def number_of_ssps(displacements, pairs, order=None):
+def number_of_ssps(samples, pairs, order=None):
     """
-    The normalisation of a stack: SSPs of all its reference images.
+    Return the normalisation of a stack: SSPs of all its reference images.
 
     Parameters
     ----------
-    displacements : `Displacements`
+    samples : `VelocitySamples`
     pairs : `DatePairs`
     order : array_like of int, shape (..., n_dates), optional
         Image at each date.
@@ -102,11 +97,11 @@ def number_of_ssps(displacements, pairs, order=None):
     """
     order = np.arange(pairs.n_dates) if order is None else order
     reference, _ = pairs.images(order)
-    number = (displacements.n_ssps[reference] * pairs.weight).sum(axis=-1)
+    number = (samples.n_ssps[reference] * pairs.weight).sum(axis=-1)
     return np.where(number > 0, number, np.inf)
 
 
-def stack(displacements, pairs, grid, *, order=None):
+def stack(samples, pairs, grid, *, order=None):
     r"""
     Stack the correlation peaks of all SSPs and pairs of epochs.
 
@@ -119,12 +114,12 @@ def stack(displacements, pairs, grid, *, order=None):
 
     Parameters
     ----------
-    displacements : `Displacements`
+    samples : `VelocitySamples`
     pairs : `DatePairs`
     grid : `VelocityGrid`
         In the unit of the displacements per year.
     order : array_like of int, shape (n_dates,), optional
-        Image at each date, to stack a shuffled order of epochs.
+        Image at each date, to stack a permuted order of epochs.
 
     Returns
     -------
@@ -134,9 +129,9 @@ def stack(displacements, pairs, grid, *, order=None):
     --------
     >>> import numpy as np
     >>> from astro_scc.stacking import (
-    ...     Displacements, VelocityGrid, consecutive_pairs, stack)
+    ...     VelocityGrid, VelocitySamples, consecutive_pairs, stack)
     >>> one = np.ones(1)
-    >>> match = Displacements(
+    >>> match = VelocitySamples(
     ...     d1=one, d2=0 * one, s1=0.2 * one, s2=0.2 * one, weight=0.9 * one,
     ...     reference=np.array([0]), target=np.array([1]), ssp=np.array([0]),
     ...     target_ssp=np.array([1]), n_ssps=np.array([1, 1]))
@@ -146,9 +141,236 @@ def stack(displacements, pairs, grid, *, order=None):
     >>> float(grid.v1[column]), float(grid.v2[row]), float(scc.max())
     (2.0, 0.0, 0.9)
     """
-    _, v1, v2, s1, s2, weight = velocities(displacements, pairs, order)
+    _, v1, v2, s1, s2, weight = sample_velocities(samples, pairs, order)
     near = (np.abs(v1) < grid.v_max[0] + REACH_SIGMA * s1) & (
         np.abs(v2) < grid.v_max[1] + REACH_SIGMA * s2
     )
     total = gaussian_sum(*(a[near] for a in (v1, v2, s1, s2, weight)), grid.v1, grid.v2)
-    return total / number_of_ssps(displacements, pairs, order)
+    return total / number_of_ssps(samples, pairs, order)
+
+
+@dataclass(frozen=True)
+class VelocityPeak:
+    """
+    A maximum of a stack.
+
+    Attributes
+    ----------
+    v1, v2 : float
+        Velocity along the two axes of the grid, from the Gaussian fit.
+    coefficient : float
+        Stacked correlation coefficient at the maximum.
+    width1, width2 : float
+        Standard deviations of the fitted Gaussian along the axes.
+    row, column : int
+        Grid point of the maximum.
+    fitted : bool
+        False where no Gaussian with a maximum in the box fits, and the
+        velocity is that of the local quadratic.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import VelocityGrid, find_velocity_peaks
+    >>> grid = VelocityGrid.covering(4.0, 0.25)
+    >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
+    >>> peak = find_velocity_peaks(scc, grid, (2.0, 2.0))[0]
+    >>> peak.fitted, round(peak.v1, 1)
+    (True, 1.1)
+    """
+
+    v1: float
+    v2: float
+    coefficient: float
+    width1: float
+    width2: float
+    row: int
+    column: int
+    fitted: bool
+
+
+def fit_gaussian(values, x, y):
+    """
+    Fit a two-dimensional Gaussian by linear least squares of its logarithm.
+
+    ``ln f = a + b x + c y + d x^2 + e x y + f y^2`` with weights f^2, which
+    make the residuals those of f itself to first order (Guo 2011, IEEE
+    Signal Process. Mag. 28, 134).
+
+    Parameters
+    ----------
+    values : array_like, shape (ny, nx)
+        Only positive ones take part.
+    x, y : array_like, shapes (nx,) and (ny,)
+
+    Returns
+    -------
+    tuple of float or None
+        ``x0, y0, height, sigma_x, sigma_y``, sigma those of the marginal
+        profiles; None if the surface has no maximum.
+    """
+    values = np.asarray(values, dtype=float)
+    gx, gy = np.meshgrid(x, y)
+    good = values > 1e-6 * values.max(initial=0.0)
+    if good.sum() < 6:
+        return None
+    f, gx, gy = values[good] / values.max(), gx[good], gy[good]
+    # Centred and scaled, or the normal equations lose digits.
+    x0, y0 = gx.mean(), gy.mean()
+    scale = max(np.ptp(gx), np.ptp(gy))
+    px, py = (gx - x0) / scale, (gy - y0) / scale
+    design = np.stack([np.ones_like(px), px, py, px * px, px * py, py * py], axis=1)
+    solution, _, rank, _ = np.linalg.lstsq(design * f[:, None], f * np.log(f))
+    if rank < 6:
+        return None
+    a, b, c, d, e, g = solution
+    curvature = -np.array([[2 * d, e], [e, 2 * g]])
+    if not (curvature[0, 0] > 0 and np.linalg.det(curvature) > 0):
+        return None
+    covariance = np.linalg.inv(curvature)
+    centre = covariance @ np.array([b, c])
+    height = np.exp(a + 0.5 * np.array([b, c]) @ centre) * values.max()
+    sigma = scale * np.sqrt(np.diag(covariance))
+    return (
+        float(x0 + scale * centre[0]),
+        float(y0 + scale * centre[1]),
+        float(height),
+        float(sigma[0]),
+        float(sigma[1]),
+    )
+
+
+def find_velocity_peaks(scc, grid, box, *, threshold=0.0):
+    """
+    Find the maxima of a stack and fit a Gaussian to a box around each.
+
+    Within the box only those grid points take part that reach half of the
+    maximum and are nearer to it than to another one: neighbours in the box
+    would pull the fit to themselves, and the level beneath the maximum,
+    where the stack is of unrelated matches, would widen it.
+
+    Parameters
+    ----------
+    scc : `~numpy.ndarray`, shape ``grid.shape``
+    grid : `VelocityGrid`
+    box : tuple of float
+        Sides of the box along the two axes, the beam over the interval in
+        the paper.
+    threshold : float, optional
+        Smallest coefficient of a maximum.
+
+    Returns
+    -------
+    list of `VelocityPeak`
+        By falling coefficient.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import VelocityGrid, find_velocity_peaks
+    >>> grid = VelocityGrid.covering(4.0, 0.25)
+    >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
+    >>> [round(c.v1, 3) for c in find_velocity_peaks(scc, grid, (2.0, 2.0))]
+    [1.1]
+    """
+    smallest = max(threshold, np.finfo(float).tiny)
+    _, y, x, _ = find_peaks(scc[None], smallest)
+    points = [_grid_point(scc, *place) for place in zip(y, x, strict=True)]
+    half1, half2 = box[0] / 2, box[1] / 2
+    step1, step2 = grid.step
+    found = []
+    for (row, column), py, px in zip(points, y, x, strict=True):
+        part, used = _fitted_points(scc, grid, box, (row, column), points)
+        near2, near1 = (np.ravel(index) for index in part)
+        fit = fit_gaussian(
+            np.where(used, scc[part], 0.0), grid.v1[near1], grid.v2[near2]
+        )
+        v1 = grid.v1[0] + px * step1
+        v2 = grid.v2[0] + py * step2
+        width1 = width2 = np.nan
+        inside = fit is not None and bool(
+            abs(fit[0] - v1) <= max(half1, step1)
+            and abs(fit[1] - v2) <= max(half2, step2)
+        )
+        if inside:
+            v1, v2, _, width1, width2 = fit
+        found.append(
+            VelocityPeak(
+                v1=float(v1),
+                v2=float(v2),
+                coefficient=float(scc[row, column]),
+                width1=width1,
+                width2=width2,
+                row=row,
+                column=column,
+                fitted=inside,
+            )
+        )
+    return sorted(found, key=lambda c: -c.coefficient)
+
+
+def _fitted_points(scc, grid, box, point, points):
+    """Return the grid points of the box, and which of them take part in the fit."""
+    row, column = point
+    step1, step2 = grid.step
+    near1 = np.abs(grid.v1 - grid.v1[column]) <= max(box[0] / 2, 1.5 * step1)
+    near2 = np.abs(grid.v2 - grid.v2[row]) <= max(box[1] / 2, 1.5 * step2)
+    part = np.ix_(near2, near1)
+    high = scc[part] >= LEVEL * scc[row, column]
+    return part, high & _nearest(part, point, points)
+
+
+def velocity_peak_near(scc, grid, box, v1, v2):
+    """
+    Return the maximum of a stack nearest to a velocity.
+
+    Parameters
+    ----------
+    scc : `~numpy.ndarray`, shape ``grid.shape``
+    grid : `VelocityGrid`
+    box : tuple of float
+        As for `find_velocity_peaks`; the maximum lies within half of it.
+    v1, v2 : float
+
+    Returns
+    -------
+    `VelocityPeak`
+        At the velocity itself, and not ``fitted``, if no maximum is near.
+    """
+
+    def distance(c):
+        return np.hypot((c.v1 - v1) / box[0], (c.v2 - v2) / box[1])
+
+    nearest = min(find_velocity_peaks(scc, grid, box), key=distance, default=None)
+    if nearest is not None and distance(nearest) <= 0.5:
+        return nearest
+    row = int(np.abs(grid.v2 - v2).argmin())
+    column = int(np.abs(grid.v1 - v1).argmin())
+    return VelocityPeak(
+        v1=float(v1),
+        v2=float(v2),
+        coefficient=float(scc[row, column]),
+        width1=np.nan,
+        width2=np.nan,
+        row=row,
+        column=column,
+        fitted=False,
+    )
+
+
+def _grid_point(scc, y, x):
+    """Return the maximum's grid point; half a step aside, rounding may miss it."""
+    rows = {int(np.floor(y)), int(np.ceil(y))}
+    columns = {int(np.floor(x)), int(np.ceil(x))}
+    return max(((r, c) for r in rows for c in columns), key=lambda p: scc[p])
+
+
+def _nearest(part, point, points):
+    """Whether grid points are nearer to one maximum than to any other."""
+    rows, columns = part
+
+    def squares(p):
+        return (rows - p[0]) ** 2 + (columns - p[1]) ** 2
+
+    own = squares(point)
+    return np.all([own <= squares(p) for p in points], axis=0)

@@ -1,28 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Streams: mean and dispersion of the speeds of features, and their number."""
+"""Streams of features: mean speed, dispersion and number."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import stdtrit
 
-__all__ = ["Population", "random_effects", "separate_streams"]
-
-#: Dispersions, relative to the mean, that are tried for one stream and of
-#: each of two.
-ONE = np.array([0.01, 0.03, 0.05, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.35, 0.4,
-                0.5, 0.6, 0.7, 0.8, 1.0])  # fmt: skip
-TWO = np.array([0.03, 0.06, 0.1, 0.15, 0.2, 0.25])
-#: Features' errors are larger than their residuals say by this factor: blends
-#: move smoothly (measured on simulated jets).
-INFLATION = 1.3
-#: Relative error of a feature's speed that is left of the pull of the core.
-BIAS = 0.02
-#: Dispersion, relative to the speed, that is assumed of a stream of which one
-#: feature is seen: that of the flows of blazars is 10 to 30%.
-LONE = 0.15
-#: Fewest features of which two streams can be told apart.
-FEWEST = 4
+from astro_scc.stacking.search import DEFAULT
 
 
 @dataclass(frozen=True)
@@ -50,9 +34,9 @@ class Population:
     dispersion_error: float
 
 
-def random_effects(values, errors):
+def random_effects(values, errors, settings=DEFAULT):
     """
-    Mean and dispersion of values that differ by more than their errors.
+    Return the mean and dispersion of values that differ by more than their errors.
 
     The dispersion solves ``sum (x - m)^2 / (tau^2 + e^2) = n - 1`` (Paule &
     Mandel 1982, J. Res. NBS 87, 377); the error of the mean is that of
@@ -64,6 +48,7 @@ def random_effects(values, errors):
     Parameters
     ----------
     values, errors : array_like, shape (n,)
+    settings : `~astro_scc.stacking.SearchSettings`, optional
 
     Returns
     -------
@@ -79,7 +64,7 @@ def random_effects(values, errors):
     x, e = np.asarray(values, dtype=float), np.asarray(errors, dtype=float)
     n = len(x)
     if n == 1:
-        error = np.hypot(e[0], LONE * abs(x[0]))
+        error = np.hypot(e[0], settings.lone_dispersion * abs(x[0]))
         return Population(float(x[0]), float(error), np.nan, np.nan)
     (m,), covariance, tau, w = scattered_fit(np.ones((n, 1)), x, e)
     error = np.sqrt(covariance[0, 0]) * stdtrit(n - 1, 0.8413)
@@ -139,39 +124,16 @@ def scattered_fit(design, values, errors):
     return found, inverse * max(squares / freedom, 0.25), np.sqrt(high), w
 
 
-def feature_speeds(features):
-    """Speeds of features with errors that hold blends and the core's pull."""
+def feature_speeds(features, settings=DEFAULT):
+    """Return speeds of features with errors that hold blends and the core's pull."""
     speed = np.array([f.speed for f in features])
     error = np.array([f.error for f in features])
-    return speed, np.hypot(INFLATION * error, BIAS * np.abs(speed))
+    return speed, np.hypot(
+        settings.error_inflation * error, settings.core_bias * np.abs(speed)
+    )
 
 
-def alignment_response(stream, epoch, n_epochs):
-    """
-    Change of a stream's mean speed for a displacement of whole epochs.
-
-    Parameters
-    ----------
-    stream : `~astro_scc.stacking.Stream`
-    epoch : `~numpy.ndarray` of int, shape (n_ssps,)
-    n_epochs : int
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n_epochs,)
-        In 1/yr.
-    """
-    response = np.zeros(n_epochs)
-    if not stream.features:
-        return response
-    _, error = feature_speeds(stream.features)
-    weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
-    for feature, w in zip(stream.features, weight / weight.sum(), strict=True):
-        response[epoch[feature.ssp]] += w * feature.response
-    return response
-
-
-def separate_streams(features, n_trials, rng):
+def separate_streams(features, n_trials, rng, settings=DEFAULT):
     """
     Whether the features' speeds are of two streams rather than one.
 
@@ -188,6 +150,7 @@ def separate_streams(features, n_trials, rng):
         Moving in one direction.
     n_trials : int
     rng : `~numpy.random.Generator`
+    settings : `~astro_scc.stacking.SearchSettings`, optional
 
     Returns
     -------
@@ -199,22 +162,24 @@ def separate_streams(features, n_trials, rng):
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import Feature, separate_streams
+    >>> from astro_scc.stacking import Feature
+    >>> from astro_scc.stacking.streams import separate_streams
     >>> epoch = np.arange(4)
     >>> features = [
-    ...     Feature.through(epoch, epoch, np.outer(epoch, [speed, 0]), 0.06)
+    ...     Feature.through(epoch, epoch, np.outer(epoch, [speed, 0]))
     ...     for speed in [0.3, 1.05, 0.32, 0.33, 1.0, 0.98]]
     >>> p_value, second = separate_streams(features, 99, np.random.default_rng(1))
     >>> p_value < 0.05, second
     (True, array([False,  True, False, False,  True,  True]))
     """
-    speed, error = feature_speeds(features)
-    if len(speed) < FEWEST:
+    speed, error = feature_speeds(features, settings)
+    one_of, two_of = settings.one_dispersions, settings.two_dispersions
+    if len(speed) < settings.fewest_of_two:
         return 1.0, np.zeros(len(speed), dtype=bool)
     order = np.argsort(np.abs(speed))
     y, e = np.log(np.abs(speed))[order], (error / np.abs(speed))[order]
-    one, mean, tau, linear = (v[0] for v in _one(y[None], e[None]))
-    two, split = (v[0] for v in _two(y[None], e[None]))
+    one, mean, tau, linear = (v[0] for v in _one(y[None], e[None], one_of))
+    two, split = (v[0] for v in _two(y[None], e[None], two_of))
     width = np.sqrt(tau**2 * len(y) / (len(y) - 1) + e**2)
     trials = width * rng.normal(size=(n_trials, len(y)))
     # A stream has speeds of one direction.
@@ -223,7 +188,7 @@ def separate_streams(features, n_trials, rng):
     sort = np.argsort(trials, axis=1)
     trials = np.take_along_axis(trials, sort, axis=1)
     errors = np.take_along_axis(np.broadcast_to(e, trials.shape), sort, axis=1)
-    ratios = _two(trials, errors)[0] - _one(trials, errors)[0]
+    ratios = _two(trials, errors, two_of)[0] - _one(trials, errors, one_of)[0]
     p_value = ((ratios >= two - one - 1e-9).sum() + 1) / (n_trials + 1)
     second = np.zeros(len(y), dtype=bool)
     second[order[split:]] = True
@@ -235,16 +200,16 @@ def _log_normal(y, e, m, tau):
     return -0.5 * ((y - m) ** 2 / variance + np.log(variance))
 
 
-def _one(y, e):
+def _one(y, e, dispersions):
     """
-    Largest log-likelihood of one stream by trial, normal or log-normal.
+    Return the largest log-likelihood of one stream by trial, normal or log-normal.
 
     With the logarithm of its mean, its relative dispersion, and whether it is
     normal.
     """
     best = np.full((4, len(y)), -np.inf)
     v, size = np.exp(y), np.exp(y).mean(axis=1, keepdims=True)
-    for tau in ONE:
+    for tau in dispersions:
         w = 1 / (e**2 + tau**2)
         m = (w * y).sum(axis=1) / w.sum(axis=1)
         value = _log_normal(y, e, m[:, None], tau).sum(axis=1)
@@ -263,12 +228,12 @@ def _keep_better(best, value, *what):
         row[better] = np.broadcast_to(new, len(value))[better]
 
 
-def _two(y, e):
-    """Largest log-likelihood of two streams, and where they are split."""
+def _two(y, e, dispersions):
+    """Return the largest log-likelihood of two streams, and where they are split."""
     n = y.shape[1]
     best, where = np.full(len(y), -np.inf), np.zeros(len(y), dtype=int)
     for split in range(1, n):
-        for tau in TWO:
+        for tau in dispersions:
             w = 1 / (e**2 + tau**2)
             parts = []
             for part in (slice(None, split), slice(split, None)):

@@ -46,6 +46,15 @@ VALUES = {
     "least_motion": (1.0, 1.75, 2.5),
     "least_score": (1.0, 1.5, 2.5),
     "full_prior": (3.0, 6.0, 10.0),
+    "least_prior": (0.05, 0.15, 0.3),
+    "least_z": (1.0, 1.5, 2.5),
+    "pull": (1.5, 2.5, 3.5),
+    "apart": (2.0, 3.0, 4.0),
+    "same_feature": (0.3, 0.5, 0.8),
+    "error_inflation": (1.0, 1.3, 1.6),
+    "core_bias": (0.0, 0.02, 0.04),
+    "lone_dispersion": (0.1, 0.15, 0.25),
+    "least_std": (0.1, 0.3, 0.5),
 }
 
 

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import kstest
 
 from astro_scc.flow.acceleration import BLENDS, fit_gradient
-from astro_scc.stacking import Feature
+from astro_scc.stacking import Feature, SearchSettings
 from astro_scc.stacking.streams import scattered_fit
 
 YEARS = np.arange(8.0)
@@ -23,7 +23,8 @@ def feature(start, gradient, *, speed=0.5, noise=0.0, years=YEARS, rng=None, way
     place = np.stack([way * along, np.zeros(len(years))], axis=1)
     if noise:
         place += noise * rng.normal(size=place.shape)
-    return Feature.through(np.arange(len(years)), years, place, max(noise, 0.01))
+    settings = SearchSettings(position_error=max(noise, 0.01))
+    return Feature.through(np.arange(len(years)), years, place, settings)
 
 
 def flow(gradient, **options):
@@ -89,13 +90,13 @@ def test_what_few_features_tell(features, known):
 
 def test_the_acceleration_of_a_feature():
     place = np.stack([0.5 * YEARS + 0.03 * YEARS**2, 0 * YEARS], axis=1)
-    found = Feature.through(np.arange(8), YEARS, place, 0.06)
+    found = Feature.through(np.arange(8), YEARS, place)
     assert found.acceleration == pytest.approx(0.06)
     # As polyfit says of residuals of 0.06, of which the prior is three of eight.
     _, covariance = np.polyfit(YEARS, place[:, 0], 2, cov="unscaled")
     expected = 2 * np.sqrt(covariance[0, 0]) * 0.06 * np.sqrt(3 / 8)
     assert found.acceleration_error == pytest.approx(expected)
-    short = Feature.through(np.arange(4), YEARS[:4], place[:4], 0.06)
+    short = Feature.through(np.arange(4), YEARS[:4], place[:4])
     assert np.isnan(short.acceleration)
 
 

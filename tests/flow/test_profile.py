@@ -15,7 +15,8 @@ from astro_scc.flow import (
 )
 from astro_scc.flow.profile import bins_of
 from astro_scc.kinematics import RidgeLine, paper_cosmology
-from astro_scc.measurement import component_table, select_ssps, ssp_distances
+from astro_scc.measurement import component_table, select_ssps
+from astro_scc.measurement.plan import ssp_distances
 from astro_scc.simulation import simulate_jet
 from astro_scc.visualization.profiles import (
     plot_position_angles,

@@ -17,8 +17,7 @@ from astro_scc.kinematics import (
     RidgeLine,
     SkyFrame,
 )
-from astro_scc.measurement import angular_displacements
-from astro_scc.measurement.axes import AxisProjection
+from astro_scc.measurement.axes import AxisProjection, angular_displacements
 
 DAYS = np.array([0, 73, 292])
 BEAM = Beam(1.0 * u.mas, 0.4 * u.mas, 25 * u.deg)
@@ -90,7 +89,7 @@ def test_axes_that_are_the_same_everywhere(name, angle):
     d = project(angle)
     along = first + sense * angle
     across = along + sense * np.pi / 2
-    for values, pa, part in ((d.along, along, 0), (d.across, across, 1)):
+    for values, pa, part in ((d.d1, along, 0), (d.d2, across, 1)):
         width = BEAM.fwhm_along(pa * u.rad).to_value(u.mas)
         assert project.beam(angle)[part] == pytest.approx(width)
         place = np.stack([EAST, NORTH], axis=1) @ direction(pa) / width
@@ -117,8 +116,8 @@ def test_half_a_turn_is_the_same_axis_backwards():
     cube = cube_of()
     project = projected(cube, ssps_of(cube, EAST, NORTH, EPOCH), PAIRS, SkyFrame())
     one, other = project(0.4), project(0.4 + np.pi)
-    np.testing.assert_allclose(one.along, -other.along, atol=1e-12)
-    np.testing.assert_allclose(one.across, -other.across, atol=1e-12)
+    np.testing.assert_allclose(one.d1, -other.d1, atol=1e-12)
+    np.testing.assert_allclose(one.d2, -other.d2, atol=1e-12)
     np.testing.assert_allclose(one.position, -other.position, atol=1e-12)
 
 
@@ -147,8 +146,8 @@ def test_away_from_a_point_what_moves_outward_keeps_its_direction(pa):
     project = projected(cube, ssps, pairs, RadialFrame())
     np.testing.assert_allclose(project.beam(0.0), 0.5)
     d = project(0.0)
-    np.testing.assert_allclose(d.along, 1.0)
-    np.testing.assert_allclose(d.across, 0.0, atol=1e-6)
+    np.testing.assert_allclose(d.d1, 1.0)
+    np.testing.assert_allclose(d.d2, 0.0, atol=1e-6)
     place = d.position.reshape(3, 3, 2)
     np.testing.assert_allclose(place[..., 0], r.reshape(3, 3) / 0.5)
     # Each keeps its place around the point, as far apart as at the mean distance.
@@ -178,8 +177,8 @@ def test_along_a_straight_ridge_line_it_is_along_its_position_angle():
         projected(cube, ssps, PAIRS, frame)(0.0)
         for frame in (line, PositionAngleFrame(pa))
     )
-    np.testing.assert_allclose(bent.along, straight.along, atol=1e-6)
-    np.testing.assert_allclose(bent.across, straight.across, atol=1e-6)
+    np.testing.assert_allclose(bent.d1, straight.d1, atol=1e-6)
+    np.testing.assert_allclose(bent.d2, straight.d2, atol=1e-6)
     np.testing.assert_allclose(bent.position, straight.position, atol=1e-6)
 
 
@@ -192,8 +191,8 @@ def test_around_a_bend_it_is_the_way_along_the_line():
     ssps = ssps_of(cube, -2 * np.sin(at), 2 * (1 - np.cos(at)), [0, 1, 2])
     d = projected(cube, ssps, [(0, 1), (1, 2)], line)(0.0)
     arc = 2 * np.radians(30) / 0.5
-    np.testing.assert_allclose(d.along, arc, rtol=1e-3)
-    np.testing.assert_allclose(d.across, 0.0, atol=2e-3)
+    np.testing.assert_allclose(d.d1, arc, rtol=1e-3)
+    np.testing.assert_allclose(d.d2, 0.0, atol=2e-3)
     np.testing.assert_allclose(np.diff(d.position[:, 0]), arc, rtol=1e-3)
 
 
@@ -213,8 +212,8 @@ def test_in_homologous_expansion_all_features_move_alike():
     assert project.beam(0.0)[0] == pytest.approx(0.4 * np.mean(2.0 / r))
     step = rate * 2.0 / project.beam(0.0)[0]
     # Midway between two places, in place of the exponential.
-    np.testing.assert_allclose(d.along, step, rtol=1e-3)
-    np.testing.assert_allclose(d.across, 0.0, atol=1e-6)
+    np.testing.assert_allclose(d.d1, step, rtol=1e-3)
+    np.testing.assert_allclose(d.d2, 0.0, atol=1e-6)
     place = d.position.reshape(3, 3, 2)
     np.testing.assert_allclose(np.diff(place[..., 0], axis=0), step)
     np.testing.assert_allclose(np.diff(place[..., 1], axis=0), 0.0, atol=1e-6)

@@ -129,6 +129,7 @@ def test_the_sky_beside_a_jet_is_noise(simulate, core):
 @pytest.mark.parametrize("name", ["0003+380/*.fits", "0506+056/*.icn.fits",
                                   "paper_test/two_fluid/*.fits"])  # fmt: skip
 @pytest.mark.parametrize("same_beam", [False, True])
+@pytest.mark.slow
 def test_the_noise_of_vlbi_images_is_noise(shared_data, name, same_beam):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the reader
@@ -138,6 +139,7 @@ def test_the_noise_of_vlbi_images_is_noise(shared_data, name, same_beam):
 
 
 @pytest.mark.parametrize("name", ["0716+714", "1226+023", "0430+052"])
+@pytest.mark.slow
 def test_the_noise_of_restored_images_is_noise(shared_data, name):
     lists = read_components(shared_data / "mojave_xviii" / f"{name}.ecsv")
     cube = restore(

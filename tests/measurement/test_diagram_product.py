@@ -13,7 +13,8 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.measurement import velocity_hdus, write_products
+from astro_scc.measurement import write_products
+from astro_scc.measurement.products import velocity_hdus
 from astro_scc.simulation import simulate_two_fluid
 
 WEST = 270 * u.deg

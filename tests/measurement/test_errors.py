@@ -12,13 +12,9 @@ from astropy.wcs import WCS
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
-from astro_scc.measurement import (
-    angular_displacements,
-    beam_fwhm,
-    position_errors,
-    ssp_offsets,
-)
+from astro_scc.measurement.axes import angular_displacements
 
 BEAMS = (
     Beam(1.0 * u.mas, 0.5 * u.mas, 30 * u.deg),

@@ -4,7 +4,7 @@
 from dataclasses import replace
 from html.parser import HTMLParser
 
-from astro_scc.measurement.notebook import COLUMNS
+from astro_scc.measurement.result import COLUMNS
 
 
 class Page(HTMLParser):

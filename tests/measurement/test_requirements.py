@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.measurement import alignment_errors
+from astro_scc.measurement.axes import alignment_errors
 from astro_scc.simulation import simulate_two_fluid
 
 

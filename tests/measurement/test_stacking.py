@@ -184,6 +184,7 @@ def test_the_advice_is_enough_and_not_too_much(level):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.slow
 def test_jets_without_common_speeds_do_not_move(seed):
     cube = simulate_unrelated(n_epochs=6, rng=seed).cube
     table = scc()(cube, n_trials=50, rng=1).components

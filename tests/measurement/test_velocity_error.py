@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.measurement import StreamVelocity
-from astro_scc.measurement.velocity_error import velocity_of
 from astro_scc.stacking import Feature, Stream
+from astro_scc.stacking.errors import StreamVelocity, velocity_of
 from astro_scc.stacking.streams import Population
 
 DAYS, PIXEL = 30.0, 0.1

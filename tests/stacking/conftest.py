@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from astro_scc.stacking import AxisDisplacements, Displacements
+from astro_scc.stacking import VelocitySamples
 
 
 def random_displacements(rng, n_epochs=4, n=60, *, reach=3.0, s1=(0.2, 0.6), s2=None):
@@ -14,7 +14,7 @@ def random_displacements(rng, n_epochs=4, n=60, *, reach=3.0, s1=(0.2, 0.6), s2=
     reference = rng.integers(n_epochs, size=n)
     target = (reference + rng.integers(1, n_epochs, size=n)) % n_epochs
     landed = first[target] + rng.integers(n_ssps[target])
-    return Displacements(
+    return VelocitySamples(
         d1=rng.uniform(-reach, reach, n),
         d2=rng.uniform(-reach, reach, n),
         s1=rng.uniform(*s1, n),
@@ -31,7 +31,7 @@ def random_displacements(rng, n_epochs=4, n=60, *, reach=3.0, s1=(0.2, 0.6), s2=
 def clump(n, *, velocity=(1.0, -0.5), interval=0.5, s=(0.2, 0.2), shared=False):
     """Matches of two epochs with one displacement, each of an SSP of its own."""
     one = np.ones(n)
-    return Displacements(
+    return VelocitySamples(
         d1=velocity[0] * interval * one,
         d2=velocity[1] * interval * one,
         s1=s[0] * one,
@@ -80,9 +80,9 @@ def axis_matches(position, epoch, years, *, scale=None, reach=(1.5, 0.5)):
     match = (epoch[:, None] != epoch) & (scale[:, None] == scale)
     ssp, to = np.nonzero(match & np.all(np.abs(away) <= reach, axis=-1))
     along, across = away[ssp, to].T
-    return AxisDisplacements(
-        along=along,
-        across=across,
+    return VelocitySamples(
+        d1=along,
+        d2=across,
         weight=np.ones(len(ssp)),
         reference=epoch[ssp],
         target=epoch[to],

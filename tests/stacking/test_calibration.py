@@ -55,11 +55,13 @@ def test_the_limit_has_the_power_that_it_is_said_to_have():
     assert binom.sf(MOST, N_NULL, 0.05) < 1e-3
 
 
+@pytest.mark.slow
 def test_p_global_is_at_most_a_twentieth_in_one_of_twenty_sets(nulls):
     p, _ = nulls
     assert np.sum(p <= 0.05) <= MOST
 
 
+@pytest.mark.slow
 def test_p_global_is_even(nulls):
     p, _ = nulls
     # (b + 1) / (n + 1) is at the upper end of its hundredth.

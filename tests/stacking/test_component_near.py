@@ -6,7 +6,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from astro_scc.stacking import VelocityGrid, component_near, find_components
+from astro_scc.stacking import VelocityGrid, find_velocity_peaks
+from astro_scc.stacking.stack import velocity_peak_near
 
 GRID = VelocityGrid.covering((8.0, 6.0), (0.25, 0.2))
 BOX = (4.0, 2.0)
@@ -33,27 +34,26 @@ TWO = surface((-3.0, 1.0, 1.0), (2.0, -2.0, 0.3))
     ],
 )
 def test_the_nearest_maximum_is_taken(near, v1, v2, height):
-    c = component_near(TWO, GRID, BOX, *near)
+    c = velocity_peak_near(TWO, GRID, BOX, *near)
     assert c.fitted
     np.testing.assert_allclose((c.v1, c.v2), (v1, v2), atol=0.02)
     assert c.coefficient == pytest.approx(height, rel=0.02)
-    assert c in find_components(TWO, GRID, BOX)
+    assert c in find_velocity_peaks(TWO, GRID, BOX)
 
 
 @given(st.floats(-8, 8), st.floats(-6, 6))
 def test_within_half_the_box_or_at_the_velocity_itself(v1, v2):
-    c = component_near(TWO, GRID, BOX, v1, v2)
+    c = velocity_peak_near(TWO, GRID, BOX, v1, v2)
     distance = [
         np.hypot((f.v1 - v1) / BOX[0], (f.v2 - v2) / BOX[1])
-        for f in find_components(TWO, GRID, BOX)
+        for f in find_velocity_peaks(TWO, GRID, BOX)
     ]
     if min(distance) <= 0.5:
-        assert c == find_components(TWO, GRID, BOX)[int(np.argmin(distance))]
+        assert c == find_velocity_peaks(TWO, GRID, BOX)[int(np.argmin(distance))]
         return
     assert not c.fitted
     assert (c.v1, c.v2) == (v1, v2)
     assert np.isnan([c.width1, c.width2]).all()
-    assert c.points == ()
     # The coefficient of the nearest point of the grid.
     assert abs(GRID.v1[c.column] - v1) <= GRID.step[0] / 2 + 1e-9
     assert abs(GRID.v2[c.row] - v2) <= GRID.step[1] / 2 + 1e-9
@@ -63,9 +63,9 @@ def test_within_half_the_box_or_at_the_velocity_itself(v1, v2):
 def test_distance_is_in_units_of_the_box():
     """Farther in velocity, but nearer in the box that is long that way."""
     scc = surface((1.6, 0.0, 1.0), (0.0, 0.9, 1.0))
-    c = component_near(scc, GRID, BOX, 0.0, 0.0)
+    c = velocity_peak_near(scc, GRID, BOX, 0.0, 0.0)
     assert c.v1 == pytest.approx(1.6, abs=0.1)
-    c = component_near(scc, GRID, BOX[::-1], 0.0, 0.0)
+    c = velocity_peak_near(scc, GRID, BOX[::-1], 0.0, 0.0)
     assert c.v2 == pytest.approx(0.9, abs=0.1)
 
 
@@ -73,7 +73,7 @@ def test_distance_is_in_units_of_the_box():
     "scc", [np.zeros(GRID.shape), np.ones(GRID.shape), -surface((0, 0, 1))]
 )
 def test_without_a_maximum_the_velocity_stays(scc):
-    c = component_near(scc, GRID, BOX, 0.5, 0.4)
+    c = velocity_peak_near(scc, GRID, BOX, 0.5, 0.4)
     assert not c.fitted
     assert (c.v1, c.v2, c.row, c.column) == (0.5, 0.4, 32, 34)
     assert c.coefficient == scc[32, 34]
@@ -82,5 +82,5 @@ def test_without_a_maximum_the_velocity_stays(scc):
 @given(st.floats(-6, 6), st.floats(-5, 5), st.floats(-1, 1), st.floats(-0.5, 0.5))
 def test_one_peak_is_found_from_anywhere_nearby(x, y, dx, dy):
     assume(np.hypot(dx / BOX[0], dy / BOX[1]) < 0.45)
-    c = component_near(surface((x, y, 1.0)), GRID, BOX, x + dx, y + dy)
+    c = velocity_peak_near(surface((x, y, 1.0)), GRID, BOX, x + dx, y + dy)
     np.testing.assert_allclose((c.v1, c.v2), (x, y), atol=0.01)

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.stacking import VelocityGrid, find_components, fit_gaussian
+from astro_scc.stacking import VelocityGrid, find_velocity_peaks
+from astro_scc.stacking.stack import fit_gaussian
 
 GRID = VelocityGrid.covering((10.0, 8.0), (0.5, 0.4))
 BOX = (6.0, 6.0)
@@ -98,7 +99,7 @@ def test_a_line_of_values_has_no_fit():
 )
 def test_one_gaussian_is_one_component(x, y, sx, sy, angle):
     scc = gaussian(GRID, x, y, sx, sy, angle, height=0.3)
-    (c,) = find_components(scc, GRID, BOX)
+    (c,) = find_velocity_peaks(scc, GRID, BOX)
     assert c.fitted
     np.testing.assert_allclose((c.v1, c.v2), (x, y), atol=1e-6)
     np.testing.assert_allclose((c.width1, c.width2), marginal(sx, sy, angle))
@@ -110,7 +111,7 @@ def test_one_gaussian_is_one_component(x, y, sx, sy, angle):
 @given(st.floats(-6, 6), st.floats(-5, 5))
 def test_the_grid_point_is_the_maximum_wherever_it_lies(x, y):
     scc = gaussian(GRID, x, y, 1.1, 0.7, 0.4)
-    components = find_components(scc, GRID, BOX)
+    components = find_velocity_peaks(scc, GRID, BOX)
     best = components[0]
     assert scc[best.row, best.column] == scc.max()
     np.testing.assert_allclose((best.v1, best.v2), (x, y), atol=1e-5)
@@ -124,7 +125,7 @@ def test_overlapping_gaussians_are_kept_apart(separation, second, box):
     x = np.array([-0.4, separation - 0.4])
     scc = gaussian(GRID, x[0], 0.3, 1.2, 1.0)
     scc += gaussian(GRID, x[1], -0.2, 1.2, 1.0, height=second)
-    first, other = sorted(find_components(scc, GRID, box), key=lambda c: c.v1)
+    first, other = sorted(find_velocity_peaks(scc, GRID, box), key=lambda c: c.v1)
     assert first.fitted
     assert other.fitted
     np.testing.assert_allclose((first.v1, other.v1), x, atol=0.05)
@@ -133,14 +134,16 @@ def test_overlapping_gaussians_are_kept_apart(separation, second, box):
 
 def test_at_three_widths_each_fit_stays_at_its_own_maximum():
     scc = gaussian(GRID, -2.0, 0.0, 1.3, 1.3) + gaussian(GRID, 2.0, 0.0, 1.3, 1.3)
-    first, other = sorted(find_components(scc, GRID, (10.0, 10.0)), key=lambda c: c.v1)
+    first, other = sorted(
+        find_velocity_peaks(scc, GRID, (10.0, 10.0)), key=lambda c: c.v1
+    )
     np.testing.assert_allclose((first.v1, other.v1), (-2.0, 2.0), atol=0.3)
     np.testing.assert_allclose((first.v2, other.v2), 0.0, atol=1e-6)
 
 
 def test_a_level_beneath_does_not_widen_the_fit():
     scc = 0.1 + gaussian(GRID, 1.3, -0.7, 1.2, 1.2, height=0.9)
-    (c,) = find_components(scc, GRID, (8.0, 8.0))
+    (c,) = find_velocity_peaks(scc, GRID, (8.0, 8.0))
     np.testing.assert_allclose((c.v1, c.v2), (1.3, -0.7), atol=0.01)
     assert c.width1 == pytest.approx(1.2, rel=0.12)
 
@@ -148,32 +151,32 @@ def test_a_level_beneath_does_not_widen_the_fit():
 def test_sorted_by_falling_coefficient_and_cut_at_the_threshold():
     heights = {-6.0: 0.2, 0.0: 0.5, 6.0: 0.3}
     scc = sum(gaussian(GRID, x, 0.0, 0.8, 0.8, height=h) for x, h in heights.items())
-    found = find_components(scc, GRID, BOX)
+    found = find_velocity_peaks(scc, GRID, BOX)
     assert [round(c.v1) for c in found] == [0, 6, -6]
     np.testing.assert_allclose([c.coefficient for c in found], [0.5, 0.3, 0.2])
-    assert len(find_components(scc, GRID, BOX, threshold=0.25)) == 2
-    assert find_components(scc, GRID, BOX, threshold=0.9) == []
+    assert len(find_velocity_peaks(scc, GRID, BOX, threshold=0.25)) == 2
+    assert find_velocity_peaks(scc, GRID, BOX, threshold=0.9) == []
 
 
 @pytest.mark.parametrize("place", [(10.0, 0.0), (0.0, -8.0), (10.0, 8.0), (11.0, 0.0)])
 def test_a_maximum_on_the_border_is_none(place):
-    assert find_components(gaussian(GRID, *place, 1.0, 1.0), GRID, BOX) == []
+    assert find_velocity_peaks(gaussian(GRID, *place, 1.0, 1.0), GRID, BOX) == []
 
 
 def test_beside_the_border_the_box_is_cut():
-    (c,) = find_components(gaussian(GRID, 9.2, -7.1, 1.0, 1.0), GRID, BOX)
+    (c,) = find_velocity_peaks(gaussian(GRID, 9.2, -7.1, 1.0, 1.0), GRID, BOX)
     np.testing.assert_allclose((c.v1, c.v2), (9.2, -7.1), atol=1e-6)
     assert c.fitted
 
 
 def test_an_empty_map_has_no_components():
-    assert find_components(np.zeros(GRID.shape), GRID, BOX) == []
+    assert find_velocity_peaks(np.zeros(GRID.shape), GRID, BOX) == []
 
 
 def test_too_narrow_for_a_fit_the_quadratic_serves():
     """A kernel below the grid's spacing: fewer than six points reach half."""
     scc = gaussian(GRID, 0.1, 0.0, 0.25, 0.2)
-    (c,) = find_components(scc, GRID, BOX)
+    (c,) = find_velocity_peaks(scc, GRID, BOX)
     assert not c.fitted
     assert np.isnan(c.width1)
     assert np.isnan(c.width2)
@@ -183,6 +186,6 @@ def test_too_narrow_for_a_fit_the_quadratic_serves():
 
 def test_a_box_smaller_than_the_grid_still_holds_the_neighbours():
     scc = gaussian(GRID, 2.6, 1.1, 1.5, 1.5)
-    (c,) = find_components(scc, GRID, (1e-3, 1e-3))
+    (c,) = find_velocity_peaks(scc, GRID, (1e-3, 1e-3))
     assert c.fitted
     np.testing.assert_allclose((c.v1, c.v2), (2.6, 1.1), atol=1e-6)

@@ -10,8 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.stacking import Feature, Rays, SearchSettings, find_features
-from astro_scc.stacking.features import _excess, _Links, _on_line, standing_features
+from astro_scc.stacking import Feature, Rays, SearchSettings
+from astro_scc.stacking.features import (
+    _excess,
+    _Links,
+    _on_line,
+    find_features,
+    standing_features,
+)
 
 SEARCH = SearchSettings()
 #: Uneven: followers are told from features by the dates.
@@ -33,7 +39,7 @@ class TestFeature:
         rng = np.random.default_rng(n)
         years = 2000 + np.sort(rng.uniform(0, 5, n))
         position = rng.normal(size=(n, 2))
-        found = Feature.through(np.arange(n) + 3, years, position, 0.06)
+        found = Feature.through(np.arange(n) + 3, years, position)
         (speed, across), _ = np.polyfit(years - 2000, position, 1)
         assert found.speed == pytest.approx(speed)
         assert found.across == pytest.approx(across)
@@ -45,7 +51,9 @@ class TestFeature:
     def test_the_error_is_of_the_residuals_and_three_assumed_ones(self):
         rng = np.random.default_rng(1)
         years, position = np.sort(rng.uniform(0, 5, 9)), rng.normal(size=(9, 2))
-        found = Feature.through(np.arange(9), years, position, 0.5)
+        found = Feature.through(
+            np.arange(9), years, position, SearchSettings(position_error=0.5)
+        )
         for k, error in enumerate((found.error, found.across_error)):
             slope, offset = np.polyfit(years, position[:, k], 1)
             squares = np.sum((position[:, k] - offset - slope * years) ** 2)
@@ -57,11 +65,11 @@ class TestFeature:
     def test_the_response_is_the_change_of_the_speed(self):
         rng = np.random.default_rng(2)
         years, position = np.sort(rng.uniform(0, 5, 6)), rng.normal(size=(6, 2))
-        found = Feature.through(np.arange(6), years, position, 0.06)
+        found = Feature.through(np.arange(6), years, position)
         for k in range(6):
             moved = position.copy()
             moved[k, 0] += 0.01
-            other = Feature.through(np.arange(6), years, moved, 0.06)
+            other = Feature.through(np.arange(6), years, moved)
             assert found.response[k] == pytest.approx(
                 (other.speed - found.speed) / 0.01
             )
@@ -78,9 +86,10 @@ class TestFeature:
         rng = np.random.default_rng(seed)
         years, position = np.cumsum(rng.uniform(0.2, 2, 6)), rng.normal(size=(6, 2))
         sign = -1 if back else 1
-        a = Feature.through(np.arange(6), years, position, 0.06)
+        a = Feature.through(np.arange(6), years, position)
+        blended = SearchSettings(position_error=length * 0.06)
         b = Feature.through(
-            np.arange(6), sign * time * years, length * position, length * 0.06
+            np.arange(6), sign * time * years, length * position, blended
         )
         unit = length / time
         # Speeds may cancel.
@@ -115,7 +124,7 @@ class TestFindFeatures:
         """
         starts = 1.2 * np.arange(6)
         d = axis_matches(*lines([0.5] * 6, starts, YEARS), YEARS)
-        backward = (d.along * d.interval < 0) & (np.abs(d.along) < 1)
+        backward = (d.d1 * d.interval < 0) & (np.abs(d.d1) < 1)
         assert backward.sum() > 50
         found = by_place(follow(d))
         assert len(found) == 6
@@ -235,8 +244,8 @@ class TestFindFeatures:
         assert follow(replace(d, target_ssp=np.full(len(d), -1))) == []
         assert follow(d.select(np.zeros(len(d), dtype=bool))) == []
         # Nor do those of one date, those far aside or beyond the radius.
-        assert follow(replace(d, across=np.full(len(d), 0.36))) == []
-        assert follow(replace(d, along=d.along + 3)) == []
+        assert follow(replace(d, d2=np.full(len(d), 0.36))) == []
+        assert follow(replace(d, d1=d.d1 + 3)) == []
         same = replace(d, years=np.zeros(8))
         assert follow(same, years=YEARS) == []
 
@@ -248,7 +257,7 @@ class TestFindFeatures:
 
     def test_excess_is_matches_less_those_of_permutations(self, lines, axis_matches):
         """By a loop over the SSPs, the speeds and all orders of five epochs."""
-        # Displacements and motions on the cells, half a smoothing length apart.
+        # VelocitySamples and motions on the cells, half a smoothing length apart.
         years, cell = np.array([0.0, 0.5, 1.5, 2.0, 3.5]), 0.5 * SEARCH.smoothing
         position, epoch = lines([0, 0, 0], cell * np.array([0, 10, 23]), years)
         rng = np.random.default_rng(3)
@@ -365,7 +374,7 @@ class TestProperties:
     @settings(max_examples=8)
     def test_the_other_direction_has_the_other_sign(self, lines, axis_matches, seed):
         d, _ = random_features(np.random.default_rng(seed), lines, axis_matches)
-        other = replace(d, along=-d.along, position=d.position * (-1, 1))
+        other = replace(d, d1=-d.d1, position=d.position * (-1, 1))
         for a, b in zip(follow(d), follow(other), strict=True):
             np.testing.assert_array_equal(a.ssp, b.ssp)
             assert b.speed == pytest.approx(-a.speed)

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.stacking import (
-    PairMaps,
     VelocityGrid,
     baseline_pairs,
     consecutive_pairs,
-    random_orders,
     stack,
 )
+from astro_scc.stacking.pair_maps import PairMaps
+from astro_scc.stacking.permutations import random_permutations
 
 pair_maps = sys.modules[PairMaps.__module__]
 GRID = VelocityGrid.covering((4.0, 3.0), (0.25, 0.3))
@@ -30,7 +30,7 @@ def all_stacks(maps, pairs, grid, orders, **kwargs):
 def check(maps, pairs, grid, orders, shift=(0.0, 0.0)):
     found = all_stacks(maps, pairs, grid, orders, shift=shift)
     assert found.shape == (len(orders), *grid.shape)
-    d = maps.displacements
+    d = maps.samples
     moved = replace(d, d1=d.d1 + shift[0], d2=d.d2 + shift[1])
     for one, order in zip(found, orders, strict=True):
         exact = stack(moved, pairs, grid, order=order)
@@ -48,9 +48,9 @@ def test_uneven_dates_and_kernels_of_all_shapes(random_displacements, seed, ever
     else:
         pairs = consecutive_pairs(years)
     maps = PairMaps.of(d, GRID.v_max, pairs.interval.max())
-    check(maps, pairs, GRID, random_orders(5, 4, rng))
+    check(maps, pairs, GRID, random_permutations(5, 4, rng))
     shift = rng.uniform(-0.5, 0.5, 2)
-    check(maps, pairs, GRID, random_orders(5, 4, rng), shift=shift)
+    check(maps, pairs, GRID, random_permutations(5, 4, rng), shift=shift)
 
 
 def test_evenly_spaced_dates_which_share_one_interval(random_displacements):
@@ -60,14 +60,14 @@ def test_evenly_spaced_dates_which_share_one_interval(random_displacements):
     maps = PairMaps.of(d, GRID.v_max, 0.7)
     # Few orders add the maps first and stretch once; many stretch each map first.
     for n_orders in (2, 40):
-        check(maps, pairs, GRID, random_orders(6, n_orders, rng))
+        check(maps, pairs, GRID, random_permutations(6, n_orders, rng))
 
 
 def test_some_dates_equal(random_displacements):
     rng = np.random.default_rng(1)
     pairs = consecutive_pairs([0.0, 0.5, 0.5, 0.5, 2.0])
     maps = PairMaps.of(random_displacements(rng, 5, 80), GRID.v_max, 1.5)
-    check(maps, pairs, GRID, random_orders(5, 6, rng))
+    check(maps, pairs, GRID, random_permutations(5, 6, rng))
 
 
 def test_other_grids_and_dates_from_the_same_maps(random_displacements):
@@ -75,14 +75,14 @@ def test_other_grids_and_dates_from_the_same_maps(random_displacements):
     maps = PairMaps.of(random_displacements(rng, 4, 80), (5.0, 5.0), 2.0)
     for years in ([0.0, 1.0, 2.0, 4.0], [0.0, 0.1, 0.5, 0.6]):
         for grid in (GRID, VelocityGrid.covering(1.0, 0.05)):
-            check(maps, consecutive_pairs(years), grid, random_orders(4, 3, rng))
+            check(maps, consecutive_pairs(years), grid, random_permutations(4, 3, rng))
 
 
 def test_blocks_of_any_size_give_the_same_numbers(random_displacements, monkeypatch):
     rng = np.random.default_rng(3)
     pairs = consecutive_pairs(0.7 * np.arange(6))
     maps = PairMaps.of(random_displacements(rng, 6, 200), GRID.v_max, 0.7)
-    orders = random_orders(6, 30, rng)
+    orders = random_permutations(6, 30, rng)
     whole = all_stacks(maps, pairs, GRID, orders)
     size = 8 * GRID.shape[0] * GRID.shape[1]
     for n_maps in (0, 1, 7):
@@ -96,18 +96,14 @@ def test_maps_made_as_needed_give_the_same_numbers(random_displacements, monkeyp
     rng = np.random.default_rng(8)
     d = random_displacements(rng, 6, 200)
     pairs = consecutive_pairs(np.cumsum(rng.uniform(0.4, 0.7, 6)))
-    orders = random_orders(6, 12, rng)
-    for both in (False, True):
-        maps = PairMaps.of(d, GRID.v_max, 0.7)
-        maps = maps.both_ways() if both else maps
-        whole = all_stacks(maps, pairs, GRID, orders)
-        with monkeypatch.context() as patch:
-            for n_maps in (0, 1, 7):
-                limit = n_maps * maps.map_bytes
-                patch.setattr(f"{PairMaps.__module__}.MAP_BYTES", limit)
-                few = replace(maps)
-                again = all_stacks(few, pairs, GRID, orders)
-                np.testing.assert_allclose(again, whole, atol=1e-6)
+    orders = random_permutations(6, 12, rng)
+    maps = PairMaps.of(d, GRID.v_max, 0.7)
+    whole = all_stacks(maps, pairs, GRID, orders)
+    for n_maps in (0, 1, 7):
+        limit = n_maps * maps.map_bytes
+        monkeypatch.setattr(f"{PairMaps.__module__}.MAP_BYTES", limit)
+        again = all_stacks(replace(maps), pairs, GRID, orders)
+        np.testing.assert_allclose(again, whole, atol=1e-6)
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.4, -0.3)])
@@ -125,54 +121,19 @@ def test_many_intervals_are_few_for_the_maps(random_displacements, shift):
         PairMaps.of(d, GRID.v_max, pairs.interval.max()),
         pairs,
         GRID,
-        random_orders(14, 4, rng),
+        random_permutations(14, 4, rng),
         shift=shift,
     )
 
 
-@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.5, 0.2)])
-def test_both_ways_is_of_the_matches_turned_round(random_displacements, shift):
-    rng = np.random.default_rng(10)
-    d = random_displacements(rng, 5, 150, s1=(0.2, 0.6), s2=(0.4, 0.9))
-    pairs = consecutive_pairs([0.0, 0.5, 1.2, 1.3, 2.1])
-    maps = PairMaps.of(d, GRID.v_max, 0.8).both_ways()
-    orders = random_orders(5, 6, rng)
-    found = all_stacks(maps, pairs, GRID, orders, shift=shift)
-    twice = d.both_ways()
-    moved = replace(twice, d1=twice.d1 + shift[0], d2=twice.d2 + shift[1])
-    for one, order in zip(found, orders, strict=True):
-        exact = stack(moved, pairs, GRID, order=order)
-        np.testing.assert_allclose(one, exact, atol=1e-3 * exact.max())
-    np.testing.assert_array_equal(
-        maps.stack(pairs, GRID, orders[0]), stack(twice, pairs, GRID, order=orders[0])
-    )
-    with pytest.raises(ValueError, match="of both ways already"):
-        maps.both_ways()
-
-
-def test_reversed_orders_of_even_dates_tie(random_displacements):
-    """The same motion backwards: equal but for the last digits."""
-    rng = np.random.default_rng(11)
-    maps = PairMaps.of(random_displacements(rng, 5, 150), GRID.v_max, 0.7).both_ways()
-    orders = random_orders(5, 5, rng)
-    pairs = consecutive_pairs(0.7 * np.arange(5))
-    there, back = (all_stacks(maps, pairs, GRID, o) for o in (orders, orders[:, ::-1]))
-    number = maps.displacements.n_ssps
-    first, last = number[orders[:, 0]], number[orders[:, -1]]
-    sums = [
-        s * (number.sum() - n)[:, None, None] for s, n in ((there, last), (back, first))
-    ]
-    atol = 1e-12 * sums[0].max()
-    np.testing.assert_allclose(sums[0], sums[1][:, ::-1, ::-1], atol=atol)
-
-
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_baselines(random_displacements, monkeypatch):
     """Wide maps of many epochs and pairs of dates: no more than the blocks allow."""
     rng = np.random.default_rng(12)
     d = random_displacements(rng, 15, 400, reach=20.0, s1=(0.5, 0.7))
     pairs = baseline_pairs(np.cumsum(rng.uniform(0.2, 0.9, 15)), 1.0, 4.0)
     maps = PairMaps.of(d, (5.0, 5.0), 4.0)
-    orders = random_orders(15, 2, rng)
+    orders = random_permutations(15, 2, rng)
     whole = all_stacks(maps, pairs, GRID, orders)
     assert maps.map_bytes * 15**2 > 2**24
     for name in ("MAP_BYTES", "BLOCK_BYTES", "WORK_BYTES"):
@@ -191,7 +152,7 @@ def test_without_matches(random_displacements):
     none = random_displacements(rng, 3, 10).select(slice(0, 0))
     pairs = consecutive_pairs([0.0, 1.0, 3.0])
     maps = PairMaps.of(none, GRID.v_max, 2.0)
-    found = all_stacks(maps, pairs, GRID, random_orders(3, 5, rng))
+    found = all_stacks(maps, pairs, GRID, random_permutations(3, 5, rng))
     assert found.shape == (5, *GRID.shape)
     np.testing.assert_array_equal(found, 0.0)
 
@@ -201,17 +162,6 @@ def test_no_orders_no_stacks(random_displacements):
     maps = PairMaps.of(d, GRID.v_max, 1.0)
     pairs = consecutive_pairs(np.arange(4.0))
     assert list(maps.stacks(pairs, GRID, np.empty((0, 4), dtype=int))) == []
-
-
-def test_the_exact_stack_is_at_hand(random_displacements):
-    d = random_displacements(np.random.default_rng(6))
-    pairs = consecutive_pairs(np.arange(4.0))
-    maps = PairMaps.of(d, GRID.v_max, 1.0)
-    np.testing.assert_array_equal(maps.stack(pairs, GRID), stack(d, pairs, GRID))
-    order = [1, 3, 0, 2]
-    np.testing.assert_array_equal(
-        maps.stack(pairs, GRID, order), stack(d, pairs, GRID, order=order)
-    )
 
 
 @pytest.mark.parametrize("farthest", [0.5, 50.0])

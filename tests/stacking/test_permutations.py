@@ -9,7 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.stacking import number_of_orders, permutations_of_epochs
+from astro_scc.stacking.permutations import (
+    number_of_permutations,
+    permutations_of_epochs,
+)
 
 
 def rng(seed=0):
@@ -37,14 +40,14 @@ def test_more_epochs_are_drawn():
     ("n", "number"), [(1, 1), (2, 1), (3, 3), (4, 12), (5, 60), (8, 20160)]
 )
 def test_an_order_and_its_reversal_are_one(n, number):
-    assert number_of_orders(n) == number
+    assert number_of_permutations(n) == number
     if n < 6:
         every = {min(order, order[::-1]) for order in permutations(range(n))}
         assert len(every) == number
 
 
 def test_of_many_epochs_there_are_orders_without_end():
-    assert number_of_orders(1000) == number_of_orders(20) > 1e18
+    assert number_of_permutations(1000) == number_of_permutations(20) > 1e18
 
 
 def test_draws_are_even():

@@ -10,18 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.stacking import (
-    Diagram,
     EpochPermutations,
     Feature,
-    Population,
     Rays,
     SearchSettings,
     find_streams,
     random_effects,
-    separate_streams,
 )
+from astro_scc.stacking.diagram import Diagram
 from astro_scc.stacking.significance import classify
-from astro_scc.stacking.streams import feature_speeds
+from astro_scc.stacking.streams import Population, feature_speeds, separate_streams
 
 SEARCH = SearchSettings()
 #: Ten uneven dates.
@@ -211,7 +209,9 @@ class TestTwoStreams:
 
         module = sys.modules[find_streams.__module__]
         monkeypatch.setattr(
-            module, "separate_streams", lambda f, n, rng: (1.0, np.zeros(len(f), bool))
+            module,
+            "separate_streams",
+            lambda f, n, rng, _: (1.0, np.zeros(len(f), bool)),
         )
         test = search(two).permutations
         axis, speed = test.largest()
@@ -301,7 +301,7 @@ class TestNotSignificant:
 class TestRestrictions:
     def test_outward_only(self, one):
         assert kinds(search(one, outward=True))[0] == "moving"
-        inward = replace(one, along=-one.along, position=one.position * (-1, 1))
+        inward = replace(one, d1=-one.d1, position=one.position * (-1, 1))
         assert search(inward).streams[0].along.mean < 0
         outward = search(inward, outward=True)
         assert (outward.permutations.speed > 0).all()
@@ -378,8 +378,8 @@ class TestDirection:
                     name: np.concatenate([getattr(d, name), getattr(forth, name)])
                     for name in ("weight", "reference", "target")
                 },
-                along=np.concatenate([d.along, n * forth.along]),
-                across=np.concatenate([d.across, np.sin(axis) * forth.along]),
+                d1=np.concatenate([d.d1, n * forth.d1]),
+                d2=np.concatenate([d.d2, np.sin(axis) * forth.d1]),
                 ssp=np.concatenate([d.ssp, np.zeros(len(forth), dtype=int)]),
                 target_ssp=np.concatenate([d.target_ssp, np.full(len(forth), -1)]),
             )
@@ -420,7 +420,7 @@ class TestProperties:
     def test_the_other_direction_has_the_other_sign(self, lines, axis_matches, seed):
         d = self.matches(lines, axis_matches, seed)
         a = search(d).streams[0]
-        b = search(replace(d, along=-d.along, position=d.position * (-1, 1))).streams[0]
+        b = search(replace(d, d1=-d.d1, position=d.position * (-1, 1))).streams[0]
         assert b.along.mean == pytest.approx(-a.along.mean)
         assert b.across.mean == pytest.approx(a.across.mean)
         assert (b.kind, b.p_global) == (a.kind, a.p_global)

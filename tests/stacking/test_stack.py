@@ -10,14 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.stacking import (
-    Displacements,
     VelocityGrid,
+    VelocitySamples,
     baseline_pairs,
     consecutive_pairs,
-    gaussian_sum,
     stack,
 )
-from astro_scc.stacking.stack import number_of_ssps, velocities
+from astro_scc.stacking.stack import gaussian_sum, number_of_ssps, sample_velocities
 
 GRID = VelocityGrid.covering((4.0, 3.0), (0.5, 0.6))
 
@@ -143,7 +142,7 @@ def test_velocities_are_displacements_over_intervals(random_displacements):
     d = random_displacements(np.random.default_rng(5), n_epochs=3)
     pairs = baseline_pairs([0.0, 0.5, 2.0], 0.0, 3.0)
     order = [2, 0, 1]
-    index, v1, v2, s1, s2, weight = velocities(d, pairs, order)
+    index, v1, v2, s1, s2, weight = sample_velocities(d, pairs, order)
     date = np.argsort(order)
     years = np.array([0.0, 0.5, 2.0])
     forward = date[d.target] > date[d.reference]
@@ -176,7 +175,7 @@ def test_selections_of_displacements_keep_the_number_of_ssps(random_displacement
     d = random_displacements(np.random.default_rng(7))
     keep = d.d1 > 0
     some = d.select(keep)
-    assert isinstance(some, Displacements)
+    assert isinstance(some, VelocitySamples)
     assert len(some) == keep.sum()
     np.testing.assert_array_equal(some.ssp, d.ssp[keep])
     np.testing.assert_array_equal(some.n_ssps, d.n_ssps)

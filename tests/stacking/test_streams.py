@@ -8,8 +8,11 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.stats import norm, t
 
-from astro_scc.stacking import Feature, Stream, random_effects, separate_streams
-from astro_scc.stacking.streams import alignment_response, feature_speeds
+from astro_scc.stacking import Feature, SearchSettings, Stream, random_effects
+from astro_scc.stacking.errors import alignment_response
+from astro_scc.stacking.streams import feature_speeds, separate_streams
+
+SEARCH = SearchSettings()
 
 
 def features_of(speeds, errors):
@@ -138,9 +141,7 @@ class TestAlignmentResponse:
         position = position + np.stack([shift + 0 * years, 0 * years], 1)[epoch]
         ssps = np.arange(18).reshape(6, 3).T
         ssps = [ssps[0], ssps[1][:5], ssps[2][2:]]
-        features = [
-            Feature.through(s, years[epoch[s]], position[s], 0.06) for s in ssps
-        ]
+        features = [Feature.through(s, years[epoch[s]], position[s]) for s in ssps]
         along = random_effects(*feature_speeds(features))
         return Stream("moving", "", 0.0, along, along, features=tuple(features)), epoch
 
@@ -244,19 +245,19 @@ class TestSeparateStreams:
 
     def test_the_likelihoods_by_a_loop(self):
         """The ratio of the largest of two components and of one."""
-        from astro_scc.stacking.streams import ONE, TWO, _one, _two
+        from astro_scc.stacking.streams import _one, _two
 
         rng = np.random.default_rng(4)
         y, e = (
             np.sort(rng.normal(0, 0.4, (3, 6)), axis=1),
             rng.uniform(0.02, 0.2, (3, 6)),
         )
-        one, mean, tau, linear = _one(y, e)
-        two, where = _two(y, e)
+        one, mean, tau, linear = _one(y, e, SEARCH.one_dispersions)
+        two, where = _two(y, e, SEARCH.two_dispersions)
         constant = 6 * 0.5 * np.log(2 * np.pi)
         for k in range(3):
             best = -np.inf
-            for width in ONE:
+            for width in SEARCH.one_dispersions:
                 s = np.hypot(e[k], width)
                 m = np.average(y[k], weights=s**-2.0)
                 value = norm.logpdf(y[k], m, s).sum() + constant
@@ -273,7 +274,7 @@ class TestSeparateStreams:
             assert (mean[k], tau[k], linear[k]) == pytest.approx(found)
             best = -np.inf
             for split in (2, 3, 4):
-                for width in TWO:
+                for width in SEARCH.two_dispersions:
                     s = np.hypot(e[k], width)
                     total = 0
                     for part in (slice(None, split), slice(split, None)):

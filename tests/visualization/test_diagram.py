@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from astro_scc.measurement import StreamVelocity
+from astro_scc.stacking.errors import StreamVelocity
 from astro_scc.visualization import plot_diagram
 
 

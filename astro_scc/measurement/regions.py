@@ -3,14 +3,17 @@
 
 import operator
 import os
+import re
+from pathlib import Path, PurePath
 
 import astropy.units as u
 import numpy as np
 
+from astro_scc.decomposition import scale_size
 from astro_scc.partial import replace_when_complete
 
-__all__ = ["ssp_regions", "ssp_segmentation", "write_ssp_regions"]
-
+#: Folder of the regions of all epochs.
+REGIONS = "ssp_regions"
 #: One colour a scale, which DS9 knows.
 COLORS = ("cyan", "orange", "green", "magenta", "yellow", "red")
 #: Digits after the point, of degrees and of arcsec: below a nanoarcsecond.
@@ -19,7 +22,7 @@ DIGITS = 13
 
 def ssp_regions(ssps, cube, epoch, *, scales=None, shape="outline", frame="cube"):
     """
-    The SSPs of an epoch as regions on the sky.
+    Return the SSPs of an epoch as regions on the sky.
 
     Parameters
     ----------
@@ -137,7 +140,7 @@ def write_ssp_regions(ssps, cube, epoch, path, *, overwrite=False, **options):
 
 def ssp_segmentation(ssps, cube, epoch, scale):
     """
-    The SSPs of one scale of an epoch as segmentation image of photutils.
+    Return the SSPs of one scale of an epoch as segmentation image of photutils.
 
     Parameters
     ----------
@@ -220,8 +223,66 @@ def _outline(ssps, index, cube, wcs):
 def _circle(ssps, index, cube, wcs):
     from regions import CircleSkyRegion
 
-    from astro_scc.decomposition import scale_size
-
     size = scale_size(ssps.scale[index]) * cube.pixel_scale
     centre = wcs.pixel_to_world(ssps.x[index], ssps.y[index])
     return CircleSkyRegion(centre, (size / 2).to(u.arcsec))
+
+
+def write_epoch_regions(ssps, cube, directory, **options):
+    """
+    Write the SSPs of every epoch as regions for DS9, a file an epoch.
+
+    Parameters
+    ----------
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs, such as ``result.matched.ssps``.
+    cube : `~astro_scc.epochs.EpochCube`
+    directory : path
+        Its folder ``ssp_regions`` is made if need be; files of the same
+        names are replaced.
+    **options
+        ``scales`` and ``shape`` of `ssp_regions`.
+
+    Returns
+    -------
+    list of `~pathlib.Path`
+        The number of each epoch and its name, ``00_first.reg``.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+
+    Notes
+    -----
+    The coordinates are those of the epoch's own file, which DS9 opens beside
+    it, or those of the cube if it was not read from files.
+
+    Examples
+    --------
+    >>> from astro_scc.decomposition import Decomposer, SSPs
+    >>> from astro_scc.measurement import write_epoch_regions
+    >>> from astro_scc.simulation import simulate_static
+    >>> cube = simulate_static(n_epochs=2, rng=1).cube
+    >>> ssps = SSPs.of_epochs([Decomposer(scales=[2])(image) for image in cube.data])
+    >>> paths = write_epoch_regions(ssps, cube, ".")
+    >>> [path.as_posix() for path in paths]
+    ['ssp_regions/00_2000-01-01.reg', 'ssp_regions/01_2000-01-31.reg']
+    """
+    folder = Path(directory, REGIONS)
+    folder.mkdir(exist_ok=True)
+    frame = "cube" if cube.epoch_wcs is None else "epoch"
+    digits = max(2, len(str(len(cube) - 1)))
+    paths = []
+    for i, label in enumerate(cube.labels):
+        paths.append(folder / f"{i:0{digits}d}_{_plain(label)}.reg")
+        write_ssp_regions(
+            ssps, cube, i, paths[-1], frame=frame, overwrite=True, **options
+        )
+    return paths
+
+
+def _plain(label):
+    """A label as part of the name of a file."""
+    stem = PurePath(label).name.removesuffix(".fits")
+    return re.sub(r"[^A-Za-z0-9+._-]+", "_", stem)[:60].strip("._") or "epoch"

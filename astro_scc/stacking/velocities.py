@@ -1,0 +1,367 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Velocity samples, the pairs of dates that they are of, and the grid of velocities."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class VelocitySamples:
+    """
+    Matched pairs of SSPs: a displacement between two epochs each.
+
+    A displacement over an interval is a sample of the velocities.  Stacks take the
+    intervals from `DatePairs`, as permuted epochs have other ones.  What only
+    some of the stages need may be missing.
+
+    Attributes
+    ----------
+    d1, d2 : `~numpy.ndarray`, shape (n,)
+        Displacement from the SSP to its match along the first and second
+        axis, in mas, or in beams along one axis and across it.
+    weight : `~numpy.ndarray`, shape (n,)
+        Correlation coefficient.
+    reference, target : `~numpy.ndarray` of int, shape (n,)
+        Epochs of the SSP and of the image it was matched in.
+    ssp, target_ssp : `~numpy.ndarray` of int, shape (n,)
+        The SSP, and that of the target epoch which the match falls on, or -1.
+    s1, s2 : `~numpy.ndarray`, shape (n,)
+        Standard errors of the displacement, of SSP and target combined.
+    motion : `~numpy.ndarray`, shape (n, 2)
+        Displacement in the coordinates of ``position``, which the axes need
+        not be.
+    n_ssps : `~numpy.ndarray` of int, shape (n_epochs,)
+        Number of SSPs of each epoch that were correlated, with or without
+        a match.
+    position : `~numpy.ndarray`, shape (n_ssps, 2)
+        Cartesian place of each SSP.
+    epoch, scale : `~numpy.ndarray`, shape (n_ssps,)
+    years : `~numpy.ndarray`, shape (n_epochs,)
+        Dates in years, ascending.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.stacking import VelocitySamples
+    >>> one = np.ones(1)
+    >>> samples = VelocitySamples(
+    ...     d1=0.4 * one, d2=0 * one, weight=one, reference=np.array([0]),
+    ...     target=np.array([1]), ssp=np.array([0]), target_ssp=np.array([1]),
+    ...     years=np.array([2000.0, 2000.5]))
+    >>> len(samples), samples.interval
+    (1, array([0.5]))
+    """
+
+    d1: np.ndarray
+    d2: np.ndarray
+    weight: np.ndarray
+    reference: np.ndarray
+    target: np.ndarray
+    ssp: np.ndarray
+    target_ssp: np.ndarray
+    s1: np.ndarray | None = None
+    s2: np.ndarray | None = None
+    motion: np.ndarray | None = None
+    n_ssps: np.ndarray | None = None
+    position: np.ndarray | None = None
+    epoch: np.ndarray | None = None
+    scale: np.ndarray | None = None
+    years: np.ndarray | None = None
+
+    def __len__(self):
+        return len(self.d1)
+
+    @property
+    def n_epochs(self):
+        """Number of epochs."""
+        return len(self.n_ssps)
+
+    @property
+    def interval(self):
+        """Time from the SSP's epoch to its match's, in years, with its sign."""
+        return self.years[self.target] - self.years[self.reference]
+
+    @property
+    def velocity(self):
+        """Velocity in the coordinates of the positions, (n, 2)."""
+        return self.motion * (1 / self.interval)[:, None]
+
+    @property
+    def middle(self):
+        """Place of the feature midway between the epochs, (n, 2)."""
+        return self.position[self.ssp] + 0.5 * self.motion
+
+    @property
+    def sigma(self):
+        """Standard error of the displacement, mean of both axes."""
+        return np.sqrt(self.s1 * self.s2)
+
+    def select(self, keep):
+        """
+        Return a selection of the samples; the SSPs and dates stay.
+
+        Parameters
+        ----------
+        keep : array_like of bool, shape (n,), or indices
+
+        Returns
+        -------
+        `VelocitySamples`
+        """
+        columns = {name: getattr(self, name) for name in COLUMNS}
+        return replace(
+            self, **{k: v[keep] for k, v in columns.items() if v is not None}
+        )
+
+    def without_ssps(self, taken):
+        """
+        Return the samples from and to SSPs that are not taken.
+
+        Parameters
+        ----------
+        taken : `~numpy.ndarray` of bool, shape (n_ssps,)
+
+        Returns
+        -------
+        `VelocitySamples`
+        """
+        there = np.where(self.target_ssp >= 0, taken[self.target_ssp], False)
+        return self.select(~(taken[self.ssp] | there))
+
+    def within(self, pairs, limit):
+        """
+        Return the samples of pairs of dates, matched in either direction.
+
+        Parameters
+        ----------
+        pairs : `DatePairs`
+        limit : tuple of float
+            Largest velocities along the two axes, included.
+
+        Returns
+        -------
+        `VelocitySamples`
+        """
+        paired = np.zeros((len(self.years),) * 2, dtype=bool)
+        paired[pairs.first, pairs.second] = paired[pairs.second, pairs.first] = True
+        some = self.select(paired[self.reference, self.target])
+        rate = 1 / np.abs(some.interval)
+        slow = np.abs(some.d1) * rate <= limit[0]
+        return some.select(slow & (np.abs(some.d2) * rate <= limit[1]))
+
+
+#: Columns of `VelocitySamples` that have a value for each sample.
+COLUMNS = tuple(f.name for f in fields(VelocitySamples))[:10]
+
+
+@dataclass(frozen=True, eq=False)
+class DatePairs:
+    """
+    Pairs of dates that a stack compares, earlier one first.
+
+    Attributes
+    ----------
+    first, second : `~numpy.ndarray` of int, shape (n_pairs,)
+        Indices of the dates.
+    interval : `~numpy.ndarray`, shape (n_pairs,)
+        Time between them in years, positive.
+    weight : `~numpy.ndarray`, shape (n_pairs,)
+        Weight of the pair in the stack.
+    n_dates : int
+
+    Examples
+    --------
+    >>> from astro_scc.stacking import consecutive_pairs
+    >>> pairs = consecutive_pairs([2000.0, 2000.5, 2002.0])
+    >>> len(pairs), pairs.interval.tolist()
+    (2, [0.5, 1.5])
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    interval: np.ndarray
+    weight: np.ndarray
+    n_dates: int
+
+    def __len__(self):
+        return len(self.first)
+
+    def images(self, order):
+        """
+        Return the ordered pairs of images, for an order of images over dates.
+
+        Parameters
+        ----------
+        order : array_like of int, shape (..., n_dates)
+            Image at each date.
+
+        Returns
+        -------
+        reference, target : `~numpy.ndarray` of int, shape (..., n_pairs)
+        """
+        order = np.asarray(order)
+        return order[..., self.first], order[..., self.second]
+
+
+def _pairs(years, first, second, weight=None):
+    years = np.asarray(years, dtype=float)
+    interval = years[second] - years[first]
+    weight = np.ones(len(first)) if weight is None else weight
+    return DatePairs(first, second, interval, weight, len(years))
+
+
+def consecutive_pairs(years):
+    """
+    Each date and the next one, as in the paper.
+
+    Dates at which several epochs were taken have no interval between them
+    and make no pair.
+
+    Parameters
+    ----------
+    years : array_like, shape (n_dates,)
+        Dates in years, ascending.
+
+    Returns
+    -------
+    `DatePairs`
+
+    Examples
+    --------
+    >>> from astro_scc.stacking import consecutive_pairs
+    >>> consecutive_pairs([0.0, 0.5, 1.5]).interval
+    array([0.5, 1. ])
+    """
+    years = np.asarray(years, dtype=float)
+    first = np.flatnonzero(np.diff(years) > 0)
+    return _pairs(years, first, first + 1)
+
+
+def baseline_pairs(years, shortest, longest):
+    """
+    Every pair of dates whose separation lies in a range.
+
+    A displacement error sigma is a velocity error sigma / interval, so pairs
+    weigh with the square of their interval, normalised to a mean of one:
+    the inverse variances.
+
+    Parameters
+    ----------
+    years : array_like, shape (n_dates,)
+        Dates in years, ascending.
+    shortest, longest : float
+        Range of separations in years, both included.
+
+    Returns
+    -------
+    `DatePairs`
+
+    Raises
+    ------
+    ValueError
+        If the range is empty or not positive.
+
+    Examples
+    --------
+    >>> from astro_scc.stacking import baseline_pairs
+    >>> pairs = baseline_pairs([0.0, 0.5, 1.5], 0.8, 1.2)
+    >>> pairs.first, pairs.second
+    (array([1]), array([2]))
+    """
+    if not 0 <= shortest <= longest or longest <= 0:
+        raise ValueError(
+            "a baseline needs 0 <= shortest <= longest years with longest > 0, "
+            f"got {shortest} and {longest}"
+        )
+    years = np.asarray(years, dtype=float)
+    separation = years[None, :] - years[:, None]
+    # A rounded limit must not lose a pair: a third of a day, or a percent of
+    # what is limited where dates are minutes apart.
+    slack = min(1e-3, 0.01 * longest)
+    inside = (separation >= shortest - slack) & (separation <= longest + slack)
+    first, second = np.nonzero(inside & (separation > 0))
+    interval = separation[first, second]
+    weight = interval**2 / np.mean(interval**2) if len(interval) else interval
+    return _pairs(years, first, second, weight)
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityGrid:
+    """
+    A regular grid of velocities along two axes, symmetric about zero.
+
+    Attributes
+    ----------
+    v1, v2 : `~numpy.ndarray`, shapes (n1,) and (n2,)
+        Velocities along the first and second axis.  Maps on the grid have
+        shape (n2, n1).
+
+    Examples
+    --------
+    >>> from astro_scc.stacking import VelocityGrid
+    >>> grid = VelocityGrid.covering(2.0, 0.5)
+    >>> grid.shape, grid.v1.tolist()[:3]
+    ((9, 9), [-2.0, -1.5, -1.0])
+    """
+
+    v1: np.ndarray
+    v2: np.ndarray
+
+    @property
+    def shape(self):
+        """Shape of a map, (n2, n1)."""
+        return len(self.v2), len(self.v1)
+
+    @property
+    def step(self):
+        """Spacing of the velocities along both axes."""
+        return self.v1[1] - self.v1[0], self.v2[1] - self.v2[0]
+
+    @property
+    def v_max(self):
+        """Largest velocity along both axes."""
+        return self.v1[-1], self.v2[-1]
+
+    @classmethod
+    def covering(cls, v_max, step, *, max_size=601):
+        """
+        Return the grid that reaches a velocity in every direction.
+
+        Parameters
+        ----------
+        v_max : float or tuple of float
+            Largest velocity, of each axis if two.
+        step : float or tuple of float
+            Largest spacing.
+        max_size : int, optional
+            Largest number of velocities an axis; the spacing grows if
+            there would be more.
+
+        Returns
+        -------
+        `VelocityGrid`
+
+        Raises
+        ------
+        ValueError
+            If a number is not positive and finite.
+
+        Examples
+        --------
+        >>> from astro_scc.stacking import VelocityGrid
+        >>> VelocityGrid.covering(2.0, 0.3).v1.round(2)
+        array([-2.  , -1.71, -1.43, -1.14, -0.86, -0.57, -0.29, 0.  ,
+               0.29, 0.57, 0.86, 1.14, 1.43, 1.71, 2.  ])
+        """
+        v_max = np.broadcast_to(np.asarray(v_max, dtype=float), 2)
+        step = np.broadcast_to(np.asarray(step, dtype=float), 2)
+        if not (np.all(np.isfinite(v_max)) and np.all(v_max > 0)):
+            raise ValueError(f"the largest velocity must be positive, got {v_max}")
+        if not (np.all(np.isfinite(step)) and np.all(step > 0)):
+            raise ValueError(f"the velocity step must be positive, got {step}")
+        half = np.ceil(v_max / step - 1e-9).astype(int)
+        half = np.clip(half, 1, max_size // 2)
+        return cls(
+            *(v * (np.arange(-n, n + 1) / n) for v, n in zip(v_max, half, strict=True))
+        )
