@@ -1,35 +1,38 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What the benchmarks share: parts of a jet, the features in it, tables of text."""
+# ruff: noqa: E402
+"""What the benchmarks share: jets of MOJAVE, tables of text, time and memory."""
 
 import csv
+import os
 import resource
 import sys
+import threading
 import time
-from dataclasses import replace
 from pathlib import Path
+
+# One core for each process; libraries read this when they are loaded.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
 
 import astropy.units as u
 import numpy as np
 from astropy.table import Table
 
-from astro_scc.measurement import ssp_offsets
+from astro_scc.epochs import read_components, restore
 
 RESULTS = Path(__file__).parent / "results"
 PM_UNIT = u.mas / u.yr
 
 
-def part(matched, *, r_min=0.0, r_max=np.inf, scales=None):
-    """
-    The matches of the SSPs in a ring about the core and on some scales.
-
-    Nothing is correlated again: what is chosen is whose matches are stacked.
-    """
-    ssps = matched.ssps
-    distance = np.hypot(*ssp_offsets(ssps, matched.cube, centroid=True))
-    select = matched.select & (distance >= r_min) & (distance < r_max)
-    if scales is not None:
-        select &= np.isin(ssps.scale, scales)
-    return replace(matched, select=select)
+def mojave_images(folder, table, beam, *, before=None, seed=1):
+    """Epochs restored from the features of MOJAVE, pixels of 0.1 mas."""
+    components = read_components(folder / f"{table}.ecsv")
+    if before is not None:
+        components = components.select(before=before)
+    noise = 0.3 * u.mJy / u.beam
+    return restore(
+        components, beam=beam, pixel_scale=0.1 * u.mas, noise=noise, rng=seed
+    )
 
 
 def feature_motions(folder, source, pa, *, before="9999", sightings=3):
@@ -74,17 +77,6 @@ def feature_motions(folder, source, pa, *, before="9999", sightings=3):
     return {
         k: v if k == "sightings" else np.array(v, dtype=float) for k, v in found.items()
     }
-
-
-def feature_quartiles(motions, r_min, r_max):
-    """Quartiles of the speeds of the features sighted in a ring, or None."""
-    times = np.array(
-        [np.sum((r >= r_min) & (r < r_max)) for r in motions["sightings"]], dtype=int
-    )
-    speeds = np.repeat(motions["speed"], times)
-    if len(speeds) < 3:
-        return None
-    return np.percentile(speeds, [25, 50, 75])
 
 
 def plain(value, unit=None):
@@ -141,3 +133,41 @@ class Stopwatch:
         """Largest resident memory of this process so far, in GB."""
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak / (1e9 if sys.platform == "darwin" else 1e6)
+
+
+class Sampler(threading.Thread):
+    """Call a function several times a second while a block of code runs."""
+
+    def __init__(self, function, interval=0.1):
+        super().__init__(daemon=True)
+        self.function, self.interval = function, interval
+        self.values, self.done = [], threading.Event()
+
+    def run(self):
+        """Collect values until the block ends."""
+        while not self.done.wait(self.interval):
+            self.values.append(self.function())
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *args):
+        self.done.set()
+        self.join()
+
+
+def memory_of(pid):
+    """Gigabytes of a process and of all that it started, shared pages once."""
+    folder = Path(f"/proc/{pid}")
+    try:
+        text = (folder / "smaps_rollup").read_text(encoding="ascii")
+        (own,) = (line.split()[1] for line in text.splitlines() if "Pss:" in line[:4])
+        below = [
+            int(child)
+            for path in (folder / "task").glob("*/children")
+            for child in path.read_text(encoding="ascii").split()
+        ]
+    except (OSError, ValueError):
+        return 0.0
+    return int(own) / 1e6 + sum(map(memory_of, below))

@@ -1,5 +1,4 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-# ruff: noqa: E402
 """
 How time and memory grow, as ratios taken in one run on one machine.
 
@@ -20,19 +19,14 @@ import argparse
 import os
 import subprocess
 import sys
-import threading
 import time
 from functools import partial
 from pathlib import Path
 
-# Libraries read these when they are loaded.
-for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
 import astropy.units as u
 import numpy as np
 from astropy.time import Time
-from common import write_table
+from common import Sampler, memory_of, write_table
 from scipy import fft, signal
 from skimage.feature import peak_local_max
 
@@ -355,35 +349,6 @@ def imports_part(runs):
     )
 
 
-class Memory(threading.Thread):
-    """Largest memory of this process and its children, shared pages once."""
-
-    def __init__(self):
-        super().__init__(daemon=True)
-        self.peak, self.done = 0.0, threading.Event()
-
-    def run(self):
-        """Look at it five times a second."""
-        while not self.done.wait(0.2):
-            self.peak = max(self.peak, self._now())
-
-    @staticmethod
-    def _now():
-        own = os.getpid()
-        total = 0
-        for folder in Path("/proc").glob("[0-9]*"):
-            try:
-                stat = (folder / "stat").read_text().rsplit(")", 1)[1].split()
-                if int(folder.name) != own and int(stat[1]) != own:
-                    continue
-                for line in (folder / "smaps_rollup").read_text().splitlines():
-                    if line.startswith("Pss:"):
-                        total += int(line.split()[1])
-            except OSError:
-                continue
-        return total / 1e6
-
-
 def whole_part(reaches, n_epochs, n_trials, n_workers):
     """All of a measurement of many epochs: processor time, wall clock, memory."""
     rows = []
@@ -407,17 +372,14 @@ def whole(reach, n_epochs, n_trials, n_workers):
     """One row of it, in a process of its own."""
     import scipy.stats  # noqa: F401 (the errors of components load it)
 
-    memory = Memory()
-    memory.start()
     cube = simulate(n_epochs).cube
     scc = measurer(cube, reach)
-    start, wall = os.times(), time.perf_counter()
-    matched = scc.match(cube, n_workers=n_workers)
-    middle = os.times()
-    scc.stack(matched, n_trials=n_trials, rng=1)
-    end, wall = os.times(), time.perf_counter() - wall
-    memory.done.set()
-    memory.join()
+    with Sampler(partial(memory_of, os.getpid()), 0.2) as memory:
+        start, wall = os.times(), time.perf_counter()
+        matched = scc.match(cube, n_workers=n_workers)
+        middle = os.times()
+        scc.stack(matched, n_trials=n_trials, rng=1)
+        end, wall = os.times(), time.perf_counter() - wall
     row = [
         f"± {reach} px",
         f"{len(matched.ssps) / n_epochs:.0f}",
@@ -425,7 +387,7 @@ def whole(reach, n_epochs, n_trials, n_workers):
         f"{sum(middle[:4]) - sum(start[:4]):.0f}",
         f"{sum(end[:4]) - sum(middle[:4]):.0f}",
         f"{wall:.0f}",
-        f"{memory.peak:.2f}",
+        f"{max(memory.values):.2f}",
         f"{os.getloadavg()[0]:.1f}",
     ]
     print("|".join(row), end="")

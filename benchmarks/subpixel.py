@@ -1,20 +1,19 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-How far the displacement is off where all pairs of epochs have the same one.
+Error of the displacement where it is the same for all pairs of epochs.
 
 Five epochs of four features that move by the same part of a pixel each, with hardly any
 noise, for features of several widths::
 
-    python tools/subpixel.py benchmarks/results/subpixel.csv
+    python benchmarks/subpixel.py
 """
 
-import csv
-import sys
 import warnings
 
 import astropy.units as u
 import numpy as np
 from astropy.time import Time
+from common import write_table
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
@@ -58,22 +57,14 @@ def measured(fwhm, scales, step):
 
 def main():
     """Print the table and write it."""
-    rows = [["width (pixels)", "largest error", "at", "its pm_err", "0.15 / width"]]
+    header = ["width (pixels)", "largest error", "at", "its pm_err", "0.15 / width"]
+    rows = []
     for fwhm, scales in WIDTHS.items():
-        each = np.array([measured(fwhm, scales, step) for step in STEPS])
-        worst = np.abs(each[:, 0]).argmax()
-        rows.append(
-            [
-                str(fwhm),
-                f"{each[worst, 0]:+.3f}",
-                f"{STEPS[worst]:.1f}",
-                f"{each[worst, 1]:.3f}",
-                f"{SAMPLING / fwhm:.3f}",
-            ]
-        )
-        print(*rows[-1], flush=True)
-    with open(sys.argv[1], "w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
+        off, error = np.array([measured(fwhm, scales, step) for step in STEPS]).T
+        k = np.abs(off).argmax()
+        rows.append([fwhm, f"{off[k]:+.3f}", f"{STEPS[k]:.1f}", f"{error[k]:.3f}",
+                     f"{SAMPLING / fwhm:.3f}"])  # fmt: skip
+    write_table("subpixel", header, rows)
 
 
 if __name__ == "__main__":
