@@ -157,12 +157,16 @@ class Sampler(threading.Thread):
         self.join()
 
 
-def memory_of(pid):
-    """Gigabytes of a process and of all that it started, shared pages once."""
+def memory_of(pid, kind="Pss"):
+    """
+    Gigabytes of a process and of all that it started.
+
+    ``kind`` is ``"Rss"``, with the pages that it shares, or ``"Pss"``, its part of them.
+    """
     folder = Path(f"/proc/{pid}")
     try:
         text = (folder / "smaps_rollup").read_text(encoding="ascii")
-        (own,) = (line.split()[1] for line in text.splitlines() if "Pss:" in line[:4])
+        (own,) = (line.split()[1] for line in text.splitlines() if line.startswith(kind))
         below = [
             int(child)
             for path in (folder / "task").glob("*/children")
@@ -170,4 +174,4 @@ def memory_of(pid):
         ]
     except (OSError, ValueError):
         return 0.0
-    return int(own) / 1e6 + sum(map(memory_of, below))
+    return int(own) / 1e6 + sum(memory_of(child, kind) for child in below)

@@ -97,7 +97,7 @@ def watch(words):
         [sys.executable, "-m", "astro_scc.cli", *map(str, words)],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
-    with Sampler(partial(memory_of, process.pid), 0.02) as memory:
+    with Sampler(partial(memory_of, process.pid, "Rss"), 0.02) as memory:
         said, _ = process.communicate()
     if process.returncode:
         raise RuntimeError(f"{words[0]} ended with {process.returncode}: {said}")
