@@ -161,17 +161,17 @@ def memory_of(pid, kind="Pss"):
     """
     Gigabytes of a process and of all that it started.
 
-    ``kind`` is ``"Rss"``, with the pages that it shares, or ``"Pss"``, its part of them.
+    ``kind`` is ``"Rss"``, with all pages that it shares, or ``"Pss"``, with its part.
     """
     folder = Path(f"/proc/{pid}")
     try:
         text = (folder / "smaps_rollup").read_text(encoding="ascii")
-        (own,) = (line.split()[1] for line in text.splitlines() if line.startswith(kind))
+        own = int(text.partition(f"{kind}:")[2].split()[0])
         below = [
             int(child)
             for path in (folder / "task").glob("*/children")
             for child in path.read_text(encoding="ascii").split()
         ]
-    except (OSError, ValueError):
+    except (OSError, IndexError):
         return 0.0
-    return int(own) / 1e6 + sum(memory_of(child, kind) for child in below)
+    return own / 1e6 + sum(memory_of(child, kind) for child in below)
