@@ -35,7 +35,7 @@ def mojave_images(folder, table, beam, *, before=None, seed=1):
     )
 
 
-def feature_motions(folder, source, pa, *, before="9999", sightings=3):
+def feature_motions(folder, source, pa, *, before="9999", epochs=3):
     """
     Proper motions that were fitted to features, along a position angle.
 
@@ -48,34 +48,34 @@ def feature_motions(folder, source, pa, *, before="9999", sightings=3):
     pa : float
         In degrees.
     before : str, optional
-        Only sightings before this date, of features with so many
-        ``sightings`` at least.
+        Only epochs before this date, of features with so many
+        ``epochs`` at least.
 
     Returns
     -------
     dict of `~numpy.ndarray`
-        ``feature``, ``distance`` (mean, of these sightings), ``speed`` and
-        ``error`` in mas/yr, and ``sightings``, an array of distances for
+        ``feature``, ``distance`` (mean, of these epochs), ``speed`` and
+        ``error`` in mas/yr, and ``epochs``, an array of distances for
         each feature.
     """
     seen = Table.read(folder / f"{source}.ecsv", format="ascii.ecsv")
     fits = Table.read(folder / f"{source}.linear-fits.csv", format="ascii.csv")
-    found = {"feature": [], "distance": [], "speed": [], "error": [], "sightings": []}
+    found = {"feature": [], "distance": [], "speed": [], "error": [], "epochs": []}
     for fit in fits:
         own = (seen["feature"] == fit["feature"]) & (
             np.asarray(seen["epoch"], dtype=str) < before
         )
         r = np.asarray(seen["separation"][own], dtype=float)
-        if len(r) < sightings:
+        if len(r) < epochs:
             continue
         turn = np.cos(np.radians(fit["pa_motion_deg"] - pa))
         found["feature"].append(int(fit["feature"]))
         found["distance"].append(r.mean())
         found["speed"].append(fit["mu_mas_yr"] * turn)
         found["error"].append(fit["mu_err"])
-        found["sightings"].append(r)
+        found["epochs"].append(r)
     return {
-        k: v if k == "sightings" else np.array(v, dtype=float) for k, v in found.items()
+        k: v if k == "epochs" else np.array(v, dtype=float) for k, v in found.items()
     }
 
 

@@ -42,7 +42,7 @@ BEFORE = "2011-01-01"
 BEAM = Beam(0.9 * u.mas, 0.6 * u.mas, -5 * u.deg)
 RINGS = ((0.5, 2), (2, 4), (4, 7), (7, 12), (12, 20))
 #: Features of a ring that is judged, and epochs in which a feature is seen.
-FEATURES, SIGHTINGS = 5, 5
+FEATURES, EPOCHS = 5, 5
 #: A speed is right within this share of the features' mean, or within two errors.
 RIGHT = 0.2
 
@@ -128,7 +128,7 @@ def measure(source, args):
         matched = scc.match(cube)
         whole = scc.stack(matched, n_trials=args.n_trials, rng=args.seed)
     angle = whole.position_angle.to_value(u.deg)
-    motions = feature_motions(args.folder, source.table, angle, sightings=SIGHTINGS)
+    motions = feature_motions(args.folder, source.table, angle, epochs=EPOCHS)
     cost = f"{sum(watch.lap('whole')[:1]):.0f}", f"{watch.peak_memory():.1f}"
     rows = rows_of(source, cube, "all", whole, motions, cost)
     scc = StackedCrossCorrelation(position_angle=whole.position_angle)

@@ -191,7 +191,7 @@ def z_without_successors(result, index, seed, n_orders=300):
     """
     The z-score from orders in which no epoch follows its own predecessor.
 
-    So the authors' program shuffles.
+    These are the permutations of the authors' program.
     """
     rng = np.random.default_rng(seed)
     orders = []

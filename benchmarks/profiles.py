@@ -187,7 +187,7 @@ def features_of_3c120(args, half_width=2.0):
         args.folder, source.table, radii, before=BEFORE, half_width=half_width
     )
     whole = feature_motions(
-        args.folder, source.table, source.position_angle, before=BEFORE, sightings=5
+        args.folder, source.table, source.position_angle, before=BEFORE, epochs=5
     )
     rows = []
     for i, radius in enumerate(radii):

@@ -4,7 +4,7 @@ Speeds in ten epochs of the quasar 0003+380, beside those of MOJAVE's features.
 
 The images are aligned on the core by a table and convolved to one beam.  The jet is
 measured in rings about the core, with the settings that the dates and the beam
-suggest and, to see how much hangs on them, with others::
+suggest and, to see how much depends on them, with others::
 
     python benchmarks/real_images.py ../shared/data
 """
@@ -66,7 +66,7 @@ def main():
     fits = [
         [
             int(motions["feature"][i]),
-            len(motions["sightings"][i]),
+            len(motions["epochs"][i]),
             f"{motions['distance'][i]:.1f} mas",
             measured(motions["speed"][i], motions["error"][i], 3),
         ]

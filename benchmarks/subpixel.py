@@ -17,9 +17,10 @@ from common import write_table
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.velocity_error import SAMPLING
 
 PIXEL, DAYS, N = 0.1, 30.0, 5
+#: Part of ``pm_err`` for the sampling, in pixels times the resolution in pixels.
+SAMPLING = 0.15
 STEPS = np.arange(1, 11) / 10
 #: Width of the features in pixels, and the scales that see them.
 WIDTHS = {3: [1], 4: [1, 2], 5: [1, 2], 7: [2, 3], 10: [2, 3]}
