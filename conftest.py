@@ -1,8 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+# ruff: noqa: E402
 """Fixtures and settings of the tests and of the doctests of package and docs."""
 
 import os
 from pathlib import Path
+
+# Tests run in as many processes as there are cores.  Libraries read these variables
+# when they are loaded.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
 
 import pytest
 from hypothesis import settings

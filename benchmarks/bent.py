@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Simulated jets that bend by 70 degrees, with two speeds along the bend.
+Two speeds along simulated jets that bend by 70 degrees.
 
 Run by ``profiles.py --only bent``.
 """
@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
-from common import PM_UNIT, RESULTS, measured, plain, write_table
+from common import PM_UNIT, measured, plain, write_table
 
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation
 from astro_scc.epochs.restoring import add_gaussians
@@ -18,13 +18,12 @@ from astro_scc.measurement import select_ssps
 
 RADIUS, SPEEDS = 16.0, (0.5, 1.4)
 NAMES = ("ridge line", "position angle")
-COLORS = ("#0072B2", "#E69F00")
 
 
 def bent_jets(args):
     """Speeds along the ridge line and along one position angle."""
     found = {name: [] for name in NAMES}
-    rows, line = [], None
+    rows = []
     for seed in range(args.seed, args.seed + args.n_jets):
         cube = bent_images(seed)
         scc = StackedCrossCorrelation(scales=[1, 2], max_speed=2.2 * PM_UNIT)
@@ -47,12 +46,9 @@ def bent_jets(args):
             cells += ["" if np.isnan(v) else measured(v, e) for v, e in each]
         rows.append(cells)
         print(*cells, sep="  ", flush=True)
-        if seed == args.seed:
-            first = cube, line
     header = ["seed", *(f"{name}, {v} mas/yr" for name in NAMES for v in SPEEDS)]
     write_table("profile_bent", header, rows)
     summary(found)
-    draw(*first, found, args.seed)
 
 
 def _nearest(table, speed):
@@ -117,36 +113,3 @@ def bent_images(seed, n_epochs=10):
             add_gaussians(image, x[seen], y[seen], peak[seen], covariance)
     cube.data[:] += rng.normal(0, 0.002, cube.data.shape)
     return cube
-
-
-def draw(cube, line, found, seed):
-    """A jet with its ridge line, and the speeds that were measured."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 3.9), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    east, north = (o.to_value(u.mas) for o in cube.offsets())
-    box = east[0, 0] + 0.05, east[0, -1] - 0.05, north[0, 0] - 0.05, north[-1, 0] + 0.05
-    left.imshow(np.sqrt(np.maximum(cube.data.mean(axis=0), 0)), extent=box,
-                origin="lower", cmap="gray_r")  # fmt: skip
-    turn = np.linspace(0, np.radians(70), 100)
-    left.plot(-RADIUS * np.sin(turn), RADIUS * (1 - np.cos(turn)), color="#D55E00",
-              lw=1.5, label="put in")  # fmt: skip
-    left.plot(line.east.value, line.north.value, "--", color="#56B4E9", lw=2,
-              label="ridge line found")  # fmt: skip
-    left.set(xlabel="East (mas)", ylabel="North (mas)", title="Mean of ten epochs")
-    left.legend(frameon=False, loc="upper right")
-    for name, color, marker, shift in zip(NAMES, COLORS, "os", (-0.15, 0.15),
-                                          strict=True):  # fmt: skip
-        values = np.array(found[name])
-        place = np.arange(len(values)) + seed + shift
-        for k in range(len(SPEEDS)):
-            right.errorbar(place, values[:, k, 0], values[:, k, 1], fmt=marker, ms=4,
-                           color=color, label=f"along {name}" if k == 0 else None,
-                           )  # fmt: skip
-    for speed in SPEEDS:
-        right.axhline(speed, color="0.6", lw=1, zorder=0)
-    right.set(xlabel="Seed", ylabel="Speed (mas/yr)", title="Moving components",
-              ylim=(0, 1.8))  # fmt: skip
-    right.legend(frameon=False, loc="center right")
-    figure.savefig(RESULTS / "profile_bent.png", dpi=110)

@@ -1,38 +1,41 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What the benchmarks share: parts of a jet, the features in it, tables of text."""
+# ruff: noqa: E402
+"""What the benchmarks share: jets of MOJAVE, tables of text, time and memory."""
 
 import csv
+import os
 import resource
 import sys
+import threading
 import time
-from dataclasses import replace
 from pathlib import Path
+
+# One core for each process; libraries read this when they are loaded.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
 
 import astropy.units as u
 import numpy as np
 from astropy.table import Table
 
-from astro_scc.epochs.positions import ssp_offsets
+from astro_scc.epochs import read_components, restore
 
 RESULTS = Path(__file__).parent / "results"
 PM_UNIT = u.mas / u.yr
 
 
-def part(matched, *, r_min=0.0, r_max=np.inf, scales=None):
-    """
-    The matches of the SSPs in a ring about the core and on some scales.
-
-    Nothing is correlated again: what is chosen is whose matches are stacked.
-    """
-    ssps = matched.ssps
-    distance = np.hypot(*ssp_offsets(ssps, matched.cube, centroid=True))
-    select = matched.select & (distance >= r_min) & (distance < r_max)
-    if scales is not None:
-        select &= np.isin(ssps.scale, scales)
-    return replace(matched, select=select)
+def mojave_images(folder, table, beam, *, before=None, seed=1):
+    """Epochs restored from the features of MOJAVE, pixels of 0.1 mas."""
+    components = read_components(folder / f"{table}.ecsv")
+    if before is not None:
+        components = components.select(before=before)
+    noise = 0.3 * u.mJy / u.beam
+    return restore(
+        components, beam=beam, pixel_scale=0.1 * u.mas, noise=noise, rng=seed
+    )
 
 
-def feature_motions(folder, source, pa, *, before="9999", sightings=3):
+def feature_motions(folder, source, pa, *, before="9999", epochs=3):
     """
     Proper motions that were fitted to features, along a position angle.
 
@@ -45,46 +48,35 @@ def feature_motions(folder, source, pa, *, before="9999", sightings=3):
     pa : float
         In degrees.
     before : str, optional
-        Only sightings before this date, of features with so many
-        ``sightings`` at least.
+        Only epochs before this date, of features with so many
+        ``epochs`` at least.
 
     Returns
     -------
     dict of `~numpy.ndarray`
-        ``feature``, ``distance`` (mean, of these sightings), ``speed`` and
-        ``error`` in mas/yr, and ``sightings``, an array of distances for
+        ``feature``, ``distance`` (mean, of these epochs), ``speed`` and
+        ``error`` in mas/yr, and ``epochs``, an array of distances for
         each feature.
     """
     seen = Table.read(folder / f"{source}.ecsv", format="ascii.ecsv")
     fits = Table.read(folder / f"{source}.linear-fits.csv", format="ascii.csv")
-    found = {"feature": [], "distance": [], "speed": [], "error": [], "sightings": []}
+    found = {"feature": [], "distance": [], "speed": [], "error": [], "epochs": []}
     for fit in fits:
         own = (seen["feature"] == fit["feature"]) & (
             np.asarray(seen["epoch"], dtype=str) < before
         )
         r = np.asarray(seen["separation"][own], dtype=float)
-        if len(r) < sightings:
+        if len(r) < epochs:
             continue
         turn = np.cos(np.radians(fit["pa_motion_deg"] - pa))
         found["feature"].append(int(fit["feature"]))
         found["distance"].append(r.mean())
         found["speed"].append(fit["mu_mas_yr"] * turn)
         found["error"].append(fit["mu_err"])
-        found["sightings"].append(r)
+        found["epochs"].append(r)
     return {
-        k: v if k == "sightings" else np.array(v, dtype=float) for k, v in found.items()
+        k: v if k == "epochs" else np.array(v, dtype=float) for k, v in found.items()
     }
-
-
-def feature_quartiles(motions, r_min, r_max):
-    """Quartiles of the speeds of the features sighted in a ring, or None."""
-    times = np.array(
-        [np.sum((r >= r_min) & (r < r_max)) for r in motions["sightings"]], dtype=int
-    )
-    speeds = np.repeat(motions["speed"], times)
-    if len(speeds) < 3:
-        return None
-    return np.percentile(speeds, [25, 50, 75])
 
 
 def plain(value, unit=None):
@@ -141,3 +133,45 @@ class Stopwatch:
         """Largest resident memory of this process so far, in GB."""
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak / (1e9 if sys.platform == "darwin" else 1e6)
+
+
+class Sampler(threading.Thread):
+    """Call a function several times a second while a block of code runs."""
+
+    def __init__(self, function, interval=0.1):
+        super().__init__(daemon=True)
+        self.function, self.interval = function, interval
+        self.values, self.done = [], threading.Event()
+
+    def run(self):
+        """Collect values until the block ends."""
+        while not self.done.wait(self.interval):
+            self.values.append(self.function())
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *args):
+        self.done.set()
+        self.join()
+
+
+def memory_of(pid, kind="Pss"):
+    """
+    Gigabytes of a process and of all that it started.
+
+    ``kind`` is ``"Rss"``, with all pages that it shares, or ``"Pss"``, with its part.
+    """
+    folder = Path(f"/proc/{pid}")
+    try:
+        text = (folder / "smaps_rollup").read_text(encoding="ascii")
+        own = int(text.partition(f"{kind}:")[2].split()[0])
+        below = [
+            int(child)
+            for path in (folder / "task").glob("*/children")
+            for child in path.read_text(encoding="ascii").split()
+        ]
+    except (OSError, IndexError):
+        return 0.0
+    return own / 1e6 + sum(memory_of(child, kind) for child in below)

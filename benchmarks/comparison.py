@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-# ruff: noqa: E402
 """
-What speeds are in these images?  The same question to packages that measure motion.
+The speeds that several packages for motion in images find in simulated jets.
 
     python benchmarks/comparison.py [--seeds 8] [--choose]
 
@@ -12,16 +11,11 @@ tried, of which each package has the best in the table.
 
 import argparse
 import itertools
-import os
 import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from io import BytesIO
-
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
 
 import astropy.units as u
 import numpy as np
@@ -29,7 +23,6 @@ from common import RESULTS, measured, write_table
 from comparison_packages import PACKAGES
 from comparison_reading import GRID, Sample, densities, read_speeds
 from matplotlib.figure import Figure
-from PIL import Image
 
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
@@ -233,16 +226,10 @@ def compare(n_seeds):
             found[case.name, package.name] = outcomes
             print(*row_of(case, package, outcomes), sep="  ", flush=True)
         if case is CASES[0]:
-            save(draw(cubes[0], case, found), RESULTS / "comparison.png")
+            figure = draw(cubes[0], case, found)
+            figure.savefig(RESULTS / "comparison.png", dpi=100)
     print()
     return found
-
-
-def save(figure, path):
-    """As a picture of few colours, which is small."""
-    picture = BytesIO()
-    figure.savefig(picture, dpi=120)
-    Image.open(picture).convert("RGB").quantize(128).save(path, optimize=True)
 
 
 def report(found):

@@ -161,7 +161,7 @@ def links(epoch, x, y):
 
 
 def aligned(cube):
-    """Whole images laid on one another."""
+    """Shifts of whole images that align them."""
     done = cube.align("correlate").meta["alignment"]
     east, north = (
         np.array([record[f"shift_{axis}_mas"] for record in done])

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-What reading makes of true image files, those that break naive readers among them.
+How true image files are read or refused, those that break naive readers among them.
 
 Each file alone, and beside the three epochs of 0506+056, as a pattern may catch it::
 

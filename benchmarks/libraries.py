@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Cores and patterns by the package and by photutils, on simulated images.
+Errors of cores, and features found, by the package and by photutils.
 
 Cores of 1 Jy in a beam of 9 x 6 pixels, with a feature of so many Jy so many beams
 downstream and fainter ones beyond, signal-to-noise ratio 300; and the patterns of the

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Measure twelve jets of MOJAVE, restored from the survey's features, without any options.
+Speeds of twelve jets of MOJAVE, measured without any options, beside the survey's.
 
 Neither a speed nor an interval nor a direction is given.  The whole jet and rings about
 the core stand beside the straight lines that the survey fits to its features::
@@ -26,25 +26,23 @@ from common import (
     Stopwatch,
     feature_motions,
     measured,
+    mojave_images,
     p_text,
     plain,
     write_table,
 )
 
 from astro_scc import Beam, StackedCrossCorrelation
-from astro_scc.epochs import read_components, restore
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import apparent_speed, paper_cosmology
 from astro_scc.measurement import select_ssps
 
 #: The images of the paper: 3C 273 and 3C 120 are measured before this date.
 BEFORE = "2011-01-01"
-PIXEL = 0.1 * u.mas
-NOISE = 0.3 * u.mJy / u.beam
 BEAM = Beam(0.9 * u.mas, 0.6 * u.mas, -5 * u.deg)
 RINGS = ((0.5, 2), (2, 4), (4, 7), (7, 12), (12, 20))
 #: Features of a ring that is judged, and epochs in which a feature is seen.
-FEATURES, SIGHTINGS = 5, 5
+FEATURES, EPOCHS = 5, 5
 #: A speed is right within this share of the features' mean, or within two errors.
 RIGHT = 0.2
 
@@ -120,27 +118,17 @@ def earlier():
     return rows if header == HEADER else []
 
 
-def images(source, folder, seed, before=None):
-    """The epochs of a source."""
-    components = read_components(folder / f"{source.table}.ecsv")
-    if before is not None:
-        components = components.select(before=before)
-    return restore(
-        components, beam=source.beam, pixel_scale=PIXEL, noise=NOISE, rng=seed
-    )
-
-
 def measure(source, args):
     """Rows of the table: the whole jet, and its rings."""
     watch = Stopwatch()
-    cube = images(source, args.folder, args.seed)
+    cube = mojave_images(args.folder, source.table, source.beam, seed=args.seed)
     scc = StackedCrossCorrelation(position_angle="fit")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MeasurementWarning)
         matched = scc.match(cube)
         whole = scc.stack(matched, n_trials=args.n_trials, rng=args.seed)
     angle = whole.position_angle.to_value(u.deg)
-    motions = feature_motions(args.folder, source.table, angle, sightings=SIGHTINGS)
+    motions = feature_motions(args.folder, source.table, angle, epochs=EPOCHS)
     cost = f"{sum(watch.lap('whole')[:1]):.0f}", f"{watch.peak_memory():.1f}"
     rows = rows_of(source, cube, "all", whole, motions, cost)
     scc = StackedCrossCorrelation(position_angle=whole.position_angle)

@@ -1,9 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-The simulated jets of Sect. 2.4 of Mertens & Lobanov (2016), measured three times.
+Speeds in the simulated jets of the paper by the paper, its program and this package.
 
-By the paper, by the program of its authors (which was run on these very files; what
-it found lies beside them) and by this package, with the settings of the paper::
+The jets of Sect. 2.4 of Mertens & Lobanov (2016), with the settings of the paper.  The
+program of its authors was run on these very files; what it found lies beside them::
 
     python benchmarks/paper_test.py ../shared/data/paper_test
 """
@@ -191,7 +191,7 @@ def z_without_successors(result, index, seed, n_orders=300):
     """
     The z-score from orders in which no epoch follows its own predecessor.
 
-    So the authors' program shuffles.
+    These are the permutations of the authors' program.
     """
     rng = np.random.default_rng(seed)
     orders = []

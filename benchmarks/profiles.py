@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Profiles, stratification, acceleration and shells: what must be shown.
+Speeds along jets, of their layers and of shells, beside those that are known.
 
 3C 120 and 3C 273 as in Sect. 3 of Mertens & Lobanov (2016), M 87, a bent jet whose
 speeds are known, and a shell with two rates of expansion::
@@ -21,15 +21,15 @@ from common import (
     RESULTS,
     feature_motions,
     measured,
+    mojave_images,
     p_text,
     plain,
     write_table,
 )
-from mojave import BEFORE, NOISE, PIXEL, SOURCES, images
+from mojave import BEFORE, SOURCES
 from shells import two_rates
 
 from astro_scc import Beam, StackedCrossCorrelation
-from astro_scc.epochs import read_components, restore
 from astro_scc.flow import (
     compare_positions,
     compare_speeds,
@@ -47,8 +47,6 @@ SOURCE = {source.name: source for source in SOURCES}
 VIEWING_ANGLE = 15 * u.deg
 #: Paper, Sect. 3.2, by the middle of the bin in mas.
 PAPER_3C120 = {1: "4.0 ± 0.2", 7: "6.0 ± 0.4", 8: "slower", 9: "slower", 10: "slower"}
-#: As the paper averages features: two mas to either side.
-WINDOW = 4 * u.mas
 M87_DISTANCE = 16.7 * u.Mpc
 M87_BEAM = Beam(1.2 * u.mas, 0.6 * u.mas, -5 * u.deg)
 
@@ -104,7 +102,9 @@ def acceleration_of_3c120(args):
     """Speed against distance in 3C 120, ten bins."""
     source = SOURCE["3C 120"]
     k = source.per_c
-    cube = images(source, args.folder, args.seed, BEFORE)
+    cube = mojave_images(
+        args.folder, source.table, source.beam, before=BEFORE, seed=args.seed
+    )
     scc = settings(source)
     matched = scc.match(cube)
     edges = np.arange(0.5, 11.0) * u.mas
@@ -115,14 +115,9 @@ def acceleration_of_3c120(args):
     speed, error, n = features_as_the_paper(
         args.folder, source.table, radii, before=BEFORE
     )
-    windows = measure_profile(
-        scc, matched, radii * u.mas, window=WINDOW, n_trials=args.n_trials,
-        rng=args.seed,
-    )  # fmt: skip
     beside = [f"{measured(k * v, k * e, 1)} ({m})"
               for v, e, m in zip(speed, error, n, strict=True)]  # fmt: skip
-    bins_of_3c120("profile_3c120", profile, 0.5, beside, k)
-    bins_of_3c120("profile_3c120_windows", windows, 0.5 * WINDOW.value, beside, k)
+    bins_of_3c120(profile, beside, k)
     features_of_3c120(args)
     accelerations(scc, matched, k, args)
     rows = []
@@ -163,10 +158,9 @@ def acceleration_of_3c120(args):
     figure_3c120(profile, matched, radii, speed, error, n, k)
 
 
-def bins_of_3c120(name, profile, half, beside, k):
+def bins_of_3c120(profile, beside, k):
     """What stands for each bin from 1 mas on, beside the features and the paper."""
-    # The innermost window is cut off at the core, so its middle is another.
-    main_rows = {round(float(r["r_max"].value) - half): r for r in profile.main}
+    main_rows = {round(float(r["r_mid"].value)): r for r in profile.main}
     rows = []
     for radius, features in enumerate(beside, 1):
         row = main_rows.get(radius)
@@ -179,7 +173,7 @@ def bins_of_3c120(name, profile, half, beside, k):
         rows.append([radius, *ours, features, PAPER_3C120.get(radius, "")])
     header = ["distance (mas)", "speed (c)", "SSPs", "z", "p_global", "p_fdr", "kind",
               "features ± 2 mas (c)", "paper (c)"]  # fmt: skip
-    write_table(name, header, rows)
+    write_table("profile_3c120", header, rows)
 
 
 def features_of_3c120(args, half_width=2.0):
@@ -191,7 +185,7 @@ def features_of_3c120(args, half_width=2.0):
         args.folder, source.table, radii, before=BEFORE, half_width=half_width
     )
     whole = feature_motions(
-        args.folder, source.table, source.position_angle, before=BEFORE, sightings=5
+        args.folder, source.table, source.position_angle, before=BEFORE, epochs=5
     )
     rows = []
     for i, radius in enumerate(radii):
@@ -252,7 +246,9 @@ def streams_of_3c273(args):
     """Speeds and places of small and large scales in 3C 273."""
     source = SOURCE["3C 273"]
     k = source.per_c
-    cube = images(source, args.folder, args.seed, BEFORE)
+    cube = mojave_images(
+        args.folder, source.table, source.beam, before=BEFORE, seed=args.seed
+    )
     scc = settings(source)
     matched = scc.match(cube)
     groups = scale_groups(matched, {"1, 2": [1, 2], "3, 4": [3, 4]})
@@ -303,9 +299,7 @@ def streams_of_3c273(args):
 
 def limit_of_m87(args):
     """What can be said of M 87, and the limit below which nothing can."""
-    components = read_components(args.folder / "1228+126.ecsv")
-    cube = restore(components, beam=M87_BEAM, pixel_scale=PIXEL, noise=NOISE,
-                   rng=args.seed)  # fmt: skip
+    cube = mojave_images(args.folder, "1228+126", M87_BEAM, seed=args.seed)
     scc = StackedCrossCorrelation(
         scales=(1, 2, 3, 4),
         max_speed=0.6 * PM_UNIT,
@@ -328,7 +322,6 @@ def limit_of_m87(args):
     header = ["distance (mas)", "along (mas/yr)", "speed (c)", "p_global", "p_fdr",
               "kind", "limit, 2 errors (c)"]  # fmt: skip
     write_table("profile_m87", header, rows)
-    figure_along(profile, matched, -72, k).savefig(RESULTS / "profile_m87.png", dpi=110)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Ten epochs of the quasar 0003+380, beside the features that MOJAVE fitted.
+Speeds in ten epochs of the quasar 0003+380, beside those of MOJAVE's features.
 
 The images are aligned on the core by a table and convolved to one beam.  The jet is
 measured in rings about the core, with the settings that the dates and the beam
-suggest and, to see how much hangs on them, with others::
+suggest and, to see how much depends on them, with others::
 
     python benchmarks/real_images.py ../shared/data
 """
@@ -16,18 +16,16 @@ import astropy.units as u
 import numpy as np
 from common import (
     PM_UNIT,
-    RESULTS,
     feature_motions,
     measured,
     p_text,
-    part,
     plain,
     write_table,
 )
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.epochs import plan_intervals
-from astro_scc.visualization import plot_members
+from astro_scc.measurement import select_ssps
 
 SOURCE = "0003+380"
 #: Direction of the jet, where its patterns lie as seen from the core.
@@ -36,8 +34,6 @@ MAX_SPEED = 1.0
 SCALES = (1, 2, 3)
 #: The first ring is what the beam does not tell from the core.
 RINGS = ((0, 1), (1, 3), (3, 6))
-#: Ring and variant of which there are figures.
-DRAWN = (1, "consecutive")
 VARIANTS = {
     "consecutive": {},
     "consecutive, scales 1, 2": {"scales": (1, 2)},
@@ -70,7 +66,7 @@ def main():
     fits = [
         [
             int(motions["feature"][i]),
-            len(motions["sightings"][i]),
+            len(motions["epochs"][i]),
             f"{motions['distance'][i]:.1f} mas",
             measured(motions["speed"][i], motions["error"][i], 3),
         ]
@@ -99,10 +95,8 @@ def rows_of(cube, args):
         scc = StackedCrossCorrelation(**settings)
         matched = scc.match(cube)
         for r_min, r_max in RINGS:
-            ring = part(matched, r_min=r_min, r_max=r_max)
+            ring = select_ssps(matched, r_min=r_min * u.mas, r_max=r_max * u.mas)
             result = scc.stack(ring, n_trials=args.n_trials, rng=args.seed)
-            if (r_min, name) == DRAWN:
-                draw(result)
             found[r_min, name] = [
                 f"{r_min} to {r_max} mas",
                 name,
@@ -111,13 +105,6 @@ def rows_of(cube, args):
                 largest(result),
             ]
     return [found[r_min, name] for r_min, _ in RINGS for name in VARIANTS]
-
-
-def draw(result):
-    """The figures of the tutorial."""
-    RESULTS.mkdir(exist_ok=True)
-    result.plot().savefig(RESULTS / "real_images_map.png", dpi=100)
-    plot_members(result).savefig(RESULTS / "real_images_members.png", dpi=100)
 
 
 def component_text(row):

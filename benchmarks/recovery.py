@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-# ruff: noqa: E402
 """
-What is found of motion that was put in: the tables and the figure of the documentation.
+Share of injected motion that is found, in simulated and in real images.
 
     python benchmarks/recovery.py ../shared/data [--parts simulated real plan]
 
@@ -11,21 +10,15 @@ two speeds needs.
 """
 
 import argparse
-import os
 import time
 from pathlib import Path
 
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
-
 import astropy.units as u
 import numpy as np
-from common import PM_UNIT, RESULTS, write_table
-from matplotlib.figure import Figure
+from common import PM_UNIT, write_table
 from real_images import MAX_SPEED, POSITION_ANGLE, SCALES, SOURCE, read
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.measurement.plan import mean_fwhm
 from astro_scc.recovery import completeness, plan
 from astro_scc.simulation import JetSimulation, Stream
 
@@ -33,7 +26,6 @@ HEADER = ["speed (mas/yr)", "peak / noise", "found", "of", "fraction", "95% inte
           "bias", "scatter", "coverage"]  # fmt: skip
 PLAN_HEADER = ["epochs", "interval", "total", "slow, fast (beams)", "limit",
                "jets", "slow found", "fast found", "both", "95% interval"]  # fmt: skip
-COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00")
 #: Half of the width of the jet of 0003+380, and how far it is seen, in mas.
 HALF_WIDTH, NEAREST, FARTHEST = 1.0, 1.0, 6.0
 
@@ -70,8 +62,6 @@ def simulated(args):
         fluxes=[3, 5, 10, 30, 100, 300], n_features=8, **common(args),
     )  # fmt: skip
     report("recovery_simulated", table)
-    beam = mean_fwhm(cube, 1) / np.median(np.diff(cube.years.value))
-    draw(table, beam).savefig(RESULTS / "recovery.png", dpi=150)
 
 
 def real(args):
@@ -169,38 +159,6 @@ def report(name, table):
         for row in table
     ]
     write_table(name, HEADER, rows)
-
-
-def draw(table, beam):
-    """Fraction found and bias against flux, a line for each speed."""
-    figure = Figure(figsize=(8, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2, sharex=True)
-    speeds = np.unique(table["speed"].value)
-    for k, (speed, color) in enumerate(zip(speeds, COLORS, strict=True)):
-        rows = table[table["speed"].value == speed]
-        # Beside one another, not over one another.
-        snr = np.asarray(rows["snr"]) * 1.06 ** (k - 1.5)
-        fraction = np.asarray(rows["fraction"])
-        label = f"{speed:g} mas/yr" + (", as the jet has" if rows["own"][0] else "")
-        error = [fraction - rows["fraction_low"], rows["fraction_high"] - fraction]
-        left.errorbar(snr, fraction, error, fmt="o-", color=color, label=label, ms=4)
-        known = np.asarray(rows["n_found"]) > 1
-        bias, error = (
-            np.ma.filled(getattr(rows[name], "unmasked", rows[name]).value, np.nan)[
-                known
-            ]
-            for name in ("bias", "bias_err")
-        )
-        right.errorbar(
-            snr[known], bias / beam, error / beam, fmt="o-", color=color, ms=4
-        )
-    left.set(xscale="log", ylim=(-0.03, 1.03), ylabel="Fraction found")
-    right.axhline(0, color="0.6", lw=1, zorder=0)
-    right.set(ylabel="Bias (beams per interval)")
-    for ax in (left, right):
-        ax.set_xlabel("Peak of the features / noise")
-    figure.legend(loc="outside upper center", ncols=4, fontsize="small", frameon=False)
-    return figure
 
 
 if __name__ == "__main__":

@@ -1,54 +1,37 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-# ruff: noqa: E402
 """
-How time and memory grow, as ratios taken in one run on one machine.
+Time and memory of a measurement, and how they grow.
 
 What is compared runs in turn, several times, and the medians of the processor's
 times are divided; so that a busy machine slows both alike.  The parts are::
 
-    python benchmarks/scaling.py windows    # against bare transforms and a loop
     python benchmarks/scaling.py doubling   # epochs, pixels, trials
     python benchmarks/scaling.py workers    # two workers against one, minutes
     python benchmarks/scaling.py imports    # beside numpy and astropy.units
     python benchmarks/scaling.py whole      # 69 epochs of 512 x 512, some minutes
 
 The jet of all parts has about 90 SSPs an epoch on four scales, at uneven dates.
-It takes the extra ``fast``.
 """
 
 import argparse
 import os
 import subprocess
 import sys
-import threading
 import time
 from functools import partial
 from pathlib import Path
 
-# Libraries read these when they are loaded.
-for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
 import astropy.units as u
 import numpy as np
 from astropy.time import Time
-from common import write_table
-from scipy import fft, signal
-from skimage.feature import peak_local_max
+from common import Sampler, memory_of, write_table
 
 from astro_scc import Beam, StackedCrossCorrelation
-from astro_scc.correlation import zncc
-from astro_scc.correlation.compiled import compiled_coefficients, worth_it
-from astro_scc.correlation.zncc import Template, find_peaks
-from astro_scc.decomposition import Decomposer
-from astro_scc.decomposition.wavelet import wavelet_planes
 from astro_scc.simulation import JetSimulation, Stream
 
 SCALES = (1, 2, 3, 4)
 #: Beam in pixels.
 BEAM = 6.0
-KAPPA = 0.6
-BATCH = 10
 #: Columns of the table of the whole of a measurement.
 WHOLE = [
     "windows",
@@ -99,194 +82,6 @@ def medians(functions, runs):
             function()
             row[k] = time.process_time() - start
     return np.median(spent, axis=0)
-
-
-def sample_windows(epochs, reach, n_ssps, seed=0):
-    """Some SSPs, each with the windows around it in all other epochs."""
-    rng = np.random.default_rng(seed)
-    ring = reach + 1
-    result = []
-    while len(result) < n_ssps:
-        epoch = epochs[rng.integers(len(epochs))]
-        ssps = epoch.ssps
-        i = rng.integers(len(ssps))
-        y0, x0, y1, x1 = ssps.bbox[i]
-        footprint = np.zeros((y1 - y0, x1 - x0), dtype=bool)
-        py, px = np.unravel_index(ssps.pixels_of(i), epoch.planes.shape[1:])
-        footprint[py - y0, px - x0] = True
-        scale = ssps.scale[i]
-        level = epoch.plane_index(scale)
-        values = epoch.planes[level, y0:y1, x0:x1].astype(float)
-        shape = Template(values, footprint, (ring, ring)).fft_shape
-        rows = slice(y0 - ring, y0 - ring + shape[0])
-        columns = slice(x0 - ring, x0 - ring + shape[1])
-        if rows.start < 0 or columns.start < 0 or rows.stop > 512 or columns.stop > 512:
-            continue
-        windows = [e.segmented_plane(scale)[rows, columns] for e in epochs]
-        result.append((values, footprint, np.array(windows), shape))
-    return result
-
-
-def looped(values, footprint, window, reach):
-    """Coefficients of one window by three correlations of a library."""
-    size = tuple(n + 2 * reach for n in footprint.shape)
-    window = window[: size[0], : size[1]].astype(float)
-    window = window - window.mean()
-    pattern = np.where(footprint, values - values[footprint].mean(), 0.0)
-    mask = footprint.astype(float)
-    covariance = signal.correlate(window, pattern, "valid", method="fft")
-    total = signal.correlate(window, mask, "valid", method="fft")
-    squares = signal.correlate(window**2, mask, "valid", method="fft")
-    variance = squares - total**2 / mask.sum()
-    good = variance > 1e-12 * squares.max()
-    norm = np.sqrt(np.where(good, variance, np.inf) * (pattern**2).sum())
-    return covariance / norm
-
-
-def bare(cases):
-    """The five transforms of each window and nothing else."""
-    for batch, shape in cases:
-        transform = fft.rfft2(batch)
-        fft.rfft2(batch)
-        for _ in range(3):
-            fft.irfft2(transform, shape)
-
-
-def batched(cases, reach, peaks):
-    """Coefficients of all windows, of peaks the number."""
-    number = 0
-    for values, footprint, windows, _ in cases:
-        template = Template(values, footprint, (reach, reach))
-        for k in range(0, len(windows), BATCH):
-            coefficient = template.of_windows(windows[k : k + BATCH].astype(float))
-            if peaks:
-                number += len(find_peaks(coefficient, KAPPA)[0])
-    return number
-
-
-def compiled(cases, reach):
-    """The same by compiled loops, but for large patterns."""
-    number = 0
-    for case in cases:
-        values, footprint, windows, _ = case
-        template = Template(values, footprint, (reach, reach))
-        if worth_it(template):
-            every = np.arange(len(windows))
-            coefficient = compiled_coefficients(windows, every, (0, 0), template)
-            number += len(find_peaks(coefficient, KAPPA)[0])
-        else:
-            number += batched([case], reach, peaks=True)
-    return number
-
-
-def loop(cases, reach):
-    """The same, one window after the other with functions of libraries."""
-    number = 0
-    for values, footprint, windows, _ in cases:
-        for window in windows:
-            number += len(
-                peak_local_max(
-                    looped(values, footprint, window, reach),
-                    min_distance=1,
-                    threshold_abs=KAPPA,
-                    exclude_border=1,
-                )
-            )
-    return number
-
-
-def windows_part(runs):
-    """Coefficients and peaks against bare transforms, and against a loop."""
-    # The allocator keeps for later what a process has once given back.
-    np.empty(2**25 - 2**16, dtype=np.uint8)
-    decompose = Decomposer(scales=SCALES)
-    images = simulate(20).cube.data
-    epochs = [decompose(image) for image in images]
-    rows = []
-    for reach in (20, 40):
-        ring = reach + 1
-        cases = sample_windows(epochs, reach, 40)
-        batches = [
-            (windows[k : k + BATCH].astype(float), shape)
-            for _, _, windows, shape in cases
-            for k in range(0, len(windows), BATCH)
-        ]
-        functions = [
-            partial(bare, batches),
-            partial(batched, cases, ring, peaks=False),
-            partial(batched, cases, ring, peaks=True),
-            partial(compiled, cases, ring),
-            partial(loop, cases, ring),
-        ]
-        spent = medians(functions, runs)
-        each = spent / sum(len(windows) for _, _, windows, _ in cases) * 1e6
-        rows.append(
-            [
-                f"± {reach} px",
-                f"{each[0]:.0f}",
-                f"{each[1] / each[0]:.2f}",
-                f"{each[2] / each[0]:.2f}",
-                f"{each[4] / each[2]:.1f}",
-                f"{each[4] / each[3]:.1f}",
-                ", ".join(
-                    str(number)
-                    for number in (
-                        batched(cases, ring, peaks=True),
-                        compiled(cases, ring),
-                        loop(cases, ring),
-                    )
-                ),
-                f"{_largest_error(epochs, images, reach):.1e}",
-            ]
-        )
-    write_table(
-        "scaling_windows",
-        [
-            "windows",
-            "five bare transforms, microseconds",
-            "coefficients / bare",
-            "with peaks / bare",
-            "loop / with peaks",
-            "loop / compiled with peaks",
-            "peaks, of all three",
-            "largest error",
-        ],
-        rows,
-    )
-
-
-def _largest_error(epochs, images, reach, n=200):
-    """Of coefficients, from the definition with planes in double precision."""
-    rng = np.random.default_rng(1)
-    planes = [wavelet_planes(i - np.median(i), SCALES) for i in images[:6]]
-    worst = 0.0
-    while n:
-        one, other = rng.choice(6, 2, replace=False)
-        ssps = epochs[one].ssps
-        i = rng.integers(len(ssps))
-        level = epochs[one].plane_index(ssps.scale[i])
-        y0, x0, y1, x1 = ssps.bbox[i]
-        if min(y0, x0) < reach or max(y1, x1) > 512 - reach:
-            continue
-        footprint = np.zeros((y1 - y0, x1 - x0), dtype=bool)
-        py, px = np.unravel_index(ssps.pixels_of(i), (512, 512))
-        footprint[py - y0, px - x0] = True
-        template = Template(
-            epochs[one].planes[level, y0:y1, x0:x1].astype(float),
-            footprint,
-            (reach, reach),
-        )
-        window = epochs[other].planes[
-            level, y0 - reach : y1 + reach, x0 - reach : x1 + reach
-        ].astype(float)  # fmt: skip
-        coefficient = template.of_windows(window)
-        for dy, dx in rng.integers(-reach, reach + 1, (20, 2)):
-            exact = zncc(
-                planes[one][level][py, px], planes[other][level][py + dy, px + dx]
-            )
-            worst = max(worst, abs(coefficient[reach + dy, reach + dx] - exact))
-        n -= 1
-    return worst
 
 
 def workers_part(runs, n_epochs, n_trials):
@@ -356,35 +151,6 @@ def imports_part(runs):
     )
 
 
-class Memory(threading.Thread):
-    """Largest memory of this process and its children, shared pages once."""
-
-    def __init__(self):
-        super().__init__(daemon=True)
-        self.peak, self.done = 0.0, threading.Event()
-
-    def run(self):
-        """Look at it five times a second."""
-        while not self.done.wait(0.2):
-            self.peak = max(self.peak, self._now())
-
-    @staticmethod
-    def _now():
-        own = os.getpid()
-        total = 0
-        for folder in Path("/proc").glob("[0-9]*"):
-            try:
-                stat = (folder / "stat").read_text().rsplit(")", 1)[1].split()
-                if int(folder.name) != own and int(stat[1]) != own:
-                    continue
-                for line in (folder / "smaps_rollup").read_text().splitlines():
-                    if line.startswith("Pss:"):
-                        total += int(line.split()[1])
-            except OSError:
-                continue
-        return total / 1e6
-
-
 def whole_part(reaches, n_epochs, n_trials, n_workers):
     """All of a measurement of many epochs: processor time, wall clock, memory."""
     rows = []
@@ -408,17 +174,14 @@ def whole(reach, n_epochs, n_trials, n_workers):
     """One row of it, in a process of its own."""
     import scipy.stats  # noqa: F401 (the errors of components load it)
 
-    memory = Memory()
-    memory.start()
     cube = simulate(n_epochs).cube
     scc = measurer(cube, reach)
-    start, wall = os.times(), time.perf_counter()
-    matched = scc.match(cube, n_workers=n_workers)
-    middle = os.times()
-    scc.stack(matched, n_trials=n_trials, rng=1)
-    end, wall = os.times(), time.perf_counter() - wall
-    memory.done.set()
-    memory.join()
+    with Sampler(partial(memory_of, os.getpid()), 0.2) as memory:
+        start, wall = os.times(), time.perf_counter()
+        matched = scc.match(cube, n_workers=n_workers)
+        middle = os.times()
+        scc.stack(matched, n_trials=n_trials, rng=1)
+        end, wall = os.times(), time.perf_counter() - wall
     row = [
         f"± {reach} px",
         f"{len(matched.ssps) / n_epochs:.0f}",
@@ -426,7 +189,7 @@ def whole(reach, n_epochs, n_trials, n_workers):
         f"{sum(middle[:4]) - sum(start[:4]):.0f}",
         f"{sum(end[:4]) - sum(middle[:4]):.0f}",
         f"{wall:.0f}",
-        f"{memory.peak:.2f}",
+        f"{max(memory.values):.2f}",
         f"{os.getloadavg()[0]:.1f}",
     ]
     print("|".join(row), end="")
@@ -435,7 +198,7 @@ def whole(reach, n_epochs, n_trials, n_workers):
 def main():
     """Print the tables of the parts that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    names = ["windows", "doubling", "workers", "imports", "whole"]
+    names = ["doubling", "workers", "imports", "whole"]
     parser.add_argument("parts", nargs="*", choices=names, default=[])
     parser.add_argument("--runs", type=int, default=5, help="of what is compared")
     parser.add_argument("--reach", type=int, nargs="+", default=[20, 40])

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Simulated shells with two rates of expansion: what is measured, and what could be.
+Errors of the rates and centres of simulated shells, and the least that are possible.
 
 Run by ``profiles.py --only shell``.
 """

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Simulated jets beside those of the MOJAVE survey, in numbers and as pictures.
+Numbers and pictures of simulated jets beside those of jets of the MOJAVE survey.
 
 Run with ``python benchmarks/simulated_jets.py ../shared/data``; writes
 ``results/simulated_jets.csv`` and ``results/simulated_jets.png``.
@@ -12,14 +12,13 @@ from pathlib import Path
 import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
-from common import RESULTS, write_table
+from common import RESULTS, mojave_images, write_table
 
 from astro_scc.decomposition import Decomposer
-from astro_scc.epochs import Beam, read_components, restore
+from astro_scc.epochs import Beam
 from astro_scc.simulation import observe, simulate_jet
 
 BEAM = Beam(1.0 * u.mas, 0.5 * u.mas, -5 * u.deg)
-NOISE = 0.3 * u.mJy / u.beam
 SOURCES = {
     "3C 273": "1226+023",
     "3C 120": "0430+052",
@@ -80,15 +79,11 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
     folder = parser.parse_args().data / "mojave_xviii"
-    grid = {"beam": BEAM, "pixel_scale": 0.1 * u.mas}
     cubes = {
-        name: restore(
-            read_components(folder / f"{file}.ecsv"), noise=NOISE, rng=1, **grid
-        )
-        for name, file in SOURCES.items()
+        name: mojave_images(folder, table, BEAM) for name, table in SOURCES.items()
     }
     for seed in (1, 2, 3):
-        jet = simulate_jet(rng=seed, **grid)
+        jet = simulate_jet(rng=seed, beam=BEAM)
         cubes[f"simulated, {seed}"] = jet.cube
         cubes[f"the same with the VLBA, {seed}"] = observe(
             jet, beam=BEAM, rng=seed

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-A survey of simulated sources on one and on two Dask workers.
+Time of a survey of simulated sources on one and on two Dask workers.
 
     python benchmarks/survey.py [--sources 20] [--repeat 1] [--trials 100]
 
@@ -11,12 +11,11 @@ The tables are compared byte by byte.
 
 import argparse
 import tempfile
-import threading
 import time
 from pathlib import Path
 
 import numpy as np
-from common import write_table
+from common import Sampler, write_table
 from distributed import Client, LocalCluster
 
 from astro_scc.cli.sources import read_survey, run_survey
@@ -30,31 +29,9 @@ redshift = 0.1
 """
 
 
-class Busy:
-    """Mean number of processes at work on the machine, these included."""
-
-    def __enter__(self):
-        self.samples, self.stop = [], threading.Event()
-        self.thread = threading.Thread(target=self._sample, daemon=True)
-        self.thread.start()
-        return self
-
-    def _sample(self):
-        while not self.stop.wait(0.5):
-            try:
-                running = Path("/proc/loadavg").read_text().split()[3]
-                self.samples.append(int(running.split("/")[0]))
-            except OSError:
-                return
-
-    def __exit__(self, *args):
-        self.stop.set()
-        self.thread.join()
-
-    @property
-    def mean(self):
-        """The mean, NaN where the system does not tell."""
-        return float(np.mean(self.samples)) if self.samples else np.nan
+def at_work():
+    """Number of processes at work on the machine."""
+    return int(Path("/proc/loadavg").read_text().split()[3].split("/")[0])
 
 
 def write_sources(folder, number, trials):
@@ -101,13 +78,13 @@ def timed(survey, output, n_workers):
         client.wait_for_workers(n_workers)
         client.run(ready, survey.sources[0])
         before = sum(client.run(time.process_time).values())
-        with Busy() as busy:
+        with Sampler(at_work, 0.5) as busy:
             start = time.perf_counter()
             table = run_survey(survey, output, n_workers=client)
             spent = time.perf_counter() - start
         processor = sum(client.run(time.process_time).values()) - before
     assert set(np.asarray(table["status"])) <= {"measured", "empty"}
-    return spent, processor, busy.mean
+    return spent, processor, np.mean(busy.values)
 
 
 def main():
@@ -120,35 +97,21 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         survey = write_sources(folder, args.sources, args.trials)
-        seconds, processor, busy = ({1: [], 2: []} for _ in range(3))
-        found = []
+        cost, found = {1: [], 2: []}, []
         for turn in range(args.repeat):
             # The one first, then the other first.
             for n in (1, 2) if turn % 2 == 0 else (2, 1):
                 output = folder / f"out-{turn}-{n}"
-                spent, of_processors, mean = timed(survey, output, n)
-                seconds[n].append(spent)
-                processor[n].append(of_processors)
-                busy[n].append(mean)
+                cost[n].append(timed(survey, output, n))
                 found.append(tables(output))
     same = all(one == found[0] for one in found)
-    one, two = (float(np.median(seconds[n])) for n in (1, 2))
-    write_table(
-        "survey",
-        ["sources", "1 worker [s]", "2 workers [s]", "ratio",
-         "processor 1, 2 [s]", "identical tables", "at work 1, 2"],
-        [
-            [
-                args.sources,
-                f"{one:.1f}",
-                f"{two:.1f}",
-                f"{one / two:.2f}",
-                ", ".join(f"{np.median(processor[n]):.1f}" for n in (1, 2)),
-                f"{len(found[0])}" if same else "DIFFER",
-                f"{np.mean(busy[1]):.1f}, {np.mean(busy[2]):.1f}",
-            ]
-        ],
-    )  # fmt: skip
+    (one, two), processor, busy = np.transpose([np.median(cost[n], 0) for n in (1, 2)])
+    header = ["sources", "1 worker [s]", "2 workers [s]", "ratio", "processor 1, 2 [s]",
+              "identical tables", "at work 1, 2"]  # fmt: skip
+    row = [args.sources, f"{one:.1f}", f"{two:.1f}", f"{one / two:.2f}",
+           "{:.1f}, {:.1f}".format(*processor), len(found[0]) if same else "DIFFER",
+           "{:.1f}, {:.1f}".format(*busy)]  # fmt: skip
+    write_table("survey", header, [row])
     if not same:
         raise SystemExit("the tables differ")
 

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-What tracking finds of features that are known, and what it costs.
+Share of right links of the tracking, its speeds beside those of MOJAVE, and its cost.
 
 The links of the paper's dense jet of two streams against its truth; tracks in 3C 273
 and 3C 120, restored from the features of MOJAVE, against the straight lines that were
@@ -16,16 +16,15 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable, Table
-from common import RESULTS, write_table
+from astropy.table import Table
+from common import PM_UNIT, RESULTS, measured, mojave_images, write_table
 
 from astro_scc import Beam, EpochCube
 from astro_scc.decomposition import Decomposer
-from astro_scc.epochs import read_components, restore
+from astro_scc.epochs import read_components
 from astro_scc.simulation import simulate_two_fluid
 from astro_scc.tracking import FeatureTracker, assign
 
-PM_UNIT = u.mas / u.yr
 #: Of the paper's jet: 1 pixel an epoch is 1.2175 mas/yr.
 WINDOW = {
     "position_angle": -90 * u.deg,
@@ -48,14 +47,14 @@ def main():
     parser.add_argument("folder", type=Path, help="of the data")
     parser.add_argument("--only", choices=("links", "mojave", "profile", "cost"))
     args = parser.parse_args()
-    if args.only in (None, "links"):
-        links(args.folder / "paper_test" / "two_fluid_dense")
-    if args.only in (None, "mojave"):
-        mojave(args.folder / "mojave_xviii")
-    if args.only in (None, "profile"):
-        profile(args.folder / "mojave_xviii")
-    if args.only in (None, "cost"):
-        cost()
+    parts = {
+        "links": lambda: links(args.folder / "paper_test" / "two_fluid_dense"),
+        "mojave": lambda: mojave(args.folder / "mojave_xviii"),
+        "profile": lambda: profile(args.folder / "mojave_xviii"),
+        "cost": cost,
+    }
+    for name in [args.only] if args.only else parts:
+        parts[name]()
 
 
 # -- links -------------------------------------------------------------------------
@@ -199,10 +198,7 @@ def mojave(folder):
     rows, differences = [], []
     for name, (table, beam, speed) in SOURCES.items():
         components = read_components(folder / f"{table}.ecsv")
-        cube = restore(
-            components, beam=beam, pixel_scale=0.1 * u.mas,
-            noise=0.3 * u.mJy / u.beam, rng=1,
-        )  # fmt: skip
+        cube = mojave_images(folder, table, beam)
         start = time.process_time()
         decompositions = decomposed(cube, (1, 2, 3, 4))
         tracker = FeatureTracker(max_speed=speed * PM_UNIT)
@@ -228,9 +224,9 @@ def mojave(folder):
         )  # fmt: skip
         differences += [
             [name, c["feature"], c["n"], c["near"], c["length"],
-             f"{c['mu']:.2f} ± {c['mu_err']:.2f}",
-             "" if not c["near"] else f"{c['speed']:.2f} ± {c['speed_err']:.2f}",
-             "" if not c["near"] else f"{c['z']:.1f}"]
+             measured(c["mu"], c["mu_err"]),
+             measured(c["speed"], c["speed_err"]) if c["near"] else "",
+             f"{c['z']:.1f}" if c["near"] else ""]
             for c in cells
         ]  # fmt: skip
     header = [
@@ -289,10 +285,7 @@ def profile(folder):
     from astro_scc.visualization import plot_track_profile
 
     table, beam, speed = SOURCES["3C 120"]
-    cube = restore(
-        read_components(folder / f"{table}.ecsv").select(before="2011-01-01"),
-        beam=beam, pixel_scale=0.1 * u.mas, noise=0.3 * u.mJy / u.beam, rng=1,
-    )  # fmt: skip
+    cube = mojave_images(folder, table, beam, before="2011-01-01")
     tracker = FeatureTracker(max_speed=speed * PM_UNIT)
     tracking = tracker(cube, decomposed(cube, (1, 2, 3, 4)))
     found = tracking.profile(np.arange(1.0, 11.0) * u.mas)
@@ -301,34 +294,15 @@ def profile(folder):
     )
     rows = [
         [f"{row['r'].value:g}", int(row["n_tracks"]),
-         f"{row['speed'].value:.2f} ± {row['speed_err'].value:.2f}",
-         f"{per_pm * row['speed'].value:.1f} ± {per_pm * row['speed_err'].value:.1f}"]
+         measured(row["speed"].value, row["speed_err"].value),
+         measured(per_pm * row["speed"].value, per_pm * row["speed_err"].value, 1)]
         for row in found
     ]  # fmt: skip
     write_table(
         "tracking_profile", ["distance (mas)", "tracks", "mas/yr", "in c"], rows
     )
-    figure = plot_track_profile(found, stack=stack_of_120(), beta_per_pm=per_pm)
+    figure = plot_track_profile(found, beta_per_pm=per_pm)
     figure.savefig(RESULTS / "tracking_profile.png", dpi=110)
-
-
-def stack_of_120():
-    """What mojave.py wrote of 3C 120; None if it has not run."""
-    path = RESULTS / "mojave.csv"
-    if not path.exists():
-        return None
-    table = Table.read(path, format="ascii.csv")
-    table = table[table["jet"] == "3C 120"]
-    ends = np.array(
-        [[float(e) for e in d.split(" to ")] for d in table["distance (mas)"]]
-    )
-    speeds = [s.split(" ± ") for s in table["speed (mas/yr)"]]
-    value, error = np.array([[float(s[0]), float((s + ["0"])[1])] for s in speeds]).T
-    return QTable(
-        {"r_min": ends[:, 0] * u.mas, "r_max": ends[:, 1] * u.mas,
-         "r_mid": ends.mean(axis=1) * u.mas, "pm_parallel": value * PM_UNIT,
-         "pm_parallel_err": error * PM_UNIT}
-    )  # fmt: skip
 
 
 # -- cost --------------------------------------------------------------------------

@@ -1,5 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""One small jet for all tests that need a measurement of any."""
+"""Marks of the tests, and one small jet for all that need a measurement."""
+
+from pathlib import Path
 
 import astropy.units as u
 import pytest
@@ -7,7 +9,22 @@ import pytest
 from astro_scc import StackedCrossCorrelation
 from astro_scc.simulation import JetSimulation, Stream
 
+HERE = Path(__file__).parent
+#: Folders and modules whose tests run the command line, or scripts, end to end.
+INTEGRATION = {
+    *("cli", "robustness", "survey"),
+    *("test_cli_inspect", "test_docs_commands", "test_examples", "test_golden"),
+}
 OPTIONS = {"scales": [1, 2, 3], "max_speed": 30 * u.mas / u.yr}
+
+
+def pytest_collection_modifyitems(items):
+    """Mark tests as integration tests by their place or the real data they read."""
+    for item in items:
+        if HERE in item.path.parents:
+            place = item.path.relative_to(HERE).with_suffix("").parts[0]
+            if place in INTEGRATION or "shared_data" in item.fixturenames:
+                item.add_marker(pytest.mark.integration)
 
 
 @pytest.fixture(scope="session")

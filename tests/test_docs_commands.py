@@ -94,6 +94,7 @@ def test_every_script_of_the_documentation_is_there(page):
             assert f'"{option}"' in source.read_text(encoding="utf-8"), option
 
 
+@pytest.mark.slow
 def test_the_first_page_shows_what_its_commands_print(tmp_path, monkeypatch, capsys):
     page = REPOSITORY / "docs" / "start.rst"
     monkeypatch.chdir(tmp_path)

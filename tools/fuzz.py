@@ -23,6 +23,7 @@ import traceback
 import warnings
 from collections import Counter
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import astropy.units as u
@@ -103,11 +104,7 @@ def sources(folder):
         "cube": (".fits", folder / "cube.fits", EpochCube.read),
         "AIPS components": (".fits", folder / "cc.fits", read_components),
         "components": (".ecsv", COMPONENTS, read_components),
-        "difmap model": (
-            ".mod",
-            MODEL,
-            lambda p: read_components(p, dates="2001-01-01"),
-        ),
+        "difmap model": (".mod", MODEL, partial(read_components, dates="2001-01-01")),
         "offsets": (".ecsv", OFFSETS, _offsets),
         "region": (".reg", REGION, cube.region_mask),
         "configuration": (".toml", CONFIGURATION, _settings),
@@ -117,10 +114,6 @@ def sources(folder):
         kind: (suffix, start if isinstance(start, bytes) else start.read_bytes(), read)
         for kind, (suffix, start, read) in kinds.items()
     }
-
-
-def _model(path):
-    return read_components(path, dates="2001-01-01")
 
 
 def _offsets(path):

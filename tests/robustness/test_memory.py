@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Series that are larger than the memory, see ``tools/memory.py``."""
+"""Series that are larger than the memory, see ``benchmarks/memory.py``."""
 
 import re
 

@@ -1,26 +1,26 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-How far the displacement is off where all pairs of epochs have the same one.
+Error of the displacement where it is the same for all pairs of epochs.
 
 Five epochs of four features that move by the same part of a pixel each, with hardly any
 noise, for features of several widths::
 
-    python tools/subpixel.py benchmarks/results/subpixel.csv
+    python benchmarks/subpixel.py
 """
 
-import csv
-import sys
 import warnings
 
 import astropy.units as u
 import numpy as np
 from astropy.time import Time
+from common import write_table
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.axes import SAMPLING
 
 PIXEL, DAYS, N = 0.1, 30.0, 5
+#: Part of ``pm_err`` for the sampling, in pixels times the resolution in pixels.
+SAMPLING = 0.15
 STEPS = np.arange(1, 11) / 10
 #: Width of the features in pixels, and the scales that see them.
 WIDTHS = {3: [1], 4: [1, 2], 5: [1, 2], 7: [2, 3], 10: [2, 3]}
@@ -58,22 +58,14 @@ def measured(fwhm, scales, step):
 
 def main():
     """Print the table and write it."""
-    rows = [["width (pixels)", "largest error", "at", "its pm_err", "0.15 / width"]]
+    header = ["width (pixels)", "largest error", "at", "its pm_err", "0.15 / width"]
+    rows = []
     for fwhm, scales in WIDTHS.items():
-        each = np.array([measured(fwhm, scales, step) for step in STEPS])
-        worst = np.abs(each[:, 0]).argmax()
-        rows.append(
-            [
-                str(fwhm),
-                f"{each[worst, 0]:+.3f}",
-                f"{STEPS[worst]:.1f}",
-                f"{each[worst, 1]:.3f}",
-                f"{SAMPLING / fwhm:.3f}",
-            ]
-        )
-        print(*rows[-1], flush=True)
-    with open(sys.argv[1], "w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
+        off, error = np.array([measured(fwhm, scales, step) for step in STEPS]).T
+        k = np.abs(off).argmax()
+        rows.append([fwhm, f"{off[k]:+.3f}", f"{STEPS[k]:.1f}", f"{error[k]:.3f}",
+                     f"{SAMPLING / fwhm:.3f}"])  # fmt: skip
+    write_table("subpixel", header, rows)
 
 
 if __name__ == "__main__":

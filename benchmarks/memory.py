@@ -1,31 +1,32 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Measure images that are larger than the memory.
+Time and memory of measuring images that are larger than the memory.
 
 A hundred epochs of 4096 x 4096 pixels, of which a part of 400 x 400 is measured, and
 five of 8192 x 8192::
 
-    python tools/memory.py benchmarks/results/memory.csv
+    python benchmarks/memory.py
 
 The files take 8 GB of a disk in all (``--folder``), and are deleted in the end.  Peaks
-are of the resident memory of the process and of what it starts, files that are mapped
-into it among them.
+are of the memory of the process and of what it starts, files that are mapped into it
+among them.
 """
 
 import argparse
-import csv
 import shutil
 import subprocess
 import sys
 import tempfile
-import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
+from astropy.table import QTable
 from astropy.time import Time
+from common import Sampler, memory_of, write_table
 
 MAS = 1 / 3.6e6
 #: Side of the part that is measured, pixels, and steps of its features an epoch.
@@ -90,53 +91,21 @@ def write(folder, size, n):
 
 
 def watch(words):
-    """
-    Run a command and look at its memory.
-
-    Returns
-    -------
-    peak : float
-        Largest resident memory of the process and all below it, GB.
-    seconds : float
-    """
+    """Return the peak memory of a command in GB, and its seconds."""
     start = time.monotonic()
     process = subprocess.Popen(
         [sys.executable, "-m", "astro_scc.cli", *map(str, words)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    peaks = [0]
-
-    def look():
-        while process.poll() is None:
-            peaks.append(_resident(process.pid))
-            time.sleep(0.02)
-
-    thread = threading.Thread(target=look)
-    thread.start()
-    said, _ = process.communicate()
-    thread.join()
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    with Sampler(partial(memory_of, process.pid, "Rss"), 0.02) as memory:
+        said, _ = process.communicate()
     if process.returncode:
         raise RuntimeError(f"{words[0]} ended with {process.returncode}: {said}")
-    return max(peaks) / 1e9, time.monotonic() - start
-
-
-def _resident(pid):
-    """Bytes of a process and all that it started, shared ones once in each."""
-    try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
-        tasks = Path(f"/proc/{pid}/task").glob("*/children")
-        below = [int(text) for path in tasks for text in path.read_text().split()]
-    except (OSError, IndexError):
-        return 0
-    return 4096 * pages + sum(map(_resident, below))
+    return max(memory.values), time.monotonic() - start
 
 
 def measured(folder):
     """East and north of the strongest component, mas/yr."""
-    from astropy.table import QTable
-
     table = QTable.read(folder / "components.ecsv")
     return tuple(float(table[k][0].value) for k in ("pm_ra_cosdec", "pm_dec"))
 
@@ -144,15 +113,13 @@ def measured(folder):
 def main():
     """Print the table and write it."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
-    parser.add_argument("table", type=Path, nargs="?")
     parser.add_argument("--folder", type=Path, help="for the files; default temporary")
     parser.add_argument("--series", default="100x4096,5x8192", help="epochs x pixels")
     parser.add_argument("--n-trials", default="100")
     args = parser.parse_args()
-    rows = [
-        ["epochs", "size", "files (GB)", "as a cube (GB)", "command", "time (s)",
-         "peak memory (GB)", "east, north (mas/yr)", "true"]
-    ]  # fmt: skip
+    header = ["epochs", "size", "files (GB)", "as a cube (GB)", "command", "time (s)",
+              "peak memory (GB)", "east, north (mas/yr)", "true"]  # fmt: skip
+    rows = []
     true = -0.1 * STEP / DAYS * 365.25
     for words in args.series.split(","):
         n, size = map(int, words.split("x"))
@@ -173,18 +140,13 @@ def main():
             answer = [f"{east:.2f}, {north:.2f}", f"{true:.2f}, 0.00"]
             cost = [f"{seconds:.0f}", f"{peak:.2f}"]
             rows.append([n, *facts, "measure --crop", *cost, *answer])
-            print(*rows[-1], sep="; ", flush=True)
             peak, seconds = watch(["inspect", paths[0]])
             cost = [f"{seconds:.0f}", f"{peak:.2f}"]
             rows.append([1, facts[0], "", "", "inspect", *cost, "", ""])
-            print(*rows[-1], sep="; ", flush=True)
         finally:
             shutil.rmtree(folder)
-    if args.table:
-        with args.table.open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows(rows)
-    return 0
+    write_table("memory", header, rows)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
