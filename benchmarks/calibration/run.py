@@ -6,10 +6,10 @@ Measure simulated jets, to see whether probabilities, speeds and errors hold.
     python benchmarks/calibration/run.py KIND [KIND ...] [--jets 100] [--trials 199]
 
 ``all`` stands for every kind but those of ``power``, in which one option varies (30
-jets of each show how the power grows).  Each jet of each kind has its seed; what has been
-measured is kept in ``results/KIND.csv`` and not measured again, so a run can be
+jets of each show how the power grows).  Each jet of each kind has its seed; what has
+been measured is kept in ``results/KIND.csv`` and not measured again, so a run can be
 stopped and started.  ``python benchmarks/calibration/summary.py`` makes the tables
-and the figure of the documentation from these files.
+and the figures of the documentation from these files.
 """
 
 import argparse
