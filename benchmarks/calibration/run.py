@@ -5,10 +5,11 @@ Measure simulated jets, to see whether probabilities, speeds and errors hold.
 
     python benchmarks/calibration/run.py KIND [KIND ...] [--jets 100] [--trials 199]
 
-``all`` stands for every kind.  Each jet of each kind has its seed; what has been
-measured is kept in ``results/KIND.csv`` and not measured again, so a run can be
+``all`` stands for every kind but those of ``power``, in which one option varies (30
+jets of each show how the power grows).  Each jet of each kind has its seed; what has
+been measured is kept in ``results/KIND.csv`` and not measured again, so a run can be
 stopped and started.  ``python benchmarks/calibration/summary.py`` makes the tables
-and the figure of the documentation from these files.
+and the figures of the documentation from these files.
 """
 
 import argparse
@@ -31,7 +32,7 @@ from astro_scc.simulation import Flow
 
 RESULTS = Path(__file__).parent / "results"
 #: Seeds below were used to choose the constants of the search.
-FIRST_SEED = 5000
+FIRST_SEED = 20_000
 #: Features that are seen at so many epochs make the true mean and dispersion.
 SEEN = 4
 COLUMNS = ("seed", "true_mean", "true_dispersion", "true_features", "row", "kind",
@@ -93,6 +94,35 @@ def layers(spine, sheath):
 
 KINDS["layers"] = layers(0.9, 0.3)
 KINDS["one-layer"] = layers(0.6, 0.6)
+#: One option varies, others are those of single-20, or of two-streams.
+VARIED = {
+    "epochs": (5, 6, 8, 10, 15, 20, 30, 40),
+    "features": (3, 5, 8, 12, 20, 30),
+    "speed": (0.05, 0.1, 0.2, 0.4, 0.8, 1.2),
+    "dispersion": (0.05, 0.1, 0.2, 0.3, 0.5),
+    "noise": (0.1, 0.3, 1, 3, 10),
+    "ratio": (1.5, 2, 2.5, 3, 4),
+}
+
+
+def varied(option, value):
+    """A jet with another value of an option; noise in mJy per beam."""
+    if option == "ratio":
+        speeds = {"slow": 0.3, "fast": 0.3 * value}
+        return streams(*((k, {"speed": v, "n_features": 5}) for k, v in speeds.items()))
+    if option in ("epochs", "features"):
+        return jet(**{"dispersion": 0.2, f"n_{option}": value})
+    if option == "noise":
+        value /= 1000
+    return jet(**{"dispersion": 0.2, option: value})
+
+
+POWER = {
+    f"power-{option}-{value:g}": (option, value)
+    for option, values in VARIED.items()
+    for value in values
+}
+KINDS |= {kind: varied(*which) for kind, which in POWER.items()}
 FLOW = ("accelerated", "steady", "layers", "one-layer")
 FLOW_COLUMNS = ("seed", "rows", "gradient", "gradient_err", "p_acceleration", "fine",
                 "coarse", "p_scales")  # fmt: skip
@@ -161,13 +191,14 @@ def features(truth, unit):
 def main():
     """Measure what has not been measured."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument("kinds", nargs="+", choices=[*KINDS, "all"])
+    parser.add_argument("kinds", nargs="+", choices=[*KINDS, "all", "power"])
     parser.add_argument("--jets", type=int, default=100)
     parser.add_argument("--trials", type=int, default=199)
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder")
     args = parser.parse_args()
-    kinds = list(KINDS) if "all" in args.kinds else args.kinds
+    groups = {"all": [k for k in KINDS if k not in POWER], "power": list(POWER)}
+    kinds = [kind for name in args.kinds for kind in groups.get(name, [name])]
     args.results.mkdir(exist_ok=True)
     for seed in range(args.first, args.first + args.jets):
         for kind in kinds:
