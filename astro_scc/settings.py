@@ -479,7 +479,7 @@ def read_config(path):
     Returns
     -------
     given : dict
-        The values as they stand there, for `Settings`, which checks them.
+        The values as they stand there, for `Settings`.
     versions : dict of str
 
     Raises
@@ -487,7 +487,7 @@ def read_config(path):
     OSError
         If the file cannot be read.
     ValueError
-        If it is no TOML, or has a key that is no setting.
+        If it is no TOML, has a key that is no setting, or a value that cannot be.
 
     Examples
     --------
@@ -509,4 +509,8 @@ def read_config(path):
             raise ValueError(
                 f"{path}: unknown key {name!r}{hint}; see astro-scc measure --help"
             )
+        try:
+            check_setting(name, given[name])
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
     return given, versions

@@ -513,10 +513,10 @@ def _options(*words, **texts):
     return make
 
 
-refused("a scale twice", "--scales '1,2,1': must differ: leave out")(
+refused("a scale twice", "--scales '1,2,1' must differ: leave out")(
     _options("--scales=1,2,1")
 )
-refused("no scale", "--scales '': must be scale numbers such as 1,2,3")(
+refused("no scale", "--scales '' must be scale numbers such as 1,2,3")(
     _options("--scales=")
 )
 refused("scale far larger than the image", "too small for wavelet scale 30 .* leave")(
@@ -537,13 +537,13 @@ case("position angle of the jet beyond 360 degrees")(
 case("position angle below zero, as an option may be")(
     _options("--position-angle", "-90deg")
 )
-refused("position angle without a unit", "'-90': has no unit at its end; it must be")(
+refused("position angle without a unit", "'-90' has no unit at its end; it must be")(
     _options("--position-angle", "-90")
 )
-refused("a speed of two numbers", "--max-speed '1 5 mas/yr': must be an angle per")(
+refused("a speed of two numbers", "--max-speed '1 5 mas/yr' must be an angle per")(
     _options("--max-speed=1 5 mas/yr")
 )
-refused("redshift beyond any", "--redshift '1e300': must be below 1090")(
+refused("redshift beyond any", "--redshift '1e300' must be below 1090")(
     _options("--redshift=1e300")
 )
 refused("redshift as a velocity", "is a velocity.* give the redshift, 0.158 if it is")(
@@ -552,17 +552,17 @@ refused("redshift as a velocity", "is a velocity.* give the redshift, 0.158 if i
 refused("redshift as a velocity without its unit", "must be below 1090; of a velocity")(
     _options("--redshift=47367")
 )
-refused("redshift as a distance", "'600 Mpc': is a length; give it as the distance")(
+refused("redshift as a distance", "'600 Mpc' is a length; give it as the distance")(
     _options("--redshift=600 Mpc")
 )
 case("redshift in per cent")(_options("--redshift=15.8 %"))
-refused("distance without a unit", "--distance '16.7': has no unit at its end; it")(
+refused("distance without a unit", "--distance '16.7' has no unit at its end; it")(
     _options("--distance=16.7")
 )
-refused("distance with a blank for its point", "'16 7 Mpc': must be one distance")(
+refused("distance with a blank for its point", "'16 7 Mpc' must be one distance")(
     _options("--distance=16 7 Mpc")
 )
-refused("a cosmology that nobody knows", "'Planck': is no cosmology; give H0=71,Om0")(
+refused("a cosmology that nobody knows", "'Planck' is no cosmology; give H0=71,Om0")(
     _options("--redshift=0.158", "--cosmology=Planck")
 )
 refused("a redshift and a distance", "distance needs neither redshift nor cosmology")(

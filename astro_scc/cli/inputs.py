@@ -71,11 +71,8 @@ def settings_of(args, reporter, *, unused=(), **defaults):
     try:
         settings = Settings(**defaults | override(given, own))
     except ValueError as error:
-        name = getattr(error, "setting", None)
-        if name in own:
+        if getattr(error, "setting", None) in own:
             raise ValueError(_of_option(error)) from None
-        if name is not None:
-            raise ValueError(f"{args.config}: {error}") from None
         raise
     if not settings.epochs:
         raise ValueError("no epochs were given; name the FITS files, or a --config")

@@ -129,7 +129,7 @@ def test_a_region_without_end(fuzz, inputs, tmp_path):
     cube = EpochCube.read(inputs.series(tmp_path, n=2))
     path = tmp_path / "r.reg"
     path.write_text("image\ncircle(6,4,1e400)\n")
-    with pytest.raises(ValueError, match="r.reg: a CirclePixelRegion of a size or pl"):
+    with pytest.raises(ValueError, match="r.reg: a CirclePixelRegion has a size or pl"):
         cube.region_mask(path)
 
 

@@ -118,7 +118,7 @@ def test_matches_that_are_more(monkeypatch):
 
 
 def test_more_than_the_machine_has(epochs, measure, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("astro_scc.correlation.parallel.machine_memory", lambda: 1e4)
+    monkeypatch.setattr("astro_scc.epochs.reading.machine_memory", lambda: 1e4)
     status, err = measure(*epochs, "-o", tmp_path / "out")
     assert (status, len(err.splitlines())) == (2, 1)
     assert err.startswith(
