@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Features: the SSPs that follow one straight line through the epochs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -176,6 +176,40 @@ def standing_features(samples, settings):
     found = [_feature(k, d, settings) for k in chains if len(k) >= least]
     found = [f for f in found if abs(f.speed) <= 2 * f.error]
     return _different(found, d, settings)
+
+
+def clear_of(features, standing, samples, settings):
+    """
+    Fit features again where no standing one pulls at them.
+
+    Parameters
+    ----------
+    features, standing : sequence of `Feature`
+    samples : `~astro_scc.stacking.VelocitySamples`
+    settings : `~astro_scc.stacking.SearchSettings`
+
+    Returns
+    -------
+    list of `Feature`
+        Of the same SSPs, those near a standing feature without a say in the speed;
+        as they were if fewer than ``least_epochs`` others are left.
+    """
+    if not standing:
+        return list(features)
+    d = samples
+    places = np.array([d.position[f.ssp].mean(axis=0) for f in standing])
+    found = []
+    for f in features:
+        away = np.hypot(*(d.position[f.ssp][:, None] - places).T).min(axis=0)
+        clear = away > settings.pull
+        if clear.all() or clear.sum() < settings.least_epochs:
+            found.append(f)
+            continue
+        part = _feature(f.ssp[clear], d, settings)
+        response = np.zeros(len(f))
+        response[clear] = part.response
+        found.append(replace(part, ssp=f.ssp, motion=f.motion, response=response))
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,10 +65,10 @@ class SearchSettings:
         on simulated jets it stays after two.
     rest_errors : float
         Errors that a speed is from rest: 95% of a normal distribution, one-sided.
-    pull, fewest_clear : float, int
-        Features that stand still pull at those nearer than 2.5 beams: their
-        speeds are 10% too small on simulated jets, farther out 0.3%.  They do
-        not count if three others are left.
+    pull : float
+        Positions this near to a standing feature are drawn to it or pushed away:
+        of a line through them speeds are 7% too small at 2 to 2.5 beams on simulated
+        jets, without them 0.1%.
     apart : float
         Two streams differ by so many standard deviations of what a flow
         with ``lone_dispersion`` scatters.
@@ -134,8 +134,7 @@ class SearchSettings:
     least_z: float = 1.5
     max_turns: int = 4
     rest_errors: float = 1.645
-    pull: float = 2.5
-    fewest_clear: int = 3
+    pull: float = 1.6
     apart: float = 3.0
     same_speed: float = 0.35
     feature_speed_step: float = 0.06

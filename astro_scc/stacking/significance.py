@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from astro_scc.stacking.diagram import Diagram, Rays
-from astro_scc.stacking.features import find_features, standing_features
+from astro_scc.stacking.features import clear_of, find_features, standing_features
 from astro_scc.stacking.permutations import EpochPermutations
 from astro_scc.stacking.search import SearchSettings
 from astro_scc.stacking.streams import (
@@ -223,7 +223,6 @@ def find_streams(
     axis, speed, features = _turn_to_features(axis, speed, project, len(angles))
     # 3. Their streams: one, or two where a parametric bootstrap rejects one.
     groups = _feature_groups(axis, features, speed, alpha, n_trials, model_rng)
-    standing = standing_features(axis.samples, settings)
     streams, tested = [], axis
     for group, p_distinct in groups:
         if streams:
@@ -234,7 +233,7 @@ def find_streams(
                 axis, samples=rest, permutations=permuted([rest]), number=0
             )
         # 4. The mean speed of its features, and the permutation test at that speed.
-        mean = _population(_clear_features(group, standing, axis), settings)
+        mean = _population(group, settings)
         streams.append(_stream(tested, *mean, group, alpha, p_distinct))
     if not streams and permutations.z.any():
         along = Population(float(speed), np.nan, np.nan, np.nan)
@@ -326,7 +325,9 @@ class _Axis:
             z = self.z(speeds) / self.settings.full_prior
             return np.clip(z, self.settings.least_prior, 1.0)
 
-        return find_features(self.samples, self.rays, self.settings, prior)
+        found = find_features(self.samples, self.rays, self.settings, prior)
+        standing = standing_features(self.samples, self.settings)
+        return clear_of(found, standing, self.samples, self.settings)
 
     def moving(self, features, speed):
         """Return those that move in the direction of a speed, significantly."""
@@ -389,20 +390,6 @@ def _are_apart(one, other, settings):
     difference = np.log(abs(np.mean(v) / np.mean(w)))
     scatter = settings.lone_dispersion * np.sqrt(1 / len(one) + 1 / len(other))
     return abs(difference) > settings.apart * scatter
-
-
-def _clear_features(features, standing, axis):
-    """Return those that no standing feature pulls at, if enough are left."""
-    if not standing:
-        return features
-    settings, position = axis.settings, axis.samples.position
-    places = np.array([position[f.ssp].mean(axis=0) for f in standing])
-    clear = [
-        f
-        for f in features
-        if np.hypot(*(places - position[f.ssp].mean(axis=0)).T).min() > settings.pull
-    ]
-    return clear if len(clear) >= settings.fewest_clear else features
 
 
 def _population(features, settings):

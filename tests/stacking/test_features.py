@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.stacking import Feature, Rays, SearchSettings
+from astro_scc.stacking import Feature, Rays, SearchSettings, find_streams
 from astro_scc.stacking.features import (
     _excess,
     _Links,
     _on_line,
+    clear_of,
     find_features,
     standing_features,
 )
@@ -424,3 +425,55 @@ class TestProperties:
         for a, b in zip(by_place(follow(d)), by_place(follow(other)), strict=True):
             np.testing.assert_array_equal(a.ssp, b.ssp)
             assert b.speed == pytest.approx(a.speed)
+
+
+class TestClearOf:
+    """A feature at 0.5 beams a year that leaves a standing one, which pushes it."""
+
+    @pytest.fixture
+    def samples(self, lines, axis_matches):
+        position, epoch = lines([0.0, 0.5], [0.0, 0.5], YEARS)
+        near = (position[:, 0] > 0) & (position[:, 0] < 1.5)
+        position[near, 0] += 0.2
+        return axis_matches(position, epoch, YEARS)
+
+    @pytest.fixture
+    def moving(self, samples):
+        ssp = np.arange(1, 16, 2)
+        return Feature.through(ssp, YEARS, samples.position[ssp])
+
+    @pytest.fixture
+    def standing(self, samples):
+        ssp = np.arange(0, 16, 2)
+        return Feature.through(ssp, YEARS, samples.position[ssp])
+
+    def test_positions_near_a_standing_feature_do_not_count(
+        self, samples, moving, standing
+    ):
+        assert moving.speed < 0.47
+        (found,) = clear_of([moving], [standing], samples, SEARCH)
+        assert found.speed == pytest.approx(0.5)
+        np.testing.assert_array_equal(found.ssp, moving.ssp)
+        assert found.motion == moving.motion
+        # The response is to shifts of the SSPs that count.
+        away = samples.position[moving.ssp, 0] > SEARCH.pull
+        assert 4 <= away.sum() < 8
+        assert not found.response[~away].any()
+        velocity = found.response @ samples.position[found.ssp]
+        assert velocity[0] == pytest.approx(found.speed)
+
+    def test_they_count_where_too_few_are_left(self, samples, moving, standing):
+        search = replace(SEARCH, pull=3.0)
+        assert clear_of([moving], [standing], samples, search) == [moving]
+
+    def test_nothing_stands_still(self, samples, moving):
+        assert clear_of([moving], [], samples, SEARCH) == [moving]
+
+    def test_the_stream_is_measured_without_them(self, samples):
+        found = find_streams(
+            lambda angle: samples, [0.0], 1.5, n_trials=99,
+            rng=np.random.default_rng(1),
+        )  # fmt: skip
+        moving, still = found.streams
+        assert (moving.kind, still.kind) == ("moving", "stationary")
+        assert moving.along.mean == pytest.approx(0.5, abs=0.01)
