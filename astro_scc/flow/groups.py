@@ -10,17 +10,17 @@ from astropy.table import QTable
 from scipy.special import stdtr
 
 from astro_scc.epochs.positions import ssp_offsets
-from astro_scc.flow.acceleration import projection_of
 from astro_scc.kinematics import RadialFrame, RidgeLine, SkyFrame
 from astro_scc.kinematics.ridge_search import limb_masks, mean_width
 from astro_scc.measurement import select_ssps
+from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.stacking import velocity_frame
+from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.stacking.search import DEFAULT
 from astro_scc.stacking.streams import feature_speeds, scattered_fit
 
 #: SSPs of one feature are those ejected within so many beams of one another.
 FEATURE_BEAMS = 2.0
-PM_UNIT = u.mas / u.yr
 
 
 def scale_groups(matched, groups):
