@@ -109,9 +109,7 @@ def stack_matches(
         small as ``level``.
     """
     n_trials = require("n_trials", n_trials)
-    if rng is None:
-        rng = int(np.random.SeedSequence().entropy % 2**63)
-    seed = int(rng) if isinstance(rng, (int, np.integer)) else None
+    rng, seed = seeded(rng)
     paper_rng, search_rng, error_rng = np.random.default_rng(rng).spawn(3)
     cube = matched.cube
     frame, angle = velocity_frame(matched, position_angle)
@@ -189,6 +187,13 @@ def stack_matches(
             "misalignment_beams": cube.misalignment,
         },
     )
+
+
+def seeded(rng):
+    """Return a seed or generator, drawn if there is none, and the seed if it is one."""
+    if rng is None:
+        rng = int(np.random.SeedSequence().entropy % 2**63)
+    return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
 
 
 def _velocity_map(samples, pairs, limit, shift, *, n_trials, rng, progress_bar):

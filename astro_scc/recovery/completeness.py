@@ -15,6 +15,7 @@ from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import versions
 from astro_scc.measurement.plan import mean_fwhm
+from astro_scc.measurement.stacking import seeded
 from astro_scc.measurement.tables import PM_UNIT, build_table
 from astro_scc.progress import progress
 from astro_scc.quantities import named, one_quantity, shortened, to_quantity
@@ -385,13 +386,6 @@ def check_trials(n_trials, level):
             f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, so "
             f"nothing can be found at level {level:g}: give more n_trials"
         )
-
-
-def seeded(rng):
-    """Return a seed or generator, drawn if there is none, and the seed if it is one."""
-    if rng is None:
-        rng = int(np.random.SeedSequence().entropy % 2**63)
-    return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
 
 
 def smallest_p(n_epochs):

@@ -8,6 +8,8 @@ import numpy as np
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.measurement import versions
+from astro_scc.measurement.products import plain_meta
+from astro_scc.measurement.stacking import seeded
 from astro_scc.measurement.tables import PM_UNIT, build_table
 from astro_scc.quantities import named, one_quantity
 from astro_scc.recovery.completeness import (
@@ -15,7 +17,6 @@ from astro_scc.recovery.completeness import (
     epochs_needed,
     positive_quantities,
     run_all,
-    seeded,
     share,
     smallest_p,
 )
@@ -354,12 +355,9 @@ class _Campaign:
 def _as_dict(row):
     """Return a row as ECSV can keep it in a meta."""
     fraction = row["fraction_both"]
-    return {
-        "n_epochs": int(row["n_epochs"]),
-        "interval": row["interval"],
-        "total_time": row["total_time"],
-        "fraction_both": None if fraction is np.ma.masked else float(fraction),
-    }
+    found = {name: row[name] for name in ("n_epochs", "interval", "total_time")}
+    found["fraction_both"] = None if fraction is np.ma.masked else fraction
+    return plain_meta(found)
 
 
 def _angle(name, value):
