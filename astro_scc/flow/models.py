@@ -328,9 +328,9 @@ def lorentz_profile(
     # What is too fast for the angle is faster than anything.
     best, gamma = (np.where(np.isfinite(g), g, np.inf) for g in (best, gamma))
     low, high = np.quantile(gamma, CENTRAL, axis=0, method="nearest")
-    columns = {"gamma": best, "gamma_low": low, "gamma_high": high}
     table = QTable(
-        {"r": r * u.mas, **{name: g * u.one for name, g in columns.items()}},
+        [r * u.mas, best * u.one, low * u.one, high * u.one],
+        names=["r", "gamma", "gamma_low", "gamma_high"],
         meta={"viewing_angle": angle, "angle_error": spread * u.deg},
     )
     return LorentzProfile(

@@ -264,15 +264,14 @@ def component_row(result, number):
         # ECSV takes empty text for a missing value.
         "note": stream.reason or "-",
     }
-    where = result.frame, result.position_angle
-    row.update(velocity_columns(velocity.value, velocity.covariance, *where))
-    for name, covariance in (
-        ("jitter", jitter.covariance),
-        ("alignment", velocity.alignment),
-    ):
-        row[f"pm_err_{name}"] = velocity_columns(velocity.value, covariance, *where)[
-            "pm_err"
-        ]
+
+    def columns(covariance):
+        where = result.frame, result.position_angle
+        return velocity_columns(velocity.value, covariance, *where)
+
+    row |= columns(velocity.covariance)
+    row["pm_err_jitter"] = columns(jitter.covariance)["pm_err"]
+    row["pm_err_alignment"] = columns(velocity.alignment)["pm_err"]
     still = stream.kind != "moving"
     row["pm_limit"] = row["pm"] + LIMIT * row["pm_err"] if still else np.nan
     return row
