@@ -13,8 +13,6 @@ from pathlib import Path
 
 __all__ = ["hold", "is_held", "partial_folder", "remove_left", "replace_when_complete"]
 
-#: Of names, after what they begin with: the machine and something of its own.
-_END = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}")
 #: Seconds that a folder must be held for to count as held.
 PATIENCE = 1.0
 
@@ -128,27 +126,22 @@ def remove_left(parent, prefix):
     list of `~pathlib.Path`
         Folders of such names that stay.
     """
+    try:
+        paths = sorted(Path(parent).iterdir())
+    except OSError:
+        return []
+    # The machine, and something of its own.
+    names = re.compile(re.escape(prefix) + "[0-9a-f]{8}-[0-9a-f]{8}")
     stay = []
-    for path in _of_names(parent, prefix):
+    for path in paths:
+        if not names.fullmatch(path.name) or path.is_symlink() or not path.is_dir():
+            continue
         with suppress(OSError), hold(path) as held:
             if held and path.name.startswith(prefix + _machine()):
                 shutil.rmtree(path)
         if path.exists():
             stay.append(path)
     return stay
-
-
-def _of_names(parent, prefix):
-    with suppress(OSError):
-        for path in sorted(Path(parent).iterdir()):
-            name = path.name
-            if (
-                name.startswith(prefix)
-                and _END.fullmatch(name.removeprefix(prefix))
-                and path.is_dir()
-                and not path.is_symlink()
-            ):
-                yield path
 
 
 def _machine():

@@ -8,6 +8,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.measurement.axes import alignment_errors
+from astro_scc.stacking.errors import jackknife_covariance
 
 #: Kinds of one scale, by signal-to-noise ratio, and velocity samples that each should
 #: have.
@@ -315,11 +316,7 @@ def fit_mixture(samples, start, area, *, fixed=False):
             others.append(
                 _climb(part, place, scatter, share, area[keep], widest, fixed)[0]
             )
-    n = len(others)
-    covariance = np.full((len(place),) * 2, np.inf)
-    if n >= 4:
-        apart = np.array(others) - np.mean(others, axis=0)
-        covariance = (n - 1) / n * apart.T @ apart
+    covariance = jackknife_covariance(np.reshape(others, (-1, len(place))))
     weight = p * samples.interval**2 / scatter[samples.kind] ** 2
     response = weight[:, None, None] * _design(samples, place, fixed) @ inverse
     return Mixture(place, covariance, response, scatter, share)

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable, vstack
+from astropy.table import QTable
 
 from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame
 from astro_scc.measurement import false_discovery_rate
+from astro_scc.measurement.tables import stack_tables
 
 #: Columns of the components that a row of a sector keeps.
 KEPT = ("kind", "coefficient", "z_score", "p_local", "p_global", "p_fdr", "n_ssp",
@@ -130,10 +131,7 @@ def measure_expansion(
         _in_sector(table, low, high, frame)
         for (low, high), table in false_discovery_rate(tables).items()
     ]
-    filled = [t for t in rows if len(t)] or rows[:1]
-    joined = vstack(filled, metadata_conflicts="silent")
-    joined.meta.clear()
-    joined.meta.update({"centre": frame.centre, "radius": frame.radius})
+    joined = stack_tables(rows, {"centre": frame.centre, "radius": frame.radius})
     if distance is not None:
         for name, of in (("speed", "rate"), ("speed_err", "rate_err")):
             joined[name] = expansion_speed(joined[of], frame.radius, distance)

@@ -8,7 +8,7 @@ import astropy.units as u
 import numpy as np
 from scipy.special import stdtr
 
-from astro_scc.measurement.axes import AxisProjection
+from astro_scc.measurement.axes import projection_of
 from astro_scc.stacking.search import DEFAULT
 from astro_scc.stacking.streams import feature_speeds, scattered_fit
 
@@ -123,14 +123,6 @@ def measure_acceleration(result, row=0):
         acceleration_err=(error * speed).to(u.mas / u.yr**2),
         p_value=found.p_value,
         n_features=found.n_features,
-    )
-
-
-def projection_of(result):
-    """Return the projection of the displacements of a result on axes of the sky."""
-    matched = result.matched
-    return AxisProjection(
-        result.displacements, matched.ssps, matched.cube, result.frame
     )
 
 

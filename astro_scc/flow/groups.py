@@ -10,17 +10,17 @@ from astropy.table import QTable
 from scipy.special import stdtr
 
 from astro_scc.epochs.positions import ssp_offsets
-from astro_scc.flow.acceleration import projection_of
 from astro_scc.kinematics import RadialFrame, RidgeLine, SkyFrame
 from astro_scc.kinematics.ridge_search import limb_masks, mean_width
 from astro_scc.measurement import select_ssps
+from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.stacking import velocity_frame
+from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.stacking.search import DEFAULT
 from astro_scc.stacking.streams import feature_speeds, scattered_fit
 
 #: SSPs of one feature are those ejected within so many beams of one another.
 FEATURE_BEAMS = 2.0
-PM_UNIT = u.mas / u.yr
 
 
 def scale_groups(matched, groups):
@@ -174,20 +174,16 @@ def compare_speeds(result, groups):
     for k, (name, member) in enumerate(groups.items()):
         found = [f for f, own in zip(features, belongs, strict=True) if own == k]
         n_ssp = int((matched.select & member).sum())
-        known[name] = n_ssp, len(found), _mean(found, beam)
+        known[name] = n_ssp, len(found), *_mean(found, beam)
     rows = []
     for pair in combinations(groups, 2):
         row = {}
         for which, name in zip(("first", "second"), pair, strict=True):
-            n_ssp, n_features, (mean, error, _) = known[name]
-            row |= {
-                which: name,
-                f"{which}_n_ssp": n_ssp,
-                f"{which}_n_features": n_features,
-                f"{which}_speed": mean,
-                f"{which}_speed_err": error,
-            }
-        difference = _difference(*(known[name][2] for name in pair))
+            row[which] = name
+            columns = "n_ssp", "n_features", "speed", "speed_err"
+            for column, value in zip(columns, known[name][:4], strict=True):
+                row[f"{which}_{column}"] = value
+        difference = _difference(*(known[name][2:] for name in pair))
         names = "difference", "difference_err", "p_value"
         rows.append(row | dict(zip(names, difference, strict=True)))
     speeds = [name for name in rows[0] if "speed" in name or "difference" in name]

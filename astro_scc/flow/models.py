@@ -164,15 +164,19 @@ def fit_profile(distance, speed, error, *, model="linear"):
 
 
 def _model(model, r, r0, values):
-    r = np.asarray(r, dtype=float)
-    if model == "constant":
-        return np.full(r.shape, values[0])
-    if model == "linear":
-        return values[0] + values[1] * (r - r0)
+    """Return the speeds of a model at distances."""
     if model == "power-law":
-        return values[0] * (r / r0) ** values[1]
-    inner, outer = np.minimum(r - values[3], 0), np.maximum(r - values[3], 0)
-    return values[0] + values[1] * inner + values[2] * outer
+        return values[0] * (np.asarray(r, dtype=float) / r0) ** values[1]
+    columns = _columns(model, r, r0)
+    return sum(v * column for v, column in zip(values, columns, strict=False))
+
+
+def _columns(model, r, r0):
+    """Return what the parameters of straight lines are multiplied by."""
+    away = np.asarray(r, dtype=float) - r0
+    if model == "broken":
+        return [np.ones_like(away), np.minimum(away, 0), np.maximum(away, 0)]
+    return [np.ones_like(away), away][: len(MODELS[model])]
 
 
 def _chi2(rest, s):
@@ -181,12 +185,19 @@ def _chi2(rest, s):
 
 def _solve(model, x, y, s, x0):
     """Return the distance of v0, the parameters, their covariance and chi-square."""
-    if model == "broken":
-        return _solve_broken(x, y, s)
     if model == "power-law":
         return _solve_power_law(x, y, s, x0)
-    columns = [np.ones_like(x), x - x0][: len(MODELS[model])]
-    return x0, *_linear(columns, y, s)
+    if model != "broken":
+        return x0, *_linear(_columns(model, x, x0), y, s)
+    place = np.unique(x)
+    tried = np.linspace(place[1], place[-2], BREAKS)
+    fits = [_linear(_columns(model, x, at), y, s) for at in tried]
+    best = int(np.argmin([chi2 for *_, chi2 in fits]))
+    at, (values, _, chi2) = tried[best], fits[best]
+    # The break as a fourth parameter, its slope that of the side it is seen from.
+    turn = np.where(x < at, -values[1], -values[2])
+    _, covariance, _ = _linear([*_columns(model, x, at), turn], y, s)
+    return at, np.array([*values, at]), covariance, chi2
 
 
 def _linear(columns, y, s):
@@ -211,21 +222,6 @@ def _solve_power_law(x, y, s, x0):
             break
     chi2 = _chi2(y - _model("power-law", x, x0, values), s)
     return x0, values, covariance, chi2
-
-
-def _solve_broken(x, y, s):
-    def columns(at):
-        return [np.ones_like(x), np.minimum(x - at, 0), np.maximum(x - at, 0)]
-
-    place = np.unique(x)
-    tried = np.linspace(place[1], place[-2], BREAKS)
-    fits = [_linear(columns(at), y, s) for at in tried]
-    best = int(np.argmin([chi2 for *_, chi2 in fits]))
-    at, (values, _, chi2) = tried[best], fits[best]
-    # The break as a fourth parameter, its slope that of the side it is seen from.
-    turn = np.where(x < at, -values[1], -values[2])
-    _, covariance, _ = _linear([*columns(at), turn], y, s)
-    return at, np.array([*values, at]), covariance, chi2
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,9 +328,9 @@ def lorentz_profile(
     # What is too fast for the angle is faster than anything.
     best, gamma = (np.where(np.isfinite(g), g, np.inf) for g in (best, gamma))
     low, high = np.quantile(gamma, CENTRAL, axis=0, method="nearest")
-    columns = {"gamma": best, "gamma_low": low, "gamma_high": high}
     table = QTable(
-        {"r": r * u.mas, **{name: g * u.one for name, g in columns.items()}},
+        [r * u.mas, best * u.one, low * u.one, high * u.one],
+        names=["r", "gamma", "gamma_low", "gamma_high"],
         meta={"viewing_angle": angle, "angle_error": spread * u.deg},
     )
     return LorentzProfile(

@@ -7,13 +7,15 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
-from astropy.table import Column, QTable, vstack
+from astropy.table import Column, QTable
 
 from astro_scc.flow.groups import ssp_angles
 from astro_scc.flow.models import fit_profile
 from astro_scc.kinematics import RidgeLine, apparent_speed
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import component_table, false_discovery_rate, select_ssps
+from astro_scc.measurement.products import with_configuration, write_configuration
+from astro_scc.measurement.tables import stack_tables
 from astro_scc.settings import require
 from astro_scc.stacking import stack
 
@@ -99,19 +101,15 @@ class Profile:
             for result in self.results
         ]
         adjusted = false_discovery_rate(tables)
-        parts = [
+        placed = [
             _in_bin(table, limits)
             for table, limits in zip(adjusted, self.bins, strict=True)
         ]
-        filled = [part for part in parts if len(part)] or parts[:1]
-        joined = vstack(filled, metadata_conflicts="silent")
-        joined.meta.clear()
-        joined.meta.update(next((t.meta for t in tables if t.meta), {}))
+        meta = dict(next((table.meta for table in tables if table.meta), {}))
         if tested := adjusted[0].meta.get("false_discovery"):
-            joined.meta["false_discovery"] = tested
-        joined.meta["bins"] = [list(map(float, b)) for b in self.bins.to_value(u.mas)]
-        joined.meta["along"] = self.along
-        return joined
+            meta["false_discovery"] = tested
+        bins = [list(map(float, b)) for b in self.bins.to_value(u.mas)]
+        return stack_tables(placed, meta | {"bins": bins, "along": self.along})
 
     def components_in_c(self, *, redshift=None, cosmology=None, distance=None):
         """
@@ -140,13 +138,12 @@ class Profile:
 def _in_bin(table, limits):
     """Return a table of components with the limits of their bin in front."""
     low, high = limits.to_value(u.mas)
-    columns = {
-        "r_min": (low, "inner limit of the bin"),
-        "r_max": (high, "outer limit of the bin"),
-        "r_mid": ((low + high) / 2, "middle of the bin"),
-    }
     placed = QTable(meta=table.meta)
-    for name, (value, text) in columns.items():
+    for name, value, text in (
+        ("r_min", low, "inner limit of the bin"),
+        ("r_max", high, "outer limit of the bin"),
+        ("r_mid", (low + high) / 2, "middle of the bin"),
+    ):
         placed[name] = np.full(len(table), value) * u.mas
         placed[name].info.description = text
     for name in table.colnames:
@@ -294,22 +291,15 @@ def write_profile(profile, components, directory, *, configuration=None, text=No
     >>> [path.name for path in write_profile(profile, profile.components, "out")]
     ['profile.ecsv', 'profile.png', 'velocity_maps.png', 'position_angles.png']
     """
-
     directory = Path(directory)
     table = components.copy(copy_data=False)
-    table.meta = dict(components.meta)
-    if configuration is not None:
-        table.meta.pop("settings", None)
-        table.meta = {"configuration": configuration, **table.meta}
+    table.meta = with_configuration(components.meta, configuration)
     paths = [directory / "profile.ecsv"]
     table.write(paths[0], format="ascii.ecsv", overwrite=True)
     for name, figure in _figures(profile, components).items():
         paths.append(directory / f"{name}.png")
         figure.savefig(paths[-1], dpi=DPI)
-    if text is not None:
-        paths.append(directory / "config.toml")
-        paths[-1].write_text(text, encoding="utf-8")
-    return paths
+    return paths + write_configuration(directory, text)
 
 
 def _figures(profile, components):

@@ -85,6 +85,14 @@ class AxisProjection:
         )
 
 
+def projection_of(result):
+    """Return the projection of the displacements of a result on axes of the sky."""
+    matched = result.matched
+    return AxisProjection(
+        result.displacements, matched.ssps, matched.cube, result.frame
+    )
+
+
 def _turn(angle):
     return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 

@@ -143,9 +143,10 @@ def refuse_too_much(cube, decomposer, n_workers, *, n_windows=0):
     if n_windows:
         what += f" with {n_windows:.2g} windows of SSPs"
         less += ", a region"
-    workers = n_workers if isinstance(n_workers, int) else 0
-    with_workers = f" with {workers} workers" if workers > 1 else ""
-    less += " or fewer workers" if workers > 1 else ""
+    with_workers = ""
+    if isinstance(n_workers, int) and n_workers > 1:
+        with_workers = f" with {n_workers} workers"
+        less += " or fewer workers"
     raise MemoryError(
         f"{what} take about {need / 1e9:.2g} GB{with_workers}, this machine has "
         f"{have / 1e9:.2g}; {less} take less"

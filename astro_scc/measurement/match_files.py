@@ -110,8 +110,42 @@ class MatchedEpochs:
             written.
         ValueError
             If these matches have no ``provenance``.
+
+        Notes
+        -----
+        ``SSPS`` and ``MATCHES`` are tables, ``PIXELS`` the pixels of the SSPs,
+        ``PAIRS`` the pairs of epochs, ``PROVENANCE`` JSON.  The images are not
+        in the file, nor their wavelet planes, which are quickly made again.
         """
-        write_matches(self, path, overwrite=overwrite)
+        if not self.provenance:
+            raise ValueError(
+                "these matches have no provenance and cannot be written: get them from "
+                "StackedCrossCorrelation.match"
+            )
+        provenance = dict(self.provenance)
+        if provenance.pop("selected") != selection_digest(self.select):
+            # A part that was chosen later is of no region that can be asked for.
+            provenance["region"] = "chosen SSPs"
+        ssps, matches = self.ssps, self.matches
+        columns = {name: getattr(ssps, name) for name in SSP_COLUMNS}
+        columns |= {"n_pixels": ssps.n_pixels, "selected": self.select}
+        of_matches = {name: getattr(matches, name) for name in MATCH_COLUMNS}
+        text = np.frombuffer(json.dumps(provenance).encode("ascii"), dtype=np.uint8)
+        primary = fits.PrimaryHDU()
+        primary.header["CREATOR"] = CREATOR
+        primary.header["SCCVERS"] = LAYOUT, "version of this layout"
+        primary.header["KAPPA"] = matches.kappa, "smallest coefficient"
+        primary.header["REACHY"], primary.header["REACHX"] = matches.search_radius
+        hdus = [
+            primary,
+            fits.BinTableHDU(Table(columns), name="SSPS"),
+            fits.ImageHDU(np.asarray(ssps.pixels, np.int32), name="PIXELS"),
+            fits.BinTableHDU(Table(of_matches), name="MATCHES"),
+            fits.ImageHDU(np.asarray(matches.pairs, np.int32), name="PAIRS"),
+            fits.ImageHDU(text, name="PROVENANCE"),
+        ]
+        with replace_when_complete(path, overwrite=overwrite) as part:
+            fits.HDUList(hdus).writeto(part, checksum=True)
 
     @classmethod
     def read(cls, path, cube):
@@ -136,65 +170,6 @@ class MatchedEpochs:
             If it is of other images or versions.
         """
         return read_matches(path, cube)
-
-
-def write_matches(matched, path, *, overwrite=False):
-    """
-    Write the SSPs and matches of a cube as a FITS file.
-
-    Parameters
-    ----------
-    matched : `MatchedEpochs`
-    path : path
-    overwrite : bool, optional
-
-    Raises
-    ------
-    OSError
-        If the file exists and ``overwrite`` is False, or cannot be written.
-    ValueError
-        If the matches have no provenance.
-
-    Notes
-    -----
-    ``SSPS`` and ``MATCHES`` are tables, ``PIXELS`` the pixels of the SSPs,
-    ``PAIRS`` the pairs of epochs, ``PROVENANCE`` JSON.  The images are not
-    in the file, nor their wavelet planes, which are quickly made again.
-    """
-    if not matched.provenance:
-        raise ValueError(
-            "these matches have no provenance and cannot be written: get them from "
-            "StackedCrossCorrelation.match"
-        )
-    provenance = dict(matched.provenance)
-    if provenance.pop("selected") != selection_digest(matched.select):
-        # A part that was chosen later is of no region that can be asked for.
-        provenance["region"] = "chosen SSPs"
-    ssps, matches = matched.ssps, matched.matches
-    columns = {name: getattr(ssps, name) for name in SSP_COLUMNS}
-    columns |= {"n_pixels": ssps.n_pixels, "selected": matched.select}
-    text = np.frombuffer(json.dumps(provenance).encode("ascii"), dtype=np.uint8)
-    primary = fits.PrimaryHDU()
-    primary.header["CREATOR"] = CREATOR
-    primary.header["SCCVERS"] = LAYOUT, "version of this layout"
-    primary.header["KAPPA"] = matches.kappa, "smallest coefficient"
-    primary.header["REACHY"], primary.header["REACHX"] = matches.search_radius
-    hdus = fits.HDUList(
-        [
-            primary,
-            _table(columns, "SSPS"),
-            fits.ImageHDU(np.asarray(ssps.pixels, np.int32), name="PIXELS"),
-            _table({name: getattr(matches, name) for name in MATCH_COLUMNS}, "MATCHES"),
-            fits.ImageHDU(np.asarray(matches.pairs, np.int32), name="PAIRS"),
-            fits.ImageHDU(text, name="PROVENANCE"),
-        ]
-    )
-    with replace_when_complete(path, overwrite=overwrite) as part:
-        hdus.writeto(part, checksum=True)
-
-
-def _table(columns, name):
-    return fits.BinTableHDU(Table(columns), name=name)
 
 
 def read_matches(path, cube, *, wanted=None):
@@ -344,7 +319,7 @@ class MatchCache:
         matched : `MatchedEpochs`
         """
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        write_matches(matched, self.path, overwrite=True)
+        matched.write(self.path, overwrite=True)
         self.blocks().clear()
 
 

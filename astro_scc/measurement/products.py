@@ -90,45 +90,41 @@ def product_folder(path, *, overwrite=False, stale=()):
     outside = target.parent, f".{target.name}.partial-"
     inside = target, ".partial-"
     _refuse_others(path, outside, inside)
-    with ExitStack() as stack:
-        try:
-            filled = exists and any(target.iterdir())
-            if overwrite or not filled:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                part = partial_folder(*(inside if exists else outside))
-                folder = stack.enter_context(part)
-                _refuse_others(path, outside, inside, own=folder)
-        except BlockingIOError:
-            _remove(made)
-            raise
-        except OSError as error:
-            _remove(made)
-            raise OSError(f"{path}: cannot be made or used: {error.strerror}") from None
-        if filled and not overwrite:
-            raise OSError(
-                f"{path}: exists and is not empty; choose another folder, or "
-                "--overwrite"
-            )
-        try:
+    try:
+        with ExitStack() as stack:
+            try:
+                filled = exists and any(target.iterdir())
+                if overwrite or not filled:
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    part = partial_folder(*(inside if exists else outside))
+                    folder = stack.enter_context(part)
+                    _refuse_others(path, outside, inside, own=folder)
+            except BlockingIOError:
+                raise
+            except OSError as error:
+                what = f"cannot be made or used: {error.strerror}"
+                raise OSError(f"{path}: {what}") from None
+            if filled and not overwrite:
+                what = "exists and is not empty; choose another folder, or --overwrite"
+                raise OSError(f"{path}: {what}")
             yield folder
             if exists:
                 _move(folder, target, stale)
             else:
                 folder.rename(target)
-        except BaseException as error:
-            stack.close()
-            _remove(made)
-            if isinstance(error, OSError) and error.filename2 == str(target):
-                raise OSError(
-                    f"{path}: cannot be made: another run has written there; choose "
-                    "another folder"
-                ) from None
-            if isinstance(error, OSError) and error.errno in DISK_ERRORS:
-                raise OSError(
-                    f"{path}: cannot be written: {error.strerror}; make room there or "
-                    "choose another folder"
-                ) from None
-            raise
+    except BaseException as error:
+        for parent in made:
+            with suppress(OSError):
+                parent.rmdir()
+        if isinstance(error, OSError) and error.filename2 == str(target):
+            what = (
+                "cannot be made: another run has written there; choose another folder"
+            )
+            raise OSError(f"{path}: {what}") from None
+        if isinstance(error, OSError) and error.errno in DISK_ERRORS:
+            what = f"{error.strerror}; make room there or choose another folder"
+            raise OSError(f"{path}: cannot be written: {what}") from None
+        raise
 
 
 def _refuse_others(path, *places, own=None):
@@ -148,13 +144,6 @@ def _refuse_others(path, *places, own=None):
                 MeasurementWarning,
                 stacklevel=4,
             )
-
-
-def _remove(folders):
-    """Take folders away that are empty, the innermost first."""
-    for folder in folders:
-        with suppress(OSError):
-            folder.rmdir()
 
 
 def _move(folder, target, stale=()):
@@ -227,27 +216,33 @@ def write_products(result, components, directory, *, configuration=None, text=No
         "ssps.ecsv": result.ssps,
     }
     paths = [directory / name for name in (*tables, "scc.fits")]
+    meta = with_configuration({**result.meta, **components.meta}, configuration)
+    meta["history"] = list(result.cube.meta.get("history", ()))
     for table, path in zip(tables.values(), paths, strict=False):
         table = table.copy(copy_data=False)
-        table.meta = _table_meta(result, components.meta, configuration)
+        table.meta = plain_meta(meta)
         table.write(path, format="ascii.ecsv", overwrite=True)
     velocity_hdus(result, text=text).writeto(
         paths[-1], output_verify="exception", overwrite=True
     )
-    if text is not None:
-        paths.append(directory / "config.toml")
-        paths[-1].write_text(text, encoding="utf-8")
-    return paths
+    return paths + write_configuration(directory, text)
 
 
-def _table_meta(result, given, configuration):
-    """What a table says about itself, as any reader of ECSV understands it."""
-    meta = {**result.meta, **given}
-    if configuration is not None:
-        meta.pop("settings", None)
-        meta = {"configuration": configuration, **meta}
-    meta["history"] = list(result.cube.meta.get("history", ()))
-    return {key: plain_meta(value) for key, value in meta.items()}
+def with_configuration(meta, configuration):
+    """Return the meta of a table with all settings in place of those of the stack."""
+    if configuration is None:
+        return dict(meta)
+    kept = {key: value for key, value in meta.items() if key != "settings"}
+    return {"configuration": configuration, **kept}
+
+
+def write_configuration(directory, text):
+    """Write settings as ``config.toml``, if given, and return its path in a list."""
+    if text is None:
+        return []
+    path = Path(directory, "config.toml")
+    path.write_text(text, encoding="utf-8")
+    return [path]
 
 
 def plain_meta(value):

@@ -8,11 +8,12 @@ from html import escape
 import astropy.units as u
 import numpy as np
 from astropy.nddata import NDData
+from astropy.table import Table
 from astropy.wcs import WCS
 
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.kinematics.cosmology import table_in_c
-from astro_scc.measurement.axes import AxisProjection
+from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.match_files import MatchedEpochs
 from astro_scc.measurement.tables import (
     component_row,
@@ -37,7 +38,7 @@ MEMBER_SIGMA = 2.0
 #: Columns of the components that fit on a screen, and how they are printed.
 COLUMNS = {
     "component": "d",
-    "kind": "s",
+    "kind": None,
     "pm": ".3g",
     "pm_err": ".2g",
     "pm_pa": ".1f",
@@ -301,8 +302,7 @@ def diagram_image(result):
     `~astropy.nddata.NDData`
     """
     diagram, angle = result.search.diagram, result.search.angle
-    where = result.displacements, result.matched.ssps, result.cube, result.frame
-    beam = AxisProjection(*where).beam(angle)[0]
+    beam = projection_of(result).beam(angle)[0]
     direction, position_angle = np.array([np.cos(angle), np.sin(angle)]), None
     excess = (diagram.excess / diagram.n_pairs[:, None]).T
     if result.frame.uniform:
@@ -366,7 +366,6 @@ def result_html(result):
     """
     cube, table = result.cube, result.components
     name = str(cube.meta.get("object", "")).strip()
-    title = f"{name}: " if name else ""
     kinds = [str(kind) for kind in table["kind"]]
     found = ", ".join(
         f"{kinds.count(kind)} {kind}"
@@ -374,31 +373,18 @@ def result_html(result):
         if kind in kinds
     )
     lines = [
-        f"SCCResult {title}{found or 'no component'}",
+        f"SCCResult {name}{': ' if name else ''}{found or 'no component'}",
         repr(cube)[1:-1],
         f"{len(result.pairs)} pairs of epochs, {np.sum(result.matched.select)} SSPs, "
         f"{result.meta.get('n_trials')} trials, seed {result.meta.get('seed')}",
     ]
-    text = "<br>".join(escape(line) for line in lines)
+    text = f"<p>{'<br>'.join(escape(line) for line in lines)}</p>"
     if not kinds:
-        return f"<p>{text}</p>"
-    return f"<p>{text}</p>{_table(table)}"
-
-
-def _table(table):
-    head = "".join(f"<th>{escape(_heading(table, name))}</th>" for name in COLUMNS)
-    rows = []
-    for row in table:
-        cells = (_cell(row[name], form) for name, form in COLUMNS.items())
-        rows.append("".join(f"<td>{escape(cell)}</td>" for cell in cells))
-    body = "".join(f"<tr>{row}</tr>" for row in rows)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
-def _heading(table, name):
-    unit = getattr(table[name], "unit", None)
-    return f"{name} ({unit})" if unit else name
-
-
-def _cell(value, form):
-    return format(getattr(value, "value", value), form)
+        return text
+    shown = Table()
+    for name, form in COLUMNS.items():
+        unit = getattr(table[name], "unit", None)
+        heading = f"{name} ({unit})" if unit else name
+        shown[heading] = getattr(table[name], "value", table[name])
+        shown[heading].format = form
+    return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))

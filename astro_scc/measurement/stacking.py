@@ -109,19 +109,16 @@ def stack_matches(
         small as ``level``.
     """
     n_trials = require("n_trials", n_trials)
-    if rng is None:
-        rng = int(np.random.SeedSequence().entropy % 2**63)
-    seed = int(rng) if isinstance(rng, (int, np.integer)) else None
+    rng, seed = seeded(rng)
     paper_rng, search_rng, error_rng = np.random.default_rng(rng).spawn(3)
     cube = matched.cube
     frame, angle = velocity_frame(matched, position_angle)
-    displacements = angular_displacements(
+    samples = angular_displacements(
         matched.matches, matched.ssps, cube, frame, kernel, select=matched.select
     )
-    project = AxisProjection(displacements, matched.ssps, cube, frame)
-    search_settings = SearchSettings()
+    project = AxisProjection(samples, matched.ssps, cube, frame)
     known = not isinstance(frame, SkyFrame)
-    n_axes = 1 if known else search_settings.n_axes
+    n_axes = 1 if known else SearchSettings().n_axes
     with progress(None, "Searching", show=progress_bar):
         search = find_streams(
             project,
@@ -133,7 +130,6 @@ def stack_matches(
             outward=outward and known,
             fastest=np.inf if max_speed is None else max_speed / project.beam(0.0)[0],
             intervals=(0.0, np.inf) if baseline is None else baseline,
-            settings=search_settings,
         )
     _warn_of_limits(search.permutations.smallest_p, len(cube), n_trials, level)
     misaligned = alignment_errors(cube, alignment_error)
@@ -141,8 +137,7 @@ def stack_matches(
         velocity_of(stream, project.beam(stream.angle), misaligned, matched.ssps.epoch)
         for stream in search.streams
     )
-    moving = baseline is None and any(s.kind == "moving" for s in search.streams[:1])
-    if moving:
+    if baseline is None and any(s.kind == "moving" for s in search.streams[:1]):
         pairs = _pairs_of_speed(cube, pairs, fwhm / np.hypot(*velocities[0].value))
     fastest = max((np.hypot(*v.value) for v in velocities), default=0.0)
     limit = radius * fwhm / np.median(pairs.interval)
@@ -150,56 +145,70 @@ def stack_matches(
         limit = max_speed
     elif fastest > 0:
         limit = min(limit, MAP_SPEEDS * fastest)
-    shift = (SMALL_SHIFT * fwhm,) * 2 if small_displacement_correction else None
-    grid, scc, permuted = _velocity_map(
-        displacements,
+    paper = _stack_of_paper(
+        samples,
         pairs,
+        velocities,
         max(limit, 1.2 * fastest),
-        shift,
+        fwhm,
+        shift=(SMALL_SHIFT * fwhm,) * 2 if small_displacement_correction else None,
         n_trials=n_trials,
-        rng=paper_rng,
+        rngs=(paper_rng, error_rng),
         progress_bar=progress_bar,
     )
-    box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
-    peaks = tuple(velocity_peak_near(scc, grid, box, *v.value) for v in velocities)
-    jitters = tuple(
-        jitter_positions(displacements, pairs, peak, box, n_trials, rng=own)
-        for peak, own in zip(peaks, error_rng.spawn(len(peaks)), strict=True)
-    )
+    meta = {
+        "settings": {**(settings or {}), "level": level},
+        "n_trials": int(n_trials),
+        "seed": seed,
+        "versions": versions(),
+        "jet_position_angle": angle,
+        "misalignment_beams": cube.misalignment,
+    }
     return SCCResult(
         matched=matched,
         frame=frame,
         position_angle=angle,
         pairs=pairs,
-        displacements=displacements,
-        grid=grid,
-        coefficient=scc,
-        z_score=permuted.z_score(scc),
-        permuted=permuted,
+        displacements=samples,
         search=search,
         velocities=velocities,
-        maxima=peaks,
-        jitters=jitters,
-        meta={
-            "settings": {**(settings or {}), "level": level},
-            "n_trials": int(n_trials),
-            "seed": seed,
-            "versions": versions(),
-            "jet_position_angle": angle,
-            "misalignment_beams": cube.misalignment,
-        },
+        meta=meta,
+        **paper,
     )
 
 
-def _velocity_map(samples, pairs, limit, shift, *, n_trials, rng, progress_bar):
-    """Return the grid, the stack on it, and the stacks of permuted epochs."""
+def _stack_of_paper(
+    samples, pairs, velocities, limit, fwhm, *, shift, n_trials, rngs, progress_bar
+):
+    """Return the paper's stack, its z-score and its peaks, as parts of a result."""
     grid = map_grid(samples, pairs, limit)
     maps = PairMaps.of(samples, grid.v_max, pairs.interval.max())
     with progress(n_trials, "Permuting", show=progress_bar) as done:
         permuted = permute_stacks(
-            maps, pairs, grid, n_trials, rng=rng, shift=shift, progress=done
+            maps, pairs, grid, n_trials, rng=rngs[0], shift=shift, progress=done
         )
-    return grid, stack(samples, pairs, grid), permuted
+    scc = stack(samples, pairs, grid)
+    box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
+    peaks = tuple(velocity_peak_near(scc, grid, box, *v.value) for v in velocities)
+    jitters = tuple(
+        jitter_positions(samples, pairs, peak, box, n_trials, rng=own)
+        for peak, own in zip(peaks, rngs[1].spawn(len(peaks)), strict=True)
+    )
+    return {
+        "grid": grid,
+        "coefficient": scc,
+        "z_score": permuted.z_score(scc),
+        "permuted": permuted,
+        "maxima": peaks,
+        "jitters": jitters,
+    }
+
+
+def seeded(rng):
+    """Return a seed or generator, drawn if there is none, and the seed if it is one."""
+    if rng is None:
+        rng = int(np.random.SeedSequence().entropy % 2**63)
+    return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
 
 
 def _pairs_of_speed(cube, pairs, years):

@@ -6,8 +6,9 @@ from importlib.metadata import PackageNotFoundError, version
 
 import astropy.units as u
 import numpy as np
-from astropy.table import Column, QTable, Table
+from astropy.table import Column, QTable, Table, vstack
 from astropy.time import Time
+from astropy.utils.masked import Masked
 
 from astro_scc.decomposition import scale_size
 from astro_scc.epochs.positions import (
@@ -16,7 +17,7 @@ from astro_scc.epochs.positions import (
     position_errors,
     ssp_offsets,
 )
-from astro_scc.measurement.axes import AxisProjection
+from astro_scc.measurement.axes import projection_of
 
 #: Unit of proper motions.
 PM_UNIT = u.mas / u.yr
@@ -172,7 +173,7 @@ def feature_table(result):
         across the component with errors, and its ``acceleration``.
     """
     ssps, cube = result.matched.ssps, result.cube
-    project = AxisProjection(result.displacements, ssps, cube, result.frame)
+    project = projection_of(result)
     rows = [
         (number, feature, project.beam(stream.angle))
         for number, stream in enumerate(result.search.streams, 1)
@@ -232,15 +233,7 @@ def component_table(rows, *, meta=None):
     >>> len(empty), empty["pm"].unit
     (0, Unit("mas / yr"))
     """
-    table = QTable()
-    for name, (kind, description) in COLUMNS.items():
-        is_unit = isinstance(kind, u.UnitBase)
-        values = np.array([row[name] for row in rows], dtype=float if is_unit else kind)
-        if is_unit:
-            table[name] = values * kind
-            table[name].info.description = description
-        else:
-            table[name] = Column(values, description=description)
+    table = build_table(rows, COLUMNS)
     table.meta.update(meta or {})
     return table
 
@@ -271,15 +264,14 @@ def component_row(result, number):
         # ECSV takes empty text for a missing value.
         "note": stream.reason or "-",
     }
-    where = result.frame, result.position_angle
-    row.update(velocity_columns(velocity.value, velocity.covariance, *where))
-    for name, covariance in (
-        ("jitter", jitter.covariance),
-        ("alignment", velocity.alignment),
-    ):
-        row[f"pm_err_{name}"] = velocity_columns(velocity.value, covariance, *where)[
-            "pm_err"
-        ]
+
+    def columns(covariance):
+        where = result.frame, result.position_angle
+        return velocity_columns(velocity.value, covariance, *where)
+
+    row |= columns(velocity.covariance)
+    row["pm_err_jitter"] = columns(jitter.covariance)["pm_err"]
+    row["pm_err_alignment"] = columns(velocity.alignment)["pm_err"]
     still = stream.kind != "moving"
     row["pm_limit"] = row["pm"] + LIMIT * row["pm_err"] if still else np.nan
     return row
@@ -330,6 +322,38 @@ def velocity_columns(velocity, covariance, frame, position_angle):
     row["pm_pa"] = float(np.degrees(np.arctan2(*sky)) % 360)
     row["pm_pa_err"] = float(np.degrees(pa_err))
     return row
+
+
+def build_table(rows, columns):
+    """
+    Return a table of dicts, with the units or types and the texts of its columns.
+
+    Where a value is None it is masked.
+    """
+    table = QTable()
+    for name, (kind, text) in columns.items():
+        values = [row[name] for row in rows]
+        missing = np.array([value is None for value in values], dtype=bool)
+        is_unit = isinstance(kind, u.UnitBase)
+        values = [0.0 if value is None else value for value in values]
+        column = np.array(values, dtype=float if is_unit else kind)
+        if is_unit:
+            column = column * kind
+        if missing.any():
+            masked = Masked if is_unit else np.ma.MaskedArray
+            column = masked(column, mask=missing)
+        table[name] = column
+        table[name].info.description = text
+    return table
+
+
+def stack_tables(tables, meta):
+    """Return the rows of tables with the same columns, and with a meta of its own."""
+    filled = [table for table in tables if len(table)] or tables[:1]
+    stacked = vstack(filled, metadata_conflicts="silent")
+    stacked.meta.clear()
+    stacked.meta.update(meta)
+    return stacked
 
 
 def false_discovery_rate(tables, *, method="bh"):
@@ -408,33 +432,24 @@ def false_discovery_rate(tables, *, method="bh"):
         raise ValueError(f"unknown method {method!r}: use 'bh' or 'by'")
     if isinstance(tables, Table):
         raise TypeError("tables must be a sequence of tables, got one: give [table]")
-    if hasattr(tables, "items"):
-        names, tables = list(tables), list(tables.values())
-    else:
-        names, tables = None, list(tables)
-    tested = [
-        _probabilities(t, k if names is None else names[k])
-        for k, t in enumerate(tables)
-    ]
-    moved = [_tested(table) for table in tables]
+    is_mapping = hasattr(tables, "items")
+    tables = dict(tables.items() if is_mapping else enumerate(tables))
+    tested = {name: _tested(table, name) for name, table in tables.items()}
     # Where nothing could be tested was searched all the same.
-    p = [
-        own[use] if use.any() else np.ones(1)
-        for own, use in zip(tested, moved, strict=True)
-    ]
+    p = [p[use] if use.any() else np.ones(1) for p, use in tested.values()]
     adjusted = false_discovery_control(np.concatenate(p), method=method) if p else []
-    ends = np.cumsum([len(own) for own in p])
-    parts = np.split(adjusted, ends[:-1]) if p else []
     meta = {"false_discovery": {"method": method, "n_tests": len(adjusted)}}
-    done = []
-    for table, own, use, q in zip(tables, tested, moved, parts, strict=True):
+    done, start = {}, 0
+    for (name, (own, use)), n in zip(tested.items(), map(len, p), strict=True):
         values = own.copy()
-        values[use] = q[: use.sum()]
-        done.append(_with_column(table, values, meta))
-    return done if names is None else dict(zip(names, done, strict=True))
+        values[use] = adjusted[start : start + n][: use.sum()]
+        done[name] = _with_column(tables[name], values, meta)
+        start += n
+    return done if is_mapping else list(done.values())
 
 
-def _probabilities(table, name):
+def _tested(table, name):
+    """Return the probabilities, and which were tested: not of what stands still."""
     if "p_global" not in table.colnames:
         raise ValueError(
             f"table {name!r} has no column p_global: give tables of components"
@@ -443,22 +458,18 @@ def _probabilities(table, name):
     # A comparison with NaN is false.
     if not np.all((p >= 0) & (p <= 1)):
         raise ValueError(f"table {name!r}: p_global must be from 0 to 1, got {p}")
-    return p
-
-
-def _tested(table):
-    """Which velocities were tested: not those of what stands still."""
     if "kind" not in table.colnames:
-        return np.ones(len(table), dtype=bool)
-    return np.asarray(table["kind"], dtype=str) != "stationary"
+        return p, np.ones(len(p), dtype=bool)
+    return p, np.asarray(table["kind"], dtype=str) != "stationary"
 
 
 def _with_column(table, values, meta):
+    """Return a copy of a table with adjusted probabilities."""
     table = table.copy()
+    before = "p_global_err" if "p_global_err" in table.colnames else "p_global"
     if "p_fdr" in table.colnames:
         table.remove_column("p_fdr")
-    column = Column(np.array(values, dtype=float), description=P_FDR)
-    before = "p_global_err" if "p_global_err" in table.colnames else "p_global"
+    column = Column(values, description=P_FDR)
     table.add_column(column, name="p_fdr", index=table.colnames.index(before) + 1)
     table.meta.update(meta)
     return table

@@ -4,20 +4,19 @@
 import math
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from itertools import product, repeat
 
 import astropy.units as u
 import numpy as np
 from astropy.stats import binom_conf_interval
-from astropy.table import QTable
-from astropy.utils.masked import Masked
 from threadpoolctl import threadpool_limits
 
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import versions
 from astro_scc.measurement.plan import mean_fwhm
-from astro_scc.measurement.tables import PM_UNIT
+from astro_scc.measurement.stacking import seeded
+from astro_scc.measurement.tables import PM_UNIT, build_table
 from astro_scc.progress import progress
 from astro_scc.quantities import named, one_quantity, shortened, to_quantity
 from astro_scc.recovery.injection import (
@@ -185,10 +184,8 @@ def completeness(
     _check_possible(len(cube), n_trials, scc.level)
     position_angle, largest_part = _direction(position_angle, scc.position_angle)
     width = _width(cube, scc, fwhm)
+    tolerance = _tolerance(cube, scc, width, tolerance)
     region = None if region is None else cube.region_mask(region)
-    injection = _Injection(
-        scc, region, n_trials, width, _tolerance(cube, scc, width, tolerance)
-    )
     speeds = _speeds(speeds, scc.speed_limit(cube).to_value(PM_UNIT), largest_part)
     noise = float(np.median(cube.noise_rms().value))
     peaks = _peaks(fluxes, cube.unit, noise)
@@ -199,51 +196,44 @@ def completeness(
         raise ValueError(f"scatter must be zero or positive, got {scatter}")
     rng, seed = seeded(rng)
     own_rng, root = np.random.default_rng(rng).spawn(2)
+
+    def measure(cube, rng):
+        matched = scc.match(cube, region=region)
+        return scc.stack(matched, n_trials=n_trials, rng=rng)
+
     with warnings.catch_warnings():
         # Features are injected where there were none as well.
         warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
-        bare = injection.measure(cube, own_rng)
+        bare = measure(cube, own_rng)
     area = area_for_features(bare.matched, region)
     numbers = moving_components(bare, scc.level)
     own = np.reshape([bare.velocities[k - 1].value for k in numbers], (-1, 2))
     axis = velocity_along(bare.frame, position_angle)
-    cells = [(speed, peak) for speed in speeds for peak in peaks]
 
-    def recover(job):
-        (speed, peak), job_rng = job
-        path_rng, trial_rng = job_rng.spawn(2)
-        paths = draw_paths(
-            cube,
-            area,
-            speed=speed * PM_UNIT,
-            position_angle=position_angle,
-            n_features=n_features,
-            scatter=scatter * width * u.mas,
-            rng=path_rng,
-        )
-        fuller = inject(cube, paths, peak * cube.unit, fwhm=fwhm)
-        return injection.offset(
-            injection.measure(fuller, trial_rng), own, speed, axis, paths
-        )
+    def recover(cell, rng):
+        (speed, peak), (path_rng, trial_rng) = cell, rng.spawn(2)
+        flow = {"position_angle": position_angle, "n_features": n_features}
+        flow |= {"speed": speed * PM_UNIT, "scatter": scatter * width * u.mas}
+        paths = draw_paths(cube, area, **flow, rng=path_rng)
+        result = measure(inject(cube, paths, peak * cube.unit, fwhm=fwhm), trial_rng)
+        rule = {"tolerance": tolerance, "level": scc.level, "fwhm": width}
+        number = recovered(result, own, speed * axis, paths=paths, **rule)
+        return None if number is None else _offset(result, number, axis, speed)
 
-    jobs = [
-        (cell, job_rng)
-        for cell, cell_rng in zip(cells, root.spawn(len(cells)), strict=True)
-        for job_rng in cell_rng.spawn(n_injections)
-    ]
-    outcomes = run_all(recover, jobs, n_workers, "Recovering", progress_bar)
+    cells = list(product(speeds, peaks))
+    how = n_workers, "Recovering", progress_bar
+    outcomes = run_all(recover, cells, [n_injections] * len(cells), root, *how)
     rows = []
-    for k, (speed, peak) in enumerate(cells):
-        row = _counted(outcomes[k * n_injections : (k + 1) * n_injections])
-        away = np.hypot(*(own - speed * axis).T)
-        row["own"] = bool(np.any(away <= injection.tolerance))
+    for (speed, peak), found in zip(cells, outcomes, strict=True):
         snr = peak / noise if noise > 0 else None
-        rows.append({"speed": speed, "flux": peak, "snr": snr} | row)
-    table = table_of(rows, COLUMNS | {"flux": (cube.unit, COLUMNS["flux"][1])})
+        away = np.hypot(*(own - speed * axis).T)
+        row = {"speed": speed, "flux": peak, "snr": snr, **_counted(found)}
+        rows.append(row | {"own": bool(np.any(away <= tolerance))})
+    table = build_table(rows, COLUMNS | {"flux": (cube.unit, COLUMNS["flux"][1])})
     table.meta = {
         "settings": scc.to_dict(),
         "position_angle": position_angle,
-        "tolerance": injection.tolerance * PM_UNIT,
+        "tolerance": tolerance * PM_UNIT,
         "level": scc.level,
         "n_features": n_features,
         "n_trials": n_trials,
@@ -255,39 +245,13 @@ def completeness(
     return table
 
 
-@dataclass(frozen=True, eq=False)
-class _Injection:
-    """What is the same in all measurements; lengths in mas, speeds in mas/yr."""
-
-    scc: object
-    region: np.ndarray | None
-    n_trials: int
-    fwhm: float
-    tolerance: float
-
-    def measure(self, cube, rng):
-        """Return the result of a cube, also of one that shows nothing."""
-        matched = self.scc.match(cube, region=self.region)
-        return self.scc.stack(matched, n_trials=self.n_trials, rng=rng)
-
-    def offset(self, result, own, speed, axis, paths):
-        """Return measured minus true speed, and its error; None if not found."""
-        number = recovered(
-            result,
-            own,
-            speed * axis,
-            tolerance=self.tolerance,
-            level=self.scc.level,
-            paths=paths,
-            fwhm=self.fwhm,
-        )
-        if number is None:
-            return None
-        velocity = result.velocities[number - 1]
-        error = np.inf
-        if np.all(np.isfinite(velocity.covariance)):
-            error = np.sqrt(axis @ velocity.covariance @ axis)
-        return axis @ velocity.value - speed, error
+def _offset(result, number, axis, speed):
+    """Return measured minus true speed of a component along an axis, and its error."""
+    velocity = result.velocities[number - 1]
+    error = np.inf
+    if np.all(np.isfinite(velocity.covariance)):
+        error = np.sqrt(axis @ velocity.covariance @ axis)
+    return axis @ velocity.value - speed, error
 
 
 def _check_possible(n_epochs, n_trials, level):
@@ -402,23 +366,6 @@ def _counted(outcomes):
     }
 
 
-def table_of(rows, columns):
-    """Return a table of dicts, masked where a value is None, with units and texts."""
-    table = QTable()
-    for name, (unit, text) in columns.items():
-        values = [row[name] for row in rows]
-        missing = [value is None for value in values]
-        column = np.array([0.0 if value is None else value for value in values])
-        if unit is not None:
-            column = u.Quantity(column, unit)
-        if any(missing):
-            masked = np.ma.MaskedArray if unit is None else Masked
-            column = masked(column, mask=missing)
-        table[name] = column
-        table[name].info.description = text
-    return table
-
-
 def positive_quantities(name, value, example):
     """Return one or more positive quantities of the unit of an example."""
     wanted = f"must be positive and finite, with a unit, such as {example!r}"
@@ -441,13 +388,6 @@ def check_trials(n_trials, level):
         )
 
 
-def seeded(rng):
-    """Return a seed or generator, drawn if there is none, and the seed if it is one."""
-    if rng is None:
-        rng = int(np.random.SeedSequence().entropy % 2**63)
-    return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
-
-
 def smallest_p(n_epochs):
     """Return the smallest ``p_global`` of what moves, 2 / N! (:ref:`significance`)."""
     # The factorial of 171 is no float any more.
@@ -468,29 +408,33 @@ def share(number, of):
     return number / of, float(low), float(high)
 
 
-def run_all(function, jobs, n_workers=1, label="", progress_bar=False):
+def run_all(function, cells, numbers, rng, n_workers=1, label="", progress_bar=False):
     """
-    Return what a function makes of each job, whatever the number of threads.
+    Return what a function makes of each cell and a generator, a list per cell.
 
-    Warnings about what the data support are not repeated for each of them.
+    Each cell has as many generators as its number says, so that the outcome is the same
+    for any number of threads.  Warnings about what the data support are not repeated.
     """
     if n_workers < 1:
         raise ValueError(f"n_workers must be at least 1, got {n_workers}")
+    rngs = [own.spawn(n) for own, n in zip(rng.spawn(len(cells)), numbers, strict=True)]
     with (
         # Each measurement limits the threads of products by itself; limits that
         # overlap in time would be restored in the wrong order.
         threadpool_limits(1),
         warnings.catch_warnings(),
-        progress(len(jobs), label, show=progress_bar) as done,
+        progress(sum(numbers), label, show=progress_bar) as done,
+        ThreadPoolExecutor(n_workers) as pool,
     ):
         warnings.simplefilter("ignore", MeasurementWarning)
 
-        def work(job):
-            result = function(job)
+        def work(cell, own):
+            result = function(cell, own)
             done(1)
             return result
 
-        if n_workers == 1:
-            return [work(job) for job in jobs]
-        with ThreadPoolExecutor(n_workers) as pool:
-            return list(pool.map(work, jobs))
+        run = map if n_workers == 1 else pool.map
+        found = [
+            run(work, repeat(cell), own) for cell, own in zip(cells, rngs, strict=True)
+        ]
+        return [list(outcomes) for outcomes in found]

@@ -193,15 +193,11 @@ def inject(cube, paths, peak, *, fwhm=None):
     value = u.Quantity(peak, cube.unit).to_value(cube.unit)
     data = cube.data.copy()
     for epoch, covariance in enumerate(covariances):
-        there = np.isfinite(paths.x[:, epoch])
-        n = int(there.sum())
-        add_gaussians(
-            data[epoch],
-            paths.x[there, epoch],
-            paths.y[there, epoch],
-            np.full(n, value),
-            np.broadcast_to(to_pixels @ covariance @ to_pixels.T, (n, 2, 2)),
-        )
+        x, y = paths.x[:, epoch], paths.y[:, epoch]
+        there = np.isfinite(x)
+        x, y = x[there], y[there]
+        shape = np.broadcast_to(to_pixels @ covariance @ to_pixels.T, (len(x), 2, 2))
+        add_gaussians(data[epoch], x, y, np.full(len(x), value), shape)
     return cube.with_step(f"{len(paths)} simulated features added", data=data)
 
 
@@ -213,16 +209,13 @@ def area_for_features(matched, region=None):
     SSPs of any epoch and scale, or all if there are none.
     """
     exists = ~matched.cube.mask.all(axis=0)
-    if region is not None:
-        area = region & exists
-        if not area.any():
-            raise ValueError(
-                "region holds masked pixels only: no feature can be injected"
-            )
-        return area
-    area = np.zeros(exists.shape, dtype=bool)
-    area.flat[matched.ssps.pixels] = True
-    return area if area.any() else exists
+    if region is None:
+        area = np.zeros(exists.shape, dtype=bool)
+        area.flat[matched.ssps.pixels] = True
+        return area if area.any() else exists
+    if not (region & exists).any():
+        raise ValueError("region holds masked pixels only: no feature can be injected")
+    return region & exists
 
 
 def velocity_along(frame, position_angle):
@@ -278,10 +271,7 @@ def _share_of_features(result, number, paths, fwhm):
     if len(member) == 0:
         return 0.0
     epoch = ssps.epoch[member]
-    pixels = np.stack(
-        [paths.x[:, epoch] - ssps.x[member], paths.y[:, epoch] - ssps.y[member]]
-    )
-    offset = np.einsum("ij,jnm->inm", result.cube.pixel_matrix.value, pixels)
+    pixels = paths.x[:, epoch] - ssps.x[member], paths.y[:, epoch] - ssps.y[member]
+    offset = np.einsum("ij,jnm->inm", result.cube.pixel_matrix.value, np.stack(pixels))
     # A feature that is not there is NaN, and near to nothing.
-    near = (np.hypot(*offset) <= NEAR * fwhm).any(axis=0)
-    return float(near.mean())
+    return float((np.hypot(*offset) <= NEAR * fwhm).any(axis=0).mean())

@@ -8,17 +8,17 @@ import numpy as np
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.measurement import versions
-from astro_scc.measurement.tables import PM_UNIT
+from astro_scc.measurement.products import plain_meta
+from astro_scc.measurement.stacking import seeded
+from astro_scc.measurement.tables import PM_UNIT, build_table
 from astro_scc.quantities import named, one_quantity
 from astro_scc.recovery.completeness import (
     check_trials,
     epochs_needed,
     positive_quantities,
     run_all,
-    seeded,
     share,
     smallest_p,
-    table_of,
 )
 from astro_scc.stacking import SearchSettings
 
@@ -193,30 +193,22 @@ def plan(
         for n in numbers
         for interval in intervals.to_value(u.yr)
     ]
-    root = np.random.default_rng(rng)
-    jobs = [
-        (campaign, own)
-        for campaign, row_rng in zip(campaigns, root.spawn(len(campaigns)), strict=True)
-        if not campaign.limit
-        for own in row_rng.spawn(n_jets)
-    ]
 
-    def measure(job):
-        campaign, own = job
+    def measure(campaign, own):
         return campaign.measure(beam, n_trials, own, options)
 
-    found = iter(run_all(measure, jobs, n_workers, "Planning", progress_bar))
-    rows = []
-    for campaign, interval in zip(
-        campaigns, np.tile(intervals.value, len(numbers)), strict=True
-    ):
-        n = 0 if campaign.limit else n_jets
-        own = np.array([next(found) for _ in range(n)], dtype=bool).reshape(n, 2)
-        rows.append(campaign.row(interval, own))
-    times = {
-        name: (intervals.unit, COLUMNS[name][1]) for name in ("interval", "total_time")
-    }
-    table = table_of(rows, COLUMNS | times)
+    wanted_jets = [0 if campaign.limit else n_jets for campaign in campaigns]
+    how = n_workers, "Planning", progress_bar
+    found = run_all(measure, campaigns, wanted_jets, np.random.default_rng(rng), *how)
+    times = np.tile(intervals.value, len(numbers))
+    rows = [
+        campaign.row(interval, np.array(own, dtype=bool).reshape(-1, 2))
+        for campaign, interval, own in zip(campaigns, times, found, strict=True)
+    ]
+    columns = dict(COLUMNS)
+    for name in ("interval", "total_time"):
+        columns[name] = intervals.unit, COLUMNS[name][1]
+    table = build_table(rows, columns)
     row = smallest_plan(table, wanted)
     table.meta = {
         "speeds": [slow, fast] * PM_UNIT,
@@ -331,20 +323,16 @@ class _Campaign:
         pixel = np.sqrt(beam.major * beam.minor) / BEAM_PIXELS
         start = 2.0 * BEAM_PIXELS
         end = start + self.field / pixel.value
-        jet = simulate_two_fluid(
-            slow=self.slow * PM_UNIT,
-            fast=self.fast * PM_UNIT,
-            rng=jet_rng,
-            **{
-                "n_epochs": self.n_epochs,
-                "interval": self.interval * u.yr,
-                "pixel_scale": pixel,
-                "beams": beam,
-                "extent": (start, end),
-                "shape": (128, int(end) + 4 * BEAM_PIXELS),
-                **options,
-            },
-        )
+        jet = {
+            "n_epochs": self.n_epochs,
+            "interval": self.interval * u.yr,
+            "pixel_scale": pixel,
+            "beams": beam,
+            "extent": (start, end),
+            "shape": (128, int(end) + 4 * BEAM_PIXELS),
+        }
+        speeds = {"slow": self.slow * PM_UNIT, "fast": self.fast * PM_UNIT}
+        jet = simulate_two_fluid(**speeds, rng=jet_rng, **(jet | options))
         per_interval = self.width / self.interval
         scc = StackedCrossCorrelation(
             scales=SCALES,
@@ -356,26 +344,20 @@ class _Campaign:
         moving = table[table["kind"] == "moving"]
         along = moving["pm_parallel"].to_value(PM_UNIT)
         across = moving["pm_transverse"].to_value(PM_UNIT)
-        return [
-            bool(
-                np.any(
-                    np.hypot(along - speed, across)
-                    <= TOLERANCE * min(speed, per_interval)
-                )
-            )
-            for speed in (self.slow, self.fast)
-        ]
+
+        def found(speed):
+            near = TOLERANCE * min(speed, per_interval)
+            return bool(np.any(np.hypot(along - speed, across) <= near))
+
+        return [found(self.slow), found(self.fast)]
 
 
 def _as_dict(row):
     """Return a row as ECSV can keep it in a meta."""
     fraction = row["fraction_both"]
-    return {
-        "n_epochs": int(row["n_epochs"]),
-        "interval": row["interval"],
-        "total_time": row["total_time"],
-        "fraction_both": None if fraction is np.ma.masked else float(fraction),
-    }
+    found = {name: row[name] for name in ("n_epochs", "interval", "total_time")}
+    found["fraction_both"] = None if fraction is np.ma.masked else fraction
+    return plain_meta(found)
 
 
 def _angle(name, value):

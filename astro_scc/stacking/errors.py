@@ -175,31 +175,20 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
         Its covariance is NaN if fewer than 3 trials have a maximum.
     """
     index, *columns = sample_velocities(samples, pairs)
-    half = np.array(box) / 2
-    columns = np.array(columns)
-    v1, v2, s1, s2, _ = columns
-    near = np.abs(v1 - peak.v1) < half[0] + 5 * s1
-    near &= np.abs(v2 - peak.v2) < half[1] + 5 * s2
+    # Velocities and their errors on both axes, and weights.
+    columns, half = np.array(columns), np.array(box) / 2
+    centre = np.array([peak.v1, peak.v2])
+    apart = np.abs(columns[:2] - centre[:, None])
+    near = np.all(apart < half[:, None] + 5 * columns[2:4], axis=0)
     index, columns = index[near], columns[:, near]
     grid1, grid2 = (
-        np.linspace(v - h, v + h, POINTS)
-        for v, h in zip((peak.v1, peak.v2), half, strict=True)
+        np.linspace(v - h, v + h, POINTS) for v, h in zip(centre, half, strict=True)
     )
     observed = _maximum(gaussian_sum(*columns, grid1, grid2), grid1, grid2)
-    if observed is None:
-        observed = peak.v1, peak.v2
     # Single precision is enough for places in units of the box.
-    v1, v2, s1, s2, weight = columns
-    x, y, sx, sy, w = (
-        a.astype(np.float32)
-        for a in (
-            (v1 - peak.v1) / half[0],
-            (v2 - peak.v2) / half[1],
-            s1 / half[0],
-            s2 / half[1],
-            weight,
-        )
-    )
+    columns[:2] -= centre[:, None]
+    columns[:4] /= half[[0, 1, 0, 1], None]
+    x, y, sx, sy, w = columns.astype(np.float32)
     unit_grid = np.linspace(-1, 1, POINTS, dtype=np.float32)
     start, end, n = _ends(samples, index)
     found = []
@@ -215,12 +204,11 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
             found.append(place)
     share = len(found) / n_trials if n_trials else 0.0
     if len(found) < 3:
-        return JitteredVelocity(
-            np.full((2, 2), np.nan), np.full(2, np.nan), np.nan, share
-        )
+        unknown = np.full((2, 2), np.nan)
+        return JitteredVelocity(unknown, unknown[0], np.nan, share)
     return JitteredVelocity(
         covariance=np.cov(np.transpose(found)),
-        bias=np.mean(found, axis=0) - observed,
+        bias=np.mean(found, axis=0) - (centre if observed is None else observed),
         gaussian_p=_gaussian_p(np.array(found)),
         share=share,
     )

@@ -319,12 +319,15 @@ def _follow(seed, speed, links, d, free, settings):
                 members[epoch] = int(which[k])
                 front.append(int(which[k]))
         if len(members) >= 3:
-            chosen = np.array(list(members.values()))
-            years, place = d.years[d.epoch[chosen]], d.position[chosen]
-            time = years - years.mean()
-            speed, across = time @ place / (time @ time)
-            here, when = place.mean(axis=0), years.mean()
+            (speed, across), here, when = _line(np.array(list(members.values())), d)
     return np.array([members[epoch] for epoch in sorted(members)])
+
+
+def _line(chosen, d):
+    """Return the velocity, the mean place and the mean date of some SSPs."""
+    years, place = d.years[d.epoch[chosen]], d.position[chosen]
+    time = years - years.mean()
+    return time @ place / (time @ time), place.mean(axis=0), years.mean()
 
 
 def _on_line(chosen, d, settings):
@@ -332,10 +335,9 @@ def _on_line(chosen, d, settings):
     for _ in range(3):
         if len(chosen) <= settings.least_epochs:
             break
-        years, place = d.years[d.epoch[chosen]], d.position[chosen]
-        time = years - years.mean()
-        velocity = time @ place / (time @ time)
-        off = np.abs(place - place.mean(axis=0) - time[:, None] * velocity)[:, 0]
+        velocity, middle, when = _line(chosen, d)
+        time = d.years[d.epoch[chosen]] - when
+        off = np.abs(d.position[chosen] - middle - time[:, None] * velocity)[:, 0]
         limit = max(2.5 * 1.4826 * np.median(off), 2 * settings.position_error)
         good = off <= limit
         if good.all() or good.sum() < settings.least_epochs:

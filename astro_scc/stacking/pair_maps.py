@@ -31,17 +31,6 @@ WORK_BYTES = 2**24
 MAX_SIZE = 1001
 
 
-def _axis(reach, sigma):
-    half = int(np.ceil(reach / (STEP_SIGMA * sigma)))
-    half = min(max(half, DEGREE), MAX_SIZE // 2)
-    return np.linspace(-reach, reach, 2 * half + 1)
-
-
-def _coefficients(axis):
-    """Matrix from values on an axis to the coefficients of their spline."""
-    return make_interp_spline(axis, np.eye(len(axis)), k=DEGREE).c
-
-
 def _basis(axis, positions):
     """Matrix from coefficients to values at positions, zero beyond the axis."""
     knots = make_interp_spline(axis, axis, k=DEGREE).t
@@ -95,15 +84,15 @@ class PairMaps:
         -------
         `PairMaps`
         """
-        d = samples
-        n = d.n_epochs
-        axes = []
+        d, n, axes = samples, samples.n_epochs, []
         for position, sigma, v in ((d.d1, d.s1, v_max[0]), (d.d2, d.s2, v_max[1])):
-            narrow = sigma.min() if len(d) else 1.0
-            wide = sigma.max() if len(d) else 1.0
-            farthest = np.abs(position).max() if len(d) else 1.0
-            reach = min(v * longest + MARGIN * narrow, farthest + REACH_SIGMA * wide)
-            axes.append(_axis(reach, narrow))
+            position, sigma = (a if len(d) else np.ones(1) for a in (position, sigma))
+            narrow, farthest = sigma.min(), np.abs(position).max()
+            reach = v * longest + MARGIN * narrow
+            reach = min(reach, farthest + REACH_SIGMA * sigma.max())
+            half = int(np.ceil(reach / (STEP_SIGMA * narrow)))
+            half = min(max(half, DEGREE), MAX_SIZE // 2)
+            axes.append(np.linspace(-reach, reach, 2 * half + 1))
         pair = d.reference.astype(int) * n + d.target
         order = np.argsort(pair, kind="stable")
         ends = np.searchsorted(pair[order], np.arange(n * n + 1))
@@ -142,12 +131,14 @@ class PairMaps:
         `~numpy.ndarray`, shape (n, n2 * n1)
             In single precision.
         """
-        d = self.samples
-        axis1, axis2 = (a.astype(np.float32) for a in (self.axis1, self.axis2))
+        d, axes = self.samples, (self.axis1, self.axis2)
         to1, to2 = (
-            _coefficients(a).astype(np.float32) for a in (self.axis1, self.axis2)
+            make_interp_spline(axis, np.eye(len(axis)), k=DEGREE).c.astype(np.float32)
+            for axis in axes
         )
-        columns = [a.astype(np.float32) for a in (d.d1, d.d2, d.s1, d.s2, d.weight)]
+        axis1, axis2, *columns = (
+            a.astype(np.float32) for a in (*axes, d.d1, d.d2, d.s1, d.s2, d.weight)
+        )
         maps = np.empty((len(pairs), len(axis2) * len(axis1)), dtype=np.float32)
         for own, pair in zip(maps, pairs.tolist(), strict=True):
             k = self.index[self.ends[pair] : self.ends[pair + 1]]
@@ -177,22 +168,16 @@ class PairMaps:
         stretch = _Stretch.of(self, pairs, grid, shift)
         size = max(1, BLOCK_BYTES // (8 * grid.shape[0] * grid.shape[1]))
         for start in range(0, len(orders), size):
-            yield self._block(pairs, stretch, orders[start : start + size])
-
-    def _block(self, pairs, stretch, orders):
-        reference, target = pairs.images(orders)
-        images = reference * self.samples.n_epochs + target
-        total = np.zeros((len(orders), *stretch.shape))
-        for maps, rows in self._parts(images):
-            for trial in range(len(orders)):
-                here = rows[trial] >= 0
-                if here.any():
-                    total[trial] += stretch(maps, rows[trial], here, pairs.weight)
-            # Before the next part is made.
-            del maps
-        number = number_of_ssps(self.samples, pairs, orders)
-        total /= number[:, None, None]
-        return total
+            some = orders[start : start + size]
+            reference, target = pairs.images(some)
+            total = np.zeros((len(some), *grid.shape))
+            for maps, rows in self._parts(reference * self.samples.n_epochs + target):
+                for own, row in zip(total, rows, strict=True):
+                    own += stretch(maps, row)
+                # Before the next part is made.
+                del maps
+            number = number_of_ssps(self.samples, pairs, some)
+            yield total / number[:, None, None]
 
     def _parts(self, images):
         """As many maps as are kept at a time, and the rows of pairs in them."""
@@ -219,15 +204,12 @@ class _Stretch:
     them, and then stretched.
     """
 
-    shape: tuple
-    # Share of each pair of dates in the intervals, (n_intervals, n_pairs).
+    # Share of each pair of dates in the intervals, times its weight, shape
+    # (n_intervals, n_pairs).
     share: np.ndarray
-    # For each interval the rows and columns of the map that it needs, and
-    # the matrices along both axes.
-    rows: tuple
-    columns: tuple
-    to1: tuple
-    to2: tuple
+    # For each interval the part of the map that it needs, and the matrices
+    # along both axes.
+    steps: tuple
     # Shape of a map.
     size: tuple
 
@@ -236,49 +218,36 @@ class _Stretch:
         at, share = _intervals(maps, pairs, grid)
         # Orders tie where dates are even or few: that takes double precision.
         kind = np.float32 if len(at) > FEW_INTERVALS else float
-        rows, columns, to1, to2 = [], [], [], []
+        steps = []
         for interval in at:
             one = _basis(maps.axis1, grid.v1 * interval - shift[0])
             two = _basis(maps.axis2, grid.v2 * interval - shift[1])
-            columns.append(_support(one))
-            rows.append(_support(two))
-            to1.append(np.ascontiguousarray(one[:, columns[-1]].T, dtype=kind))
-            to2.append(two[:, rows[-1]].astype(kind))
-        return cls(
-            grid.shape,
-            share.astype(kind),
-            tuple(rows),
-            tuple(columns),
-            tuple(to1),
-            tuple(to2),
-            (len(maps.axis2), len(maps.axis1)),
-        )
+            part = rows, columns = _support(two), _support(one)
+            to1 = np.ascontiguousarray(one[:, columns].T, dtype=kind)
+            steps.append((part, to1, two[:, rows].astype(kind)))
+        share = share.astype(kind) * pairs.weight.astype(kind)
+        return cls(share, tuple(steps), (len(maps.axis2), len(maps.axis1)))
 
-    def __call__(self, maps, row, here, weight):
-        """Return the stack of one permutation."""
-        total = np.zeros(self.shape)
-        kind = self.share.dtype
-        slots = np.flatnonzero(here)
+    def __call__(self, maps, row):
+        """Return the stack of one permutation, given the rows of its pairs."""
+        slots = np.flatnonzero(row >= 0)
+        total, kind = 0.0, self.share.dtype
+        if len(slots) == 0:
+            return total
         # A few intervals and a few pairs of dates at a time bound memory.
         few = max(1, WORK_BYTES // (kind.itemsize * maps.shape[1]))
         for first in range(0, len(self.share), few):
-            some = slice(first, first + few)
-            added = 0
+            some, added = slice(first, first + few), 0
             for start in range(0, len(slots), few):
                 use = slots[start : start + few]
-                share = self.share[some, use] * weight[use].astype(kind)
-                added = added + share @ maps[row[use]].astype(kind, copy=False)
-            total += self._stretched(added.reshape(-1, *self.size), first)
+                values = maps[row[use]].astype(kind, copy=False)
+                added = added + self.share[some, use] @ values
+            added = added.reshape(-1, *self.size)
+            parts, to1, to2 = zip(*self.steps[some], strict=True)
+            lines = [m[p] @ a for m, p, a in zip(added, parts, to1, strict=True)]
+            stretched = np.concatenate(to2, axis=1) @ np.concatenate(lines)
+            total = total + stretched.astype(float)
         return total
-
-    def _stretched(self, added, first):
-        """Return the sums of maps, those of some intervals, as one stack."""
-        lines = []
-        for k, own in enumerate(added, first):
-            lines.append(own[self.rows[k], self.columns[k]] @ self.to1[k])
-        return np.concatenate(self.to2[first : first + len(added)], axis=1) @ (
-            np.concatenate(lines)
-        )
 
 
 def _support(matrix):

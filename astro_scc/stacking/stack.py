@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The stacked cross-correlation on a grid of velocities, and its maxima."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -160,10 +160,10 @@ class VelocityPeak:
         Velocity along the two axes of the grid, from the Gaussian fit.
     coefficient : float
         Stacked correlation coefficient at the maximum.
-    width1, width2 : float
-        Standard deviations of the fitted Gaussian along the axes.
     row, column : int
         Grid point of the maximum.
+    width1, width2 : float
+        Standard deviations of the fitted Gaussian along the axes.
     fitted : bool
         False where no Gaussian with a maximum in the box fits, and the
         velocity is that of the local quadratic.
@@ -182,11 +182,11 @@ class VelocityPeak:
     v1: float
     v2: float
     coefficient: float
-    width1: float
-    width2: float
     row: int
     column: int
-    fitted: bool
+    width1: float = np.nan
+    width2: float = np.nan
+    fitted: bool = False
 
 
 def fit_gaussian(values, x, y):
@@ -231,13 +231,8 @@ def fit_gaussian(values, x, y):
     centre = covariance @ np.array([b, c])
     height = np.exp(a + 0.5 * np.array([b, c]) @ centre) * values.max()
     sigma = scale * np.sqrt(np.diag(covariance))
-    return (
-        float(x0 + scale * centre[0]),
-        float(y0 + scale * centre[1]),
-        float(height),
-        float(sigma[0]),
-        float(sigma[1]),
-    )
+    found = x0 + scale * centre[0], y0 + scale * centre[1], height, *sigma
+    return tuple(map(float, found))
 
 
 def find_velocity_peaks(scc, grid, box, *, threshold=0.0):
@@ -276,36 +271,29 @@ def find_velocity_peaks(scc, grid, box, *, threshold=0.0):
     smallest = max(threshold, np.finfo(float).tiny)
     _, y, x, _ = find_peaks(scc[None], smallest)
     points = [_grid_point(scc, *place) for place in zip(y, x, strict=True)]
-    half1, half2 = box[0] / 2, box[1] / 2
     step1, step2 = grid.step
     found = []
     for (row, column), py, px in zip(points, y, x, strict=True):
+        peak = VelocityPeak(
+            v1=float(grid.v1[0] + px * step1),
+            v2=float(grid.v2[0] + py * step2),
+            coefficient=float(scc[row, column]),
+            row=row,
+            column=column,
+        )
         part, used = _fitted_points(scc, grid, box, (row, column), points)
         near2, near1 = (np.ravel(index) for index in part)
-        fit = fit_gaussian(
-            np.where(used, scc[part], 0.0), grid.v1[near1], grid.v2[near2]
-        )
-        v1 = grid.v1[0] + px * step1
-        v2 = grid.v2[0] + py * step2
-        width1 = width2 = np.nan
-        inside = fit is not None and bool(
-            abs(fit[0] - v1) <= max(half1, step1)
-            and abs(fit[1] - v2) <= max(half2, step2)
-        )
-        if inside:
-            v1, v2, _, width1, width2 = fit
-        found.append(
-            VelocityPeak(
-                v1=float(v1),
-                v2=float(v2),
-                coefficient=float(scc[row, column]),
-                width1=width1,
-                width2=width2,
-                row=row,
-                column=column,
-                fitted=inside,
-            )
-        )
+        values = np.where(used, scc[part], 0.0)
+        fit = fit_gaussian(values, grid.v1[near1], grid.v2[near2])
+        if (
+            fit is not None
+            and abs(fit[0] - peak.v1) <= max(box[0] / 2, step1)
+            and abs(fit[1] - peak.v2) <= max(box[1] / 2, step2)
+        ):
+            names = "v1", "v2", "width1", "width2"
+            fit = dict(zip(names, fit[:2] + fit[3:], strict=True))
+            peak = replace(peak, **fit, fitted=True)
+        found.append(peak)
     return sorted(found, key=lambda c: -c.coefficient)
 
 
@@ -315,9 +303,11 @@ def _fitted_points(scc, grid, box, point, points):
     step1, step2 = grid.step
     near1 = np.abs(grid.v1 - grid.v1[column]) <= max(box[0] / 2, 1.5 * step1)
     near2 = np.abs(grid.v2 - grid.v2[row]) <= max(box[1] / 2, 1.5 * step2)
-    part = np.ix_(near2, near1)
-    high = scc[part] >= LEVEL * scc[row, column]
-    return part, high & _nearest(part, point, points)
+    part = rows, columns = np.ix_(near2, near1)
+    squares = [(rows - r) ** 2 + (columns - c) ** 2 for r, c in (point, *points)]
+    # Nearer to this maximum than to any other.
+    own = np.all([squares[0] <= other for other in squares[1:]], axis=0)
+    return part, own & (scc[part] >= LEVEL * scc[row, column])
 
 
 def velocity_peak_near(scc, grid, box, v1, v2):
@@ -346,16 +336,7 @@ def velocity_peak_near(scc, grid, box, v1, v2):
         return nearest
     row = int(np.abs(grid.v2 - v2).argmin())
     column = int(np.abs(grid.v1 - v1).argmin())
-    return VelocityPeak(
-        v1=float(v1),
-        v2=float(v2),
-        coefficient=float(scc[row, column]),
-        width1=np.nan,
-        width2=np.nan,
-        row=row,
-        column=column,
-        fitted=False,
-    )
+    return VelocityPeak(float(v1), float(v2), float(scc[row, column]), row, column)
 
 
 def _grid_point(scc, y, x):
@@ -363,14 +344,3 @@ def _grid_point(scc, y, x):
     rows = {int(np.floor(y)), int(np.ceil(y))}
     columns = {int(np.floor(x)), int(np.ceil(x))}
     return max(((r, c) for r in rows for c in columns), key=lambda p: scc[p])
-
-
-def _nearest(part, point, points):
-    """Whether grid points are nearer to one maximum than to any other."""
-    rows, columns = part
-
-    def squares(p):
-        return (rows - p[0]) ** 2 + (columns - p[1]) ** 2
-
-    own = squares(point)
-    return np.all([own <= squares(p) for p in points], axis=0)

@@ -16,9 +16,9 @@ from astro_scc.flow import (
     limb_groups,
     scale_groups,
 )
-from astro_scc.flow.acceleration import projection_of
 from astro_scc.flow.groups import _difference, _groups_of, _mean
 from astro_scc.kinematics import RidgeLine
+from astro_scc.measurement.axes import projection_of
 from astro_scc.simulation import JetSimulation, Stream
 
 PM = u.mas / u.yr

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta
 
+from astro_scc.measurement.tables import build_table
 from astro_scc.recovery.completeness import (
     epochs_needed,
     share,
     smallest_p,
-    table_of,
 )
 
 
@@ -42,7 +42,7 @@ def test_intervals_are_those_of_jeffreys(of, part):
 def test_what_is_not_known_is_masked():
     rows = [{"known": 1.0, "v": None, "n": 1}, {"known": 2.0, "v": 2.0, "n": None}]
     columns = {"known": (u.mas, "a"), "v": (u.mas, "b"), "n": (None, "c")}
-    table = table_of(rows, columns)
+    table = build_table(rows, columns)
     assert isinstance(table["known"], u.Quantity)
     assert not hasattr(table["known"], "mask")
     assert table["v"].mask.tolist() == [True, False]
