@@ -30,7 +30,7 @@ STEPS, CONVERGED = 10, 0.01
 
 def misalignment(cube):
     r"""
-    Return the scatter of the epochs about one another, in beams.
+    Return the scatter of the epochs of a cube about one another, in beams.
 
     Each epoch is registered on the mean of the one before it and the one
     after it, weighted by time, so that what moves steadily, by less than its
@@ -48,11 +48,6 @@ def misalignment(cube):
     found for certain: if some epochs with its positions taken away lie on
     one another.  A steady drift of all that is seen cannot be told from
     motion and does not count.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-        Aligned or not.
 
     Returns
     -------
