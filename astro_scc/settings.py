@@ -54,22 +54,18 @@ _LARGEST_SEED = 2**63 - 1
 # -- what settings of their own kind may be --------------------------------------
 
 
-def _redshift(value):
-    from astro_scc.kinematics.cosmology import to_redshift
+def _single(name):
+    """Return a check by `astro_scc.kinematics.cosmology`, of one value."""
 
-    redshift = to_redshift(value)
-    if not isinstance(redshift, float):
-        raise ValueError("must be one redshift")
-    return redshift
+    def check(value):
+        from astro_scc.kinematics import cosmology
 
+        found = getattr(cosmology, f"to_{name}")(value)
+        if getattr(found, "shape", ()):
+            raise ValueError(f"must be one {name}")
+        return found
 
-def _distance(value):
-    from astro_scc.kinematics.cosmology import to_distance
-
-    distance = to_distance(value)
-    if not distance.isscalar:
-        raise ValueError("must be one distance")
-    return distance
+    return check
 
 
 def _cosmology(value):
@@ -314,7 +310,9 @@ class Settings(MeasurementSettings):
         "of the random numbers; drawn and written down by default",
         "N",
     )
-    redshift: float | None = _in_c(_redshift, "of the object, also in percent", "Z")
+    redshift: float | None = _in_c(
+        _single("redshift"), "of the object, also in percent", "Z"
+    )
     cosmology: str | None = _in_c(
         _cosmology,
         "for the redshift, as Planck18 or by parameters; default H0=71,Om0=0.27 "
@@ -322,7 +320,7 @@ class Settings(MeasurementSettings):
         'NAME|"H0=71,Om0=0.27"',
     )
     distance: object = _in_c(
-        _distance, "of a near object, without a redshift", '"16.7 Mpc"'
+        _single("distance"), "of a near object, without a redshift", '"16.7 Mpc"'
     )
 
     def __post_init__(self):

@@ -29,12 +29,7 @@ from astro_scc.measurement import (
     select_ssps,
     versions,
 )
-from astro_scc.partial import (
-    hold,
-    partial_folder,
-    remove_left,
-    replace_when_complete,
-)
+from astro_scc.partial import hold, partial_folder, remove_left, replace_when_complete
 from astro_scc.progress import progress
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import OPTIONS, Settings, check_setting, override, read_toml

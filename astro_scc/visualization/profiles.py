@@ -248,9 +248,9 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
     unit = next((v.unit for v in values if len(v)), u.deg)
     values = [v.to_value(unit) if len(v) else v.value for v in values]
     everything = np.concatenate(values) if values else np.zeros(0)
-    low, high = (
-        np.percentile(everything, [0.5, 99.5]) if len(everything) else (0.0, 1.0)
-    )
+    low, high = 0.0, 1.0
+    if len(everything):
+        low, high = np.percentile(everything, [0.5, 99.5])
     edges = np.linspace(low, high if high > low else low + 1, n_bins + 1)
     for k, (name, v) in enumerate(zip(groups, values, strict=True)):
         color = SCALE_COLORS[k % len(SCALE_COLORS)]
