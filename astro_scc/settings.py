@@ -47,6 +47,12 @@ GROUPS = {
 }
 #: `~astro_scc.kinematics.paper_cosmology`, as it stands in a file.
 PAPER_COSMOLOGY = "H0=71,Om0=0.27"
+#: Head of a file of settings, by the command.
+REMARKS = """\
+# What determined the results.  To get them again, in the folder it was done in, with
+# the path of this file: astro-scc {} --config FILE -o FOLDER
+
+"""
 # FITS and TOML keep integers of 64 bits.
 _LARGEST_SEED = 2**63 - 1
 
@@ -366,7 +372,7 @@ class Settings(MeasurementSettings):
             if command in facts["commands"] and getattr(self, name) is not None
         }
 
-    def to_toml(self, command="measure", *, versions=None, remarks=()):
+    def to_toml(self, command="measure", *, versions=None):
         """
         Return what a command uses as the text of a TOML file.
 
@@ -375,8 +381,7 @@ class Settings(MeasurementSettings):
         command : str, optional
             See `to_dict`.
         versions : dict of str, optional
-        remarks : sequence of str, optional
-            Comments for the head of the file.
+            Of what writes it.
 
         Returns
         -------
@@ -387,8 +392,7 @@ class Settings(MeasurementSettings):
         plain = self.to_dict(command)
         if versions:
             plain["versions"] = dict(versions)
-        head = "".join(f"# {line}\n" for line in remarks)
-        return head + "\n" * bool(head) + tomli_w.dumps(plain)
+        return REMARKS.format(command) + tomli_w.dumps(plain)
 
 
 def _plain(value):

@@ -95,8 +95,9 @@ def test_an_option_is_one_field():
 def test_settings_survive_the_file_to_the_bit(tmp_path):
     settings = Settings(**FULL)
     path = tmp_path / "config.toml"
-    text = settings.to_toml(versions={"numpy": "2.0"}, remarks=["One", "two"])
-    assert text.startswith("# One\n# two\n\nepochs = ")
+    text = settings.to_toml(versions={"numpy": "2.0"})
+    assert text.startswith("# What determined the results.")
+    assert "astro-scc measure --config FILE -o FOLDER\n\nepochs = " in text
     path.write_text(text, encoding="utf-8")
     found, versions = read_config(path)
     assert versions == {"numpy": "2.0"}

@@ -28,10 +28,6 @@ from astro_scc.cli.inputs import draw_seed, read_epochs, settings_of, workers_of
 from astro_scc.cli.options import add_no_report, add_output, add_settings, add_switch
 from astro_scc.cli.summary import component_lines
 
-REMARKS = (
-    "What determined this measurement.  To do it again, in the folder it was done in,",
-    "with the path of this file: astro-scc measure --config FILE -o FOLDER",
-)
 PRODUCTS = (
     "components.ecsv features.ecsv ssps.ecsv scc.fits config.toml report.html "
     "diagram.png velocity_map.png significance.png members.png epochs.png intervals.png"
@@ -143,9 +139,7 @@ def measure(cube, settings, reporter, *, region=None, n_workers=1, work=None):
     )
 
 
-def write_measurement(
-    result, settings, folder, *, output, remarks=REMARKS, report=True, **page
-):
+def write_measurement(result, settings, folder, *, output, report=True, **page):
     """
     Write tables, maps, settings and report of a measurement.
 
@@ -157,8 +151,6 @@ def write_measurement(
         Where to write.
     output : path
         What the folder will be called.
-    remarks : sequence of str, optional
-        At the head of the settings.
     report : bool, optional
     **page
         Of `~astro_scc.report.write_report`; the title is the object by default.
@@ -172,7 +164,7 @@ def write_measurement(
 
     how = settings.in_c
     components = result.components_in_c(**how) if how else result.components
-    text = settings.to_toml(versions=versions(), remarks=remarks)
+    text = settings.to_toml(versions=versions())
     write_products(
         result, components, folder, configuration=settings.to_dict(), text=text
     )

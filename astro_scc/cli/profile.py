@@ -26,10 +26,6 @@ from astro_scc.cli.inputs import read_epochs, settings_of, workers_of
 from astro_scc.cli.options import add_output, add_settings
 from astro_scc.cli.summary import profile_lines, scale_lines
 
-REMARKS = (
-    "What determined this profile.  To do it again, in the folder it was done in,",
-    "with the path of this file: astro-scc profile --config FILE -o FOLDER",
-)
 PRODUCTS = (
     "profile.ecsv scales.ecsv profile.png velocity_maps.png position_angles.png "
     "config.toml profile.vot"
@@ -99,7 +95,7 @@ def _measure(cube, settings, folder, reporter, n_workers):
     if (of_scales := _of_scales(whole)) is not None:
         of_scales.write(folder / "scales.ecsv", format="ascii.ecsv")
         lines += scale_lines(of_scales)
-    text = settings.to_toml("profile", versions=versions(), remarks=REMARKS)
+    text = settings.to_toml("profile", versions=versions())
     configuration = settings.to_dict("profile")
     write_profile(profile, components, folder, configuration=configuration, text=text)
     return components, lines

@@ -81,19 +81,17 @@ def _stack_profile(path):
     """Return the profile of the stack, and refuse what is none."""
     from astropy.table import QTable
 
+    from astro_scc.visualization.profiles import missing_columns
+
     try:
         table = QTable.read(path, format="ascii.ecsv")
     except FileNotFoundError:
         raise OSError(f"{path}: does not exist") from None
     except Exception as error:
-        first = str(error).strip().splitlines()
-        raise ValueError(
-            f"{path}: is no ECSV table: {first[0] if first else error}"
-        ) from None
-    wanted = ("r_mid", "pm_parallel", "pm_parallel_err")
-    missing = [name for name in wanted if name not in table.colnames]
-    if missing:
-        raise ValueError(f"{path}: is no profile, it has no {', '.join(missing)}")
+        first = [*str(error).strip().splitlines(), ""][0]
+        raise ValueError(f"{path}: is no ECSV table: {first}") from None
+    if missing := missing_columns(table):
+        raise ValueError(f"{path}: is no profile, it has no {missing}")
     return table
 
 

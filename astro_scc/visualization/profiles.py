@@ -268,6 +268,12 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
     return figure
 
 
+def missing_columns(stack):
+    """Return the columns that the profile of a stack needs and has not, as text."""
+    wanted = ("r_mid", "pm_parallel", "pm_parallel_err")
+    return ", ".join(name for name in wanted if name not in stack.colnames)
+
+
 def plot_track_profile(profile, *, stack=None, beta_per_pm=None, ax=None):
     """
     Draw the speed of tracks against distance, and that of the stack over it.
@@ -315,10 +321,8 @@ def plot_track_profile(profile, *, stack=None, beta_per_pm=None, ax=None):
     )
     ax.plot(r, speed, "o-", color=style.ORANGE, markersize=4, label="tracks")
     if stack is not None:
-        wanted = ("r_mid", "pm_parallel", "pm_parallel_err")
-        missing = [name for name in wanted if name not in stack.colnames]
-        if missing:
-            raise ValueError(f"the profile of the stack has no {', '.join(missing)}")
+        if missing := missing_columns(stack):
+            raise ValueError(f"the profile of the stack has no {missing}")
         middle = stack["r_mid"].to_value(unit)
         bars = None
         if {"r_min", "r_max"} <= set(stack.colnames):
