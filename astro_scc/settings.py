@@ -144,7 +144,7 @@ class MeasurementSettings:
         '"0.2 yr 1.0 yr"',
         unit="yr",
     )
-    kernel: float = _stack(
+    min_error_beams: float = _stack(
         _beams, "smallest error of a displacement, in beams; default 0.2", "0.2", 0.2
     )
     kappa: float = _measure(
@@ -176,7 +176,7 @@ class MeasurementSettings:
         'estimate of the noise of wavelet planes, or "local", "propagated"',
         default="plane",
     )
-    level: float = _stack(
+    alpha: float = _stack(
         fraction(1), "largest p_global of a significant component", default=0.05
     )
     outward: bool = _stack(

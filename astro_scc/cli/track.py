@@ -97,24 +97,14 @@ def _stack_profile(path):
 
 def _track(cube, tracker, settings, reporter, n_workers):
     """Decompose the epochs and link their features."""
-    from astro_scc.decomposition import Decomposer
-    from astro_scc.measurement.decomposing import allow_for_structure, decompose_epochs
-    from astro_scc.measurement.plan import (
-        scales_of_pixels,
-        ssps_inside,
-        warn_of_none_inside,
-    )
+    from astro_scc import StackedCrossCorrelation
+    from astro_scc.measurement.decomposing import decompose_epochs
+    from astro_scc.measurement.plan import ssps_inside, warn_of_none_inside
 
     region = settings.region
     inside = None if region is None else cube.region_mask(region)
-    decomposer = Decomposer(
-        scales=scales_of_pixels(settings.scales, cube.pixel_scale),
-        kernel=settings.wavelet,
-        detection=settings.detection,
-        segmentation=settings.segmentation,
-        noise=settings.noise,
-    )
-    decompositions = decompose_epochs(cube, allow_for_structure(cube, decomposer))
+    decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
+    decompositions = decompose_epochs(cube, decomposer)
     ssps, select = ssps_inside(decompositions, cube, inside)
     warn_of_none_inside(ssps, select, region)
     return tracker(

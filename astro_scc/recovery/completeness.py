@@ -151,7 +151,7 @@ def completeness(
     -----
     The features are found if there is a component that
 
-    1. is "moving" with ``p_global <= scc.level``,
+    1. is "moving" with ``p_global <= scc.alpha``,
     2. lies within the tolerance of their velocity,
     3. is not one of the epochs' own: the epochs are measured without
        features first, and each moving component of theirs takes the one
@@ -182,7 +182,7 @@ def completeness(
     -------- --------- ----------
         12.0       2.0          3
     """
-    _check_possible(len(cube), n_trials, scc.level)
+    _check_possible(len(cube), n_trials, scc.alpha)
     position_angle, largest_part = _direction(position_angle, scc.position_angle)
     width = _width(cube, scc, fwhm)
     region = None if region is None else cube.region_mask(region)
@@ -204,7 +204,7 @@ def completeness(
         warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
         bare = injection.measure(cube, own_rng)
     area = area_for_features(bare.matched, region)
-    numbers = moving_components(bare, scc.level)
+    numbers = moving_components(bare, scc.alpha)
     own = np.reshape([bare.velocities[k - 1].value for k in numbers], (-1, 2))
     axis = velocity_along(bare.frame, position_angle)
     cells = [(speed, peak) for speed in speeds for peak in peaks]
@@ -244,7 +244,7 @@ def completeness(
         "settings": scc.to_dict(),
         "position_angle": position_angle,
         "tolerance": injection.tolerance * PM_UNIT,
-        "level": scc.level,
+        "alpha": scc.alpha,
         "n_features": n_features,
         "n_trials": n_trials,
         "scatter": scatter,
@@ -277,7 +277,7 @@ class _Injection:
             own,
             speed * axis,
             tolerance=self.tolerance,
-            level=self.scc.level,
+            level=self.scc.alpha,
             paths=paths,
             fwhm=self.fwhm,
         )

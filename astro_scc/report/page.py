@@ -206,7 +206,7 @@ def _findings(result, components):
         "n_inside": int(inside.sum()),
         "n_scales": len(np.unique(np.asarray(result.ssps["scale"], dtype=float))),
         "axes": result.frame.axis_names,
-        "alpha": result.meta["settings"]["level"],
+        "alpha": result.meta["settings"]["alpha"],
         "n_trials": result.meta["n_trials"],
         "smallest_of_epochs": 2 / math.factorial(min(len(result.cube), 20)),
     }
