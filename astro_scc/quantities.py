@@ -88,10 +88,9 @@ def to_quantity(value, unit, wanted):
     import numpy as np
     from astropy.utils.masked import Masked
 
-    if isinstance(value, list | tuple) and all(isinstance(v, str) for v in value):
-        value, scalar = " ".join(value), False
-    else:
-        scalar = True
+    scalar = not isinstance(value, list | tuple)
+    if not scalar and all(isinstance(v, str) for v in value):
+        value = " ".join(value)
     if isinstance(value, str):
         try:
             found = parse_quantities(value)

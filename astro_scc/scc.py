@@ -38,6 +38,12 @@ from astro_scc.settings import MeasurementSettings, require
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
+#: Settings that the stack takes as they are.
+OF_STACKS = (
+    "position_angle min_error_beams alpha outward alignment_error "
+    "small_displacement_correction"
+).split()
+
 
 @dataclass(frozen=True, kw_only=True)
 class StackedCrossCorrelation(MeasurementSettings):
@@ -67,13 +73,13 @@ class StackedCrossCorrelation(MeasurementSettings):
         Shortest and longest time between two epochs that are compared.
         Without it each speed is searched in all intervals in which it moves
         0.2 to 1 beam.
-    kernel : float, optional
+    min_error_beams : float, optional
         Smallest standard error of a displacement, in beams.
     kappa, target, min_overlap
         See `~astro_scc.correlation.Correlator`.
     wavelet, detection, segmentation, noise
         ``kernel`` and the rest of `~astro_scc.decomposition.Decomposer`.
-    level : float, optional
+    alpha : float, optional
         Velocities whose ``p_global`` is at most this are components.
     outward : bool, optional
         Search speeds away from the core only, where the direction of the jet
@@ -142,9 +148,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         `StackedCrossCorrelation`
         """
-        return cls(
-            **{field.name: getattr(settings, field.name) for field in fields(cls)}
-        )
+        own = {field.name: getattr(settings, field.name) for field in fields(cls)}
+        return cls(**own)
 
     def _decomposer(self, scales):
         return Decomposer(
@@ -179,6 +184,20 @@ class StackedCrossCorrelation(MeasurementSettings):
             same scale.
         """
         return require("scales", scales_of_pixels(self.scales, cube.pixel_scale))
+
+    def decomposer(self, cube):
+        """
+        Return what decomposes the epochs of a cube.
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+
+        Returns
+        -------
+        `~astro_scc.decomposition.Decomposer`
+        """
+        return allow_for_structure(cube, self._decomposer(self.scale_numbers(cube)))
 
     def date_pairs(self, cube):
         """
@@ -278,9 +297,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             cube, pairs, self._radius(cube), self._fwhm(cube), self._given_speed
         )
         inside = None if region is None else cube.region_mask(region)
-        decomposer = allow_for_structure(
-            cube, self._decomposer(self.scale_numbers(cube))
-        )
+        decomposer = self.decomposer(cube)
         correlator = self._correlator()
         provenance = match_provenance(cube, decomposer, correlator, reach, inside)
         blocks = None
@@ -339,6 +356,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         from threadpoolctl import threadpool_limits
 
+        baseline = None if self.baseline is None else self.baseline.to_value(u.yr)
         # The products are small: threads would wait for one another.
         with threadpool_limits(1):
             return stack_matches(
@@ -347,15 +365,8 @@ class StackedCrossCorrelation(MeasurementSettings):
                 radius=self._radius(matched.cube),
                 fwhm=self._fwhm(matched.cube),
                 max_speed=self._given_speed,
-                baseline=(
-                    None if self.baseline is None else self.baseline.to_value(u.yr)
-                ),
-                position_angle=self.position_angle,
-                kernel=self.kernel,
-                level=self.level,
-                outward=self.outward,
-                alignment_error=self.alignment_error,
-                small_displacement_correction=self.small_displacement_correction,
+                baseline=baseline,
+                **{name: getattr(self, name) for name in OF_STACKS},
                 n_trials=n_trials,
                 rng=rng,
                 progress_bar=progress_bar,
@@ -377,15 +388,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         frame : frame of `astro_scc.kinematics`
         """
         frame, _ = velocity_frame(matched, self.position_angle)
-        found = angular_displacements(
-            matched.matches,
-            matched.ssps,
-            matched.cube,
-            frame,
-            self.kernel,
-            select=matched.select,
-        )
-        return found, frame
+        of = matched.matches, matched.ssps, matched.cube, frame, self.min_error_beams
+        return angular_displacements(*of, select=matched.select), frame
 
     def __call__(
         self,

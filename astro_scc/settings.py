@@ -47,6 +47,12 @@ GROUPS = {
 }
 #: `~astro_scc.kinematics.paper_cosmology`, as it stands in a file.
 PAPER_COSMOLOGY = "H0=71,Om0=0.27"
+#: Head of a file of settings, by the command.
+REMARKS = """\
+# What determined the results.  To get them again, in the folder it was done in, with
+# the path of this file: astro-scc {} --config FILE -o FOLDER
+
+"""
 # FITS and TOML keep integers of 64 bits.
 _LARGEST_SEED = 2**63 - 1
 
@@ -54,22 +60,18 @@ _LARGEST_SEED = 2**63 - 1
 # -- what settings of their own kind may be --------------------------------------
 
 
-def _redshift(value):
-    from astro_scc.kinematics.cosmology import to_redshift
+def _single(name):
+    """Return a check by `astro_scc.kinematics.cosmology`, of one value."""
 
-    redshift = to_redshift(value)
-    if not isinstance(redshift, float):
-        raise ValueError("must be one redshift")
-    return redshift
+    def check(value):
+        from astro_scc.kinematics import cosmology
 
+        found = getattr(cosmology, f"to_{name}")(value)
+        if getattr(found, "shape", ()):
+            raise ValueError(f"must be one {name}")
+        return found
 
-def _distance(value):
-    from astro_scc.kinematics.cosmology import to_distance
-
-    distance = to_distance(value)
-    if not distance.isscalar:
-        raise ValueError("must be one distance")
-    return distance
+    return check
 
 
 def _cosmology(value):
@@ -142,7 +144,7 @@ class MeasurementSettings:
         '"0.2 yr 1.0 yr"',
         unit="yr",
     )
-    kernel: float = _stack(
+    min_error_beams: float = _stack(
         _beams, "smallest error of a displacement, in beams; default 0.2", "0.2", 0.2
     )
     kappa: float = _measure(
@@ -174,7 +176,7 @@ class MeasurementSettings:
         'estimate of the noise of wavelet planes, or "local", "propagated"',
         default="plane",
     )
-    level: float = _stack(
+    alpha: float = _stack(
         fraction(1), "largest p_global of a significant component", default=0.05
     )
     outward: bool = _stack(
@@ -314,7 +316,9 @@ class Settings(MeasurementSettings):
         "of the random numbers; drawn and written down by default",
         "N",
     )
-    redshift: float | None = _in_c(_redshift, "of the object, also in percent", "Z")
+    redshift: float | None = _in_c(
+        _single("redshift"), "of the object, also in percent", "Z"
+    )
     cosmology: str | None = _in_c(
         _cosmology,
         "for the redshift, as Planck18 or by parameters; default H0=71,Om0=0.27 "
@@ -322,7 +326,7 @@ class Settings(MeasurementSettings):
         'NAME|"H0=71,Om0=0.27"',
     )
     distance: object = _in_c(
-        _distance, "of a near object, without a redshift", '"16.7 Mpc"'
+        _single("distance"), "of a near object, without a redshift", '"16.7 Mpc"'
     )
 
     def __post_init__(self):
@@ -368,7 +372,7 @@ class Settings(MeasurementSettings):
             if command in facts["commands"] and getattr(self, name) is not None
         }
 
-    def to_toml(self, command="measure", *, versions=None, remarks=()):
+    def to_toml(self, command="measure", *, versions=None):
         """
         Return what a command uses as the text of a TOML file.
 
@@ -377,8 +381,7 @@ class Settings(MeasurementSettings):
         command : str, optional
             See `to_dict`.
         versions : dict of str, optional
-        remarks : sequence of str, optional
-            Comments for the head of the file.
+            Of what writes it.
 
         Returns
         -------
@@ -389,8 +392,7 @@ class Settings(MeasurementSettings):
         plain = self.to_dict(command)
         if versions:
             plain["versions"] = dict(versions)
-        head = "".join(f"# {line}\n" for line in remarks)
-        return head + "\n" * bool(head) + tomli_w.dumps(plain)
+        return REMARKS.format(command) + tomli_w.dumps(plain)
 
 
 def _plain(value):

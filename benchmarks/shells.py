@@ -29,7 +29,7 @@ def settings(*scales):
     """How a shell is measured."""
     return StackedCrossCorrelation(
         scales=scales, max_speed=200 * u.mas / u.yr, baseline=[4, 26] * u.yr,
-        kernel=0.1, detection=7, segmentation=5,
+        min_error_beams=0.1, detection=7, segmentation=5,
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ def measure():
     )  # fmt: skip
     scc = StackedCrossCorrelation(
         scales=[1], max_speed=150 * u.mas / u.yr, baseline=[10, 20] * u.yr,
-        kernel=0.1, detection=7, segmentation=5,
+        min_error_beams=0.1, detection=7, segmentation=5,
     )  # fmt: skip
     matched = scc.match(shell.cube)
     fit = fit_shell(scc, matched)

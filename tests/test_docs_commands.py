@@ -76,7 +76,7 @@ def test_every_command_of_the_documentation_is_understood(page, words):
 
 @pytest.mark.parametrize("module", COMMANDS, ids=lambda m: m.__name__.split(".")[-1])
 def test_every_command_of_the_help_is_understood(module):
-    text = re.sub(r" *\\\n +", " ", getattr(module, "EPILOG", ""))
+    text = re.sub(r" *\\\n +", " ", module.__doc__)
     for words in commands(text):
         assert build_parser().parse_args(shlex.split(words)).command
 

@@ -209,7 +209,7 @@ def test_the_table_has_a_row_for_each_component(page, components):
 
 
 def test_it_names_the_settings_and_the_files(page):
-    for words in ("position angle 270 deg", "kernel 0.2", "baseline not given",
+    for words in ("position angle 270 deg", "min error beams 0.2", "baseline not given",
                   "scales 1, 2, 3", "n trials 40", "seed 1", "redshift 0.033",
                   "cosmology FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0 = 0.27",
                   "small displacement correction no"):  # fmt: skip

@@ -169,13 +169,19 @@ def result(cube):
             {"position_angle": np.nan * u.deg},
             "position_angle = nan deg must be finite",
         ),
-        ({"kernel": 0}, "kernel = 0 must be a part of the beam between"),
-        ({"kernel": 5}, "kernel = 5 must be a part of the beam between"),
-        ({"kernel": np.nan}, "kernel = nan must be a finite"),
-        ({"level": 0.0}, r"level = 0\.0 must be between 0 and 1"),
-        ({"level": 1}, "level = 1 must be between 0 and 1"),
-        ({"level": -0.1}, "level = -0.1 must be between 0 and 1"),
-        ({"level": np.nan}, "level = nan must be a finite number"),
+        (
+            {"min_error_beams": 0},
+            "min_error_beams = 0 must be a part of the beam",
+        ),
+        (
+            {"min_error_beams": 5},
+            "min_error_beams = 5 must be a part of the beam",
+        ),
+        ({"min_error_beams": np.nan}, "min_error_beams = nan must be a finite"),
+        ({"alpha": 0.0}, r"alpha = 0\.0 must be between 0 and 1"),
+        ({"alpha": 1}, "alpha = 1 must be between 0 and 1"),
+        ({"alpha": -0.1}, "alpha = -0.1 must be between 0 and 1"),
+        ({"alpha": np.nan}, "alpha = nan must be a finite number"),
         ({"scales": []}, "must be scale numbers such as 1,2,3"),
         ({"scales": [-1]}, "-1"),
         ({"scales": [0.3]}, r"0\.3"),
@@ -237,7 +243,8 @@ def test_settings_are_kept_in_the_units_of_the_package():
     assert scc.baseline.unit == u.yr
     assert scc.position_angle == 180 * u.deg
     assert scc.to_dict()["scales"] == [2.0]
-    assert StackedCrossCorrelation(**scc.to_dict()).to_dict()["kernel"] == scc.kernel
+    again = StackedCrossCorrelation(**scc.to_dict())
+    assert again.min_error_beams == scc.min_error_beams
     assert StackedCrossCorrelation(max_speed="2 mas/yr").max_speed == 2 * PM
 
 
@@ -363,7 +370,7 @@ def test_finds_what_does_not_move():
         {"target": "plane"},
         {"noise": "local"},
         {"noise": "propagated"},
-        {"kernel": 0.1},
+        {"min_error_beams": 0.1},
         {"kappa": 0.8},
         {"position_angle": 288 * u.deg},
         {"outward": True},
@@ -744,7 +751,7 @@ def test_matches_are_made_once_and_stacked_often(cube, result):
     matched = result.matched
     again = make_scc().stack(matched, n_trials=20, rng=1)
     same_tables(again.components, result.components)
-    turned = make_scc(position_angle=108 * u.deg, kernel=0.3).stack(
+    turned = make_scc(position_angle=108 * u.deg, min_error_beams=0.3).stack(
         matched, n_trials=20, rng=1
     )
     check_motion(turned, (3, 1))

@@ -36,7 +36,7 @@ FULL = {
     "max_speed": "2 mas/yr",
     "position_angle": "-112 deg",
     "baseline": "70 d 1.0 yr",
-    "kernel": 0.2,
+    "min_error_beams": 0.2,
     "kappa": 0.6,
     "target": "plane",
     "min_overlap": 0.8,
@@ -44,7 +44,7 @@ FULL = {
     "detection": 4,
     "segmentation": 3.0,
     "noise": "local",
-    "level": 0.05,
+    "alpha": 0.05,
     "outward": True,
     "alignment_error": "0.02 mas",
     "small_displacement_correction": False,
@@ -95,8 +95,9 @@ def test_an_option_is_one_field():
 def test_settings_survive_the_file_to_the_bit(tmp_path):
     settings = Settings(**FULL)
     path = tmp_path / "config.toml"
-    text = settings.to_toml(versions={"numpy": "2.0"}, remarks=["One", "two"])
-    assert text.startswith("# One\n# two\n\nepochs = ")
+    text = settings.to_toml(versions={"numpy": "2.0"})
+    assert text.startswith("# What determined the results.")
+    assert "astro-scc measure --config FILE -o FOLDER\n\nepochs = " in text
     path.write_text(text, encoding="utf-8")
     found, versions = read_config(path)
     assert versions == {"numpy": "2.0"}
@@ -112,7 +113,7 @@ def test_a_command_keeps_its_own_settings(command):
     plain = settings.to_dict(command)
     assert ("bins" in plain) == (command == "profile")
     assert ("max_gap" in plain) == (command == "track")
-    assert ("kernel" in plain) == (command == "profile")
+    assert ("min_error_beams" in plain) == (command == "profile")
     assert plain["distance"] == "16.7 Mpc"
     for name, value in Settings(**plain).to_dict(command).items():
         assert plain[name] == value
@@ -243,10 +244,10 @@ def test_times():
         ("kappa", "much", "must be a number"),
         ("kappa", True, "must be a number"),
         ("kappa", float("nan"), "finite"),
-        ("kernel", 0, "a part of the beam between 0 and 5"),
-        ("level", 0, "between 0 and 1"),
-        ("level", 1.5, "between 0 and 1"),
-        ("level", "low", "must be a number"),
+        ("min_error_beams", 0, "a part of the beam between 0 and 5"),
+        ("alpha", 0, "between 0 and 1"),
+        ("alpha", 1.5, "between 0 and 1"),
+        ("alpha", "low", "must be a number"),
         ("n_trials", 1, "must be 2 to"),
         ("n_trials", 10.5, "whole number"),
         ("n_trials", "many", "whole number"),
@@ -346,7 +347,7 @@ def test_text_in_python_is_what_it_is_on_the_command_line(name, value, expected)
         ("scales", "1,1", r"scales = '1,1' must differ: leave out"),
         ("scales", [], r"scales = \[\] must be scale numbers such as 1,2,3"),
         ("scales", [*range(98), 1], r"scales = \[0, 1, 2.*\.\.\. must differ"),
-        ("level", "1", r"level = '1' must be between 0 and 1"),
+        ("alpha", "1", r"alpha = '1' must be between 0 and 1"),
     ],
 )
 def test_what_python_refuses_names_the_argument_in_one_line(name, value, reason):

@@ -621,8 +621,8 @@ refused("a setting in the wrong unit", "c.toml: max_speed = '2 mas' must be an a
 refused("settings nested without end", "c.toml: is not a TOML file")(
     _options("--config={folder}/c.toml", c_toml="a = " + "[" * 20000)
 )
-refused("a number of 400 digits", "c.toml: kernel = .* must be a finite number")(
-    _options("--config={folder}/c.toml", c_toml="kernel = 1" + "0" * 400)
+refused("a number of 400 digits", "c.toml: kappa = .* must be a finite number")(
+    _options("--config={folder}/c.toml", c_toml="kappa = 1" + "0" * 400)
 )
 
 

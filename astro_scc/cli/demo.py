@@ -1,5 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc demo``: the whole way, on a jet that it simulates."""
+"""
+Simulate the two-fluid jet of the paper and measure it.
+
+Simulate the two-fluid jet of Mertens & Lobanov (2016), a slow sheath around a
+fast spine, measure it and write the report.  No input is needed.
+
+The folder gets what astro-scc measure writes, the images in epochs and the
+region in region.reg.
+"""
 
 import math
 from dataclasses import replace
@@ -12,13 +20,6 @@ from astro_scc.cli.simulate import simulated
 from astro_scc.cli.summary import component_lines, table_lines
 from astro_scc.settings import Settings
 
-HELP = "simulate the two-fluid jet of the paper and measure it"
-DESCRIPTION = """\
-Simulate the two-fluid jet of Mertens & Lobanov (2016), a slow sheath around a
-fast spine, measure it and write the report.  No input is needed."""
-EPILOG = """\
-The folder gets what astro-scc measure writes, the images in epochs and the
-region in region.reg."""
 SEED, N_TRIALS = 1, 1000
 # Pixels of the jet that are measured, x from 0 (Mertens & Lobanov 2016, Sect. 2.4).
 FIRST, LAST = 60, 160
@@ -49,9 +50,7 @@ def run(args, reporter):
         )
         cube, settings, _ = read_epochs(settings, files=files, note=reporter.note)
         settings = replace(settings, region=str(output / "region.reg"))
-        result, settings = measure(
-            cube, settings, reporter, region=folder / "region.reg"
-        )
+        result = measure(cube, settings, reporter, region=folder / "region.reg")
         components = write_measurement(
             result, settings, folder, output=output, warnings=reporter.warnings
         )

@@ -4,18 +4,13 @@
 import secrets
 from dataclasses import replace
 
-from astro_scc.settings import (
-    OPTIONS,
-    Settings,
-    check_setting,
-    override,
-    read_config,
-)
+from astro_scc.cli.options import option_name
+from astro_scc.settings import OPTIONS, Settings, check_setting, override, read_config
 
 
-def draw_seed():
-    """Return a seed that nobody chose, short enough to be typed."""
-    return secrets.randbelow(2**31)
+def draw_seed(seed=None):
+    """Return a seed, or one that nobody chose, short enough to be typed."""
+    return secrets.randbelow(2**31) if seed is None else seed
 
 
 def workers_of(args):
@@ -27,13 +22,7 @@ def workers_of(args):
 
 def option_of(args, name):
     """Return the value of one option that is a setting, or None."""
-    return check_setting(name, getattr(args, name), f"--{name.replace('_', '-')}")
-
-
-def _of_option(error):
-    """Return an error of a setting as one of its option."""
-    option = f"--{error.setting.replace('_', '-')}"
-    return str(error).replace(f"{error.setting} = ", f"{option} ", 1)
+    return check_setting(name, getattr(args, name), option_name(name))
 
 
 def settings_of(args, reporter, *, unused=(), **defaults):
@@ -71,9 +60,11 @@ def settings_of(args, reporter, *, unused=(), **defaults):
     try:
         settings = Settings(**defaults | override(given, own))
     except ValueError as error:
-        if getattr(error, "setting", None) in own:
-            raise ValueError(_of_option(error)) from None
-        raise
+        if (name := getattr(error, "setting", None)) not in own:
+            raise
+        # An option is named as it is typed.
+        text = str(error).replace(f"{name} =", option_name(name), 1)
+        raise ValueError(text) from None
     if not settings.epochs:
         raise ValueError("no epochs were given; name the FITS files, or a --config")
     return settings
@@ -109,7 +100,7 @@ def read_epochs(settings, *, files=None, note=lambda text: None):
     cube : `~astro_scc.EpochCube`
         With one beam and aligned.
     settings : `~astro_scc.settings.Settings`
-        With the files and the steps that were taken.
+        With the files, the steps that were taken, and a seed.
     left_out : list of (str, str)
         Epochs that are not in the cube, and why.
 
@@ -134,7 +125,8 @@ def read_epochs(settings, *, files=None, note=lambda text: None):
     common = _wants_common_beam(cube, settings.common_beam, note)
     if common:
         cube = cube.to_common_beam()
-    settings = replace(settings, align=align, common_beam=common)
+    seed = draw_seed(settings.seed)
+    settings = replace(settings, align=align, common_beam=common, seed=seed)
     return cube.align(align), settings, left_out
 
 

@@ -1,9 +1,18 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc inspect``: what files hold, before anything is measured."""
+"""
+Say what images hold, what is wrong and what can be measured.
+
+One line per epoch, then what is wrong, and which speeds the dates allow to be
+measured, with which pairs of epochs.  Nothing is measured and nothing is written.
+
+examples:
+  astro-scc inspect 3c273/*.fits
+  astro-scc inspect 3c273/*.fits --speed "0.9 mas/yr"
+"""
 
 import math
 
-from astro_scc.cli.options import add_setting
+from astro_scc.cli.options import add_option, add_setting
 from astro_scc.cli.summary import misalignment_text, table_lines
 from astro_scc.quantities import named, one_quantity
 
@@ -13,25 +22,14 @@ N_SPEEDS = 4
 DAY = 1e-3
 
 
-HELP = "say what images hold, what is wrong and what can be measured"
-DESCRIPTION = """\
-One line per epoch, then what is wrong, and which speeds the dates allow to be
-measured, with which pairs of epochs.  Nothing is measured and nothing is written."""
-EPILOG = """\
-examples:
-  astro-scc inspect 3c273/*.fits
-  astro-scc inspect 3c273/*.fits --speed "0.9 mas/yr\""""
-
-
 def add_arguments(parser):
     """Add the arguments of the command."""
     add_setting(parser, "epochs")
-    parser.add_argument(
-        "--speed",
-        metavar='"2 mas/yr"',
-        help="say what this proper motion is between epochs, and which pairs suit it; "
-        "default some between the slowest and the fastest that can be measured well",
+    text = (
+        "say what this proper motion is between epochs, and which pairs suit it; "
+        "default some between the slowest and the fastest that can be measured well"
     )
+    add_option(parser, "--speed", '"2 mas/yr"', text)
 
 
 def run(args, reporter):
@@ -44,30 +42,29 @@ def run(args, reporter):
 
     if not args.epochs:
         raise ValueError("no epochs were given; name the FITS files")
-    speed = args.speed
-    if speed is not None:
+    if (speed := args.speed) is not None:
         speed = named("--speed", one_quantity, speed, "an angle per time", "2 mas/yr")
     files = find_files(args.epochs, missing_ok=True)
     cube, refusal = _cube(files)
+    problems = []
     if len(files) == 1 and files[0].exists() and is_cube_file(files[0]):
         if cube is None:
             raise ValueError(refusal)
-        names, unit, problems = list(cube.labels), cube.unit, []
-        rows = [_epoch_cells(cube, i) for i in range(len(cube))]
+        names, unit, facts = cube.labels, cube.unit, _facts_of_cube(cube)
     else:
-        table = inspect_epochs(files)
-        names = [Path(row["file"]).name for row in table]
-        unit = table["noise"].unit
+        facts = inspect_epochs(files)
+        names, unit = [Path(file).name for file in facts["file"]], facts["noise"].unit
         problems = [
-            f"{row['file']}: {row['problem']}" for row in table if row["problem"]
+            f"{row['file']}: {row['problem']}" for row in facts if row["problem"]
         ]
-        if not any(table["nx"]):
-            more = f" (and {len(table) - 1} more like it)" if len(table) > 1 else ""
+        if not any(facts["nx"]):
+            more = f" (and {len(facts) - 1} more like it)" if len(facts) > 1 else ""
             raise ValueError(f"{problems[0]}{more}")
-        rows = [_file_cells(*pair) for pair in zip(names, table, strict=True)]
     cores, of_core = _cores(cube)
-    for name, row in zip(names, rows, strict=True):
-        row.append(cores.get(name, "-"))
+    rows = [
+        [name, *_cells(row), cores.get(name, "-")]
+        for name, row in zip(names, facts, strict=True)
+    ]
     head = ["epoch", "date", "pixels", "pixel", "beam", f"noise ({unit})", "peak"]
     for line in table_lines([*head, "core"], rows):
         reporter.say(line)
@@ -139,58 +136,47 @@ def _offset(east, north):
     return f"{east:+.2f} {north:+.2f}"
 
 
-def _file_cells(name, row):
+def _cells(row):
     """One row of `inspect_epochs` as text."""
     import numpy as np
 
     from astro_scc.epochs.positions import readable_angle
 
     if not row["nx"]:
-        return [name, *"------"]
-    known = np.isfinite(row["major"])
+        return list("------")
+    beam = "-"
+    if np.isfinite(row["major"]):
+        unit = readable_angle(row["major"]).split()[1]
+        axes = (f"{row[name].to_value(unit):.3g}" for name in ("major", "minor"))
+        beam = f"{' x '.join(axes)} {unit} at {row['pa'].value:.0f} deg"
     return [
-        name,
         "-" if np.any(row["date"].mask) else str(row["date"].isot)[:10],
         f"{row['nx']} x {row['ny']}",
         readable_angle(row["pixel"]),
-        _beam(row["major"], row["minor"], row["pa"]) if known else "-",
+        beam,
         f"{row['noise'].value:.2g}" if np.isfinite(row["noise"]) else "-",
         _offset(row["peak_east"].value, row["peak_north"].value),
     ]
 
 
-def _epoch_cells(cube, i):
-    """One epoch of a cube as text."""
+def _facts_of_cube(cube):
+    """Return what `inspect_epochs` says of files, of the epochs of a cube."""
+    import astropy.units as u
     import numpy as np
 
-    from astro_scc.epochs.positions import readable_angle
-
-    ny, nx = cube.shape[1:]
-    beam = "-"
-    if cube.beams is not None:
-        own = cube.beams[i]
-        beam = _beam(own.major, own.minor, own.pa)
-    image = np.where(cube.mask[i], -np.inf, cube.data[i])
-    y, x = np.unravel_index(np.argmax(image), image.shape)
-    return [
-        cube.labels[i],
-        cube.times[i].isot[:10],
-        f"{nx} x {ny}",
-        readable_angle(cube.pixel_scale),
-        beam,
-        f"{cube.noise_rms()[i].value:.2g}",
-        _offset(*(v.value for v in cube.pixel_to_offset(x, y))),
-    ]
-
-
-def _beam(major, minor, pa):
-    from astro_scc.epochs.positions import readable_angle
-
-    unit = readable_angle(major).split()[1]
-    return (
-        f"{major.to_value(unit):.3g} x {minor.to_value(unit):.3g} {unit} "
-        f"at {pa.value:.0f} deg"
-    )
+    (ny, nx), noise = cube.shape[1:], cube.noise_rms()
+    rows = []
+    for i, time in enumerate(cube.times):
+        image = np.where(cube.mask[i], -np.inf, cube.data[i])
+        y, x = np.unravel_index(np.argmax(image), image.shape)
+        east, north = cube.pixel_to_offset(x, y)
+        row = {"date": time, "nx": nx, "ny": ny, "pixel": cube.pixel_scale}
+        row |= {"noise": noise[i], "peak_east": east, "peak_north": north}
+        beam = None if cube.beams is None else cube.beams[i]
+        for name in ("major", "minor", "pa"):
+            row[name] = getattr(beam, name, np.nan * u.mas)
+        rows.append(row)
+    return rows
 
 
 def _plan(cube, speed):
@@ -237,8 +223,8 @@ def _rounded(interval, how):
 
 def _n_pairs(cube, first, last):
     import numpy as np
+    from scipy.spatial.distance import pdist
 
-    years = cube.years.value
-    apart = np.abs(years[:, None] - years[None, :])[np.triu_indices(len(years), 1)]
+    apart = pdist(cube.years.value[:, None])
     first, last = first.to_value("yr"), last.to_value("yr")
     return int(np.sum((apart >= first - DAY) & (apart <= last + DAY)))

@@ -1,23 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc measure``: from images to velocities."""
+"""
+Measure the velocities in the images of one jet.
 
-from contextlib import contextmanager, suppress
-from dataclasses import replace
-from pathlib import Path
+Measure the velocity components in images of one object at many dates.
 
-from astro_scc.cli.inputs import draw_seed, read_epochs, settings_of, workers_of
-from astro_scc.cli.options import (
-    add_no_report,
-    add_output,
-    add_settings,
-    add_switch,
-    add_votable,
-)
-from astro_scc.cli.summary import component_lines
-
-HELP = "measure the velocities in the images of one jet"
-DESCRIPTION = "Measure the velocity components in images of one object at many dates."
-EPILOG = """\
 examples:
   astro-scc measure 3c273/*.fits -o out --align core --max-speed "2 mas/yr" \\
       --redshift 0.158
@@ -33,24 +19,19 @@ the bit.  Every option of a measurement may stand in a configuration file, with 
 -, and some that have no option (see the documentation).  What the command line says
 comes before what the file says.
 """
-REMARKS = (
-    "What determined this measurement.  To do it again, in the folder it was done in,",
-    "with the path of this file: astro-scc measure --config FILE -o FOLDER",
-)
+
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+from astro_scc.cli.inputs import draw_seed, read_epochs, settings_of, workers_of
+from astro_scc.cli.options import add_no_report, add_output, add_settings, add_switch
+from astro_scc.cli.summary import component_lines
+
 PRODUCTS = (
-    "components.ecsv",
-    "features.ecsv",
-    "ssps.ecsv",
-    "scc.fits",
-    "config.toml",
-    "report.html",
-    "diagram.png",
-    "velocity_map.png",
-    "significance.png",
-    "members.png",
-    "epochs.png",
-    "intervals.png",
-)
+    "components.ecsv features.ecsv ssps.ecsv scc.fits config.toml report.html "
+    "diagram.png velocity_map.png significance.png members.png epochs.png intervals.png"
+).split()
 #: What an earlier measurement left that must not stand beside a new one.
 STALE = (*PRODUCTS, "components.vot", "ssps.vot", "ssp_regions")
 #: Folder for what --resume keeps, in that of the products.
@@ -60,21 +41,19 @@ SEED = "seed.txt"
 
 def add_arguments(parser):
     """Add the arguments of the command."""
-    add_output(parser, "tables, maps and report")
+    files = "components.vot and ssps.vot"
+    add_output(parser, "tables, maps and report", votable=files)
     add_no_report(parser)
-    add_votable(parser, "components.vot and ssps.vot")
-    add_switch(
-        parser,
-        "--ds9-regions",
+    text = (
         "write ssp_regions too, a file per epoch that DS9 and CARTA open, with the "
-        "outlines of its patterns",
+        "outlines of its patterns"
     )
-    add_switch(
-        parser,
-        "--resume",
+    add_switch(parser, "--ds9-regions", text)
+    text = (
         f"keep the matches in {WORK} of the folder, go on from what an interrupted "
-        "run did there, and replace what an earlier one with --resume wrote",
+        "run did there, and replace what an earlier one with --resume wrote"
     )
+    add_switch(parser, "--resume", text)
     add_settings(parser, "measure")
 
 
@@ -92,24 +71,23 @@ def run(args, reporter):
         reporter.on_interrupt = (
             "interrupted; the same command goes on from what is done"
         )
+    stale = {"overwrite": overwrite or bool(work), "stale": STALE}
     with (
         working_folder(work, args.output, overwrite=overwrite),
-        product_folder(
-            args.output, overwrite=overwrite or bool(work), stale=STALE
-        ) as folder,
+        product_folder(args.output, **stale) as folder,
     ):
+        if work and settings.seed is None:
+            settings = replace(settings, seed=kept_seed(work))
         cube, settings, left_out = read_epochs(settings, note=reporter.note)
-        result, settings = measure(
-            cube, settings, reporter, n_workers=n_workers, work=work
-        )
+        result = measure(cube, settings, reporter, n_workers=n_workers, work=work)
         components = write_measurement(
             result,
             settings,
             folder,
             output=args.output,
+            report=not args.no_report,
             warnings=reporter.warnings,
             left_out=left_out,
-            report=not args.no_report,
         )
         if args.votable:
             write_votables(result, components, folder)
@@ -143,18 +121,14 @@ def measure(cube, settings, reporter, *, region=None, n_workers=1, work=None):
 
     Returns
     -------
-    result : `~astro_scc.measurement.SCCResult`
-    settings : `~astro_scc.settings.Settings`
-        With the seed.
+    `~astro_scc.measurement.SCCResult`
     """
     from astro_scc import StackedCrossCorrelation
 
     region = region or settings.region
     # A region file that cannot be used is better known before the long part.
     cube.region_mask(region)
-    if settings.seed is None:
-        settings = replace(settings, seed=kept_seed(work))
-    result = StackedCrossCorrelation.from_settings(settings)(
+    return StackedCrossCorrelation.from_settings(settings)(
         cube,
         region=region,
         n_trials=settings.n_trials,
@@ -163,21 +137,9 @@ def measure(cube, settings, reporter, *, region=None, n_workers=1, work=None):
         cache=None if work is None else work / "matches.fits",
         progress_bar=reporter.progress,
     )
-    return result, settings
 
 
-def write_measurement(
-    result,
-    settings,
-    folder,
-    *,
-    output,
-    title=None,
-    remarks=REMARKS,
-    warnings=(),
-    left_out=(),
-    report=True,
-):
+def write_measurement(result, settings, folder, *, output, report=True, **page):
     """
     Write tables, maps, settings and report of a measurement.
 
@@ -189,13 +151,9 @@ def write_measurement(
         Where to write.
     output : path
         What the folder will be called.
-    title : str, optional
-        Of the report; by default the object.
-    remarks : sequence of str, optional
-        At the head of the settings.
-    warnings, left_out
-        See `~astro_scc.report.write_report`.
     report : bool, optional
+    **page
+        Of `~astro_scc.report.write_report`; the title is the object by default.
 
     Returns
     -------
@@ -206,24 +164,18 @@ def write_measurement(
 
     how = settings.in_c
     components = result.components_in_c(**how) if how else result.components
-    text = settings.to_toml(versions=versions(), remarks=remarks)
+    text = settings.to_toml(versions=versions())
     write_products(
         result, components, folder, configuration=settings.to_dict(), text=text
     )
     if report:
         from astro_scc.report import write_report
 
-        again = Path(output) / "config.toml"
-        write_report(
-            result,
-            components,
-            folder,
-            title=title or result.cube.meta.get("object") or "Velocity components",
-            warnings=tuple(warnings),
-            left_out=left_out,
-            rerun=f"astro-scc measure --config {again} -o FOLDER",
-            config_text=text,
+        page.setdefault(
+            "title", result.cube.meta.get("object") or "Velocity components"
         )
+        rerun = f"astro-scc measure --config {Path(output) / 'config.toml'} -o FOLDER"
+        write_report(result, components, folder, rerun=rerun, config_text=text, **page)
     return components
 
 
@@ -258,8 +210,6 @@ def working_folder(work, output, *, overwrite):
 
 def kept_seed(work):
     """Return the seed of a run that may be resumed, drawn the first time."""
-    if work is None:
-        return draw_seed()
     from astro_scc.partial import replace_when_complete
 
     path = work / SEED

@@ -9,18 +9,19 @@ from astro_scc.settings import GROUPS, OPTIONS
 SWITCH = "true|false"
 
 
+def option_name(name):
+    """Return the option of a setting or argument, as it is typed."""
+    return f"--{name.replace('_', '-')}"
+
+
 def add_setting(parser, name):
     """Add the option of a setting, or the argument if it is the epochs."""
     facts = OPTIONS[name]
+    option, kind = option_name(name), {"metavar": facts["metavar"]}
     if name == "epochs":
-        parser.add_argument(
-            name, nargs="*", metavar=facts["metavar"], help=facts["help"]
-        )
-        return
-    kind = {"metavar": facts["metavar"]}
-    if facts["metavar"] == SWITCH:
+        option, kind["nargs"] = name, "*"
+    elif facts["metavar"] == SWITCH:
         kind = {"action": argparse.BooleanOptionalAction}
-    option = f"--{name.replace('_', '-')}"
     parser.add_argument(option, help=facts["help"], **kind)
 
 
@@ -41,29 +42,32 @@ def add_settings(parser, command):
     add_workers(parser)
 
 
-def add_output(parser, what, *, default=None):
-    """Add ``--output``, required without a default, and ``--overwrite``."""
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="DIR",
-        required=default is None,
-        default=default,
-        help=f"folder for {what}" + (f"; default {default}" if default else ""),
-    )
-    add_overwrite(parser)
+def add_option(parser, option, metavar, text, **kind):
+    """Add an option that has a value."""
+    parser.add_argument(option, metavar=metavar, help=text, **kind)
+
+
+def add_switch(parser, option, text, **kind):
+    """Add an option that is given or not."""
+    parser.add_argument(option, action="store_true", help=text, **kind)
+
+
+def add_output(parser, what, *, default=None, votable=None, overwrite=True):
+    """Add ``--output``, required without a default, and how to write there."""
+    text = f"folder for {what}" + (f"; default {default}" if default else "")
+    own = {"required": default is None, "default": default, "dest": "output"}
+    parser.add_argument("-o", "--output", metavar="DIR", help=text, **own)
+    if overwrite:
+        add_overwrite(parser)
+    if votable:
+        text = f"write {votable} too, for TOPCAT, STILTS and Aladin"
+        add_switch(parser, "--votable", text)
 
 
 def add_overwrite(parser):
     """Add ``--overwrite``."""
-    add_switch(
-        parser, "--overwrite", "replace what is in the folder under the same names"
-    )
-
-
-def add_switch(parser, option, text):
-    """Add an option that is given or not."""
-    parser.add_argument(option, action="store_true", help=text)
+    text = "replace what is in the folder under the same names"
+    add_switch(parser, "--overwrite", text)
 
 
 def add_no_report(parser):
@@ -71,23 +75,10 @@ def add_no_report(parser):
     add_switch(parser, "--no-report", "write no report.html and figures")
 
 
-def add_votable(parser, files):
-    """Add ``--votable``."""
-    add_switch(parser, "--votable", f"write {files} too, for TOPCAT, STILTS and Aladin")
-
-
 def add_workers(parser):
     """Add the options that say who works."""
     group = parser.add_argument_group("running")
-    group.add_argument(
-        "--workers",
-        metavar="N",
-        type=int,
-        default=1,
-        help="processes; the numbers do not depend on it; default 1",
-    )
-    group.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="of a Dask cluster that works instead, tcp://node1:8786",
-    )
+    text = "processes; the numbers do not depend on it; default 1"
+    add_option(group, "--workers", "N", text, type=int, default=1)
+    text = "of a Dask cluster that works instead, tcp://node1:8786"
+    add_option(group, "--scheduler", "ADDRESS", text)

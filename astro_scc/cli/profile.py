@@ -1,16 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc profile``: velocities in bins of distance from the core."""
+"""
+Measure the velocities in bins of distance from the core.
 
-from dataclasses import asdict, replace
-from pathlib import Path
+Measure the velocities in bins of distance from the core.
 
-from astro_scc.cli.inputs import draw_seed, read_epochs, settings_of, workers_of
-from astro_scc.cli.options import add_output, add_settings, add_votable
-from astro_scc.cli.summary import profile_lines, scale_lines
-
-HELP = "measure the velocities in bins of distance from the core"
-DESCRIPTION = "Measure the velocities in bins of distance from the core."
-EPILOG = """\
 examples:
   astro-scc profile 3c120/*.fits -o out --align core --bins "0.5 1.5 2.5 3.5 mas" \\
       --position-angle "-112 deg" --max-speed "5 mas/yr" --redshift 0.033
@@ -25,25 +18,24 @@ scales.ecsv, the speeds of the finest scale and of the others beside one another
 profile.png, velocity_maps.png and position_angles.png; and config.toml.  With
 --position-angle ridge, distances are along the ridge line.
 """
-REMARKS = (
-    "What determined this profile.  To do it again, in the folder it was done in,",
-    "with the path of this file: astro-scc profile --config FILE -o FOLDER",
-)
+
+from dataclasses import asdict
+from pathlib import Path
+
+from astro_scc.cli.inputs import read_epochs, settings_of, workers_of
+from astro_scc.cli.options import add_output, add_settings
+from astro_scc.cli.summary import profile_lines, scale_lines
+
 PRODUCTS = (
-    "profile.ecsv",
-    "scales.ecsv",
-    "profile.png",
-    "velocity_maps.png",
-    "position_angles.png",
-    "config.toml",
-    "profile.vot",
-)
+    "profile.ecsv scales.ecsv profile.png velocity_maps.png position_angles.png "
+    "config.toml profile.vot"
+).split()
 
 
 def add_arguments(parser):
     """Add the arguments of the command."""
-    add_output(parser, "the table and figures of the profile")
-    add_votable(parser, "profile.vot")
+    what = "the table and figures of the profile"
+    add_output(parser, what, votable="profile.vot")
     add_settings(parser, "profile")
 
 
@@ -57,12 +49,9 @@ def run(args, reporter):
         raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
     n_workers = workers_of(args)
     bins_of(settings.bins, window=settings.window)
-    with product_folder(
-        args.output, overwrite=args.overwrite, stale=PRODUCTS
-    ) as folder:
+    made = product_folder(args.output, overwrite=args.overwrite, stale=PRODUCTS)
+    with made as folder:
         cube, settings, _ = read_epochs(settings, note=reporter.note)
-        if settings.seed is None:
-            settings = replace(settings, seed=draw_seed())
         components, lines = _measure(cube, settings, folder, reporter, n_workers)
         if args.votable:
             write_votable(components, folder / "profile.vot")
@@ -106,7 +95,7 @@ def _measure(cube, settings, folder, reporter, n_workers):
     if (of_scales := _of_scales(whole)) is not None:
         of_scales.write(folder / "scales.ecsv", format="ascii.ecsv")
         lines += scale_lines(of_scales)
-    text = settings.to_toml("profile", versions=versions(), remarks=REMARKS)
+    text = settings.to_toml("profile", versions=versions())
     configuration = settings.to_dict("profile")
     write_profile(profile, components, folder, configuration=configuration, text=text)
     return components, lines

@@ -19,6 +19,7 @@ from astro_scc.cli import (
     survey,
     track,
 )
+from astro_scc.cli.options import add_switch
 from astro_scc.cli.reporter import Reporter
 
 # What a user gets wrong, extras that are not installed among it; other exceptions
@@ -87,21 +88,21 @@ def build_parser():
         title="commands", metavar="COMMAND", dest="command", required=True
     )
     for module in COMMANDS:
+        # Their documentation is their help; python -OO has none.
+        doc = (module.__doc__ or "").strip()
+        brief, text, more = [*doc.split("\n\n", 2), "", "", ""][:3]
         command = commands.add_parser(
             module.__name__.rpartition(".")[2],
-            help=module.HELP,
-            description=module.DESCRIPTION,
-            epilog=module.EPILOG,
+            help=brief[:1].lower() + brief[1:].rstrip("."),
+            description=text,
+            epilog=more,
         )
         module.add_arguments(command)
         command.set_defaults(run=module.run)
         group = command.add_argument_group("messages")
-        group.add_argument(
-            "--quiet",
-            action="store_true",
-            help="print errors only: no warnings, progress or summary",
-        )
-        group.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
+        quiet = "print errors only: no warnings, progress or summary"
+        add_switch(group, "--quiet", quiet)
+        add_switch(group, "--debug", argparse.SUPPRESS)
     return parser
 
 

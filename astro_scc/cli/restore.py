@@ -1,13 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc restore``: images from lists of components."""
+"""
+Make images of lists of Gaussian or CLEAN components.
 
-from pathlib import Path
+Make images of lists of components, all with one beam: one FITS file per epoch.
 
-from astro_scc.cli.inputs import draw_seed, option_of
-from astro_scc.cli.options import add_output, add_setting
-from astro_scc.quantities import named, one_quantity, parse_quantities, to_time
-
-EPILOG = """\
 examples:
   astro-scc restore 1226+023.ecsv -o 3c273 --beam "1.0 mas 0.5 mas -7 deg" \\
       --pixel "0.1 mas" --noise "0.3 mJy/beam" --seed 1 --before 2011-01-01
@@ -22,50 +18,38 @@ of the AAS (.txt) or the CDS (.dat, with its ReadMe beside it), with the columns
 with the date in the name; .fits have CLEAN components in an AIPS CC table.
 """
 
+from pathlib import Path
 
-HELP = "make images of lists of Gaussian or CLEAN components"
-DESCRIPTION = """\
-Make images of lists of components, all with one beam: one FITS file per epoch."""
+from astro_scc.cli.inputs import draw_seed, option_of
+from astro_scc.cli.options import add_option, add_output, add_setting
+from astro_scc.quantities import named, one_quantity, parse_quantities, to_time
 
 
 def add_arguments(parser):
     """Add the arguments of the command."""
-    parser.add_argument(
-        "tables",
-        metavar="TABLE.ecsv|MODEL.mod",
-        nargs="+",
-        help="a table of many epochs, or one file per epoch",
-    )
+    text = "a table of many epochs, or one file per epoch"
+    add_option(parser, "tables", "TABLE.ecsv|MODEL.mod", text, nargs="+")
     add_output(parser, "the images")
-    parser.add_argument(
-        "--beam",
-        metavar='"1.0 mas 0.5 mas -7 deg"',
-        required=True,
-        help="major axis, minor axis (full widths at half maximum) and position angle; "
-        "one axis is a circle",
+    text = (
+        "major axis, minor axis (full widths at half maximum) and position angle; "
+        "one axis is a circle"
     )
-    parser.add_argument(
-        "--pixel", metavar='"0.1 mas"', required=True, help="side of a pixel"
-    )
-    parser.add_argument(
-        "--noise",
-        metavar='"0.3 mJy/beam"',
-        help="rms of the noise to add, correlated by the beam; default none",
-    )
+    add_option(parser, "--beam", '"1.0 mas 0.5 mas -7 deg"', text, required=True)
+    add_option(parser, "--pixel", '"0.1 mas"', "side of a pixel", required=True)
+    text = "rms of the noise to add, correlated by the beam; default none"
+    add_option(parser, "--noise", '"0.3 mJy/beam"', text)
     for name in ("seed", "after", "before"):
         add_setting(parser, name)
-    parser.add_argument(
-        "--source",
-        metavar="NAME",
-        help="source to take from a table of many; a wrong or missing one is refused "
-        "with the names that there are",
+    text = (
+        "source to take from a table of many; a wrong or missing one is refused with "
+        "the names that there are"
     )
-    parser.add_argument(
-        "--origin",
-        choices=("core", "map"),
-        help="what is at the reference pixel, the core (feature 0) or the centre of "
-        "the map; default the core in tables that refer to it",
+    add_option(parser, "--source", "NAME", text)
+    text = (
+        "what is at the reference pixel, the core (feature 0) or the centre of the "
+        "map; default the core in tables that refer to it"
     )
+    parser.add_argument("--origin", choices=("core", "map"), help=text)
 
 
 def run(args, reporter):
@@ -76,26 +60,18 @@ def run(args, reporter):
     from astro_scc.measurement import product_folder
 
     beam = _beam(args.beam)
-    pixel = _quantity("--pixel", args.pixel, "0.1 mas")
+    pixel = named("--pixel", one_quantity, args.pixel, "one number", "0.1 mas")
     noise = args.noise
     if noise is not None:
-        noise = _quantity("--noise", noise, "0.3 mJy/beam")
+        noise = named("--noise", one_quantity, noise, "one number", "0.3 mJy/beam")
     dates = {name: option_of(args, name) for name in ("after", "before")}
     dates = {name: to_time(text) for name, text in dates.items() if text is not None}
-    seed = option_of(args, "seed")
-    seed = draw_seed() if seed is None else seed
+    seed = draw_seed(option_of(args, "seed"))
     folder = Path(args.output)
     with product_folder(folder, overwrite=args.overwrite) as part:
-        components = read_components(
-            args.tables, source=args.source, origin=args.origin
-        )
-        cube = restore(
-            components.select(**dates),
-            beam=beam,
-            pixel_scale=pixel,
-            noise=noise,
-            rng=seed,
-        )
+        found = read_components(args.tables, source=args.source, origin=args.origin)
+        own = found.select(**dates)
+        cube = restore(own, beam=beam, pixel_scale=pixel, noise=noise, rng=seed)
         if noise is not None:
             cube = cube.with_step(f"noise of {noise} with the seed {seed}")
         paths = write_epochs(cube, part)
@@ -107,11 +83,6 @@ def run(args, reporter):
         f"{pixel.to(u.mas):.4g}, beam {beam}, in {folder}{drawn}; next:\n"
         f"  astro-scc measure {folder}/*.fits -o {folder}-measured"
     )
-
-
-def _quantity(option, text, example):
-    """Return a positive quantity of the kind of an example."""
-    return named(option, one_quantity, text, "one number", example)
 
 
 def _beam(text):

@@ -1,104 +1,75 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc simulate``: jets whose velocities are known."""
+"""
+Make images of a jet whose velocities are known.
 
-from pathlib import Path
-
-from astro_scc.cli.inputs import draw_seed, option_of
-from astro_scc.cli.options import add_overwrite, add_setting
-
-# Name -> the function of astro_scc.simulation, and what the jet is.
-JETS = {
-    "two-fluid": ("simulate_two_fluid", "a slow sheath around a fast spine"),
-    "random-velocity": (
-        "simulate_random_velocity",
-        "a new random velocity for every feature at every epoch",
-    ),
-    "ballistic": ("simulate_ballistic", "features that each keep a random velocity"),
-    "static": ("simulate_static", "stationary features"),
-    "unrelated": ("simulate_unrelated", "epochs that have nothing in common"),
-    "jet": (
-        "simulate_jet",
-        "as surveys see them: uneven dates, a core, features about a flow",
-    ),
-}
-# Option -> the parameter of simulate_jet, its type and its help.
-FLOW = {
-    "--motion": ("speed", float, "mean, in beams per median interval; default 0.6"),
-    "--dispersion": ("dispersion", float, "of the speeds, over the mean; default 0.1"),
-    "--distribution": (
-        "distribution",
-        str,
-        "of the speeds: normal (default), lognormal or uniform",
-    ),
-    "--features": ("n_features", float, "moving features in view at a time; default 8"),
-    "--standing": ("standing", int, "number of stationary features; default 0"),
-    "--acceleration": (
-        "acceleration",
-        float,
-        "speed at the jet's end over that at the core; default 1",
-    ),
-    "--flux-variation": (
-        "flux_variation",
-        float,
-        "scatter of ln(flux) in time; default 0.35",
-    ),
-    "--alignment-error": (
-        "alignment_error",
-        float,
-        "shift of each image, rms in beams; default 0",
-    ),
-}
-
-
-WIDTH = max(map(len, JETS))
-HELP = "make images of a jet whose velocities are known"
-DESCRIPTION = """\
 Make the images of a jet whose velocities are known: one FITS file per
 epoch, and truth.ecsv with the position and the velocity of every feature.
 
 jets:
-""" + "\n".join(f"  {name:{WIDTH}}  {what}" for name, (_, what) in JETS.items())
-EPILOG = """\
+  two-fluid        a slow sheath around a fast spine
+  random-velocity  a new random velocity for every feature at every epoch
+  ballistic        features that each keep a random velocity
+  static           stationary features
+  unrelated        epochs that have nothing in common
+  jet              as surveys see them: uneven dates, a core, features about a flow
+
 examples:
   astro-scc simulate two-fluid jet --seed 1 --epochs 10
-  astro-scc simulate jet jet --motion 0.4 --dispersion 0.2 --vlba"""
+  astro-scc simulate jet jet --motion 0.4 --dispersion 0.2 --vlba
+"""
+
+from pathlib import Path
+
+from astro_scc.cli.inputs import draw_seed, option_of
+from astro_scc.cli.options import (
+    add_option,
+    add_overwrite,
+    add_setting,
+    add_switch,
+    option_name,
+)
+
+JETS = ("two-fluid", "random-velocity", "ballistic", "static", "unrelated", "jet")
+# Option -> its type and its help; in `PARAMETERS` what simulate_jet calls it.
+FLOW = {
+    "motion": (float, "mean, in beams per median interval; default 0.6"),
+    "dispersion": (float, "of the speeds, over the mean; default 0.1"),
+    "distribution": (str, "of the speeds: normal (default), lognormal or uniform"),
+    "features": (float, "moving features in view at a time; default 8"),
+    "standing": (int, "number of stationary features; default 0"),
+    "acceleration": (float, "speed at the jet's end over that at the core; default 1"),
+    "flux_variation": (float, "scatter of ln(flux) in time; default 0.35"),
+    "alignment_error": (float, "shift of each image, rms in beams; default 0"),
+}
+PARAMETERS = {"motion": "speed", "features": "n_features", "epochs": "n_epochs"}
 
 
 def add_arguments(parser):
     """Add the arguments of the command."""
-    parser.add_argument("jet", choices=JETS, metavar="JET", help="one of the above")
+    parser.add_argument("jet", choices=JETS, metavar="JET", help="one of those below")
     parser.add_argument("output", metavar="DIR", help="folder for the images")
     add_overwrite(parser)
     add_setting(parser, "seed")
-    parser.add_argument(
-        "--epochs",
-        metavar="N",
-        type=int,
-        help="number of epochs; default 10, 30 days apart, and of a jet 15 at uneven "
-        "dates, 0.2 years apart in the median",
+    text = (
+        "number of epochs; default 10, 30 days apart, and of a jet 15 at uneven "
+        "dates, 0.2 years apart in the median"
     )
-    parser.add_argument(
-        "--dense",
-        action="store_true",
-        default=None,
-        help="more and brighter features in the two-fluid jet",
-    )
+    add_option(parser, "--epochs", "N", text, type=int)
+    text = "more and brighter features in the two-fluid jet"
+    add_switch(parser, "--dense", text, default=None)
     group = parser.add_argument_group("options of the jet 'jet'")
-    for option, (name, kind, text) in FLOW.items():
-        group.add_argument(option, metavar="X", dest=name, type=kind, help=text)
-    group.add_argument(
-        "--vlba",
-        action="store_true",
-        default=None,
-        help="image it from visibilities of the VLBA, with CLEAN",
-    )
+    for name, (kind, text) in FLOW.items():
+        add_option(group, option_name(name), "X", text, type=kind)
+    text = "image it from visibilities of the VLBA, with CLEAN"
+    add_switch(group, "--vlba", text, default=None)
 
 
 def simulated(jet, *, seed, **options):
     """Return a jet by its name on the command line; its truth knows its seed."""
     from astro_scc import simulation
 
-    made = getattr(simulation, JETS[jet][0])(rng=seed, **options)
+    make = getattr(simulation, f"simulate_{jet.replace('-', '_')}")
+    made = make(rng=seed, **options)
     made.truth.meta["seed"] = seed
     return made
 
@@ -110,17 +81,16 @@ def run(args, reporter):
 
     if args.epochs is not None and args.epochs < 1:
         raise ValueError(f"--epochs must be at least 1, got {args.epochs}")
-    own = {name: (option, "jet") for option, (name, *_) in FLOW.items()}
-    own |= {"vlba": ("--vlba", "jet"), "dense": ("--dense", "two-fluid")}
-    given = {name: value for name in own if (value := getattr(args, name)) is not None}
-    for option, whose in map(own.get, given):
-        if args.jet != whose:
-            raise ValueError(f"{option} is for {whose}, not for {args.jet}")
+    given = {}
+    for name in (*FLOW, "vlba", "dense", "epochs"):
+        value = getattr(args, name)
+        whose = {"dense": "two-fluid", "epochs": args.jet}.get(name, "jet")
+        if value is not None and args.jet != whose:
+            raise ValueError(f"{option_name(name)} is for {whose}, not for {args.jet}")
+        if value is not None:
+            given[PARAMETERS.get(name, name)] = value
     vlba = given.pop("vlba", False)
-    if args.epochs is not None:
-        given["n_epochs"] = args.epochs
-    seed = option_of(args, "seed")
-    seed = draw_seed() if seed is None else seed
+    seed = draw_seed(option_of(args, "seed"))
     folder = Path(args.output)
     with product_folder(folder, overwrite=args.overwrite) as part:
         jet = simulated(args.jet, seed=seed, **given)

@@ -29,12 +29,7 @@ from astro_scc.measurement import (
     select_ssps,
     versions,
 )
-from astro_scc.partial import (
-    hold,
-    partial_folder,
-    remove_left,
-    replace_when_complete,
-)
+from astro_scc.partial import hold, partial_folder, remove_left, replace_when_complete
 from astro_scc.progress import progress
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import OPTIONS, Settings, check_setting, override, read_toml
@@ -48,10 +43,6 @@ SEED, N_TRIALS = 1, 1000
 SOURCES, STATE, TABLE, PLAN = "sources", "source.json", "survey.ecsv", "survey.toml"
 #: What the folder of a source begins with until it is complete.
 PARTIAL = "partial-"
-REMARKS = (
-    "What determined this measurement of a survey.  To do it again by itself:",
-    "astro-scc measure --config FILE -o FOLDER",
-)
 #: Columns of the table that name a row, and what is said of it.
 HEAD = {
     "source": "name of the source",
@@ -514,37 +505,32 @@ def _measure(source, output, part, report, said):
     for region, group in source.parts:
         outcome = Outcome(source.name, region, group, "failed", failed.get(region, ""))
         if region in masks:
-            folder = Path(regions[region], groups[group])
-            where = Path(SOURCES, source.folder, folder)
-            own = replace(
-                settings,
-                region=source.regions[region],
-                scales=source.scale_groups[group],
-            )
-            (part / folder).mkdir(parents=True)
+            where = Path(SOURCES, source.folder, regions[region], groups[group])
+            folder = part / regions[region] / groups[group]
+            own = {"region": source.regions[region]}
+            own = replace(settings, scales=source.scale_groups[group], **own)
+            folder.mkdir(parents=True)
             before = len(said)
+            names = [name for name in (region, group) if name != WHOLE]
             try:
                 result = _stack(matched, masks[region], own)
                 components = write_measurement(
                     result,
                     own,
-                    part / folder,
+                    folder,
                     output=output / where,
-                    title=_title(source, region, group),
-                    remarks=REMARKS,
+                    report=report,
+                    title=", ".join([source.name, *names]),
                     warnings=_lines([*said[:of_all], *said[before:]]),
                     left_out=left_out,
-                    report=report,
                 )
             except Exception as error:
-                shutil.rmtree(part / folder)
+                shutil.rmtree(folder)
                 _note_error(part, f"{region}, {group}:\n")
                 outcome = replace(outcome, message=_reason(error))
             else:
-                status, message = _found(result, components)
-                outcome = replace(
-                    outcome, status=status, message=message, folder=where.as_posix()
-                )
+                found = _found(result, components)
+                outcome = replace(outcome, folder=where.as_posix(), **found)
         outcomes.append(outcome)
     return outcomes
 
@@ -559,10 +545,12 @@ def _stack(matched, inside, settings):
 def _found(result, components):
     """Return the status of what was measured, and the reason if it is empty."""
     if len(components):
-        return "measured", ""
-    if not result.matched.select.any():
-        return "empty", "no significant pattern here on these scales"
-    return "empty", "no match that could be tested"
+        return {"status": "measured", "message": ""}
+    searched = result.matched.select.any()
+    message = "match that could be tested"
+    if not searched:
+        message = "significant pattern here on these scales"
+    return {"status": "empty", "message": f"no {message}"}
 
 
 def _failed(source, error):
@@ -587,12 +575,6 @@ def _lines(said):
     return sorted({one_line(warning.message) for warning in said})
 
 
-def _title(source, region, group):
-    """Return the title of a report."""
-    parts = [name for name in (region, group) if name != WHOLE]
-    return ", ".join([source.name, *parts])
-
-
 # -- the table -------------------------------------------------------------------
 
 
@@ -612,8 +594,8 @@ def _survey_table(outcomes, output):
             empty[name] = [] * u.one
     rows = [_with_head(empty, None)]
     for outcome in outcomes:
-        own = adjusted.get(outcome)
-        rows.append(_with_head(own if own is not None and len(own) else None, outcome))
+        own = adjusted.get(outcome, ())
+        rows.append(_with_head(own if len(own) else None, outcome))
     table = vstack(rows, metadata_conflicts="silent")
     table.meta.clear()
     table.meta["versions"] = versions()

@@ -11,6 +11,10 @@ EXPLANATION = (
     "p_global: probability that epochs in permuted order would give an equally strong",
     "peak at any velocity",
 )
+NOTHING = (
+    "No significant velocity component.  More epochs, other scales or a",
+    "--region may help.",
+)
 PROFILE_EXPLANATION = (
     "p_fdr: p_global adjusted for all bins, the share of false discoveries up to it",
 )
@@ -40,13 +44,8 @@ def table_lines(head, rows):
     """
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
     # Text to the left in the first column, numbers to the right in the others.
-    return [
-        "  ".join(
-            cell.ljust(width) if i == 0 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in (head, *rows)
-    ]
+    shape = "  ".join(f"{{:{'>' if i else '<'}{w}}}" for i, w in enumerate(widths))
+    return [shape.format(*row).rstrip() for row in (head, *rows)]
 
 
 def plus_minus(row, name, unit=None):
@@ -76,14 +75,10 @@ def component_lines(components):
     kinds = component_kinds(components)
     found = [k for k, kind in enumerate(kinds) if kind in REMARKS]
     others = [k for k, kind in enumerate(kinds) if kind not in REMARKS]
+    lines = list(NOTHING)
     if found:
         lines = _found_lines(components[found], [kinds[k] for k in found])
         lines += EXPLANATION
-    else:
-        lines = [
-            "No significant velocity component.  More epochs, other scales or a",
-            "--region may help.",
-        ]
     if others:
         notes = "; ".join(dict.fromkeys(str(components["note"][k]) for k in others))
         lines.append(
@@ -97,7 +92,7 @@ def component_lines(components):
                 f"Row {row['component']}: slower than {limit.value:.2g} {limit.unit} "
                 "at 95%"
             )
-    return [*lines, *speed_lines(components.meta), *_misalignment(components.meta)]
+    return [*lines, *meta_lines(components.meta)]
 
 
 def profile_lines(components):
@@ -113,30 +108,25 @@ def profile_lines(components):
     -------
     list of str
     """
-    in_c = "beta_app" in components.colnames
     unit = components["pm_parallel"].unit
-    head = ["distance (mas)", f"along the jet ({unit})"]
-    head += ["speed (c)"] if in_c else []
-    head += ["p_global", "p_fdr", "SSPs", ""]
     rows = []
     for row in components:
         if row["kind"] == "not significant" and not row["main"]:
             continue
-        cells = [
-            f"{row['r_min'].value:g} to {row['r_max'].value:g}",
-            plus_minus(row, "pm_parallel"),
-        ]
-        if in_c:
-            cells.append(plus_minus(row, "beta_app"))
         kind = str(row["kind"])
+        cells = {
+            "distance (mas)": f"{row['r_min'].value:g} to {row['r_max'].value:g}",
+            f"along the jet ({unit})": plus_minus(row, "pm_parallel"),
+            **_in_c(row),
+        }
         for name in ("p_global", "p_fdr"):
             # Stationary features are not tested.
-            cells.append("-" if kind == "stationary" else f"{row[name]:.2g}")
-        rows.append([*cells, str(row["n_ssp"]), REMARKS.get(kind, kind)])
+            cells[name] = "-" if kind == "stationary" else f"{row[name]:.2g}"
+        rows.append(cells | {"SSPs": str(row["n_ssp"]), "": REMARKS.get(kind, kind)})
     if not rows:
         return ["No velocity could be tested in any bin."]
-    how = [*speed_lines(components.meta), *_misalignment(components.meta)]
-    return [*table_lines(head, rows), *PROFILE_EXPLANATION, *how]
+    table = table_lines(rows[0], [cells.values() for cells in rows])
+    return [*table, *PROFILE_EXPLANATION, *meta_lines(components.meta)]
 
 
 def scale_lines(of_scales):
@@ -165,11 +155,6 @@ def scale_lines(of_scales):
     return lines
 
 
-def _misalignment(meta):
-    scatter = meta.get("misalignment_beams")
-    return [] if scatter is None else [misalignment_text(scatter)]
-
-
 def misalignment_text(scatter):
     """
     Return how well epochs are aligned, as a line.
@@ -192,6 +177,12 @@ def misalignment_text(scatter):
     if scatter is None:
         return "The images do not show how well the epochs are aligned."
     return f"The epochs are aligned to {scatter:.2f} beams."
+
+
+def meta_lines(meta):
+    """Return how speeds in units of c were made, and the alignment, as lines."""
+    scatter = meta.get("misalignment_beams")
+    return speed_lines(meta) + ([] if scatter is None else [misalignment_text(scatter)])
 
 
 def speed_lines(meta):
@@ -224,30 +215,29 @@ def speed_lines(meta):
     return []
 
 
+def _in_c(row):
+    """Return the speed of a row in units of c by its heading, if it has one."""
+    known = "beta_app" in row.colnames
+    return {"speed (c)": plus_minus(row, "beta_app")} if known else {}
+
+
 def _found_lines(components, kinds):
     from astro_scc.visualization.style import speed_unit
 
-    in_c = "beta_app" in components.colnames
     unit = speed_unit(components["pm"].value.max())
-    head = ["component", f"proper motion ({unit})", "PA (deg)"]
-    head += ["speed (c)"] if in_c else []
-    head += [f"dispersion ({unit})", "p_global", "z score", "features", ""]
     rows = []
     for row, kind in zip(components, kinds, strict=True):
-        angle = row["pm_pa"].value
-        cells = [
-            str(row["component"]),
-            plus_minus(row, "pm", unit),
-            f"{angle:.0f}" if math.isfinite(angle) else "-",
-        ]
-        if in_c:
-            cells.append(plus_minus(row, "beta_app"))
-        spread = row["dispersion"].to_value(unit)
-        cells.append(f"{spread:.2g}" if math.isfinite(spread) else "-")
-        cells += [
-            f"{row['p_global']:.2g}" if kind == "moving" else "-",
-            f"{row['z_score']:.1f}",
-            str(row["n_features"]),
-        ]
-        rows.append([*cells, REMARKS[kind]])
-    return table_lines(head, rows)
+        angle, spread = row["pm_pa"].value, row["dispersion"].to_value(unit)
+        cells = {
+            "component": str(row["component"]),
+            f"proper motion ({unit})": plus_minus(row, "pm", unit),
+            "PA (deg)": f"{angle:.0f}" if math.isfinite(angle) else "-",
+            **_in_c(row),
+            f"dispersion ({unit})": f"{spread:.2g}" if math.isfinite(spread) else "-",
+            "p_global": f"{row['p_global']:.2g}" if kind == "moving" else "-",
+            "z score": f"{row['z_score']:.1f}",
+            "features": str(row["n_features"]),
+            "": REMARKS[kind],
+        }
+        rows.append(cells)
+    return table_lines(rows[0], [cells.values() for cells in rows])

@@ -1,14 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc survey``: many sources, one table."""
+"""
+Measure many sources, on one machine or a Dask cluster.
 
-from contextlib import contextmanager
-from pathlib import Path
+Measure the velocities of many sources and make one table.
 
-from astro_scc.cli.inputs import workers_of
-from astro_scc.cli.options import add_no_report, add_workers
-from astro_scc.cli.summary import table_lines
-
-EPILOG = """\
 examples:
   astro-scc survey survey.toml -o out --workers 8
   astro-scc survey survey.toml -o out --scheduler tcp://node1:8786
@@ -36,21 +31,19 @@ sources/ a folder for each source with the products of astro-scc measure, a repo
 among them.
 """
 
+from contextlib import contextmanager
+from pathlib import Path
 
-HELP = "measure many sources, on one machine or a Dask cluster"
-DESCRIPTION = "Measure the velocities of many sources and make one table."
+from astro_scc.cli.inputs import workers_of
+from astro_scc.cli.options import add_no_report, add_output, add_workers
+from astro_scc.cli.summary import table_lines
 
 
 def add_arguments(parser):
     """Add the arguments of the command."""
     parser.add_argument("survey", metavar="SURVEY.toml", help="what to measure")
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="DIR",
-        required=True,
-        help="folder for the table and the sources' products, new or of this survey",
-    )
+    what = "the table and the sources' products, new or of this survey"
+    add_output(parser, what, overwrite=False)
     add_no_report(parser)
     add_workers(parser)
 

@@ -1,15 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc track``: from images to features followed from epoch to epoch."""
+"""
+Follow single features from epoch to epoch (WISE).
 
-from dataclasses import fields, replace
+Follow the features of images of one object at many dates.
 
-from astro_scc.cli.inputs import draw_seed, read_epochs, settings_of, workers_of
-from astro_scc.cli.options import add_output, add_settings, add_switch, add_votable
-from astro_scc.cli.summary import speed_lines, table_lines
-
-HELP = "follow single features from epoch to epoch (WISE)"
-DESCRIPTION = "Follow the features of images of one object at many dates."
-EPILOG = """\
 examples:
   astro-scc track 3c120/*.fits -o tracks --align core --max-speed "4 mas/yr" \\
       --redshift 0.033
@@ -20,17 +14,18 @@ The folder gets features.ecsv, a row for each feature and epoch, tracks.ecsv, a 
 each feature, track_profile.ecsv, speed against distance, and figures of all three.
 A configuration file of astro-scc measure may be given for the settings that both have.
 """
+
+from dataclasses import fields, replace
+
+from astro_scc.cli.inputs import read_epochs, settings_of, workers_of
+from astro_scc.cli.options import add_option, add_output, add_settings, add_switch
+from astro_scc.cli.summary import speed_lines, table_lines
+
 # Files of an earlier run that must not stand beside new ones.
 PRODUCTS = (
-    "features.ecsv",
-    "tracks.ecsv",
-    "track_profile.ecsv",
-    "features.vot",
-    "tracks.vot",
-    "separation.png",
-    "tracks.png",
-    "track_profile.png",
-)
+    "features.ecsv tracks.ecsv track_profile.ecsv features.vot tracks.vot "
+    "separation.png tracks.png track_profile.png"
+).split()
 KAPPA, N_TRIALS = 0.5, 20
 #: Dots per inch of the figures.
 DPI = 130
@@ -40,14 +35,10 @@ N_RADII = 20
 
 def add_arguments(parser):
     """Add the arguments of the command."""
-    add_output(parser, "the tables and figures")
+    add_output(parser, "the tables and figures", votable="features.vot and tracks.vot")
     add_switch(parser, "--no-figures", "write only the tables")
-    add_votable(parser, "features.vot and tracks.vot")
-    parser.add_argument(
-        "--profile",
-        metavar="FILE.ecsv",
-        help="profile of the stack, as of astro-scc profile, for the figure",
-    )
+    text = "profile of the stack, as of astro-scc profile, for the figure"
+    add_option(parser, "--profile", "FILE.ecsv", text)
     add_settings(parser, "track")
 
 
@@ -66,12 +57,9 @@ def run(args, reporter):
     n_workers = workers_of(args)
     tracker = _tracker(settings)
     stack = None if args.profile is None else _stack_profile(args.profile)
-    with product_folder(
-        args.output, overwrite=args.overwrite, stale=PRODUCTS
-    ) as folder:
+    made = product_folder(args.output, overwrite=args.overwrite, stale=PRODUCTS)
+    with made as folder:
         cube, settings, _ = read_epochs(settings, note=reporter.note)
-        if settings.seed is None:
-            settings = replace(settings, seed=draw_seed())
         tracking = _track(cube, tracker, settings, reporter, n_workers)
         profile = _write(tracking, settings, folder, votable=args.votable)
         if not args.no_figures:
@@ -93,42 +81,30 @@ def _stack_profile(path):
     """Return the profile of the stack, and refuse what is none."""
     from astropy.table import QTable
 
+    from astro_scc.visualization.profiles import missing_columns
+
     try:
         table = QTable.read(path, format="ascii.ecsv")
     except FileNotFoundError:
         raise OSError(f"{path}: does not exist") from None
     except Exception as error:
-        first = str(error).strip().splitlines()
-        raise ValueError(
-            f"{path}: is no ECSV table: {first[0] if first else error}"
-        ) from None
-    wanted = ("r_mid", "pm_parallel", "pm_parallel_err")
-    missing = [name for name in wanted if name not in table.colnames]
-    if missing:
-        raise ValueError(f"{path}: is no profile, it has no {', '.join(missing)}")
+        first = [*str(error).strip().splitlines(), ""][0]
+        raise ValueError(f"{path}: is no ECSV table: {first}") from None
+    if missing := missing_columns(table):
+        raise ValueError(f"{path}: is no profile, it has no {missing}")
     return table
 
 
 def _track(cube, tracker, settings, reporter, n_workers):
     """Decompose the epochs and link their features."""
-    from astro_scc.decomposition import Decomposer
-    from astro_scc.measurement.decomposing import allow_for_structure, decompose_epochs
-    from astro_scc.measurement.plan import (
-        scales_of_pixels,
-        ssps_inside,
-        warn_of_none_inside,
-    )
+    from astro_scc import StackedCrossCorrelation
+    from astro_scc.measurement.decomposing import decompose_epochs
+    from astro_scc.measurement.plan import ssps_inside, warn_of_none_inside
 
     region = settings.region
     inside = None if region is None else cube.region_mask(region)
-    decomposer = Decomposer(
-        scales=scales_of_pixels(settings.scales, cube.pixel_scale),
-        kernel=settings.wavelet,
-        detection=settings.detection,
-        segmentation=settings.segmentation,
-        noise=settings.noise,
-    )
-    decompositions = decompose_epochs(cube, allow_for_structure(cube, decomposer))
+    decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
+    decompositions = decompose_epochs(cube, decomposer)
     ssps, select = ssps_inside(decompositions, cube, inside)
     warn_of_none_inside(ssps, select, region)
     return tracker(
@@ -183,11 +159,7 @@ def _draw(tracking, profile, settings, folder, stack):
     import astropy.units as u
 
     from astro_scc.kinematics import apparent_speed
-    from astro_scc.visualization import (
-        plot_separation,
-        plot_track_profile,
-        plot_tracks,
-    )
+    from astro_scc.visualization import plot_separation, plot_track_profile, plot_tracks
 
     how = settings.in_c
     per_pm = float(apparent_speed(1 * u.mas / u.yr, **how)) if how else None

@@ -103,7 +103,7 @@ def measure_expansion(
     >>> shell = simulate_shell(n_epochs=6, interval=8 * u.yr, n_clumps=0, n_knots=25,
     ...                        radius=50 * u.arcsec, size=160, rng=4)
     >>> scc = StackedCrossCorrelation(
-    ...     scales=[1], max_speed=150 * u.mas / u.yr, kernel=0.1, detection=7,
+    ...     scales=[1], max_speed=150 * u.mas / u.yr, min_error_beams=0.1, detection=7,
     ...     segmentation=5)
     >>> matched = scc.match(shell.cube)
     >>> table = measure_expansion(

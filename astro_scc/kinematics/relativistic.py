@@ -252,13 +252,7 @@ def _at_angle(beta_app, angle):
 
 
 def two_sided_jet(
-    approaching,
-    receding,
-    distance=None,
-    *,
-    errors=(0.0, 0.0),
-    n_trials=20000,
-    rng=None,
+    approaching, receding, distance=None, *, errors=(0.0, 0.0), n_trials=20000, rng=None
 ):
     r"""
     Return speed and angle of two jets that are alike and flow apart.

@@ -47,8 +47,8 @@ def stack_matches(
     max_speed=None,
     baseline=None,
     position_angle=None,
-    kernel=0.2,
-    level=0.05,
+    min_error_beams=0.2,
+    alpha=0.05,
     outward=False,
     alignment_error=None,
     small_displacement_correction=False,
@@ -77,9 +77,9 @@ def stack_matches(
         Shortest and longest interval that is used, in years.
     position_angle : `~astropy.units.Quantity`, str, frame or None
         Of the velocity axes, see `~astro_scc.StackedCrossCorrelation`.
-    kernel : float
+    min_error_beams : float
         Smallest standard error of a displacement, in beams.
-    level : float
+    alpha : float
         Largest ``p_global`` of a component.
     outward : bool
         Search positive speeds along the first axis only.
@@ -106,7 +106,7 @@ def stack_matches(
     -----
     `~astro_scc.exceptions.MeasurementWarning`
         If the trials or the epochs are so few that no ``p_global`` can be as
-        small as ``level``.
+        small as ``alpha``.
     """
     n_trials = require("n_trials", n_trials)
     rng, seed = seeded(rng)
@@ -114,7 +114,12 @@ def stack_matches(
     cube = matched.cube
     frame, angle = velocity_frame(matched, position_angle)
     samples = angular_displacements(
-        matched.matches, matched.ssps, cube, frame, kernel, select=matched.select
+        matched.matches,
+        matched.ssps,
+        cube,
+        frame,
+        min_error_beams,
+        select=matched.select,
     )
     project = AxisProjection(samples, matched.ssps, cube, frame)
     known = not isinstance(frame, SkyFrame)
@@ -124,14 +129,14 @@ def stack_matches(
             project,
             np.arange(n_axes) * np.pi / n_axes,
             radius,
-            alpha=level,
+            alpha=alpha,
             n_trials=n_trials,
             rng=search_rng,
             outward=outward and known,
             fastest=np.inf if max_speed is None else max_speed / project.beam(0.0)[0],
             intervals=(0.0, np.inf) if baseline is None else baseline,
         )
-    _warn_of_limits(search.permutations.smallest_p, len(cube), n_trials, level)
+    _warn_of_limits(search.permutations.smallest_p, len(cube), n_trials, alpha)
     misaligned = alignment_errors(cube, alignment_error)
     velocities = tuple(
         velocity_of(stream, project.beam(stream.angle), misaligned, matched.ssps.epoch)
@@ -157,7 +162,7 @@ def stack_matches(
         progress_bar=progress_bar,
     )
     meta = {
-        "settings": {**(settings or {}), "level": level},
+        "settings": {**(settings or {}), "alpha": alpha},
         "n_trials": int(n_trials),
         "seed": seed,
         "versions": versions(),

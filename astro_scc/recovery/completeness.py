@@ -150,7 +150,7 @@ def completeness(
     -----
     The features are found if there is a component that
 
-    1. is "moving" with ``p_global <= scc.level``,
+    1. is "moving" with ``p_global <= scc.alpha``,
     2. lies within the tolerance of their velocity,
     3. is not one of the epochs' own: the epochs are measured without
        features first, and each moving component of theirs takes the one
@@ -181,7 +181,7 @@ def completeness(
     -------- --------- ----------
         12.0       2.0          3
     """
-    _check_possible(len(cube), n_trials, scc.level)
+    _check_possible(len(cube), n_trials, scc.alpha)
     position_angle, largest_part = _direction(position_angle, scc.position_angle)
     width = _width(cube, scc, fwhm)
     tolerance = _tolerance(cube, scc, width, tolerance)
@@ -206,7 +206,7 @@ def completeness(
         warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
         bare = measure(cube, own_rng)
     area = area_for_features(bare.matched, region)
-    numbers = moving_components(bare, scc.level)
+    numbers = moving_components(bare, scc.alpha)
     own = np.reshape([bare.velocities[k - 1].value for k in numbers], (-1, 2))
     axis = velocity_along(bare.frame, position_angle)
 
@@ -216,7 +216,7 @@ def completeness(
         flow |= {"speed": speed * PM_UNIT, "scatter": scatter * width * u.mas}
         paths = draw_paths(cube, area, **flow, rng=path_rng)
         result = measure(inject(cube, paths, peak * cube.unit, fwhm=fwhm), trial_rng)
-        rule = {"tolerance": tolerance, "level": scc.level, "fwhm": width}
+        rule = {"tolerance": tolerance, "level": scc.alpha, "fwhm": width}
         number = recovered(result, own, speed * axis, paths=paths, **rule)
         return None if number is None else _offset(result, number, axis, speed)
 
@@ -234,7 +234,7 @@ def completeness(
         "settings": scc.to_dict(),
         "position_angle": position_angle,
         "tolerance": tolerance * PM_UNIT,
-        "level": scc.level,
+        "alpha": scc.alpha,
         "n_features": n_features,
         "n_trials": n_trials,
         "scatter": scatter,

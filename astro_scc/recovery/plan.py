@@ -71,7 +71,7 @@ def plan(
     field=None,
     n_jets=20,
     n_trials=200,
-    level=0.05,
+    alpha=0.05,
     wanted=0.9,
     rng=None,
     n_workers=1,
@@ -104,7 +104,7 @@ def plan(
         simple estimate is returned at once.
     n_trials : int, optional
         Of each measurement.
-    level : float, optional
+    alpha : float, optional
         Largest ``p_global`` of a component.
     wanted : float, optional
         The share of jets in which both are found that `smallest_plan`
@@ -144,7 +144,7 @@ def plan(
     time between first and last, speeds v < V, b the beam along the jet and L
     the field,
 
-    - "epochs": 2 / N! is above the level;
+    - "epochs": 2 / N! is above ``alpha``;
     - "rest": v T < b, the slower stream is not searched, as standing features
       that blend drift, too (``slowest`` of `~astro_scc.stacking.SearchSettings`);
     - "field": features of the faster stream cross more than half of the field
@@ -152,7 +152,7 @@ def plan(
     - "difference": (V - v) T < 0.5 b, the speeds of features scatter as much.
 
     A stream is found if there is a component that moves with ``p_global <=
-    level`` within 20% of its velocity and within 0.2 beams over the interval.
+    alpha`` within 20% of its velocity and within 0.2 beams over the interval.
 
     Examples
     --------
@@ -182,14 +182,14 @@ def plan(
     intervals = positive_quantities("intervals", intervals, "0.5 yr")
     if n_jets < 0:
         raise ValueError(f"n_jets must be zero or positive, got {n_jets}")
-    for name, value in (("level", level), ("wanted", wanted)):
+    for name, value in (("alpha", alpha), ("wanted", wanted)):
         if not 0 < value < 1:
             raise ValueError(f"{name} must be between 0 and 1, got {value}")
     if n_jets:
-        check_trials(n_trials, level)
+        check_trials(n_trials, alpha)
     rng, seed = seeded(rng)
     campaigns = [
-        _Campaign(int(n), interval, slow, fast, width, length, level)
+        _Campaign(int(n), interval, slow, fast, width, length, alpha)
         for n in numbers
         for interval in intervals.to_value(u.yr)
     ]
@@ -215,9 +215,9 @@ def plan(
         "beam_along": width * u.mas,
         "field": length * u.mas,
         "n_trials": n_trials,
-        "level": level,
+        "alpha": alpha,
         "wanted": wanted,
-        "epochs_needed": epochs_needed(level),
+        "epochs_needed": epochs_needed(alpha),
         "seed": seed,
         "versions": versions(),
         "smallest": None if row is None else _as_dict(row),
@@ -274,7 +274,7 @@ class _Campaign:
     fast: float
     width: float
     field: float
-    level: float
+    alpha: float
 
     @property
     def total(self):
@@ -283,7 +283,7 @@ class _Campaign:
     @property
     def limit(self):
         """The reason why nothing can come of it, or an empty string."""
-        if smallest_p(self.n_epochs) > self.level:
+        if smallest_p(self.n_epochs) > self.alpha:
             return "epochs"
         # Rounding decides nothing.
         beam = self.width * (1 - 1e-9)
@@ -338,7 +338,7 @@ class _Campaign:
             scales=SCALES,
             max_speed=(self.fast + MARGIN * per_interval) * PM_UNIT,
             position_angle=JET,
-            level=self.level,
+            alpha=self.alpha,
         )
         table = scc(jet.cube, n_trials=n_trials, rng=trial_rng).components
         moving = table[table["kind"] == "moving"]

@@ -12,32 +12,19 @@ import numpy as np
 
 from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
-from astro_scc.report.tables import (
-    component_rows,
-    epoch_rows,
-    feature_rows,
-    in_easy_units,
-    plain_value,
-    setting_rows,
-    unit_text,
-)
+from astro_scc.report import tables
+from astro_scc.report.tables import plain_value, unit_text
 
 #: What else may be in the folder, in this order.
 PRODUCTS = (
-    "components.ecsv",
-    "features.ecsv",
-    "components.vot",
-    "ssps.ecsv",
-    "ssps.vot",
-    "scc.fits",
-    "config.toml",
-    "region.reg",
-)
+    "components.ecsv features.ecsv components.vot ssps.ecsv ssps.vot scc.fits "
+    "config.toml region.reg"
+).split()
 #: Dots per inch of the figures, which are up to six inches wide.
 DPI = 150
 #: Speeds beyond this part of the largest one that was searched are pointed out.
 EDGE = 0.9
-NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+NUMBERS = "no one two three four five six seven eight nine".split()
 
 
 def write_report(
@@ -109,9 +96,9 @@ def write_report(
         title=str(title),
         warnings=[str(warning) for warning in warnings],
         figures={name: _address(png) for name, png in figures.items()},
-        epochs=epoch_rows(result),
+        epochs=tables.epoch_rows(result),
         left_out=[(w, "") if isinstance(w, str) else tuple(w) for w in left_out],
-        settings=setting_rows(result, components),
+        settings=tables.setting_rows(result, components),
         rerun=rerun,
         config_text=config_text,
         history=[str(line) for line in result.cube.meta.get("history", ())],
@@ -195,8 +182,8 @@ def _findings(result, components):
     from astro_scc.visualization.style import component_kinds
 
     kinds = component_kinds(components)
-    easy = in_easy_units(components)
-    tables, notes = component_rows(easy, kinds)
+    easy = tables.in_easy_units(components)
+    shown, notes = tables.component_rows(easy, kinds)
     names = [name for name in easy.colnames if easy[name].ndim == 1]
     rows = [
         {name: plain_value(row[name]) for name in names} | {"kind": kind}
@@ -208,9 +195,9 @@ def _findings(result, components):
         "components": rows,
         "kinds": kinds,
         "unit": unit_text(easy["pm"].unit),
-        "tables": tables,
+        "tables": shown,
         "notes": notes,
-        "features": feature_rows(easy, result.features),
+        "features": tables.feature_rows(easy, result.features),
         "fast": fast,
         "dates": result.cube.times.strftime("%Y-%m-%d"),
         "n_pairs": int(result.search.diagram.n_pairs.sum()),
@@ -219,7 +206,7 @@ def _findings(result, components):
         "n_inside": int(inside.sum()),
         "n_scales": len(np.unique(np.asarray(result.ssps["scale"], dtype=float))),
         "axes": result.frame.axis_names,
-        "alpha": result.meta["settings"]["level"],
+        "alpha": result.meta["settings"]["alpha"],
         "n_trials": result.meta["n_trials"],
         "smallest_of_epochs": 2 / math.factorial(min(len(result.cube), 20)),
     }
@@ -228,10 +215,6 @@ def _findings(result, components):
 def fast_components(result, rows):
     """Return the numbers of moving components at the edge of what was searched."""
     fastest = result.search.permutations.speed.max()
-    return [
-        int(row["component"])
-        for row in rows
-        if row["kind"] == "moving"
-        and abs(result.search.streams[int(row["component"]) - 1].along.mean)
-        > EDGE * fastest
-    ]
+    moving = [int(row["component"]) for row in rows if row["kind"] == "moving"]
+    speeds = [abs(result.search.streams[number - 1].along.mean) for number in moving]
+    return [n for n, v in zip(moving, speeds, strict=True) if v > EDGE * fastest]

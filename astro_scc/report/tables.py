@@ -38,6 +38,8 @@ COLUMNS = (
     ("p_smallest", "smallest p_global", 3),
     ("note", "note", 0),
 )
+#: What is in the meta of a table and stands elsewhere on the page.
+NO_SETTINGS = ("versions", "history", "configuration")
 
 
 def plain_value(item):
@@ -46,14 +48,11 @@ def plain_value(item):
     return item if isinstance(item, str) else float(item)
 
 
-def row_text(row, name):
-    """A number of a row with its error, of the columns ``name`` and ``name_err``."""
-    return with_error(plain_value(row[name]), plain_value(row[f"{name}_err"]))
-
-
 def unit_text(unit):
-    """A unit without blanks; nothing for none."""
-    return "" if unit is None else u.Unit(unit).to_string().replace(" / ", "/")
+    """Return a unit without blanks; nothing for none."""
+    from astro_scc.visualization.style import unit_name
+
+    return "" if unit is None else unit_name(unit)
 
 
 def in_easy_units(components):
@@ -137,7 +136,7 @@ def _cell(components, row, name, digits):
     if isinstance(value, str):
         return value
     if f"{name}_err" in components.colnames:
-        return row_text(row, name)
+        return with_error(value, plain_value(row[f"{name}_err"]))
     # A probability may be small, but is never rounded to nothing.
     return f"{value:.2g}" if name.startswith("p_") else f"{value:.{digits}f}"
 
@@ -175,51 +174,41 @@ def feature_rows(components, features):
 
 
 def epoch_rows(result):
+    """Return head and rows of the table of the epochs."""
     table = result.cube.epochs
     epoch = np.asarray(result.ssps["epoch"], dtype=int)
     inside = np.asarray(result.ssps["in_region"], bool)
     days = [date.strftime("%Y-%m-%d") for date in table["date"]]
     times = [date.strftime("%Y-%m-%d %H:%M") for date in table["date"]]
-    head = ["Date"]
-    columns = [days if len(set(days)) == len(days) else times]
+    columns = {"Date": days if len(set(days)) == len(days) else times}
     labels = [str(label) for label in table["label"]]
     if labels != days:
-        head.insert(0, "Epoch")
-        columns.insert(0, labels)
+        columns = {"Epoch": labels} | columns
     if "major" in table.colnames:
-        head.append("Beam (mas, deg)")
-        columns.append(
-            [
-                f"{row['major'].to_value(u.mas):.3g} x "
-                f"{row['minor'].to_value(u.mas):.3g} at {row['pa'].to_value(u.deg):.0f}"
-                for row in table
-            ]
-        )
+        columns["Beam (mas, deg)"] = [
+            f"{row['major'].to_value(u.mas):.3g} x {row['minor'].to_value(u.mas):.3g} "
+            f"at {row['pa'].to_value(u.deg):.0f}"
+            for row in table
+        ]
     noise = u.Quantity(table["noise"])
     unit = unit_text(noise.unit)
-    head.append(f"Noise ({unit})" if unit else "Noise")
-    columns.append([f"{value:.2g}" for value in noise.value])
-    head.append("SSPs")
-    counted = [inside]
+    columns[f"Noise ({unit})" if unit else "Noise"] = [f"{v:.2g}" for v in noise.value]
+    counted = {"SSPs": inside}
     if not inside.all():
-        head.append("SSPs outside the region")
-        counted.append(~inside)
-    for some in counted:
+        counted["SSPs outside the region"] = ~inside
+    for name, some in counted.items():
         counts = np.bincount(epoch[some], minlength=len(result.cube))
-        columns.append([str(count) for count in counts])
-    return {"head": head, "rows": list(zip(*columns, strict=True))}
+        columns[name] = [str(count) for count in counts]
+    rows = list(zip(*columns.values(), strict=True))
+    return {"head": list(columns), "rows": rows}
 
 
 def setting_rows(result, components):
-    """Settings as pairs of name and text."""
+    """Return settings as pairs of name and text."""
     meta = {**result.meta, **components.meta}
-    pairs = dict(meta.pop("settings", {}))
-    for name in ("versions", "history", "configuration"):
-        meta.pop(name, None)
-    pairs.update(meta)
-    return [
-        (str(name).replace("_", " "), _text(value)) for name, value in pairs.items()
-    ]
+    pairs = meta.pop("settings", {}) | meta
+    left = {k: v for k, v in pairs.items() if k not in NO_SETTINGS}
+    return [(str(name).replace("_", " "), _text(v)) for name, v in left.items()]
 
 
 def _text(value):

@@ -61,8 +61,8 @@ def track_table(tracking):
     cube = tracking.cube
     rows = [_motion_row(tracking, number) for number in range(tracking.n_tracks)]
     table = QTable()
-    for name, kind, description in COLUMNS:
-        values = [row[name] for row in rows]
+    columns = zip(*rows, strict=True) if rows else [()] * len(COLUMNS)
+    for (name, kind, description), values in zip(COLUMNS, columns, strict=True):
         unit = cube.unit if kind == "brightness" else kind
         if isinstance(unit, u.UnitBase):
             missing = np.array([value is None for value in values], dtype=bool)
@@ -71,8 +71,8 @@ def track_table(tracking):
             masked = name.startswith(PARTIAL)
             table[name] = Masked(column, mask=missing) if masked else column
         elif kind is Time:
-            at = np.array(values, dtype=int)
-            table[name] = Time(cube.times[at], format="isot")
+            dates = cube.times[np.array(values, dtype=int)]
+            table[name] = Time(dates, format="isot")
         else:
             table[name] = Column(np.array(values, dtype=kind))
         table[name].info.description = description
@@ -93,44 +93,22 @@ def _motion_row(tracking, number):
     epoch, epoch_err = ejection_epoch(fit, tracking.fwhm.value, accelerated=accelerated)
     starts, ends = np.isin(links.source, own), np.isin(links.target, own)
     is_link = (links.kind == "link") & starts & ends
-    return {
-        "track": tracking.names[number],
-        "scale": ssps.scale[own[0]],
-        "n_epochs": len(own),
-        "first": epochs[0],
-        "last": epochs[-1],
-        "n_gaps": int(epochs[-1] - epochs[0] + 1 - len(own)),
-        "flux": np.median(ssps.flux[own]),
-        "r": np.mean(np.hypot(east, north)),
-        "pa": _angle(east.mean(), north.mean()),
-        "middle": start + fit.middle,
-        "east": x,
-        "north": y,
-        "pm_ra_cosdec": vx,
-        "pm_ra_cosdec_err": fit.errors[0, 1],
-        "pm_dec": vy,
-        "pm_dec_err": fit.errors[1, 1],
-        "pm": np.hypot(vx, vy),
-        "pm_err": speed_err,
-        "pm_pa": _angle(vx, vy),
-        "pm_pa_err": min(np.degrees(angle_err), 180.0),
-        "turn": turn_between((east.mean(), north.mean()), (vx, vy)),
-        "scatter_east": fit.scatter[0],
-        "scatter_north": fit.scatter[1],
-        "pm_dot_parallel": parallel[0],
-        "pm_dot_parallel_err": parallel[1],
-        "pm_dot_transverse": transverse[0],
-        "pm_dot_transverse_err": transverse[1],
-        "accelerated": accelerated,
-        "t_ej": None if epoch is None else start + epoch,
-        "t_ej_err": epoch_err,
-        "coefficient": links.coefficient[is_link].mean(),
-        "gain": links.gain[is_link].mean(),
-        "n_merges": int(np.sum(ends & (links.kind == "merge"))),
-        "n_splits": int(np.sum(starts & (links.kind == "split"))),
-        "merges_into": _name(tracking, links.target, links.source == own[-1], "merge"),
-        "splits_from": _name(tracking, links.source, links.target == own[0], "split"),
-    }
+    mean = east.mean(), north.mean()
+    # In the order of `COLUMNS`.
+    return [
+        tracking.names[number], ssps.scale[own[0]], len(own), epochs[0], epochs[-1],
+        int(epochs[-1] - epochs[0] + 1 - len(own)), np.median(ssps.flux[own]),
+        np.mean(np.hypot(east, north)), _angle(*mean), start + fit.middle, x, y,
+        vx, fit.errors[0, 1], vy, fit.errors[1, 1], np.hypot(vx, vy), speed_err,
+        _angle(vx, vy), min(np.degrees(angle_err), 180.0),
+        turn_between(mean, (vx, vy)), *fit.scatter, *parallel, *transverse, accelerated,
+        None if epoch is None else start + epoch, epoch_err,
+        links.coefficient[is_link].mean(), links.gain[is_link].mean(),
+        int(np.sum(ends & (links.kind == "merge"))),
+        int(np.sum(starts & (links.kind == "split"))),
+        _name(tracking, links.target, links.source == own[-1], "merge"),
+        _name(tracking, links.source, links.target == own[0], "split"),
+    ]  # fmt: skip
 
 
 def _name(tracking, other, at, kind):

@@ -7,6 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.positions import axis_words
+from astro_scc.quantities import with_error
 from astro_scc.visualization import style
 from astro_scc.visualization.style import BLACK, KINDS, PM_UNIT, unit_name
 from astro_scc.visualization.velocity import on_sky
@@ -121,10 +122,8 @@ def _texts(components, kinds):
     texts = []
     for row, kind in zip(components, kinds, strict=True):
         value, error = row["pm"].to_value(unit), row["pm_err"].to_value(unit)
-        text = f"{value:.3g} {unit_name(unit)}"
-        if math.isfinite(error) and error > 0:
-            digits = max(0, 1 - math.floor(math.log10(error)))
-            text = f"{value:.{digits}f} ± {error:.{digits}f} {unit_name(unit)}"
+        text = with_error(value, error if math.isfinite(error) else 0.0)
+        text = f"{text} {unit_name(unit)}"
         text = {"moving": text, "stationary": kind}.get(kind, f"{text},\n{kind}")
         texts.append(f"{int(row['component'])}: {text}")
     return texts
@@ -147,9 +146,8 @@ def _edges(middle):
     if len(middle) == 1:
         return middle[0] * np.array([0.9, 1.1])
     half = np.diff(middle) / 2
-    return np.concatenate(
-        [[middle[0] - half[0]], middle[:-1] + half, [middle[-1] + half[-1]]]
-    )
+    first, last = middle[0] - half[0], middle[-1] + half[-1]
+    return np.concatenate([[first], middle[:-1] + half, [last]])
 
 
 def _draw_ray(ax, slope, spread, line, number, text):

@@ -13,14 +13,8 @@ from astro_scc.visualization import drawing, style
 
 #: What writes which files, by their ending.
 WRITERS = {".gif": "pillow", ".mp4": "ffmpeg"}
-LEGEND = {
-    "fontsize": "small",
-    "frameon": False,
-    "columnspacing": 1.0,
-    "handletextpad": 0.3,
-    "borderaxespad": 0.2,
-    "ncols": 9,
-}
+LEGEND = {"fontsize": "small", "frameon": False, "columnspacing": 1.0}
+LEGEND |= {"handletextpad": 0.3, "borderaxespad": 0.2, "ncols": 9}
 
 
 def plot_epoch(
@@ -106,11 +100,7 @@ def plot_epochs(
     *,
     figure=None,
     max_panels=12,
-    unit=None,
-    stretch="asinh",
-    vmin=None,
-    vmax=None,
-    zoom=True,
+    **view,
 ):
     """
     Draw all epochs with the same colours, or some of them evenly chosen.
@@ -125,8 +115,8 @@ def plot_epochs(
     max_panels : int, optional
         Of more epochs than these, the first, the last and others evenly
         between them are drawn.
-    unit, stretch, vmin, vmax, zoom
-        As in `plot_epoch`.
+    **view
+        ``unit``, ``stretch``, ``vmin``, ``vmax`` and ``zoom``, as in `plot_epoch`.
 
     Returns
     -------
@@ -150,10 +140,7 @@ def plot_epochs(
     n = len(cube)
     chosen = np.unique(np.rint(np.linspace(0, n - 1, min(n, max_panels))).astype(int))
     images = np.ma.masked_array(cube.data[chosen], cube.mask[chosen])
-    view = drawing.View.of(
-        cube, ssps, images, zoom=zoom, unit=unit, epochs=chosen, stretch=stretch,
-        vmin=vmin, vmax=vmax,
-    )  # fmt: skip
+    view = drawing.View.of(cube, ssps, images, epochs=chosen, **view)
     figure, axes = drawing.image_panels(view, len(chosen), figure, aside=1.4, above=0.4)
     for ax, index, image in zip(axes, chosen, images, strict=True):
         drawn = drawing.draw_image(ax, view, image, _beam(cube, index))
@@ -211,10 +198,9 @@ def plot_intervals(cube, pairs=None, *, ax=None):
     both = np.stack([dates[pairs.first], dates[pairs.second]], axis=1)
     ends = np.stack([both, np.stack([height, height], axis=1)], axis=-1)
     many = len(pairs) > 60
-    bar = (
-        {"linewidths": 0.8, "alpha": 0.4} if many else {"linewidths": 1.8, "alpha": 0.9}
-    )
-    bars = LineCollection(ends, colors=style.BLUE, gid="pairs", **bar)
+    width, alpha = (0.8, 0.4) if many else (1.8, 0.9)
+    bar = {"colors": style.BLUE, "linewidths": width, "alpha": alpha}
+    bars = LineCollection(ends, gid="pairs", **bar)
     ax.add_collection(bars, autolim=False)
     if not many:
         ax.plot(ends[..., 0], ends[..., 1], "o", color=style.BLUE, markersize=3)
@@ -240,9 +226,7 @@ def animate_epochs(
     trail=3,
     interval=400 * u.ms,
     ax=None,
-    unit=None,
-    stretch="asinh",
-    zoom=True,
+    **view,
 ):
     """
     Show the epochs one after the other, with their SSPs.
@@ -262,8 +246,8 @@ def animate_epochs(
         Time between frames.
     ax : `matplotlib.axes.Axes`, optional
         Drawn on these instead of a new figure.
-    unit, stretch, zoom
-        As in `plot_epoch`.
+    **view
+        ``unit``, ``stretch``, ``vmin``, ``vmax`` and ``zoom``, as in `plot_epoch`.
 
     Returns
     -------
@@ -297,7 +281,7 @@ def animate_epochs(
         raise ValueError(f"interval must be positive, got {interval}")
     shown = _epochs_shown(cube, n_frames)
     images = np.ma.masked_array(cube.data, cube.mask)
-    view = drawing.View.of(cube, ssps, images, zoom=zoom, unit=unit, stretch=stretch)
+    view = drawing.View.of(cube, ssps, images, **view)
     figure, ax = style.figure_and_axes(ax, _figsize(view))
     picture = drawing.draw_image(ax, view, images[shown[0]])
     _add_bar(ax, picture, view)

@@ -248,9 +248,9 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
     unit = next((v.unit for v in values if len(v)), u.deg)
     values = [v.to_value(unit) if len(v) else v.value for v in values]
     everything = np.concatenate(values) if values else np.zeros(0)
-    low, high = (
-        np.percentile(everything, [0.5, 99.5]) if len(everything) else (0.0, 1.0)
-    )
+    low, high = 0.0, 1.0
+    if len(everything):
+        low, high = np.percentile(everything, [0.5, 99.5])
     edges = np.linspace(low, high if high > low else low + 1, n_bins + 1)
     for k, (name, v) in enumerate(zip(groups, values, strict=True)):
         color = SCALE_COLORS[k % len(SCALE_COLORS)]
@@ -266,6 +266,12 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
         ax.legend(fontsize="small")
     ax.tick_params(colors=style.BLACK)
     return figure
+
+
+def missing_columns(stack):
+    """Return the columns that the profile of a stack needs and has not, as text."""
+    wanted = ("r_mid", "pm_parallel", "pm_parallel_err")
+    return ", ".join(name for name in wanted if name not in stack.colnames)
 
 
 def plot_track_profile(profile, *, stack=None, beta_per_pm=None, ax=None):
@@ -315,10 +321,8 @@ def plot_track_profile(profile, *, stack=None, beta_per_pm=None, ax=None):
     )
     ax.plot(r, speed, "o-", color=style.ORANGE, markersize=4, label="tracks")
     if stack is not None:
-        wanted = ("r_mid", "pm_parallel", "pm_parallel_err")
-        missing = [name for name in wanted if name not in stack.colnames]
-        if missing:
-            raise ValueError(f"the profile of the stack has no {', '.join(missing)}")
+        if missing := missing_columns(stack):
+            raise ValueError(f"the profile of the stack has no {missing}")
         middle = stack["r_mid"].to_value(unit)
         bars = None
         if {"r_min", "r_max"} <= set(stack.colnames):

@@ -20,12 +20,8 @@ MAP_LABELS = {
     "z_score": "Significance z",
 }
 #: Corners for the legend, the first ones preferred, and the last ones for the arrow.
-CORNERS = {
-    "upper right": (1, 1),
-    "upper left": (0, 1),
-    "lower right": (1, 0),
-    "lower left": (0, 0),
-}
+CORNERS = {"upper right": (1, 1), "upper left": (0, 1)}
+CORNERS |= {"lower right": (1, 0), "lower left": (0, 0)}
 #: Size of legend and arrow as parts of the axes.
 LEGEND_SIZE = (0.34, 0.16)
 ARROW_SIZE = (0.22, 0.22)
@@ -340,20 +336,14 @@ def _along_jet(result):
     angle = u.Quantity(result.position_angle).to_value(u.rad)
     sin, cos = np.sin(angle), np.cos(angle)
     # As far as the square map reaches in this direction.
-    reach = min(
-        grid.v_max[0] / max(abs(sin), 1e-9), grid.v_max[1] / max(abs(cos), 1e-9)
-    )
+    reach = min(np.divide(grid.v_max, np.maximum(np.abs([sin, cos]), 1e-9)))
     half = int(np.ceil(reach / min(grid.step)))
     speed = np.linspace(-reach, reach, 2 * half + 1)
     along, across = np.meshgrid(speed, speed)
     east, north = sin * along + cos * across, cos * along - sin * across
     steps = grid.step
-    turned = map_coordinates(
-        z_score,
-        [(north - grid.v2[0]) / steps[1], (east - grid.v1[0]) / steps[0]],
-        order=1,
-        cval=np.nan,
-    )
+    at = [(north - grid.v2[0]) / steps[1], (east - grid.v1[0]) / steps[0]]
+    turned = map_coordinates(z_score, at, order=1, cval=np.nan)
     return speed, turned[half], _highest(turned)
 
 
@@ -364,11 +354,8 @@ def _highest(rows):
 
 
 def _mark_significance(ax, result, components, unit):
-    along, error, across, across_error = (
-        _plain(components, name, unit)
-        for name in ("pm_parallel", "pm_parallel_err", "pm_transverse",
-                     "pm_transverse_err")
-    )  # fmt: skip
+    names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
+    along, error, across, across_error = (_plain(components, n, unit) for n in names)
     z_score = _plain(components, "z_score")
     least = max(result.grid.step) * PM_UNIT.to(unit)
     for k, kind in enumerate(style.component_kinds(components)):

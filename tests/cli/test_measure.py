@@ -294,7 +294,10 @@ def test_a_cube_file_is_measured(jet, astro_scc, here):
         (["--baseline", "1 yr"], "--baseline '1 yr' must be a shortest and a longest"),
         (["--baseline", "5 6 yr"], "no two epochs are 5 to 6 yr apart"),
         (["--kappa", "1.2"], "kappa must be between 0 and 1"),
-        (["--kernel", "9"], "--kernel '9' must be a part of the beam"),
+        (
+            ["--min-error-beams", "9"],
+            "--min-error-beams '9' must be a part",
+        ),
         (["--n-trials", "1"], "--n-trials '1' must be 2 to"),
         (["--seed", "-3"], "--seed '-3' must be 0 to"),
         (["--workers", "0"], "--workers must be at least 1"),
@@ -326,7 +329,7 @@ def test_a_cube_file_is_measured(jet, astro_scc, here):
         (["--config", "no.toml"], "no.toml: No such file or directory"),
         (["--config", "odd.toml"], "odd.toml: unknown key 'max_sped', did you mean"),
         (["--config", "unit.toml"], "unit.toml: max_speed = '2 mas' must be"),
-        (["--config", "level.toml"], "level.toml: level = 1.5 must be between 0"),
+        (["--config", "alpha.toml"], "alpha.toml: alpha = 1.5 must be between 0"),
         (["-o", "file"], "file: is a file"),
         (["-o", "full"], "full: exists and is not empty"),
     ],
@@ -335,7 +338,7 @@ def test_what_a_user_gets_wrong(jet, refused, here, options, reason):
     (here / "odd.reg").write_text("image\ncircle(9999,9999,3)\n")
     (here / "odd.toml").write_text("max_sped = '2 mas/yr'\n")
     (here / "unit.toml").write_text("max_speed = '2 mas'\n")
-    (here / "level.toml").write_text("level = 1.5\n")
+    (here / "alpha.toml").write_text("alpha = 1.5\n")
     (here / "file").write_text("mine")
     (here / "full").mkdir()
     (here / "full" / "mine.txt").write_text("mine")

@@ -114,7 +114,7 @@ def shell():
 def scc():
     return StackedCrossCorrelation(
         scales=[1.5, 4], max_speed=150 * u.mas / u.yr, baseline=[7, 25] * u.yr,
-        kernel=0.1, detection=7, segmentation=5,
+        min_error_beams=0.1, detection=7, segmentation=5,
     )  # fmt: skip
 
 

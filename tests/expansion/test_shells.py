@@ -27,7 +27,7 @@ def shell():
 def scc():
     return StackedCrossCorrelation(
         scales=[1], max_speed=150 * u.mas / u.yr, baseline=[10, 32] * u.yr,
-        kernel=0.1, detection=7, segmentation=5,
+        min_error_beams=0.1, detection=7, segmentation=5,
     )  # fmt: skip
 
 

@@ -71,7 +71,7 @@ def test_round_trip(made, cube, tmp_path, scc):
     np.testing.assert_array_equal(
         read.decompositions[2].planes, made.decompositions[2].planes
     )
-    loose = replace(scc, level=0.5)
+    loose = replace(scc, alpha=0.5)
     one, other = (loose.stack(m, n_trials=10, rng=1) for m in (made, read))
     np.testing.assert_array_equal(one.coefficient, other.coefficient)
     assert np.array_equal(one.components["pm"], other.components["pm"])
@@ -161,7 +161,7 @@ def test_a_cache_is_used_when_only_the_stack_changes(
     path = tmp_path / name
     same(made, scc.match(cube, cache=path))
     assert len(counted) == len(cube)
-    again = replace(scc, level=0.5, position_angle=90 * u.deg)
+    again = replace(scc, alpha=0.5, position_angle=90 * u.deg)
     same(made, again.match(cube, cache=path))
     result = again(cube, n_trials=10, rng=1, cache=path)
     assert len(counted) == len(cube)

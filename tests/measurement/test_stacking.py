@@ -62,7 +62,7 @@ def test_the_probability_is_that_of_the_velocity_that_is_quoted(stacked):
 def test_another_alpha_is_another_kind_of_the_same_numbers(sky_result, stacked):
     smallest = sky_result.components["p_global"][0]
     with pytest.warns(MeasurementWarning, match="no component can reach level 0.01"):
-        strict = stacked(level=0.01).components
+        strict = stacked(alpha=0.01).components
     one, other = strict[0], sky_result.components[0]
     assert one["kind"] == "not significant"
     least = one["p_smallest"]
@@ -167,7 +167,7 @@ def test_a_level_that_can_be_reached_is_not_warned_of(still, matched):
     # Warnings are errors.
     found = scc().stack(matched, n_trials=19, rng=1)
     assert np.all(found.components["p_smallest"] <= 0.05)
-    scc(level=0.09).stack(still, n_trials=20, rng=1)
+    scc(alpha=0.09).stack(still, n_trials=20, rng=1)
 
 
 @pytest.mark.parametrize("level", [0.05, 0.01, 0.07, 1 / 3, 1e-4, 1 / 49])

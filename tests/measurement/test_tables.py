@@ -131,7 +131,7 @@ def test_a_package_without_metadata_has_an_unknown_version(monkeypatch):
 
 def test_components_round_trip_in_ecsv(stacked, tmp_path):
     result = stacked(
-        270 * u.deg, baseline=[20, 70] * u.day, kernel=0.2, min_overlap=0.8
+        270 * u.deg, baseline=[20, 70] * u.day, min_error_beams=0.2, min_overlap=0.8
     )
     table = result.components
     assert len(table) > 0

@@ -45,8 +45,8 @@ def test_rows_are_what_was_asked_for():
     [
         ({}, ""),
         ({"n_epochs": 4}, "epochs"),
-        ({"n_epochs": 4, "level": 0.1}, "rest"),
-        ({"n_epochs": 4, "level": 0.1, "intervals": 1 * u.yr}, ""),
+        ({"n_epochs": 4, "alpha": 0.1}, "rest"),
+        ({"n_epochs": 4, "alpha": 0.1, "intervals": 1 * u.yr}, ""),
         ({"speeds": [0.99 * SLOW, 2 * SLOW] * PM}, "rest"),
         ({"speeds": [SLOW, SLOW + 0.19] * PM}, "difference"),
         ({"speeds": [SLOW, SLOW + 0.2] * PM}, ""),
@@ -160,7 +160,7 @@ def test_a_seed_is_drawn_and_kept():
         ({"intervals": [] * u.yr}, "intervals = .* must be positive and finite"),
         ({"n_jets": -1}, "n_jets must be zero or positive, got -1"),
         ({"n_jets": 1, "n_trials": 5}, "5 trials allow no p_global below 0.17"),
-        ({"level": 1}, "level must be between 0 and 1, got 1"),
+        ({"alpha": 1}, "alpha must be between 0 and 1, got 1"),
         ({"wanted": 0}, "wanted must be between 0 and 1, got 0"),
     ],
 )
