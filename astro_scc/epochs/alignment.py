@@ -12,7 +12,7 @@ import numpy as np
 from astropy.table import Table
 from astropy.time import Time
 
-from astro_scc.epochs.component_tables import first_line, numbers
+from astro_scc.epochs.component_tables import numbers
 from astro_scc.epochs.cutout import region_mask
 from astro_scc.epochs.grid import (
     WHOLE_PIXEL,
@@ -21,6 +21,7 @@ from astro_scc.epochs.grid import (
     resample,
     shift_image,
 )
+from astro_scc.epochs.headers import first_line
 from astro_scc.epochs.registration import core_positions, displacement
 from astro_scc.epochs.validation import as_times
 from astro_scc.exceptions import MeasurementWarning
@@ -443,9 +444,8 @@ def _dates(table, name):
         kind = "jyear" if column.dtype.kind in "fi" else None
     try:
         values = np.asarray(column).astype(float if kind else str)
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(action="ignore"):
             # ERFA calls dates dubious for which leap seconds are unknown.
-            warnings.simplefilter("ignore")
             times = Time(values, format=kind, scale="utc")
     except ValueError as error:
         raise ValueError(

@@ -14,13 +14,7 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 from astropy.io import fits, registry
-from astropy.nddata import (
-    CCDData,
-    InverseVariance,
-    NDUncertainty,
-    StdDevUncertainty,
-    VarianceUncertainty,
-)
+from astropy.nddata import CCDData, NDUncertainty, StdDevUncertainty
 from astropy.wcs import WCS
 
 from astro_scc.epochs.grid import cut_wcs
@@ -34,6 +28,7 @@ from astro_scc.epochs.headers import (
     parse_unit,
     read_header,
 )
+from astro_scc.epochs.validation import POWERS
 from astro_scc.exceptions import EpochWarning
 
 # What the files of EpochCube.write are known by.
@@ -41,10 +36,7 @@ CUBE_CREATOR = "astro_scc EpochCube"
 #: What to do about a beam that cannot be.
 CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
 #: Kinds of uncertainty, as astropy calls them in FITS (UTYPE).
-UNCERTAINTIES = {
-    kind.__name__: kind
-    for kind in (StdDevUncertainty, VarianceUncertainty, InverseVariance)
-}
+UNCERTAINTIES = {kind.__name__: kind for kind in POWERS}
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 # What describes the array and its axes in the file, which the CCDData says
@@ -239,9 +231,8 @@ def read_plane(path, hdu=None, *, window=None, pixels=True):
         raise IsADirectoryError(f"{path}: is a directory; give {path}/*.fits")
     check_ordinary(path)
     options = {"window": window, "pixels": pixels}
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(action="ignore"):
         # AIPS and difmap files break small rules of the standard throughout.
-        warnings.simplefilter("ignore")
         hdus = _casa_image(path) if path.is_dir() else None
         try:
             if hdus is not None:
@@ -249,10 +240,8 @@ def read_plane(path, hdu=None, *, window=None, pixels=True):
             # astropy.io.fits forgets to close files that it fails to open.
             with path.open("rb") as file, open_fits(file, known=bool(window)) as hdus:
                 return _plane(hdus, hdu, path, **options)
-        except _ContentError as error:
-            raise ValueError(f"{path}: {error}") from None
-        except _NoImageError as error:
-            raise OSError(f"{path}: {error}") from None
+        except (_ContentError, _NoImageError) as error:
+            raise type(error).__base__(f"{path}: {error}") from None
         except Exception as error:
             # A damaged file can fail anywhere inside astropy.io.fits.  The first
             # sentence is the reason; the rest is advice for callers of astropy.

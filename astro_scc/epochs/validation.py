@@ -117,7 +117,7 @@ def as_beam(beam):
     if isinstance(beam, Beam):
         return beam
     try:
-        return Beam(*(u.Quantity(getattr(beam, k)) for k in ("major", "minor", "pa")))
+        return Beam(beam.major, beam.minor, beam.pa)
     except AttributeError:
         raise TypeError(
             f"a beam has major, minor and pa, got {type(beam).__name__} {beam!r}"

@@ -15,7 +15,7 @@ from astropy.io import fits
 from astropy.time import Time
 
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.headers import get
+from astro_scc.epochs.headers import first_line, get
 from astro_scc.epochs.positions import offset_wcs
 
 __doctest_requires__ = {"read_movie": ["h5py"]}
@@ -85,7 +85,7 @@ def read_movie(path, *, beams=None):
         size = float(head["psize"]) * u.rad
         where = SkyCoord(float(head["ra"]) * u.hourangle, float(head["dec"]) * u.deg)
     except (KeyError, ValueError, OSError, TypeError) as error:
-        reason = " ".join(str(error).split())
+        reason = first_line(error)
         raise OSError(
             f"{path}: is no movie of eht-imaging, which has the datasets I and times "
             f"and the attributes mjd, psize, ra and dec of header ({reason})"
@@ -134,7 +134,7 @@ def read_casa_image(path):
         try:
             return read(path)
         except Exception as error:
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            reason = first_line(error)
             raise OSError(
                 f"{path}: {module} cannot read it as a CASA image: {reason}"
             ) from None
@@ -162,9 +162,8 @@ def _by_casatools(path):
 def _by_cube(path):
     from spectral_cube import SpectralCube
 
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(action="ignore"):
         # What it says about frequency axes is of no concern here.
-        warnings.simplefilter("ignore")
         cube = SpectralCube.read(str(path), format="casa_image")
         cube.allow_huge_operations = True
         return fits.HDUList([cube.hdu])

@@ -9,10 +9,11 @@ import numpy as np
 from astropy.nddata import StdDevUncertainty
 from astropy.time import Time
 from astropy.wcs import WCS
+from scipy.linalg import block_diag
 
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.headers import read_header
-from astro_scc.epochs.serialize import remove_dates
+from astro_scc.epochs.serialize import without_dates
 from astro_scc.epochs.validation import UNEVEN, fits_wcs, uncertainty_noise
 from astro_scc.exceptions import EpochWarning
 from astro_scc.interchange.files import optional
@@ -72,17 +73,14 @@ def to_ndcube(cube):
 
 def _with_epochs(celestial):
     """Return a WCS with the number of the epoch, from 0, as third axis."""
-    header = celestial.to_header()
-    remove_dates(header)
+    header = without_dates(celestial.to_header())
     header.update({"WCSAXES": 3, "CTYPE3": AXIS})
     wcs = WCS(header)
     # A header rounds; the numbers themselves do not.
     wcs.wcs.crval = [*celestial.wcs.crval, 0.0]
     wcs.wcs.crpix = [*celestial.wcs.crpix, 1.0]
     wcs.wcs.cdelt = [1.0, 1.0, 1.0]
-    matrix = np.eye(3)
-    matrix[:2, :2] = celestial.pixel_scale_matrix
-    wcs.wcs.pc = matrix
+    wcs.wcs.pc = block_diag(celestial.pixel_scale_matrix, 1.0)
     wcs.wcs.set()
     return wcs
 
