@@ -149,12 +149,12 @@ def _dates(table, columns, date, path):
 
 def _find_columns(table):
     """Return the names of the table's columns by what they hold."""
+    plain = {name: re.sub(r"[^a-z]", "", name.lower()) for name in table.colnames}
     found = {}
-    for name in table.colnames:
-        plain = re.sub(r"[^a-z]", "", name.lower())
-        for what, (_, labels, _) in COLUMNS.items():
-            if plain in labels.split():
-                found.setdefault(what, name)
+    for what, (_, labels, _) in COLUMNS.items():
+        names = [name for name in plain if plain[name] in labels.split()]
+        if names:
+            found[what] = names[0]
     for what, (*_, pattern) in COLUMNS.items():
         for name in table.colnames if pattern else ():
             explanation = table[name].info.description or ""
@@ -230,15 +230,12 @@ def _offsets(values, path):
         # A core whose offset from the map's centre is blank has none.
         blank = (values["feature"] == CORE) & np.isnan(separation)
         separation = np.where(blank, 0.0, separation)
-    angle = np.where((separation == 0) & np.isnan(angle), 0.0, angle)
+    angle = np.radians(np.where((separation == 0) & np.isnan(angle), 0.0, angle))
     for i in np.flatnonzero(np.isnan(separation + angle)):
         raise ValueError(
             f"{path}, row {i + 1}: separation or position_angle is blank or not finite"
         )
-    return {
-        "east": separation * np.sin(np.radians(angle)),
-        "north": separation * np.cos(np.radians(angle)),
-    }
+    return {"east": separation * np.sin(angle), "north": separation * np.cos(angle)}
 
 
 def _sizes(values, path):
@@ -344,10 +341,9 @@ def _difmap_row(text, where):
             f"{where}: expected 3, 6 or 7 finite values (flux, radius, theta, major, "
             f"ratio, phi, type), got {len(row)}"
         )
-    # Without a type, a size makes it a Gaussian.
     row += [0.0] * (6 - len(row))
-    row += [float(row[3] > 0)] * (7 - len(row))
-    return row
+    # Without a type, a size makes it a Gaussian.
+    return row if len(row) == 7 else [*row, float(row[3] > 0)]
 
 
 def _open_aips(path):

@@ -205,20 +205,12 @@ class ComponentList:
         `~astropy.table.QTable`
             A row a component, its offsets from the origin of this list.
         """
-        return QTable(
-            {
-                "epoch": self.times[self.epoch].isot,
-                "feature": self.feature,
-                "flux": self.flux,
-                "east": self.east,
-                "north": self.north,
-                "major_fwhm": self.major,
-                "minor_fwhm": self.minor,
-                "major_pa": self.pa,
-                "excluded_from_fit": self.excluded,
-            },
-            meta=dict(self.meta),
-        )
+        names = {"major": "major_fwhm", "minor": "minor_fwhm", "pa": "major_pa"}
+        names["excluded"] = "excluded_from_fit"
+        table = QTable({"epoch": self.times[self.epoch].isot}, meta=dict(self.meta))
+        for name in ("feature", *UNITS, "excluded"):
+            table[names.get(name, name)] = getattr(self, name)
+        return table
 
 
 def _or(value, default):
@@ -230,20 +222,18 @@ def _concatenate(lists):
     starts = np.cumsum([0] + [part.n_epochs for part in lists[:-1]])
     epochs = [part.epoch + start for part, start in zip(lists, starts, strict=True)]
     dates = np.concatenate([part.times.utc.isot for part in lists])
+    meta = {
+        key: value
+        for key, value in lists[0].meta.items()
+        if key == "position" or all(part.meta.get(key) == value for part in lists)
+    }
+    columns = {k: np.concatenate([getattr(p, k) for p in lists]) for k in COLUMNS}
     return ComponentList(
         times=Time(dates, format="isot", scale="utc"),
         epoch=np.concatenate(epochs),
         labels=tuple(label for part in lists for label in part.labels),
-        meta={
-            key: value
-            for key, value in lists[0].meta.items()
-            if key == "position"
-            or all(part.meta.get(key) == value for part in lists[1:])
-        },
-        **{
-            name: np.concatenate([getattr(part, name) for part in lists])
-            for name in COLUMNS
-        },
+        meta=meta,
+        **columns,
     )
 
 
