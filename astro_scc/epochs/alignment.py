@@ -282,12 +282,10 @@ def _by_wcs(cube):
             "the epochs have no absolute coordinates (epoch_wcs); "
             "read them from FITS files, or choose another alignment"
         )
-    steps, pure = zip(
-        *(grid_step(own, cube.wcs, cube.shape[1:]) for own in cube.epoch_wcs),
-        strict=True,
-    )
+    found = [grid_step(own, cube.wcs, cube.shape[1:]) for own in cube.epoch_wcs]
+    steps, pure = map(np.array, zip(*found, strict=True))
     unknown = np.full((len(cube), 2, 2), np.nan)
-    return Offsets(-np.array(steps), unknown, "absolute coordinates", ~np.array(pure))
+    return Offsets(-steps, unknown, "absolute coordinates", ~pure)
 
 
 def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
@@ -454,15 +452,13 @@ def _axis(table, axis, name):
 def _angles(table, column, name):
     """Return a column in mas, blanks as NaN; its name may tell its unit."""
     unit = getattr(table[column], "unit", None)
-    if unit is None:
-        units = [UNITS[word] for word in _words(column) if word in UNITS]
-        if len(units) != 1:
-            raise ValueError(
-                f"{name}: column {column!r} has no unit; give it one in an ECSV table "
-                f"or in its name, as in {column + '_mas'!r}"
-            )
-        unit = units[0]
-    return numbers(table[column], u.mas, name, own_unit=unit)
+    named = [UNITS[word] for word in _words(column) if word in UNITS]
+    if unit is None and len(named) != 1:
+        raise ValueError(
+            f"{name}: column {column!r} has no unit; give it one in an ECSV table "
+            f"or in its name, as in {column + '_mas'!r}"
+        )
+    return numbers(table[column], u.mas, name, own_unit=unit or named[0])
 
 
 # Name -> the function that measures, and the options that it has.

@@ -138,11 +138,12 @@ def read_vlbi_fits(path, hdu=None):
     for note in plane.notes:
         warnings.warn(f"{path}: {note}", EpochWarning, stacklevel=2)
     meta = fits.Header([card for card in plane.header.cards if _is_meta(card)])
+    facts, beam = plane.record.facts, plane.record.beam
     for fact, keyword in (("frequency", "FREQ"), ("stokes", "STOKES")):
-        if fact in plane.record.facts:
-            meta[keyword] = plane.record.facts[fact]
-    if plane.record.beam is not None:
-        meta.update(beam_cards(plane.record.beam))
+        if fact in facts:
+            meta[keyword] = facts[fact]
+    if beam is not None:
+        meta.update(beam_cards(beam))
     return CCDData(
         plane.data,
         unit=plane.unit,

@@ -122,7 +122,7 @@ def parse_date(text, scale="utc"):
 
     Understood are ``2006-03-09``, with a time of day of any precision and a
     trailing ``Z``, ``2006/03/09``, ``2006_03_09``, ``20060309``, ``2006 Mar 09``,
-    the old ``21/03/95`` (day, month, year), and decimal years such as ``2006.185``.
+    the old ``21/03/95`` (day, month, year), and decimal years, ``2006.185``.
     """
     plain = re.sub(r"(Z|\+00:?00| ?UTC?)$", "", str(text).strip().upper())
     plain, clock = plain.strip().replace("_", "-"), None
@@ -130,7 +130,8 @@ def parse_date(text, scale="utc"):
     with warnings.catch_warnings(action="ignore"):
         try:
             if _DECIMAL_YEAR.match(plain):
-                return Time(Time(float(plain), format="decimalyear", scale=scale).isot)
+                time = Time(float(plain), format="decimalyear", scale=scale)
+                return Time(time, format="isot")
             if match := _OLD.match(plain):
                 day, month, year = (int(part) for part in match.groups())
                 if year < 100:

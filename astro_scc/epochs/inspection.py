@@ -389,23 +389,23 @@ class IntervalPlan:
     def lines(self):
         """Return the plan as sentences."""
         low, high = self.consecutive
-        leaves = ""
+        leaves, slower = "", ()
         if self.fastest is not None:
             leaves = f"; faster than {self.fastest:.3g} leaves the image"
-        lines = [
+        if self.n_epochs > 2:
+            slower = [
+                "Slower features show in pairs of epochs that are further apart, which "
+                "are used for them."
+            ]
+        return [
             f"{self.n_epochs} epochs over {self.span:.3g}, "
             f"{self.shortest.value:.3g} to {self.longest:.3g} apart, "
             f"median {self.median:.3g}; resolution {readable_angle(self.resolution)}.",
             f"Slower than {self.slowest:.2g} cannot be distinguished from standing "
             f"still{leaves}.",
             f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}.",
+            *slower,
         ]
-        if self.n_epochs > 2:
-            lines.append(
-                "Slower features show in pairs of epochs that are further apart, which "
-                "are used for them."
-            )
-        return lines
 
     def __str__(self):
         return "\n".join(self.lines())

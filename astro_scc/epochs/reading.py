@@ -145,13 +145,13 @@ def _plane_of_nddata(image, name):
         wcs = as_celestial(image.wcs)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: {error}") from None
-    shape = data.shape[-2:]
-    plane = Plane(name, wcs, shape, read_header(image.meta), image.meta)
+    shape, record = data.shape[-2:], read_header(image.meta)
+    plane = Plane(name, wcs, shape, record, image.meta)
     plane.data, plane.mask = data.reshape(shape), mask.reshape(shape)
     plane.unit = image.unit or u.dimensionless_unscaled
     plane.uncertainty = image.uncertainty
-    if plane.record.beam_problem:
-        plane.notes.append(beam_note(plane.record.beam_problem))
+    if record.beam_problem:
+        plane.notes.append(beam_note(record.beam_problem))
     return plane
 
 
@@ -250,13 +250,13 @@ def _convert(planes):
     """Bring all images to the unit of the first one."""
     first = planes[0]
     for plane in planes:
-        try:
-            factor = plane.unit.to(first.unit)
-        except u.UnitConversionError:
+        if not plane.unit.is_equivalent(first.unit):
+            own, other = (p.unit.to_string() or "none" for p in (plane, first))
             raise ValueError(
-                f"{plane.name}: its unit is {plane.unit.to_string() or 'none'}, that "
-                f"of {first.name} is {first.unit.to_string() or 'none'}; leave one out"
-            ) from None
+                f"{plane.name}: its unit is {own}, that of {first.name} is {other}; "
+                "leave one out"
+            )
+        factor = plane.unit.to(first.unit)
         if factor != 1:
             plane.data, plane.unit = plane.data * factor, first.unit
             plane.noise = None if plane.noise is None else plane.noise.to(first.unit)
@@ -278,9 +278,12 @@ def _warn_of_distances(planes):
 def _all_or_none(planes, what, values, otherwise):
     """Return a value of every image, or else warn that some have none."""
     missing = [p.name for p, v in zip(planes, values, strict=True) if v is None]
-    if missing and len(missing) < len(planes):
-        _warn(f"{some(missing)}: no {what} where other epochs have one, so {otherwise}")
-    return None if missing else values
+    if not missing:
+        return values
+    if len(missing) < len(planes):
+        other = f"no {what} where other epochs have one"
+        _warn(f"{some(missing)}: {other}, so {otherwise}")
+    return None
 
 
 def _all_noise(planes):
