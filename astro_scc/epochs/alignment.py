@@ -12,7 +12,7 @@ import numpy as np
 from astropy.table import Table
 from astropy.time import Time
 
-from astro_scc.epochs.component_tables import first_line, numbers
+from astro_scc.epochs.component_tables import numbers
 from astro_scc.epochs.cutout import region_mask
 from astro_scc.epochs.grid import (
     WHOLE_PIXEL,
@@ -21,6 +21,7 @@ from astro_scc.epochs.grid import (
     resample,
     shift_image,
 )
+from astro_scc.epochs.headers import first_line
 from astro_scc.epochs.registration import core_positions, displacement
 from astro_scc.epochs.validation import as_times
 from astro_scc.exceptions import MeasurementWarning
@@ -162,15 +163,10 @@ def align(
             f"align method {method!r} is none of {', '.join(METHODS)}, nor a file"
         )
     measure, known = METHODS[method]
-    options = {
-        "jet_pa": jet_pa,
-        "reference": reference,
-        "region": region,
-        "table": table,
-        "max_shift": max_shift,
-    }
+    options = {"jet_pa": jet_pa, "reference": reference, "region": region}
+    options |= {"table": table, "max_shift": max_shift}
     options = {name: value for name, value in options.items() if value is not None}
-    strange = sorted(set(options) - {*known, "max_shift"})
+    strange = sorted(options.keys() - {*known, "max_shift"})
     if strange:
         raise ValueError(f"align method {method!r} has no option {', '.join(strange)}")
     if method == "none":
@@ -192,8 +188,9 @@ def align(
 
 def _move(cube, method, offsets):
     """Return the cube with every epoch moved against its offset."""
-    shifts = -offsets.pixels
-    turned = np.zeros(len(cube), bool) if offsets.turned is None else offsets.turned
+    shifts, turned = -offsets.pixels, np.zeros(len(cube), bool)
+    if offsets.turned is not None:
+        turned = offsets.turned
     data, mask = np.empty(cube.shape), np.empty(cube.shape, dtype=bool)
     for i, shift in enumerate(shifts):
         if turned[i]:
@@ -214,44 +211,39 @@ def _move(cube, method, offsets):
     )
     whole = np.all(np.abs(shifts - np.rint(shifts)) < WHOLE_PIXEL) and not turned.any()
     records = _records(cube, method, offsets)
-    east, north = (
-        np.array([r[f"shift_{k}_mas"] for r in records]) for k in ("east", "north")
-    )
-    largest = int(np.argmax(np.hypot(east, north)))
+    sky = np.array([[r["shift_east_mas"], r["shift_north_mas"]] for r in records])
+    east, north = np.sqrt(np.mean(sky**2, axis=0))
+    largest = int(np.argmax(np.hypot(*sky.T)))
     line = (
-        f"aligned on {offsets.what}: shifts of {np.sqrt(np.mean(east**2)):.3g} mas "
-        f"(east) and {np.sqrt(np.mean(north**2)):.3g} mas (north) rms, largest "
-        f"({east[largest]:+.3g}, {north[largest]:+.3g}) mas for {cube.labels[largest]}"
+        f"aligned on {offsets.what}: shifts of {east:.3g} mas (east) and {north:.3g} "
+        "mas (north) rms, largest ({:+.3g}, {:+.3g}) mas".format(*sky[largest])
     )
-    earlier = cube.meta.get("alignment", ())
     return cube.with_step(
-        line,
+        f"{line} for {cube.labels[largest]}",
         data=data,
         mask=mask,
         epoch_wcs=epoch_wcs,
         noise=cube.noise if whole else None,
-        meta={**cube.meta, "alignment": [*earlier, *records]},
+        meta=cube.meta | {"alignment": [*cube.meta.get("alignment", ()), *records]},
     )
 
 
 def _records(cube, method, offsets):
     """Return what was done with each epoch, for ``meta["alignment"]``."""
     matrix = cube.pixel_matrix.to_value(u.mas)
-    shift = -offsets.pixels @ matrix.T + 0.0
+    shift = (-offsets.pixels @ matrix.T + 0.0).round(9)
     variance = np.einsum("ij,njk,ik->ni", matrix, offsets.covariance, matrix)
-    error = [[float(e) if np.isfinite(e) else None for e in r] for r in variance**0.5]
-    return [
-        {
-            "epoch": cube.labels[i],
-            "date": cube.times[i].isot[:10],
-            "method": method,
-            "shift_east_mas": float(shift[i, 0].round(9)),
-            "shift_north_mas": float(shift[i, 1].round(9)),
-            "shift_east_err_mas": error[i][0],
-            "shift_north_err_mas": error[i][1],
-        }
-        for i in range(len(cube))
-    ]
+    records = []
+    for i, error in enumerate(np.sqrt(variance)):
+        record = {"epoch": cube.labels[i], "date": cube.times[i].isot[:10]}
+        record["method"] = method
+        for k, name in enumerate(("shift_east", "shift_north")):
+            record[f"{name}_mas"] = float(shift[i, k])
+        for k, name in enumerate(("shift_east", "shift_north")):
+            known = np.isfinite(error[k])
+            record[f"{name}_err_mas"] = float(error[k]) if known else None
+        records.append(record)
+    return records
 
 
 def _from_sky(cube, offsets, errors, what):
@@ -272,11 +264,9 @@ def _by_core(cube, *, jet_pa=None, max_shift=None):
             MeasurementWarning,
             stacklevel=3,
         )
-    offsets, errors = (
-        np.stack([found[name].to_value(u.mas) for name in names], axis=1)
-        for names in (("east", "north"), ("east_err", "north_err"))
-    )
-    return _from_sky(cube, offsets, errors, "the core")
+    names = "east", "north", "east_err", "north_err"
+    values = np.stack([found[name].to_value(u.mas) for name in names], axis=1)
+    return _from_sky(cube, values[:, :2], values[:, 2:], "the core")
 
 
 def _by_table(cube, *, table=None):
@@ -292,40 +282,33 @@ def _by_wcs(cube):
             "the epochs have no absolute coordinates (epoch_wcs); "
             "read them from FITS files, or choose another alignment"
         )
-    steps, pure = zip(
-        *(grid_step(own, cube.wcs, cube.shape[1:]) for own in cube.epoch_wcs),
-        strict=True,
-    )
+    found = [grid_step(own, cube.wcs, cube.shape[1:]) for own in cube.epoch_wcs]
+    steps, pure = map(np.array, zip(*found, strict=True))
     unknown = np.full((len(cube), 2, 2), np.nan)
-    return Offsets(-np.array(steps), unknown, "absolute coordinates", ~np.array(pure))
+    return Offsets(-steps, unknown, "absolute coordinates", ~pure)
 
 
 def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
     inside = region_mask(cube, region)
     scale = cube.pixel_scale.to_value(u.mas)
-    if max_shift is None:
-        reach = min(cube.shape[1:]) / 4
-    else:
+    reach = min(cube.shape[1:]) / 4
+    if max_shift is not None:
         reach = u.Quantity(max_shift).to_value(u.mas) / scale
     image, name = _reference_image(cube, reference)
-    iterations = 5 if image is None else 1
     pixels = np.zeros((len(cube), 2))
     covariance = np.zeros((len(cube), 2, 2))
-    for k in range(iterations):
+    for k in range(5 if image is None else 1):
         target = _mean_of_moved(cube, -pixels) if image is None else image
         use = inside & np.isfinite(target)
         if not use.any():
             raise ValueError("the reference image has no good pixel in the region")
         before = pixels.copy()
         for i, label in enumerate(cube.labels):
+            start = pixels[i] if k > 1 else None
+            pair = cube.data[i], cube.mask[i]
             try:
                 pixels[i], covariance[i] = displacement(
-                    cube.data[i],
-                    cube.mask[i],
-                    target,
-                    use,
-                    reach,
-                    start=pixels[i] if k > 1 else None,
+                    *pair, target, use, reach, start=start
                 )
             except ValueError as error:
                 raise ValueError(f"{label}: {error}; leave it out") from error
@@ -360,14 +343,11 @@ def _reference_image(cube, reference):
 
 
 def _mean_of_moved(cube, shifts):
-    moved = [
-        shift_image(*args)[0] for args in zip(cube.data, cube.mask, shifts, strict=True)
-    ]
-    good = np.isfinite(moved)
-    count = good.sum(axis=0)
-    total = np.where(good, moved, 0).sum(axis=0)
+    """Return the mean of the moved epochs where all have pixels, NaN elsewhere."""
+    epochs = zip(cube.data, cube.mask, shifts, strict=True)
+    moved = np.stack([shift_image(*epoch)[0] for epoch in epochs])
     # Pixels that only some epochs have would bring steps into the mean.
-    return np.where(count == len(cube), total / np.maximum(count, 1), np.nan)
+    return moved.sum(axis=0) / len(moved)
 
 
 def offsets_from_table(table, times, labels):
@@ -420,9 +400,8 @@ def _read_table(table):
     except OSError:
         raise
     except Exception as error:  # the parsers of astropy raise all sorts
-        raise ValueError(
-            f"{path}: is neither CSV nor ECSV ({first_line(error)})"
-        ) from error
+        reason = first_line(error)
+        raise ValueError(f"{path}: is neither CSV nor ECSV ({reason})") from error
 
 
 def _words(name):
@@ -439,20 +418,20 @@ def _dates(table, name):
     column, kind = table[columns[0]], columns[0].lower()
     if isinstance(column, Time):
         return column
-    if kind not in ("mjd", "jd"):
-        kind = "jyear" if column.dtype.kind in "fi" else None
     try:
-        values = np.asarray(column).astype(float if kind else str)
-        with warnings.catch_warnings():
-            # ERFA calls dates dubious for which leap seconds are unknown.
-            warnings.simplefilter("ignore")
-            times = Time(values, format=kind, scale="utc")
+        # ERFA calls dates dubious for which leap seconds are unknown.
+        with warnings.catch_warnings(action="ignore"):
+            if kind in ("mjd", "jd") or column.dtype.kind in "fi":
+                kind = kind if kind in ("mjd", "jd") else "jyear"
+                column = Time(np.asarray(column, dtype=float), format=kind, scale="utc")
+            else:
+                column = [str(value) for value in column]
+            return as_times(column, len(table))
     except ValueError as error:
         raise ValueError(
-            f"{name}: the dates in column {columns[0]!r} are not understood "
-            f"({first_line(error)}); write them as 2006-03-09"
+            f"{name}: the dates in column {columns[0]!r} are not understood: "
+            f"{first_line(error)}"
         ) from error
-    return as_times(times, len(table))
 
 
 def _axis(table, axis, name):
@@ -473,15 +452,13 @@ def _axis(table, axis, name):
 def _angles(table, column, name):
     """Return a column in mas, blanks as NaN; its name may tell its unit."""
     unit = getattr(table[column], "unit", None)
-    if unit is None:
-        units = [UNITS[word] for word in _words(column) if word in UNITS]
-        if len(units) != 1:
-            raise ValueError(
-                f"{name}: column {column!r} has no unit; give it one in an ECSV table "
-                f"or in its name, as in {column + '_mas'!r}"
-            )
-        unit = units[0]
-    return numbers(table[column], u.mas, name, own_unit=unit)
+    named = [UNITS[word] for word in _words(column) if word in UNITS]
+    if unit is None and len(named) != 1:
+        raise ValueError(
+            f"{name}: column {column!r} has no unit; give it one in an ECSV table "
+            f"or in its name, as in {column + '_mas'!r}"
+        )
+    return numbers(table[column], u.mas, name, own_unit=unit or named[0])
 
 
 # Name -> the function that measures, and the options that it has.

@@ -46,10 +46,9 @@ class Beam:
     pa: u.Quantity = 0 * u.deg
 
     def __post_init__(self):
-        major = u.Quantity(self.major).to(u.mas)
-        minor = u.Quantity(self.minor).to(u.mas)
+        major, minor = (u.Quantity(axis).to(u.mas) for axis in (self.major, self.minor))
         pa = u.Quantity(self.pa).to(u.deg)
-        if not (np.isfinite(major) and np.isfinite(minor) and np.isfinite(pa)):
+        if not np.all(np.isfinite([major.value, minor.value, pa.value])):
             raise ValueError(f"a beam needs finite axes and position angle, got {self}")
         if minor <= 0:
             raise ValueError(f"the beam's axes must be positive, got {major} x {minor}")
@@ -58,9 +57,8 @@ class Beam:
                 f"the beam's minor axis {minor} is larger than its major axis {major}"
             )
         pa = (pa + 90 * u.deg) % (180 * u.deg) - 90 * u.deg
-        object.__setattr__(self, "major", major)
-        object.__setattr__(self, "minor", minor)
-        object.__setattr__(self, "pa", pa)
+        for name, value in {"major": major, "minor": minor, "pa": pa}.items():
+            object.__setattr__(self, name, value)
 
     def __str__(self):
         return (

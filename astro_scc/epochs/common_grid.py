@@ -8,11 +8,9 @@ import numpy as np
 from astropy.wcs.utils import pixel_to_pixel
 
 from astro_scc.epochs.cutout import box
-from astro_scc.epochs.grid import grid_step, resample, shared_grid
+from astro_scc.epochs.grid import ONE_SHIFT, pixel_area, regrid, shared_grid
 from astro_scc.epochs.positions import readable_angle
 
-# Grids that agree to this part of a pixel all over the image are one grid.
-TOLERANCE = 0.01
 # Sides of pixels of images that can be one series.
 LARGEST_RATIO = 10.0
 #: Pixels around a part that is interpolated, as far as splines look.
@@ -35,7 +33,7 @@ def windows_of(planes, first, frame, region, pad=0):
         corners, moved = _corners(window, first, plane, frame)
         whole = np.rint((moved - corners)[:, :1])
         # NaN, beyond the horizon of a projection, is not whole either.
-        is_whole = np.all(np.abs(moved - corners - whole) < TOLERANCE)
+        is_whole = np.all(np.abs(moved - corners - whole) < ONE_SHIFT)
         steps.append(whole if is_whole else None)
     if any(step is None for step in steps):
         # Something is interpolated, and edges are where that is worst.
@@ -43,8 +41,7 @@ def windows_of(planes, first, frame, region, pad=0):
     windows = []
     for plane, step in zip(planes, steps, strict=True):
         corners, moved = _corners(window, first, plane, frame)
-        if step is not None:
-            moved = corners + step
+        moved = moved if step is None else corners + step
         low, high = np.floor(moved.min(axis=1)), np.ceil(moved.max(axis=1))
         size = np.array(plane.shape[::-1])
         if not (np.all(low < size) and np.all(high >= 0)):
@@ -52,8 +49,9 @@ def windows_of(planes, first, frame, region, pad=0):
                 f"{plane.name}: nothing of the region lies in it; leave it out, or "
                 "read all of the images"
             )
-        (x0, y0), (x1, y1) = np.maximum(low, 0), np.minimum(high, size - 1)
-        windows.append((slice(int(y0), int(y1) + 1), slice(int(x0), int(x1) + 1)))
+        start = np.maximum(low, 0).astype(int)
+        stop = np.minimum(high, size - 1).astype(int) + 1
+        windows.append(tuple(map(slice, start[::-1].tolist(), stop[::-1].tolist())))
     return window, windows
 
 
@@ -98,12 +96,17 @@ def lay_on_one_grid(planes, frame):
     mask = np.empty(data.shape, dtype=bool)
     resampled = []
     for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
-        data[i], mask[i], exact = _place(plane, wcs, grid, shape)
-        if not exact:
+        grids = {"wcs": wcs, "grid": grid, "shape": shape, "near": ONE_SHIFT}
+        data[i : i + 1], mask[i : i + 1], copied = regrid(
+            plane.data[None], plane.mask[None], unit=plane.unit, **grids
+        )
+        if not copied:
             resampled.append(plane.name)
     own = [grid] * len(planes)
     if frame == "offset":
-        own = [_own_frame(grid, plane.wcs) for plane in planes]
+        names = ("crval", "radesys", "equinox", "lonpole", "latpole")
+        inner = [plane.wcs.wcs for plane in planes]
+        own = [_with(grid, w.ctype, **{n: getattr(w, n) for n in names}) for w in inner]
     return {"data": data, "mask": mask, "wcs": own[0], "epoch_wcs": own}, resampled
 
 
@@ -136,7 +139,7 @@ def _shared_grid(planes, frames):
 
 def _check_pixels(planes):
     """Refuse pixels so different that the finest would make huge images."""
-    sizes = [_pixel_area(plane.wcs) ** 0.5 for plane in planes]
+    sizes = [pixel_area(plane.wcs) ** 0.5 for plane in planes]
     usual = np.sort(sizes)[(len(sizes) - 1) // 2]
     for plane, size in zip(planes, sizes, strict=True):
         if not usual / LARGEST_RATIO <= size <= usual * LARGEST_RATIO:
@@ -144,11 +147,6 @@ def _check_pixels(planes):
                 f"{plane.name}: its pixels are {readable_angle(size * u.deg)} where "
                 f"others are {readable_angle(usual * u.deg)}; leave it out"
             )
-
-
-def _pixel_area(wcs):
-    """Return the solid angle of a pixel in square degrees."""
-    return abs(np.linalg.det(wcs.pixel_scale_matrix))
 
 
 def _same_grid(one, other, frame):
@@ -161,7 +159,7 @@ def _same_grid(one, other, frame):
     step = np.linalg.solve(own, other.wcs.pixel_scale_matrix - own)
     # The largest possible difference at the far corner of the image.
     largest = np.abs(step) @ [nx, ny] + np.abs(a.crpix - b.crpix)
-    if np.any(largest > TOLERANCE):
+    if np.any(largest > ONE_SHIFT):
         return False
     return frame == "offset" or (
         np.array_equal(a.crval, b.crval)
@@ -174,47 +172,16 @@ def _in_frame(wcs, frame):
     """Return a WCS, for offsets with its reference pixel at (0, 0) of their frame."""
     if frame == "absolute":
         return wcs
-    local = wcs.deepcopy()
-    codes = zip(("RA---", "DEC--"), wcs.wcs.ctype, strict=True)
-    local.wcs.ctype = [name + code[5:] for name, code in codes]
-    local.wcs.crval = 0, 0
-    local.wcs.radesys = "ICRS"
-    local.wcs.equinox = np.nan
-    local.wcs.set()
-    return local
+    axes = "RA---", "DEC--"
+    return _with(wcs, axes, crval=(0, 0), radesys="ICRS", equinox=np.nan)
 
 
-def _own_frame(grid, own):
-    """Return the grid with the celestial frame and reference point of an image."""
-    wcs = grid.deepcopy()
-    codes = zip(own.wcs.ctype, grid.wcs.ctype, strict=True)
-    wcs.wcs.ctype = [name[:5] + code[5:] for name, code in codes]
-    for name in ("crval", "radesys", "equinox", "lonpole", "latpole"):
-        setattr(wcs.wcs, name, getattr(own.wcs, name))
-    wcs.wcs.set()
-    return wcs
-
-
-def _place(plane, wcs, grid, shape):
-    """Return data and mask on the grid, and whether no interpolation was needed."""
-    step, pure = grid_step(wcs, grid, plane.data.shape, tolerance=TOLERANCE)
-    whole = np.rint(step).astype(int) if pure else 0
-    if pure and np.all(np.abs(step - whole) < TOLERANCE):
-        data, mask = np.full(shape, np.nan), np.ones(shape, dtype=bool)
-        # The shared grid holds all of the image.
-        part = tuple(
-            slice(start, start + n)
-            for start, n in zip(whole[::-1], plane.data.shape, strict=True)
-        )
-        mask[part] = plane.mask
-        data[part] = np.where(plane.mask, np.nan, plane.data)
-        return data, mask, True
-    data, mask = resample(plane.data[None], plane.mask[None], wcs, grid, shape=shape)
-    area = _pixel_area(grid) / _pixel_area(wcs)
-    per_pixel = any(
-        power < 0 and base.name.lower() in ("pix", "pixel")
-        for base, power in zip(plane.unit.bases, plane.unit.powers, strict=True)
-    )
-    if per_pixel and not np.isclose(area, 1, rtol=1e-6):
-        data = data * area
-    return data[0], mask[0], False
+def _with(wcs, axes, **values):
+    """Return a WCS with other names of axes and other values of a frame."""
+    changed = wcs.deepcopy()
+    codes = zip(axes, wcs.wcs.ctype, strict=True)
+    changed.wcs.ctype = [name[:5] + code[5:] for name, code in codes]
+    for name, value in values.items():
+        setattr(changed.wcs, name, value)
+    changed.wcs.set()
+    return changed

@@ -3,7 +3,6 @@
 
 import re
 import warnings
-from datetime import datetime
 from difflib import get_close_matches
 from functools import partial
 
@@ -14,7 +13,7 @@ from astropy.table import Column, Table
 from astropy.time import Time
 
 from astro_scc.epochs.fits import open_fits
-from astro_scc.epochs.headers import get, header_facts, parse_date
+from astro_scc.epochs.headers import first_line, get, header_facts, parse_date, some
 
 CORE = 0  # the number of the feature that is the core
 # What a column holds -> its unit, what it is called in a table, and how a
@@ -70,6 +69,9 @@ UNDATED = {
     "aips-cc": "no DATE-OBS in the header; give dates",
 }
 NO = ("", "--", "n", "no", "f", "false", "0")
+#: Keys of the meta that name the source, and others that are kept.
+NAMES = ("source", "name", "object")
+FACTS = ("telescope", "filter", "stokes", "position")
 #: Names of sources that a message lists.
 LISTED = 8
 FILE_DATE = re.compile(
@@ -77,27 +79,25 @@ FILE_DATE = re.compile(
 )
 
 
-def read_columns(path, kind, source, dates):
+def read_columns(path, kind, source, date):
     """
     Return what a file has of each component, as arrays in `UNITS`, and its meta.
 
-    There are a list of dates, one for all rows or one for each, and whether the
-    positions are relative to the core besides.
+    ``date``, as text, stands for that of the file or of all rows.  The arrays have
+    the dates of the rows, as ISO text; ``relative`` is whether the positions are
+    relative to the core.
     """
-    table, names, meta, own_dates = FORMATS[kind][0](path)
+    table, own_date = FORMATS[kind][0](path)
+    date = date or own_date
+    if date == "":
+        raise ValueError(f"{path}: {UNDATED[kind]}")
     columns = _find_columns(table)
-    table = _select_source(table, columns, names, source, path)
+    table = _select_source(table, columns, source, path)
     if len(table) == 0:
         raise ValueError(f"{path}: no components in the file")
-    if meta is None:
-        meta = _table_meta(table, columns)
     has_offsets = {"east", "north"} <= columns.keys()
     needed = {"flux"} | (set() if has_offsets else {"separation", "position_angle"})
-    in_parts = "epoch" not in columns and {"year", "month", "day"} <= columns.keys()
-    dates = dates or own_dates
-    if dates == [None]:
-        raise ValueError(f"{path}: {UNDATED[kind]}")
-    if dates is None and not in_parts:
+    if date is None and not columns.keys() >= {"year", "month", "day"}:
         needed.add("epoch")
     missing = sorted(needed - columns.keys())
     if missing:
@@ -110,33 +110,51 @@ def read_columns(path, kind, source, dates):
         for what, (unit, *_) in COLUMNS.items()
         if unit is not None and what in columns
     }
+    values["date"] = _dates(table, columns, date, path)
     if "feature" in values:
         values["feature"] = values["feature"].astype(int)
-    if dates is None and in_parts:
-        parts = zip(*(table[columns[p]] for p in ("year", "month", "day")), strict=True)
-        dates = ["-".join(str(value).zfill(2) for value in row) for row in parts]
-    elif dates is None:
-        column = table[columns["epoch"]]
-        dates = list(column.utc.isot if isinstance(column, Time) else column)
     if not has_offsets:
-        values.update(_offsets(values, path))
-    values.update(_sizes(values, path))
+        values |= _offsets(values, path)
+    values |= _sizes(values, path)
     if "excluded" in columns:
         flags = (str(flag).strip().lower() for flag in table[columns["excluded"]])
         values["excluded"] = np.array([flag not in NO for flag in flags])
-    values["date"] = dates
     values["relative"] = not has_offsets and "feature" in values
-    return values, meta
+    return values, _meta(table, columns)
+
+
+def _dates(table, columns, date, path):
+    """Return the date of each row as ISO text, or the one of all."""
+    if date is not None:
+        texts = [date]
+    elif "epoch" in columns:
+        column = table[columns["epoch"]]
+        texts = map(str, column.utc.isot if isinstance(column, Time) else column)
+    else:
+        parts = zip(*(table[columns[p]] for p in ("year", "month", "day")), strict=True)
+        texts = ("-".join(str(value).zfill(2) for value in row) for row in parts)
+    known, dates = {}, []
+    for i, text in enumerate(texts, start=1):
+        if text not in known:
+            try:
+                # Times of dates for which leap seconds are unknown warn.
+                with warnings.catch_warnings(action="ignore"):
+                    known[text] = parse_date(text).utc.isot
+            except ValueError as error:
+                where = path if date is not None else f"{path}, row {i}"
+                raise ValueError(f"{where}: {error}") from None
+        dates.append(known[text])
+    return np.broadcast_to(dates, len(table))
 
 
 def _find_columns(table):
     """Return the names of the table's columns by what they hold."""
+    plain = {name: re.sub(r"[^a-z]", "", name.lower()) for name in table.colnames}
     found = {}
-    for name in table.colnames:
-        plain = re.sub(r"[^a-z]", "", name.lower())
-        for what, (_, labels, _) in COLUMNS.items():
-            if plain in labels.split():
-                found.setdefault(what, name)
+    for what, (_, labels, _) in COLUMNS.items():
+        names = [name for name in plain if plain[name] in labels.split()]
+        if names:
+            found[what] = names[0]
     for what, (*_, pattern) in COLUMNS.items():
         for name in table.colnames if pattern else ():
             explanation = table[name].info.description or ""
@@ -145,16 +163,17 @@ def _find_columns(table):
     return found
 
 
-def _select_source(table, columns, names, source, path):
-    """Return the rows of one source; without a column for it, a file has ``names``."""
+def _select_source(table, columns, source, path):
+    """Return the rows of one source; without a column for it, the meta names it."""
+    names = [str(table.meta[k]) for k in NAMES if k in table.meta]
     mine = slice(None)
     if "source" in columns:
         column = [str(name).strip() for name in table[columns["source"]]]
         names = list(dict.fromkeys(column))
         if source is None and len(names) > 1:
             raise ValueError(
-                f"{path}: {len(names)} sources in the table ({_some(names)}); say "
-                "which one with --source NAME (source= in Python)"
+                f"{path}: {len(names)} sources in the table ({some(names, LISTED)}); "
+                "say which one with --source NAME (source= in Python)"
             )
         if source is not None:
             mine = np.array([_plain(name) == _plain(source) for name in column])
@@ -164,7 +183,7 @@ def _select_source(table, columns, names, source, path):
     if near and len(names) > LISTED:
         has = f"did you mean {' or '.join(near)}?"
     elif names:
-        has = f"it has {_some(names)}"
+        has = f"it has {some(names, LISTED)}"
     else:
         has = "it does not say of which source it is; leave --source out"
     raise ValueError(f"{path}: no source {source!r}; {has}")
@@ -172,12 +191,6 @@ def _select_source(table, columns, names, source, path):
 
 def _plain(name):
     return "".join(str(name).split()).casefold()
-
-
-def _some(names):
-    """Return the first of names that may be many."""
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + more
 
 
 def numbers(column, unit, path, *, blank=True, own_unit=None):
@@ -217,15 +230,12 @@ def _offsets(values, path):
         # A core whose offset from the map's centre is blank has none.
         blank = (values["feature"] == CORE) & np.isnan(separation)
         separation = np.where(blank, 0.0, separation)
-    angle = np.where((separation == 0) & np.isnan(angle), 0.0, angle)
+    angle = np.radians(np.where((separation == 0) & np.isnan(angle), 0.0, angle))
     for i in np.flatnonzero(np.isnan(separation + angle)):
         raise ValueError(
             f"{path}, row {i + 1}: separation or position_angle is blank or not finite"
         )
-    return {
-        "east": separation * np.sin(np.radians(angle)),
-        "north": separation * np.cos(np.radians(angle)),
-    }
+    return {"east": separation * np.sin(angle), "north": separation * np.cos(angle)}
 
 
 def _sizes(values, path):
@@ -247,62 +257,35 @@ def _sizes(values, path):
     return {name: np.where(types == 0, 0.0, size) for name, size in sizes.items()}
 
 
-def _table_meta(table, columns):
-    meta = {}
-    name = table.meta.get("name") or table.meta.get("source")
+def _meta(table, columns):
+    """Return the facts of the source, by the meta and the column of a table."""
+    own = table.meta
+    meta = {name: own[name] for name in FACTS if name in own}
+    name = own.get("name") or own.get("source") or own.get("object")
     if name is None and "source" in columns:
         name = str(table[columns["source"]][0]).strip()
     if name is not None:
         meta["object"] = str(name)
-    if "redshift" in table.meta:
-        meta["redshift"] = float(table.meta["redshift"])
-    if "frequency" in table.meta:
-        meta["frequency"] = u.Quantity(table.meta["frequency"], u.Hz).value
+    if "redshift" in own:
+        meta["redshift"] = float(own["redshift"])
+    if "frequency" in own:
+        meta["frequency"] = u.Quantity(own["frequency"], u.Hz).value
     return meta
 
 
-def row_date(text, where):
-    """
-    Return the ISO date and time, UTC, of a date as tables and headers write it.
-
-    That is what `parse_date` understands, 2006_03_09, 2006 Mar 09, or a decimal
-    year; ``where`` names the file and the row if it is none of them.
-    """
-    if isinstance(text, Time):
-        return text.utc.isot
-    text = str(text).strip().replace("_", "-")
-    try:
-        with warnings.catch_warnings():
-            # ERFA calls dates dubious for which leap seconds are unknown.
-            warnings.simplefilter("ignore")
-            if re.fullmatch(r"\d{4}\.\d{2,3}|\d{4}\.\d{5,}", text):
-                return Time(float(text), format="decimalyear", scale="utc").isot
-            if re.fullmatch(r"\d{4}[ -][A-Za-z]{3}[ -]\d{1,2}", text):
-                day = datetime.strptime(text.replace("-", " "), "%Y %b %d")
-                return parse_date(day.isoformat()).utc.isot
-            return parse_date(text).utc.isot
-    except ValueError:
-        raise ValueError(
-            f"{where}: {text!r} is no date; write it as 2006-03-09"
-        ) from None
-
-
-# Each returns a table, what the file calls its source, the meta, None to take it from
-# the table, and a list of the one date of the file, None to take those of the table.
+# Each returns a table, and the one date of the file, "" where it should have one and
+# has none, None where those of the table count.
 
 
 def _open_ascii(path, kind, **options):
     try:
-        with warnings.catch_warnings():
-            # The units of columns that are needed are checked later.
-            warnings.simplefilter("ignore", u.UnitsWarning)
-            table = Table.read(path, format=kind, **options)
+        # The units of columns that are needed are checked later.
+        with warnings.catch_warnings(action="ignore", category=u.UnitsWarning):
+            return Table.read(path, format=kind, **options), None
     except Exception as error:  # the parsers of astropy raise all sorts
         raise OSError(
             f"{path}: not a readable {kind} table: {first_line(error)}"
         ) from None
-    names = [str(table.meta[k]) for k in ("source", "name") if k in table.meta]
-    return table, names, None, None
 
 
 def _open_mrt(path):
@@ -317,11 +300,6 @@ def _open_mrt(path):
             "beside it"
         )
     return _open_ascii(path, "ascii.cds", readme=str(readme))
-
-
-def first_line(error):
-    """Return what an error says, in one line."""
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 def _open_difmap(path):
@@ -345,19 +323,12 @@ def _open_difmap(path):
             meta["position"] = SkyCoord(*centre.groups(), unit=(u.hourangle, u.deg))
         if text.split():
             rows.append(_difmap_row(text, f"{path}, line {number}"))
-    units = {
-        "flux": u.Jy,
-        "radius": unit,
-        "theta": u.deg,
-        "major": unit,
-        "ratio": u.one,
-        "phi": u.deg,
-        "type obj": u.one,
-    }
-    values = np.reshape(rows, (len(rows), len(units)))
-    table = Table(values, names=list(units), units=units)
+    names = ["flux", "radius", "theta", "major", "ratio", "phi", "type obj"]
+    units = [u.Jy, unit, u.deg, unit, u.one, u.deg, u.one]
+    values = np.reshape(rows, (len(rows), len(names)))
     found = FILE_DATE.search(path.name)
-    return table, [], meta, ["-".join(found.group(1, 3, 4)) if found else None]
+    date = "-".join(found.group(1, 3, 4)) if found else ""
+    return Table(values, names=names, units=units, meta=meta), date
 
 
 def _difmap_row(text, where):
@@ -370,17 +341,15 @@ def _difmap_row(text, where):
             f"{where}: expected 3, 6 or 7 finite values (flux, radius, theta, major, "
             f"ratio, phi, type), got {len(row)}"
         )
-    # Without a type, a size makes it a Gaussian.
     row += [0.0] * (6 - len(row))
-    row += [float(row[3] > 0)] * (7 - len(row))
-    return row
+    # Without a type, a size makes it a Gaussian.
+    return row if len(row) == 7 else [*row, float(row[3] > 0)]
 
 
 def _open_aips(path):
-    """Return the newest AIPS CC table of a FITS file."""
-    with warnings.catch_warnings():
-        # AIPS files break small rules of the standard throughout.
-        warnings.simplefilter("ignore")
+    """Return the newest AIPS CC table of a FITS file, and its date."""
+    # AIPS files break small rules of the standard throughout.
+    with warnings.catch_warnings(action="ignore"):
         try:
             # astropy.io.fits forgets to close files that it fails to open.
             with path.open("rb") as file, open_fits(file) as hdus:
@@ -393,18 +362,15 @@ def _open_aips(path):
             ) from None
     if table is None:
         raise ValueError(f"{path}: no AIPS CC table in the file; it cannot be restored")
-    meta = header_facts(header)
+    table.meta = header_facts(header)
     axes = {
         (get(header, f"CTYPE{i}", kind=str) or "").split("-")[0]: f"CRVAL{i}"
         for i in range(1, (get(header, "NAXIS") or 0) + 1)
     }
-    centre = [
-        get(header, axes.get(name, "CRVAL0"), kind=float) for name in ("RA", "DEC")
-    ]
+    centre = [get(header, axes.get(k, "CRVAL0"), kind=float) for k in ("RA", "DEC")]
     if None not in centre:
-        meta["position"] = SkyCoord(*centre, unit=u.deg)
-    names = [meta["object"]] if "object" in meta else []
-    return table, names, meta, [get(header, "DATE-OBS", kind=str)]
+        table.meta["position"] = SkyCoord(*centre, unit=u.deg)
+    return table, get(header, "DATE-OBS", kind=str) or ""
 
 
 def _aips_table(hdu):

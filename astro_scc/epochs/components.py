@@ -15,14 +15,11 @@ from astro_scc.epochs.component_tables import (
     FORMATS,
     UNITS,
     read_columns,
-    row_date,
 )
 from astro_scc.epochs.fits import check_ordinary
 from astro_scc.epochs.validation import as_times
 from astro_scc.exceptions import EpochWarning
 
-# Blank sizes and the angles of round components mean nothing.
-MAY_BE_BLANK = ("major", "minor", "pa")
 COLUMNS = (*UNITS, "feature", "excluded")
 
 
@@ -112,31 +109,28 @@ class ComponentList:
             "feature": np.asarray(_or(self.feature, np.full(n, -1)), dtype=int),
             "excluded": np.asarray(_or(self.excluded, np.zeros(n)), dtype=bool),
         }
-        round_ = {"major": np.zeros(n) * u.mas, "pa": np.zeros(n) * u.deg}
-        round_["minor"] = _or(self.major, round_["major"])
+        points = np.zeros(n) * u.mas
+        round_ = {"major": points, "minor": _or(self.major, points)}
+        round_["pa"] = np.zeros(n) * u.deg
         for name, unit in UNITS.items():
             values = u.Quantity(_or(getattr(self, name), round_.get(name))).to(unit)
-            if name in MAY_BE_BLANK:
-                values = np.nan_to_num(values, nan=0.0)
-            columns[name] = values
+            # Blank sizes and the angles of round components mean nothing.
+            columns[name] = np.nan_to_num(values, nan=0.0) if name in round_ else values
         for name in COLUMNS:
-            if columns[name].shape != (n,):
+            shape = columns[name].shape
+            if shape != (n,):
                 raise ValueError(
-                    f"components: {name} has shape {columns[name].shape}, epoch has "
-                    f"({n},)"
+                    f"components: {name} has shape {shape}, epoch has ({n},)"
                 )
-        major, minor = columns["major"], columns["minor"]
-        problems = {
+        minor, largest = columns["minor"], columns["major"] * (1 + 1e-6)
+        wrong = {
             f"{name} is blank or not finite": ~np.isfinite(columns[name])
             for name in UNITS
         }
-        problems["axes must be 0 <= minor <= major"] = (minor < 0) | (
-            minor > major * (1 + 1e-6)
-        )
-        for problem, wrong in problems.items():
-            if wrong.any():
-                row = np.flatnonzero(wrong)[0] + 1
-                raise ValueError(f"component {row} of {n}: {problem}")
+        wrong["axes must be 0 <= minor <= major"] = (minor < 0) | (minor > largest)
+        for problem, where in wrong.items():
+            for row in np.flatnonzero(where):
+                raise ValueError(f"component {row + 1} of {n}: {problem}")
         for name, values in columns.items():
             object.__setattr__(self, name, values)
 
@@ -211,20 +205,12 @@ class ComponentList:
         `~astropy.table.QTable`
             A row a component, its offsets from the origin of this list.
         """
-        return QTable(
-            {
-                "epoch": self.times[self.epoch].isot,
-                "feature": self.feature,
-                "flux": self.flux,
-                "east": self.east,
-                "north": self.north,
-                "major_fwhm": self.major,
-                "minor_fwhm": self.minor,
-                "major_pa": self.pa,
-                "excluded_from_fit": self.excluded,
-            },
-            meta=dict(self.meta),
-        )
+        names = {"major": "major_fwhm", "minor": "minor_fwhm", "pa": "major_pa"}
+        names["excluded"] = "excluded_from_fit"
+        table = QTable({"epoch": self.times[self.epoch].isot}, meta=dict(self.meta))
+        for name in ("feature", *UNITS, "excluded"):
+            table[names.get(name, name)] = getattr(self, name)
+        return table
 
 
 def _or(value, default):
@@ -236,20 +222,18 @@ def _concatenate(lists):
     starts = np.cumsum([0] + [part.n_epochs for part in lists[:-1]])
     epochs = [part.epoch + start for part, start in zip(lists, starts, strict=True)]
     dates = np.concatenate([part.times.utc.isot for part in lists])
+    meta = {
+        key: value
+        for key, value in lists[0].meta.items()
+        if key == "position" or all(part.meta.get(key) == value for part in lists)
+    }
+    columns = {k: np.concatenate([getattr(p, k) for p in lists]) for k in COLUMNS}
     return ComponentList(
         times=Time(dates, format="isot", scale="utc"),
         epoch=np.concatenate(epochs),
         labels=tuple(label for part in lists for label in part.labels),
-        meta={
-            key: value
-            for key, value in lists[0].meta.items()
-            if key == "position"
-            or all(part.meta.get(key) == value for part in lists[1:])
-        },
-        **{
-            name: np.concatenate([getattr(part, name) for part in lists])
-            for name in COLUMNS
-        },
+        meta=meta,
+        **columns,
     )
 
 
@@ -317,16 +301,19 @@ def read_components(paths, *, format=None, source=None, origin=None, dates=None)
     paths = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     if not paths:
         raise ValueError("no component files were given")
-    if origin not in (None, "core", "map"):
-        raise ValueError(f"origin must be 'core' or 'map', got {origin!r}")
-    if format is not None and format not in FORMATS:
-        raise ValueError(f"format must be one of {', '.join(FORMATS)}, got {format!r}")
+    for name, value, known in (
+        ("origin", origin, ("core", "map")),
+        ("format", format, FORMATS),
+    ):
+        if value is not None and value not in known:
+            raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
     if dates is None:
         dates = [None] * len(paths)
     elif isinstance(dates, str) or (isinstance(dates, Time) and dates.isscalar):
         dates = [dates]
     if len(dates) != len(paths):
         raise ValueError(f"{len(dates)} dates for {len(paths)} component files")
+    dates = [d.utc.isot if isinstance(d, Time) else d and str(d) for d in dates]
     lists = [
         _read_file(path, format, source, origin, date)
         for path, date in zip(paths, dates, strict=True)
@@ -353,15 +340,8 @@ def _read_file(path, kind, source, origin, date):
         )
     if not path.is_file():
         raise OSError(f"{path}: no such file")
-    columns, meta = read_columns(path, kind, source, None if date is None else [date])
-    texts, n = columns["date"], len(columns["flux"])
-    known = {}
-    for i, text in enumerate(map(str, texts), start=1):
-        if text not in known:
-            where = path if len(texts) == 1 else f"{path}, row {i}"
-            known[text] = row_date(texts[i - 1], where)
-    rows = np.broadcast_to([known[str(text)] for text in texts], n)
-    days, epoch = np.unique(rows, return_inverse=True)
+    columns, meta = read_columns(path, kind, source, date)
+    days, epoch = np.unique(columns["date"], return_inverse=True)
     _refer(columns, epoch, days, origin, path)
     try:
         return ComponentList(

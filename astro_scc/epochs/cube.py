@@ -120,6 +120,8 @@ class EpochCube:
         n = len(data)
         times = as_times(self.times, n)
         labels = as_epoch_tuple(self.labels, n, "labels", str) or date_labels(times)
+        own_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
+        facts = as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
         each = {
             "data": data,
             "mask": as_mask(data, mask, labels),
@@ -127,10 +129,8 @@ class EpochCube:
             "labels": labels,
             "beams": as_beams(self.beams, n) or None,
             "noise": as_noise(self.noise, n, unit),
-            "epoch_wcs": as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
-            or None,
-            "epoch_meta": as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
-            or tuple({} for _ in range(n)),
+            "epoch_wcs": own_wcs or None,
+            "epoch_meta": facts or tuple({} for _ in range(n)),
         }
         order = np.argsort((times - times[0]).jd, kind="stable")
         if np.any(np.diff(order) < 0):
@@ -428,28 +428,22 @@ class EpochCube:
         total = np.sum(self.data, axis=0, where=~self.mask)
         mean = np.full(total.shape, np.nan)
         np.divide(total, count, out=mean, where=count > 0)
-        return CCDData(
-            mean,
-            unit=self.unit,
-            mask=count == 0,
-            wcs=self.wcs.deepcopy(),
-            meta={"n_epochs": len(self)},
-        )
+        wcs, meta = self.wcs.deepcopy(), {"n_epochs": len(self)}
+        return CCDData(mean, unit=self.unit, mask=count == 0, wcs=wcs, meta=meta)
 
     def __repr__(self):
         n, ny, nx = self.shape
         dates = date_labels(self.times)
-        parts = [
-            f"{n} epochs {dates[0]} to {dates[-1]}" if n > 1 else f"1 epoch {dates[0]}",
-            f"{nx} x {ny} pixels of {readable_angle(self.pixel_scale)}",
-        ]
+        span = f"{n} epochs {dates[0]} to {dates[-1]}"
+        parts = [span if n > 1 else f"1 epoch {dates[0]}"]
+        parts.append(f"{nx} x {ny} pixels of {readable_angle(self.pixel_scale)}")
         if self.unit != u.dimensionless_unscaled:
             parts.append(f"{self.unit}")
         if self.beams is not None:
             beam = self.beams[0]
-            size = f"{readable_angle(beam.major)} x {readable_angle(beam.minor)}"
+            size = f"beam {readable_angle(beam.major)} x {readable_angle(beam.minor)}"
             same = all(other == beam for other in self.beams)
-            parts.append(f"beam {size}" if same else "beams that differ")
+            parts.append(size if same else "beams that differ")
         return f"<EpochCube {', '.join(parts)}>"
 
     def _repr_html_(self):

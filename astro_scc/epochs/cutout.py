@@ -11,6 +11,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from astro_scc.epochs.grid import cut_wcs
+from astro_scc.epochs.headers import first_line
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.exceptions import EpochWarning
 
@@ -108,8 +109,7 @@ def _combine(cube, items, name, places):
 
     shape = cube.shape[1:]
     wanted = [bool(item.meta.get("include", True)) for item in items]
-    included = np.full(shape, not any(wanted))
-    excluded = np.zeros(shape, dtype=bool)
+    inside = {True: np.full(shape, not any(wanted)), False: np.zeros(shape, dtype=bool)}
     for item, include in zip(items, wanted, strict=True):
         try:
             # Images are so small that spherical regions are plane in them.
@@ -119,7 +119,7 @@ def _combine(cube, items, name, places):
             reason = {
                 NotImplementedError: "has no inside",
                 OverflowError: "has a size or place without end",
-            }.get(type(error), f"cannot be laid on the image ({_one_line(error)})")
+            }.get(type(error), f"cannot be laid on the image ({first_line(error)})")
             raise ValueError(
                 f"{name}: a {type(item).__name__} {reason}; "
                 "use circles, ellipses, rectangles or polygons"
@@ -129,12 +129,8 @@ def _combine(cube, items, name, places):
         # Masks ignore "include", and have no part in the image outside it.
         target, source = mask.get_overlap_slices(shape)
         if target is not None:
-            (included if include else excluded)[target] |= mask.data[source] > 0
-    return included & ~excluded
-
-
-def _one_line(error):
-    return " ".join(str(error).split())
+            inside[include][target] |= mask.data[source] > 0
+    return inside[True] & ~inside[False]
 
 
 def _refuse_rounded(item, size, wcs, places, name):
@@ -186,30 +182,25 @@ def _read(path):
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
-        text = None
-    if text is None or text.startswith("SIMPLE  ="):
+        text = "SIMPLE  ="
+    if text.startswith("SIMPLE  ="):
         raise ValueError(
             f"{path}: is not a text file; give a DS9 or CRTF region file (FITS regions "
             "are in pixels of the image that they were drawn on)"
         )
-    file_format = "crtf" if text.startswith("#CRTF") else "ds9"
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    kind = "crtf" if text.startswith("#CRTF") else "ds9"
+    with warnings.catch_warnings(record=True, action="always") as caught:
         try:
-            found = Regions.parse(text, format=file_format)
+            found = Regions.parse(text, format=kind)
         except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
             raise ValueError(
-                f"{path}: cannot be read as a {file_format} region file "
-                f"({_one_line(error)})"
+                f"{path}: cannot be read as a {kind} region file ({first_line(error)})"
             ) from error
     if len(found) == 0:
         raise ValueError(f"{path}: holds no region that can be used")
     for item in caught:
-        warnings.warn(
-            f"{path}: {item.message}; check that the rest is what you want",
-            EpochWarning,
-            stacklevel=4,
-        )
+        message = f"{path}: {item.message}; check that the rest is what you want"
+        warnings.warn(message, EpochWarning, stacklevel=4)
     return found, {len(digits) for digits in re.findall(r"\.(\d+)", text)}
 
 
@@ -232,14 +223,13 @@ def box(cube, region, pad=0):
             raise ValueError(
                 f"slices {region} hold no pixel of the {shape[1]} x {shape[0]} image"
             )
+        start, stop = np.transpose(bounds)
     else:
         inside = region_mask(cube, region)
-        hits = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
-        bounds = [(hit[0], hit[-1] + 1) for hit in hits]
-    return tuple(
-        slice(int(max(start - pad, 0)), int(min(stop + pad, n)))
-        for (start, stop), n in zip(bounds, shape, strict=True)
-    )
+        hits = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)]
+        start, stop = np.transpose([(hit[0], hit[-1] + 1) for hit in hits])
+    start, stop = np.maximum(start - int(pad), 0), np.minimum(stop + int(pad), shape)
+    return tuple(map(slice, start.tolist(), stop.tolist()))
 
 
 def crop(cube, region, pad=0):

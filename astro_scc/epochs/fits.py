@@ -7,6 +7,7 @@ import mmap
 import os
 import re
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
@@ -14,13 +15,7 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 from astropy.io import fits, registry
-from astropy.nddata import (
-    CCDData,
-    InverseVariance,
-    NDUncertainty,
-    StdDevUncertainty,
-    VarianceUncertainty,
-)
+from astropy.nddata import CCDData, NDUncertainty, StdDevUncertainty
 from astropy.wcs import WCS
 
 from astro_scc.epochs.grid import cut_wcs
@@ -30,10 +25,12 @@ from astro_scc.epochs.headers import (
     axis_numbers,
     beam_cards,
     celestial_wcs,
+    first_line,
     get,
     parse_unit,
     read_header,
 )
+from astro_scc.epochs.validation import POWERS
 from astro_scc.exceptions import EpochWarning
 
 # What the files of EpochCube.write are known by.
@@ -41,10 +38,7 @@ CUBE_CREATOR = "astro_scc EpochCube"
 #: What to do about a beam that cannot be.
 CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
 #: Kinds of uncertainty, as astropy calls them in FITS (UTYPE).
-UNCERTAINTIES = {
-    kind.__name__: kind
-    for kind in (StdDevUncertainty, VarianceUncertainty, InverseVariance)
-}
+UNCERTAINTIES = {kind.__name__: kind for kind in POWERS}
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 # What describes the array and its axes in the file, which the CCDData says
@@ -144,11 +138,12 @@ def read_vlbi_fits(path, hdu=None):
     for note in plane.notes:
         warnings.warn(f"{path}: {note}", EpochWarning, stacklevel=2)
     meta = fits.Header([card for card in plane.header.cards if _is_meta(card)])
+    facts, beam = plane.record.facts, plane.record.beam
     for fact, keyword in (("frequency", "FREQ"), ("stokes", "STOKES")):
-        if fact in plane.record.facts:
-            meta[keyword] = plane.record.facts[fact]
-    if plane.record.beam is not None:
-        meta.update(beam_cards(plane.record.beam))
+        if fact in facts:
+            meta[keyword] = facts[fact]
+    if beam is not None:
+        meta.update(beam_cards(beam))
     return CCDData(
         plane.data,
         unit=plane.unit,
@@ -187,18 +182,17 @@ def find_files(paths, *, missing_ok=False):
     for name in names:
         if not isinstance(name, str):
             raise TypeError(f"paths must be text, got {name!r}")
+        matches = [name]
         if os.path.exists(name):
             check_ordinary(name)
-            found.append(name)
         elif glob.has_magic(name):
             matches = sorted(glob.glob(name, recursive=True))
-            found += [m for m in matches if not os.path.isdir(m) or is_casa_image(m)]
             if not matches:
                 raise FileNotFoundError(f"{name}: no file matches this pattern")
-        elif missing_ok:
-            found.append(name)
-        else:
+            matches = [m for m in matches if not os.path.isdir(m) or is_casa_image(m)]
+        elif not missing_ok:
             raise FileNotFoundError(f"{name}: no such file")
+        found += matches
     if not found:
         raise FileNotFoundError("no files were given")
     return [Path(name) for name in dict.fromkeys(found)]
@@ -218,11 +212,9 @@ def is_casa_image(path):
 
 def is_hdf5(path):
     """Return whether a file is HDF5, as movies of eht-imaging are."""
-    try:
-        with open(path, "rb") as file:
-            return file.read(len(_HDF5)) == _HDF5
-    except OSError:
-        return False
+    with suppress(OSError), open(path, "rb") as file:
+        return file.read(len(_HDF5)) == _HDF5
+    return False
 
 
 def read_plane(path, hdu=None, *, window=None, pixels=True):
@@ -239,33 +231,26 @@ def read_plane(path, hdu=None, *, window=None, pixels=True):
         raise IsADirectoryError(f"{path}: is a directory; give {path}/*.fits")
     check_ordinary(path)
     options = {"window": window, "pixels": pixels}
-    with warnings.catch_warnings():
-        # AIPS and difmap files break small rules of the standard throughout.
-        warnings.simplefilter("ignore")
-        hdus = _casa_image(path) if path.is_dir() else None
+    # AIPS and difmap files break small rules of the standard throughout.
+    with warnings.catch_warnings(action="ignore"):
+        # By its name: a room above this one, which need not be there.
+        casa = path.is_dir() and import_module("astro_scc.interchange.files")
+        hdus = casa and casa.read_casa_image(path)
         try:
-            if hdus is not None:
+            if hdus:
                 return _plane(hdus, hdu, path, **options)
             # astropy.io.fits forgets to close files that it fails to open.
             with path.open("rb") as file, open_fits(file, known=bool(window)) as hdus:
                 return _plane(hdus, hdu, path, **options)
-        except _ContentError as error:
-            raise ValueError(f"{path}: {error}") from None
-        except _NoImageError as error:
-            raise OSError(f"{path}: {error}") from None
+        except (_ContentError, _NoImageError) as error:
+            raise type(error).__base__(f"{path}: {error}") from None
         except Exception as error:
             # A damaged file can fail anywhere inside astropy.io.fits.  The first
             # sentence is the reason; the rest is advice for callers of astropy.
-            reason = re.split(r"[.,;:] |\n", str(error).strip())[0]
+            reason = re.split(r"[.,;:] ", first_line(error))[0]
             raise OSError(
-                f"{path}: cannot be read as FITS, it is broken or no FITS: "
-                f"{reason or type(error).__name__}"
+                f"{path}: cannot be read as FITS, it is broken or no FITS: {reason}"
             ) from None
-
-
-def _casa_image(path):
-    # By its name: a room above this one, which need not be there.
-    return import_module("astro_scc.interchange.files").read_casa_image(path)
 
 
 def plane_of_hdu(hdu, name):
@@ -328,28 +313,25 @@ def _plane(hdus, which, path, *, window=None, pixels=True):
 def _load(plane, hdus, hdu, index, window):
     """Add the pixels of a window, with mask and uncertainty."""
     window = window or (slice(None), slice(None))
-    raw = hdu.data[index]
     # Only these pixels are read, where the file is mapped into memory.
-    data = np.array(raw[window], dtype=np.float64)
-    del raw
-    where = "" if data.shape == plane.shape else " in this part"
-    bad = ~np.isfinite(data)
-    if bad.all():
+    plane.data = np.array(hdu.data[index][window], dtype=np.float64)
+    where = "" if plane.data.shape == plane.shape else " in this part"
+    plane.mask = ~np.isfinite(plane.data)
+    if plane.mask.all():
         raise _ContentError(f"no valid pixel{where}, all are NaN; leave this file out")
     for name, is_bad in (("WHT", np.logical_not), ("MASK", np.asarray)):
         values, _ = _beside(hdus, hdu, name, plane.shape, window)
         if values is not None:
-            bad |= is_bad(values).astype(bool)
-        if bad.all():
+            plane.mask |= is_bad(values).astype(bool)
+        if plane.mask.all():
             raise _ContentError(
                 f"no valid pixel{where} by its extension {name}; leave this file out"
             )
     errors, header = _beside(hdus, hdu, "UNCERT", plane.shape, window)
     if errors is not None:
-        unit = parse_unit(get(header, "BUNIT", kind=str)) if "BUNIT" in header else None
+        unit = parse_unit(header["BUNIT"]) if "BUNIT" in header else None
         kind = UNCERTAINTIES.get(get(header, "UTYPE", kind=str), StdDevUncertainty)
         plane.uncertainty = kind(np.array(errors, dtype=float), unit=unit, copy=False)
-    plane.data, plane.mask = data, bad
     if where:
         plane.wcs = cut_wcs(plane.wcs, window, plane.shape)
 
@@ -432,19 +414,18 @@ def _plane_index(header):
         # celestial_wcs refuses these with the better reason.
         celestial = [0, 1]
     index = []
-    for k in range(naxis):
+    for k, name in enumerate(types):
         length = header[f"NAXIS{k + 1}"]
         if k in celestial:
             index.append(slice(None))
         elif length == 1:
             index.append(0)
-        elif types[k].startswith("STOKES"):
+        elif name.startswith("STOKES"):
             index.append(_stokes_i(header, k + 1, length))
         else:
-            name = types[k] or f"{k + 1} of the file"
             raise _ContentError(
-                f"has {length} planes on axis {name}; write the one to use, or "
-                "their mean, to a file of its own"
+                f"has {length} planes on axis {name or f'{k + 1} of the file'}; write "
+                "the one to use, or their mean, to a file of its own"
             )
     return tuple(reversed(index))
 

@@ -89,17 +89,17 @@ def _copy(data, mask, step, shape):
     return moved, bad
 
 
-def grid_step(wcs, target, shape, tolerance=ONE_SHIFT):
+def grid_step(wcs, target, shape):
     """
     Return the shift (dx, dy) between two grids, and whether it is all between them.
 
     It is the step from the centre of an image of ``shape`` (ny, nx) on ``wcs`` to
     the pixel of ``target`` at the same place of the sky; it is all if no corner
-    departs from it by ``tolerance`` pixels.
+    departs from it by a hundredth of a pixel.
     """
     pixels = _probe_pixels(shape)
     step = np.array(pixel_to_pixel(wcs, target, *pixels)) - pixels
-    return step[:, 0], bool(np.all(np.abs(step - step[:, :1]) < tolerance))
+    return step[:, 0], bool(np.all(np.abs(step - step[:, :1]) < ONE_SHIFT))
 
 
 def _probe_pixels(shape):
@@ -148,6 +148,24 @@ def resample(data, bad, wcs, new_wcs, *, shape, method="bicubic"):
     weight = lay((bad.astype(float), wcs), new_wcs, **linear, **options)
     mask = ~(weight <= BAD_WEIGHT) | ~np.isfinite(moved)
     return np.where(mask, np.nan, moved), mask
+
+
+def regrid(data, bad, wcs, grid, *, shape, unit, method="bicubic", near=WHOLE_PIXEL):
+    """
+    Return images and bad pixels on another grid, and whether pixels were copied.
+
+    They are where the grids lie whole pixels aside, as ``near`` as that; else see
+    `resample`, after which intensities per pixel are those of the new pixels.
+    """
+    step, pure = grid_step(wcs, grid, data.shape[-2:])
+    whole = np.rint(step)
+    if pure and np.all(np.abs(step - whole) < near):
+        return *_copy(data, bad, whole[::-1].astype(int), shape), True
+    data, bad = resample(data, bad, wcs, grid, shape=shape, method=method)
+    area = pixel_area(grid) / pixel_area(wcs)
+    if is_per(unit, "pix", "pixel") and not np.isclose(area, 1, rtol=1e-6):
+        data *= area
+    return data, bad, False
 
 
 def reproject_cube(cube, wcs, shape=None, order=None, *, method="interp"):
@@ -226,48 +244,36 @@ def reproject_cube(cube, wcs, shape=None, order=None, *, method="interp"):
     if order not in ORDERS:
         raise ValueError(f"order={order!r} is not one of {', '.join(ORDERS)}")
     wcs, shape = _grid_of(wcs, shape)
-    same_frame = wcs_to_celestial_frame(wcs).is_equivalent_frame(
-        wcs_to_celestial_frame(cube.wcs)
-    )
-    if cube.beams is not None and not same_frame:
+    frames = [wcs_to_celestial_frame(grid) for grid in (wcs, cube.wcs)]
+    if cube.beams is not None and not frames[0].is_equivalent_frame(frames[1]):
         raise ValueError(
             "the new wcs has another celestial frame, in which the position angles "
             "of the beams do not hold; use a wcs in the frame of the epochs"
         )
-
-    step, pure = grid_step(cube.wcs, wcs, cube.shape[1:])
-    whole = np.rint(step)
-    if pure and np.all(np.abs(step - whole) < WHOLE_PIXEL):
-        data, mask = _copy(cube.data, cube.mask, whole[::-1].astype(int), shape)
-        noise, how = cube.noise, "whole pixels copied"
-    else:
-        noise, how = None, order if method == "interp" else method
-        if method == "interp":
-            _warn_of_undersampling(cube, wcs)
-        data, mask = resample(
-            cube.data, cube.mask, cube.wcs, wcs, shape=shape, method=how
-        )
-    area = _pixel_area(wcs) / _pixel_area(cube.wcs)
-    if is_per(cube.unit, "pix", "pixel") and not np.isclose(area, 1, rtol=1e-6):
-        data = data * area
-    side = np.sqrt(_pixel_area(wcs)) * u.deg
+    how = order if method == "interp" else method
+    grids = {"wcs": cube.wcs, "grid": wcs, "shape": shape, "unit": cube.unit}
+    data, mask, copied = regrid(cube.data, cube.mask, method=how, **grids)
+    if method == "interp" and not copied:
+        _warn_of_undersampling(cube, wcs)
+    side = (np.sqrt(pixel_area(wcs)) * u.deg).to_value(u.mas)
     return cube.with_step(
-        f"reprojected onto {shape[1]} x {shape[0]} pixels of "
-        f"{side.to_value(u.mas):.4g} mas ({how})",
+        f"reprojected onto {shape[1]} x {shape[0]} pixels of {side:.4g} mas "
+        f"({'whole pixels copied' if copied else how})",
         data=data,
         mask=mask,
         wcs=wcs.deepcopy(),
-        noise=noise,
+        noise=cube.noise if copied else None,
         epoch_wcs=_new_epoch_wcs(cube, wcs, shape),
     )
 
 
-def _grid_of(target, shape):
+def _grid_of(target, shape=None):
     """Return the WCS and shape of the grid that something describes."""
     if isinstance(target, fits.Header):
-        axes = target.get("NAXIS2"), target.get("NAXIS1")
+        own = target.get("NAXIS2"), target.get("NAXIS1")
+        own = own if all(own) else None
         try:
-            wcs, own = as_celestial(celestial_wcs(target)), axes if all(axes) else None
+            wcs = as_celestial(celestial_wcs(target))
         except ValueError as error:
             raise ValueError(f"the header of the new grid: {error}") from None
     elif hasattr(target, "shape") and hasattr(target, "wcs"):
@@ -285,7 +291,7 @@ def _grid_of(target, shape):
 
 def _warn_of_undersampling(cube, wcs):
     """Warn if interpolation leaves out pixels between those that it takes."""
-    side, own = (np.sqrt(_pixel_area(grid)) * u.deg for grid in (wcs, cube.wcs))
+    side, own = (np.sqrt(pixel_area(grid)) * u.deg for grid in (wcs, cube.wcs))
     beams = [beam.minor / SAMPLED for beam in cube.beams or ()]
     if side > 1.01 * max(own, min(beams, default=own)):
         warnings.warn(
@@ -301,18 +307,15 @@ def _new_epoch_wcs(cube, wcs, shape):
     """Return absolute coordinates of the new grid, None if not all are shifts."""
     if cube.epoch_wcs is None:
         return None
-    result = []
-    for own in cube.epoch_wcs:
-        pixels = _probe_pixels(shape)
-        old = pixel_to_pixel(wcs, cube.wcs, *pixels)
-        step = pixels - np.array(pixel_to_pixel(own, wcs, *old))
-        if not np.all(np.abs(step - step[:, :1]) < ONE_SHIFT):
-            return None
-        result.append(moved_wcs(wcs, step[:, 0]))
-    return tuple(result)
+    pixels = _probe_pixels(shape)
+    old = pixel_to_pixel(wcs, cube.wcs, *pixels)
+    steps = [pixels - pixel_to_pixel(own, wcs, *old) for own in cube.epoch_wcs]
+    if not np.all(np.abs(np.subtract(steps, np.array(steps)[..., :1])) < ONE_SHIFT):
+        return None
+    return tuple(moved_wcs(wcs, step[:, 0]) for step in steps)
 
 
-def _pixel_area(wcs):
+def pixel_area(wcs):
     """Return the solid angle of a pixel in square degrees."""
     return abs(np.linalg.det(wcs.pixel_scale_matrix))
 
@@ -356,12 +359,10 @@ def shared_grid(grids):
     >>> shape, grid.wcs.crpix.tolist()
     ((16, 20), [12.0, 8.0])
     """
-    grids = [
-        _grid_of(g, None) if hasattr(g, "wcs") else _grid_of(g[1], g[0]) for g in grids
-    ]
+    grids = [_grid_of(g) if hasattr(g, "wcs") else _grid_of(g[1], g[0]) for g in grids]
     if not grids:
         raise ValueError("shared_grid needs at least one grid")
-    areas = np.array([_pixel_area(wcs) for wcs, _ in grids])
+    areas = np.array([pixel_area(wcs) for wcs, _ in grids])
     finest = grids[int(np.argmax(areas <= areas.min() * (1 + 1e-6)))][0]
     edge, low, high = np.linspace(0, 1, 33), np.zeros(33), np.ones(33)
     corners = []

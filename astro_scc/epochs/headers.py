@@ -3,7 +3,9 @@
 
 import re
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 
 import astropy.units as u
 import numpy as np
@@ -15,33 +17,23 @@ from astro_scc.epochs.beam import Beam
 
 _ISO = re.compile(r"(\d{4})[-/.]?(\d{1,2})[-/.]?(\d{1,2})(?:[T ]+([\d:.]+))?$")
 _OLD = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{2}|\d{4})$")
+_DECIMAL_YEAR = re.compile(r"\d{4}\.(\d{2,3}|\d{5,})$")
 # Headers of digital images with two-digit years below this are of 20xx.
 _CENTURY = 50
 _DATES = ("DATE-OBS", "DATE_OBS", "DATE-BEG", "DATE-AVG")
 _MJDS = ("MJD-OBS", "MJD-BEG", "MJD-AVG", "EXPSTART", "MJD")
-_TIME_SCALES = {
-    **dict.fromkeys(("TAI", "IAT"), "tai"),
-    **dict.fromkeys(("TT", "TDT", "ET"), "tt"),
-    **{name.upper(): name for name in ("tdb", "tcb", "tcg")},
-}
+_TIME_SCALES = {name.upper(): name for name in ("tai", "tt", "tdb", "tcb", "tcg")}
+_TIME_SCALES |= {"IAT": "tai", "TDT": "tt", "ET": "tt"}
 #: Words that units are written with, by the unit that astropy knows.
-_UNITS = {
-    "Jy": "jy jansky janskys",
-    "mJy": "mjy",
-    "uJy": "ujy",
-    "beam": "beam bm",
-    "pix": "pixel pixels pix",
-    "ct": "count counts cts",
-    "electron": "electron electrons",
-    "ph": "photons",
-    "DN": "dn",
-    "adu": "adu",
-    "K": "kelvin k",
-    "s": "second seconds sec s",
-    "sr": "sr",
-    "arcsec": "arcsec",
+_UNIT_WORDS = {
+    **{name.lower(): name for name in "Jy mJy uJy beam pix ct electron DN K s".split()},
+    **dict.fromkeys(("jansky", "janskys"), "Jy"),
+    **dict.fromkeys(("pixel", "pixels"), "pix"),
+    **dict.fromkeys(("count", "counts", "cts"), "ct"),
+    **dict.fromkeys(("second", "seconds", "sec"), "s"),
+    **{"bm": "beam", "electrons": "electron", "photons": "ph", "kelvin": "K"},
+    **{name: name for name in ("adu", "sr", "arcsec")},
 }
-_UNIT_WORDS = {word: unit for unit, words in _UNITS.items() for word in words.split()}
 _NUMBER = r"([-+]?[\d.]+(?:[EeDd][-+]?\d+)?)"
 _CLEAN_BEAM = re.compile(
     rf"CLEAN\s+BMAJ\s*=\s*{_NUMBER}\s+BMIN\s*=\s*{_NUMBER}\s+BPA\s*=\s*{_NUMBER}"
@@ -111,55 +103,62 @@ def get(header, *keywords, kind=None):
     for keyword in (key for name in keywords for key in (name, name.lower())):
         try:
             value = header[keyword]
-        except (KeyError, fits.VerifyError):
-            continue
-        if value is None or isinstance(value, fits.card.Undefined):
-            continue
-        if kind is float:
-            try:
+            if value is None or isinstance(value, fits.card.Undefined):
+                continue
+            if kind is float:
                 value = float(str(value).replace("D", "E"))
-            except ValueError:
-                continue
-            if not np.isfinite(value):
-                continue
-        elif kind is str:
-            value = str(value).strip()
-            if not value:
-                continue
+        except (KeyError, ValueError, fits.VerifyError):
+            continue
+        value = str(value).strip() if kind is str else value
+        if (kind is str and not value) or (kind is float and not np.isfinite(value)):
+            continue
         return value
     return None
 
 
 def parse_date(text, scale="utc"):
     """
-    Return the Time of a date as FITS headers write it, or raise a ValueError.
+    Return the Time of a date as headers and tables write it, or raise a ValueError.
 
     Understood are ``2006-03-09``, with a time of day of any precision and a
-    trailing ``Z``, ``2006/03/09``, ``20060309`` and the old ``21/03/95`` (day,
-    month, year).
+    trailing ``Z``, ``2006/03/09``, ``2006_03_09``, ``20060309``, ``2006 Mar 09``,
+    the old ``21/03/95`` (day, month, year), and decimal years, ``2006.185``.
     """
-    stripped = re.sub(r"(Z|\+00:?00| ?UTC?)$", "", str(text).strip().upper()).strip()
-    clock = None
-    if match := _OLD.match(stripped):
-        day, month, year = (int(part) for part in match.groups())
-        if year < 100:
-            year += 2000 if year < _CENTURY else 1900
-    elif match := _ISO.match(stripped):
-        year, month, day = (int(part) for part in match.groups()[:3])
-        clock = match.group(4)
-        if clock and ":" not in clock:
-            clock += ":00"
-    else:
-        # No date either.
-        year = month = day = 0
-    try:
-        iso = f"{year:04d}-{month:02d}-{day:02d}T{clock or '00:00:00'}"
-        with warnings.catch_warnings():
-            # ERFA calls dates dubious for which leap seconds are unknown.
-            warnings.simplefilter("ignore")
+    plain = re.sub(r"(Z|\+00:?00| ?UTC?)$", "", str(text).strip().upper())
+    plain, clock = plain.strip().replace("_", "-"), None
+    # ERFA calls dates dubious for which leap seconds are unknown.
+    with warnings.catch_warnings(action="ignore"):
+        try:
+            if _DECIMAL_YEAR.match(plain):
+                time = Time(float(plain), format="decimalyear", scale=scale)
+                return Time(time, format="isot")
+            if match := _OLD.match(plain):
+                day, month, year = (int(part) for part in match.groups())
+                if year < 100:
+                    year += 2000 if year < _CENTURY else 1900
+            elif match := _ISO.match(plain):
+                year, month, day = (int(part) for part in match.groups()[:3])
+                clock = match.group(4)
+                if clock and ":" not in clock:
+                    clock += ":00"
+            else:
+                named = datetime.strptime(plain.replace("-", " "), "%Y %b %d")
+                year, month, day = named.timetuple()[:3]
+            iso = f"{year:04d}-{month:02d}-{day:02d}T{clock or '00:00:00'}"
             return Time(iso, format="isot", scale=scale)
-    except ValueError:
-        raise ValueError(f"{text!r} is no date; write it as 2006-03-09") from None
+        except ValueError:
+            raise ValueError(f"{text!r} is no date; write it as 2006-03-09") from None
+
+
+def first_line(error):
+    """Return what an error says, in one line."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+def some(names, most=3):
+    """Return the first of names that may be many."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def parse_unit(text):
@@ -170,25 +169,19 @@ def parse_unit(text):
     """
     if text is None or isinstance(text, u.UnitBase):
         return text or u.dimensionless_unscaled
-    text = str(text).strip()
-    upper = re.sub(r"\s+PER\s+", "/", text.upper())
-    if upper == "MJY/SR":
+    text = re.sub(r"\s+per\s+", "/", str(text).strip(), flags=re.IGNORECASE)
+    if text.upper() == "MJY/SR":
         return u.MJy / u.sr
-    if text == text.upper() and "MJY" in upper:
+    if text == text.upper() and "MJY" in text:
         # Upper case has lost whether M was milli or mega.
         return None
     words = re.sub(
-        r"[A-Za-z]+",
-        lambda word: _UNIT_WORDS.get(word.group().lower(), word.group()),
-        re.sub(r"\s+per\s+", "/", text, flags=re.IGNORECASE),
+        r"[A-Za-z]+", lambda word: _UNIT_WORDS.get(word[0].lower(), word[0]), text
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         for candidate in (text, words):
-            try:
+            with suppress(TypeError, ValueError):
                 return u.Unit(candidate)
-            except (TypeError, ValueError):
-                continue
     return None
 
 
@@ -211,16 +204,14 @@ def _observing_time(header):
             break
         except ValueError as error:
             problem = problem or f"{keyword}: {error}"
-    if time is None:
-        days = [get(header, keyword, kind=float) for keyword in _MJDS]
-        days = [day for day in days if day is not None and day > 0]
-        if not days and problem:
+    days = (get(header, keyword, kind=float) for keyword in _MJDS)
+    day = next((day for day in days if day is not None and day > 0), None)
+    if time is None and day is None:
+        if problem:
             raise ValueError(problem)
-        if not days:
-            return None
-        time = Time(days[0], format="mjd", scale=scale)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+        return None
+    time = Time(day, format="mjd", scale=scale) if time is None else time
+    with warnings.catch_warnings(action="ignore"):
         time = time.utc
     time.format = "isot"
     return time
@@ -229,7 +220,7 @@ def _observing_time(header):
 def _header_beam(header, tables):
     beam = get(header, "BEAM")
     if hasattr(beam, "major"):
-        return Beam(*(u.Quantity(getattr(beam, k)) for k in ("major", "minor", "pa")))
+        return Beam(beam.major, beam.minor, beam.pa)
     major = get(header, "BMAJ", kind=float)
     if major:
         minor = get(header, "BMIN", kind=float)
@@ -242,13 +233,11 @@ def _header_beam(header, tables):
     if isinstance(header, fits.Header):
         lines = (card.value for card in header.cards if card.keyword == "HISTORY")
     lines = (lines,) if isinstance(lines, str) else lines
-    found = None
-    for line in lines:
-        found = _CLEAN_BEAM.search(str(line).upper()) or found
-    if found is None:
+    found = [m for m in (_CLEAN_BEAM.search(str(t).upper()) for t in lines) if m]
+    if not found:
         return None
-    major, *others = (float(text.upper().replace("D", "E")) for text in found.groups())
-    return _beam(major, *others) if major > 0 else None
+    numbers = [float(text.replace("D", "E")) for text in found[-1].groups()]
+    return _beam(*numbers) if numbers[0] > 0 else None
 
 
 def _beam(major, minor, pa):
@@ -277,16 +266,16 @@ def header_facts(header):
     ``stokes`` that the header has.
     """
     stokes = _axis_value(header, "STOKES")
+    frequency = _axis_value(header, "FREQ")
     facts = {
         "object": get(header, "OBJECT", "TARGNAME", kind=str),
         "telescope": get(header, "TELESCOP", kind=str),
-        "frequency": _axis_value(header, "FREQ")
-        or get(header, *_FREQUENCIES, kind=float),
+        "frequency": frequency or get(header, *_FREQUENCIES, kind=float),
         "filter": get(header, "FILTER", kind=str) or _filter_wheels(header),
-        "stokes": get(header, "STOKES", kind=str)
-        if stokes is None
-        else _STOKES.get(round(stokes)),
+        "stokes": get(header, "STOKES", kind=str),
     }
+    if stokes is not None:
+        facts["stokes"] = _STOKES.get(round(stokes))
     return {key: value for key, value in facts.items() if value is not None}
 
 
@@ -342,8 +331,7 @@ def celestial_wcs(header, fobj=None):
         rows = [key for key in clean if re.match(rf"CD{axis}_\d+$|CDELT{axis}$", key)]
         if not any(clean[key] for key in rows):
             raise ValueError("its celestial axes have no pixel scale (CDELT or CD)")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         try:
             wcs = WCS(clean, fobj=fobj).celestial
             wcs.wcs.set()
@@ -364,42 +352,38 @@ def _repaired(header):
         except (fits.VerifyError, ValueError):
             continue
         # Dates are read elsewhere; WCS would warn about them on every file.
-        if keyword in ("HISTORY", "COMMENT", "") or keyword.startswith(
-            ("DATE", "MJD", "TIMESYS")
-        ):
-            continue
-        if keyword.startswith("CTYPE"):
-            value = _standard_ctype(str(value))
-        elif keyword.startswith("CUNIT") and str(value).upper().startswith("DEG"):
-            value = "deg"
-        elif _WCS_NUMBER.match(keyword):
-            number = get({keyword: value}, keyword, kind=float)
-            if number is None:
-                raise ValueError(f"{keyword} = {value!r} is not a finite number")
-            value = number
-        try:
-            clean[keyword] = value
-        except (fits.VerifyError, ValueError):
-            continue
+        if not re.match(r"(HISTORY|COMMENT|)$|DATE|MJD|TIMESYS", keyword):
+            value = _standard(keyword, value)
+            with suppress(fits.VerifyError, ValueError):
+                clean[keyword] = value
     if "EQUINOX" not in clean and (epoch := get(header, "EPOCH", kind=float)):
         clean["EQUINOX"] = epoch
     return clean
+
+
+def _standard(keyword, value):
+    """Return the value of a keyword as the standard has it."""
+    if keyword.startswith("CTYPE"):
+        # The coordinate's name with dashes to five characters, and the projection.
+        ctype = str(value).strip().upper()
+        if match := re.fullmatch(r"([A-Z]{2,4})-+([A-Z]{3})(-SIP)?", ctype):
+            return f"{match[1]:-<5}{match[2]}{match[3] or ''}"
+        # AIPS and difmap leave the projection out, which is orthographic there.
+        return {"RA": "RA---SIN", "DEC": "DEC--SIN"}.get(ctype, ctype)
+    if keyword.startswith("CUNIT") and str(value).upper().startswith("DEG"):
+        return "deg"
+    if not _WCS_NUMBER.match(keyword):
+        return value
+    number = get({keyword: value}, keyword, kind=float)
+    if number is None:
+        raise ValueError(f"{keyword} = {value!r} is not a finite number")
+    return number
 
 
 def axis_kind(ctype):
     """Return "longitude" or "latitude" for a celestial CTYPE, None for others."""
     ctype = ctype.strip().upper()
     return next((k for k, form in _AXIS_KINDS.items() if form.match(ctype)), None)
-
-
-def _standard_ctype(ctype):
-    """Return the coordinate's name with dashes to five characters, and projection."""
-    ctype = ctype.strip().upper()
-    match = re.fullmatch(r"([A-Z]{2,4})-+([A-Z]{3})(-SIP)?", ctype)
-    if match:
-        return f"{match[1]:-<5}{match[2]}{match[3] or ''}"
-    # AIPS and difmap leave the projection out, which is orthographic there.
-    return {"RA": "RA---SIN", "DEC": "DEC--SIN"}.get(ctype, ctype)
 
 
 def epoch_header(cube, i):

@@ -150,9 +150,8 @@ def looks_like_mask(image):
     if len(np.unique(few[np.isfinite(few)])) > 2:
         return False
     values = values[np.isfinite(values)]
-    if values.size == 0:
-        return False
-    return bool(np.all((values == values.min()) | (values == values.max())))
+    extremes = values.min(initial=np.inf), values.max(initial=-np.inf)
+    return bool(values.size and np.all(np.isin(values, extremes)))
 
 
 def find_odd(planes):
@@ -169,25 +168,21 @@ def find_odd(planes):
     odd = []
     for i, mine, others in _minority(names):
         one, other = planes[i], planes[names.index(others)]
-        size = max(one.extent, other.extent)
-        same = bool(separation(one.wcs, other.wcs) < size)
+        same = bool(separation(one.wcs, other.wcs) < max(one.extent, other.extent))
         where = "at the same place" if same else "somewhere else"
         odd.append((i, f"shows {mine}, {where}, where others show {others}", not same))
-    for i, mine, others in _minority([fact.get("filter") for fact in facts]):
-        odd.append((i, f"is of the filter {mine}, others are of {others}", True))
     stokes = [fact.get("stokes") for fact in facts]
-    polarised = [s if s in POLARISED else s and "I" for s in stokes]
-    for i, mine, others in _minority(polarised):
-        odd.append((i, f"is of Stokes {mine}, others are of {others}", True))
+    stokes = [s if s in POLARISED else s and "I" for s in stokes]
+    filters = [fact.get("filter") for fact in facts]
+    for what, values in (("the filter", filters), ("Stokes", stokes)):
+        for i, mine, others in _minority(values):
+            odd.append((i, f"is of {what} {mine}, others are of {others}", True))
     known = np.array([fact.get("frequency") or np.nan for fact in facts], dtype=float)
-    with np.errstate(invalid="ignore"):
-        near = np.abs(np.log(known[:, None] / known)) < BAND
+    near = np.abs(np.log(known[:, None] / known)) < BAND
     usual = int(np.argmax(near.sum(axis=1)))
-    others = f"others are at {known[usual] / 1e9:.4g}"
-    odd += [
-        (int(i), f"is at {known[i] / 1e9:.4g} GHz, {others}", True)
-        for i in np.flatnonzero(~near[usual] & ~np.isnan(known))
-    ]
+    for i in np.flatnonzero(~near[usual] & ~np.isnan(known)):
+        mine, others = (f"{known[k] / 1e9:.4g}" for k in (i, usual))
+        odd.append((int(i), f"is at {mine} GHz, others are at {others}", True))
     return sorted(odd)
 
 
@@ -256,21 +251,18 @@ def inspect_epochs(paths, *, hdu=None):
     read = [row for row in rows if row["plane"] is not None]
     if read:
         _compare(read)
-
-    unit = read[0]["unit"] if read else u.dimensionless_unscaled
-    for row in rows:
-        factor = row["unit"].to(unit) if unit.is_equivalent(row["unit"]) else np.nan
-        row["peak"], row["noise"] = row["peak"] * factor, row["noise"] * factor
-    mjd = [0.0 if row["date"] is None else row["date"].mjd for row in rows]
-    date = Time(mjd, format="mjd", scale="utc")
-    date.format = "iso"
-    if len(dated) < len(rows):
-        date[len(dated) :] = np.ma.masked
     table = QTable({"file": [str(row["path"]) for row in rows]})
-    table["date"] = date
+    mjd = [row["date"].mjd for row in dated] + [0.0] * (len(rows) - len(dated))
+    table["date"] = Time(Time(mjd, format="mjd", scale="utc"), format="iso")
+    if len(dated) < len(rows):
+        table["date"][len(dated) :] = np.ma.masked
+    unit = read[0]["unit"] if read else u.dimensionless_unscaled
     for name, own in COLUMNS.items():
         values = [row[name] for row in rows]
-        own = unit if own is INTENSITY else own
+        if own is INTENSITY:
+            own, units = unit, [row["unit"] for row in rows]
+            same = [x.to(unit) if unit.is_equivalent(x) else np.nan for x in units]
+            values = np.multiply(values, same)
         table[name] = values if own is None else u.Quantity(values, own)
     table["problem"] = ["; ".join(row["problems"]) for row in rows]
     return table
@@ -281,12 +273,13 @@ def _inspect(path, hdu):
     row = dict.fromkeys(COLUMNS, np.nan)
     row |= {"path": path, "date": None, "nx": 0, "ny": 0, "object": "", "problems": []}
     row |= {"plane": None, "unit": u.dimensionless_unscaled}
+    problems = row["problems"]
     try:
         plane = read_plane(path, hdu=hdu)
     except (OSError, ValueError) as error:
-        row["problems"].append(str(error).removeprefix(f"{path}: "))
+        problems.append(str(error).removeprefix(f"{path}: "))
         return row
-    record, header = plane.record, plane.wcs.wcs
+    record = plane.record
     row |= {"plane": plane, "unit": plane.unit, "date": record.time}
     row["object"] = record.facts.get("object", "")
     row["frequency"] = record.facts.get("frequency", np.nan) / 1e9
@@ -294,19 +287,17 @@ def _inspect(path, hdu):
     matrix = plane.wcs.pixel_scale_matrix * u.deg.to(u.mas)
     row["pixel"] = np.sqrt(np.abs(np.linalg.det(matrix)))
     if record.beam is not None:
-        beam = record.beam
-        row["major"], row["minor"] = beam.major.value, beam.minor.value
-        row["pa"] = beam.pa.value
-    row["problems"] += plane.notes
+        row |= {k: getattr(record.beam, k).value for k in ("major", "minor", "pa")}
+    problems += plane.notes
     if record.time is None:
-        row["problems"].append(record.date_problem or "no date of observation")
+        problems.append(record.date_problem or "no date of observation")
     if looks_like_mask(plane.data):
-        row["problems"].append("no more than two different values, a mask")
+        problems.append("no more than two different values, a mask")
     values = np.where(plane.mask, -np.inf, plane.data)
     y, x = np.unravel_index(np.argmax(values), values.shape)
     row["peak"] = float(values[y, x])
     del values
-    row["peak_east"], row["peak_north"] = matrix @ ([x, y] - header.crpix + 1)
+    row["peak_east"], row["peak_north"] = matrix @ ([x, y] - plane.wcs.wcs.crpix + 1)
     row["noise"] = measure_noise(plane.data, mask=plane.mask)
     # Of many large files only the facts are kept.
     plane.data = plane.mask = plane.uncertainty = plane.header = None
@@ -318,26 +309,22 @@ def _compare(rows):
     for i, what, _ in find_odd([row["plane"] for row in rows]):
         rows[i]["problems"].append(what)
     dated = [row for row in rows if row["date"] is not None]
-    if dated:
-        for i, k in find_same_dates(Time([row["date"] for row in dated])):
-            dated[k]["problems"].append(f"of the date of {dated[i]['path'].name}")
+    for i, k in find_same_dates(Time([r["date"] for r in dated])) if dated else ():
+        dated[k]["problems"].append(f"of the date of {dated[i]['path'].name}")
     first = rows[0]["unit"]
     some_have_beams = any(np.isfinite(row["major"]) for row in rows)
     grids = [(r["nx"], r["ny"], readable_angle(r["pixel"] * u.mas)) for r in rows]
     usual = max(grids, key=grids.count)
     for row, grid in zip(rows, grids, strict=True):
+        problems = row["problems"]
         if not row["unit"].is_equivalent(first):
-            row["problems"].append(
-                f"its unit is {row['unit'].to_string() or 'none'}, that of others is "
-                f"{first.to_string() or 'none'}"
-            )
+            own, other = (x.to_string() or "none" for x in (row["unit"], first))
+            problems.append(f"its unit is {own}, that of others is {other}")
         if some_have_beams and np.isnan(row["major"]):
-            row["problems"].append("no beam where others have one")
+            problems.append("no beam where others have one")
         if grid != usual:
-            nx, ny, pixel = usual
-            row["problems"].append(
-                f"on another grid than most ({nx} x {ny} of {pixel}), resampled"
-            )
+            grid = "{} x {} of {}".format(*usual)
+            problems.append(f"on another grid than most ({grid}), resampled")
 
 
 @dataclass(frozen=True)
@@ -402,23 +389,23 @@ class IntervalPlan:
     def lines(self):
         """Return the plan as sentences."""
         low, high = self.consecutive
-        leaves = ""
+        leaves, slower = "", ()
         if self.fastest is not None:
             leaves = f"; faster than {self.fastest:.3g} leaves the image"
-        lines = [
+        if self.n_epochs > 2:
+            slower = [
+                "Slower features show in pairs of epochs that are further apart, which "
+                "are used for them."
+            ]
+        return [
             f"{self.n_epochs} epochs over {self.span:.3g}, "
             f"{self.shortest.value:.3g} to {self.longest:.3g} apart, "
             f"median {self.median:.3g}; resolution {readable_angle(self.resolution)}.",
             f"Slower than {self.slowest:.2g} cannot be distinguished from standing "
             f"still{leaves}.",
             f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}.",
+            *slower,
         ]
-        if self.n_epochs > 2:
-            lines.append(
-                "Slower features show in pairs of epochs that are further apart, which "
-                "are used for them."
-            )
-        return lines
 
     def __str__(self):
         return "\n".join(self.lines())

@@ -98,9 +98,7 @@ def misalignment(cube):
         cores = core_positions(cube[every])
     except ValueError:
         return None
-    cores = np.stack(
-        [cores[name].to_value(u.mas) for name in ("east", "north")], axis=1
-    )
+    cores = np.stack([cores[k].to_value(u.mas) for k in ("east", "north")], axis=1)
     cores = dict(zip(every, cores, strict=True))
     certain = scatter(some, cores)
     if certain is None or certain > AGREE:

@@ -34,6 +34,14 @@ def readable_angle(angle):
     return f"{angle.to_value(unit):.4g} {unit}"
 
 
+def pixel_side(pixel_scale):
+    """Return the side of a pixel as a Quantity, a positive angle."""
+    side = u.Quantity(pixel_scale)
+    if not 0 < side.to_value(u.deg) < np.inf:
+        raise ValueError(f"pixel_scale must be positive, got {pixel_scale}")
+    return side
+
+
 def offset_wcs(pixel_scale, reference_pixel, position=None):
     """
     Return the celestial WCS of an image that is known by offsets from one pixel.
@@ -49,12 +57,8 @@ def offset_wcs(pixel_scale, reference_pixel, position=None):
     position : `~astropy.coordinates.SkyCoord`, optional
         Celestial position of the origin; (180 deg, 0 deg) without it.
     """
-    step = u.Quantity(pixel_scale).to_value(u.deg)
-    if not (np.isfinite(step) and step > 0):
-        raise ValueError(f"pixel_scale must be positive, got {pixel_scale}")
-    if position is None:
-        position = SkyCoord(180 * u.deg, 0 * u.deg)
-    position = position.icrs
+    step = pixel_side(pixel_scale).to_value(u.deg)
+    position = SkyCoord(180 * u.deg, 0 * u.deg) if position is None else position.icrs
     wcs = WCS(naxis=2)
     wcs.wcs.ctype = "RA---SIN", "DEC--SIN"
     wcs.wcs.cunit = "deg", "deg"

@@ -22,7 +22,7 @@ from astro_scc.epochs.fits import (
     plane_of_hdu,
     read_plane,
 )
-from astro_scc.epochs.headers import get, read_header
+from astro_scc.epochs.headers import get, read_header, some
 from astro_scc.epochs.inspection import (
     find_odd,
     find_same_dates,
@@ -56,8 +56,7 @@ def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
     windows = [None] * len(files)
     if region is not None:
         planes = [read_plane(path, hdu=hdu, pixels=False) for path in files]
-        observed = [_observed(*pair) for pair in zip(planes, times, strict=True)]
-        dates = as_times(observed, len(files))
+        dates = as_times(list(map(_observed, planes, times)), len(files))
         first = planes[int(np.argmin((dates - dates[0]).jd))]
         part, windows = windows_of(planes, first, frame, region, pad)
     remarks, epochs = {}, []
@@ -66,7 +65,7 @@ def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
     ):
         plane = read_plane(path, hdu=hdu, window=window)
         for note in plane.notes:
-            if not (beam is not None and note.startswith("its beam")):
+            if beam is None or not note.startswith("its beam"):
                 remarks.setdefault(note, []).append(name)
         if check and looks_like_mask(plane.data):
             where = "" if window is None else " in this region"
@@ -78,7 +77,7 @@ def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
         if len(epochs) == 1:
             _refuse_too_many(plane.data.shape, len(files))
     for note, where in remarks.items():
-        _warn(f"{_some(where)}: {note}")
+        _warn(f"{some(where)}: {note}")
     fields = _assemble(epochs, frame, check, f"{len(files)} FITS images")
     if region is not None:
         fields["meta"]["history"].append(crop_line(part))
@@ -146,13 +145,13 @@ def _plane_of_nddata(image, name):
         wcs = as_celestial(image.wcs)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: {error}") from None
-    shape = data.shape[-2:]
-    plane = Plane(name, wcs, shape, read_header(image.meta), image.meta)
+    shape, record = data.shape[-2:], read_header(image.meta)
+    plane = Plane(name, wcs, shape, record, image.meta)
     plane.data, plane.mask = data.reshape(shape), mask.reshape(shape)
     plane.unit = image.unit or u.dimensionless_unscaled
     plane.uncertainty = image.uncertainty
-    if plane.record.beam_problem:
-        plane.notes.append(beam_note(plane.record.beam_problem))
+    if record.beam_problem:
+        plane.notes.append(beam_note(record.beam_problem))
     return plane
 
 
@@ -164,11 +163,9 @@ def _given(times, beams, n, frame):
         raise ValueError("a cube needs at least one image")
     if times is None:
         times = [None] * n
-    elif not isinstance(times, Time):
-        times = [times] if isinstance(times, str) else list(times)
-        times = [t if t is None else as_times([t], 1)[0] for t in times]
-    elif times.isscalar:
+    elif isinstance(times, str) or (isinstance(times, Time) and times.isscalar):
         times = [times]
+    times = [t if t is None else as_times(t, 1)[0] for t in times]
     if len(times) != n:
         raise ValueError(f"{n} images need {n} times, got {len(times)}")
     return times, as_beams(beams, n) or [None] * n
@@ -212,8 +209,11 @@ def _assemble(planes, frame, check, source):
             f"{planes[i].name} and {planes[k].name} are both of {times[i].isot[:10]}; "
             "leave one out if it is a stack or another image of the same data"
         )
-    if check:
-        _refuse_odd(planes)
+    for i, what, fatal in find_odd(planes) if check else ():
+        what = f"{planes[i].name}: {what}; leave it out"
+        if fatal:
+            raise ValueError(f"{what} (in Python, check=False reads it)")
+        _warn(f"{what} if it is another object")
     _convert(planes)
     if frame == "offset":
         _warn_of_distances(planes)
@@ -223,7 +223,7 @@ def _assemble(planes, frame, check, source):
         given = any(plane.noise is not None for plane in planes)
         anew = ", and the noise of all is measured anew" if given else ""
         _warn(
-            f"{_some(resampled)}: on another grid than the finest and therefore "
+            f"{some(resampled)}: on another grid than the finest and therefore "
             f"resampled to it; all are {nx} x {ny} pixels, masked outside each image"
             f"{anew}; leave it out if you do not want that"
         )
@@ -231,24 +231,18 @@ def _assemble(planes, frame, check, source):
     labels = [plane.label for plane in planes]
     names = {fact.get("object") for fact in facts} - {None}
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
-    history = [f"{source}, laid on their {laid}"]
+    meta = {"object": names.pop()} if len(names) == 1 else {}
+    otherwise = f"the cube has none; {CORRECT_BEAM}, or give beams= in Python"
+    beams = [plane.record.beam for plane in planes]
     return {
         **fields,
         "times": times,
         "unit": planes[0].unit,
-        "beams": _all_or_none(
-            planes,
-            "beam",
-            [plane.record.beam for plane in planes],
-            f"the cube has none; {CORRECT_BEAM}, or give beams= in Python",
-        ),
+        "beams": _all_or_none(planes, "beam", beams, otherwise),
         "noise": None if resampled else _all_noise(planes),
         "labels": labels if all(labels) else (),
         "epoch_meta": facts,
-        "meta": {
-            **({"object": names.pop()} if len(names) == 1 else {}),
-            "history": history,
-        },
+        "meta": {**meta, "history": [f"{source}, laid on their {laid}"]},
     }
 
 
@@ -256,26 +250,16 @@ def _convert(planes):
     """Bring all images to the unit of the first one."""
     first = planes[0]
     for plane in planes:
-        try:
-            factor = plane.unit.to(first.unit)
-        except u.UnitConversionError:
+        if not plane.unit.is_equivalent(first.unit):
+            own, other = (p.unit.to_string() or "none" for p in (plane, first))
             raise ValueError(
-                f"{plane.name}: its unit is {plane.unit.to_string() or 'none'}, that "
-                f"of {first.name} is {first.unit.to_string() or 'none'}; leave one out"
-            ) from None
+                f"{plane.name}: its unit is {own}, that of {first.name} is {other}; "
+                "leave one out"
+            )
+        factor = plane.unit.to(first.unit)
         if factor != 1:
             plane.data, plane.unit = plane.data * factor, first.unit
             plane.noise = None if plane.noise is None else plane.noise.to(first.unit)
-
-
-def _refuse_odd(planes):
-    for i, what, fatal in find_odd(planes):
-        if fatal:
-            raise ValueError(
-                f"{planes[i].name}: {what}; leave it out (in Python, check=False "
-                "reads it)"
-            )
-        _warn(f"{planes[i].name}: {what}; leave it out if it is another object")
 
 
 def _warn_of_distances(planes):
@@ -294,11 +278,12 @@ def _warn_of_distances(planes):
 def _all_or_none(planes, what, values, otherwise):
     """Return a value of every image, or else warn that some have none."""
     missing = [p.name for p, v in zip(planes, values, strict=True) if v is None]
-    if missing and len(missing) < len(planes):
-        _warn(
-            f"{_some(missing)}: no {what} where other epochs have one, so {otherwise}"
-        )
-    return None if missing else values
+    if not missing:
+        return values
+    if len(missing) < len(planes):
+        other = f"no {what} where other epochs have one"
+        _warn(f"{some(missing)}: {other}, so {otherwise}")
+    return None
 
 
 def _all_noise(planes):
@@ -308,15 +293,8 @@ def _all_noise(planes):
     noise = _all_or_none(planes, "noise", noise, otherwise)
     uneven = [plane.name for plane in planes if not plane.even]
     if uneven and noise:
-        _warn(f"{_some(uneven)}: {UNEVEN}")
+        _warn(f"{some(uneven)}: {UNEVEN}")
     return None if noise is None else u.Quantity(noise)
-
-
-def _some(names):
-    """Return the first names of a list that may be long."""
-    if len(names) <= 3:
-        return ", ".join(names)
-    return f"{', '.join(names[:2])} and {len(names) - 2} more"
 
 
 def _warn(message):

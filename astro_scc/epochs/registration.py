@@ -103,7 +103,8 @@ def core_positions(cube, *, jet_pa=None, max_shift=None):
             "the core is fitted with the beam and the epochs have none; give beams, "
             "or align with 'correlate' or a table of positions"
         )
-    to_pixels = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
+    matrix = cube.pixel_matrix.to_value(u.mas)
+    to_pixels = np.linalg.inv(matrix)
     shapes = [
         to_pixels @ beam.covariance.to_value(u.mas**2) @ to_pixels.T
         for beam in cube.beams
@@ -115,9 +116,10 @@ def core_positions(cube, *, jet_pa=None, max_shift=None):
         pa = u.Quantity(jet_pa).to_value(u.rad)
         direction = to_pixels @ [np.sin(pa), np.cos(pa)]
         direction = direction / np.hypot(*direction)
-    allowed = np.ones(cube.shape[1:], dtype=bool)
+    allowed, within = np.ones(cube.shape[1:], dtype=bool), ""
     if max_shift is not None:
         allowed = np.hypot(*cube.offsets()) <= u.Quantity(max_shift)
+        within = f" within {max_shift}"
 
     rows = []
     for i, label in enumerate(cube.labels):
@@ -126,26 +128,18 @@ def core_positions(cube, *, jet_pa=None, max_shift=None):
         start = _candidate(image, good & allowed, shapes[i], direction, noise[i])
         if start is None:
             raise ValueError(
-                f"{label}: nothing is bright enough to be the core"
-                + (f" within {max_shift}" if max_shift is not None else "")
-                + "; give a table of positions"
+                f"{label}: nothing is bright enough to be the core{within}; give a "
+                "table of positions"
             )
         rows.append(_fit(image, good, shapes[i], start, direction, noise[i]))
     position, covariance, blended = zip(*rows, strict=True)
-    matrix = cube.pixel_matrix.to_value(u.mas)
     sky = matrix @ np.array(covariance) @ matrix.T
-    east, north = cube.pixel_to_offset(*np.array(position).T)
-    return QTable(
-        {
-            "label": list(cube.labels),
-            "date": cube.times,
-            "east": east,
-            "north": north,
-            "east_err": np.sqrt(sky[:, 0, 0]) * u.mas,
-            "north_err": np.sqrt(sky[:, 1, 1]) * u.mas,
-            "blended": list(blended),
-        }
-    )
+    table = QTable({"label": list(cube.labels), "date": cube.times})
+    table["east"], table["north"] = cube.pixel_to_offset(*np.array(position).T)
+    table["east_err"] = np.sqrt(sky[:, 0, 0]) * u.mas
+    table["north_err"] = np.sqrt(sky[:, 1, 1]) * u.mas
+    table["blended"] = list(blended)
+    return table
 
 
 def _mean_direction(cube, shape, level):
@@ -170,17 +164,13 @@ def _candidate(image, good, shape, direction, noise):
     size = np.maximum(np.sqrt(np.diag(shape)[::-1]) / FWHM_TO_SIGMA / 2, 3)
     size = (2 * np.rint((size - 1) / 2) + 1).astype(int)
     maximum = (image == ndimage.maximum_filter(image, size=tuple(size))) & good
-    if not maximum.any():
-        return None
-    y, x = np.nonzero(maximum)
     value = image[maximum]
-    keep = value > max(FAINTEST * value.max(), 5 * noise)
-    if not keep.any():
+    bright = max(FAINTEST * value.max(initial=-np.inf), 5 * noise)
+    places, value = np.argwhere(maximum)[value > bright, ::-1], value[value > bright]
+    if len(value) == 0:
         return None
-    y, x, value = y[keep], x[keep], value[keep]
-    order = -value if direction is None else np.stack([x, y], axis=1) @ direction
-    best = np.argmin(order)
-    return np.array([x[best], y[best]], dtype=float)
+    order = -value if direction is None else places @ direction
+    return places[np.argmin(order)].astype(float)
 
 
 def _fit(image, good, shape, start, direction, noise):

@@ -9,7 +9,7 @@ from scipy import fft
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
 from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.positions import offset_wcs
+from astro_scc.epochs.positions import offset_wcs, pixel_side
 from astro_scc.epochs.smoothing import gaussian_transfer
 from astro_scc.epochs.validation import as_beams, as_noise
 from astro_scc.exceptions import EpochWarning
@@ -113,7 +113,7 @@ def restore(
     if not beams:
         raise ValueError("restore needs a beam; give one, or one for each epoch")
     noise = as_noise(noise, n_epochs, unit)
-    scale = _pixel_side(pixel_scale)
+    scale = pixel_side(pixel_scale).to_value(u.mas)
     x = -components.east.to_value(u.mas) / scale
     y = components.north.to_value(u.mas) / scale
     size = components.major.to_value(u.mas) / scale
@@ -139,22 +139,13 @@ def restore(
         peak = flux[here] * np.sqrt(np.linalg.det(blur) / np.linalg.det(total))
         add_gaussians(data[i], x[here], y[here], peak, total)
         if noise is not None:
-            data[i] += correlated_noise(
-                shape,
-                rms=noise[i].value,
-                beam=beams[i],
-                pixel_scale=pixel_scale,
-                rng=noise_rng,
-            )
+            options = {"beam": beams[i], "pixel_scale": pixel_scale, "rng": noise_rng}
+            data[i] += correlated_noise(shape, rms=noise[i].value, **options)
 
-    facts = {
-        key: components.meta[key]
-        for key in ("object", "telescope", "frequency", "filter", "stokes")
-        if key in components.meta
-    }
-    line = f"restored {len(components)} components at {n_epochs} epochs"
-    if noise is not None:
-        line += ", noise added"
+    names = "object", "telescope", "frequency", "filter", "stokes"
+    facts = {name: components.meta[name] for name in names if name in components.meta}
+    added = "" if noise is None else ", noise added"
+    line = f"restored {len(components)} components at {n_epochs} epochs{added}"
     if position is None:
         position = components.meta.get("position")
     return EpochCube(
@@ -165,16 +156,9 @@ def restore(
         beams=beams,
         noise=noise,
         labels=components.labels,
-        epoch_meta=tuple(dict(facts) for _ in range(n_epochs)),
+        epoch_meta=[facts] * n_epochs,
         meta={**components.meta, "history": [line]},
     )
-
-
-def _pixel_side(pixel_scale):
-    scale = u.Quantity(pixel_scale).to_value(u.mas)
-    if not (np.isfinite(scale) and scale > 0):
-        raise ValueError(f"pixel_scale must be positive, got {pixel_scale}")
-    return scale
 
 
 def _in_pixels(beam, scale):
@@ -184,28 +168,22 @@ def _in_pixels(beam, scale):
 
 def _grid(x, y, border, shape, reference_pixel):
     """Return a shape and reference pixel for all (x, y), which count from it."""
-    left, right = (np.floor((x - border).min()), np.ceil((x + border).max()))
-    bottom, top = (np.floor((y - border).min()), np.ceil((y + border).max()))
+    low = np.floor([(x - border).min(), (y - border).min()])
+    high = np.ceil([(x + border).max(), (y + border).max()])
     if shape is None:
         if reference_pixel is None:
-            reference_pixel = -left, -bottom
-        shape = (
-            int(np.ceil(top + reference_pixel[1])) + 1,
-            int(np.ceil(right + reference_pixel[0])) + 1,
-        )
+            reference_pixel = -low
+        shape = np.ceil(high + reference_pixel)[::-1] + 1
         if max(shape) > MAX_SIDE:
             raise ValueError(
-                f"the components need images of {shape[1]} x {shape[0]} pixels; give "
-                "larger pixels, or a shape"
+                f"the components need images of {shape[1]:g} x {shape[0]:g} pixels; "
+                "give larger pixels, or a shape"
             )
     shape = tuple(int(n) for n in shape)
     if len(shape) != 2 or min(shape) < 1:
         raise ValueError(f"shape must be (ny, nx), both positive, got {shape}")
     if reference_pixel is None:
-        reference_pixel = (
-            np.round((shape[1] - 1 - left - right) / 2),
-            np.round((shape[0] - 1 - bottom - top) / 2),
-        )
+        reference_pixel = np.round((np.array(shape[::-1]) - 1 - low - high) / 2)
     return shape, tuple(float(p) for p in reference_pixel)
 
 
@@ -215,12 +193,12 @@ def _covariances(components):
     along = np.stack([-np.sin(pa), np.cos(pa)], axis=-1)
     across = np.stack([-np.cos(pa), -np.sin(pa)], axis=-1)
     major, minor = (
-        (FWHM_TO_SIGMA * axis.to_value(u.mas)) ** 2
+        (FWHM_TO_SIGMA * axis.to_value(u.mas)[:, None, None]) ** 2
         for axis in (components.major, components.minor)
     )
     return (
-        major[:, None, None] * along[:, :, None] * along[:, None, :]
-        + minor[:, None, None] * across[:, :, None] * across[:, None, :]
+        major * along[:, :, None] * along[:, None, :]
+        + minor * across[:, :, None] * across[:, None, :]
     )
 
 
@@ -313,7 +291,7 @@ def correlated_noise(shape, *, rms, beam=None, pixel_scale=None, rng=None):
         raise ValueError("noise with a beam needs pixel_scale, the side of a pixel")
 
     ny, nx = shape
-    covariance = _in_pixels(beam, _pixel_side(pixel_scale))
+    covariance = _in_pixels(beam, pixel_side(pixel_scale).to_value(u.mas))
     padding = int(np.ceil(PADDING * np.sqrt(np.trace(covariance))))
     padded = tuple(fft.next_fast_len(n + padding, real=True) for n in (ny, nx))
 

@@ -18,11 +18,13 @@ from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.cutout import box, crop_line
 from astro_scc.epochs.fits import CUBE_CREATOR, open_fits
 from astro_scc.epochs.grid import cut_wcs
-from astro_scc.epochs.headers import epoch_header
+from astro_scc.epochs.headers import epoch_header, first_line
 from astro_scc.partial import replace_when_complete
 
 VERSION = 1
-BEAM = {"BMAJ": ("major", u.mas), "BMIN": ("minor", u.mas), "BPA": ("pa", u.deg)}
+# Axes and angle of a beam, their units in files, and their keywords in FITS.
+BEAM = {"major": u.mas, "minor": u.mas, "pa": u.deg}
+CARDS = "BMAJ", "BMIN", "BPA"
 
 
 def write_cube(cube, path, *, overwrite=False):
@@ -62,12 +64,9 @@ def write_cube(cube, path, *, overwrite=False):
     >>> EpochCube.read("cube.fits").shape
     (1, 8, 8)
     """
-    table = Table()
-    table["DATE_OBS"] = [value[:23] for value in cube.times.isot]
-    table["JD1"] = cube.times.jd1
-    table["JD2"] = cube.times.jd2
-    for name, (part, unit) in BEAM.items() if cube.beams is not None else ():
-        values = [getattr(beam, part).to_value(unit) for beam in cube.beams]
+    table = Table({"DATE_OBS": [value[:23] for value in cube.times.isot]})
+    table["JD1"], table["JD2"] = cube.times.jd1, cube.times.jd2
+    for name, (values, unit) in zip(CARDS, beam_columns(cube), strict=False):
         table[name] = values * unit
     if cube.noise is not None:
         table["NOISE"] = cube.noise.value
@@ -87,23 +86,33 @@ def write_cube(cube, path, *, overwrite=False):
     primary.header["CREATOR"] = CUBE_CREATOR
     primary.header["SCCVERS"] = VERSION, "version of this layout"
     text = np.frombuffer(pack_facts(rest).encode("ascii"), dtype=np.uint8)
-    hdus = fits.HDUList(
-        [
-            primary,
-            fits.ImageHDU(cube.data, header, name="DATA"),
-            fits.ImageHDU(cube.mask.astype(np.uint8), cube.wcs.to_header(), "MASK"),
-            fits.BinTableHDU(table, name="EPOCHS"),
-            fits.ImageHDU(text, name="META"),
-        ]
-    )
+    hdus = [
+        primary,
+        fits.ImageHDU(cube.data, header, name="DATA"),
+        fits.ImageHDU(cube.mask.astype(np.uint8), cube.wcs.to_header(), "MASK"),
+        fits.BinTableHDU(table, name="EPOCHS"),
+        fits.ImageHDU(text, name="META"),
+    ]
     with replace_when_complete(path, overwrite=overwrite) as part:
-        hdus.writeto(part)
+        fits.HDUList(hdus).writeto(part)
+
+
+def beam_columns(cube):
+    """Return major and minor axes and angles of all beams, each with its unit."""
+    for name, unit in BEAM.items() if cube.beams is not None else ():
+        values = [getattr(beam, name).to_value(unit) for beam in cube.beams]
+        yield np.array(values), unit
+
+
+def beams_of(major, minor, pa):
+    """Return the beams of columns of numbers, as `beam_columns` has them."""
+    rows = zip(major, minor, pa, strict=True)
+    return [Beam(*map(u.Quantity, row, BEAM.values())) for row in rows]
 
 
 def is_cube_file(path):
     """Return whether `write_cube` wrote a file; False for what is no FITS file."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         try:
             with open(path, "rb") as file, open_fits(file) as hdus:
                 return hdus[0].header.get("CREATOR") == CUBE_CREATOR
@@ -119,8 +128,7 @@ def read_cube(path, *, region=None, pad=0):
     Of a ``region`` the bounding box only, see `EpochCube.crop`.  An OSError says that
     the file is damaged or of a later version.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         try:
             with open(path, "rb") as file, open_fits(file) as hdus:
                 version = hdus[0].header["SCCVERS"]
@@ -129,7 +137,7 @@ def read_cube(path, *, region=None, pad=0):
         except _RegionError as error:
             raise error.__cause__ from None
         except Exception as error:
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            reason = first_line(error)
             raise OSError(f"{path}: is a damaged EpochCube file: {reason}") from None
     raise OSError(f"{path}: of layout {version}, read it with a newer astro_scc")
 
@@ -146,12 +154,8 @@ def _unpack(hdus, region, pad):
     times = Time(jd1, jd2, format="jd", scale=rest.pop("time_scale"))
     times.format = rest.pop("time_format")
     unit = u.Unit(rest.pop("unit"))
-    beams = None
-    if "BMAJ" in names:
-        columns = (table[name] * unit for name, (_, unit) in BEAM.items())
-        beams = [Beam(*row) for row in zip(*columns, strict=True)]
-    wcs = unpack_wcs(rest["wcs"])
-    epoch_wcs = rest["epoch_wcs"] and [unpack_wcs(w) for w in rest["epoch_wcs"]]
+    wcs = unpack_wcs(rest.pop("wcs"))
+    epoch_wcs = [unpack_wcs(w) for w in rest.pop("epoch_wcs") or ()]
     window = slice(None), slice(None)
     if region is not None:
         shape = hdus["DATA"].shape
@@ -159,8 +163,7 @@ def _unpack(hdus, region, pad):
             window = box(SimpleNamespace(shape=shape, wcs=wcs), region, pad)
         except Exception as error:
             raise _RegionError from error
-        wcs = cut_wcs(wcs, window, shape[1:])
-        epoch_wcs = epoch_wcs and [cut_wcs(w, window, shape[1:]) for w in epoch_wcs]
+        wcs, *epoch_wcs = (cut_wcs(w, window, shape[1:]) for w in (wcs, *epoch_wcs))
         history = [*rest["meta"].get("history", ()), crop_line(window)]
         rest["meta"] = {**rest["meta"], "history": history}
     return {
@@ -170,31 +173,27 @@ def _unpack(hdus, region, pad):
         "wcs": wcs,
         "unit": unit,
         "mask": hdus["MASK"].data[:, *window].astype(bool),
-        "beams": beams,
+        "beams": beams_of(*(table[k] for k in CARDS)) if "BMAJ" in names else None,
         "noise": table["NOISE"].astype(float) * unit if "NOISE" in names else None,
-        "epoch_wcs": epoch_wcs,
+        "epoch_wcs": epoch_wcs or None,
     }
 
 
 def pack_wcs(wcs):
     """Return header text, and the numbers that a header would round to 12 digits."""
     inner = wcs.wcs
-    numbers = {"cdelt": [1.0, 1.0], "pc": wcs.pixel_scale_matrix}
+    numbers = {"cdelt": np.ones(2), "pc": wcs.pixel_scale_matrix}
     if not inner.has_cd():
         numbers = {"cdelt": inner.get_cdelt(), "pc": inner.get_pc()}
     numbers |= {"crval": inner.crval, "crpix": inner.crpix}
-    return {
-        "header": wcs.to_header_string(relax=True),
-        "shape": list(wcs.array_shape) if wcs.array_shape else None,
-        **{name: np.asarray(value).tolist() for name, value in numbers.items()},
-    }
+    packed = {"header": wcs.to_header_string(relax=True)}
+    packed["shape"] = list(wcs.array_shape) if wcs.array_shape else None
+    return packed | {name: value.tolist() for name, value in numbers.items()}
 
 
 def unpack_wcs(packed):
     """Return the WCS that `pack_wcs` packed, to the last digit."""
-    header = fits.Header.fromstring(packed["header"])
-    remove_dates(header)
-    wcs = WCS(header)
+    wcs = WCS(without_dates(fits.Header.fromstring(packed["header"])))
     for name in ("crval", "crpix", "cdelt", "pc"):
         setattr(wcs.wcs, name, packed[name])
     wcs.wcs.set()
@@ -203,10 +202,11 @@ def unpack_wcs(packed):
     return wcs
 
 
-def remove_dates(header):
-    """Remove the dates that wcslib writes to the header of a WCS."""
+def without_dates(header):
+    """Return a header without the dates that wcslib writes to that of a WCS."""
     for keyword in ("DATE-OBS", "MJD-OBS", "MJDREF", "DATEREF", "TIMESYS"):
         header.remove(keyword, ignore_missing=True)
+    return header
 
 
 def pack_facts(facts):
@@ -296,13 +296,10 @@ def write_epochs(cube, directory, *, prefix=None, overwrite=False):
 
 
 def _image_hdu(cube, i):
-    image = np.array(cube.data[i], dtype=np.float32)
-    image[cube.mask[i]] = np.nan
+    image = np.where(cube.mask[i], np.nan, cube.data[i]).astype(np.float32)
     header = epoch_header(cube, i)
-    wcs = cube.wcs.to_header()
     # The epoch's own date stands; wcslib derives others from the first.
-    remove_dates(wcs)
-    header.update(wcs)
+    header.update(without_dates(cube.wcs.to_header()))
     if cube.unit == u.Jy / u.beam:
         header["BUNIT"] = "JY/BEAM"
     elif cube.unit != u.dimensionless_unscaled:

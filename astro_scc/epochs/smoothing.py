@@ -75,15 +75,9 @@ def gaussian_transfer(covariance, shape):
     """
     ky = fft.fftfreq(shape[0])[:, None]
     kx = fft.rfftfreq(shape[1])[None, :]
-    return np.exp(
-        -2
-        * np.pi**2
-        * (
-            covariance[0, 0] * kx**2
-            + 2 * covariance[0, 1] * kx * ky
-            + covariance[1, 1] * ky**2
-        )
-    )
+    (xx, xy), (_, yy) = covariance
+    form = xx * kx**2 + 2 * xy * kx * ky + yy * ky**2
+    return np.exp(-2 * np.pi**2 * form)
 
 
 def _covariance(beam):
@@ -150,10 +144,8 @@ def _least_covariance(covariances):
 
     def shape(p):
         r, angle = np.hypot(*p), np.arctan2(p[1], p[0])
-        turn = np.array(
-            [[np.cos(angle), np.sin(angle)], [np.sin(angle), -np.cos(angle)]]
-        )
-        return np.cosh(r) * np.eye(2) + np.sinh(r) * turn
+        c, s = np.cos(angle), np.sin(angle)
+        return np.cosh(r) * np.eye(2) + np.sinh(r) * np.array([[c, s], [s, -c]])
 
     best = optimize.minimize(
         lambda p: np.log(_excess(shape(p), covariances).max()),

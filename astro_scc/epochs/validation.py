@@ -37,28 +37,27 @@ def as_stack(data, mask, unit):
             "data are images with unit, mask and coordinates of their own; use "
             "EpochCube.from_ccddata, from_ndcube or from_xarray, which keep them"
         )
-    if images is data and any(hasattr(image, "mask") for image in images):
-        plain = any(isinstance(image, np.ma.MaskedArray) for image in images)
-        data = (np.ma.stack if plain else np.stack)(images)
-    elif images is data and any(isinstance(image, u.Quantity) for image in images):
-        try:
-            data = u.Quantity(images)
-        except (TypeError, ValueError, u.UnitsError) as error:
-            raise TypeError(f"data must be images in one unit: {error}") from None
-    if isinstance(data, Masked | np.ma.MaskedArray):
-        inner = np.broadcast_to(data.mask, data.shape)
-        mask = inner if mask is None else inner | np.asarray(mask, dtype=bool)
-        data = data.unmasked if isinstance(data, Masked) else data.data
-    if isinstance(data, u.Quantity):
-        if unit is None or unit == u.dimensionless_unscaled:
-            unit = data.unit
-        data = data.to_value(unit)
     try:
+        if images is data and any(hasattr(image, "mask") for image in images):
+            plain = any(isinstance(image, np.ma.MaskedArray) for image in images)
+            data = (np.ma.stack if plain else np.stack)(images)
+        elif images is data and any(isinstance(image, u.Quantity) for image in images):
+            data = u.Quantity(images)
+        if isinstance(data, Masked | np.ma.MaskedArray):
+            inner = np.broadcast_to(data.mask, data.shape)
+            mask = inner if mask is None else inner | np.asarray(mask, dtype=bool)
+            data = data.unmasked if isinstance(data, Masked) else data.data
+        if isinstance(data, u.Quantity):
+            if unit is None or unit == u.dimensionless_unscaled:
+                unit = data.unit
+            data = data.to_value(unit)
         data = np.asarray(data)
         if data.dtype.kind not in "fiub":
-            raise TypeError(f"it is of type {data.dtype}")
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"data must be an array of real numbers: {error}") from None
+            raise TypeError(f"they are of type {data.dtype}")
+    except (TypeError, ValueError, u.UnitsError) as error:
+        raise TypeError(
+            f"data must be images of real numbers in one unit: {error}"
+        ) from None
     if data.ndim != 3 or 0 in data.shape:
         raise ValueError(f"data must have shape (n_epochs, ny, nx), got {data.shape}")
     try:
@@ -87,26 +86,21 @@ def as_times(times, n):
     if not isinstance(times, Time):
         if isinstance(times, str) or not np.iterable(times):
             times = [times]
-        dates = []
-        for value in times:
-            if isinstance(value, str):
-                dates.append(parse_date(value))
-                continue
-            try:
-                dates.append(Time(value))
-            except (TypeError, ValueError):
-                raise TypeError(
-                    f"times must be a Time or strings such as '2006-03-09', "
-                    f"got {value!r}"
-                ) from None
+        try:
+            dates = [parse_date(t) if isinstance(t, str) else Time(t) for t in times]
+        except (TypeError, ValueError) as error:
+            if all(isinstance(value, str) for value in times):
+                raise
+            raise TypeError(
+                f"times must be a Time or strings such as '2006-03-09', got {times!r}"
+            ) from error
         times = Time(dates) if dates else Time([], format="jd")
     times = times.reshape(1) if times.isscalar else times
     if times.shape != (n,):
         raise ValueError(f"{n} epochs need {n} times, got shape {times.shape}")
     if np.any(times.mask):
         raise ValueError("every epoch needs a date, times has missing values")
-    with warnings.catch_warnings(record=True) as dubious:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as dubious:
         atomic = times.tai
     # Photographic plates are older than UTC; with it every use would warn.
     return atomic if dubious else times
@@ -117,7 +111,7 @@ def as_beam(beam):
     if isinstance(beam, Beam):
         return beam
     try:
-        return Beam(*(u.Quantity(getattr(beam, k)) for k in ("major", "minor", "pa")))
+        return Beam(beam.major, beam.minor, beam.pa)
     except AttributeError:
         raise TypeError(
             f"a beam has major, minor and pa, got {type(beam).__name__} {beam!r}"
@@ -157,23 +151,20 @@ def uncertainty_noise(uncertainty, unit, mask):
     it come the mask of where there is no finite standard deviation, and whether the
     pixels differ little.  A ValueError says why it cannot be used.
     """
-    power = next((p for kind, p in POWERS.items() if isinstance(uncertainty, kind)), 0)
-    if not power:
-        raise ValueError(
-            f"its uncertainty is a {type(uncertainty).__name__}; give it as "
-            "StdDevUncertainty, VarianceUncertainty or InverseVariance, or set it to "
-            "None"
-        )
+    kind, given = type(uncertainty).__name__, uncertainty.unit
+    power = next((p for k, p in POWERS.items() if isinstance(uncertainty, k)), None)
+    if power is None:
+        names = ", ".join(kind.__name__ for kind in POWERS)
+        raise ValueError(f"its uncertainty is a {kind}; give it as {names}, or as None")
     values = np.asarray(uncertainty.array, dtype=float)
     if np.any(values < 0):
         raise ValueError("its uncertainty has negative values; correct or remove it")
-    given = uncertainty.unit
     try:
         factor = 1.0 if given is None else (given**power).to(unit)
     except u.UnitConversionError:
         raise ValueError(
-            f"its uncertainty is a {type(uncertainty).__name__} in {given}, which does "
-            f"not fit images in {unit.to_string() or 'no unit'}; correct or remove it"
+            f"its uncertainty is a {kind} in {given}, which does not fit images in "
+            f"{unit.to_string() or 'no unit'}; correct or remove it"
         ) from None
     with np.errstate(divide="ignore"):
         sigma = np.broadcast_to(values**power * factor, mask.shape)
@@ -206,13 +197,10 @@ def fits_wcs(wcs):
     wcs = getattr(wcs, "low_level_wcs", wcs)
     if isinstance(wcs, WCS):
         return wcs, np.ones(wcs.naxis), np.ones(wcs.naxis, dtype=bool)
-    inner = getattr(wcs, "_wcs", None)
     if hasattr(wcs, "_slices_pixel"):
-        single = np.array([isinstance(part, Integral) for part in wcs._slices_pixel])
-        start = [
-            part if one else part.start or 0
-            for part, one in zip(wcs._slices_pixel, single, strict=True)
-        ]
+        parts = wcs._slices_pixel
+        single = np.array([isinstance(part, Integral) for part in parts])
+        start = [getattr(part, "start", part) or 0 for part in parts]
         step = np.ones(len(start))
     elif hasattr(wcs, "_factor"):
         start, step = wcs._offset, wcs._factor
@@ -221,7 +209,7 @@ def fits_wcs(wcs):
         raise TypeError(
             f"wcs must be an astropy WCS, or one sliced, got {type(wcs).__name__}"
         )
-    wcs, size, kept = fits_wcs(inner)
+    wcs, size, kept = fits_wcs(wcs._wcs)
     wcs, kept = wcs.deepcopy(), kept.copy()
     axes = np.flatnonzero(kept)
     crpix = wcs.wcs.crpix.copy()

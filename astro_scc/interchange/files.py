@@ -15,7 +15,7 @@ from astropy.io import fits
 from astropy.time import Time
 
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.headers import get
+from astro_scc.epochs.headers import first_line, get
 from astro_scc.epochs.positions import offset_wcs
 
 __doctest_requires__ = {"read_movie": ["h5py"]}
@@ -78,37 +78,31 @@ def read_movie(path, *, beams=None):
         raise OSError(f"{path}: {error}") from None
     try:
         with h5py.File(path, "r") as file:
-            frames = np.asarray(file["I"], dtype=float)
-            hours = np.asarray(file["times"], dtype=float)
+            frames, hours = (np.asarray(file[k], dtype=float) for k in ("I", "times"))
             head = {key: _plain(v) for key, v in file["header"].attrs.items()}
-        start = Time(float(head["mjd"]), format="mjd", scale="utc")
-        size = float(head["psize"]) * u.rad
-        where = SkyCoord(float(head["ra"]) * u.hourangle, float(head["dec"]) * u.deg)
+        mjd, size, ra, dec = (float(head[k]) for k in ("mjd", "psize", "ra", "dec"))
+        where = SkyCoord(ra * u.hourangle, dec * u.deg)
     except (KeyError, ValueError, OSError, TypeError) as error:
-        reason = " ".join(str(error).split())
         raise OSError(
             f"{path}: is no movie of eht-imaging, which has the datasets I and times "
-            f"and the attributes mjd, psize, ra and dec of header ({reason})"
+            f"and the attributes mjd, psize, ra and dec of header ({first_line(error)})"
         ) from None
     if frames.ndim != 3 or len(frames) != len(hours):
         raise OSError(
             f"{path}: its frames have shape {frames.shape} for {len(hours)} times"
         )
     n, ny, nx = frames.shape
-    facts = {"object": get(head, "source", kind=str)}
-    facts["frequency"] = get(head, "rf", kind=float)
-    facts = {key: value for key, value in facts.items() if value is not None}
+    name, frequency = get(head, "source", kind=str), get(head, "rf", kind=float)
+    facts = {} if frequency is None else {"frequency": frequency}
+    meta = {} if name is None else {"object": name}
     return EpochCube(
         data=frames[:, ::-1],
-        times=start + hours * u.hour,
-        wcs=offset_wcs(size.to(u.mas), ((nx - 1) / 2, (ny - 1) / 2), where),
+        times=Time(mjd, format="mjd", scale="utc") + hours * u.hour,
+        wcs=offset_wcs((size * u.rad).to(u.mas), ((nx - 1) / 2, (ny - 1) / 2), where),
         unit=u.Jy / u.pix,
         beams=beams,
-        epoch_meta=[dict(facts) for _ in range(n)],
-        meta={
-            **{k: v for k, v in facts.items() if k == "object"},
-            "history": [f"{n} frames of the movie {path.name}"],
-        },
+        epoch_meta=[meta | facts] * n,
+        meta=meta | {"history": [f"{n} frames of the movie {path.name}"]},
     )
 
 
@@ -129,15 +123,14 @@ def read_casa_image(path):
     """
     path = Path(os.fspath(path))
     for module, read in (("casatools", _by_casatools), ("spectral_cube", _by_cube)):
-        if find_spec(module) is None:
-            continue
-        try:
-            return read(path)
-        except Exception as error:
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
-            raise OSError(
-                f"{path}: {module} cannot read it as a CASA image: {reason}"
-            ) from None
+        if find_spec(module) is not None:
+            try:
+                return read(path)
+            except Exception as error:
+                raise OSError(
+                    f"{path}: {module} cannot read it as a CASA image: "
+                    f"{first_line(error)}"
+                ) from None
     raise OSError(
         f"{path}: a CASA image; export it as FITS (exportfits in CASA), or install "
         "spectral-cube: pip install 'astro_scc[casa]'"
@@ -162,9 +155,8 @@ def _by_casatools(path):
 def _by_cube(path):
     from spectral_cube import SpectralCube
 
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(action="ignore"):
         # What it says about frequency axes is of no concern here.
-        warnings.simplefilter("ignore")
         cube = SpectralCube.read(str(path), format="casa_image")
         cube.allow_huge_operations = True
         return fits.HDUList([cube.hdu])

@@ -9,10 +9,11 @@ import numpy as np
 from astropy.nddata import StdDevUncertainty
 from astropy.time import Time
 from astropy.wcs import WCS
+from scipy.linalg import block_diag
 
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.headers import read_header
-from astro_scc.epochs.serialize import remove_dates
+from astro_scc.epochs.serialize import without_dates
 from astro_scc.epochs.validation import UNEVEN, fits_wcs, uncertainty_noise
 from astro_scc.exceptions import EpochWarning
 from astro_scc.interchange.files import optional
@@ -72,17 +73,14 @@ def to_ndcube(cube):
 
 def _with_epochs(celestial):
     """Return a WCS with the number of the epoch, from 0, as third axis."""
-    header = celestial.to_header()
-    remove_dates(header)
+    header = without_dates(celestial.to_header())
     header.update({"WCSAXES": 3, "CTYPE3": AXIS})
     wcs = WCS(header)
     # A header rounds; the numbers themselves do not.
     wcs.wcs.crval = [*celestial.wcs.crval, 0.0]
     wcs.wcs.crpix = [*celestial.wcs.crpix, 1.0]
     wcs.wcs.cdelt = [1.0, 1.0, 1.0]
-    matrix = np.eye(3)
-    matrix[:2, :2] = celestial.pixel_scale_matrix
-    wcs.wcs.pc = matrix
+    wcs.wcs.pc = block_diag(celestial.pixel_scale_matrix, 1.0)
     wcs.wcs.set()
     return wcs
 
@@ -126,11 +124,12 @@ def from_ndcube(ndcube, *, times=None, beams=None):
         return EpochCube.from_ccddata(ndcube.data, times=times, beams=beams)
     try:
         wcs, size, kept = fits_wcs(ndcube.wcs)
+        celestial = {wcs.wcs.lng, wcs.wcs.lat}
+        others = [int(axis) for axis in np.flatnonzero(kept) if axis not in celestial]
+        fits = wcs.has_celestial and kept[[*celestial]].all() and len(others) < 2
     except TypeError:
-        wcs, kept = None, np.zeros(2, dtype=bool)
-    celestial = set() if wcs is None else {wcs.wcs.lng, wcs.wcs.lat}
-    others = [int(axis) for axis in np.flatnonzero(kept) if axis not in celestial]
-    if not (wcs and wcs.has_celestial and kept[[*celestial]].all() and len(others) < 2):
+        fits = False
+    if not fits:
         raise ValueError(
             "an NDCube must have two celestial axes, one of the epochs, and a FITS "
             "WCS; EpochCube.from_arrays takes what has none"
@@ -141,15 +140,11 @@ def from_ndcube(ndcube, *, times=None, beams=None):
 
     def planes(values):
         values = np.broadcast_to(values, ndcube.data.shape)
-        if axis is None:
-            return values[None]
-        return np.moveaxis(values, axis, 0)
+        return values[None] if axis is None else np.moveaxis(values, axis, 0)
 
     data = planes(np.asarray(ndcube.data))
     mask = planes(False if ndcube.mask is None else ndcube.mask) | ~np.isfinite(data)
-    noise = None
-    if ndcube.uncertainty is not None:
-        noise, mask = _noise(ndcube, planes, mask)
+    noise = None if ndcube.uncertainty is None else _noise(ndcube, planes, mask)
     averaged = bool(others and size[others[0]] != 1)
     meta = dict(ndcube.meta) if isinstance(ndcube.meta, Mapping) else {}
     if AXIS in wcs.wcs.ctype and set(EACH) <= meta.keys():
@@ -174,24 +169,21 @@ def from_ndcube(ndcube, *, times=None, beams=None):
 
 
 def _noise(ndcube, planes, mask):
-    """Return the noise of every epoch, and the mask of what has no uncertainty."""
-    kind = type(ndcube.uncertainty)
-    values = planes(np.asarray(ndcube.uncertainty.array))
-    noise, uneven = [], 0
-    mask = mask.copy()
-    for value, bad in zip(values, mask, strict=True):
-        uncertainty = kind(value, unit=ndcube.uncertainty.unit, copy=False)
-        unit = ndcube.unit or u.dimensionless_unscaled
+    """Return the noise of every epoch; what has no uncertainty is masked, in place."""
+    given, unit = ndcube.uncertainty, ndcube.unit or u.dimensionless_unscaled
+    noise, uneven = [], False
+    for values, bad in zip(planes(np.asarray(given.array)), mask, strict=True):
+        uncertainty = type(given)(values, unit=given.unit, copy=False)
         try:
             level, without, even = uncertainty_noise(uncertainty, unit, bad)
         except ValueError as error:
             raise ValueError(f"the NDCube: {error}") from None
         bad |= without
         noise.append(level)
-        uneven += not even
+        uneven |= not even
     if uneven:
         warnings.warn(f"the NDCube: {UNEVEN}", EpochWarning, stacklevel=4)
-    return u.Quantity(noise), mask
+    return u.Quantity(noise)
 
 
 def _own(meta, first, n, averaged, beams):
@@ -212,7 +204,11 @@ def _own(meta, first, n, averaged, beams):
 
 def _times(ndcube, meta, axis, averaged):
     """Return the coordinate of type Time, or else the date of an only epoch."""
-    found = []
+    if axis is None:
+        found = [v for v in ndcube.global_coords.values() if isinstance(v, Time)]
+        found.append(read_header(meta).time)
+        if found[0] is not None:
+            return found[0]
     for coordinates in (ndcube.wcs, ndcube.extra_coords) if axis is not None else ():
         try:
             found = ndcube.axis_world_coords(axis, wcs=coordinates)
@@ -226,9 +222,4 @@ def _times(ndcube, meta, axis, averaged):
             )
         if found:
             return found[0]
-    if axis is None:
-        found = [v for v in ndcube.global_coords.values() if isinstance(v, Time)]
-        record = read_header(meta)
-        if found or record.time is not None:
-            return found[0] if found else record.time
     raise ValueError("the NDCube has no coordinate of type Time; give times=")

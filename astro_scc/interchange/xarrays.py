@@ -5,10 +5,13 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs import EpochCube
 from astro_scc.epochs.grid import moved_wcs
 from astro_scc.epochs.positions import axis_words, offset_wcs
 from astro_scc.epochs.serialize import (
+    BEAM,
+    beam_columns,
+    beams_of,
     pack_facts,
     pack_wcs,
     unpack_facts,
@@ -20,6 +23,9 @@ __doctest_requires__ = {("from_xarray", "to_xarray"): ["xarray"]}
 
 #: What the images are called.
 NAME = "brightness"
+IMAGES = "time", "y", "x"
+#: Attributes of what `to_xarray` made.
+OWN = {"wcs", "meta"}
 #: Names of axes, those to the east and those to the north.
 EAST = ("x", "east", "ra", "right_ascension", "lon", "longitude", "hpln")
 NORTH = ("y", "north", "dec", "declination", "lat", "latitude", "hplt")
@@ -58,24 +64,20 @@ def to_xarray(cube):
     """
     xarray = optional("xarray", "to_xarray", "xarray")
     _, ny, nx = cube.shape
-    images = ("time", "y", "x")
-    unit = cube.unit.to_string()
+    unit = {"units": cube.unit.to_string()}
     variables = {
-        NAME: (images, cube.data.copy(), {"units": unit}),
-        "mask": (images, cube.mask.copy(), {"long_name": "bad pixels"}),
+        NAME: (IMAGES, cube.data.copy(), unit),
+        "mask": (IMAGES, cube.mask.copy(), {"long_name": "bad pixels"}),
     }
     if cube.noise is not None:
-        variables["noise"] = "time", cube.noise.value, {"units": unit}
-    for name, part in (("major", u.mas), ("minor", u.mas), ("pa", u.deg)):
-        if cube.beams is not None:
-            values = [getattr(beam, name).to_value(part) for beam in cube.beams]
-            variables[f"beam_{name}"] = "time", values, {"units": str(part)}
+        variables["noise"] = "time", cube.noise.value, unit
+    for name, (values, part) in zip(BEAM, beam_columns(cube), strict=False):
+        variables[f"beam_{name}"] = "time", values, {"units": str(part)}
     east, north = (offset.to_value(u.mas) for offset in cube.offsets())
-    matrix = cube.pixel_matrix.value
-    if np.allclose(matrix, np.diag(np.diag(matrix)), atol=1e-9 * np.abs(matrix).max()):
-        east, north = ("x", east[0]), ("y", north[:, 0])
-    else:
-        east, north = (("y", "x"), east), (("y", "x"), north)
+    axes = ("y", "x"), ("y", "x")
+    matrix = np.abs(cube.pixel_matrix.value)
+    if matrix[~np.eye(2, dtype=bool)].max() <= 1e-9 * matrix.max():
+        axes, east, north = ("x", "y"), east[0], north[:, 0]
     names = "east", "north"
     if axis_words(cube)[:2] != names:
         names = "lon_offset", "lat_offset"
@@ -84,13 +86,13 @@ def to_xarray(cube):
         "label": ("time", list(cube.labels)),
         "y": np.arange(ny),
         "x": np.arange(nx),
-        names[0]: (*east, {"units": "mas"}),
-        names[1]: (*north, {"units": "mas"}),
+        names[0]: (axes[0], east, {"units": "mas"}),
+        names[1]: (axes[1], north, {"units": "mas"}),
         "facts": ("time", [pack_facts(facts) for facts in cube.epoch_meta]),
     }
     if cube.epoch_wcs:
-        wcs = [pack_facts(pack_wcs(w)) for w in cube.epoch_wcs]
-        coordinates["own_wcs"] = "time", wcs
+        own = [pack_facts(pack_wcs(w)) for w in cube.epoch_wcs]
+        coordinates["own_wcs"] = "time", own
     attributes = {
         "title": str(cube.meta.get("object", "")),
         "time_scale": cube.times.scale,
@@ -150,14 +152,19 @@ def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
         raise TypeError(
             f"from_xarray takes a Dataset or a DataArray, got {type(source).__name__}"
         )
-    if NAME in getattr(source, "data_vars", ()) and {"wcs", "meta"} <= set(
-        source.attrs
-    ):
+    if NAME in getattr(source, "data_vars", ()) and source.attrs.keys() >= OWN:
         given = times, pixel_scale, unit, beams
         if any(value is not None for value in given):
             raise ValueError("what to_xarray made has its dates, pixels, unit, beams")
         return _own(source)
-    array = _images(source)
+    arrays = source.data_vars.values() if hasattr(source, "data_vars") else [source]
+    arrays = [array for array in arrays if array.ndim == 3]
+    if len(arrays) != 1:
+        raise ValueError(
+            f"one array of three axes is needed, there are {len(arrays)}; select it "
+            "by its name"
+        )
+    array = arrays[0]
     date, north, east = _axes(array)
     array = array.transpose(date, north, east)
     if times is None:
@@ -185,7 +192,7 @@ def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
 
 
 def _own(source):
-    images = source[NAME].transpose("time", "y", "x")
+    """Return the cube of what `to_xarray` made."""
     shift = []
     for axis in ("x", "y"):
         pixels = np.asarray(source[axis].values)
@@ -195,42 +202,32 @@ def _own(source):
                 "windows, and resample the cube with reproject_to()"
             )
         shift.append(-int(pixels[0]))
+
+    def grid(packed):
+        return moved_wcs(unpack_wcs(unpack_facts(packed)), shift)
+
     attributes = source.attrs
-    times = Time(source["time"].values, scale="utc", format="datetime64")
-    times = getattr(times, attributes["time_scale"])
+    times = getattr(_dates(source, "time"), attributes["time_scale"])
     times.format = attributes["time_format"]
     beams = None
     if "beam_major" in source:
-        parts = [source[f"beam_{n}"].values for n in ("major", "minor", "pa")]
-        rows = np.transpose(parts)
-        beams = [Beam(a * u.mas, b * u.mas, p * u.deg) for a, b, p in rows]
-    unit = u.Unit(images.attrs.get("units", ""))
+        beams = beams_of(*(source[f"beam_{name}"].values for name in BEAM))
+    unit = u.Unit(source[NAME].attrs.get("units", ""))
     own = source["own_wcs"].values if "own_wcs" in source.coords else ()
+    data, mask = (source[k].transpose(*IMAGES).values for k in (NAME, "mask"))
     return EpochCube(
-        data=np.array(images.values, dtype=float),
+        data=np.array(data, dtype=float),
         times=times,
-        wcs=moved_wcs(unpack_wcs(unpack_facts(attributes["wcs"])), shift),
+        wcs=grid(attributes["wcs"]),
         unit=unit,
-        mask=np.array(source["mask"].transpose("time", "y", "x").values, dtype=bool),
+        mask=np.array(mask, dtype=bool),
         beams=beams,
         noise=source["noise"].values * unit if "noise" in source else None,
         labels=[str(label) for label in source["label"].values],
-        epoch_wcs=[moved_wcs(unpack_wcs(unpack_facts(w)), shift) for w in own] or None,
+        epoch_wcs=[grid(packed) for packed in own] or None,
         epoch_meta=[unpack_facts(facts) for facts in source["facts"].values],
         meta=unpack_facts(attributes["meta"]),
     )
-
-
-def _images(source):
-    """Return the array of three axes."""
-    arrays = source.data_vars.values() if hasattr(source, "data_vars") else [source]
-    arrays = [array for array in arrays if array.ndim == 3]
-    if len(arrays) != 1:
-        raise ValueError(
-            f"one array of three axes is needed, there are {len(arrays)}; select it "
-            "by its name"
-        )
-    return arrays[0]
 
 
 def _axes(array):

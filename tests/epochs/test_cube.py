@@ -652,7 +652,7 @@ def test_notes_on_many_files_are_one_warning(make_fits):
         EpochCube.read(paths)
     assert len(caught) == 1
     assert str(caught[0].message).startswith(
-        "0.fits, 1.fits and 3 more: its unit 'ODD'"
+        "0.fits, 1.fits, 2.fits and 2 more: its unit 'ODD'"
     )
     assert caught[0].filename == __file__
 

@@ -208,7 +208,7 @@ def test_lists_of_quantities_and_masked_arrays_keep_unit_and_mask():
         cube = EpochCube(data, DATES[:2], celestial())
         assert_array_equal(cube.mask, bad)
     assert cube.unit == u.K
-    with pytest.raises(TypeError, match="data must be images in one unit: "):
+    with pytest.raises(TypeError, match="images of real numbers in one unit: "):
         EpochCube([DATA[0] * u.Jy, DATA[1] * u.K], DATES[:2], celestial())
 
 
