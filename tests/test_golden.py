@@ -88,7 +88,17 @@ def golden(request):
     return request.path.parent / "golden"
 
 
-@pytest.mark.parametrize("name", SIMULATED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "jet",
+        "tracks",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("two_fluid", "profile")
+        ),
+    ],
+)
 def test_commands_give_the_same_tables(name, tmp_path, golden):
     compare(simulated(name, tmp_path), golden / f"{name}.ecsv")
 

@@ -19,6 +19,7 @@ def quick(no_figures, monkeypatch):
     monkeypatch.setattr("astro_scc.cli.demo.N_TRIALS", 30)
 
 
+@pytest.mark.slow
 def test_demo_in_short(quick, astro_scc, here):
     status, out, err = astro_scc("demo")
     assert (status, err) == (0, "")

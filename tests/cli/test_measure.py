@@ -213,7 +213,10 @@ def test_images_without_beams_are_left_as_they_are(series, astro_scc, refused):
     assert "epochs have none" in line
 
 
-@pytest.mark.parametrize("method", ["core", "correlate", "wcs", "table"])
+@pytest.mark.parametrize(
+    "method",
+    ["core", pytest.param("correlate", marks=pytest.mark.slow), "wcs", "table"],
+)
 def test_alignments(method, series, astro_scc, here):
     beam = Beam(1 * u.mas, 1 * u.mas)
     paths = series([beam] * 5)
@@ -233,6 +236,7 @@ def test_alignments(method, series, astro_scc, here):
     assert any(line.startswith("aligned on") for line in meta["history"])
 
 
+@pytest.mark.slow
 def test_a_report_tells_warnings_and_epochs_left_out(
     series, astro_scc, here, no_figures
 ):

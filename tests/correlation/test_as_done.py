@@ -53,6 +53,7 @@ def test_in_this_process_pieces_are_taken_as_needed():
     assert [k for k, _ in results] == [1, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize("context", STARTS)
 def test_a_piece_that_kills_its_process(context):

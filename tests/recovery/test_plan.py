@@ -117,6 +117,7 @@ def simulated():
     }
 
 
+@pytest.mark.slow
 def test_streams_are_found_in_simulated_jets(simulated, tmp_path):
     one = plan(**simulated, rng=3)
     two = plan(**simulated, rng=3, n_workers=2)

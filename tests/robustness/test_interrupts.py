@@ -216,12 +216,14 @@ def surveyed(epochs, folder, names=("One",)):
     return ["survey", str(folder / "s.toml"), "--no-report"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_what_is_kept_gives_the_same(interrupts, inputs, epochs, tmp_path, seed):
     words = resumed(inputs, epochs)
     check_trials(interrupts, words, tmp_path / "runs", number=1, seed=seed)
 
 
+@pytest.mark.slow
 def test_a_survey_that_is_stopped_gives_the_same(interrupts, epochs, tmp_path):
     words = surveyed(epochs, tmp_path)
     check_trials(interrupts, words, tmp_path / "runs", number=1, seed=5)
