@@ -473,12 +473,12 @@ def _broken_gzip(folder):
     return paths
 
 
-@case("three images of 8192 x 8192 pixels, of which a part is read", slow=True)
+@case("five images of 8192 x 8192 pixels, of which a part is read", slow=True)
 def _large(folder):
     side, (ny, nx) = 8192, SHAPE
     top, left = 5000, 3000
     paths = []
-    for i in range(3):
+    for i in range(5):
         paths.append(folder / f"e{i}.fits")
         own = header(i, CRPIX1=24.0 + left, CRPIX2=21.0 + top, CTYPE3=None, CTYPE4=None)
         for name in ("CRVAL", "CRPIX", "CDELT"):

@@ -224,9 +224,10 @@ def main():
         [flow_row(k, have[k]) for k in have if k in FLOW],
     )
     power = [power_row(k, have[k]) for k in have if k in POWER]
-    write("power_table", ["option", "value", "n", "moving", "right"], power)
     draw(single)
-    draw_power(power)
+    if power:
+        write("power_table", ["option", "value", "n", "moving", "right"], power)
+        draw_power(power)
 
 
 if __name__ == "__main__":
