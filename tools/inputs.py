@@ -228,9 +228,9 @@ case("beams that differ, --no-common-beam", "note: the beams differ and are left
     ]
 )
 each("position angle of the beam beyond 360 degrees")(lambda i: {"BPA": 533.0})
-each("reference values that jump by 0.36 mas", "apart on the sky and are laid on one")(
-    lambda i: {"CRVAL1": 10 + 0.36 * MAS * (i % 2)}
-)
+each(
+    "reference values that jump by 0.36 mas", "apart on the sky and are taken for one"
+)(lambda i: {"CRVAL1": 10 + 0.36 * MAS * (i % 2)})
 
 
 @case("reference pixels on a spot that jumps by 0.3 mas, and a table of the core")

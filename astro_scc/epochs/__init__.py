@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Epochs: the images, where they come from and how they are laid on one another."""
+"""Epochs: the images, how they are read, aligned and brought to one grid and beam."""
 
 from astro_scc.epochs.alignment import align
 from astro_scc.epochs.beam import Beam

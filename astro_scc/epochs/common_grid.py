@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Images that come on grids of their own, laid on one, in whole or in part."""
+"""Images with grids of their own, brought to a common one, in whole or in part."""
 
 from types import SimpleNamespace
 
@@ -75,7 +75,7 @@ def lay_on_one_grid(planes, frame):
     ----------
     planes : sequence of `Plane`
     frame : {"offset", "absolute"}
-        Whether reference pixels or celestial coordinates are laid on one another.
+        Whether the images are aligned by reference pixels or celestial coordinates.
 
     Returns
     -------

@@ -165,7 +165,7 @@ class EpochCube:
         paths : str, path-like, or sequence of them
             Files, or patterns such as ``"3c273/*.fits"``.
         frame : {"offset", "absolute"}
-            What is laid on one another: reference pixels, or celestial coordinates,
+            What the epochs are aligned by: reference pixels, or celestial coordinates,
             which in VLBI differ between epochs by more than features move.
         times : `~astropy.time.Time` or sequence, optional
             Dates in the order of the files (those of a pattern are in alphabetical

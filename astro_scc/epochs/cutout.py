@@ -119,7 +119,7 @@ def _combine(cube, items, name, places):
             reason = {
                 NotImplementedError: "has no inside",
                 OverflowError: "has a size or place without end",
-            }.get(type(error), f"cannot be laid on the image ({first_line(error)})")
+            }.get(type(error), f"cannot be drawn on the image ({first_line(error)})")
             raise ValueError(
                 f"{name}: a {type(item).__name__} {reason}; "
                 "use circles, ellipses, rectangles or polygons"

@@ -46,8 +46,8 @@ def misalignment(cube):
     Epochs that lie too far apart do not resemble one another.  There the
     core (`~astro_scc.epochs.core_positions`) tells in the same way, if it is
     found for certain: if some epochs with its positions taken away lie on
-    one another.  A steady drift of all that is seen cannot be told from
-    motion and does not count.
+    one another.  A steady drift of all that is seen cannot be
+    distinguished from motion and does not count.
 
     Returns
     -------
@@ -186,7 +186,7 @@ def warn_of_misalignment(cube):
     scatter = cube.misalignment
     if scatter is not None and scatter >= LARGEST:
         warnings.warn(
-            f"the epochs are laid on one another to {scatter:.2f} beams only, where "
+            f"the epochs are aligned to {scatter:.2f} beams only, where "
             f"{LARGEST:g} can make a jet that stands still move: align them, with "
             "--align core or cube.align('core'), or if they were, in another way",
             MeasurementWarning,

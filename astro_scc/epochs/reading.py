@@ -242,7 +242,7 @@ def _assemble(planes, frame, check, source):
         "noise": None if resampled else _all_noise(planes),
         "labels": labels if all(labels) else (),
         "epoch_meta": facts,
-        "meta": {**meta, "history": [f"{source}, laid on their {laid}"]},
+        "meta": {**meta, "history": [f"{source}, aligned on their {laid}"]},
     }
 
 
@@ -269,8 +269,8 @@ def _warn_of_distances(planes):
     if distance[k] > FAR * max(first.extent, planes[k].extent):
         _warn(
             f"{first.name} and {planes[k].name}: their reference pixels are "
-            f"{distance[k] * 3600:.4g} arcsec apart on the sky and are laid on one "
-            "another; use frame='absolute' (--align wcs) where the coordinates are "
+            f"{distance[k] * 3600:.4g} arcsec apart on the sky and are taken for one "
+            "place; use frame='absolute' (--align wcs) where the coordinates are "
             "to be trusted"
         )
 

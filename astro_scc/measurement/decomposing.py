@@ -38,7 +38,7 @@ def allow_for_structure(cube, decomposer):
     sky.  Where a texture fills the images there is none, and no pattern
     stands out from the texture itself.  Noise is not the same in two
     epochs, structure is, but for where it is: by `shared_variance` of pairs
-    of epochs that follow one another the noise is told from it.
+    of epochs that follow one another the noise is separated from it.
 
     Parameters
     ----------

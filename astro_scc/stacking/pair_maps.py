@@ -46,7 +46,7 @@ class PairMaps:
     The correlation peaks of each ordered pair of images as a map.
 
     The maps are in displacement and know no dates.  A stack is a sum over
-    pairs of dates of the map of the two images laid on them, stretched by
+    pairs of dates of the map of the two images at these dates, stretched by
     the interval, which is a product with two small matrices.  Equivalent
     to `stack` within 1e-3 of the maximum.
 

@@ -373,11 +373,11 @@ def test_the_scatter_of_the_epochs_is_said_and_what_mends_it(
                 "--n-trials", "20", "-o", align, "--align", align)  # fmt: skip
         status, out, err = astro_scc(*argv)
         assert status == 0
-        assert ("warning: the epochs are laid on one another to 0." in err) == bad
+        assert ("warning: the epochs are aligned to 0." in err) == bad
         (said,) = re.findall(r"The epochs are aligned to (0\.\d\d) beams\.", out)
         assert (float(said) >= 0.2) == bad
         page = (here / align / "report.html").read_text(encoding="utf-8")
         assert "misalignment beams" in page
-        assert ("the epochs are laid on one another to 0." in page) == bad
+        assert ("the epochs are aligned to 0." in page) == bad
         meta = QTable.read(here / align / "components.ecsv").meta
         assert f"{meta['misalignment_beams']:.2f}" == said

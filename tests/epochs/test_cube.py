@@ -581,7 +581,7 @@ def test_read_sorts_and_lays_on_reference_pixels(make_fits):
     assert cube.epoch_meta[0]["frequency"] == 15.4e9
     assert cube.epochs["frequency"][0] == 15.4 * u.GHz
     assert cube.meta["object"] == "3C273"
-    assert cube.meta["history"] == ["2 FITS images, laid on their reference pixels"]
+    assert cube.meta["history"] == ["2 FITS images, aligned on their reference pixels"]
 
 
 def test_patterns_and_paths(make_fits, tmp_path, monkeypatch):

@@ -234,7 +234,7 @@ def test_regions_on_the_sphere():
         longitude_range=[1, 2] * u.deg, frame="icrs"
     )
     with pytest.raises(
-        ValueError, match="RangeSphericalSkyRegion cannot be laid on"
+        ValueError, match="RangeSphericalSkyRegion cannot be drawn on"
     ) as e:
         region_mask(cube, between)
     assert "\n" not in str(e.value)

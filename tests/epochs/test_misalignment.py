@@ -37,7 +37,7 @@ def shifted(cube, x, y=None):
 
 @pytest.fixture(scope="module")
 def jet():
-    """Twelve epochs, laid on one another, of a jet with a core."""
+    """Twelve aligned epochs of a jet with a core."""
     return simulate_jet(n_epochs=12, rng=1).cube
 
 
@@ -168,7 +168,7 @@ def unaligned():
 
 
 LINE = (
-    r"^the epochs are laid on one another to 0\.\d\d beams only, where 0\.2 can make a "
+    r"^the epochs are aligned to 0\.\d\d beams only, where 0\.2 can make a "
     r"jet that stands still move: align them, with --align core or "
     r"cube\.align\('core'\), or if they were, in another way$"
 )

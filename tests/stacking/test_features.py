@@ -21,7 +21,7 @@ from astro_scc.stacking.features import (
 )
 
 SEARCH = SearchSettings()
-#: Uneven: followers are told from features by the dates.
+#: Uneven: followers differ from features by the dates.
 YEARS = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4, 4.6, 5.2])
 
 
@@ -269,7 +269,7 @@ class TestFindFeatures:
         found = _excess(links, d, speeds, rays)
 
         def score(ssp, speed, order):
-            """If image k is laid on the date ``order[k]``."""
+            """If image k is put at the date ``order[k]``."""
             total = 0.0
             for k in np.flatnonzero(links.ssp == ssp):
                 here, there = order[d.epoch[ssp]], order[d.epoch[links.to[k]]]
