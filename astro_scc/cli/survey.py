@@ -50,7 +50,8 @@ def add_arguments(parser):
 
 def run(args, reporter):
     """Run a survey, as the arguments say."""
-    from astro_scc.cli.sources import TABLE, read_survey, run_survey
+    from astro_scc.cli.sources import read_survey
+    from astro_scc.cli.survey_run import TABLE, run_survey
 
     n_workers = workers_of(args)
     survey = read_survey(args.survey)

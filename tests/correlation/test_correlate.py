@@ -340,6 +340,7 @@ def test_small_blocks_give_the_same(jet, target, monkeypatch):
     one_each = {"BLOCK_WORK": 1, "STACK_BYTES": 1, "BATCH": 1}
     for name, value in one_each.items():
         monkeypatch.setitem(Correlator.blocks.__globals__, name, value)
+    monkeypatch.setattr("astro_scc.correlation.targets.BATCH", 1)
     blocks = list(correlate.blocks(jet, pairs, 12))
     assert [b.pairs.tolist() for b in blocks] == [[p] for p in pairs.tolist()]
     again = [match_block(pickle.loads(pickle.dumps(b))) for b in blocks]

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.cli.sources import read_survey, run_survey
+from astro_scc.cli.sources import read_survey
+from astro_scc.cli.survey_run import run_survey
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 
