@@ -92,7 +92,7 @@ def links(folder):
     header = [
         "images", "window", "slow", "fast", "wrong", "slow, a beam apart",
         "fast, a beam apart", "wrong, a beam apart", "links", "SSPs",
-        "in tracks", "if shuffled",
+        "in tracks", "if permuted",
     ]  # fmt: skip
     write_table("tracking_links", header, rows)
 
@@ -121,7 +121,7 @@ def compare(cube, x, y, seen, group, tracker, n_trials):
     next_of[links.source[direct]] = links.target[direct]
     counts = {"links": one.sum(), "ssps": len(ssps)}
     all_scales = tracking.shares[0]
-    counts["share"], counts["shuffled"] = all_scales.share, all_scales.shuffled
+    counts["share"], counts["permuted"] = all_scales.share, all_scales.permuted
     for key, owner in (
         ("segment", alone_in_segment(ssps, x, y, seen, cube.shape[2])),
         ("beam", alone_in_beam(ssps, x, y, seen, 10.0)),
@@ -185,8 +185,8 @@ def shares(found):
     cells.append(sum(int(f["links"]) for f in found))
     cells.append(sum(f["ssps"] for f in found))
     cells.append(f"{np.mean([f['share'] for f in found]):.2f}")
-    shuffled = np.mean([f["shuffled"] for f in found])
-    cells.append("" if np.isnan(shuffled) else f"{shuffled:.2f}")
+    permuted = np.mean([f["permuted"] for f in found])
+    cells.append("" if np.isnan(permuted) else f"{permuted:.2f}")
     return cells
 
 

@@ -18,7 +18,7 @@ from astro_scc.quantities import with_error
 from astro_scc.report import write_report
 from astro_scc.report.tables import epoch_rows, in_easy_units
 
-CHANCE = "permuted epochs show as much (p_global above alpha)"
+CHANCE = "permuted epochs give as strong a peak (p_global above alpha)"
 HOSTILE = "<script>alert('1')</script> & \"more\""
 FIGURES = ("diagram", "velocity_map", "significance", "members", "epochs", "intervals")
 VOID = {"meta", "img", "br", "link", "hr"}

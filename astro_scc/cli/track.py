@@ -187,7 +187,7 @@ def _summary(tracking):
                 str(len(tracks) if share.scale is None else int(own.sum())),
                 str(share.n_ssps),
                 f"{share.share:.2f} ± {share.share_err:.2f}",
-                f"{share.shuffled:.2f} ± {share.shuffled_err:.2f}",
+                f"{share.permuted:.2f} ± {share.permuted_err:.2f}",
             ]
         )
     yield from table_lines(["scale", "tracks", "SSPs", "linked", "if permuted"], rows)

@@ -53,14 +53,14 @@ COLUMNS = {
     "pm_err_jitter": (PM_UNIT, "standard error of pm from shifted SSPs (paper)"),
     "pm_err_alignment": (PM_UNIT, "part of pm_err by the alignment of the epochs"),
     "coefficient": (float, "stacked correlation coefficient"),
-    "z_score": (float, "(coefficient - mean) / std of shuffled epochs (paper)"),
+    "z_score": (float, "(coefficient - mean) / std of permuted epochs (paper)"),
     "p_local": (
         float,
-        "probability that permuted epochs show as much at this velocity",
+        "probability of as strong a peak at this velocity in permuted epochs",
     ),
     "p_global": (
         float,
-        "probability that permuted epochs show as much at any velocity",
+        "probability of as strong a peak at any velocity in permuted epochs",
     ),
     "p_global_err": (float, "Monte Carlo standard error of p_global"),
     "p_distinct": (

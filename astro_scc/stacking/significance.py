@@ -273,7 +273,7 @@ def classify(along, p_global, features, permutations, alpha, settings):
             f"too few epochs or trials: no p_global below {permutations.smallest_p:.2g}"
         )
     elif p_global > alpha:
-        reason = "permuted epochs show as much (p_global above alpha)"
+        reason = "permuted epochs give as strong a peak (p_global above alpha)"
     elif not features:
         reason = "no single feature is seen to move at this speed"
     elif (

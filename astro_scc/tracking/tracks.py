@@ -34,7 +34,7 @@ class LinkedShare(NamedTuple):
 
     The scale is None for all of them together; ``n_ssps`` counts those that
     have a later epoch.  The error of the share is its standard deviation over
-    resampled epochs.  ``shuffled`` is the mean of the share over permutations
+    resampled epochs.  ``permuted`` is the mean of the share over permutations
     of the epochs, with its standard deviation, and ``p_value`` the part of the
     permutations, the observed order included, that link as many; NaN without
     permutations.
@@ -45,8 +45,8 @@ class LinkedShare(NamedTuple):
     n_linked: int
     share: float
     share_err: float
-    shuffled: float
-    shuffled_err: float
+    permuted: float
+    permuted_err: float
     p_value: float
 
 
@@ -254,7 +254,7 @@ class Tracking:
         table = QTable(
             rows=[(share.scale or 0.0, *share[1:]) for share in self.shares],
             names=("scale", "n_ssps", "n_linked", "share", "share_err",
-                   "share_shuffled", "share_shuffled_err", "p_value"),
+                   "share_permuted", "share_permuted_err", "p_value"),
             dtype=(float, int, int, *[float] * 5),
         )  # fmt: skip
         for name in table.colnames[5:]:
@@ -313,7 +313,7 @@ class Tracking:
         )
 
     def _meta(self):
-        names = {"shuffled": "share_shuffled", "p_value": "p_value"}
+        names = {"permuted": "share_permuted", "p_value": "p_value"}
         confidence = []
         for share in self.shares:
             cells = share._asdict()

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Shuffled stacks against a loop over the same orders."""
+"""Permuted stacks against a loop over the same orders."""
 
 from dataclasses import replace
 
@@ -74,7 +74,7 @@ def test_a_shift_is_added_in_four_directions_in_turn(maps, pairs):
 
 
 def test_a_shift_lowers_the_mean_at_rest_of_what_stands_still(clump):
-    """The paper's correction: shuffled epochs of standing structure correlate too."""
+    """The paper's correction: permuted epochs of standing structure correlate too."""
     one = clump(20, velocity=(0.0, 0.0))
     d = replace(
         one,

@@ -79,7 +79,10 @@ class TestClassify:
                 {"smallest_p": 1 / 12},
                 "too few epochs or trials: no p_global below 0.083",
             ),
-            ({"p_global": 0.06}, "permuted epochs show as much (p_global above alpha)"),
+            (
+                {"p_global": 0.06},
+                "permuted epochs give as strong a peak (p_global above alpha)",
+            ),
             ({"motions": ()}, "no single feature is seen to move at this speed"),
             (
                 {"motions": (0.6, 0.8, 1.0)},
@@ -233,7 +236,10 @@ class TestNotSignificant:
         found = search(d)
         assert kinds(found) == ["not significant"]
         stream = found.streams[0]
-        assert stream.reason == "permuted epochs show as much (p_global above alpha)"
+        assert (
+            stream.reason
+            == "permuted epochs give as strong a peak (p_global above alpha)"
+        )
         assert stream.p_global > 0.05
 
     def test_standing_features_only(self, lines, axis_matches):

@@ -14,7 +14,7 @@ def test_the_error_is_that_of_resampled_epochs():
     share = linked_shares(np.stack([linked, total]), [], [1.0], rng=3)[0]
     assert share.share == pytest.approx(linked.sum() / 600)
     assert share.share_err == pytest.approx(np.sqrt(0.24 / 600), rel=0.3)
-    assert np.isnan(share.shuffled)
+    assert np.isnan(share.permuted)
     assert np.isnan(share.p_value)
 
 
@@ -24,7 +24,7 @@ def test_permutations_are_counted():
     every, one = linked_shares(counts, trials, [2.0], rng=1)
     assert every.scale is None
     assert one.scale == 2.0
-    assert one.shuffled == pytest.approx(7 / 24)
+    assert one.permuted == pytest.approx(7 / 24)
     assert one.p_value == pytest.approx(2 / 4)
 
 

@@ -188,7 +188,7 @@ def test_tracks_with_few_features_there_do_not_count():
     assert track_profile(*args, half_width=1.0, min_epochs=3)[2].tolist() == [1]
 
 
-def test_the_same_feature_on_two_scales_is_one_witness():
+def test_the_same_feature_on_two_scales_is_one_feature():
     time = np.tile(np.arange(10.0), 2)
     track = np.repeat([0, 1], 10)
     args = time, time, np.full(20, 0.1), track, [5.0]

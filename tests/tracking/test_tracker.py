@@ -128,7 +128,7 @@ def test_confidence_is_observed_and_permuted(tracking):
     assert table["share"][0] == 1.0
     assert table["share_err"][0] == 0.0
     # The feature at rest is linked in any order.
-    assert 0.2 < table["share_shuffled"][0] < 1
+    assert 0.2 < table["share_permuted"][0] < 1
     assert tracking.tracks.meta["confidence"][0]["n_linked"] == 66
 
 
