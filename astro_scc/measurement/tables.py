@@ -54,19 +54,10 @@ COLUMNS = {
     "pm_err_alignment": (PM_UNIT, "part of pm_err by the alignment of the epochs"),
     "coefficient": (float, "stacked correlation coefficient"),
     "z_score": (float, "(coefficient - mean) / std of permuted epochs (paper)"),
-    "p_local": (
-        float,
-        "probability of as strong a peak at this velocity in permuted epochs",
-    ),
-    "p_global": (
-        float,
-        "probability of as strong a peak at any velocity in permuted epochs",
-    ),
+    "p_local": (float, "p-value of permuted epochs at this velocity alone"),
+    "p_global": (float, "p-value of permuted epochs, largest peak at any velocity"),
     "p_global_err": (float, "Monte Carlo standard error of p_global"),
-    "p_distinct": (
-        float,
-        "probability that one stream fewer shows features as separate",
-    ),
+    "p_distinct": (float, "p-value of one stream fewer, by parametric bootstrap"),
     "p_smallest": (float, "smallest p_global that permutations and epochs allow"),
     "n_ssp": (int, "SSPs with a match at the component's velocity"),
     "n_pairs": (int, "pairs of epochs with a match at the component's velocity"),
