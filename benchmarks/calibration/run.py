@@ -179,10 +179,11 @@ def features(truth, unit):
     """Mean and dispersion of the speeds of the features that are seen, their number."""
     group = np.asarray(truth["group"])
     moving = (group != "core") & (group != "standing") & np.asarray(truth["visible"])
-    seen = np.asarray(truth["feature"])[moving]
-    names, first, number = np.unique(seen, return_index=True, return_counts=True)
-    speed = np.hypot(truth["pm_east"], truth["pm_north"])[moving][first]
-    speed = (speed / unit).to_value(u.one)[number >= SEEN]
+    _, feature = np.unique(np.asarray(truth["feature"])[moving], return_inverse=True)
+    # Along the jet, as the row that it is compared with; the mean over the epochs.
+    along = (-truth["pm_east"][moving] / unit).to_value(u.one)
+    number = np.bincount(feature)
+    speed = (np.bincount(feature, along) / np.maximum(number, 1))[number >= SEEN]
     if len(speed) == 0:
         return np.nan, np.nan, 0
     return speed.mean(), speed.std(ddof=1) if len(speed) > 1 else 0.0, len(speed)
