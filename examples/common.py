@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What the examples share: the options, and how table and figure are shown."""
+"""Options of the examples, and the output of their table and figure."""
 
 import argparse
 from pathlib import Path
@@ -16,12 +16,12 @@ def run(measure, doc, *, data=False):
     Parameters
     ----------
     measure : callable
-        Gives a table and a figure.  It is called with the folder of the data
-        if the example needs some.
+        Returns a table and a figure.  Its argument is the folder of the data
+        if the example needs data.
     doc : str
         The docstring of the example.
     data : bool, optional
-        Whether it needs data.
+        Whether the example needs data.
     """
     parser = argparse.ArgumentParser(description=doc.strip().splitlines()[0])
     if data:
@@ -46,13 +46,13 @@ def _script():
 
 
 def as_text(table):
-    """A table as the lines that are printed."""
+    """Return a table as the text that is printed."""
     lines = table.pformat(max_lines=-1, max_width=-1, show_unit=True)
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 
 def brief(table, *columns, digits=2, **others):
-    """The columns to look at, with so many digits, some columns with others."""
+    """Return some columns of a table; ``others`` are numbers of digits by column."""
     others = {"p_global": 3, **others}
     short = QTable()
     for name in columns:

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-3C 120 from the features that MOJAVE fitted: speed against distance.
+Measure speed against distance in 3C 120, restored from the features of MOJAVE.
 
     python examples/galaxy_3c120.py ../shared/data
 """
@@ -16,7 +16,7 @@ from astro_scc.visualization import plot_profile
 
 
 def measure(data, before="2011-01-01", n_trials=200):
-    """The main speed of each of six rings about the core."""
+    """Return the main speeds of six rings about the core, and their figure."""
     components = read_components(data / "mojave_xviii" / "0430+052.ecsv")
     cube = restore(
         components.select(before=before),

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-M 87 from the features that MOJAVE fitted: a jet in which no motion is found.
+Search for motion in M 87, restored from the features of MOJAVE.
 
     python examples/galaxy_m87.py ../shared/data
 """
@@ -16,7 +16,7 @@ from astro_scc.visualization import plot_profile
 
 
 def measure(data, before=None, n_trials=200):
-    """What is tested in four rings about the core."""
+    """Return the speeds that are tested in four rings about the core."""
     components = read_components(data / "mojave_xviii" / "1228+126.ecsv")
     cube = restore(
         components.select(before=before),

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Knots of an outflow in images as those of HST: counts, no beam, dates in EXPSTART.
+Measure knots in HST-like images: counts, no beam, dates in EXPSTART.
 
     python examples/hubble.py
 """
@@ -22,7 +22,7 @@ PIXEL = 25 * u.mas
 
 
 def write_images(folder, rng):
-    """Twelve knots that move a pixel a year to the west, as drizzled files."""
+    """Write drizzled images of twelve knots that move west by a pixel a year."""
     places = np.random.default_rng(7).uniform([15, 20], [113, 200], size=(12, 2))
     y, x = np.mgrid[:128, :256]
     for year in YEARS:
@@ -48,7 +48,7 @@ def write_images(folder, rng):
 
 
 def measure(n_trials=200):
-    """The motion of the knots."""
+    """Return the motion of the knots, and a figure of their matches."""
     with TemporaryDirectory() as folder:
         write_images(Path(folder), np.random.default_rng(1))
         cube = EpochCube.read(f"{folder}/*_drc.fits", frame="absolute")

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-0003+380, ten epochs of a quasar: read, convolve, align, measure.
+Read, convolve, align and measure ten epochs of the quasar 0003+380.
 
     python examples/quasar_0003.py ../shared/data
 """
@@ -15,7 +15,7 @@ from astro_scc.visualization import plot_members
 
 
 def measure(data, n_trials=1000):
-    """The speed of the jet between 1 and 3 mas from the core."""
+    """Return the speed of the jet 1 to 3 mas from the core, and its matches."""
     folder = data / "0003+380"
     cube = EpochCube.read(f"{folder}/*.fits").to_common_beam()
     cube = cube.align("table", table=folder / "core_offsets.csv")

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-3C 273 from the features that MOJAVE fitted: small and large scales apart.
+Measure small and large scales of 3C 273, restored from the features of MOJAVE.
 
     python examples/quasar_3c273.py ../shared/data
 """
@@ -19,7 +19,7 @@ from astro_scc.visualization import plot_members
 
 
 def measure(data, before="2011-01-01", n_trials=200):
-    """The speeds of small and of large patterns, 1 to 6 mas from the core."""
+    """Return the speeds of small and of large patterns 1 to 6 mas from the core."""
     components = read_components(data / "mojave_xviii" / "1226+023.ecsv")
     cube = restore(
         components.select(before=before),

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-A shell that expands: the rate of everything, and its centre.
+Measure the expansion rate and the centre of a shell.
 
     python examples/shell.py
 """
@@ -16,7 +16,7 @@ from astro_scc.visualization import plot_epoch
 
 
 def measure():
-    """Rate of expansion of three epochs, and what it is at 3.4 kpc."""
+    """Return the rate of expansion, and the speed at 3.4 kpc."""
     shell = simulate_shell(
         n_epochs=3, interval=10 * u.yr, n_clumps=8, n_knots=40,
         radius=70 * u.arcsec, size=200, rng=4,

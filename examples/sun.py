@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Features that drift over the Sun: helioprojective coordinates, a minute an epoch.
+Measure features that drift over the Sun, in one helioprojective image a minute.
 
     python examples/sun.py
 """
@@ -25,12 +25,12 @@ SIZE = 128
 
 
 def per_distance(speed):
-    """The angular speed of something on the Sun, seen from the Earth."""
+    """Return the angular speed of a motion on the Sun, as seen from the Earth."""
     return (speed / u.au).to(u.arcsec / u.hour, u.dimensionless_angles())
 
 
 def write_images(folder, rng, n_epochs=10, n_features=160):
-    """Features that live for ten minutes and drift to solar west, as files."""
+    """Write images of features that live ten minutes and drift to solar west."""
     start = Time("2024-05-10T12:00:00")
     seconds = np.arange(n_epochs) * CADENCE.to_value(u.s)
     pixels = (per_distance(1 * u.km / u.s) / PIXEL).to_value(1 / u.s)
@@ -58,7 +58,7 @@ def write_images(folder, rng, n_epochs=10, n_features=160):
 
 
 def measure(n_trials=200):
-    """The drift in arcsec an hour and in km/s."""
+    """Return the drift in arcsec per hour and in km/s."""
     with TemporaryDirectory() as folder:
         write_images(Path(folder), np.random.default_rng(4))
         cube = EpochCube.read(f"{folder}/sun_*.fits", frame="absolute")

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-The paper's jet of two fluids: a slow sheath around a fast spine.
+Measure the paper's jet of two fluids, a slow sheath around a fast spine.
 
     python examples/two_fluid.py
 """
@@ -14,7 +14,7 @@ from astro_scc.simulation import simulate_two_fluid
 
 
 def measure(n_trials=200):
-    """The speeds of a jet whose features move by 5 and 20 pixels an epoch."""
+    """Return the speeds of a jet with streams of 5 and 20 pixels an epoch."""
     jet = simulate_two_fluid(rng=1)
     scc = StackedCrossCorrelation(
         scales=[1, 2, 3], max_speed=36 * u.mas / u.yr, position_angle=270 * u.deg
