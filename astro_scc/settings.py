@@ -95,7 +95,7 @@ def _setting(group, check, text, metavar=None, default=None, *, unit=None, only=
     """
     Declare a setting.
 
-    Without ``metavar`` it is not on the command line.  ``unit`` is that of calculations.
+    Without ``metavar`` it is no command-line option.  ``unit`` is for calculations.
     """
     facts = {"group": group, "check": check, "help": text, "metavar": metavar}
     facts |= {"unit": unit, "commands": only or GROUPS[group]}
@@ -437,7 +437,7 @@ def require(name, value):
 
 
 def override(given, own):
-    """Return settings updated by others; a distance and a redshift replace each other."""
+    """Return settings updated by others; distance and redshift replace each other."""
     if "distance" in own:
         given = {k: v for k, v in given.items() if k not in ("redshift", "cosmology")}
     elif "redshift" in own:
