@@ -28,7 +28,7 @@ def parse_quantities(text):
     Raises
     ------
     ValueError
-        If a word is not a number, or a unit is missing or unknown.
+        If the text does not begin with a number, or a unit is missing or unknown.
 
     Examples
     --------

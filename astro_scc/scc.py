@@ -276,7 +276,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         Raises
         ------
         ValueError
-            If the beams of the epochs differ and ``common_beam`` is True.
+            If the beams of the epochs differ, unless ``common_beam`` is False.
         MemoryError
             If the estimated memory of the work exceeds that of this machine.
 

@@ -95,7 +95,7 @@ def _setting(group, check, text, metavar=None, default=None, *, unit=None, only=
     """
     Declare a setting.
 
-    Without ``metavar`` it is no command-line option.  ``unit`` is for calculations.
+    Without ``metavar`` it is not a command-line option.  ``unit`` is for calculations.
     """
     facts = {"group": group, "check": check, "help": text, "metavar": metavar}
     facts |= {"unit": unit, "commands": only or GROUPS[group]}

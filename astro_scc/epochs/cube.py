@@ -189,7 +189,7 @@ class EpochCube:
         Raises
         ------
         OSError
-            If a file is missing or is no FITS image.
+            If a file is missing or is not a FITS image.
         ValueError
             If a header lacks what is needed, or files do not belong together.
         MemoryError
@@ -266,7 +266,9 @@ class EpochCube:
     @classmethod
     def from_xarray(cls, source, **kwargs):
         """
-        Return the epochs of an xarray, see `~astro_scc.interchange.from_xarray`.
+        Return the epochs of an xarray object.
+
+        See `~astro_scc.interchange.from_xarray`.
 
         Parameters
         ----------

@@ -329,7 +329,7 @@ def distance_mask(cube, r_min, r_max, origin=None):
     Raises
     ------
     ValueError
-        If not ``0 <= r_min < r_max``, ``origin`` is no pair of offsets, or
+        If not ``0 <= r_min < r_max``, ``origin`` is not a pair of offsets, or
         no pixel lies in the ring.
     `~astropy.units.UnitsError`
         If an argument is not an angle.

@@ -168,7 +168,7 @@ def find_files(paths, *, missing_ok=False):
     Return the files that paths and patterns stand for, each once, as a list of Path.
 
     They are in the order given; those of a pattern are in alphabetical order.  Files
-    that do not exist are kept with ``missing_ok``, and are a FileNotFoundError without.
+    that do not exist raise a FileNotFoundError, or are kept if ``missing_ok`` is True.
     """
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
@@ -266,7 +266,7 @@ def open_fits(file, *, known=False, **options):
     Open a binary file with `astropy.io.fits.open`, even if its header is damaged.
 
     The standard allows 999 axes, but astropy loops over any number that a header
-    claims, so more raise an OSError.  A ``known`` file has passed this check before.
+    claims, so a larger number raises an OSError.  A ``known`` file has been checked.
     """
     found = None if known else _AXES.search(_content(file))
     if found:
@@ -361,7 +361,7 @@ def beam_note(problem):
 
 def _beside(hdus, image, name, shape, window):
     """
-    Return the values and header of an extension that belongs to the image, or Nones.
+    Return the values and header of an extension of the image, or None for both.
 
     Drizzled HST images have weights, ``WHT``; astropy writes the mask and the
     uncertainty of a CCDData as ``MASK`` and ``UNCERT``.

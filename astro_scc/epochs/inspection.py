@@ -188,7 +188,7 @@ def find_odd(planes):
 
 
 def _minority(values):
-    """Return the entries that differ from the most common value, or the first one."""
+    """Return the entries that differ from the most common value (first of equals)."""
     keys = [v and v.upper().replace(" ", "").replace("_", "") for v in values]
     count = Counter(key for key in keys if key)
     if len(count) < 2:

@@ -181,7 +181,7 @@ def _displacement(image, reference, use, reach):
 
 
 def warn_of_misalignment(cube):
-    """Warn if epochs scatter by two tenths of the beam or more."""
+    """Warn if the alignment of the epochs scatters by 0.2 beams or more."""
     scatter = cube.misalignment
     if scatter is not None and scatter >= LARGEST:
         warnings.warn(

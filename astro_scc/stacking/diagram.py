@@ -141,7 +141,7 @@ class Rays:
     Attributes
     ----------
     speed : `~numpy.ndarray`, shape (n_v,)
-        In beams a year, in both directions and evenly spaced in the
+        In beams/yr, in both directions and evenly spaced in the
         logarithm.  The slowest moves ``slowest`` beams in the whole time, the
         fastest ``radius`` in the shorter quarter of the intervals between
         epochs.

@@ -18,7 +18,7 @@ class Feature:
     ssp : `~numpy.ndarray` of int, shape (n_epochs,)
         Indices of the SSPs, in the order of the epochs.
     speed, error : float
-        Speed along the axis, in beams a year, and its standard error.
+        Speed along the axis, in beams/yr, and its standard error.
     across, across_error : float
         The same across the axis.
     place : float
@@ -182,7 +182,7 @@ def standing_features(samples, settings):
 
 def clear_of(features, standing, samples, settings):
     """
-    Fit features again without SSPs that a standing feature pulls.
+    Fit features again without the SSPs near a standing feature.
 
     Parameters
     ----------
@@ -193,8 +193,9 @@ def clear_of(features, standing, samples, settings):
     Returns
     -------
     list of `Feature`
-        With the same SSPs, but those near a standing feature do not affect the
-        speed.  A feature is unchanged if fewer than ``least_epochs`` others are left.
+        With the same SSPs, but those within ``pull`` of a standing feature do not
+        affect the speed.  A feature is unchanged if fewer than ``least_epochs`` other
+        SSPs are left.
     """
     if not standing:
         return list(features)

@@ -69,7 +69,7 @@ class EpochPermutations:
     Attributes
     ----------
     speed : `~numpy.ndarray`, shape (n_v,)
-        In beams a year, in both directions.
+        In beams/yr, in both directions.
     z : `~numpy.ndarray`, shape (n_axes, n_v)
         ``E(v) / std E(v)``, where E is the sum of the excess along a ray and
         the standard deviation is over all orders, including the observed one.

@@ -31,7 +31,7 @@ class Stream:
     angle : float
         Direction of the axis from the first axis of the frame, in radians.
     along, across : `~astro_scc.stacking.streams.Population`
-        Mean and dispersion of the speeds of its features, in beams a year.
+        Mean and dispersion of the speeds of its features, in beams/yr.
     z : float
         Excess along its ray in standard deviations of the permutations.
     p_local, p_global : float
@@ -122,8 +122,8 @@ class Search:
         Returns
         -------
         list of `~astro_scc.stacking.Feature`
-            Features that move in the direction of the stream, at significant
-            speeds.
+            Features that move in the direction of the stream, at speeds whose
+            z is at least ``least_z`` of the settings.
         """
         if not self.streams:
             return []
@@ -151,7 +151,7 @@ def find_streams(
     along the rays of the displacement-interval diagram.  Single features are
     followed in its direction.  A stream is the mean and the dispersion of their
     speeds, and there are two streams if a parametric bootstrap rejects one.  Each
-    is tested at its own mean speed against the largest excess of each permutation.
+    stream is tested at its own mean speed against the maximum of each permutation.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def find_streams(
     outward : bool, optional
         Search positive speeds only.
     fastest : float, optional
-        Largest speed, in beams a year.
+        Largest speed, in beams/yr.
     intervals : tuple of float, optional
         Shortest and longest interval between epochs that is used, in years.
     settings : `~astro_scc.stacking.SearchSettings`, optional
@@ -330,7 +330,7 @@ class _Axis:
         return clear_of(found, standing, self.samples, self.settings)
 
     def moving(self, features, speed):
-        """Return the features that move significantly in the direction of a speed."""
+        """Return the features in the direction of a speed with ``least_z`` or more."""
         z = self.z(np.array([f.speed for f in features]))
         return [
             f
