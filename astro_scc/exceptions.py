@@ -20,7 +20,7 @@ class AstroSccWarning(AstropyUserWarning):
 
 class EpochWarning(AstroSccWarning):
     """
-    Something in an epoch's file or header was guessed, repaired or left out.
+    Warning that part of an epoch's file or header was guessed, repaired or left out.
 
     Examples
     --------
@@ -33,7 +33,7 @@ class EpochWarning(AstroSccWarning):
 
 class MeasurementWarning(AstroSccWarning):
     """
-    The data do not support what was asked for as well as the user may think.
+    Warning that the data support a measurement less well than the user may think.
 
     Examples
     --------

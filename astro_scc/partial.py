@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Hidden folders for what is not complete, and those that a killed process left."""
+"""Hidden folders for incomplete output, and removal of those left by killed runs."""
 
 import hashlib
 import os
@@ -13,32 +13,32 @@ from pathlib import Path
 
 __all__ = ["hold", "is_held", "partial_folder", "remove_left", "replace_when_complete"]
 
-#: Seconds that a folder must be held for to count as held.
+#: Seconds for which a folder must be held to count as held.
 PATIENCE = 1.0
 
 
 @contextmanager
 def partial_folder(parent, prefix):
     """
-    A folder of this process alone, which is gone in the end.
+    Make a folder for this process alone, and delete it at the end.
 
     Parameters
     ----------
     parent : `~pathlib.Path`
     prefix : str
-        What its name begins with.  Folders of such names that killed
-        processes left are taken away, see `remove_left`.
+        Start of the folder's name.  Folders with this prefix that killed
+        processes left behind are removed, see `remove_left`.
 
     Yields
     ------
     `~pathlib.Path`
-        What is in it when the block ends is deleted, unless the folder has
-        another name by then.
+        The folder.  It is deleted with its contents when the block ends,
+        unless it has been renamed by then.
 
     Raises
     ------
     OSError
-        If it cannot be made.
+        If the folder cannot be made.
 
     Examples
     --------
@@ -64,7 +64,7 @@ def partial_folder(parent, prefix):
 @contextmanager
 def replace_when_complete(path, *, overwrite=False):
     """
-    A temporary file beside ``path`` that takes its name in the end.
+    Provide a temporary file beside ``path`` that replaces it when complete.
 
     Parameters
     ----------
@@ -74,8 +74,8 @@ def replace_when_complete(path, *, overwrite=False):
     Yields
     ------
     `~pathlib.Path`
-        What to write.  If the block raises it is deleted and ``path`` is as
-        it was.
+        The file to write.  If the block raises an error, the file is deleted
+        and ``path`` is left as it was.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def _make(parent, prefix):
         folder.mkdir()
         with suppress(BlockingIOError):
             lock = _lock(folder)
-            # Somebody may have taken it for left before it was locked.
+            # Before the lock, another process may have removed it as left behind.
             if folder.exists():
                 return folder, lock
             _release(lock)
@@ -110,11 +110,11 @@ def _make(parent, prefix):
 
 def remove_left(parent, prefix):
     """
-    Take away the folders of `partial_folder` that killed processes left.
+    Remove the folders of `partial_folder` that killed processes left behind.
 
-    Only what was made on this machine and nobody holds is taken away.  A process
-    holds its folder by a lock that ends with it, however it ends; where the
-    system has no such locks nothing is taken away.
+    Only folders that were made on this machine and that no process holds are
+    removed.  A process holds its folder by a lock, which ends with the process;
+    on systems without such locks nothing is removed.
 
     Parameters
     ----------
@@ -124,13 +124,13 @@ def remove_left(parent, prefix):
     Returns
     -------
     list of `~pathlib.Path`
-        Folders of such names that stay.
+        The folders with this prefix that remain.
     """
     try:
         paths = sorted(Path(parent).iterdir())
     except OSError:
         return []
-    # The machine, and something of its own.
+    # Eight digits of the machine, and eight random ones.
     names = re.compile(re.escape(prefix) + "[0-9a-f]{8}-[0-9a-f]{8}")
     stay = []
     for path in paths:
@@ -145,14 +145,14 @@ def remove_left(parent, prefix):
 
 
 def _machine():
-    """The name of this machine as eight digits."""
+    """Return eight hexadecimal digits that stand for this machine."""
     return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 
 
 @contextmanager
 def hold(folder):
     """
-    Hold a folder while in this context, where the system can lock folders.
+    Hold a folder within this context, where the system can lock folders.
 
     Parameters
     ----------
@@ -161,12 +161,12 @@ def hold(folder):
     Yields
     ------
     bool
-        Whether it can.
+        Whether the folder is locked.
 
     Raises
     ------
     BlockingIOError
-        If another process, or another part of this one, holds it.
+        If another process, or another part of this one, holds the folder.
     """
     lock = _lock(folder)
     try:
@@ -177,10 +177,10 @@ def hold(folder):
 
 def is_held(folder):
     """
-    Whether a process holds a folder.
+    Return whether a process holds a folder.
 
-    The workers of a process that was killed hold what it held until they end,
-    which is waited for.
+    The workers of a killed process keep its lock until they end, so this
+    function waits for up to `PATIENCE` seconds.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def is_held(folder):
     Returns
     -------
     bool
-        False also where that cannot be known.
+        False also if that cannot be known.
     """
     limit = time.monotonic() + PATIENCE
     while True:
@@ -203,7 +203,7 @@ def is_held(folder):
 
 
 def _lock(folder):
-    """An open file that holds the folder, or None where that is not possible."""
+    """Return an open file descriptor that holds the folder, or None if impossible."""
     number = None
     try:
         import fcntl
@@ -214,7 +214,7 @@ def _lock(folder):
         _release(number)
         if isinstance(error, BlockingIOError):
             raise
-        # Windows, and some disks of networks.
+        # Windows and some network file systems have no such locks.
         return None
     return number
 

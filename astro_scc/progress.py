@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Progress of long work, on standard error."""
+"""Progress of long calculations, on standard error."""
 
 import sys
 import threading
@@ -8,14 +8,14 @@ from contextlib import contextmanager
 
 __all__ = ["progress"]
 
-#: Seconds between two lines where there is no terminal.
+#: Seconds between two lines of progress where there is no terminal.
 EVERY = 30
 
 
 @contextmanager
 def progress(total, label, *, show=True):
     """
-    Show a progress bar for a while, or lines where there is no terminal.
+    Show a progress bar, or lines of text where there is no terminal.
 
     Parameters
     ----------
@@ -23,12 +23,12 @@ def progress(total, label, *, show=True):
         Number of steps, if it is known.
     label : str
     show : bool, optional
-        Nothing is shown, and nothing imported, if False.
+        If False, nothing is shown and nothing imported.
 
     Yields
     ------
     callable
-        Called with the number of steps done.
+        To be called with the number of steps done since the last call.
 
     Examples
     --------
@@ -39,7 +39,7 @@ def progress(total, label, *, show=True):
     if not show or total == 0:
         yield lambda number: None
         return
-    # A notebook is no terminal, and shows a bar all the same.
+    # A notebook is not a terminal, but it can show the bar.
     if not (sys.stderr.isatty() or "ipykernel" in sys.modules):
         with _lines(total, label) as update:
             yield update
@@ -52,7 +52,7 @@ def progress(total, label, *, show=True):
 
 @contextmanager
 def _lines(total, label):
-    """Print a line now and then, also when no step ends for long."""
+    """Print a line every `EVERY` seconds, even if no step has ended since."""
     done, begun, ended = 0, time.monotonic(), threading.Event()
 
     def update(number):

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Values as people write them: quantities, dates, numbers and text."""
+"""Parsing and checks of values that users write: quantities, dates, numbers, text."""
 
 import math
 import operator
@@ -13,13 +13,13 @@ NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 
 def parse_quantities(text):
     """
-    Read several quantities in one text.
+    Read several quantities from one text.
 
     Parameters
     ----------
     text : str
         Numbers with units, separated by blanks or commas.  A number without
-        a unit has that of the next number that has one.
+        a unit takes the unit of the next number that has one.
 
     Returns
     -------
@@ -28,7 +28,7 @@ def parse_quantities(text):
     Raises
     ------
     ValueError
-        If something is no number, or a unit is missing or unknown.
+        If the text does not begin with a number, or a unit is missing or unknown.
 
     Examples
     --------
@@ -41,7 +41,7 @@ def parse_quantities(text):
     import astropy.units as u
 
     numbers, units = [], []
-    # Of printed pages, where minus is a letter of its own.
+    # Text copied from printed pages has minus signs instead of hyphens.
     text = text.replace("\N{MINUS SIGN}", "-")
     for word in re.findall(r"[^\s,]+", text):
         number, unit = re.fullmatch(rf"({NUMBER})?(.*)", word).groups()
@@ -51,7 +51,7 @@ def parse_quantities(text):
         elif not units:
             raise ValueError(f"has {unit!r} where a number is expected")
         else:
-            # A unit may have blanks in it.
+            # A unit may contain blanks.
             units[-1] = f"{units[-1]} {unit}".strip()
     if not units or not units[-1]:
         raise ValueError("has no unit at its end")
@@ -62,7 +62,7 @@ def parse_quantities(text):
 
 def to_quantity(value, unit, wanted):
     """
-    Return a quantity that is given as one, or as text.
+    Return a quantity that is given as a quantity or as text.
 
     Parameters
     ----------
@@ -70,9 +70,9 @@ def to_quantity(value, unit, wanted):
         Text of several quantities gives an array, text of one a scalar.
         `~astropy.units.Quantity` itself reads "1 7 Mpc" as 1 x 7 Mpc.
     unit : unit-like
-        Of the kind that it must have; it keeps its own.
+        A unit of the required kind.  The result keeps its own unit.
     wanted : str
-        What it must be, for the message.
+        What the value must be, for the error message.
 
     Returns
     -------
@@ -81,8 +81,8 @@ def to_quantity(value, unit, wanted):
     Raises
     ------
     ValueError
-        If it is no quantity, a `~astropy.units.UnitConversionError` if its
-        unit is of another kind or missing.
+        If the value is not a quantity; a `~astropy.units.UnitConversionError`
+        if its unit is of another kind or missing.
     """
     import astropy.units as u
     import numpy as np
@@ -100,7 +100,7 @@ def to_quantity(value, unit, wanted):
     try:
         found = u.Quantity(value, dtype=float)
         if np.ma.is_masked(value):
-            # Of a column, which Quantity forgets.
+            # Quantity drops the mask of a column.
             found = Masked(found, mask=value.mask)
     except (TypeError, ValueError):
         raise ValueError(wanted) from None
@@ -110,7 +110,7 @@ def to_quantity(value, unit, wanted):
 
 
 def finite_quantities(value, unit, wanted):
-    """Return finite quantities, at most a list of them, see `to_quantity`."""
+    """Return a finite quantity, or a list of them as an array, see `to_quantity`."""
     import numpy as np
 
     found = to_quantity(value, unit, wanted)
@@ -121,7 +121,7 @@ def finite_quantities(value, unit, wanted):
 
 def parse_unit(text):
     """
-    A unit from text.
+    Return the unit that a text names.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def parse_unit(text):
     Raises
     ------
     ValueError
-        If it is none.
+        If the text is not a unit.
     """
     import astropy.units as u
 
@@ -152,10 +152,10 @@ def one_quantity(value, kind, example, positive=True):
     ----------
     value : str or `~astropy.units.Quantity`
     kind, example : str
-        For the message, "an angle" and "2 mas", whose unit is of the kind
-        that it must have.
+        For the error message, such as "an angle" and "2 mas".  The unit of
+        the example is of the required kind.
     positive : bool, optional
-        Whether it must be above 0.
+        Whether the value must be above 0.
 
     Returns
     -------
@@ -164,7 +164,7 @@ def one_quantity(value, kind, example, positive=True):
     Raises
     ------
     ValueError
-        If it is none.
+        If the value is not such a quantity.
     """
     import astropy.units as u
 
@@ -179,38 +179,39 @@ def one_quantity(value, kind, example, positive=True):
 
 def named(name, parse, value, *more):
     """
-    Return what a parser makes of an argument, or name the argument.
+    Parse an argument; errors name the argument.
 
     Parameters
     ----------
     name : str
     parse : callable
-        Takes the value and ``more``; raises a ValueError that goes on after
-        the value.
+        Takes the value and ``more``.  The message of its ValueError is put
+        after the name and the value.
     value : object
     *more
-        Of ``parse``.
+        Further arguments of ``parse``.
 
     Returns
     -------
     object
+        What ``parse`` returns.
 
     Raises
     ------
     ValueError
-        Of the class that ``parse`` raised.
+        Or the subclass of it that ``parse`` raised.
     """
     try:
         return parse(value, *more)
     except ValueError as error:
-        # An option is named as it is typed.
+        # A command-line option is named as it is typed.
         name = name if name.startswith("--") else f"{name} ="
         raise type(error)(f"{name} {shortened(value)} {error}") from None
 
 
 def shortened(value):
     """
-    Return a value as text that fits in a line.
+    Return a value as text that fits on one line.
 
     Parameters
     ----------
@@ -227,13 +228,13 @@ def shortened(value):
 
 def to_time(text):
     """
-    A date from text.
+    Return the date that a text gives.
 
     Parameters
     ----------
     text : str
-        As 2011-01-01, with or without a time of day, or a year with
-        decimals, 2011.5.
+        Such as 2011-01-01, with or without a time of day, or a decimal
+        year, 2011.5.
 
     Returns
     -------
@@ -242,7 +243,7 @@ def to_time(text):
     Raises
     ------
     ValueError
-        If it is none.
+        If the text is not a date.
 
     Examples
     --------
@@ -253,8 +254,8 @@ def to_time(text):
     from astropy.time import Time
 
     with warnings.catch_warnings(record=True) as dubious:
-        # ERFA calls dates dubious for which leap seconds are unknown; in atomic
-        # time they can be compared.
+        # ERFA warns of years whose leap seconds are unknown; in atomic time such
+        # dates can be compared.
         warnings.simplefilter("always")
         try:
             if re.fullmatch(r"\d{4}(\.\d*)?", text.strip()):
@@ -268,7 +269,7 @@ def to_time(text):
 
 
 def with_error(value, error, sign="\N{PLUS-MINUS SIGN}"):
-    """Return a value and its error as text, with two digits of the error."""
+    """Return a value and its error as text, the error to two significant digits."""
     if not math.isfinite(value):
         return "-"
     if not math.isfinite(error):
@@ -279,10 +280,10 @@ def with_error(value, error, sign="\N{PLUS-MINUS SIGN}"):
     return f"{value:.{digits}f} {sign} {error:.{digits}f}"
 
 
-# -- what a value may be ---------------------------------------------------------
+# -- checks of values ------------------------------------------------------------
 #
-# Each function takes what a TOML file, the command line or Python has and returns
-# the value, or raises a ValueError that continues "NAME = VALUE ...".
+# Each function takes a value from a TOML file, the command line or Python and returns
+# it, or raises a ValueError whose message continues "NAME = VALUE ...".
 
 
 def check_text(value):
@@ -302,7 +303,7 @@ def check_paths(value):
 
 def check_boolean(value):
     """Return a boolean."""
-    # That of numpy is another class.
+    # numpy's booleans are of another class.
     if type(value).__name__ not in ("bool", "bool_"):
         raise ValueError("must be true or false")
     return bool(value)
@@ -332,7 +333,7 @@ def check_positive(value):
 
 
 def fraction(largest, of=""):
-    """Return a check of numbers between 0 and the largest."""
+    """Return a check that a number is above 0 and below ``largest``."""
 
     def check(value):
         number = check_number(value)
@@ -344,7 +345,7 @@ def fraction(largest, of=""):
 
 
 def integer(smallest, largest=None):
-    """Return a check of whole numbers."""
+    """Return a check that a number is whole and in a range, limits included."""
 
     def check(value):
         try:
@@ -362,7 +363,7 @@ def integer(smallest, largest=None):
 
 
 def choice(*choices):
-    """Return a check of words."""
+    """Return a check that a word is one of ``choices``."""
 
     def check(value):
         if not isinstance(value, str) or value not in choices:
@@ -373,12 +374,12 @@ def choice(*choices):
 
 
 def quantity(kind, example):
-    """Return a check of one quantity above 0."""
+    """Return a check that a value is one quantity above 0."""
     return lambda value: one_quantity(value, kind, example)
 
 
 def quantity_range(what, example, smallest=None, *, equal=False):
-    """Two quantities, the smaller one first."""
+    """Return a check that a value is two quantities, the smaller one first."""
     wanted = f"must be {what}, such as {example!r}"
     unit = example.split()[-1]
 
@@ -396,7 +397,7 @@ def quantity_range(what, example, smallest=None, *, equal=False):
 
 
 def check_position_angle(value):
-    """Return an angle, a frame or the name of one."""
+    """Return an angle, a frame or the name of a frame."""
     # A frame of astro_scc.kinematics checks itself.
     if hasattr(value, "matrix") or (
         isinstance(value, str) and value in ("radial", "ridge", "fit")
@@ -406,7 +407,7 @@ def check_position_angle(value):
 
 
 def check_alignment_error(value):
-    """Return one error per epoch, or one of all."""
+    """Return one error per epoch, or one for all epochs."""
     wanted = "must be an angle or a list of them, such as '0.02 mas'"
     errors = finite_quantities(value, "mas", wanted)
     if not (errors >= 0).all():
@@ -447,7 +448,7 @@ def check_scales(value):
 
 def check_date(value):
     """Return a date as text."""
-    # TOML has dates of its own.
+    # TOML has a type for dates.
     text = value.isoformat() if isinstance(value, date) else str(value)
     to_time(text)
     return text.strip()

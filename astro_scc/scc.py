@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Stacked cross-correlation: the one call that ties the stages together."""
+"""Stacked cross-correlation: the call that runs all stages of a measurement."""
 
 from dataclasses import asdict, dataclass, fields
 
@@ -38,7 +38,7 @@ from astro_scc.settings import MeasurementSettings, require
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
-#: Settings that the stack takes as they are.
+#: Settings that are passed unchanged to `stack_matches`.
 OF_STACKS = (
     "position_angle min_error_beams alpha outward alignment_error "
     "small_displacement_correction"
@@ -50,28 +50,28 @@ class StackedCrossCorrelation(MeasurementSettings):
     """
     Measure velocity components by stacked cross-correlation.
 
-    The settings are kept; calling the object on a cube measures it.  Those
-    with a unit may be text, as on the command line.
+    The object holds the settings; calling it with a cube measures the cube.
+    Settings with a unit may be text, as on the command line.
 
     Parameters
     ----------
     scales : sequence of float or str, optional
-        Wavelet scales by number (j means 2^j pixels, j + 1/2 means
-        1.5 x 2^j) or as an angle `~astropy.units.Quantity`.
+        Wavelet scales, by number (j means 2^j pixels, j + 1/2 means
+        1.5 x 2^j) or by size, as angles.
     max_speed : `~astropy.units.Quantity`, optional
-        Largest proper motion along either axis.  Without it speeds are
-        searched that move up to 1.5 beams in the shorter quarter of the
-        intervals between epochs, and up to four beams in the median interval
-        of at most 20 epochs.
+        Largest proper motion along either axis.  By default the search
+        includes motions of up to 1.5 beams in the shorter quarter of the
+        intervals between epochs, and of up to four beams in the median
+        interval if there are at most 20 epochs.
     position_angle : `~astropy.units.Quantity`, str or frame, optional
         Direction of the jet, north through east, for velocity axes along
-        and across it, or "fit" for that of the mean image; "radial" for
-        axes away from the reference pixel; "ridge" for axes along and across
-        the ridge line of the mean image; or a frame of
-        `astro_scc.kinematics`.  The axes are east and north without it.
+        and across it, or "fit" for the direction of the jet in the mean
+        image; "radial" for axes away from the reference pixel; "ridge" for
+        axes along and across the ridge line of the mean image; or a frame of
+        `astro_scc.kinematics`.  By default the axes are east and north.
     baseline : `~astropy.units.Quantity`, shape (2,), optional
         Shortest and longest time between two epochs that are compared.
-        Without it each speed is searched in all intervals in which it moves
+        By default each speed is searched in all intervals in which it moves
         0.2 to 1 beam.
     min_error_beams : float, optional
         Smallest standard error of a displacement, in beams.
@@ -80,19 +80,19 @@ class StackedCrossCorrelation(MeasurementSettings):
     wavelet, detection, segmentation, noise
         ``kernel`` and the rest of `~astro_scc.decomposition.Decomposer`.
     alpha : float, optional
-        Velocities whose ``p_global`` is at most this are components.
+        Largest ``p_global`` of a significant velocity component.
     outward : bool, optional
-        Search speeds away from the core only, where the direction of the jet
+        Search only speeds away from the core, if the direction of the jet
         is given.
     alignment_error : `~astropy.units.Quantity`, optional
-        Standard error, on either axis, of the alignment of the epochs:
-        one, or one per epoch.  By default what `EpochCube.align`
-        found it to be.
+        Standard error of the alignment on either axis, one for all epochs or
+        one per epoch.  By default the error that `EpochCube.align` found.
     small_displacement_correction : bool, optional
         Shift the permuted images by a fifth of the beam (paper, Sect. 2.3).
     common_beam : bool, optional
-        By default epochs whose beams differ are refused, which
-        ``cube.to_common_beam()`` mends.  False measures them as they are.
+        By default epochs whose beams differ are refused;
+        ``cube.to_common_beam()`` convolves them to one beam.  False measures
+        them as they are.
 
     Raises
     ------
@@ -118,18 +118,18 @@ class StackedCrossCorrelation(MeasurementSettings):
         for field in fields(self):
             value = require(field.name, getattr(self, field.name))
             object.__setattr__(self, field.name, value)
-        # Their own settings are checked where they are used.
+        # These two check their own settings when they are made.
         self._decomposer((1,) if isinstance(self.scales, u.Quantity) else self.scales)
         self._correlator()
 
     def __eq__(self, other):
-        """Whether all settings are the same; quantities in any unit."""
+        """Return whether all settings are equal, quantities in any unit."""
         if other.__class__ is not self.__class__:
             return NotImplemented
         return self._key() == other._key()
 
     def __hash__(self):
-        """Of all settings."""
+        """Return a hash of all settings."""
         return hash(self._key())
 
     def _key(self):
@@ -167,7 +167,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     def scale_numbers(self, cube):
         """
-        The scales as numbers, for the pixels of a cube.
+        Return the scales as numbers, for the pixels of a cube.
 
         Parameters
         ----------
@@ -180,14 +180,14 @@ class StackedCrossCorrelation(MeasurementSettings):
         Raises
         ------
         ValueError
-            If an angle is not within 20% of a scale's size, or two are of the
-            same scale.
+            If an angle is not within 20% of a scale's size, or two angles mean
+            the same scale.
         """
         return require("scales", scales_of_pixels(self.scales, cube.pixel_scale))
 
     def decomposer(self, cube):
         """
-        Return what decomposes the epochs of a cube.
+        Return the decomposer for the epochs of a cube.
 
         Parameters
         ----------
@@ -201,7 +201,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     def date_pairs(self, cube):
         """
-        The pairs of dates that are compared.
+        Return the pairs of dates that are compared.
 
         Parameters
         ----------
@@ -220,7 +220,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     def speed_limit(self, cube):
         """
-        The largest speed that is searched.
+        Return the largest speed that is searched.
 
         Parameters
         ----------
@@ -250,23 +250,22 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         Decompose the epochs and correlate their SSPs.
 
-        This is the long part; everything after it is a stack of the same
-        matches.
+        This step takes longest; all later steps only stack the same matches.
 
         Parameters
         ----------
         cube : `~astro_scc.epochs.EpochCube`
         region : optional
-            Anything that ``cube.region_mask`` takes.  SSPs whose centroid
+            Anything that ``cube.region_mask`` takes.  Only SSPs whose centroid
             lies inside are correlated.
         n_workers : int, str or `dask.distributed.Client`, optional
-            Number of processes, or a Dask scheduler, by its address or a
-            client of it.  The numbers do not depend on it.
+            Number of processes, or a Dask scheduler, given by its address or a
+            client.  The results do not depend on it.
         cache : path, optional
-            A FITS file, or a folder, where matches are kept.  Those of the
-            same images, settings and versions are read instead of made, those
-            of others are not used; what an interrupted call did is there for
-            the next one.
+            FITS file or folder in which matches are kept.  Matches of the same
+            images, settings and versions are read instead of computed, others
+            are ignored.  After an interruption the next call continues with
+            what is finished.
         progress_bar : bool, optional
             Show the progress on standard error.
 
@@ -277,17 +276,16 @@ class StackedCrossCorrelation(MeasurementSettings):
         Raises
         ------
         ValueError
-            If the beams of the epochs differ and ``common_beam`` is True.
+            If the beams of the epochs differ, unless ``common_beam`` is False.
         MemoryError
-            If this machine has less memory than the work takes, by an
-            estimate.
+            If the estimated memory of the work exceeds that of this machine.
 
         Warns
         -----
         `~astro_scc.exceptions.MeasurementWarning`
-            If the file ``cache`` is there and cannot be used, no SSP lies in
-            the region, structure fills the images, or the epochs lie on one
-            another to 0.2 beams or worse.
+            If the file ``cache`` exists but cannot be used, no SSP lies in the
+            region, structure fills the images, or the alignment of the epochs
+            scatters by 0.2 beams or more.
         """
         if self.common_beam is not False:
             require_common_beam(cube)
@@ -324,7 +322,7 @@ class StackedCrossCorrelation(MeasurementSettings):
                     done=blocks,
                 )
         provenance["selected"] = selection_digest(select)
-        # Stacks need no planes, which are larger than all that they need.
+        # Stacks need no planes, which are larger than everything else.
         lazy = LazyDecompositions(cube, decomposer)
         matched = MatchedEpochs(cube, lazy, ssps, select, matches, provenance)
         if cache is not None:
@@ -334,13 +332,13 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     def stack(self, matched, *, n_trials=1000, rng=None, progress_bar=False):
         """
-        Stack matches and measure the components.
+        Stack matches and measure the velocity components.
 
         Parameters
         ----------
         matched : `~astro_scc.measurement.MatchedEpochs`
         n_trials : int, optional
-            Number of permutations of the epochs and of position trials.
+            Number of permutations of the epochs, and of trials of the errors.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
         progress_bar : bool, optional
@@ -357,7 +355,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         from threadpoolctl import threadpool_limits
 
         baseline = None if self.baseline is None else self.baseline.to_value(u.yr)
-        # The products are small: threads would wait for one another.
+        # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1):
             return stack_matches(
                 matched,
@@ -375,7 +373,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     def displacements(self, matched):
         """
-        The matches as displacements along the velocity axes, and the axes.
+        Return the matches as displacements along the velocity axes, and the axes.
 
         Parameters
         ----------
@@ -384,7 +382,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         Returns
         -------
         displacements : `~astro_scc.stacking.VelocitySamples`
-            In mas, of the SSPs that are selected.
+            In mas, for the selected SSPs.
         frame : frame of `astro_scc.kinematics`
         """
         frame, _ = velocity_frame(matched, self.position_angle)
@@ -410,9 +408,9 @@ class StackedCrossCorrelation(MeasurementSettings):
         cube : `~astro_scc.epochs.EpochCube`
         region : optional
             A region of `regions`, the path of a region file or a boolean
-            image; only SSPs with their centroid inside are correlated.
+            image.  Only SSPs whose centroid lies inside are correlated.
         n_trials : int, optional
-            Number of permutations of the epochs and of position trials.
+            Number of permutations of the epochs, and of trials of the errors.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
         n_workers, cache
@@ -426,10 +424,10 @@ class StackedCrossCorrelation(MeasurementSettings):
         Raises
         ------
         ValueError
-            If no two epochs make a pair, their beams differ, no epoch shows
-            an SSP, or a setting does not fit the images.
+            If no two epochs make a pair, the beams differ, no epoch has an SSP,
+            or a setting does not fit the images.
         """
-        # Before the long part.
+        # Refused before the matching, which takes long.
         n_trials = require("n_trials", n_trials)
         matched = self.match(
             cube,
@@ -445,7 +443,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     def to_dict(self):
         """
-        The settings, as a dictionary that a table's meta can hold.
+        Return the settings as a dictionary that the meta of a table can hold.
 
         Returns
         -------
@@ -475,7 +473,7 @@ def measure_velocities(
     region, n_trials, rng, n_workers
         See `StackedCrossCorrelation`.
     **settings
-        Of `StackedCrossCorrelation`.
+        The parameters of `StackedCrossCorrelation`.
 
     Returns
     -------

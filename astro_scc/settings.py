@@ -2,9 +2,9 @@
 """
 The settings of a measurement, each declared once.
 
-A field of `Settings` has its default, its check, its unit and its help.  The command
-line, TOML files, Python and the table in the documentation are made from the fields:
-an option is one field.  Quantities may be text with a unit, ``"2 mas / yr"``.
+Each field of `Settings` has its default, its check, its unit and its help.  The command
+line, TOML files, Python and the table in the documentation all use these fields.
+Quantities may be text with a unit, ``"2 mas / yr"``.
 """
 
 import json
@@ -34,7 +34,7 @@ from astro_scc.quantities import (
 
 __all__ = ["Settings", "read_config"]
 
-#: Commands that have the settings of a group, in the order of files and help.
+#: Commands that have the settings of each group, in the order of files and help.
 STACK = ("measure", "profile")
 ALL = (*STACK, "track")
 GROUPS = {
@@ -45,9 +45,9 @@ GROUPS = {
     "trials": ALL,
     "speeds in units of c": ALL,
 }
-#: `~astro_scc.kinematics.paper_cosmology`, as it stands in a file.
+#: `~astro_scc.kinematics.paper_cosmology`, as text for a file.
 PAPER_COSMOLOGY = "H0=71,Om0=0.27"
-#: Head of a file of settings, by the command.
+#: Comment at the head of a settings file; the command is filled in.
 REMARKS = """\
 # What determined the results.  To get them again, in the folder it was done in, with
 # the path of this file: astro-scc {} --config FILE -o FOLDER
@@ -57,11 +57,11 @@ REMARKS = """\
 _LARGEST_SEED = 2**63 - 1
 
 
-# -- what settings of their own kind may be --------------------------------------
+# -- checks of single settings ---------------------------------------------------
 
 
 def _single(name):
-    """Return a check by `astro_scc.kinematics.cosmology`, of one value."""
+    """Return a check of one value, made by `astro_scc.kinematics.cosmology`."""
 
     def check(value):
         from astro_scc.kinematics import cosmology
@@ -95,7 +95,7 @@ def _setting(group, check, text, metavar=None, default=None, *, unit=None, only=
     """
     Declare a setting.
 
-    Without ``metavar`` it has no option.  ``unit`` is the one that is computed with.
+    Without ``metavar`` it is not a command-line option.  ``unit`` is for calculations.
     """
     facts = {"group": group, "check": check, "help": text, "metavar": metavar}
     facts |= {"unit": unit, "commands": only or GROUPS[group]}
@@ -113,7 +113,7 @@ _in_c = partial(_setting, "speeds in units of c")
 
 @dataclass(frozen=True, kw_only=True)
 class MeasurementSettings:
-    """The settings that `~astro_scc.StackedCrossCorrelation` has."""
+    """The settings of `~astro_scc.StackedCrossCorrelation`."""
 
     scales: tuple = _measure(
         check_scales,
@@ -207,20 +207,22 @@ class MeasurementSettings:
 @dataclass(frozen=True, kw_only=True)
 class Settings(MeasurementSettings):
     """
-    All that determines a measurement.
+    All settings that determine a measurement.
 
     Attributes
     ----------
     scales, max_speed, ..., distance
-        Those of `~astro_scc.StackedCrossCorrelation`, and the epochs, the trials, the
-        distance of the object, and those of ``astro-scc profile`` and ``track``; the
-        table in :ref:`command_line` explains them.  None is not given.
+        The settings of `~astro_scc.StackedCrossCorrelation`, the epochs, the trials,
+        the distance of the object, and the settings of ``astro-scc profile`` and
+        ``track``; the table in :ref:`command_line` explains them.  None means that
+        a setting is not given.
 
     Raises
     ------
     ValueError
-        In one line with name, value and what it must be; its attribute ``setting``
-        is the name.  A `~astropy.units.UnitConversionError` if it is the unit.
+        If a value is not allowed.  The message is one line with the name, the value
+        and what it must be; the attribute ``setting`` is the name.  For a wrong unit
+        it is a `~astropy.units.UnitConversionError`.
 
     Examples
     --------
@@ -344,7 +346,7 @@ class Settings(MeasurementSettings):
 
     @property
     def in_c(self):
-        """How to turn proper motions into speeds, the options of `components_in_c`."""
+        """Options with which `components_in_c` turns proper motions into speeds."""
         if self.distance is not None:
             return {"distance": self.distance}
         if self.redshift is not None:
@@ -353,7 +355,7 @@ class Settings(MeasurementSettings):
 
     def to_dict(self, command="measure"):
         """
-        Return what a command uses as text, numbers and lists.
+        Return the settings of a command as text, numbers and lists.
 
         Parameters
         ----------
@@ -363,8 +365,8 @@ class Settings(MeasurementSettings):
         Returns
         -------
         dict
-            Without what is None.  `Settings` makes the same values of it, to the
-            last bit.
+            Without the settings that are None.  `Settings` makes the same values
+            from it, to the last bit.
         """
         return {
             name: _plain(getattr(self, name))
@@ -374,14 +376,14 @@ class Settings(MeasurementSettings):
 
     def to_toml(self, command="measure", *, versions=None):
         """
-        Return what a command uses as the text of a TOML file.
+        Return the settings of a command as the text of a TOML file.
 
         Parameters
         ----------
         command : str, optional
             See `to_dict`.
         versions : dict of str, optional
-            Of what writes it.
+            Versions of the software that writes the file.
 
         Returns
         -------
@@ -402,13 +404,13 @@ def _plain(value):
         return f"{float(value.value)!r} {value.unit}"
     if isinstance(value, tuple | list):
         return [_plain(item) for item in value]
-    # Whole numbers read better without a point, and numpy's are no TOML.
+    # Whole numbers read better without a point, and TOML cannot hold numpy's.
     if isinstance(value, float):
         return int(value) if value.is_integer() and abs(value) < 1e15 else float(value)
     return value
 
 
-#: What each setting is by its name, in the order of the groups.
+#: Metadata of each setting by its name, in the order of the groups.
 OPTIONS = {
     one.name: one.metadata | {"default": one.default}
     for group in GROUPS
@@ -429,13 +431,13 @@ def check_setting(name, value, label=None):
 
 
 def require(name, value):
-    """Return the value of a setting in the unit that is computed with; None stays."""
+    """Return the value of a setting in the unit of calculations; None stays None."""
     found, unit = check_setting(name, value), OPTIONS[name]["unit"]
     return found.to(unit) if unit and hasattr(found, "to") else found
 
 
 def override(given, own):
-    """Return settings with others over them; one kind of distance replaces another."""
+    """Return settings updated by others; distance and redshift replace each other."""
     if "distance" in own:
         given = {k: v for k, v in given.items() if k not in ("redshift", "cosmology")}
     elif "redshift" in own:
@@ -444,7 +446,7 @@ def override(given, own):
 
 
 def settings_table():
-    """Return rows of key, example or default, command line or not, and meaning."""
+    """Return rows of key, command-line option, example or default, and meaning."""
     rows = []
     for name, facts in OPTIONS.items():
         default, metavar = facts["default"], facts["metavar"]
@@ -465,7 +467,7 @@ def read_toml(path):
     except RecursionError:
         raise ValueError(f"{path}: is not a TOML file: nested too deep") from None
     except ValueError as error:
-        # Of the encoding, of TOML, of numbers with thousands of digits.
+        # Errors of the encoding, of TOML, of numbers with thousands of digits.
         raise ValueError(f"{path}: is not a TOML file: {error}") from None
 
 
@@ -481,7 +483,7 @@ def read_config(path):
     Returns
     -------
     given : dict
-        The values as they stand there, for `Settings`.
+        The values as they are in the file, for `Settings`.
     versions : dict of str
 
     Raises
@@ -489,7 +491,8 @@ def read_config(path):
     OSError
         If the file cannot be read.
     ValueError
-        If it is no TOML, has a key that is no setting, or a value that cannot be.
+        If the file is not TOML, has a key that is not a setting, or a value that is
+        not allowed.
 
     Examples
     --------

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Correlation: each SSP with the images of other epochs, as matches in pixels."""
+"""Correlation of SSPs with the images of other epochs, giving matches in pixels."""
 
 from astro_scc.correlation.correlate import Correlator, all_pairs
 from astro_scc.correlation.matches import Matches, target_ssps

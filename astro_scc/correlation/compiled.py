@@ -1,11 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Coefficients summed pixel by pixel, compiled by numba.
+Correlation coefficients summed pixel by pixel, compiled by numba.
 
-Patterns are much smaller than the windows they are looked for in, and a
-segmented plane is mostly empty, so that a compiled sum over the pixels of a
-pattern takes less time than transforms.  Importing this module takes the
-package numba.
+SSPs are much smaller than the windows in which they are searched for, and a
+segmented plane is mostly empty, so a compiled sum over the pixels of an SSP
+is faster than transforms.  Importing this module requires numba.
 """
 
 import numpy as np
@@ -13,33 +12,33 @@ from numba import njit
 
 from astro_scc.correlation.zncc import VARIANCE_FLOOR
 
-#: Up to this times N log2(N) products, sums are quicker than transforms of N
+#: Sums of up to this times N log2(N) products are faster than transforms of N
 #: pixels.
 WORTH = 40.0
-#: Loops of a few lines are compiled where they are called.
+#: Options for short loops, which are compiled where they are called.
 PART = {"error_model": "numpy", "inline": "always"}
 
 
 def _kept(function):
-    """Compile a function, and keep it for the next process where that can be."""
+    """Compile a function, and cache it for other processes if possible."""
     try:
         return njit(error_model="numpy", cache=True)(function)
-    except RuntimeError:  # no folder may be written to
+    except RuntimeError:  # no folder is writable
         return njit(error_model="numpy")(function)
 
 
 def worth_it(template):
-    """Tell whether summing is quicker than transforms."""
+    """Return whether summing is faster than transforms."""
     n = np.prod(template.fft_shape)
     return template.n_pixels * np.prod(template.result_shape) < WORTH * n * np.log2(n)
 
 
 def compiled_coefficients(stack, targets, corner, template):
     """
-    Return coefficients of a template in some images of a stack.
+    Return the coefficients of a template in some images of a stack.
 
-    The same as ``template.of_windows`` of windows that begin at ``corner`` and miss
-    no pixel, but for rounding.
+    Except for rounding, they equal those of ``template.of_windows`` for windows that
+    begin at ``corner`` and have no missing pixel.
     """
     result = np.empty((len(targets), *template.result_shape))
     footprint = template.footprint > 0
@@ -57,7 +56,7 @@ def compiled_coefficients(stack, targets, corner, template):
 
 
 def _runs(footprint):
-    """Rows of a footprint: row, first and last column, and pixels before."""
+    """Return a footprint's runs: row, first column, end column, and pixels before."""
     edges = np.diff(np.pad(footprint, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     row, first = np.nonzero(edges == 1)
     last = np.nonzero(edges == -1)[1]
@@ -67,7 +66,7 @@ def _runs(footprint):
 
 @njit(**PART)
 def _extent(line):
-    """From the first value that is not zero to the last."""
+    """Return where the values that are not zero begin and end."""
     begin, end = 0, len(line)
     while begin < end and line[begin] == 0:
         begin += 1
@@ -78,7 +77,7 @@ def _extent(line):
 
 @njit(**PART)
 def _accumulate(line, begin, end, sums, squares):
-    """Sums of values, and of squares, to the left of each pixel."""
+    """Write the sums of values, and of squares, to the left of each pixel."""
     sums[: begin + 1] = 0.0
     squares[: begin + 1] = 0.0
     total, square = 0.0, 0.0
@@ -94,7 +93,7 @@ def _accumulate(line, begin, end, sums, squares):
 def _normalise(covariance, total, square, share, floor, result):
     for x in range(len(result)):
         variance = square[x] - total[x] * total[x] * share
-        # Without a branch it is done for several at once.
+        # Without a branch the compiler can vectorise this.
         result[x] = covariance[x] / np.sqrt(variance if variance > floor else np.inf)
 
 
@@ -110,7 +109,7 @@ def _difference(sums, first, last, result):
 def _product(line, values, result):
     n = len(result)
     done = len(values) // 4 * 4
-    # Four at a time: the result is read and written less often.
+    # Four at a time, so that the result is read and written less often.
     for i in range(0, done, 4):
         a, b, c, d = values[i], values[i + 1], values[i + 2], values[i + 3]
         own = line[i : i + n + 3]
@@ -128,9 +127,9 @@ def _sum_up(stack, targets, corner, shape, runs, values, least, result):
     share = 1 / len(values)
     _, ny, nx = result.shape
     image = np.zeros((height, width))
-    # To the left of each pixel: one subtraction sums up a run.
+    # Sums to the left of each pixel: one subtraction gives the sum over a run.
     sums, squares = np.zeros((height, width + 1)), np.zeros((height, width + 1))
-    # First and last column of a row that is not zero.
+    # Columns where the values of a row that are not zero begin and end.
     begin, end = np.zeros(height, np.int64), np.zeros(height, np.int64)
     covariance, total, square = np.zeros(nx), np.zeros(nx), np.zeros(nx)
     for t in range(len(targets)):

@@ -19,13 +19,13 @@ from astro_scc.correlation.targets import (
 from astro_scc.correlation.zncc import fft_shape, find_peaks
 from astro_scc.decomposition import SSPs
 
-#: Pixels of windows that a block correlates, about half a second's work.
+#: Pixels of windows that a block correlates, about half a second of work.
 BLOCK_WORK = 2**24
 #: Bytes of target planes that a block holds.
 STACK_BYTES = 2**26
-#: Fewer windows than these are done before the loops are compiled.
+#: With fewer windows the loops are not compiled, which would take longer.
 COMPILE_FROM = 100_000
-#: With fewer pixels than these, two of them, anything matches anything.
+#: Fewest pixels of an SSP: with two pixels anything matches anything.
 FEWEST_PIXELS = 3
 
 
@@ -64,21 +64,21 @@ class Correlator:
         Whether the target is the plane with everything outside its SSPs
         set to zero, or the plane as it is (the paper's equation).
     min_overlap : float
-        Share of the SSP's pixels that must fall on existing pixels of the
+        Fraction of the SSP's pixels that must fall on valid pixels of the
         target image, for a displacement and for its eight neighbours.
     compiled : bool, optional
-        Whether small SSPs are summed up by loops that `numba
-        <https://numba.pydata.org>`_ compiles, rather than transformed.  By
-        default that is so where numba is installed (the extra ``fast``) and
-        there are more than 100 000 windows, as compiling takes some
-        seconds the first time.  Coefficients differ by rounding only.
+        Whether small SSPs are correlated by loops that `numba
+        <https://numba.pydata.org>`_ compiles, instead of by transforms.  By
+        default they are if numba is installed (the extra ``fast``) and there
+        are more than 100 000 windows, because compiling takes some seconds
+        the first time.  Coefficients differ by rounding only.
 
     Raises
     ------
     ValueError
         If a setting is out of its range.
     ImportError
-        If ``compiled`` is asked for without numba.
+        If ``compiled`` is True and numba is not installed.
 
     Examples
     --------
@@ -131,35 +131,35 @@ class Correlator:
         Parameters
         ----------
         decompositions : sequence of `~astro_scc.decomposition.Decomposition`
-            One for each epoch, of images of one shape and with the same scales.
+            One for each epoch, with images of one shape and the same scales.
         pairs : array_like of int, shape (n_pairs, 2)
             Reference and target epoch.
         search_radius : int or tuple of int
-            Largest displacement in pixels, of (y, x) if two.
+            Largest displacement in pixels; two numbers are for (y, x).
         select : array_like of bool, optional
             Which SSPs of the catalogue of all epochs to correlate.
         n_workers : int, str or `dask.distributed.Client`, optional
-            Number of processes, or a Dask scheduler, by its address or a
-            client of it.  With more than one process, a script needs
+            Number of processes, or a Dask scheduler, given by its address or
+            a client.  With more than one process, a script needs
             ``if __name__ == "__main__":`` where processes are spawned, see
             `multiprocessing`.
         progress : callable, optional
             Called with 1 for each reference epoch that is done.
         done : mutable mapping of int to tuple of `~numpy.ndarray`, optional
-            What was found for `blocks` that were done before, by their number;
-            what is found is added.
+            Results of the `blocks` that were done before, by their number;
+            new results are added.
 
         Returns
         -------
         `~astro_scc.correlation.Matches`
-            Its ``ssp`` counts in ``SSPs.of_epochs(decompositions)``.
+            Its ``ssp`` are indices into ``SSPs.of_epochs(decompositions)``.
 
         Raises
         ------
         ValueError
             If pairs name epochs that do not exist, decompositions differ
             in shape or scales, or the search radius, ``select`` or ``n_workers``
-            is not as above.
+            is not as described.
 
         Examples
         --------
@@ -206,10 +206,10 @@ class Correlator:
 
     def blocks(self, decompositions, pairs, search_radius, *, select=None):
         """
-        Cut the pairs of epochs into pieces of work, those of one epoch in turn.
+        Divide the pairs of epochs into blocks of work, by reference epoch.
 
-        How they are cut depends on the epochs, pairs and search radius alone, so
-        that whoever works on them gets the same numbers.  Arguments and errors are
+        The division depends only on the epochs, pairs and search radius, so that
+        any number of workers gives the same numbers.  Arguments and errors are
         those of a call.
 
         Parameters
@@ -277,7 +277,7 @@ class Correlator:
 
 
 def _checked(decompositions, pairs, search_radius):
-    """Return pairs and search radius as arrays of both axes, or say what is wrong."""
+    """Return pairs as an array, and the search radius on both axes."""
     if len({(d.planes.shape, d.scales) for d in decompositions}) > 1:
         raise ValueError("all epochs must have one shape and the same scales")
     pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
@@ -293,7 +293,7 @@ def _checked(decompositions, pairs, search_radius):
 
 
 def _groups(epochs, work, limit):
-    """Put consecutive epochs together, as long as their work is below a limit."""
+    """Group consecutive epochs as long as their work is below a limit."""
     groups, total = [[]], 0.0
     for epoch in epochs.tolist():
         if groups[-1] and total + work[epoch] > limit:
@@ -305,11 +305,11 @@ def _groups(epochs, work, limit):
 
 
 def _all_windows(boxes, search_radius):
-    """Return origin and size of what the windows of some SSPs take in."""
+    """Return the origin and size of the area that the windows of some SSPs cover."""
     corners, sizes = boxes[:, :2] - search_radius, boxes[:, 2:] - boxes[:, :2]
     sizes, which = np.unique(sizes, axis=0, return_inverse=True)
     shapes = np.array([fft_shape(size, search_radius) for size in sizes])
-    # Beside the outermost displacement values are looked up as well.
+    # Values beside the outermost displacement are needed as well.
     origin = corners.min(axis=0) - 2
     end = (corners + shapes[which.ravel()]).max(axis=0) + 2
     return origin, tuple((end - origin).tolist())
@@ -318,9 +318,9 @@ def _all_windows(boxes, search_radius):
 @dataclass(frozen=True, eq=False, repr=False)
 class PairBlock:
     """
-    Some pairs of epochs, with all that correlating them takes.
+    Some pairs of epochs, with everything needed to correlate them.
 
-    It can be pickled, and `match_block` needs nothing else.  ``patterns`` are the
+    It can be pickled, and is all that `match_block` needs.  ``patterns`` are the
     SSPs of the reference epochs.
     """
 
@@ -332,7 +332,7 @@ class PairBlock:
 
 
 def match_block(block):
-    """Return the columns of the matches of a block, by SSP and then by target."""
+    """Return the columns of the matches of a block, sorted by SSP and target."""
     n = len(block.targets.epochs)
     place = {epoch: k for k, epoch in enumerate(block.targets.epochs.tolist())}
     wanted = {}
@@ -348,7 +348,7 @@ def match_block(block):
 
 
 def _match_scale(block, patterns, scale, wanted):
-    # One displacement more makes maxima at the largest one genuine.
+    # One displacement more shows whether values at the largest one are maxima.
     beyond = np.add(block.search_radius, 1)
     ssps, settings = patterns.ssps, block.settings
     stack = TargetStack(block.targets, scale, *_all_windows(ssps.bbox, beyond))

@@ -20,7 +20,7 @@ COLUMNS = {
 
 
 def join_columns(parts):
-    """Join tuples of the columns ``ssp`` to ``target_snr``, each in its own type."""
+    """Join tuples of the columns ``ssp`` to ``target_snr``, each in its type."""
     return [
         np.concatenate(
             [np.empty(0, kind), *(part[k] for part in parts)],
@@ -36,8 +36,8 @@ class Matches:
     """
     Correlation peaks of SSPs with the images of other epochs.
 
-    Displacements are in pixels and know no dates: whatever dates the
-    epochs have, or are given in a trial, the matches stay the same.
+    Displacements are in pixels and do not depend on dates: the matches stay
+    the same whatever dates the epochs have or are given in a trial.
 
     Attributes
     ----------
@@ -50,14 +50,14 @@ class Matches:
     coefficient : `~numpy.ndarray`, shape (n,)
         Zero-mean normalised cross-correlation of the peak.
     overlap : `~numpy.ndarray`, shape (n,)
-        Share of the SSP's pixels that fall on existing pixels.
+        Fraction of the SSP's pixels that fall on valid pixels.
     target_snr : `~numpy.ndarray`, shape (n,)
-        Largest value of the target plane beside the matched maximum, in
-        units of that plane's noise.
+        Largest value of the target plane in 3 x 3 pixels around the matched
+        position, in units of that plane's noise.
     pairs : `~numpy.ndarray` of int, shape (n_pairs, 2)
         The ordered pairs of epochs that were correlated.
     search_radius : tuple of int
-        Largest displacement (y, x) that was tried.
+        Largest displacement (y, x) that was searched.
     kappa : float
         Smallest coefficient that was kept.
 
@@ -117,7 +117,7 @@ class Matches:
 
     def sorted(self):
         """
-        Return the matches by SSP, and those of one by target.
+        Return the matches sorted by SSP, then by target.
 
         Returns
         -------
@@ -130,7 +130,7 @@ class Matches:
 
     def select(self, keep):
         """
-        Return the matches of indices, or where ``keep`` is true.
+        Return the matches at some indices, or where ``keep`` is true.
 
         Parameters
         ----------
@@ -161,7 +161,7 @@ class Matches:
         """
         Return the matches as an `~astropy.table.Table` in pixels.
 
-        One row a peak; the pairs, search radius and kappa are in its meta.
+        It has one row per peak, and its meta has the pairs, search radius and kappa.
 
         Returns
         -------
@@ -178,7 +178,7 @@ class Matches:
     @classmethod
     def from_table(cls, table):
         """
-        Read what `to_table` wrote.
+        Return the matches in a table of `to_table`.
 
         Parameters
         ----------
@@ -207,7 +207,7 @@ class Matches:
 
     def same_as(self, other):
         """
-        Tell whether all fields equal those of other matches.
+        Return whether all fields equal those of other matches.
 
         Parameters
         ----------
@@ -225,20 +225,20 @@ class Matches:
 
 def target_ssps(matches, ssps):
     """
-    Find the SSP of the target epoch nearest to where each match falls.
+    Find the SSP of the target epoch that is nearest to each match.
 
     Parameters
     ----------
     matches : `~astro_scc.correlation.Matches`
     ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs.
+        The SSPs of all epochs.
 
     Returns
     -------
     `~numpy.ndarray` of int, shape (n_matches,)
         Index in ``ssps`` of the SSP of the same scale whose maximum is
-        nearest to the SSP's maximum carried along by the displacement, if
-        it is within one scale; otherwise -1.
+        nearest to the maximum of the matched SSP plus the displacement, if
+        they are within one scale; otherwise -1.
 
     Examples
     --------
@@ -275,9 +275,9 @@ def target_ssps(matches, ssps):
 
 
 def _grouped(number, n):
-    """Return indices by group number, and where each of n groups begins."""
+    """Return indices sorted by group number, and where each of n groups begins."""
     if n < 2**15:
-        # Small integers are sorted without comparisons.
+        # Small integers are radix-sorted, which is faster.
         number = number.astype(np.int16)
     order = np.argsort(number, kind="stable")
     return order, np.searchsorted(number[order], np.arange(n + 1))

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Work in several processes, of this machine or of a Dask cluster."""
+"""Work in several processes, on this machine or a Dask cluster."""
 
 import importlib
 import math
@@ -23,16 +23,15 @@ from multiprocessing.connection import wait as wait_for_any
 from numbers import Integral
 from pathlib import Path
 
-#: Pieces that wait for each process or thread; bounds memory, and how long an
-#: interrupted run takes to end.
+#: Pieces that wait for each process or thread; this limits memory, and the time that
+#: an interrupted run takes to end.
 WAITING = 2
-#: Seconds that a worker has to send a result before it ends: of one that is sent in
-#: part the pool would await the rest for ever.
+#: Seconds that a terminated worker has to send a result: the pool would wait for ever
+#: for the rest of a result that was sent in part.
 GRACE = 0.5
-#: Seconds after which a scheduler that does not answer is given up.
+#: Seconds to wait for a scheduler to answer.
 TIMEOUT = 15
-#: Seconds after which work that no worker is there for is given up, and seconds
-#: between two looks at whether there is one.
+#: Seconds to wait for a cluster without workers, and seconds between two checks.
 WITHOUT_WORKERS = 45
 LOOK = 5
 #: Limits of containers and of the jobs of batch systems.
@@ -50,16 +49,16 @@ LOST = "the scheduler was lost; start it and this again"
 
 def machine_memory():
     """
-    Return the memory that this process may take, in bytes.
+    Return the memory that this process may use, in bytes.
 
-    That of the machine, or of the container or job if these have less;
-    infinite where the system does not say.
+    It is that of the machine, or of the container or job if these have less,
+    and infinite if the system does not tell.
     """
     limits = [math.inf]
     with suppress(AttributeError, ValueError, OSError):
         limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     for name in CONTROL_GROUPS:
-        # "max" where there is no limit.
+        # The file contains "max" if there is no limit.
         with suppress(ValueError, OSError):
             limits.append(int(Path(name).read_text(encoding="ascii")))
     with suppress(ImportError):
@@ -75,10 +74,11 @@ def workers_of(n_workers):
     """
     Open workers for several calls of `in_order` and `as_done`.
 
-    ``n_workers`` is a number of processes, the address of a Dask scheduler or a
-    client of one; yields the number or the client.  A client that is opened here
-    is closed at the end.  Raises ValueError for a number below 1, TypeError for
-    anything else, ImportError without Dask, OSError if a scheduler does not answer.
+    ``n_workers`` is a number of processes, or the address or a client of a Dask
+    scheduler; yields the number or the client.  A client that is opened here is
+    closed at the end.  Raises a ValueError for a number below 1, a TypeError for
+    anything else, an ImportError without Dask, and an OSError if a scheduler does
+    not answer.
     """
     if isinstance(n_workers, str):
         with open_client(n_workers) as client:
@@ -100,10 +100,11 @@ def in_order(function, pieces, n_workers, *, context=None):
     """
     Apply a function to pieces of work, and yield the results in their order.
 
-    Pieces are taken as they are needed: a few for each worker are in memory.  With
-    more than one worker the function must be importable there.  ``context`` is the
-    start method of `multiprocessing`.  Errors are raised as they are; those of
-    `workers_of` and an OSError if a worker dies or a scheduler is lost besides.
+    Pieces are taken as they are needed, so only a few for each worker are in memory.
+    With more than one worker the function must be importable there.  ``context`` is
+    the start method of `multiprocessing`.  Errors of the function are raised
+    unchanged; beside them there are those of `workers_of`, and an OSError if a worker
+    dies or the scheduler is lost.
     """
     with workers_of(n_workers) as workers:
         if workers == 1:
@@ -121,9 +122,9 @@ def as_done(function, pieces, n_workers, *, context=None):
     """
     Apply a function to pieces of work that may fail.
 
-    Yields the index of the piece, whichever is done first, and its result or the
-    `Exception` that was raised.  A piece whose process dies is done once more, by
-    itself, before it counts as failed.  Arguments and errors are those of `in_order`.
+    Yields, in the order of completion, the index of a piece and its result, or the
+    `Exception` that was raised.  A piece whose process dies is tried once more, alone,
+    before it counts as failed.  Arguments and errors are those of `in_order`.
     """
     with workers_of(n_workers) as workers:
         if workers == 1:
@@ -145,7 +146,7 @@ def _outcome(function, *args):
 
 
 def _result(future):
-    """Return the result of a future, or say in one way why there is none."""
+    """Return the result of a future, or raise a uniform error for lost workers."""
     try:
         return future.result()
     except BrokenProcessPool:
@@ -153,7 +154,7 @@ def _result(future):
     except CancelledError:
         raise OSError(LOST) from None
     except Exception as error:
-        # Of Dask's KilledWorker.
+        # Dask's KilledWorker has this attribute.
         if not hasattr(error, "last_worker"):
             raise
         raise ChildProcessError(
@@ -163,7 +164,7 @@ def _result(future):
 
 
 def _next_done(waiting, wait_for, ordered):
-    """Take the item whose future is done first, or the first one."""
+    """Take the item whose future is done first or, if ordered, the first item."""
     futures = [future for _, future in waiting]
     wait_for(futures[:1] if ordered else futures)
     done = (k for k, future in enumerate(futures) if ordered or future.done())
@@ -171,7 +172,7 @@ def _next_done(waiting, wait_for, ordered):
 
 
 def _in_pool(pool, n_workers, function, items, *, ordered=True):
-    """Yield numbered pieces and their futures, each when it is done."""
+    """Yield numbered pieces and their futures, once they are done."""
     waiting, wait_for = [], partial(wait, return_when=FIRST_COMPLETED)
     for item in items:
         try:
@@ -194,7 +195,7 @@ def _as_done(function, items, n_workers, context):
     while True:
         lost = []
         with _processes(n_workers, context) as pool:
-            # Processes that do not even start lose nothing but themselves.
+            # If processes cannot start at all, no piece is tried.
             _result(pool.submit(os.getpid))
             done = _in_pool(pool, n_workers, function, until_broken(), ordered=False)
             for item, future in done:
@@ -203,7 +204,7 @@ def _as_done(function, items, n_workers, context):
                 else:
                     yield item[0], _outcome(_result, future)
         for index, piece in lost:
-            # Alone, so that no other suffers from what it does.
+            # Alone, so that it cannot harm other pieces.
             with _processes(1, context) as pool:
                 yield index, _outcome(_result, pool.submit(_work, function, piece))
         if not lost:
@@ -212,7 +213,7 @@ def _as_done(function, items, n_workers, context):
 
 @contextmanager
 def _processes(n_workers, context):
-    """Open a pool whose processes do not outlive it, at work or not."""
+    """Open a pool of processes that end with it, even at work."""
     context = multiprocessing.get_context(context)
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(n_workers, context, initializer=_start)
@@ -232,7 +233,7 @@ def _processes(n_workers, context):
 
 def _start():
     """Prepare a worker process."""
-    # The parent ends on what its terminal sends, and then ends its workers.
+    # The parent handles the signals of its terminal, and then ends its workers.
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -241,11 +242,11 @@ def _start():
         signal.signal(
             signal.SIGTERM, lambda *_: signal.setitimer(signal.ITIMER_REAL, GRACE)
         )
-    # One that is killed cannot end them.
+    # A parent that is killed cannot end its workers.
     threading.Thread(target=_end_with_parent, daemon=True).start()
     from threadpoolctl import threadpool_limits
 
-    # More workers than one already share the processor.
+    # The workers already share the processor.
     threadpool_limits(1)
 
 
@@ -255,7 +256,7 @@ def _end_with_parent():
 
 
 def _work(function, piece):
-    """Call the function in a worker, which ends here if it was told to."""
+    """Call the function in a worker, which ends afterwards if it was terminated."""
     result = function(piece)
     if hasattr(signal, "getitimer") and signal.getitimer(signal.ITIMER_REAL)[0]:
         os._exit(1)
@@ -264,7 +265,7 @@ def _work(function, piece):
 
 @contextmanager
 def open_client(address):
-    """Connect to a Dask scheduler, such as ``tcp://node1:8786``, for a while."""
+    """Connect to a Dask scheduler, such as ``tcp://node1:8786``, in this context."""
     distributed = _dask()
     try:
         client = distributed.Client(address, timeout=TIMEOUT, set_as_default=False)
@@ -277,11 +278,11 @@ def open_client(address):
 
 @contextmanager
 def open_local(n_workers):
-    """Start a Dask cluster of processes of one thread on this machine for a while."""
+    """Start a Dask cluster of one-thread processes on this machine in this context."""
     distributed = _dask()
     options = {"processes": True, "threads_per_worker": 1, "memory_limit": None}
     with warnings.catch_warnings():
-        # That the usual port of the dashboard is taken; it gets another one.
+        # If the usual port of the dashboard is taken, it gets another one.
         warnings.filterwarnings("ignore", "Port 8787", UserWarning)
         cluster = distributed.LocalCluster(n_workers=n_workers, **options)
     with cluster, distributed.Client(cluster, set_as_default=False) as client:
@@ -301,9 +302,9 @@ def _dask():
 
 def _on_cluster(client, function, pieces, *, ordered=True):
     """
-    Yield numbered pieces and their futures, each when a cluster has done it.
+    Yield numbered pieces and their futures, once a cluster has done them.
 
-    A piece whose worker dies is done again by another one.
+    Another worker repeats a piece whose worker dies.
     """
     _check_import(client, function)
     waiting, wait_for = [], partial(_wait_on_cluster, client)
@@ -321,11 +322,11 @@ def _on_cluster(client, function, pieces, *, ordered=True):
 
 
 def _check_import(client, function):
-    """Refuse workers that would die of a function that they cannot import."""
+    """Raise an OSError if the workers cannot import the function."""
     name = getattr(function, "__module__", None) or "builtins"
 
     def load():
-        # Sent as it stands: this module might be the one that is not there.
+        # Pickled by value, since this module may be the missing one.
         importlib.import_module(name)
 
     future = _submit(client, load)
@@ -340,7 +341,7 @@ def _check_import(client, function):
 
 
 def _ask(client, ask, *args, **options):
-    """Ask the scheduler, and say in one way that it is lost."""
+    """Ask the scheduler, and raise a uniform error if it is lost."""
     try:
         return ask(*args, **options)
     except Exception as error:
@@ -351,8 +352,8 @@ def _ask(client, ask, *args, **options):
 
 def _submit(client, function, *args):
     with warnings.catch_warnings():
-        # That a piece is large: it goes to one worker once.  Data that were
-        # sent before would be lost with the worker that holds them.
+        # Pieces are large, but each is sent once to one worker.  Scattered data would
+        # be lost with the worker that holds them.
         warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
         return _ask(client, client.submit, function, *args, pure=False)
 
@@ -365,13 +366,13 @@ def _one_thread(function, piece):
 
 
 def _wait_on_cluster(client, futures):
-    """Wait until one is done, as long as there are workers."""
+    """Wait until one future is done, as long as there are workers."""
     from distributed import wait
 
     last = time.monotonic()
     while True:
         with suppress(TimeoutError), client.as_current():
-            # All are cancelled when the scheduler is lost.
+            # All futures are cancelled when the scheduler is lost.
             with suppress(CancelledError):
                 wait(
                     futures,

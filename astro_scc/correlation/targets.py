@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What a block of pairs of epochs is correlated with: patterns, and target planes."""
+"""The patterns and the target planes of a block of pairs of epochs."""
 
 from dataclasses import dataclass
 
@@ -8,23 +8,23 @@ import numpy as np
 from astro_scc.correlation.zncc import Template
 from astro_scc.decomposition import SSPs
 
-#: Windows transformed at once: more of them leave the cache.
+#: Windows transformed at once; more would not fit into the processor's cache.
 BATCH = 10
-#: Transforms of a batch are kept below this number of pixels.
+#: Largest number of pixels in the transforms of a batch.
 BATCH_PIXELS = 2_000_000
-#: Windows that compiled loops sum up at once.
+#: Windows that compiled loops process at once.
 COMPILED_BATCH = 64
 
 
 def image_part(shape, origin, size):
-    """Return the part of an image of a shape that a box holds, as slices."""
+    """Return the slices of a box, clipped to an image of a shape."""
     low = np.clip(origin, 0, shape).tolist()
     high = np.clip(np.add(origin, size), 0, shape).tolist()
     return tuple(map(slice, low, high))
 
 
 def _moved(part, origin):
-    """Return slices counted from another origin."""
+    """Return slices relative to another origin."""
     return tuple(
         slice(int(p.start - o), int(p.stop - o))
         for p, o in zip(part, origin, strict=True)
@@ -33,7 +33,7 @@ def _moved(part, origin):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Patterns:
-    """SSPs, their indices in the catalogue of all epochs, and their pixels' values."""
+    """SSPs, their indices in the catalogue of all epochs, and their pixel values."""
 
     ssps: SSPs
     index: np.ndarray
@@ -41,7 +41,7 @@ class Patterns:
 
     @classmethod
     def of(cls, decompositions, ssps):
-        """Take the values of all SSPs out of the decompositions."""
+        """Return all SSPs with their values from the decompositions."""
         values = [np.empty(0, np.float32)]
         for i, (epoch, scale) in enumerate(zip(ssps.epoch, ssps.scale, strict=True)):
             own = decompositions[epoch]
@@ -49,12 +49,12 @@ class Patterns:
         return cls(ssps, np.arange(len(ssps)), np.concatenate(values, dtype=np.float32))
 
     def select(self, keep):
-        """Return those for which ``keep`` is true."""
+        """Return the patterns for which ``keep`` is true."""
         values = self.values[np.repeat(keep, self.ssps.n_pixels)]
         return Patterns(self.ssps.select(keep), self.index[keep], values)
 
     def template(self, i, width, search_radius):
-        """Return one SSP of images of a width as a `Template`."""
+        """Return one SSP as a `Template`; ``width`` is that of the images."""
         y0, x0, y1, x1 = self.ssps.bbox[i]
         rows, columns = np.divmod(self.ssps.pixels_of(i), width)
         inside = rows - y0, columns - x0
@@ -68,11 +68,10 @@ class Patterns:
 @dataclass(frozen=True, eq=False, repr=False)
 class Targets:
     """
-    What the images of some epochs hold on all scales.
+    The target planes of some epochs on all scales.
 
-    Either ``patterns``, their SSPs beside which nothing counts, or ``planes``, the
-    planes as they are, of which only a ``part`` is there.  Equal ``masks`` are one
-    object.
+    They are either ``patterns``, SSPs outside of which the planes are zero, or
+    ``planes``, a ``part`` of the planes as they are.  Equal ``masks`` are one object.
     """
 
     epochs: np.ndarray
@@ -86,7 +85,7 @@ class Targets:
 
     @classmethod
     def of(cls, decompositions, epochs, part, patterns):
-        """Take epochs out of the decompositions; their planes without patterns."""
+        """Return the targets of some epochs, with planes if there are no patterns."""
         own, masks = [decompositions[epoch] for epoch in epochs], []
         for mask in (d.mask for d in own):
             masks.append(next((m for m in masks if np.array_equal(m, mask)), mask))
@@ -101,7 +100,7 @@ class Targets:
 
 
 class TargetStack:
-    """The target planes of one scale, padded, to cut windows from."""
+    """The padded target planes of one scale, from which windows are cut."""
 
     def __init__(self, targets, scale, origin, size):
         self.origin, self.shape = origin, targets.shape
@@ -117,7 +116,7 @@ class TargetStack:
                 own[inside] = planes[plane][part]
         else:
             self._draw(targets, scale)
-        # Which pixels exist, for each different mask, and the number of each target's.
+        # Valid pixels for each different mask, and the index of each target's mask.
         self.valid, numbers = [], {}
         for mask in targets.masks:
             if id(mask) not in numbers:
@@ -141,11 +140,11 @@ class TargetStack:
 
     def displacements(self, box, search_radius):
         """
-        Return the displacements at which an SSP may fall on anything.
+        Return the displacements at which an SSP may overlap a target SSP.
 
-        As a middle, and how far they go to both sides of it, or None if there are
-        none.  Coefficients are zero at all others, of which one more on every side
-        is taken in, so that no maximum lies at the border.
+        They are given by their middle and half their range, which is None if there
+        are none.  Coefficients are zero at all other displacements.  One more of
+        these is included on every side, so that no maximum lies at the border.
         """
         middle = np.zeros(2, int)
         if self.boxes is None:
@@ -158,21 +157,21 @@ class TargetStack:
         high = self.boxes[touch, 2:].max(axis=0) - box[:2]
         low, high = np.maximum(low, -search_radius), np.minimum(high, search_radius)
         half = (high - low + 1) // 2
-        # An odd number of displacements: one more, but not beyond the radius.
+        # If their number is even, one more is added, but not beyond the radius.
         return np.minimum(low + half, search_radius - half), half
 
     def _touching(self, low, high):
         return ((self.boxes[:, :2] < high) & (self.boxes[:, 2:] > low)).all(axis=1)
 
     def not_empty(self, corner, shape):
-        """Tell which targets have anything in a window."""
+        """Return which targets may have values in a window."""
         if self.boxes is None:
             return np.ones(len(self.values), dtype=bool)
         owners = self.owner[self._touching(corner, corner + shape)]
         return np.bincount(owners, minlength=len(self.values)) > 0
 
     def alike(self, targets, corner, template, min_overlap):
-        """Group the targets that miss the same pixels, with what that does."""
+        """Return groups of targets that miss the same pixels, with their `Overlap`."""
         (y, x), (h, w) = corner, template.fft_shape
         number, whole, groups = self.number[targets], [], []
         for k in np.unique(number):
@@ -187,7 +186,7 @@ class TargetStack:
         return groups
 
     def coefficients(self, targets, corner, template, overlap, compiled):
-        """Yield some targets at a time, and their coefficients."""
+        """Yield the targets in batches, with their coefficients."""
         shape = template.fft_shape
         batch = int(np.clip(BATCH_PIXELS // np.prod(shape), 1, BATCH))
         if compiled:

@@ -9,9 +9,9 @@ from scipy import fft
 
 from astro_scc.decomposition.segmentation import quadratic_peak
 
-#: Local variances below this share of a window's energy are rounding, of
-#: which 7e-16 was measured.  A pattern then still counts beside a core a
-#: million times brighter, with an error of 0.002.
+#: Local variances below this fraction of a window's energy are rounding errors,
+#: which were measured as 7e-16.  A pattern beside a core a million times brighter
+#: still counts, with an error of 0.002.
 VARIANCE_FLOOR = 5e-15
 #: Patterns that vary by less than this, relative to their values, are flat.
 FLAT = 1e-14
@@ -24,8 +24,8 @@ def zncc(a, b):
     .. math:: C = \frac{\sum \bar a_i \bar b_i}
                        {\sqrt{\sum \bar a_i^2 \sum \bar b_i^2}},
 
-    bars marking values minus their mean (Mertens & Lobanov 2016, Eq. 3;
-    Giachetti 2000).  This is the definition; `correlate_windows` is
+    where bars mark values minus their mean (Mertens & Lobanov 2016, Eq. 3;
+    Giachetti 2000).  This function is the definition; `correlate_windows` is
     equivalent to it.
 
     Parameters
@@ -49,7 +49,7 @@ def zncc(a, b):
 
 
 def _zero_mean(values):
-    """Return values minus their mean, exactly zero where that is only rounding."""
+    """Return values minus their mean, all zero if they differ by rounding only."""
     values = np.asarray(values, dtype=float)
     deviation = values - values.mean()
     flat = np.abs(deviation).max() <= FLAT * np.abs(values).max()
@@ -60,7 +60,7 @@ def fft_shape(shape, search_radius):
     """
     Return the shape of the transforms of a template.
 
-    Circular correlation is exact where the template does not wrap.
+    Circular correlation is exact at displacements where the template does not wrap.
     """
     return tuple(
         fft.next_fast_len(int(n + 2 * r), real=True)
@@ -69,15 +69,15 @@ def fft_shape(shape, search_radius):
 
 
 class Overlap(NamedTuple):
-    """What missing pixels do to a template, at each displacement."""
+    """The effect of missing pixels on a template, at each displacement."""
 
-    #: Share of the template's pixels that fall on existing pixels.
+    #: Fraction of the template's pixels that fall on valid pixels.
     share: np.ndarray
-    #: Where that is below the smallest that counts.
+    #: Whether that fraction is too small.
     unjudged: np.ndarray
-    #: Pixels of the template over those that exist.
+    #: Number of pixels of the template over the number of valid ones.
     ratio: np.ndarray
-    #: Sum of the template over existing pixels, per pixel, and one over the
+    #: Scaled mean of the template over valid pixels, and the inverse square
     #: root of its variance there.
     own_mean: np.ndarray
     scale: np.ndarray
@@ -88,9 +88,9 @@ class Template:
     The pixels of one pattern, transformed once for all windows.
 
     ``values`` and ``footprint`` have the shape of the pattern's bounding box; only
-    pixels of the footprint count.  Windows are of ``window_shape`` or, so that
-    they need not be padded, of ``fft_shape``, whatever they hold beyond the
-    former; results of ``result_shape``.
+    pixels of the footprint count.  Windows have the ``window_shape``, or the
+    ``fft_shape`` so that they need no padding; their values beyond the former do not
+    matter.  Results have the ``result_shape``.
     """
 
     def __init__(self, values, footprint, search_radius):
@@ -123,14 +123,14 @@ class Template:
         return np.conj(fft.rfft2(array, self.fft_shape))
 
     def _correlate(self, window_fft, template_fft):
-        # Rows that are of no displacement are dropped half way.
+        # Rows that belong to no displacement are dropped after the first axis.
         ny, nx = self.result_shape
         columns = fft.ifft(window_fft * template_fft, axis=-2, overwrite_x=True)
         rows = fft.irfft(columns[..., :ny, :], self.fft_shape[1], axis=-1)
         return rows[..., :nx]
 
     def overlap(self, valid, min_overlap):
-        """Return what missing pixels, of shape (..., h, w), do to the template."""
+        """Return the `Overlap` of the template with valid pixels, shape (..., h, w)."""
         valid_fft = fft.rfft2(valid.astype(float), self.fft_shape)
         number = np.rint(self._correlate(valid_fft, self._footprint_fft))
         some = np.maximum(number, 1.0)
@@ -152,7 +152,8 @@ class Template:
         Return the coefficients of windows, shape (..., ny, nx).
 
         Windows are in double precision and zero where pixels are missing; if
-        some are, the `Overlap` says what that does.  NaN where it is too small.
+        some are, ``overlap`` accounts for them, and coefficients are NaN where
+        it is too small.
         """
         transform = fft.rfft2(windows, self.fft_shape)
         squares = windows * windows
@@ -172,7 +173,7 @@ class Template:
         coefficient = covariance / np.sqrt(variance, out=variance)
         if overlap is not None:
             # Beside a displacement that cannot be judged there is no
-            # maximum: the pattern may well have gone further.
+            # maximum, as the pattern may have moved further.
             np.copyto(coefficient, np.nan, where=overlap.unjudged)
         return coefficient
 
@@ -183,9 +184,9 @@ def correlate_windows(
     """
     Correlate a masked pattern with windows at every displacement.
 
-    Equivalent to `zncc` of the pattern's own pixels with the pixels that
-    they fall on, for each displacement; computed with real Fourier
-    transforms in double precision.
+    This is `zncc` of the pattern's own pixels with the pixels that they fall
+    on, for each displacement.  It is computed with real Fourier transforms in
+    double precision.
 
     Parameters
     ----------
@@ -198,24 +199,24 @@ def correlate_windows(
     search_radius : tuple of int
         Largest displacement ``(ry, rx)``.
     valid : array_like of bool, shape of ``windows``, optional
-        False marks missing pixels, and so does what is not finite; both
-        means are then over the pixels that exist.
+        False marks missing pixels; pixels that are not finite are missing as
+        well.  Both means are then over the valid pixels.
     min_overlap : float, optional
-        Share of the pattern's pixels that must fall on existing ones, or
-        else the coefficient is zero.
+        Fraction of the pattern's pixels that must fall on valid ones; where it
+        is smaller, the coefficient is zero.
 
     Returns
     -------
     coefficient : `~numpy.ndarray`, shape (..., 2 ry + 1, 2 rx + 1)
-        Entry ``[ry + dy, rx + dx]`` is the one for displacement (dy, dx).
+        Entry ``[ry + dy, rx + dx]`` is for displacement (dy, dx).
     overlap : `~numpy.ndarray`, same shape
-        Share of the pattern's pixels that fall on existing ones.
+        Fraction of the pattern's pixels that fall on valid ones.
 
     Raises
     ------
     ValueError
-        If the shapes do not fit together, the footprint is empty or the
-        search radius not two numbers of pixels.
+        If the shapes do not fit together, the footprint is empty, or the
+        search radius is not two numbers of pixels.
 
     Examples
     --------
@@ -247,7 +248,7 @@ def correlate_windows(
     if valid is not None:
         exists &= np.asarray(valid, dtype=bool)
     windows = np.where(exists, windows, 0.0)
-    # An offset would swamp the local variances.
+    # A large offset would swamp the local variances with rounding errors.
     number = np.maximum(exists.sum(axis=(-2, -1), keepdims=True), 1)
     windows -= windows.sum(axis=(-2, -1), keepdims=True) / number
     windows[~exists] = 0.0
@@ -263,25 +264,26 @@ def find_peaks(coefficient, threshold):
     """
     Find the local maxima of stacked maps at or above a threshold.
 
-    A pixel is a maximum if none of its eight neighbours is larger or NaN;
-    of equal neighbours the last counts, row by row; pixels of the border are
-    none.  Positions are those of the least-squares quadratic through the nine.
+    A pixel is a maximum if none of its eight neighbours is larger or NaN.  Of
+    equal neighbours the last one counts, row by row; pixels at the border are not
+    maxima.  Positions are those of the least-squares quadratic through the nine
+    values.
 
-    ``coefficient`` has the shape (n, ny, nx).  Returns for each peak which map,
-    y and x in pixels of the map, and the value of the quadratic at its maximum, at
-    least the pixel's own and at most 1.
+    ``coefficient`` has the shape (n, ny, nx).  Returns for each peak the index of
+    its map, y and x in pixels, and the value of the quadratic at its maximum, which
+    is at least that of the pixel and at most 1.
     """
     n, ny, nx = coefficient.shape
     if ny < 3 or nx < 3:
         return tuple(np.empty(0, kind) for kind in (int, float, float, float))
-    # One index for all axes: that is the quickest way to look up values.
+    # One index for all axes is the fastest way to look up values.
     flat = np.ascontiguousarray(coefficient).reshape(-1)
     at = np.flatnonzero(coefficient[:, 1:-1, 1:-1] >= threshold)
     index, at = np.divmod(at, (ny - 2) * (nx - 2))
     y, x = np.divmod(at, nx - 2)
     at = (index * ny + y + 1) * nx + x + 1
     value = flat[at]
-    # Four neighbours first: most candidates fall here, at half the price.
+    # Four neighbours first: they rule out most candidates at half the cost.
     at = at[
         (value >= flat[at - nx])
         & (value >= flat[at - 1])

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Segmented wavelet decomposition: an image as significant structural patterns."""
+"""Segmented wavelet decomposition of images into significant structural patterns."""
 
 from astro_scc.decomposition.decompose import Decomposer, Decomposition
 from astro_scc.decomposition.noise import plane_noise, propagated_noise

@@ -14,7 +14,7 @@ from astro_scc.decomposition.noise import (
 from astro_scc.decomposition.segmentation import SSPs, check_thresholds, find_ssps
 from astro_scc.decomposition.wavelet import missing_pixels, scale_kernel, wavelet_planes
 
-#: Rounding of single precision, below which nothing is significant.
+#: Relative rounding error of single precision, below which nothing is significant.
 ROUNDING = 1e-7
 
 
@@ -31,9 +31,9 @@ class Decomposition:
         Wavelet coefficients in single precision; zero where the image is
         missing.
     noise : tuple of float or `~numpy.ndarray`
-        Standard deviation of the noise of each plane, or a map of it.
+        Standard deviation of the noise of each plane, a number or a map.
     ssps : `SSPs`
-        Of all scales, in the order of ``scales``.
+        SSPs of all scales, in the order of ``scales``.
     mask : `~numpy.ndarray` of bool, shape (ny, nx), or None
         Missing pixels.
 
@@ -120,11 +120,11 @@ class Decomposer:
     detection, segmentation : float
         Thresholds of the maxima and of the pixels of SSPs, in sigma.
     noise : {"plane", "local", "propagated"}
-        Whether sigma is one number from the plane itself, a map of it, or
-        follows from the rms of the image and its beam.
+        Whether sigma is one number measured in the plane, a map measured in
+        it, or follows from the rms of the image and its beam.
     noise_factors : sequence of float, optional
-        Factor on the sigma of "plane" and "local" for each scale, where
-        what looks like noise in one image is structure (`Decomposer.shared_variance`).
+        Factor on the sigma of "plane" and "local" for each scale, if part of
+        the apparent noise is structure (`Decomposer.shared_variance`).
 
     Raises
     ------
@@ -182,7 +182,8 @@ class Decomposer:
         rms : float, optional
             Noise of the image, for ``noise="propagated"``.
         beam_covariance : array_like, shape (2, 2), optional
-            Of the beam over (x, y) in pixels squared, for the same.
+            Covariance of the beam over (x, y) in pixels squared, for
+            ``noise="propagated"``.
 
         Returns
         -------
@@ -192,7 +193,7 @@ class Decomposer:
         ------
         ValueError
             If the image is too small for the scales or has no valid pixel,
-            the mask has not its shape, or ``rms`` is missing.
+            the mask has another shape, or ``rms`` is missing.
         """
         planes, missing, largest = self._planes(image, mask)
         noise = self._noise(planes, missing, rms, beam_covariance)
@@ -217,11 +218,11 @@ class Decomposer:
 
     def shared_variance(self, images, *, masks=(None, None)):
         """
-        Return what two images share beside bright sources on each scale.
+        Return the share of variance that two images have in common on each scale.
 
-        ``images`` and ``masks`` are pairs of shape (ny, nx); returns the share and
-        what chance would give, each of shape (n_scales,).  The share is the largest
-        correlation of the planes, without sources, at any displacement.
+        The share is the largest correlation of the planes, without bright sources,
+        at any displacement.  The standard deviation of the correlation that chance
+        gives is returned beside it.
 
         Parameters
         ----------
@@ -242,11 +243,11 @@ class Decomposer:
         return share, chance
 
     def _planes(self, image, mask):
-        """Return the planes, what is missing, and the largest value there was."""
+        """Return the planes, the missing pixels, and the image's largest magnitude."""
         image, missing = missing_pixels(image, mask)
         if missing.all():
             raise ValueError("the image has no valid pixel")
-        # An offset would cost the digits that single precision has.
+        # An offset would use up the digits of single precision.
         offset = np.median(image[~missing])
         image = np.where(missing, 0.0, image - offset)
         missing = missing if missing.any() else None

@@ -7,7 +7,7 @@ from scipy import ndimage
 from astro_scc.decomposition.wavelet import KERNELS, scale_kernel, scale_size
 
 MAD_TO_SIGMA = 1.482602218505602
-#: Share of a Gaussian's absolute values below ``DECILE_TO_SIGMA`` is a tenth.
+#: A tenth of a Gaussian's absolute values lie below ``sigma / DECILE_TO_SIGMA``.
 DECILE_TO_SIGMA = 1 / 0.12566134685507402
 #: Pixels above this many sigma belong to the source, with their surroundings.
 SOURCE_SNR = 5.0
@@ -16,7 +16,7 @@ LOCAL_ITERATIONS = 3
 
 
 def _mad(values):
-    """Return the robust standard deviation about zero, the mean of a plane."""
+    """Return the robust standard deviation about zero, the mean of wavelet planes."""
     values = np.abs(values[values != 0])
     return MAD_TO_SIGMA * float(np.median(values)) if values.size else 0.0
 
@@ -25,11 +25,11 @@ def source_free(plane, scale, *, mask=None):
     """
     Find the pixels of a wavelet plane that show no source, and their sigma.
 
-    Pixels beyond 5 sigma are taken out together with a disk of one scale
-    around them, sigma being ``1.4826 median |w|`` of all others, until
-    sigma stands still.  The first sigma is that of the faintest tenth of
-    the pixels, so that a source may fill most of the image; where that
-    leaves no sky, it is that of all pixels.
+    Pixels beyond 5 sigma are removed together with a disk of one scale
+    around them, with sigma = ``1.4826 median |w|`` of all others, until
+    sigma converges.  The first sigma is that of the faintest tenth of the
+    pixels, so that a source may fill most of the image; if that leaves no
+    sky, the first sigma is that of all pixels.
     """
     valid = np.ones(plane.shape, dtype=bool) if mask is None else ~np.asarray(mask)
     values = np.abs(plane[valid])
@@ -46,7 +46,7 @@ def source_free(plane, scale, *, mask=None):
 
 
 def _away_from_source(plane, radius, valid, sigma):
-    """Return the pixels further than a radius from those beyond 5 sigma."""
+    """Return the pixels farther than a radius from all pixels beyond 5 sigma."""
     sky = (np.abs(plane) <= SOURCE_SNR * sigma) | ~valid
     away = np.ones(plane.shape, dtype=bool)
     near = tuple(_stretch(~sky.all(axis=axis), int(np.ceil(radius))) for axis in (1, 0))
@@ -57,7 +57,7 @@ def _away_from_source(plane, radius, valid, sigma):
 
 
 def _stretch(some, margin):
-    """Return the slice from the first to the last that is true, and a margin."""
+    """Return the slice from the first to the last true value, with a margin."""
     at = np.flatnonzero(some)
     if len(at) == 0:
         return slice(0, 0)
@@ -65,11 +65,11 @@ def _stretch(some, margin):
 
 
 def _without_source(plane, radius, valid, sigma):
-    """Iterate `source_free` from a first sigma."""
+    """Iterate `source_free`, starting from a first sigma."""
     free = valid
     for _ in range(MAX_ITERATIONS):
         candidate = valid & _away_from_source(plane, radius, valid, sigma)
-        # A sky smaller than one disk is too small to tell a noise.
+        # A sky smaller than one disk is too small to measure noise.
         following = _mad(plane[candidate])
         if candidate.sum() < np.pi * radius**2 or following == 0:
             break
@@ -84,9 +84,9 @@ def plane_noise(plane, scale, *, mask=None):
     """
     Measure the standard deviation of the noise of a wavelet plane in the plane.
 
-    ``1.4826 median |w|`` of the pixels that show no source, which are found
-    in turn: pixels beyond 5 sigma are taken out with a disk of one scale
-    around them until sigma stands still.  Pixels that are exactly zero
+    It is ``1.4826 median |w|`` of the pixels that show no source.  These are
+    found by iteration: pixels beyond 5 sigma are removed, with a disk of one
+    scale around them, until sigma converges.  Pixels that are exactly zero
     (blanked) do not count.
 
     Parameters
@@ -100,13 +100,13 @@ def plane_noise(plane, scale, *, mask=None):
     Returns
     -------
     float
-        Zero if the plane is.
+        Zero if the plane is zero.
 
     Notes
     -----
-    Wavelets of a source reach about two scales (``b1``; four, ``b3``)
-    beyond it.  Where an image holds no sky so far out the number is too
-    large, and ``noise="propagated"`` of `Decomposer` is better.
+    Wavelets of a source reach about two scales (four with ``b3``) beyond it.
+    If an image holds no sky at that distance, the noise is overestimated, and
+    ``noise="propagated"`` of `Decomposer` is better.
 
     Examples
     --------
@@ -124,21 +124,20 @@ def shared_variance(planes, scale, *, masks=(None, None)):
     r"""
     Measure the share of variance beside bright sources that two images have in common.
 
-    With a and b the two planes where neither shows a source (see
-    `plane_noise`) and zero elsewhere, it is the largest correlation at any
-    displacement,
+    It is the largest correlation, at any displacement, of the two planes a and b,
+    each set to zero where it shows a source (see `plane_noise`):
 
     .. math:: \max_d \frac{\sum_x a(x + d)\, b(x)}
-              {\sqrt{\sum a^2 \sum b^2}},
+              {\sqrt{\sum a^2 \sum b^2}}.
 
-    over the whole image, which is taken as periodic.  Noise is of one image
-    alone; what both show is structure that moves or stands still.
+    The image is taken to be periodic.  Noise differs between the images; what they
+    share is structure, which moves or stands still.
 
-    ``planes`` are of one ``scale`` of two epochs, shape (ny, nx), and ``masks``, or
-    None, mark missing pixels.  Returns the share, so that the variance of the noise
+    ``planes`` are those of one ``scale`` at two epochs, shape (ny, nx), and ``masks``,
+    or None, mark missing pixels.  Returns the share, so that the variance of the noise
     is ``1 - share`` of the plane's, or less if structure moves at different
-    velocities or changes; and the standard deviation of what independent planes
-    would give at one displacement, infinite if a plane is zero.
+    velocities or changes; and the standard deviation of the correlation of independent
+    planes at one displacement, which is infinite if a plane is zero.
     """
     skies, parts = [], []
     for plane, mask in zip(planes, masks, strict=True):
@@ -158,14 +157,15 @@ def local_noise(plane, scale, *, mask=None, box_size=None):
     """
     Measure the standard deviation of the noise of a wavelet plane, pixel by pixel.
 
-    The root mean square of the source-free pixels in boxes, interpolated
-    between them (`photutils.background.Background2D` of the squared plane);
-    then the source is found anew with this map.  Boxes that the source
-    fills to 90% are interpolated from the others.
+    It is the root mean square of the source-free pixels in boxes, interpolated
+    between them (`photutils.background.Background2D` of the squared plane).
+    Then the source is found again with this map.  Boxes that the source fills
+    to 90% are interpolated from the others.
 
-    ``box_size``, the side of a box in pixels, is 6 times the scale and at least 32 by
-    default, at most a quarter of the image.  Returns an array of the shape (ny, nx)
-    of the plane, constant as `plane_noise` where the source fills every box.
+    ``box_size``, the side of a box in pixels, is by default 6 times the scale and at
+    least 32; it is at most a quarter of the image.  Returns an array with the shape
+    (ny, nx) of the plane.  If the source fills every box, it is constant, as from
+    `plane_noise`.
     """
     free, sigma = source_free(plane, scale, mask=mask)
     noise = np.full(plane.shape, sigma)
@@ -186,7 +186,7 @@ def local_noise(plane, scale, *, mask=None, box_size=None):
 
 
 def _local_mean(values, mask, box_size):
-    """Return the mean of values in boxes, interpolated between them, or None."""
+    """Return the mean of values in boxes, interpolated, or None if that fails."""
     from photutils.background import Background2D, MeanBackground, StdBackgroundRMS
 
     try:
@@ -224,9 +224,9 @@ def propagated_noise(rms, scales, *, beam_covariance=None, kernel="b1"):
     """
     Return the noise of wavelet planes for image noise of a given rms and beam.
 
-    By Parseval ``sigma_j^2 = int |H_j|^2 P dk``, with H_j the response of
-    the filter of scale j and P the power spectrum of white noise smoothed
-    by the Gaussian beam, normalised to ``rms^2``.
+    By Parseval's theorem ``sigma_j^2 = int |H_j|^2 P dk``, where H_j is the
+    response of the filter of scale j and P is the power spectrum of white noise
+    smoothed by the Gaussian beam, normalised to ``rms^2``.
 
     Parameters
     ----------
@@ -235,8 +235,8 @@ def propagated_noise(rms, scales, *, beam_covariance=None, kernel="b1"):
     scales : sequence of float
         Scale numbers.
     beam_covariance : array_like, shape (2, 2), optional
-        Covariance of the beam over (x, y) in pixels squared; white noise
-        without it.
+        Covariance of the beam over (x, y) in pixels squared.  Without it the
+        noise is white.
     kernel : {"b1", "b3"}
 
     Returns

@@ -21,23 +21,23 @@ class SSPs:
     scale : `~numpy.ndarray`, shape (n,)
         Scale number.
     y, x : `~numpy.ndarray`, shape (n,)
-        Maximum of the plane, sub-pixel.
+        Position of the maximum of the plane, sub-pixel.
     y_centroid, x_centroid : `~numpy.ndarray`, shape (n,)
-        Mean position of the pixels weighted by the plane.
+        Mean position of the pixels, weighted by the plane.
     peak : `~numpy.ndarray`, shape (n,)
         Largest wavelet coefficient.
     flux : `~numpy.ndarray`, shape (n,)
         Sum of the wavelet coefficients.
     snr : `~numpy.ndarray`, shape (n,)
-        ``peak`` over the noise of the plane there.
+        ``peak`` divided by the noise of the plane there.
     bbox : `~numpy.ndarray` of int, shape (n, 4)
         Bounding box ``y0, x0, y1, x1``, ends excluded.
     starts : `~numpy.ndarray` of int, shape (n + 1,)
-        Where the pixels of each SSP begin in ``pixels``.
+        Start of the pixels of each SSP in ``pixels``.
     pixels : `~numpy.ndarray` of int, shape (starts[-1],)
         Indices into the flattened image of the pixels of all SSPs.
     epoch : `~numpy.ndarray` of int, shape (n,)
-        Index of the image that the SSP is seen in.
+        Index of the image that shows the SSP.
 
     Examples
     --------
@@ -76,7 +76,7 @@ class SSPs:
 
     @property
     def n_pixels(self):
-        """Return the number of pixels of each SSP, shape (n,)."""
+        """Number of pixels of each SSP, shape (n,)."""
         return np.diff(self.starts)
 
     def pixels_of(self, index):
@@ -170,7 +170,7 @@ class SSPs:
 
 
 def require_ssps(ssps, scales):
-    """Refuse epochs that show no SSP at all on the scales, by a ValueError."""
+    """Raise a ValueError if no epoch shows an SSP on the scales."""
     if len(ssps) == 0:
         raise ValueError(
             "no significant pattern (SSP) in any epoch on scale "
@@ -182,11 +182,11 @@ def require_ssps(ssps, scales):
 
 def quadratic_peak(values):
     """
-    Find the maximum of the quadratic surface through 3 x 3 values, by least squares.
+    Find the maximum of the least-squares quadratic surface through 3 x 3 values.
 
-    ``values`` has the shape (..., 3, 3), the central one the largest.  Returns dy, dx
-    from the centre, within half a pixel and zero where the surface has no maximum,
-    and the height there, never below the central value.
+    ``values`` has the shape (..., 3, 3), and the central one is the largest.  Returns
+    dy and dx from the centre, within half a pixel and zero if the surface has no
+    maximum, and the height there, which is never below the central value.
     """
     v = np.asarray(values, dtype=float)
     column, row = v.sum(axis=-2), v.sum(axis=-1)
@@ -209,7 +209,7 @@ def quadratic_peak(values):
 
 
 def check_thresholds(detection, segmentation):
-    """Refuse thresholds that make no SSPs, by a ValueError."""
+    """Raise a ValueError if the thresholds can give no SSPs."""
     if not 0 < segmentation <= detection:
         raise ValueError(
             "thresholds must satisfy 0 < segmentation <= detection, "
@@ -218,7 +218,7 @@ def check_thresholds(detection, segmentation):
 
 
 def _beside_outside(valid):
-    """Return the pixels that touch the image's edge, or what is missing there."""
+    """Return the pixels that touch the image's edge, or missing pixels joined to it."""
     if valid.all():
         edge = np.ones(valid.shape, dtype=bool)
         edge[1:-1, 1:-1] = False
@@ -229,8 +229,8 @@ def _beside_outside(valid):
 
 
 def _positions(plane, valid, peaks):
-    """Return sub-pixel positions of maxima given as (y, x) pixels."""
-    # Beside a missing pixel there is no curvature, and the pixel counts.
+    """Return the sub-pixel positions of maxima given as (y, x) pixels."""
+    # Beside a missing pixel the curvature is unknown, and the whole pixel is kept.
     padded = np.pad(np.where(valid, plane, np.nan), 1, mode="reflect")
     step = np.arange(3)
     rows = peaks[:, 0, None, None] + step[:, None]
@@ -243,12 +243,12 @@ def find_ssps(plane, scale, noise, *, mask=None, detection=4.0, segmentation=3.0
     """
     Find the significant structural patterns of a wavelet plane.
 
-    Local maxima of at least ``detection`` times the noise and about a scale
-    apart are the seeds of a watershed of the negative plane inside the
+    Local maxima of at least ``detection`` times the noise, about a scale
+    apart, are the seeds of a watershed of the negative plane within the
     pixels above ``segmentation`` times the noise (Mertens & Lobanov 2015,
-    Sect. 2.1).  A pixel at the edge of the image, or of what exists of it,
-    is no maximum: the image may well go on rising beyond.  Beside a hole
-    within the image it can be one.
+    Sect. 2.1).  A pixel at the edge of the image, or of its valid part, is
+    not a maximum, because the image may rise further beyond it.  A pixel
+    beside a hole within the image can be one.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def find_ssps(plane, scale, noise, *, mask=None, detection=4.0, segmentation=3.0
     Returns
     -------
     `SSPs`
-        Zero rows if nothing is significant.
+        Without rows if nothing is significant.
 
     Raises
     ------

@@ -15,7 +15,7 @@ def scale_size(scale):
     """
     Return the size of a scale in pixels.
 
-    Scale number j means 2^j pixels; j + 1/2 names the intermediate scale of
+    Scale number j means 2^j pixels; j + 1/2 means the intermediate scale of
     1.5 x 2^j pixels.
 
     Parameters
@@ -47,11 +47,11 @@ def scale_size(scale):
 
 def scale_kernel(scale, kernel="b1"):
     """
-    Return the filter and the level of the transform that hold a scale.
+    Return the filter and the level of the transform that give a scale.
 
-    The intermediate scales are the planes of the wider cubic spline, which
-    fall between those of the linear one.  Raises a ValueError for an unknown
-    filter, no scale, or an intermediate scale of "b3".
+    Intermediate scales are planes of the wider cubic spline, which lie between
+    those of the linear one.  Raises a ValueError for an unknown filter, a number
+    that is not a scale, or an intermediate scale of "b3".
     """
     if kernel not in KERNELS:
         raise ValueError(f"unknown wavelet kernel {kernel!r}: use 'b1' or 'b3'")
@@ -67,7 +67,7 @@ def scale_kernel(scale, kernel="b1"):
 
 
 def _smooth(image, kernel, level):
-    """Convolve with the filter dilated by 2^level, edges mirrored."""
+    """Return an image convolved with the filter dilated by 2^level, edges mirrored."""
     dilated = np.zeros((len(kernel) - 1) * 2**level + 1)
     dilated[:: 2**level] = kernel
     for axis in (0, 1):
@@ -76,7 +76,7 @@ def _smooth(image, kernel, level):
 
 
 def missing_pixels(image, mask):
-    """Return an image as numbers, and which pixels it has not."""
+    """Return an image as floats, and a mask of its missing pixels."""
     image = np.asarray(image, dtype=float)
     missing = ~np.isfinite(image)
     if mask is not None:
@@ -94,16 +94,16 @@ def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
     """
     Decompose an image into wavelet planes of doubling scale.
 
-    With a_0 the image and a_{j+1} = h_j * a_j, h_j the low-pass filter
-    dilated by 2^j, the planes are ``w_j = a_j - a_{j+1}`` and the image is
+    The image a_0 is smoothed to a_{j+1} = h_j * a_j, where h_j is the low-pass
+    filter dilated by 2^j.  The planes are ``w_j = a_j - a_{j+1}``, and the image is
     exactly ``sum_j w_j + a_J`` [1]_.  Edges are mirrored.
 
-    ``image`` has the shape (ny, nx), as has the ``mask`` of missing pixels, to which
-    those that are not finite belong.  Each smoothing is normalised by the weight of
-    the pixels that exist (``h * (m a) / h * m``), and the planes are zero where the
-    image is missing.  Returns the planes, shape (n_levels, ny, nx), and the smooth
-    image a_J.  Raises a ValueError if the image has not two dimensions, the mask
-    not its shape, or the largest filter does not fit the image.
+    The ``image`` and the ``mask`` of missing pixels have the shape (ny, nx); pixels
+    that are not finite are missing as well.  Each smoothing is normalised by the
+    weight of the valid pixels (``h * (m a) / h * m``), and the planes are zero where
+    the image is missing.  Returns the planes, shape (n_levels, ny, nx), and the smooth
+    image a_J.  Raises a ValueError if the image does not have two dimensions, the mask
+    has another shape, or the largest filter does not fit the image.
 
     References
     ----------
@@ -114,7 +114,7 @@ def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
     if image.ndim != 2:
         raise ValueError(f"an image has two dimensions, this has {image.ndim}")
     filter_ = KERNELS[kernel]
-    # Half a filter must fit the image, or the planes are mirrors of mirrors.
+    # Half a filter must fit the image, or mirrored edges would be mirrored again.
     if (len(filter_) // 2) * 2 ** (n_levels - 1) >= min(image.shape):
         raise ValueError(
             f"an image of {image.shape[1]} x {image.shape[0]} px is too small for "
@@ -128,7 +128,7 @@ def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
         following = _smooth(smooth, filter_, level)
         if missing.any():
             weight = _smooth(valid, filter_, level)
-            # A pixel that exists has a positive weight of its own.
+            # A valid pixel contributes to its own weight, which is thus positive.
             following = np.divide(
                 following, weight, out=np.zeros_like(smooth), where=~missing
             )
@@ -157,7 +157,8 @@ def wavelet_planes(image, scales, *, kernel="b1", mask=None):
     Raises
     ------
     ValueError
-        If there are no scales, or as `scale_size` and `atrous_transform`.
+        If there are no scales, or if `scale_size` or `atrous_transform` raises
+        one.
 
     Examples
     --------

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Alignment of the epochs, by shifts measured in them or given in a table."""
+"""Alignment of the epochs, by shifts that are measured or given in a table."""
 
 import os
 import re
@@ -26,10 +26,10 @@ from astro_scc.epochs.registration import core_positions, displacement
 from astro_scc.epochs.validation import as_times
 from astro_scc.exceptions import MeasurementWarning
 
-# Rows of a table are of the epoch whose date they have to this, in days.
+# A row of a table belongs to an epoch if their dates agree to this many days.
 TOLERANCE = 1.0
 DATES = ("epoch", "date", "date_obs", "date-obs", "time", "mjd", "jd", "year")
-# Words in the names of columns that are their units.
+# Units by the words in the names of columns.
 UNITS = {
     **{word: u.Unit(word) for word in ("deg", "arcsec", "mas", "uas")},
     "marcsec": u.mas,
@@ -40,9 +40,9 @@ UNITS = {
 @dataclass(frozen=True)
 class Offsets:
     """
-    How far each epoch is, in pixels (x, y), from where it ought to be.
+    The offset of each epoch from its aligned position, in pixels (x, y).
 
-    ``covariance`` is of shape (n, 2, 2), NaN where errors are not known,
+    ``covariance`` has shape (n, 2, 2), with NaN where errors are not known,
     and ``turned`` marks epochs whose grid differs by more than a shift.
     """
 
@@ -63,7 +63,7 @@ def align(
     max_shift=None,
 ):
     """
-    Return the epochs shifted so that they are aligned.
+    Return the cube with its epochs shifted into alignment.
 
     Parameters
     ----------
@@ -71,52 +71,52 @@ def align(
     method : {"core", "correlate", "table", "wcs", "none"}, optional
         "core"
             The core of each epoch, as `~astro_scc.epochs.core_positions`
-            measures it, comes to the reference pixel.
+            measures it, is moved to the reference pixel.
         "correlate"
             Every epoch is registered on a reference image, by masked
-            cross-correlation and least squares.  What moves together in
-            all of the region, the velocity sought included, is taken out:
-            choose a region that stands still.
+            cross-correlation and least squares.  Motion that the whole region
+            shares is removed, even if it is the velocity sought: choose a
+            region that stands still.
         "table"
-            The positions of a table come to the reference pixel.
+            The positions in a table are moved to the reference pixel.
         "wcs"
-            Absolute coordinates (``cube.epoch_wcs``) are trusted.  Those of
-            VLBI images jump by more than jets move.
+            Absolute coordinates (``cube.epoch_wcs``) are trusted.  In VLBI
+            images they jump by more than jets move.
         "none"
-            Reference pixels stay on one another.
+            Reference pixels stay aligned; nothing is shifted.
 
-        The path of a table stands for "table" with that table.
+        The path of a table means "table" with that table.
     table : path-like or `~astropy.table.Table`, optional
-        For "table".  CSV or ECSV with a date and the offsets of the core
+        For "table": CSV or ECSV with dates and the offsets of the core
         from the reference pixel, see
         `~astro_scc.epochs.alignment.offsets_from_table`.
     reference : int or array_like, shape (ny, nx), optional
-        For "correlate": an epoch, or an image, by default the mean of the
-        aligned epochs, found by iteration.
+        For "correlate": the index of an epoch, or an image.  By default the
+        mean of the aligned epochs, found by iteration.
     region : optional
-        For "correlate": pixels to compare, as `~astro_scc.epochs.region_mask`
-        takes it.
+        For "correlate": the pixels to compare, in any form that
+        `~astro_scc.epochs.region_mask` takes.
     jet_pa : `~astropy.units.Quantity`, optional
         For "core": position angle of the jet at the core.
     max_shift : `~astropy.units.Quantity`, optional
-        Shifts beyond it are not believed: "core" and "correlate" do not look
-        farther, and any that is larger is an error.
+        Largest credible shift.  "core" and "correlate" search no farther, and
+        a larger shift is an error.
 
     Returns
     -------
     `~astro_scc.epochs.EpochCube`
         ``meta["alignment"]`` has a dict for each epoch: ``epoch``, ``date``,
-        ``method``, and how far the image was moved, ``shift_east_mas``,
+        ``method``, and the shift of the image, ``shift_east_mas`` and
         ``shift_north_mas``, with ``shift_east_err_mas`` and
         ``shift_north_err_mas`` (None if unknown).  Further alignments are
-        appended.  ``epoch_wcs`` moves along.
+        appended.  ``epoch_wcs`` is shifted as well.
 
     Raises
     ------
     ValueError
-        If the method or the combination of options makes no sense, an epoch
-        cannot be measured, its shift exceeds ``max_shift`` or takes it off
-        the grid; and as the function of the method does.
+        If the method is unknown, an option does not belong to it, an epoch
+        cannot be measured, or its shift exceeds ``max_shift`` or moves it
+        off the grid; and if the method itself raises one.
 
     Warns
     -----
@@ -125,17 +125,17 @@ def align(
 
     Notes
     -----
-    Shifts by whole pixels copy the pixels.  Others interpolate with cubic
-    splines: pixels that come from outside the image, or next to bad ones,
-    are masked, and noise that varies from pixel to pixel is smoothed, so
-    that ``noise`` is None, to be measured anew.
+    Shifts by whole pixels copy the pixels.  Other shifts interpolate with
+    cubic splines: pixels from outside the image or next to bad ones are
+    masked.  As this smooths noise that varies from pixel to pixel, ``noise``
+    is then None and is measured again.
 
     Examples
     --------
     >>> import astropy.units as u
     >>> import numpy as np
     >>> from astropy.table import Table
-        >>> from astro_scc.epochs import EpochCube
+    >>> from astro_scc.epochs import EpochCube
     >>> images = np.zeros((2, 9, 9))
     >>> images[0, 4, 4] = images[1, 5, 6] = 1
     >>> cube = EpochCube.from_arrays(
@@ -187,7 +187,7 @@ def align(
 
 
 def _move(cube, method, offsets):
-    """Return the cube with every epoch moved against its offset."""
+    """Return the cube with every epoch shifted by minus its offset."""
     shifts, turned = -offsets.pixels, np.zeros(len(cube), bool)
     if offsets.turned is not None:
         turned = offsets.turned
@@ -229,7 +229,7 @@ def _move(cube, method, offsets):
 
 
 def _records(cube, method, offsets):
-    """Return what was done with each epoch, for ``meta["alignment"]``."""
+    """Return the date, method and shift of each epoch, for ``meta["alignment"]``."""
     matrix = cube.pixel_matrix.to_value(u.mas)
     shift = (-offsets.pixels @ matrix.T + 0.0).round(9)
     variance = np.einsum("ij,njk,ik->ni", matrix, offsets.covariance, matrix)
@@ -313,8 +313,7 @@ def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
             except ValueError as error:
                 raise ValueError(f"{label}: {error}; leave it out") from error
         if image is None:
-            # Nothing ties the mean down, so the epochs stay where they are
-            # on average.
+            # The mean image could drift freely, so the mean shift is kept at 0.
             pixels -= pixels.mean(axis=0)
         if np.abs(pixels - before).max() < 0.01:
             break
@@ -325,7 +324,7 @@ def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
 
 
 def _reference_image(cube, reference):
-    """Return an image, None for the mean, and what it is called."""
+    """Return the reference image, None for the mean, and its name."""
     if reference is None:
         return None, "their mean"
     image = np.asarray(reference, dtype=float)
@@ -343,10 +342,10 @@ def _reference_image(cube, reference):
 
 
 def _mean_of_moved(cube, shifts):
-    """Return the mean of the moved epochs where all have pixels, NaN elsewhere."""
+    """Return the mean of the shifted epochs, NaN where any of them has no pixel."""
     epochs = zip(cube.data, cube.mask, shifts, strict=True)
     moved = np.stack([shift_image(*epoch)[0] for epoch in epochs])
-    # Pixels that only some epochs have would bring steps into the mean.
+    # Pixels that only some epochs have would make steps in the mean.
     return moved.sum(axis=0) / len(moved)
 
 
@@ -354,13 +353,13 @@ def offsets_from_table(table, times, labels):
     """
     Return the offset of each epoch in a table, and its error, shape (n, 2) in mas.
 
-    The table, a path of CSV or ECSV or one in memory, has a column of dates
+    The table is in memory or is a CSV or ECSV file.  It has one column of dates
     (``epoch``, ``date``, ``date_obs``, ``time``, ``mjd``, ``jd`` or ``year``: a
-    Time, ISO dates, or numbers) and two of offsets, which have ``east`` and
-    ``north`` as a part of their names.  Their unit is the column's, or else a
-    part of the name as in ``core_x_mas_east``.  Two more with ``err`` or
-    ``error`` in their names are the errors, NaN where there are none.  The
-    row of an epoch is the nearest within a day.
+    Time, ISO dates, or numbers) and two columns of offsets, with ``east`` and
+    ``north`` as parts of their names.  Their unit is that of the column, or else
+    a part of the name, as in ``core_x_mas_east``.  Two more columns with ``err``
+    or ``error`` in their names are the errors, which are NaN without them.  Each
+    epoch takes the row of the nearest date within a day.
     """
     name, table = _read_table(table)
     dates = _dates(table, name)
@@ -399,7 +398,7 @@ def _read_table(table):
         return str(path), Table.read(text.splitlines(), format=kind)
     except OSError:
         raise
-    except Exception as error:  # the parsers of astropy raise all sorts
+    except Exception as error:  # astropy's parsers raise errors of many kinds
         reason = first_line(error)
         raise ValueError(f"{path}: is neither CSV nor ECSV ({reason})") from error
 
@@ -419,7 +418,7 @@ def _dates(table, name):
     if isinstance(column, Time):
         return column
     try:
-        # ERFA calls dates dubious for which leap seconds are unknown.
+        # ERFA warns of years whose leap seconds are unknown.
         with warnings.catch_warnings(action="ignore"):
             if kind in ("mjd", "jd") or column.dtype.kind in "fi":
                 kind = kind if kind in ("mjd", "jd") else "jyear"
@@ -450,7 +449,7 @@ def _axis(table, axis, name):
 
 
 def _angles(table, column, name):
-    """Return a column in mas, blanks as NaN; its name may tell its unit."""
+    """Return a column in mas, blanks as NaN; the unit may be part of its name."""
     unit = getattr(table[column], "unit", None)
     named = [UNITS[word] for word in _words(column) if word in UNITS]
     if unit is None and len(named) != 1:
@@ -461,7 +460,7 @@ def _angles(table, column, name):
     return numbers(table[column], u.mas, name, own_unit=unit or named[0])
 
 
-# Name -> the function that measures, and the options that it has.
+# Name -> the function that measures the offsets, and its options.
 METHODS = {
     "core": (_by_core, ("jet_pa", "max_shift")),
     "correlate": (_by_correlation, ("reference", "region", "max_shift")),

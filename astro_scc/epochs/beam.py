@@ -7,8 +7,8 @@ import astropy.units as u
 import numpy as np
 
 FWHM_TO_SIGMA = 1 / np.sqrt(8 * np.log(2))
-#: Widths that differ by less, in every direction, are of the same beam: headers round
-#: them, and no displacement feels it.
+#: Beams are the same if their widths differ by less in every direction: headers round
+#: widths, and so small a difference affects no displacement.
 SAME_WIDTH = 0.01
 
 
@@ -76,8 +76,8 @@ class Beam:
         """
         Covariance of the Gaussian over (east, north), shape (2, 2).
 
-        With ``p = (sin pa, cos pa)`` along the major axis and ``q`` across
-        it, ``C = s_major^2 p p^T + s_minor^2 q q^T``, s the standard
+        ``C = s_major^2 p p^T + s_minor^2 q q^T``, where ``p = (sin pa, cos pa)``
+        is along the major axis, ``q`` across it, and s are the standard
         deviations.
         """
         along = np.array([np.sin(self.pa), np.cos(self.pa)])
@@ -89,7 +89,7 @@ class Beam:
 
     def fwhm_along(self, position_angle):
         """
-        Return the full width at half maximum of the marginal profile.
+        Return the full width at half maximum of the profile along a direction.
 
         Parameters
         ----------
@@ -99,7 +99,7 @@ class Beam:
         Returns
         -------
         `~astropy.units.Quantity`
-            ``sqrt(8 ln 2 d^T C d)`` with d the unit vector, in mas.
+            ``sqrt(8 ln 2 d^T C d)``, where d is the unit vector, in mas.
         """
         direction = np.stack([np.sin(position_angle), np.cos(position_angle)])
         variance = np.einsum("i...,ij,j...->...", direction, self.covariance, direction)
@@ -115,9 +115,9 @@ class Beam:
 
 def different_beam(cube):
     """
-    Return the number of the first epoch whose beam is not that of the first epoch.
+    Return the index of the first epoch whose beam differs from that of epoch 0.
 
-    None if all widths agree within 1% in every direction, or the epochs have no beams.
+    Return None if all widths agree within 1% in every direction, or there are no beams.
     """
     if cube.beams is None:
         return None
@@ -130,7 +130,7 @@ def different_beam(cube):
 
 
 def require_common_beam(cube):
-    """Refuse epochs whose beams differ by more than 1%, by a ValueError."""
+    """Raise a ValueError if the beams of the epochs differ by more than 1%."""
     index = different_beam(cube)
     if index is not None:
         raise ValueError(

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Images with grids of their own, brought to a common one, in whole or in part."""
+"""Images on different grids brought to a common one, in whole or in part."""
 
 from types import SimpleNamespace
 
@@ -11,9 +11,9 @@ from astro_scc.epochs.cutout import box
 from astro_scc.epochs.grid import ONE_SHIFT, pixel_area, regrid, shared_grid
 from astro_scc.epochs.positions import readable_angle
 
-# Sides of pixels of images that can be one series.
+# Pixel sides in one series differ from the usual side by at most this factor.
 LARGEST_RATIO = 10.0
-#: Pixels around a part that is interpolated, as far as splines look.
+#: Pixels read around a part that is interpolated: the reach of the splines.
 MARGIN = 4
 
 
@@ -21,10 +21,10 @@ def windows_of(planes, first, frame, region, pad=0):
     """
     Return rows and columns of a region in the image ``first``, and in every image.
 
-    ``region`` and ``pad`` are those of `~astro_scc.epochs.EpochCube.crop`, and placed
-    on the image ``first``.  The windows of the others hold the same part of the sky, or
-    of the offsets, and a little more where images do not lie whole pixels aside.  An
-    image of which the region holds no pixel is refused by a ValueError.
+    ``region`` and ``pad``, as in `~astro_scc.epochs.EpochCube.crop`, refer to the image
+    ``first``.  The windows of the other images hold the same part of the sky, or of the
+    offsets, and slightly more if images are not whole pixels apart.  An image without
+    a pixel in the region raises a ValueError.
     """
     cube = SimpleNamespace(shape=(1, *first.shape), wcs=first.wcs)
     window = box(cube, region, pad)
@@ -32,11 +32,11 @@ def windows_of(planes, first, frame, region, pad=0):
     for plane in planes:
         corners, moved = _corners(window, first, plane, frame)
         whole = np.rint((moved - corners)[:, :1])
-        # NaN, beyond the horizon of a projection, is not whole either.
+        # NaN, from beyond the horizon of a projection, is not whole either.
         is_whole = np.all(np.abs(moved - corners - whole) < ONE_SHIFT)
         steps.append(whole if is_whole else None)
     if any(step is None for step in steps):
-        # Something is interpolated, and edges are where that is worst.
+        # Interpolation is worst at the edges.
         window = box(cube, region, pad + MARGIN)
     windows = []
     for plane, step in zip(planes, steps, strict=True):
@@ -56,7 +56,7 @@ def windows_of(planes, first, frame, region, pad=0):
 
 
 def _corners(window, first, other, frame):
-    """Return the corners (x, y) of a part of an image, in it and in another one."""
+    """Return the corners (x, y) of a window, in its own image and in another one."""
     (y0, y1), (x0, x1) = ((part.start, part.stop - 1) for part in window)
     corners = np.array([[x0, x1, x0, x1], [y0, y0, y1, y1]], dtype=float)
     frames = (_in_frame(plane.wcs, frame) for plane in (first, other))
@@ -65,17 +65,17 @@ def _corners(window, first, other, frame):
 
 def lay_on_one_grid(planes, frame):
     """
-    Lay images on the finest of their grids, as large as all of them.
+    Place images on the finest of their grids, enlarged to hold all of them.
 
-    Images on the very same grid are stacked as they are; those that lie whole pixels
-    aside are moved without interpolation; others are interpolated.  Pixels outside an
-    image are masked.  A ValueError says whose pixels or position are too different.
+    Images on the same grid are stacked as they are; images whole pixels apart are
+    shifted without interpolation; others are interpolated.  Pixels outside an image
+    are masked.  A ValueError names an image whose pixels or position differ too much.
 
     Parameters
     ----------
     planes : sequence of `Plane`
     frame : {"offset", "absolute"}
-        Whether the images are aligned by reference pixels or celestial coordinates.
+        Align the images by their reference pixels or their celestial coordinates.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def lay_on_one_grid(planes, frame):
 
 
 def _stacked(planes, name):
-    """Return the arrays of all images as one; each goes as soon as it is in it."""
+    """Return the arrays of all images as one; each is freed once it is copied."""
     arrays = [getattr(plane, name) for plane in planes]
     every = np.empty((len(planes), *arrays[0].shape), dtype=np.result_type(*arrays))
     del arrays
@@ -138,7 +138,7 @@ def _shared_grid(planes, frames):
 
 
 def _check_pixels(planes):
-    """Refuse pixels so different that the finest would make huge images."""
+    """Refuse pixel sizes so different that the finest grid would be huge."""
     sizes = [pixel_area(plane.wcs) ** 0.5 for plane in planes]
     usual = np.sort(sizes)[(len(sizes) - 1) // 2]
     for plane, size in zip(planes, sizes, strict=True):
@@ -169,7 +169,7 @@ def _same_grid(one, other, frame):
 
 
 def _in_frame(wcs, frame):
-    """Return a WCS, for offsets with its reference pixel at (0, 0) of their frame."""
+    """Return a WCS; for offsets, one with its reference pixel at (0, 0)."""
     if frame == "absolute":
         return wcs
     axes = "RA---", "DEC--"
@@ -177,7 +177,7 @@ def _in_frame(wcs, frame):
 
 
 def _with(wcs, axes, **values):
-    """Return a WCS with other names of axes and other values of a frame."""
+    """Return a copy of a WCS with other axis names and frame values."""
     changed = wcs.deepcopy()
     codes = zip(axes, wcs.wcs.ctype, strict=True)
     changed.wcs.ctype = [name[:5] + code[5:] for name, code in codes]

@@ -15,9 +15,9 @@ from astropy.time import Time
 from astro_scc.epochs.fits import open_fits
 from astro_scc.epochs.headers import first_line, get, header_facts, parse_date, some
 
-CORE = 0  # the number of the feature that is the core
-# What a column holds -> its unit, what it is called in a table, and how a
-# machine-readable table explains it where its label is not among these.
+CORE = 0  # feature number of the core
+# Content of a column -> its unit, its labels in tables, and a pattern for its
+# explanation in a machine-readable table, if its label is not among these.
 COLUMNS = {
     "source": (None, "name source iau iauname", "source name|IAU name"),
     "feature": (
@@ -62,17 +62,17 @@ UNITS = {
     name: COLUMNS[name][0] for name in ("flux", "east", "north", "major", "minor", "pa")
 }
 NEVER_BLANK = ("feature", "flux", "east", "north", "type")
-# What to do about files that have no date.
+# Advice for files without a date.
 UNDATED = {
     "difmap": "no date in the file's name; rename it like source_2006-03-09.mod, or "
     "give dates",
     "aips-cc": "no DATE-OBS in the header; give dates",
 }
 NO = ("", "--", "n", "no", "f", "false", "0")
-#: Keys of the meta that name the source, and others that are kept.
+#: Keys of the meta that name the source, and other keys that are kept.
 NAMES = ("source", "name", "object")
 FACTS = ("telescope", "filter", "stokes", "position")
-#: Names of sources that a message lists.
+#: Largest number of sources that a message lists.
 LISTED = 8
 FILE_DATE = re.compile(
     r"(?<!\d)(?=((?:19|20)\d\d)([-_.]?)(0[1-9]|1[0-2])\2([0-3]\d)(?!\d))"
@@ -81,11 +81,11 @@ FILE_DATE = re.compile(
 
 def read_columns(path, kind, source, date):
     """
-    Return what a file has of each component, as arrays in `UNITS`, and its meta.
+    Return the values of each component in a file, as arrays in `UNITS`, and its meta.
 
-    ``date``, as text, stands for that of the file or of all rows.  The arrays have
-    the dates of the rows, as ISO text; ``relative`` is whether the positions are
-    relative to the core.
+    A ``date``, as text, replaces the date of the file or of all rows.  The values
+    include ``date``, the date of each row as ISO text, and ``relative``, whether the
+    positions are relative to the core.
     """
     table, own_date = FORMATS[kind][0](path)
     date = date or own_date
@@ -124,7 +124,7 @@ def read_columns(path, kind, source, date):
 
 
 def _dates(table, columns, date, path):
-    """Return the date of each row as ISO text, or the one of all."""
+    """Return the date of each row as ISO text; ``date`` applies to all rows."""
     if date is not None:
         texts = [date]
     elif "epoch" in columns:
@@ -137,7 +137,7 @@ def _dates(table, columns, date, path):
     for i, text in enumerate(texts, start=1):
         if text not in known:
             try:
-                # Times of dates for which leap seconds are unknown warn.
+                # ERFA warns of years whose leap seconds are unknown.
                 with warnings.catch_warnings(action="ignore"):
                     known[text] = parse_date(text).utc.isot
             except ValueError as error:
@@ -148,7 +148,7 @@ def _dates(table, columns, date, path):
 
 
 def _find_columns(table):
-    """Return the names of the table's columns by what they hold."""
+    """Return the names of the table's columns, keyed by their content."""
     plain = {name: re.sub(r"[^a-z]", "", name.lower()) for name in table.colnames}
     found = {}
     for what, (_, labels, _) in COLUMNS.items():
@@ -164,7 +164,7 @@ def _find_columns(table):
 
 
 def _select_source(table, columns, source, path):
-    """Return the rows of one source; without a column for it, the meta names it."""
+    """Return the rows of one source; without a column, the meta names the source."""
     names = [str(table.meta[k]) for k in NAMES if k in table.meta]
     mine = slice(None)
     if "source" in columns:
@@ -195,10 +195,10 @@ def _plain(name):
 
 def numbers(column, unit, path, *, blank=True, own_unit=None):
     """
-    Return a column as floats in ``unit``, blanks as NaN where they may be.
+    Return a column as floats in ``unit``, blanks as NaN if they are allowed.
 
-    ``own_unit`` is that of a column that does not tell; `astropy.units.one`
-    takes the numbers as they are.
+    ``own_unit`` replaces the unit of the column.  If ``unit`` is
+    `astropy.units.one`, the numbers are returned as they are.
     """
     name = column.info.name
     try:
@@ -224,10 +224,10 @@ def numbers(column, unit, path, *, blank=True, own_unit=None):
 
 
 def _offsets(values, path):
-    """Return the offsets that have a separation and a position angle."""
+    """Return the offsets given by separations and position angles."""
     separation, angle = values["separation"], values["position_angle"]
     if "feature" in values:
-        # A core whose offset from the map's centre is blank has none.
+        # A core with a blank offset is at the map's centre.
         blank = (values["feature"] == CORE) & np.isnan(separation)
         separation = np.where(blank, 0.0, separation)
     angle = np.radians(np.where((separation == 0) & np.isnan(angle), 0.0, angle))
@@ -258,7 +258,7 @@ def _sizes(values, path):
 
 
 def _meta(table, columns):
-    """Return the facts of the source, by the meta and the column of a table."""
+    """Return facts about the source, from the meta and the columns of a table."""
     own = table.meta
     meta = {name: own[name] for name in FACTS if name in own}
     name = own.get("name") or own.get("source") or own.get("object")
@@ -273,16 +273,16 @@ def _meta(table, columns):
     return meta
 
 
-# Each returns a table, and the one date of the file, "" where it should have one and
-# has none, None where those of the table count.
+# Each returns a table and the date of the file: "" if it should have a date and has
+# none, None if the table has the dates.
 
 
 def _open_ascii(path, kind, **options):
     try:
-        # The units of columns that are needed are checked later.
+        # The units of the columns that are needed are checked later.
         with warnings.catch_warnings(action="ignore", category=u.UnitsWarning):
             return Table.read(path, format=kind, **options), None
-    except Exception as error:  # the parsers of astropy raise all sorts
+    except Exception as error:  # astropy's parsers raise errors of many kinds
         raise OSError(
             f"{path}: not a readable {kind} table: {first_line(error)}"
         ) from None
@@ -306,8 +306,8 @@ def _open_difmap(path):
     """
     Return a difmap model as a table.
 
-    Lines are flux, radius, theta, major axis, axial ratio, phi, type; a 'v'
-    marks a value that was free in the fit; three values are a point.
+    Each line has flux, radius, theta, major axis, axial ratio, phi and type; a
+    'v' marks a value that was free in the fit.  Three values describe a point.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -342,16 +342,16 @@ def _difmap_row(text, where):
             f"ratio, phi, type), got {len(row)}"
         )
     row += [0.0] * (6 - len(row))
-    # Without a type, a size makes it a Gaussian.
+    # Without a type, a component with a size is a Gaussian.
     return row if len(row) == 7 else [*row, float(row[3] > 0)]
 
 
 def _open_aips(path):
     """Return the newest AIPS CC table of a FITS file, and its date."""
-    # AIPS files break small rules of the standard throughout.
+    # AIPS files break minor rules of the standard throughout.
     with warnings.catch_warnings(action="ignore"):
         try:
-            # astropy.io.fits forgets to close files that it fails to open.
+            # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file) as hdus:
                 header = hdus[0].header
                 found = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
@@ -385,7 +385,7 @@ def _aips_table(hdu):
     return table
 
 
-# Name of a format -> what opens it, and the suffixes of its files.
+# Name of a format -> the function that opens it, and the suffixes of its files.
 FORMATS = {
     "ecsv": (partial(_open_ascii, kind="ascii.ecsv"), (".ecsv",)),
     "mrt": (_open_mrt, (".txt", ".dat", ".mrt")),

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Model components: lists of Gaussians at many dates, and reading them from files."""
+"""Model components: lists of Gaussians at many dates, and how they are read."""
 
 import warnings
 from dataclasses import dataclass, field, replace
@@ -26,12 +26,12 @@ COLUMNS = (*UNITS, "feature", "excluded")
 @dataclass(frozen=True, eq=False, repr=False)
 class ComponentList:
     """
-    Components of one source at many dates, one entry for each.
+    Model components of one source at many dates, one entry per component.
 
     Parameters
     ----------
     times : `~astropy.time.Time`, shape (n_epochs,)
-        Dates; they are put in order.
+        Dates; they are sorted.
     epoch : array_like of int, shape (n,)
         Index into ``times`` of each component.
     flux : `~astropy.units.Quantity`, shape (n,)
@@ -39,7 +39,7 @@ class ComponentList:
     east, north : `~astropy.units.Quantity`, shape (n,)
         Offsets from the origin, small angles.
     major, minor : `~astropy.units.Quantity`, shape (n,), optional
-        Full widths at half maximum of the Gaussians; 0 or NaN is a point.
+        Full widths at half maximum of the Gaussians; 0 or NaN means a point.
     pa : `~astropy.units.Quantity`, shape (n,), optional
         Position angles of the major axes, north through east.
     feature : array_like of int, shape (n,), optional
@@ -48,7 +48,7 @@ class ComponentList:
     excluded : array_like of bool, shape (n,), optional
         Components that their authors left out of their own fits.
     labels : sequence of str, length n_epochs, optional
-        What an epoch is called; its date by default.
+        Names of the epochs, by default their dates.
     meta : dict, optional
         Facts about the source: object, redshift, frequency, position.
 
@@ -114,7 +114,7 @@ class ComponentList:
         round_["pa"] = np.zeros(n) * u.deg
         for name, unit in UNITS.items():
             values = u.Quantity(_or(getattr(self, name), round_.get(name))).to(unit)
-            # Blank sizes and the angles of round components mean nothing.
+            # Blank sizes mean points, and round components have no angle.
             columns[name] = np.nan_to_num(values, nan=0.0) if name in round_ else values
         for name in COLUMNS:
             shape = columns[name].shape
@@ -151,7 +151,7 @@ class ComponentList:
 
     def select(self, *, after=None, before=None, features=None, excluded=True):
         """
-        Return some of the components; epochs that are left with none are dropped.
+        Return some of the components; epochs without any are dropped.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class ComponentList:
         Raises
         ------
         ValueError
-            If nothing is left.
+            If no component is left.
         """
         dates = np.ones(self.n_epochs, dtype=bool)
         if after is not None:
@@ -203,7 +203,7 @@ class ComponentList:
         Returns
         -------
         `~astropy.table.QTable`
-            A row a component, its offsets from the origin of this list.
+            One row per component, with offsets from the origin of this list.
         """
         names = {"major": "major_fwhm", "minor": "minor_fwhm", "pa": "major_pa"}
         names["excluded"] = "excluded_from_fit"
@@ -218,7 +218,7 @@ def _or(value, default):
 
 
 def _concatenate(lists):
-    """Put lists together, with the first one's position and the meta common to all."""
+    """Concatenate lists, with the first one's position and the meta common to all."""
     starts = np.cumsum([0] + [part.n_epochs for part in lists[:-1]])
     epochs = [part.epoch + start for part, start in zip(lists, starts, strict=True)]
     dates = np.concatenate([part.times.utc.isot for part in lists])
@@ -239,27 +239,27 @@ def _concatenate(lists):
 
 def read_components(paths, *, format=None, source=None, origin=None, dates=None):
     """
-    Return the model components of one source that are in files.
+    Read the model components of one source from files.
 
     Parameters
     ----------
     paths : path or sequence of paths
-        A table of many epochs, or one file an epoch.
+        A table of many epochs, or one file per epoch.
     format : {'ecsv', 'mrt', 'difmap', 'aips-cc'}, optional
-        By default from the file's suffix: ``.ecsv``; ``.txt``, ``.dat`` or
-        ``.mrt``, a machine-readable table of the AAS or, with its file
-        ``ReadMe`` beside it, of the CDS; ``.mod``; ``.fits`` with an AIPS CC
-        table, of several the one with the highest version.
+        By default taken from the file's suffix: ``.ecsv``; ``.txt``, ``.dat``
+        or ``.mrt``, a machine-readable table of the AAS or, with its file
+        ``ReadMe`` in the same folder, of the CDS; ``.mod``; ``.fits`` with an
+        AIPS CC table, the one with the highest version if there are several.
     source : str, optional
-        Which source to take from a table of many.  A file of another source
+        Name of the source, for a table of several.  A file of another source
         is refused.
     origin : {'core', 'map'}, optional
-        Put the core, feature 0, at the origin, or leave the map's centre
-        there.  By default 'core' for tables whose positions refer to the
-        core, as MOJAVE's, whose core rows alone refer to the map's centre;
-        'map' for all others.
+        Put the core, feature 0, at the origin, or keep the map's centre
+        there.  The default is 'core' for tables whose positions refer to the
+        core, as in MOJAVE's, where only the rows of the core refer to the
+        map's centre; it is 'map' for all others.
     dates : sequence of `~astropy.time.Time` or str, optional
-        Dates of the files.  Without it a difmap file must have its date in
+        Dates of the files.  Without them a difmap file must have its date in
         its name (2006-03-09, 2006_03_09 or 20060309).
 
     Returns
@@ -277,11 +277,11 @@ def read_components(paths, *, format=None, source=None, origin=None, dates=None)
     -----
     Tables need columns for the date (``epoch``, or ``Obs.Y``, ``Obs.M`` and
     ``Obs.D`` for year, month and day), ``flux``, ``separation`` and
-    ``position_angle`` (or ``east`` and ``north``), with units; they may have
-    ``feature``, ``major_fwhm``, ``axial_ratio`` or ``minor_fwhm``,
-    ``major_pa`` and ``excluded_from_fit``.  Machine-readable tables are
-    understood by their labels and explanations.  A blank size is a point, a
-    blank ratio a circle.
+    ``position_angle`` (or ``east`` and ``north``), with units; they may also
+    have ``feature``, ``major_fwhm``, ``axial_ratio`` or ``minor_fwhm``,
+    ``major_pa`` and ``excluded_from_fit``.  Columns of machine-readable tables
+    are recognised by their labels and explanations.  A blank size means a
+    point, a blank ratio a circle.
 
     Examples
     --------
@@ -358,7 +358,7 @@ def _read_file(path, kind, source, origin, date):
 
 
 def _refer(columns, epoch, days, origin, path):
-    """Move the positions of each epoch to the origin that is wanted, in place."""
+    """Shift the positions of each epoch to the requested origin, in place."""
     relative = columns["relative"]
     if not relative and origin != "core":
         return
@@ -376,7 +376,7 @@ def _refer(columns, epoch, days, origin, path):
         of_core = np.zeros(len(days))
         of_core[epoch[core]] = offsets[core]
         if relative and origin == "map":
-            # The core's row keeps its own offset from the map's centre.
+            # The row of the core has its own offset from the map's centre.
             offsets[~core] += of_core[epoch[~core]]
         elif relative:
             offsets[core] = 0

@@ -39,7 +39,7 @@ from astro_scc.epochs.validation import (
 
 
 def _picked(each, epochs):
-    """Return what there is of each epoch, of some epochs."""
+    """Return the fields that have a value per epoch, for some epochs."""
     each = {name: values for name, values in each.items() if values is not None}
     for name, values in each.items():
         is_tuple = isinstance(values, tuple)
@@ -48,7 +48,7 @@ def _picked(each, epochs):
 
 
 def _above(room):
-    """Return a room that imports this one, when a method needs it."""
+    """Return a subpackage that imports this one, so only when it is needed."""
     return import_module(f"astro_scc.{room}")
 
 
@@ -68,19 +68,19 @@ class EpochCube:
         pixel is the origin of all offsets.
     unit : `~astropy.units.Unit`, optional
     mask : array_like of bool, shape of ``data``, optional
-        True marks bad pixels.  Those that are not finite are added to it.
+        True marks bad pixels.  Pixels that are not finite are added to it.
     beams : beam or sequence of beams, length n_epochs, optional
         `~astro_scc.epochs.Beam`, or anything with ``major``, ``minor`` and ``pa``
-        (a ``radio_beam.Beam``).  One beam is every epoch's.
+        (a ``radio_beam.Beam``).  A single beam holds for every epoch.
     noise : `~astropy.units.Quantity`, scalar or shape (n_epochs,), optional
         Root mean square of the noise of each epoch.
     labels : sequence of str, optional
-        What an epoch is called: its file name, by default its date.
+        Names of the epochs, such as their files; by default their dates.
     epoch_wcs : sequence of `~astropy.wcs.WCS`, optional
-        Absolute celestial coordinates of the pixels by each epoch's own header,
-        which ``align("wcs")`` uses.
+        Absolute celestial coordinates from each epoch's own header, which
+        ``align("wcs")`` uses.
     epoch_meta : sequence of dict, optional
-        Facts of each epoch (object, frequency, telescope...).
+        Facts about each epoch (object, frequency, telescope...).
     meta : dict, optional
         ``meta["history"]`` is a list with one line for every step taken.
 
@@ -90,7 +90,7 @@ class EpochCube:
         If shapes or numbers of epochs disagree, a date is missing, an epoch
         has no valid pixel, or the WCS is not celestial.
     TypeError
-        If an argument is of another kind.
+        If an argument has the wrong type.
 
     Examples
     --------
@@ -155,31 +155,32 @@ class EpochCube:
         """
         Read FITS images, one per epoch, or a file that `write` made.
 
-        CASA images and HDF5 movies of eht-imaging are read too, where the
-        packages for them are installed.  Images of one grid are stacked, with their
-        reference pixels on one another.  Others are moved by whole pixels, or
-        resampled with a warning, onto the finest grid, as large as all of them.
+        CASA images and HDF5 movies of eht-imaging are read too if the packages
+        for them are installed.  Images on one grid are stacked with their reference
+        pixels aligned.  Others are shifted by whole pixels, or resampled with a
+        warning, onto the finest grid, which is enlarged to hold all of them.
 
         Parameters
         ----------
         paths : str, path-like, or sequence of them
             Files, or patterns such as ``"3c273/*.fits"``.
         frame : {"offset", "absolute"}
-            What the epochs are aligned by: reference pixels, or celestial coordinates,
-            which in VLBI differ between epochs by more than features move.
+            Align the epochs by their reference pixels, or by their celestial
+            coordinates, which in VLBI differ between epochs by more than features
+            move.
         times : `~astropy.time.Time` or sequence, optional
-            Dates in the order of the files (those of a pattern are in alphabetical
-            order), in place of the headers'.  None means the header's.
+            Dates in the order of the files (alphabetical for a pattern), instead of
+            those in the headers.  For an entry None the header's date is used.
         beams : beam or sequence of beams, optional
-            In place of the headers'.
+            Beams to use instead of those in the headers.
         hdu : int or str, optional
-            The extension that holds the image, by default the first image.
+            Extension of the image, by default the first image.
         check : bool
-            Refuse files of another object or band, and masks.
+            Refuse files of another object or band, and files that look like masks.
         region, pad : optional
-            As `crop` takes them: read no more than the bounding box of a region and
-            so many pixels around it, of images that are too large or too many for
-            the memory.  Pixels are those of the earliest epoch.
+            As in `crop`: read only the bounding box of a region and ``pad`` pixels
+            around it, for images that are too large or too many for the memory.
+            Pixel coordinates are those of the earliest epoch.
 
         Returns
         -------
@@ -188,11 +189,11 @@ class EpochCube:
         Raises
         ------
         OSError
-            If a file is missing or is no FITS image.
+            If a file is missing or is not a FITS image.
         ValueError
             If a header lacks what is needed, or files do not belong together.
         MemoryError
-            If the images are more than this machine can hold.
+            If the images need more memory than this machine has.
 
         Examples
         --------
@@ -227,11 +228,11 @@ class EpochCube:
         Parameters
         ----------
         images : sequence of `~astropy.nddata.NDData`
-            Or what has an ``hdu``, such as the images of spectral-cube.
-            Pixels without a finite uncertainty are bad; the median of the others'
-            standard deviations is the ``noise``, if all images have uncertainties.
+            Or objects with an ``hdu``, such as the images of spectral-cube.
+            Pixels without a finite uncertainty are bad.  If all images have
+            uncertainties, the median standard deviation of each is its ``noise``.
         times : `~astropy.time.Time` or sequence, optional
-            By default from the ``meta`` of each image, as in a FITS header.
+            By default from the ``meta`` of each image, with the keys of FITS.
         beams : beam or sequence of beams, optional
             By default from the ``meta`` of each image.
         frame, check
@@ -265,13 +266,15 @@ class EpochCube:
     @classmethod
     def from_xarray(cls, source, **kwargs):
         """
-        Return the epochs of xarray, see `~astro_scc.interchange.from_xarray`.
+        Return the epochs of an xarray object.
+
+        See `~astro_scc.interchange.from_xarray`.
 
         Parameters
         ----------
         source : `xarray.Dataset` or `xarray.DataArray`
         **kwargs
-            ``times``, ``pixel_scale``, ``unit`` and ``beams`` where it has none.
+            ``times``, ``pixel_scale``, ``unit`` and ``beams`` that it lacks.
 
         Returns
         -------
@@ -294,7 +297,7 @@ class EpochCube:
         position=None,
     ):
         """
-        Return the epochs of arrays with east to the left and north up.
+        Return a cube of arrays with east to the left and north up.
 
         Parameters
         ----------
@@ -305,7 +308,7 @@ class EpochCube:
         unit, beams, mask, noise
             As in `EpochCube`.
         reference_pixel : tuple of float, optional
-            (x, y) of the origin of offsets from 0, by default the centre.
+            (x, y) of the origin of offsets, counted from 0; by default the centre.
         position : `~astropy.coordinates.SkyCoord`, optional
             Celestial position of the reference pixel.
 
@@ -334,7 +337,7 @@ class EpochCube:
             meta={"history": [f"{shape[0]} epochs from arrays"]},
         )
 
-    # Functions of the epochs that take a cube are its methods.
+    # Functions of the subpackage that take a cube are its methods.
     write = write_cube
     epochs = property(epoch_table)
     noise_rms = noise_rms
@@ -417,7 +420,7 @@ class EpochCube:
 
     def mean_image(self):
         """
-        Return the mean of the epochs, each pixel over those that have it.
+        Return the mean image, each pixel averaged over the epochs that have it.
 
         Returns
         -------
@@ -451,7 +454,7 @@ class EpochCube:
 
     def to_xarray(self):
         """
-        Return all as xarray, see `~astro_scc.interchange.to_xarray`.
+        Return the cube as xarray, see `~astro_scc.interchange.to_xarray`.
 
         Returns
         -------
@@ -461,7 +464,7 @@ class EpochCube:
 
     def to_ndcube(self):
         """
-        Return all as NDCube, see `~astro_scc.interchange.to_ndcube`.
+        Return the cube as NDCube, see `~astro_scc.interchange.to_ndcube`.
 
         Returns
         -------
@@ -476,9 +479,9 @@ class EpochCube:
         Parameters
         ----------
         epoch : int, optional
-            Index of the epoch; without it, a panel each.
+            Index of the epoch; by default all epochs, one panel each.
         ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
-            Drawn on the images.
+            SSPs to draw on the images.
         **kwargs
             Passed to `~astro_scc.visualization.plot_epoch`, or ``plot_epochs``.
 

@@ -15,9 +15,9 @@ from astro_scc.epochs.headers import first_line
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.exceptions import EpochWarning
 
-#: Decimal places of degrees that are more than somebody writes by hand.
+#: Coordinates in degrees with fewer decimal places were written by hand.
 DECIMALS = 5
-#: Part of its size by which rounding may move a region.
+#: Rounding may move a region by this fraction of its size.
 MOVED = 0.02
 
 
@@ -37,7 +37,7 @@ def region_mask(cube, region=None):
     Returns
     -------
     `~numpy.ndarray` of bool, shape (ny, nx)
-        True inside, the reverse of a mask of bad pixels.
+        True inside, the opposite of a mask of bad pixels.
 
     Raises
     ------
@@ -53,9 +53,9 @@ def region_mask(cube, region=None):
 
     Notes
     -----
-    Several regions are united, then excluded ones (a leading ``-`` in DS9
-    and CRTF files, ``meta["include"]`` false) are taken away.  If all of
-    them are excluded, the rest of the image remains.
+    The union of all regions is taken, then excluded ones (a leading ``-`` in
+    DS9 and CRTF files, ``meta["include"]`` false) are removed from it.  If all
+    regions are excluded, the rest of the image remains.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def _combine(cube, items, name, places):
     inside = {True: np.full(shape, not any(wanted)), False: np.zeros(shape, dtype=bool)}
     for item, include in zip(items, wanted, strict=True):
         try:
-            # Images are so small that spherical regions are plane in them.
+            # Images are small enough for spherical regions to be flat in them.
             pixel = item if isinstance(item, PixelRegion) else item.to_pixel(cube.wcs)
             mask = pixel.to_mask(mode="center")
         except (NotImplementedError, OverflowError, ValueError) as error:
@@ -126,7 +126,7 @@ def _combine(cube, items, name, places):
             ) from None
         if places and isinstance(item, SkyRegion):
             _refuse_rounded(item, min(mask.shape), cube.wcs, places, name)
-        # Masks ignore "include", and have no part in the image outside it.
+        # Masks ignore "include"; a region outside the image has no slices.
         target, source = mask.get_overlap_slices(shape)
         if target is not None:
             inside[include][target] |= mask.data[source] > 0
@@ -135,16 +135,16 @@ def _combine(cube, items, name, places):
 
 def _refuse_rounded(item, size, wcs, places, name):
     """
-    Refuse a region of which a file has too few digits.
+    Refuse a region that its file gives with too few digits.
 
-    Writers round: CRTF to 1e-6 deg by default, which is a whole jet.
+    Writers round coordinates, CRTF by default to 1e-6 deg, the size of a whole jet.
     """
     side = np.sqrt(abs(np.linalg.det(wcs.pixel_scale_matrix)))
     where = getattr(item, "vertices", getattr(item, "center", None)).spherical
     lon, lat = np.atleast_1d(where.lon.deg), np.atleast_1d(where.lat.deg)
     names = ("radius", "width", "height", "outer_radius", "outer_width", "outer_height")
     sizes = [getattr(item, n).to_value(u.deg) for n in names if hasattr(item, n)]
-    # Hours, minutes and seconds are tried where degrees do not come out even.
+    # Numbers that are not round in degrees may be so in hours, minutes and seconds.
     step = _step([*lon, *lat], places, DECIMALS) or max(
         _step(lon * 240, places, DECIMALS - 2) / 240,
         _step(lat * 3600, places, DECIMALS - 2) / 3600,
@@ -160,10 +160,10 @@ def _refuse_rounded(item, size, wcs, places, name):
 
 def _step(values, places, fewest):
     """
-    Return the step to which numbers of so many decimal places were rounded.
+    Return the step to which numbers with these decimal places were rounded.
 
-    Nothing, 0, for those that end before the ``fewest`` places, as what is written
-    by hand does, and for those that do not end.
+    It is 0 for numbers with fewer than ``fewest`` places, which were written by
+    hand, and for numbers that were not rounded.
     """
     for end in range(10):
         ratio = np.multiply(values, 10.0**end)
@@ -178,7 +178,7 @@ def _read(path):
     from regions import Regions
 
     path = Path(path)
-    # Reading the text first keeps "no such file" apart from "not a region".
+    # Reading the text first distinguishes a missing file from one without regions.
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
@@ -206,9 +206,9 @@ def _read(path):
 
 def box(cube, region, pad=0):
     """
-    Return the bounding box of a region, slices of rows and columns, see `crop`.
+    Return the bounding box of a region as slices of rows and columns, see `crop`.
 
-    The cube is anything with a ``shape`` and a ``wcs``.
+    The cube may be anything with a ``shape`` and a ``wcs``.
     """
     if pad != int(pad) or pad < 0:
         raise ValueError(f"pad={pad} must be a whole number of at least 0")
@@ -240,10 +240,10 @@ def crop(cube, region, pad=0):
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     region : (slice, slice) or region
-        Slices of pixels (y, x), or whatever `region_mask` takes.
+        Slices of pixels (y, x), or anything that `region_mask` takes.
     pad : int, optional
-        Pixels to keep around the box, as far as the image goes.  The
-        widest wavelet scale needs some.
+        Pixels to keep around the box, as far as the image reaches.  The
+        largest wavelet scale needs some.
 
     Returns
     -------
@@ -255,7 +255,7 @@ def crop(cube, region, pad=0):
     ------
     ValueError
         If no pixel would be left, a slice has a step, or ``pad`` is not a
-        whole number of at least 0; and as `region_mask`.
+        whole number of at least 0; and if `region_mask` raises one.
 
     Examples
     --------
@@ -285,7 +285,7 @@ def crop(cube, region, pad=0):
 
 
 def crop_line(window):
-    """Return what `crop` writes to the history of slices (y, x)."""
+    """Return the line about slices (y, x) that `crop` adds to the history."""
     ys, xs = window
     return (
         f"cropped to pixels x {xs.start} to {xs.stop - 1}, "
@@ -295,9 +295,9 @@ def crop_line(window):
 
 def refuse_pixels(path):
     """
-    Refuse a region file in pixels, for images of which a part is read.
+    Refuse a region file in pixels if only a part of the images is read.
 
-    The pixels of a part are counted anew.
+    Pixels are counted from the corner of that part.
     """
     from regions import PixelRegion
 
@@ -310,14 +310,13 @@ def refuse_pixels(path):
 
 def distance_mask(cube, r_min, r_max, origin=None):
     """
-    Return the pixels whose centres lie in a ring about a point.
+    Return the pixels whose centres lie in a ring around a point.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     r_min, r_max : `~astropy.units.Quantity`
-        Angles.  ``r_min <= r < r_max``, so that adjoining bins share no
-        pixel.
+        Angles; ``r_min <= r < r_max``, so that adjacent bins share no pixel.
     origin : `~astropy.units.Quantity` or `~astropy.coordinates.SkyCoord`, optional
         Offsets (east, north) from the reference pixel, or a position; by
         default the reference pixel.
@@ -330,7 +329,7 @@ def distance_mask(cube, r_min, r_max, origin=None):
     Raises
     ------
     ValueError
-        If not ``0 <= r_min < r_max``, ``origin`` is no pair of offsets, or
+        If not ``0 <= r_min < r_max``, ``origin`` is not a pair of offsets, or
         no pixel lies in the ring.
     `~astropy.units.UnitsError`
         If an argument is not an angle.
@@ -358,7 +357,7 @@ def distance_mask(cube, r_min, r_max, origin=None):
         raise ValueError("origin must be a pair of offsets (east, north)")
     east, north = cube.offsets()
     distance = np.hypot(east - origin[0], north - origin[1]).to_value(u.mas)
-    # Pixels at r_min but for rounding belong to this ring, not to the one inside.
+    # Pixels at r_min up to rounding errors belong to this ring, not to the inner one.
     slack = 1e-9 * high
     inside = (distance >= low - slack) & (distance < high - slack)
     if not inside.any():

@@ -33,16 +33,16 @@ from astro_scc.epochs.headers import (
 from astro_scc.epochs.validation import POWERS
 from astro_scc.exceptions import EpochWarning
 
-# What the files of EpochCube.write are known by.
+# Value of CREATOR that marks the files of EpochCube.write.
 CUBE_CREATOR = "astro_scc EpochCube"
-#: What to do about a beam that cannot be.
+#: Advice for a beam that cannot be right.
 CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
-#: Kinds of uncertainty, as astropy calls them in FITS (UTYPE).
+#: Kinds of uncertainty by the names that astropy gives them in FITS (UTYPE).
 UNCERTAINTIES = {kind.__name__: kind for kind in POWERS}
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
-# What describes the array and its axes in the file, which the CCDData says
-# itself, in two dimensions.
+# Keywords of the array and its axes in the file; a CCDData has its own, for two
+# dimensions.
 _STRUCTURE = re.compile(
     r"(SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|EXTNAME|PCOUNT|GCOUNT|GROUPS|BLOCKED"
     r"|BSCALE|BZERO|BLANK|BUNIT|DATAMIN|DATAMAX|CHECKSUM|DATASUM|WCSAXES|EPOCH"
@@ -54,11 +54,11 @@ _STRUCTURE = re.compile(
 @dataclass
 class Plane:
     """
-    One image on its own grid, with what its header says.
+    One image on its own grid, with the content of its header.
 
     ``shape`` is that of the whole image, of which ``data`` and ``mask`` may be a
-    part; they are None where the header alone was read.  ``even`` is whether the
-    ``uncertainty`` that gave the ``noise`` differs little from pixel to pixel.
+    part; they are None if only the header was read.  ``even`` is whether the
+    ``uncertainty`` behind the ``noise`` differs little from pixel to pixel.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Plane:
 
 
 class _ContentError(ValueError):
-    """The file is FITS, but the image in it is not what is needed."""
+    """The file is FITS, but its image cannot be used."""
 
 
 class _NoImageError(OSError):
@@ -92,25 +92,25 @@ class _NoImageError(OSError):
 
 def read_vlbi_fits(path, hdu=None):
     """
-    Read one FITS image, with the habits of AIPS, difmap, CASA and HST.
+    Read one FITS image, allowing for the habits of AIPS, difmap, CASA and HST.
 
-    This is what ``CCDData.read(path, format="vlbi-fits")`` calls once
+    ``CCDData.read(path, format="vlbi-fits")`` calls this function once
     ``astro_scc.epochs`` has been imported.
 
     Parameters
     ----------
     path : str or path-like
     hdu : int or str, optional
-        The extension that holds the image, by default the first image.
+        Extension of the image, by default the first image.
 
     Returns
     -------
     `~astropy.nddata.CCDData`, shape (ny, nx)
-        Axes of length one are dropped, and of several Stokes parameters I
-        is taken.  The data are float64, pixels that are not finite are
-        masked, the WCS is the celestial one.  The beam is in ``meta`` as
-        ``BMAJ``, ``BMIN`` and ``BPA`` in degrees wherever the file had it,
-        the frequency as ``FREQ`` in Hz.
+        Axes of length one are dropped, and Stokes I is taken from several
+        Stokes parameters.  The data are float64, pixels that are not finite
+        are masked, and the WCS is celestial.  The ``meta`` has the beam as
+        ``BMAJ``, ``BMIN`` and ``BPA`` in degrees, wherever the file had it,
+        and the frequency as ``FREQ`` in Hz.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def read_vlbi_fits(path, hdu=None):
     Warns
     -----
     EpochWarning
-        If something in the header could not be understood.
+        If part of the header could not be understood.
 
     Examples
     --------
@@ -156,7 +156,7 @@ def read_vlbi_fits(path, hdu=None):
 
 def _is_meta(card):
     try:
-        # Cards are parsed at first use, where broken ones raise.
+        # Cards are parsed at first use, and broken ones raise an error then.
         readable = (card.value, card.comment)
         return bool(readable) and not _STRUCTURE.match(card.keyword)
     except (fits.VerifyError, ValueError):
@@ -167,8 +167,8 @@ def find_files(paths, *, missing_ok=False):
     """
     Return the files that paths and patterns stand for, each once, as a list of Path.
 
-    They are in the order given, those of a pattern in alphabetical order.  Names of
-    files that do not exist are kept with ``missing_ok``, else a FileNotFoundError.
+    They are in the order given; those of a pattern are in alphabetical order.  Files
+    that do not exist raise a FileNotFoundError, or are kept if ``missing_ok`` is True.
     """
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
@@ -199,19 +199,19 @@ def find_files(paths, *, missing_ok=False):
 
 
 def check_ordinary(path):
-    """Refuse pipes, sockets and devices by an OSError: they may have no end."""
+    """Raise an OSError for pipes, sockets and devices, which may have no end."""
     path = Path(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise OSError(f"{path}: is no ordinary file; give the name of one")
 
 
 def is_casa_image(path):
-    """Return whether a path is a CASA table, as its images are."""
+    """Return whether a path is a CASA table, the format of CASA's images."""
     return (Path(os.fspath(path)) / "table.dat").is_file()
 
 
 def is_hdf5(path):
-    """Return whether a file is HDF5, as movies of eht-imaging are."""
+    """Return whether a file is HDF5, the format of eht-imaging's movies."""
     with suppress(OSError), open(path, "rb") as file:
         return file.read(len(_HDF5)) == _HDF5
     return False
@@ -219,10 +219,10 @@ def is_hdf5(path):
 
 def read_plane(path, hdu=None, *, window=None, pixels=True):
     """
-    Return the `Plane` of a file; see `read_vlbi_fits` for what it refuses.
+    Return the `Plane` of a file; see `read_vlbi_fits` for its errors.
 
-    Of a file that was read before, ``window`` are the rows and columns to load;
-    without ``pixels`` its header alone is read.
+    ``window`` selects the rows and columns to load from a file that was read before;
+    without ``pixels`` only the header is read.
     """
     path = Path(os.fspath(path))
     if not path.exists():
@@ -231,22 +231,22 @@ def read_plane(path, hdu=None, *, window=None, pixels=True):
         raise IsADirectoryError(f"{path}: is a directory; give {path}/*.fits")
     check_ordinary(path)
     options = {"window": window, "pixels": pixels}
-    # AIPS and difmap files break small rules of the standard throughout.
+    # AIPS and difmap files break minor rules of the standard throughout.
     with warnings.catch_warnings(action="ignore"):
-        # By its name: a room above this one, which need not be there.
+        # Imported by name: a subpackage above this one, with optional dependencies.
         casa = path.is_dir() and import_module("astro_scc.interchange.files")
         hdus = casa and casa.read_casa_image(path)
         try:
             if hdus:
                 return _plane(hdus, hdu, path, **options)
-            # astropy.io.fits forgets to close files that it fails to open.
+            # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file, known=bool(window)) as hdus:
                 return _plane(hdus, hdu, path, **options)
         except (_ContentError, _NoImageError) as error:
             raise type(error).__base__(f"{path}: {error}") from None
         except Exception as error:
             # A damaged file can fail anywhere inside astropy.io.fits.  The first
-            # sentence is the reason; the rest is advice for callers of astropy.
+            # sentence gives the reason; the rest is advice for callers of astropy.
             reason = re.split(r"[.,;:] ", first_line(error))[0]
             raise OSError(
                 f"{path}: cannot be read as FITS, it is broken or no FITS: {reason}"
@@ -263,10 +263,10 @@ def plane_of_hdu(hdu, name):
 
 def open_fits(file, *, known=False, **options):
     """
-    Open a binary file that may be a damaged FITS file, as `astropy.io.fits.open`.
+    Open a binary file with `astropy.io.fits.open`, even if its header is damaged.
 
-    The standard has up to 999 axes; astropy counts to any number that a header
-    claims, for years: an OSError instead.  A ``known`` file was opened so before.
+    The standard allows 999 axes, but astropy loops over any number that a header
+    claims, so a larger number raises an OSError.  A ``known`` file has been checked.
     """
     found = None if known else _AXES.search(_content(file))
     if found:
@@ -276,7 +276,7 @@ def open_fits(file, *, known=False, **options):
 
 
 def _content(file):
-    """Return where headers may be: all of a file, the beginning of a compressed one."""
+    """Return where headers may be: a whole file, or the start of a compressed one."""
     if file.read(2) == b"\x1f\x8b":
         file.seek(0)
         with gzip.open(file) as whole:
@@ -311,9 +311,9 @@ def _plane(hdus, which, path, *, window=None, pixels=True):
 
 
 def _load(plane, hdus, hdu, index, window):
-    """Add the pixels of a window, with mask and uncertainty."""
+    """Add the pixels of a window, with mask and uncertainty, to the plane."""
     window = window or (slice(None), slice(None))
-    # Only these pixels are read, where the file is mapped into memory.
+    # Only these pixels are read if the file is mapped into memory.
     plane.data = np.array(hdu.data[index][window], dtype=np.float64)
     where = "" if plane.data.shape == plane.shape else " in this part"
     plane.mask = ~np.isfinite(plane.data)
@@ -337,7 +337,7 @@ def _load(plane, hdus, hdu, index, window):
 
 
 def _note(plane):
-    """Add the unit, and what of unit and beam is not understood."""
+    """Add the unit, and notes on a unit or beam that is not understood."""
     text = get(plane.header, "BUNIT", kind=str)
     plane.unit = parse_unit(text)
     if plane.unit is None:
@@ -355,16 +355,16 @@ def _note(plane):
 
 
 def beam_note(problem):
-    """Return what is said of a beam that cannot be."""
+    """Return the note on a beam that cannot be right."""
     return f"its beam is taken as unknown: {problem}; {CORRECT_BEAM}"
 
 
 def _beside(hdus, image, name, shape, window):
     """
-    Return values and header of an extension that belongs to the image, or None.
+    Return the values and header of an extension of the image, or None for both.
 
-    Drizzled images of HST have weights, ``WHT``; astropy writes the mask and the
-    uncertainty of CCDData as ``MASK`` and ``UNCERT``.
+    Drizzled HST images have weights, ``WHT``; astropy writes the mask and the
+    uncertainty of a CCDData as ``MASK`` and ``UNCERT``.
     """
     for hdu in hdus:
         if hdu is not image and hdu.name == name and hdu.is_image:
@@ -395,7 +395,7 @@ def _find(hdus, which):
 
 
 def _check_complete(hdu, path):
-    """Refuse a truncated file before memory is set aside for pixels it has not."""
+    """Refuse a truncated file before memory is reserved for its missing pixels."""
     info = hdu.fileinfo()
     compressed = path.suffix.lower() in (".gz", ".bz2", ".xz", ".z", ".zip")
     if info is None or compressed:
@@ -406,12 +406,12 @@ def _check_complete(hdu, path):
 
 
 def _plane_index(header):
-    """Return the index of the image plane; numpy's axes run against those of FITS."""
+    """Return the index of the image plane, in numpy's order of axes."""
     naxis = header["NAXIS"]
     types = [str(header.get(f"CTYPE{k + 1}", "")).upper().strip() for k in range(naxis)]
     celestial = [k for k, t in enumerate(types) if axis_kind(t)]
     if len(celestial) != 2:
-        # celestial_wcs refuses these with the better reason.
+        # celestial_wcs refuses these with a better reason.
         celestial = [0, 1]
     index = []
     for k, name in enumerate(types):

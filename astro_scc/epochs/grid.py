@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Pixel grids: images moved, resampled to another grid, and one for several."""
+"""Pixel grids: shifting and resampling of images, and a shared grid for several."""
 
 import warnings
 
@@ -15,16 +15,16 @@ from astro_scc.epochs.smoothing import is_per
 from astro_scc.epochs.validation import as_celestial
 from astro_scc.exceptions import EpochWarning
 
-# Shifts nearer than this to whole pixels are copies; sky coordinates in
-# degrees carry pixels of microarcseconds to about 1e-4.
+# Pixels are copied if a shift is this near to whole pixels; sky coordinates in
+# degrees resolve pixels of microarcseconds to about 1e-4.
 WHOLE_PIXEL = 1e-4
-# Steps that differ by less, in pixels, are one shift of the whole image.
+# Steps that differ by less, in pixels, count as one shift of the whole image.
 ONE_SHIFT = 0.01
-# A resampled pixel is bad if bad pixels had more than this weight in it.
+# A resampled pixel is bad if bad pixels contribute more than this weight to it.
 BAD_WEIGHT = 0.01
 ORDERS = ("nearest-neighbor", "bilinear", "biquadratic", "bicubic")
 METHODS = ("interp", "exact", "adaptive")
-# Pixels in the full width of a beam that sample it.
+# Pixels per full width at half maximum with which a beam is sampled.
 SAMPLED = 2.0
 
 
@@ -35,8 +35,8 @@ def fill_masked(image, mask, n_iterations=20):
     Interpolation with splines needs a value everywhere, and a jump at the
     edge of the mask would ring into the good pixels.  The nearest good
     values are relaxed towards a solution of Laplace's equation; holes wider
-    than ``n_iterations`` pixels are smoothed at their edges.  Without any good
-    pixel all are zero.
+    than ``n_iterations`` pixels are smoothed at their edges only.  Without any
+    good pixel the result is zero.
     """
     if not mask.any():
         return np.array(image, dtype=float)
@@ -56,13 +56,13 @@ def shift_image(image, mask, shift):
     """
     Return an image whose sources are moved by ``shift`` (dx, dy) pixels, and its mask.
 
-    Whole pixels are copied, anything else is interpolated with cubic
-    splines.  Pixels that would come from outside the image or to which bad
-    pixels contribute are masked, and NaN.
+    Shifts by whole pixels copy the pixels; others interpolate with cubic
+    splines.  Pixels that come from outside the image, or to which bad pixels
+    contribute, are masked and NaN.
 
-    Cubic splines damp the smallest structures: white noise loses up to 30%
-    of its rms at half a pixel, noise correlated over a beam of five pixels
-    or more loses nothing that can be measured.
+    Cubic splines damp the smallest structures: a shift by half a pixel lowers
+    the rms of white noise by up to 30%, but that of noise correlated over a
+    beam of five pixels or more by nothing that can be measured.
     """
     step = np.asarray(shift, dtype=float)[::-1]
     whole = np.rint(step)
@@ -77,7 +77,7 @@ def shift_image(image, mask, shift):
 
 
 def _copy(data, mask, step, shape):
-    """Return images on another grid, whole pixels (y, x) of ``step`` away."""
+    """Return images copied to another grid, ``step`` whole pixels (y, x) away."""
     moved = np.full((*data.shape[:-2], *shape), np.nan)
     bad = np.ones(moved.shape, dtype=bool)
     target, source = [...], [...]
@@ -91,11 +91,11 @@ def _copy(data, mask, step, shape):
 
 def grid_step(wcs, target, shape):
     """
-    Return the shift (dx, dy) between two grids, and whether it is all between them.
+    Return the shift (dx, dy) between two grids, and whether they differ by it only.
 
-    It is the step from the centre of an image of ``shape`` (ny, nx) on ``wcs`` to
-    the pixel of ``target`` at the same place of the sky; it is all if no corner
-    departs from it by a hundredth of a pixel.
+    The shift is measured from the centre of an image of ``shape`` (ny, nx) on ``wcs``
+    to the pixel of ``target`` at the same place on the sky.  The grids differ by it
+    only if the shifts of all corners agree with it to a hundredth of a pixel.
     """
     pixels = _probe_pixels(shape)
     step = np.array(pixel_to_pixel(wcs, target, *pixels)) - pixels
@@ -119,7 +119,7 @@ def moved_wcs(wcs, shift):
 
 
 def cut_wcs(wcs, window, shape):
-    """Return the WCS of a part of a grid, slices (y, x) of the whole ``shape``."""
+    """Return the WCS of a window, slices (y, x), of a grid of the given ``shape``."""
     (top, bottom), (left, right) = (
         part.indices(n)[:2] for part, n in zip(window, shape, strict=True)
     )
@@ -143,7 +143,7 @@ def resample(data, bad, wcs, new_wcs, *, shape, method="bicubic"):
     else:
         lay, order = reproject.reproject_interp, {"order": method}
         linear = {"order": "bilinear"}
-    # reproject broadcasts the images over one mapping of the pixels.
+    # reproject maps the pixels once for all images.
     moved = lay((filled, wcs), new_wcs, **order, **options)
     weight = lay((bad.astype(float), wcs), new_wcs, **linear, **options)
     mask = ~(weight <= BAD_WEIGHT) | ~np.isfinite(moved)
@@ -154,8 +154,9 @@ def regrid(data, bad, wcs, grid, *, shape, unit, method="bicubic", near=WHOLE_PI
     """
     Return images and bad pixels on another grid, and whether pixels were copied.
 
-    They are where the grids lie whole pixels aside, as ``near`` as that; else see
-    `resample`, after which intensities per pixel are those of the new pixels.
+    They are copied if the grids differ by whole pixels to within ``near``.  Otherwise
+    they are resampled, see `resample`, and intensities per pixel are scaled to the
+    area of the new pixels.
     """
     step, pure = grid_step(wcs, grid, data.shape[-2:])
     whole = np.rint(step)
@@ -176,24 +177,24 @@ def reproject_cube(cube, wcs, shape=None, order=None, *, method="interp"):
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     wcs : `~astropy.wcs.WCS`, `~astropy.io.fits.Header` or `EpochCube`
-        The new grid, celestial.
+        The new grid, with celestial axes.
     shape : (int, int), optional
         Shape (ny, nx) of the new grid, by default that of the header, the
         cube, or the ``array_shape`` of the WCS.
     order : {"bicubic", "biquadratic", "bilinear", "nearest-neighbor"}, optional
-        Of the interpolation, as in `reproject.reproject_interp`.
+        Order of the interpolation, as in `reproject.reproject_interp`.
     method : {"interp", "exact", "adaptive"}, optional
-        Interpolation; or, for larger pixels, averages over them:
-        `reproject.reproject_exact` by the areas that pixels share,
-        `reproject.reproject_adaptive` with a Gaussian filter.
+        Interpolation, or for larger pixels an average over each of them:
+        `reproject.reproject_exact` weights by the area that pixels share,
+        `reproject.reproject_adaptive` by a Gaussian filter.
 
     Returns
     -------
     `~astro_scc.epochs.EpochCube`
         On the new grid.  Pixels from outside the old grid, or to which bad
         pixels contribute, are masked.  ``noise`` is None, because
-        resampling alters it, unless the grids differ by whole pixels:
-        those are copied.
+        resampling alters it, unless the grids differ by whole pixels and
+        the pixels are copied.
 
     Raises
     ------
@@ -201,9 +202,9 @@ def reproject_cube(cube, wcs, shape=None, order=None, *, method="interp"):
         If ``order`` or ``method`` is unknown, ``wcs`` is not celestial,
         ``shape`` is missing or not two positive integers, or the epochs have
         beams and ``wcs`` has another celestial frame (position angles would
-        lose their north).
+        refer to another north).
     TypeError
-        If ``wcs`` is of another kind.
+        If ``wcs`` has the wrong type.
 
     Warns
     -----
@@ -213,13 +214,13 @@ def reproject_cube(cube, wcs, shape=None, order=None, *, method="interp"):
 
     Notes
     -----
-    Intensities per beam or per solid angle are interpolated as they are,
+    Intensities per beam or per solid angle are interpolated as they are;
     intensities per pixel are multiplied by the ratio of the pixel areas.
-    Interpolation does not average: white noise of 1 has an rms of 0.5 to 1 on
-    pixels four times as large, and of 0.22 to 0.25 by ``method="exact"``.
+    Interpolation does not average: white noise of rms 1 has an rms of 0.5 to 1
+    on pixels four times as large, but 0.22 to 0.25 with ``method="exact"``.
 
-    ``epoch_wcs`` is carried to the new grid if it differs from ``cube.wcs``
-    by shifts only, and dropped otherwise (align on it first).
+    ``epoch_wcs`` is transferred to the new grid if it differs from ``cube.wcs``
+    by shifts only, and dropped otherwise (align with it first).
 
     Examples
     --------
@@ -268,7 +269,7 @@ def reproject_cube(cube, wcs, shape=None, order=None, *, method="interp"):
 
 
 def _grid_of(target, shape=None):
-    """Return the WCS and shape of the grid that something describes."""
+    """Return the WCS and shape of a grid, from a header, a cube or a WCS."""
     if isinstance(target, fits.Header):
         own = target.get("NAXIS2"), target.get("NAXIS1")
         own = own if all(own) else None
@@ -290,7 +291,7 @@ def _grid_of(target, shape=None):
 
 
 def _warn_of_undersampling(cube, wcs):
-    """Warn if interpolation leaves out pixels between those that it takes."""
+    """Warn if interpolation skips pixels."""
     side, own = (np.sqrt(pixel_area(grid)) * u.deg for grid in (wcs, cube.wcs))
     beams = [beam.minor / SAMPLED for beam in cube.beams or ()]
     if side > 1.01 * max(own, min(beams, default=own)):
@@ -304,7 +305,7 @@ def _warn_of_undersampling(cube, wcs):
 
 
 def _new_epoch_wcs(cube, wcs, shape):
-    """Return absolute coordinates of the new grid, None if not all are shifts."""
+    """Return the absolute coordinates on the new grid, None if not all are shifts."""
     if cube.epoch_wcs is None:
         return None
     pixels = _probe_pixels(shape)
@@ -324,16 +325,16 @@ def shared_grid(grids):
     """
     Return the smallest grid that holds several grids at the finest of their pixels.
 
-    The grid with the smallest pixels gives its projection, orientation and
-    reference point, the first of them if there are several, so that epochs
-    on that grid need no interpolation.
+    Its projection, orientation and reference point are those of the grid with
+    the smallest pixels (the first one if there are several), so that epochs on
+    that grid need no interpolation.
 
     Parameters
     ----------
     grids : sequence of `~astro_scc.epochs.EpochCube` or of (shape, wcs)
-        Shapes are (ny, nx) and WCS celestial.  Where offsets from the
-        reference pixel are to be trusted and absolute coordinates are not,
-        as in VLBI, give all of them the same ``crval`` first.
+        Shapes are (ny, nx), and each WCS is celestial.  If offsets from the
+        reference pixel can be trusted and absolute coordinates cannot, as in
+        VLBI, give all of them the same ``crval`` first.
 
     Returns
     -------
@@ -343,8 +344,8 @@ def shared_grid(grids):
     Raises
     ------
     ValueError
-        If ``grids`` is empty, a WCS is not celestial, or the grids lie so
-        far apart that the shared one would be empty for the most part.
+        If ``grids`` is empty, a WCS is not celestial, or the grids are so
+        far apart that the shared one would be mostly empty.
 
     Examples
     --------
@@ -371,10 +372,10 @@ def shared_grid(grids):
         y = np.concatenate([low, high, edge, edge]) * (ny - 1)
         corners.append([x, y] if wcs is finest else pixel_to_pixel(wcs, finest, x, y))
     corners = np.concatenate(corners, axis=1)
-    # Infinite where grids lie beyond the horizon of the projection.
+    # Infinite if a grid lies beyond the horizon of the projection.
     size = np.full(2, np.inf)
     if np.all(np.isfinite(corners)):
-        # Pixels that match but for rounding add no row.
+        # Rounding errors must not add a row.
         first = np.floor(corners.min(axis=1) + 0.01).astype(int)
         last = np.ceil(corners.max(axis=1) - 0.01).astype(int)
         size = last - first + 1

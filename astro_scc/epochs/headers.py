@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What the header of an image says of its epoch, in one record."""
+"""The facts about an epoch in the header of its image, in one record."""
 
 import re
 import warnings
@@ -18,13 +18,13 @@ from astro_scc.epochs.beam import Beam
 _ISO = re.compile(r"(\d{4})[-/.]?(\d{1,2})[-/.]?(\d{1,2})(?:[T ]+([\d:.]+))?$")
 _OLD = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{2}|\d{4})$")
 _DECIMAL_YEAR = re.compile(r"\d{4}\.(\d{2,3}|\d{5,})$")
-# Headers of digital images with two-digit years below this are of 20xx.
+# Two-digit years below this are 20xx, as in the headers of digital images.
 _CENTURY = 50
 _DATES = ("DATE-OBS", "DATE_OBS", "DATE-BEG", "DATE-AVG")
 _MJDS = ("MJD-OBS", "MJD-BEG", "MJD-AVG", "EXPSTART", "MJD")
 _TIME_SCALES = {name.upper(): name for name in ("tai", "tt", "tdb", "tcb", "tcg")}
 _TIME_SCALES |= {"IAT": "tai", "TDT": "tt", "ET": "tt"}
-#: Words that units are written with, by the unit that astropy knows.
+#: Spellings of units in headers, and the unit that astropy knows.
 _UNIT_WORDS = {
     **{name.lower(): name for name in "Jy mJy uJy beam pix ct electron DN K s".split()},
     **dict.fromkeys(("jansky", "janskys"), "Jy"),
@@ -57,10 +57,10 @@ _AXIS_KINDS = {
 @dataclass(frozen=True)
 class HeaderRecord:
     """
-    Date (UTC), beam and facts of an image.
+    Date (UTC), beam and other facts about an image.
 
-    ``time`` and ``beam`` are None where the header has none, or one that cannot
-    be read: then ``date_problem`` and ``beam_problem`` say why.
+    ``time`` and ``beam`` are None if the header has none, or if they cannot be
+    read; then ``date_problem`` and ``beam_problem`` say why.
     """
 
     time: Time | None
@@ -72,13 +72,13 @@ class HeaderRecord:
 
 def read_header(header, tables=()):
     """
-    Return the `HeaderRecord` of a header, a FITS header or a dict.
+    Return the `HeaderRecord` of a FITS header or a dict.
 
-    The date is that of ``DATE-OBS`` (with ``TIME-OBS``, where the time of day is
-    apart), or ``DATE-BEG``, ``DATE-AVG``, ``MJD-OBS``, ``EXPSTART``; ``DATE``, the
-    date at which a file was written, is not looked at.  The beam is that of
-    ``BMAJ``, ``BMIN`` and ``BPA`` (degrees), else of an ``AIPS CG`` or ``BEAMS``
-    table among ``tables``, else of the last ``CLEAN BMAJ=`` in the history.
+    The date is taken from ``DATE-OBS`` (with ``TIME-OBS`` if that has the time of
+    day), or from ``DATE-BEG``, ``DATE-AVG``, ``MJD-OBS`` or ``EXPSTART``, but never
+    from ``DATE``, the date at which a file was written.  The beam is taken from
+    ``BMAJ``, ``BMIN`` and ``BPA`` (degrees), else from an ``AIPS CG`` or ``BEAMS``
+    table among ``tables``, else from the last ``CLEAN BMAJ=`` in the history.
     """
     time, beam, problems = None, None, ["", ""]
     try:
@@ -94,11 +94,11 @@ def read_header(header, tables=()):
 
 def get(header, *keywords, kind=None):
     """
-    Return the first of some keywords that has a value, or None.
+    Return the value of the first of some keywords that has one, or None.
 
-    Keys of a dict are taken in upper or lower case.  Values that cannot be turned
-    into ``kind`` (float or str) count as absent, and so do empty strings and
-    numbers that are not finite.
+    Keys of a dict may be in upper or lower case.  Values that cannot be converted
+    to ``kind`` (float or str), empty strings and numbers that are not finite count
+    as absent.
     """
     for keyword in (key for name in keywords for key in (name, name.lower())):
         try:
@@ -118,15 +118,15 @@ def get(header, *keywords, kind=None):
 
 def parse_date(text, scale="utc"):
     """
-    Return the Time of a date as headers and tables write it, or raise a ValueError.
+    Return the Time of a date in a header or table, or raise a ValueError.
 
-    Understood are ``2006-03-09``, with a time of day of any precision and a
+    The date may be ``2006-03-09``, with a time of day of any precision and a
     trailing ``Z``, ``2006/03/09``, ``2006_03_09``, ``20060309``, ``2006 Mar 09``,
-    the old ``21/03/95`` (day, month, year), and decimal years, ``2006.185``.
+    the old ``21/03/95`` (day, month, year), or a decimal year, ``2006.185``.
     """
     plain = re.sub(r"(Z|\+00:?00| ?UTC?)$", "", str(text).strip().upper())
     plain, clock = plain.strip().replace("_", "-"), None
-    # ERFA calls dates dubious for which leap seconds are unknown.
+    # ERFA warns of years whose leap seconds are unknown.
     with warnings.catch_warnings(action="ignore"):
         try:
             if _DECIMAL_YEAR.match(plain):
@@ -151,21 +151,21 @@ def parse_date(text, scale="utc"):
 
 
 def first_line(error):
-    """Return what an error says, in one line."""
+    """Return the first line of an error's message."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 def some(names, most=3):
-    """Return the first of names that may be many."""
+    """Return the first of many names as text, with the number of the others."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
 
 
 def parse_unit(text):
     """
-    Return the unit that FITS headers write, such as ``JY/BEAM``.
+    Return the unit in a FITS header, such as ``JY/BEAM``.
 
-    Dimensionless for no text, None for a text that is not understood.
+    It is dimensionless for no text, and None for a text that is not understood.
     """
     if text is None or isinstance(text, u.UnitBase):
         return text or u.dimensionless_unscaled
@@ -173,7 +173,7 @@ def parse_unit(text):
     if text.upper() == "MJY/SR":
         return u.MJy / u.sr
     if text == text.upper() and "MJY" in text:
-        # Upper case has lost whether M was milli or mega.
+        # In upper case M may be milli or mega.
         return None
     words = re.sub(
         r"[A-Za-z]+", lambda word: _UNIT_WORDS.get(word[0].lower(), word[0]), text
@@ -241,7 +241,7 @@ def _header_beam(header, tables):
 
 
 def _beam(major, minor, pa):
-    """Return the beam of three numbers in degrees, whichever axis is larger."""
+    """Return the beam of three numbers in degrees, with the larger axis first."""
     if not (major > 0 and minor > 0):
         raise ValueError(f"the beam {major:g} x {minor:g} deg is not positive")
     if minor > major:
@@ -260,10 +260,10 @@ def _beam_of_table(table):
 
 def header_facts(header):
     """
-    Return what tells whether images belong together.
+    Return the facts that tell whether images belong together.
 
-    Those of ``object``, ``telescope``, ``frequency`` (Hz), ``filter`` and
-    ``stokes`` that the header has.
+    These are ``object``, ``telescope``, ``frequency`` (Hz), ``filter`` and
+    ``stokes``, as far as the header has them.
     """
     stokes = _axis_value(header, "STOKES")
     frequency = _axis_value(header, "FREQ")
@@ -280,7 +280,7 @@ def header_facts(header):
 
 
 def _filter_wheels(header):
-    """Return what two filter wheels of HST have in the way of the light."""
+    """Return the filters in the light path of HST's two filter wheels."""
     for keyword in ("FILTER", "FILTNAM"):
         names = (get(header, f"{keyword}{wheel}", kind=str) or "" for wheel in (1, 2))
         found = [name for name in names if name and not name.startswith("CLEAR")]
@@ -312,10 +312,10 @@ def celestial_wcs(header, fobj=None):
     """
     Return the celestial axes of a FITS header as a two-dimensional WCS.
 
-    Repairs what AIPS, difmap and others write: ``DEC---SIN`` with three dashes,
+    Faults of AIPS, difmap and others are repaired: ``DEC---SIN`` with three dashes,
     ``EPOCH`` for the equinox, units in capitals.  Without ``CRVALn`` the reference
-    pixel is at (0, 0).  A ValueError says what else is wrong.  Distortions that are
-    kept in tables need the `~astropy.io.fits.HDUList` ``fobj``.
+    pixel is at (0, 0).  Other faults raise a ValueError.  Distortions that are stored
+    in tables need the `~astropy.io.fits.HDUList` ``fobj``.
     """
     clean = _repaired(header)
     kinds = [axis_kind(str(clean.get(f"CTYPE{axis}", ""))) for axis in range(1, 8)]
@@ -344,14 +344,14 @@ def celestial_wcs(header, fobj=None):
 
 
 def _repaired(header):
-    """Return the cards of a header that WCS reads, as the standard has them."""
+    """Return the cards of a header that WCS reads, corrected to the standard."""
     clean = fits.Header()
     for card in header.cards:
         try:
             keyword, value = card.keyword, card.value
         except (fits.VerifyError, ValueError):
             continue
-        # Dates are read elsewhere; WCS would warn about them on every file.
+        # Dates are read elsewhere; WCS would warn of them in every file.
         if not re.match(r"(HISTORY|COMMENT|)$|DATE|MJD|TIMESYS", keyword):
             value = _standard(keyword, value)
             with suppress(fits.VerifyError, ValueError):
@@ -362,13 +362,13 @@ def _repaired(header):
 
 
 def _standard(keyword, value):
-    """Return the value of a keyword as the standard has it."""
+    """Return the value of a keyword, corrected to the standard."""
     if keyword.startswith("CTYPE"):
-        # The coordinate's name with dashes to five characters, and the projection.
+        # The coordinate's name, filled with dashes to five characters, and projection.
         ctype = str(value).strip().upper()
         if match := re.fullmatch(r"([A-Z]{2,4})-+([A-Z]{3})(-SIP)?", ctype):
             return f"{match[1]:-<5}{match[2]}{match[3] or ''}"
-        # AIPS and difmap leave the projection out, which is orthographic there.
+        # AIPS and difmap omit the projection if it is orthographic.
         return {"RA": "RA---SIN", "DEC": "DEC--SIN"}.get(ctype, ctype)
     if keyword.startswith("CUNIT") and str(value).upper().startswith("DEG"):
         return "deg"

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What images and dates hold and allow, and what is wrong with them."""
+"""Inspection of images and dates: facts, problems, and the speeds they allow."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -16,9 +16,10 @@ from astro_scc.epochs.validation import as_beams
 MAD_TO_SIGMA = 1.482602218505602
 CLIP = 3.0
 MAX_ITERATIONS = 50
-# Images with more exact zeros than this have been blanked with zeros.
+# Images with a larger fraction of exact zeros have been blanked with zeros.
 BLANKED = 0.1
-# Images of one band: VLBI bands are a few per cent wide and 30% apart.
+# Largest ln(frequency ratio) in one band: VLBI bands are a few per cent wide and 30%
+# apart.
 BAND = 0.1
 POLARISED = ("Q", "U", "V")
 UNNAMED = {"", "UNKNOWN", "NONE", "N/A"}
@@ -33,8 +34,8 @@ COLUMNS = {
     "object": None,
     "frequency": u.GHz,
 }
-# Displacements that can be distinguished from zero, as the paper has it (Sect. 2.2),
-# and those between which pairs of epochs work best, in beams.
+# Smallest displacement that can be distinguished from zero (paper, Sect. 2.2), and
+# the range in which pairs of epochs work best, in beams.
 SMALLEST_SHIFT = 0.2
 GOOD_SHIFTS = (0.3, 1.5)
 # Resolution of images without a beam, in pixels.
@@ -45,13 +46,13 @@ def measure_noise(image, *, mask=None):
     """
     Return the root mean square of the noise of an image, away from the source.
 
-    With m the median and ``s = 1.4826 median|I - m|`` (the median absolute
-    deviation, MAD), pixels with ``|I - m| > 3 s`` are left out and both are
-    computed again until nothing more falls out.  Noise that the beam
-    correlates has the same distribution of values as white noise of that
+    With the median m and ``s = 1.4826 median|I - m|`` (from the median absolute
+    deviation, MAD), pixels with ``|I - m| > 3 s`` are left out, and m and s are
+    computed again until no more pixels are left out.  Noise that the beam
+    correlates has the same distribution of values as white noise of the same
     rms, so it needs no correction.  Pixels that are exactly zero count as
-    blanked where they are more than a tenth of the image.  Where the MAD is
-    zero all the same the standard deviation is returned.
+    blanked if they are more than a tenth of the image.  If the MAD is still
+    zero, the standard deviation is returned.
 
     The source should cover less than half of the image.
 
@@ -64,7 +65,7 @@ def measure_noise(image, *, mask=None):
     Returns
     -------
     float
-        In the unit of the image; 0 where no valid pixel is left.
+        In the unit of the image; 0 if no valid pixel is left.
 
     Examples
     --------
@@ -86,7 +87,7 @@ def measure_noise(image, *, mask=None):
         kept = kept[kept != 0]
     if kept.size == 0:
         return 0.0
-    # Images may be large: medians sort in place, since the order does not matter.
+    # Images may be large, so the medians sort in place.
     for _ in range(MAX_ITERATIONS):
         middle = np.median(kept, overwrite_input=True)
         deviation = _deviation(kept, middle)
@@ -106,11 +107,11 @@ def _deviation(values, middle):
 
 def epoch_table(cube):
     """
-    Facts of the epochs, one row per epoch, `~astropy.table.QTable`.
+    Facts about the epochs, a `~astropy.table.QTable` with one row per epoch.
 
-    Columns ``epoch``, ``label``, ``date``, where the cube has beams
-    ``major``, ``minor``, ``pa``, then ``noise`` (given or measured),
-    ``object`` and ``frequency`` (NaN where unknown).
+    The columns are ``epoch``, ``label``, ``date``, ``major``, ``minor``, ``pa``
+    (if the cube has beams), ``noise`` (given or measured), ``object`` and
+    ``frequency`` (NaN where unknown).
     """
     table = QTable({"epoch": np.arange(len(cube)), "label": list(cube.labels)})
     table["date"] = Time(cube.times, format="isot")
@@ -125,7 +126,7 @@ def epoch_table(cube):
 
 def noise_rms(cube):
     """
-    Return the noise of each epoch: what was given, or else measured.
+    Return the noise of each epoch, as given or else as measured.
 
     Parameters
     ----------
@@ -145,7 +146,7 @@ def noise_rms(cube):
 def looks_like_mask(image):
     """Return whether an image has no more than two values that are finite."""
     values = np.asarray(image, dtype=float)
-    # Mostly a few pixels are enough to see that it has more.
+    # A few pixels usually show that there are more values.
     few = values.flat[:1000]
     if len(np.unique(few[np.isfinite(few)])) > 2:
         return False
@@ -156,11 +157,11 @@ def looks_like_mask(image):
 
 def find_odd(planes):
     """
-    Return images of another object, band or polarisation than most.
+    Return the images of another object, band or polarisation than most.
 
-    The result is a list of the number of an image among ``planes``, what is odd about
-    it, and whether it must be left out.  Another name for the same place is only worth
-    a warning.
+    The result is a list of tuples: the index of an image in ``planes``, what is odd
+    about it, and whether it must be left out.  Another name for the same place needs
+    only a warning.
     """
     facts = [plane.record.facts for plane in planes]
     names = [str(fact.get("object", "")).strip() for fact in facts]
@@ -187,7 +188,7 @@ def find_odd(planes):
 
 
 def _minority(values):
-    """Return those that have another value than most, or than the first ones."""
+    """Return the entries that differ from the most common value (first of equals)."""
     keys = [v and v.upper().replace(" ", "").replace("_", "") for v in values]
     count = Counter(key for key in keys if key)
     if len(count) < 2:
@@ -205,7 +206,7 @@ def separation(one, other):
 
 
 def find_same_dates(times):
-    """Return pairs of the numbers of epochs that have one date, to the second."""
+    """Return pairs of indices of epochs with the same date, to the second."""
     order = np.argsort((times - times[0]).sec, kind="stable")
     gaps = np.diff((times - times[0]).sec[order])
     return [(int(order[k]), int(order[k + 1])) for k in np.flatnonzero(gaps < 1)]
@@ -213,24 +214,24 @@ def find_same_dates(times):
 
 def inspect_epochs(paths, *, hdu=None):
     """
-    Return facts of each file, and what is wrong with it; no file is refused.
+    Return facts about each file and its problems; no file is refused.
 
     Parameters
     ----------
     paths : str, path-like, or sequence of them
         Files or patterns.
     hdu : int or str, optional
-        The extension that holds the image, by default the first image.
+        Extension of the image, by default the first image.
 
     Returns
     -------
     `~astropy.table.QTable`
-        One row per file, sorted by date, files without one last: ``file``,
+        One row per file, sorted by date, with undated files last: ``file``,
         ``date`` (masked where missing), ``nx``, ``ny``, ``pixel``,
-        ``major``, ``minor``, ``pa``, ``peak``, ``noise``, ``peak_east``,
-        ``peak_north`` (the brightest pixel from the reference pixel),
-        ``object``, ``frequency`` and ``problem``, empty where there is
-        none.  Numbers that are not known are NaN or 0.
+        ``major``, ``minor``, ``pa``, ``peak``, ``noise``, ``peak_east`` and
+        ``peak_north`` (offset of the brightest pixel from the reference
+        pixel), ``object``, ``frequency`` and ``problem``, empty if there is
+        none.  Unknown numbers are NaN or 0.
 
     Raises
     ------
@@ -269,7 +270,7 @@ def inspect_epochs(paths, *, hdu=None):
 
 
 def _inspect(path, hdu):
-    """Return the row of a file; its numbers are NaN where the file cannot be read."""
+    """Return the row of a file; its numbers are NaN if the file cannot be read."""
     row = dict.fromkeys(COLUMNS, np.nan)
     row |= {"path": path, "date": None, "nx": 0, "ny": 0, "object": "", "problems": []}
     row |= {"plane": None, "unit": u.dimensionless_unscaled}
@@ -299,13 +300,13 @@ def _inspect(path, hdu):
     del values
     row["peak_east"], row["peak_north"] = matrix @ ([x, y] - plane.wcs.wcs.crpix + 1)
     row["noise"] = measure_noise(plane.data, mask=plane.mask)
-    # Of many large files only the facts are kept.
+    # Only the facts are kept, as there may be many large files.
     plane.data = plane.mask = plane.uncertainty = plane.header = None
     return row
 
 
 def _compare(rows):
-    """Add what is wrong with files beside one another."""
+    """Add the problems that show in a comparison of the files."""
     for i, what, _ in find_odd([row["plane"] for row in rows]):
         rows[i]["problems"].append(what)
     dated = [row for row in rows if row["date"] is not None]
@@ -330,22 +331,22 @@ def _compare(rows):
 @dataclass(frozen=True)
 class IntervalPlan:
     """
-    What the dates of a series allow to be measured.
+    The speeds that the dates of a series allow to be measured.
 
-    With b the resolution (geometric mean of the beam's axes, median over
-    the epochs), T the span of the series, dt the median interval between
-    consecutive epochs and L the shorter side of the images:
+    With the resolution b (geometric mean of the beam's axes, median over
+    the epochs), the span T of the series, the median interval dt between
+    consecutive epochs and the shorter side L of the images:
 
-    - ``slowest = 0.2 b / T``: what moves less than a fifth of a beam from
+    - ``slowest = 0.2 b / T``: motion by less than a fifth of a beam from
       the first to the last epoch cannot be distinguished from zero.
-    - ``fastest = L / (2 dt)``: what crosses half of the image between
-      consecutive epochs is in one of them only.
+    - ``fastest = L / (2 dt)``: a feature that crosses half of the image
+      between consecutive epochs is in one of them only.
     - ``consecutive = (0.3, 1.5) b / dt``: speeds for which consecutive
       epochs are the best pairs; slower features hardly move between them,
       faster ones change before they can be recognised.
 
-    ``shortest``, ``median`` and ``longest`` are intervals between consecutive epochs of
-    different date; ``fastest`` is None where the size of the images is not known.
+    ``shortest``, ``median`` and ``longest`` are intervals between consecutive epochs
+    of different date; ``fastest`` is None if the size of the images is not known.
     """
 
     n_epochs: int
@@ -362,15 +363,15 @@ class IntervalPlan:
         """
         Return the shortest and longest interval between epochs that suit a speed.
 
-        ``(0.3, 1.5) b / speed``, so that pairs of epochs are between a third
-        of a beam and one and a half beams of motion apart, and no longer than the
-        series.  A ValueError if the speed is not positive, or too slow for the series.
+        They are ``(0.3, 1.5) b / speed``, in which a feature moves 0.3 to 1.5 beams,
+        but no longer than the series.  A speed that is not positive, or too slow for
+        the series, raises a ValueError.
         """
         speed = u.Quantity(speed).to(self.slowest.unit)
         if not speed > 0:
             raise ValueError(f"speed must be positive, got {speed}")
         wanted = (np.array(GOOD_SHIFTS) * self.resolution / speed).to(self.span.unit)
-        # Rounding must not refuse the slowest speed that the plan names.
+        # The slowest allowed speed must not be refused by rounding errors.
         if wanted[0] > self.span * (1 + 1e-9):
             raise ValueError(
                 f"at {speed:.3g} nothing moves {GOOD_SHIFTS[0]} of a beam in the "
@@ -380,9 +381,9 @@ class IntervalPlan:
 
     def motion(self, speed):
         """
-        Return how far a feature moves at the median interval, in beams.
+        Return how far a feature moves in the median interval, in beams.
 
-        0.3 to 1.5 are good, see `baseline` for other pairs.
+        Values of 0.3 to 1.5 are good; for others see `baseline`.
         """
         return (u.Quantity(speed) * self.median / self.resolution).to_value(u.one)
 
@@ -413,15 +414,15 @@ class IntervalPlan:
 
 def plan_intervals(cube, beam=None, *, extent=None):
     """
-    Return what the dates of a series allow to be measured.
+    Return the speeds that the dates of a series allow to be measured.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube` or `~astropy.time.Time`
         At least two epochs of different date.
     beam : beam, sequence of beams or `~astropy.units.Quantity`, optional
-        Or the resolution itself.  By default the beams of the cube, or
-        three pixels where it has none.
+        Beams, or the resolution itself.  By default the beams of the cube, or
+        three pixels if it has none.
     extent : `~astropy.units.Quantity`, optional
         Shorter side of the images, by default that of the cube.
 

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""How well the epochs are aligned."""
+"""The accuracy of the alignment of the epochs."""
 
 import warnings
 
@@ -11,49 +11,48 @@ from astro_scc.epochs.grid import fill_masked
 from astro_scc.epochs.registration import core_positions
 from astro_scc.exceptions import MeasurementWarning
 
-#: Epochs that scatter by so many beams can make still jets move: 5 of 42 static jets
-#: did at 0.3 beams, none of 132 at 0.2.
+#: Scatter in beams that can make a static jet seem to move: 5 of 42 static jets did at
+#: 0.3 beams, none of 132 at 0.2.
 LARGEST = 0.2
-#: So many epochs tell the scatter to 15%.
+#: This number of epochs gives the scatter to 15%.
 ENOUGH = 24
-#: The core is searched for in so many epochs and their neighbours, and believed if it
-#: agrees with them to so many beams.
+#: Number of epochs in which, with their neighbours, the core is sought, and the scatter
+#: in beams of the epochs after alignment on it, up to which it is trusted.
 CORES, AGREE = 4, 0.05
-#: An epoch that resembles its neighbours less, once it lies on them, does not tell
-#: where it is: with a core they resemble one another by 0.97, without by 0.4 to 0.7.
+#: Smallest correlation of an aligned epoch with its neighbours that gives its position:
+#: with a core it is 0.97, without 0.4 to 0.7.
 ALIKE = 0.9
-#: Pixels of the source, in noises, and at least so many.
+#: Smallest signal-to-noise ratio of the source's pixels, and their smallest number.
 SOURCE_SNR, FEWEST = 5.0, 10
-#: Most steps towards a displacement, and the last one in pixels.
+#: Largest number of steps towards a displacement, and the last step in pixels.
 STEPS, CONVERGED = 10, 0.01
 
 
 def misalignment(cube):
     r"""
-    Return the scatter of the epochs of a cube about one another, in beams.
+    Return the scatter of the alignment of a cube's epochs, in beams.
 
-    Each epoch is registered on the mean of the one before it and the one
-    after it, weighted by time, so that what moves steadily, by less than its
-    size, is where the epoch has it and what stands still is too: neither the
-    core has to be found, nor does a feature that outshines it matter.  With
-    w the weight of the one before,
+    Each epoch is registered on the mean of the epochs before and after it,
+    weighted by time.  In this mean, features that move steadily, by less than
+    their size, are where they are in the epoch, and so are standing features.
+    The core need not be found, and a feature may outshine it.  With the
+    displacements d and the weight w of the epoch before,
 
     .. math:: \sigma^2 = \left\langle \frac{d^2 / 2}{1 + w^2 + (1 - w)^2} \right\rangle
 
-    is the variance of the positions of epochs along an axis, d the
-    displacements.
+    is the variance of the positions of epochs along an axis.
 
-    Epochs that lie too far apart do not resemble one another.  There the
-    core (`~astro_scc.epochs.core_positions`) tells in the same way, if it is
-    found for certain: if some epochs with its positions taken away lie on
-    one another.  A steady drift of all that is seen cannot be
-    distinguished from motion and does not count.
+    Epochs that are too far apart do not resemble one another.  Then the
+    positions of the core (`~astro_scc.epochs.core_positions`) are compared in
+    the same way, if they are reliable: if they align some epochs with one
+    another.  A steady drift of everything cannot be distinguished from motion
+    and does not count.
 
     Returns
     -------
     float or None
-        In beams, their mean ``sqrt(major minor)``; None without beams, of
-        fewer than three dates, or if neither tells.
+        In units of the mean ``sqrt(major minor)`` of the beams; None without
+        beams, for fewer than three dates, or if neither way gives a result.
 
     Examples
     --------
@@ -111,16 +110,16 @@ def misalignment(cube):
 
 
 def _spread(values, most):
-    """Return so many of some values at most, from the first to the last."""
+    """Return at most ``most`` of some values, evenly from the first to the last."""
     places = np.linspace(0, len(values) - 1, most).round().astype(int)
     return values[np.unique(places)]
 
 
 def _scatter(shifts, weights, width):
     """
-    Return the scatter of one epoch, in beams, None if most shifts are None.
+    Return the scatter of one epoch, in beams, or None if most shifts are None.
 
-    The neighbours, from whose weighted mean it is shifted, scatter as much.
+    The neighbours, whose weighted mean is the reference, scatter as much.
     """
     squares = [
         np.mean(shift**2) / (1 + np.sum(np.square(weights[k])))
@@ -152,8 +151,8 @@ def _displacement(image, reference, use, reach):
     """
     Return the displacement (x, y) from a reference, None if they are not alike.
 
-    ``I(x + d) = a R(x) + b`` is solved for d, gain a and level b with the
-    slopes of R, again and again from where it has led.
+    ``I(x + d) = a R(x) + b`` is linearised with the slopes of R and solved for
+    d, gain a and level b, iteratively.
     """
     y, x = np.nonzero(use)
     if len(y) < FEWEST:
@@ -169,7 +168,7 @@ def _displacement(image, reference, use, reach):
             spline, [y + shift[1], x + shift[0]], order=3, prefilter=False
         )
         *step, gain, _ = solve @ values
-        # Where it turns the image over, or leads far away, it leads nowhere.
+        # A negative gain or a large shift shows that the steps do not converge.
         if gain <= 0 or np.hypot(*shift) > reach:
             return None
         step = np.array(step) / gain
@@ -182,7 +181,7 @@ def _displacement(image, reference, use, reach):
 
 
 def warn_of_misalignment(cube):
-    """Warn if epochs scatter by two tenths of the beam or more."""
+    """Warn if the alignment of the epochs scatters by 0.2 beams or more."""
     scatter = cube.misalignment
     if scatter is not None and scatter >= LARGEST:
         warnings.warn(

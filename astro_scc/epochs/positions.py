@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Where pixels and patterns of a cube are on the sky, and how well that is known."""
+"""Positions of pixels and SSPs of a cube on the sky, and their errors."""
 
 import re
 
@@ -10,22 +10,22 @@ from astropy.wcs import WCS
 
 from astro_scc.decomposition import scale_size
 
-#: What the axes of celestial frames other than right ascension are called.
+#: Names of celestial frames by the code of their longitude.
 FRAMES = {"GLON": "galactic", "ELON": "ecliptic", "SLON": "supergalactic"}
 SOLAR = ("HPLN", "HGLN", "CRLN", "HCLN")
-#: Names of columns where longitude is not right ascension.
+#: New names of columns if longitude is not right ascension.
 LONGITUDE = {
     r"\bpm_ra_cosdec": "pm_lon_coslat",
     r"\bpm_dec(?=_err|\b)": "pm_lat",
     r"(\b|_)east(?=_|$)": r"\1lon_offset",
     r"(\b|_)north(?=_|$)": r"\1lat_offset",
 }
-#: Size of the resolution of images without a beam, in scales of the SSP.
+#: Resolution of images without a beam, in sizes of the SSP's scale.
 SCALES_PER_FWHM = 2.0
 
 
 def readable_angle(angle):
-    """Return an angle as text, in the unit that gives a number of common size."""
+    """Return an angle as text, in the unit that suits its size."""
     units = (u.deg, u.arcsec, u.mas, u.uas)
     size = abs(angle)
     unit = next((unit for unit in units if size.to_value(unit) >= 0.1), u.mas)
@@ -44,9 +44,9 @@ def pixel_side(pixel_scale):
 
 def offset_wcs(pixel_scale, reference_pixel, position=None):
     """
-    Return the celestial WCS of an image that is known by offsets from one pixel.
+    Return a celestial WCS for offsets from a reference pixel.
 
-    Orthographic (``SIN``), east to the left, north up, square pixels.
+    It is orthographic (``SIN``), with east to the left, north up and square pixels.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def offset_wcs(pixel_scale, reference_pixel, position=None):
     reference_pixel : tuple of float
         (x, y) of the origin of offsets, counted from 0.
     position : `~astropy.coordinates.SkyCoord`, optional
-        Celestial position of the origin; (180 deg, 0 deg) without it.
+        Celestial position of the origin; by default (180 deg, 0 deg).
     """
     step = pixel_side(pixel_scale).to_value(u.deg)
     position = SkyCoord(180 * u.deg, 0 * u.deg) if position is None else position.icrs
@@ -74,14 +74,14 @@ def pixel_matrix(cube):
     """
     Offsets (east, north) of one pixel step in (x, y), shape (2, 2).
 
-    ``(east, north) = pixel_matrix @ (dx, dy)``, the CD matrix of the
-    WCS as angles.
+    ``(east, north) = pixel_matrix @ (dx, dy)``.  It is the CD matrix of the
+    WCS in angles.
     """
     return (cube.wcs.pixel_scale_matrix * u.deg).to(u.mas)
 
 
 def pixel_scale(cube):
-    """Side of a square pixel of the same area."""
+    """Side of a square pixel with the area of the cube's pixels."""
     return np.sqrt(np.abs(np.linalg.det(cube.pixel_matrix.value))) * u.mas
 
 
@@ -104,7 +104,7 @@ def pixel_to_offset(cube, x, y):
     Returns
     -------
     east, north : `~astropy.units.Quantity`
-        In mas, of the shape of ``x`` and ``y``.
+        In mas, with the broadcast shape of ``x`` and ``y``.
     """
     x0, y0 = cube.reference_pixel
     step = np.stack(np.broadcast_arrays(np.subtract(x, x0), np.subtract(y, y0)))
@@ -151,11 +151,11 @@ def offsets(cube):
 
 def axis_words(cube):
     """
-    Return where longitude and latitude grow, and whether that of longitude is left.
+    Return where longitude and latitude increase, and if longitude does so leftwards.
 
-    On the sky to the east, which is to the left; in coordinates of the Sun to
-    the west, which is to the right.  The words are "east" and "north" for right
-    ascension and declination only.  Of the ``cube`` only the ``wcs`` is used.
+    On the sky longitude increases to the east, which is left; in coordinates of the
+    Sun it increases to the west, which is right.  The words are "east" and "north" for
+    right ascension and declination only.  Only the ``wcs`` of the ``cube`` is used.
     """
     ctype = str(cube.wcs.wcs.ctype[0])
     if ctype[:4] in SOLAR:
@@ -177,7 +177,7 @@ def ssp_offsets(ssps, cube, *, centroid=False):
     ssps : `~astro_scc.decomposition.SSPs`
     cube : `~astro_scc.epochs.EpochCube`
     centroid : bool, optional
-        The centroids instead of the maxima.
+        Use the centroids instead of the maxima.
 
     Returns
     -------
@@ -204,11 +204,11 @@ def name_by_frame(table, cube):
     """
     Name the columns of a table by the celestial frame of its cube, in place.
 
-    Tables are made with names of right ascension and declination.  In other
+    Tables are made with names for right ascension and declination.  In other
     frames, such as those of the Sun, ``pm_ra_cosdec`` becomes
     ``pm_lon_coslat``, ``pm_dec`` becomes ``pm_lat``, and the offsets ``east``
-    and ``north`` ``lon_offset`` and ``lat_offset``, with all that is derived
-    from them.  The table is returned.
+    and ``north`` become ``lon_offset`` and ``lat_offset``; columns derived from
+    them change likewise.  The table is returned.
     """
     first, second, _ = axis_words(cube)
     if first == "east":
@@ -250,14 +250,14 @@ def beam_fwhm(cube, epoch, scale, axes):
     scale : array_like, shape (n,)
         Scale numbers of the SSPs.
     axes : `~numpy.ndarray`, shape (2, 2) or (n, 2, 2)
-        Rows are the vectors (east, north) of the axes, of unit length but in
+        Rows are the vectors (east, north) of the axes, of unit length except in
         frames that scale with distance.
 
     Returns
     -------
     `~numpy.ndarray`, shape (n, 2)
-        Full width at half maximum of the beam of the epoch; for a cube without
-        beams twice the size of the SSP's scale.
+        Full width at half maximum of the epoch's beam; for a cube without beams,
+        twice the size of the SSP's scale.
 
     Examples
     --------
@@ -272,7 +272,7 @@ def beam_fwhm(cube, epoch, scale, axes):
     if cube.beams is None:
         size = np.vectorize(scale_size, otypes=[float])(scale) if len(epoch) else scale
         width = SCALES_PER_FWHM * np.asarray(size) * cube.pixel_scale.value
-        # Axes of unit length in all frames but those that scale with distance.
+        # Axes have unit length except in frames that scale with distance.
         return width[..., None] * np.linalg.norm(axes, axis=-1)
     covariance = np.stack([beam.covariance.value for beam in cube.beams])[epoch]
     variance = np.einsum("...ai,...ij,...aj->...a", axes, covariance, axes)
@@ -285,8 +285,8 @@ def position_errors(snr, fwhm, fraction):
 
     ``sigma^2 = (b / (sqrt(2) SNR))^2 + (f b)^2 / 2`` on each axis: the
     thermal error (Fomalont 1999; Mertens & Lobanov 2016, Eq. 2) and a floor
-    for what a pattern's position suffers beyond noise, f the ``fraction``
-    of the beam that two positions together are uncertain by.
+    for errors beyond noise, where f is the ``fraction`` of the beam b by which
+    the difference of two positions is uncertain.
 
     Parameters
     ----------

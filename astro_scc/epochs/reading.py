@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Single images, from files or in memory, put together to the fields of a cube."""
+"""Assembly of single images, from files or memory, into the fields of a cube."""
 
 import os
 import sys
@@ -39,15 +39,15 @@ from astro_scc.epochs.validation import (
 from astro_scc.exceptions import EpochWarning
 
 FRAMES = ("offset", "absolute")
-# Reference pixels further apart than this part of the image are more than
-# the scatter of VLBI positions.
+# Reference pixels further apart than this fraction of the image exceed the
+# scatter of VLBI positions.
 FAR = 0.05
-#: Of a pixel of a cube, with its mask.
+#: Bytes of a pixel of a cube, with its mask.
 BYTES = 9
 
 
 def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
-    """Return the fields of the cube of some files; see `EpochCube.read`."""
+    """Return the fields of the cube in some files; see `EpochCube.read`."""
     times, beams = _given(times, beams, len(files), frame)
     names = [path.name for path in files]
     if len(set(names)) < len(names):
@@ -85,7 +85,7 @@ def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
 
 
 def _refuse_too_many(shape, n):
-    """Refuse what the machine cannot hold, before it comes to a standstill."""
+    """Refuse more images than the memory holds, before the machine is blocked."""
     need = n * np.prod(shape, dtype=float) * BYTES
     have = machine_memory()
     if need > have:
@@ -97,14 +97,14 @@ def _refuse_too_many(shape, n):
 
 
 def read_images(images, *, times, beams, frame, check):
-    """Return the fields of the cube of some images; see `EpochCube.from_ccddata`."""
+    """Return the fields of a cube of images; see `EpochCube.from_ccddata`."""
     images = [images] if isinstance(images, NDData) else list(images)
     times, beams = _given(times, beams, len(images), frame)
     epochs = []
     for i, (image, time, beam) in enumerate(zip(images, times, beams, strict=True)):
         name = f"image {i}"
         if hasattr(image, "extra_coords"):
-            # By its name: a room above this one.
+            # Imported by name: a subpackage above this one.
             room = import_module("astro_scc.interchange")
             cube = room.from_ndcube(image, times=time, beams=beam)
             if len(cube) > 1:
@@ -156,7 +156,7 @@ def _plane_of_nddata(image, name):
 
 
 def _given(times, beams, n, frame):
-    """Return dates and beams that the user gives, None where there is none."""
+    """Return the dates and beams that the user gives, None where there is none."""
     if frame not in FRAMES:
         raise ValueError(f"frame must be 'offset' or 'absolute', got {frame!r}")
     if n == 0:
@@ -172,7 +172,7 @@ def _given(times, beams, n, frame):
 
 
 def _observed(plane, time):
-    """Return the date that is given, or that of the header."""
+    """Return the given date, or that of the header."""
     if time is not None or plane.record.time is not None:
         return plane.record.time if time is None else time
     problem = plane.record.date_problem or (
@@ -183,7 +183,7 @@ def _observed(plane, time):
 
 
 def _epoch(plane, time, beam, label):
-    """Return a plane with what is given; pixels of no finite uncertainty become bad."""
+    """Return a plane with given values; pixels without finite uncertainty are bad."""
     record = replace(plane.record, time=_observed(plane, time))
     plane.record = record if beam is None else replace(record, beam=beam)
     plane.label = label
@@ -200,7 +200,7 @@ def _epoch(plane, time, beam, label):
 
 
 def _assemble(planes, frame, check, source):
-    """Return the fields of a cube of images that are each on their own grid."""
+    """Return the fields of a cube from images on their own grids."""
     times = as_times([plane.record.time for plane in planes], len(planes))
     order = np.argsort((times - times[0]).jd, kind="stable")
     planes, times = [planes[i] for i in order], times[order]
@@ -247,7 +247,7 @@ def _assemble(planes, frame, check, source):
 
 
 def _convert(planes):
-    """Bring all images to the unit of the first one."""
+    """Convert all images to the unit of the first one."""
     first = planes[0]
     for plane in planes:
         if not plane.unit.is_equivalent(first.unit):
@@ -276,7 +276,7 @@ def _warn_of_distances(planes):
 
 
 def _all_or_none(planes, what, values, otherwise):
-    """Return a value of every image, or else warn that some have none."""
+    """Return the values of all images, or None, with a warning if some have one."""
     missing = [p.name for p, v in zip(planes, values, strict=True) if v is None]
     if not missing:
         return values
@@ -287,7 +287,7 @@ def _all_or_none(planes, what, values, otherwise):
 
 
 def _all_noise(planes):
-    """Return the noise of all images by their uncertainties, if they have them."""
+    """Return the noise of all images from their uncertainties, if all have them."""
     otherwise = "that of all is measured; give every image an uncertainty"
     noise = [plane.noise for plane in planes]
     noise = _all_or_none(planes, "noise", noise, otherwise)
@@ -298,7 +298,7 @@ def _all_noise(planes):
 
 
 def _warn(message):
-    """Warn the first caller outside the epochs."""
+    """Warn the first caller outside this subpackage."""
     here = os.path.dirname(__file__) + os.sep
     level, frame = 1, sys._getframe(0)
     while frame and frame.f_code.co_filename.startswith(here):

@@ -10,18 +10,18 @@ from astro_scc.correlation import correlate_windows
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
 from astro_scc.epochs.grid import BAD_WEIGHT, fill_masked
 
-# A local maximum, or a blended component, of less than this fraction of the
-# brightest is no core.
+# A local maximum or a blended component must have this fraction of the brightest
+# to be the core.
 FAINTEST = 0.1
 # Radius of the pixels that are fitted, in widths of the beam (FWHM).
 RADIUS = 1.5
 # A second component must lower chi^2 by this much.
 CHI_SQUARE = 25.0
-# Share of the pixels in use that must fall on good pixels of the image.
+# Fraction of the pixels in use that must fall on good pixels of the image.
 MIN_OVERLAP = 0.5
-# Pixels where the slope is a smaller part of the steepest are flat.
+# Pixels are flat if their slope is a smaller fraction of the steepest.
 FLAT = 0.01
-# Pixels that must be left to compare.
+# Smallest number of pixels to compare.
 FEWEST = 10
 
 
@@ -29,12 +29,11 @@ def core_positions(cube, *, jet_pa=None, max_shift=None):
     """
     Return the position of the core in each epoch.
 
-    The core is taken for the upstream end of the jet: of the local maxima
-    of at least a tenth of the epoch's peak, the one farthest against the
-    direction of the jet.  Around it two Gaussians of the shape of the beam
-    are fitted together, the core and what follows it closely, and the
-    upstream one is the core.  One is fitted where a second improves little
-    (chi-square by less than 25), or if there is no direction.
+    The core is taken to be the upstream end of the jet: of the local maxima
+    with at least a tenth of the epoch's peak, the one farthest upstream.
+    Around it two Gaussians of the shape of the beam are fitted together, and
+    the upstream one is the core.  Only one is fitted if a second lowers
+    chi-square by less than 25, or if the direction of the jet is unknown.
 
     Parameters
     ----------
@@ -45,35 +44,35 @@ def core_positions(cube, *, jet_pa=None, max_shift=None):
         default the direction from the peak of the mean image to its
         centroid, if they are farther apart than a twentieth of the beam.
     max_shift : `~astropy.units.Quantity`, optional
-        Look for the core no farther from the reference pixel.
+        Search for the core no farther from the reference pixel.
 
     Returns
     -------
     `~astropy.table.QTable`
-        One row an epoch: ``label``, ``date``, ``east`` and ``north``
+        One row per epoch: ``label``, ``date``, ``east`` and ``north``
         (offset of the core from the reference pixel, in mas), their
-        errors ``east_err`` and ``north_err`` from noise or misfit,
-        whichever is larger, and ``blended``: whether a second component
+        errors ``east_err`` and ``north_err``, from noise or misfit,
+        whichever is larger, and ``blended``, whether a second component
         lies within a beam of the core.
 
     Raises
     ------
     ValueError
-        If the epochs have no beams, or nothing in one is bright enough
-        to be a core.
+        If the epochs have no beams, or nothing in an epoch is bright enough
+        to be the core.
 
     Notes
     -----
-    What an image can tell is limited.  On ten MOJAVE epochs of 0003+380
+    The accuracy is limited by the images.  In ten MOJAVE epochs of 0003+380
     with their own beams (0.9 x 0.6 mas) the result agrees with the core of
-    the model fits in the visibilities to 0.02 mas, and to 0.03 mas after
-    convolution to the common beam (1.1 x 0.9 mas), where the brightest pixel
-    is off by up to 0.11 mas.  On images restored from the published models,
-    two thirds of the epochs agree to 0.05 mas for 3C 120 (the worst:
+    the model fits to the visibilities to 0.02 mas.  After convolution to the
+    common beam (1.1 x 0.9 mas) it agrees to 0.03 mas, while the brightest
+    pixel is off by up to 0.11 mas.  In images restored from the published
+    models, two thirds of the epochs agree to 0.05 mas for 3C 120 (the worst to
     0.16 mas), and to 0.2 mas (0.75 mas) for 3C 273, where bright features
     crowd within a beam of a faint core; M87 is off by 0.04 mas downstream,
-    the same in all epochs to 0.02 mas.  Where positions of the core from
-    model fits exist, align with a table of them.
+    the same in all epochs to 0.02 mas.  If there are core positions from
+    model fits, align with a table of them.
 
     Examples
     --------
@@ -143,7 +142,7 @@ def core_positions(cube, *, jet_pa=None, max_shift=None):
 
 
 def _mean_direction(cube, shape, level):
-    """Return the unit step (x, y) down the jet, None if there is no direction."""
+    """Return the unit vector (x, y) down the jet, None if there is no direction."""
     mean = cube.mean_image()
     values = np.where(mean.mask, 0, mean.data)
     bright = values > max(0.01 * values.max(), 5 * level)
@@ -160,7 +159,7 @@ def _mean_direction(cube, shape, level):
 
 def _candidate(image, good, shape, direction, noise):
     """Return the (x, y) of the local maximum that is farthest upstream."""
-    # Half a beam apart, at least the eight neighbours.
+    # Maxima are compared within half a beam, at least with the eight neighbours.
     size = np.maximum(np.sqrt(np.diag(shape)[::-1]) / FWHM_TO_SIGMA / 2, 3)
     size = (2 * np.rint((size - 1) / 2) + 1).astype(int)
     maximum = (image == ndimage.maximum_filter(image, size=tuple(size))) & good
@@ -176,7 +175,7 @@ def _candidate(image, good, shape, direction, noise):
 def _fit(image, good, shape, start, direction, noise):
     """Return the position in pixels, its covariance and whether it is blended."""
     precision = np.linalg.inv(shape)
-    # The box around the ellipse; images may be a hundred times as large.
+    # Only the box around the ellipse, as images may be a hundred times as large.
     reach = RADIUS / FWHM_TO_SIGMA * np.sqrt(np.diag(shape))
     left, top = np.maximum(np.floor(start - reach), 0).astype(int)
     right, bottom = np.ceil(start + reach).astype(int) + 1
@@ -185,8 +184,8 @@ def _fit(image, good, shape, start, direction, noise):
     y, x = y + top, x + left
     used = good & (_distance2(x, y, start, precision) < (RADIUS / FWHM_TO_SIGMA) ** 2)
     x, y, values = x[used], y[used], image[used]
-    # Noise with the beam's correlation counts as independent in every
-    # (half beam area) pixels for a fit of beams.
+    # In a fit of beams, noise that the beam correlates has one independent value
+    # per half a beam area.
     half_area = max(np.pi * np.sqrt(np.linalg.det(shape)), 1.0)
 
     def solve(parameters):
@@ -210,7 +209,7 @@ def _fit(image, good, shape, start, direction, noise):
         guess = [start - 0.1 * width * direction, start + 0.4 * width * direction]
         two = least_squares(np.concatenate(guess))
         positions, peaks = two.x.reshape(2, 2), solve(two.x)[0]
-        # A bright feature hides the maximum of a core up to 1.4 beams before it.
+        # A bright feature hides the maximum of a core up to 1.4 beams upstream.
         apart = _distance2(*positions.T, start, precision)
         near = apart < (RADIUS / FWHM_TO_SIGMA) ** 2
         better = 2 * (one.cost - two.cost) > CHI_SQUARE * noise**2 * half_area
@@ -237,16 +236,16 @@ def displacement(image, mask, reference, use, reach, start=None):
     """
     Return the displacement (dx, dy) of an image from a reference, and its covariance.
 
-    The zero-mean normalised cross-correlation of the good pixels gives it
-    to a pixel, not farther than ``reach``, unless ``start`` does.  From there
+    It starts from ``start``, or else from the pixel within ``reach`` that has the
+    largest zero-mean normalised cross-correlation of the good pixels.  From there
     the sum of squares of ``a I(x + d) + b - R(x)`` over the pixels in ``use``,
-    all good ones of the reference, is minimised over d, with gain a and level b
-    solved for, and I interpolated with cubic splines.  Pixels where R is flat,
-    its slope less than 1% of the steepest, say nothing about d and are left out.
+    which must be good in the reference, is minimised over d.  Gain a and level b
+    are solved for, and I is interpolated with cubic splines.  Pixels where the
+    slope of R is less than 1% of the steepest do not constrain d and are left out.
 
-    A source at x in the reference is at x + d in the image.  The covariance is
-    for residuals that are independent from pixel to pixel; where the beam spans
-    several, it is too small by half the beam's area in pixels.
+    A source at x in the reference is at x + d in the image.  The covariance
+    assumes that residuals are independent from pixel to pixel; where a beam spans
+    several pixels, it is too small by a factor of half the beam's area in pixels.
     """
     filled = fill_masked(image, mask)
     if start is None:
@@ -256,8 +255,8 @@ def displacement(image, mask, reference, use, reach, start=None):
     slope = np.hypot(*np.gradient(fill_masked(reference, ~use)))
     use = use & (slope >= FLAT * slope[use].max())
     y, x = np.nonzero(use)
-    # The spline carries what the bad pixels were filled with two pixels far,
-    # and the fit moves on by one and a half.
+    # The spline spreads the filled values of bad pixels over two pixels, and the
+    # fit moves by up to one and a half.
     around = ndimage.binary_dilation(mask, iterations=3).astype(float)
     far = ndimage.map_coordinates(
         around, [y + start[1], x + start[0]], order=1, cval=1.0
@@ -276,7 +275,7 @@ def displacement(image, mask, reference, use, reach, start=None):
         solution = np.linalg.lstsq(basis, target, rcond=None)[0]
         return basis @ solution - target
 
-    # One and a half pixels are more than the whole-pixel peak can be off.
+    # The peak to whole pixels is off by less than one and a half pixels.
     fit = optimize.least_squares(
         residual, start, bounds=(start - 1.5, start + 1.5), diff_step=1e-3, xtol=1e-10
     )

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Images of model components, and the noise that a restoring beam correlates."""
+"""Images of model components, and noise correlated by a restoring beam."""
 
 import warnings
 
@@ -14,7 +14,7 @@ from astro_scc.epochs.smoothing import gaussian_transfer
 from astro_scc.epochs.validation import as_beams, as_noise
 from astro_scc.exceptions import EpochWarning
 
-# East is to the left, north up: (x, y) = FLIP (east, north) / pixel.
+# East is left and north is up: (x, y) = FLIP (east, north) / pixel.
 FLIP = np.diag([-1.0, 1.0])
 MAX_SIDE = 20000
 # Half side of the box in which a Gaussian is evaluated, in standard
@@ -39,7 +39,7 @@ def restore(
     margin=4.0,
 ):
     """
-    Return images of model components, as seen with a beam.
+    Return images of model components, restored with a beam.
 
     A Gaussian component of covariance ``C`` and flux density ``S`` appears
     in a beam of covariance ``B`` as a Gaussian of covariance ``B + C`` and
@@ -50,13 +50,13 @@ def restore(
     ----------
     components : `ComponentList`
     beam : beam or sequence of beams
-        One for all epochs, or one for each: `Beam`, or anything with the
+        One beam for all epochs, or one for each: a `Beam`, or anything with the
         attributes ``major``, ``minor`` and ``pa``.
     pixel_scale : `~astropy.units.Quantity`
         Side of a pixel.
     shape : tuple of int, optional
         Shape (ny, nx) of the images.  By default they hold all components
-        with ``margin`` beams around them.
+        and a ``margin`` around them.
     reference_pixel : tuple of float, optional
         (x, y) of the origin of the components, counted from 0.  By default
         the components are in the middle of the image.
@@ -67,12 +67,12 @@ def restore(
         Passed to `numpy.random.default_rng`; one generator is spawned for
         each epoch.
     position : `~astropy.coordinates.SkyCoord`, optional
-        Celestial position of the origin, by default that of the components'
-        meta.
+        Celestial position of the origin, by default that in the meta of the
+        components.
     unit : `~astropy.units.Unit`, optional
         Unit of the images, flux density per beam.
     margin : float, optional
-        In major axes of the largest beam.
+        Width of the margin, in major axes of the largest beam.
 
     Returns
     -------
@@ -81,8 +81,8 @@ def restore(
     Raises
     ------
     ValueError
-        If the numbers of beams or noise levels are not those of the epochs,
-        a size is not positive, or the images would be absurdly large.
+        If the number of beams or noise levels is not that of the epochs, a
+        size is not positive, or the images would be too large.
     TypeError
         If a unit does not fit.
 
@@ -167,7 +167,7 @@ def _in_pixels(beam, scale):
 
 
 def _grid(x, y, border, shape, reference_pixel):
-    """Return a shape and reference pixel for all (x, y), which count from it."""
+    """Return a shape and reference pixel for all (x, y), counted from that pixel."""
     low = np.floor([(x - border).min(), (y - border).min()])
     high = np.ceil([(x + border).max(), (y + border).max()])
     if shape is None:
@@ -206,10 +206,10 @@ def add_gaussians(image, x, y, peak, covariance):
     """
     Add elliptical Gaussians to an image (ny, nx), in place, and return it.
 
-    Their centres ``x`` and ``y`` count from 0, ``peak`` is the value there, and
-    ``covariance``, shape (n, 2, 2), is over (x, y) in square pixels.  Each is
-    evaluated at the pixel centres of a box of 7 standard deviations on each side;
-    what falls outside the image is left out.
+    Their centres ``x`` and ``y`` are counted from 0, ``peak`` is the value there,
+    and ``covariance``, shape (n, 2, 2), is over (x, y) in square pixels.  Each
+    Gaussian is evaluated at the pixel centres of a box that reaches 7 standard
+    deviations to each side, as far as it lies in the image.
     """
     ny, nx = image.shape
     for x0, y0, p, c in zip(x, y, peak, np.asarray(covariance), strict=True):
@@ -238,12 +238,12 @@ def _bounds(centre, reach, length):
 
 def correlated_noise(shape, *, rms, beam=None, pixel_scale=None, rng=None):
     """
-    Return Gaussian noise with the correlation that a beam gives to it.
+    Return Gaussian noise that is correlated by a beam.
 
-    White noise is convolved with the beam, so that its autocorrelation is
-    the beam convolved with itself, and scaled by the theoretical gain of
-    that convolution: the expected root mean square is ``rms`` whatever the
-    beam, while that of one image scatters about it.
+    White noise is convolved with the beam, so its autocorrelation is the beam
+    convolved with itself.  It is divided by the theoretical gain of that
+    convolution, so that the expected root mean square is ``rms`` for any beam,
+    while that of one image scatters about it.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def correlated_noise(shape, *, rms, beam=None, pixel_scale=None, rng=None):
     beam : `~astro_scc.epochs.Beam`, optional
         Without it the noise is white.
     pixel_scale : `~astropy.units.Quantity`, optional
-        Side of a pixel; needed with a beam.  East is towards smaller x,
+        Side of a pixel; needed with a beam.  East is towards smaller x and
         north towards larger y.
     rng : `numpy.random.Generator`, seed or None, optional
         Passed to `numpy.random.default_rng`.
@@ -267,7 +267,7 @@ def correlated_noise(shape, *, rms, beam=None, pixel_scale=None, rng=None):
     Raises
     ------
     ValueError
-        If ``rms`` is negative or not finite, or a beam comes without a
+        If ``rms`` is negative or not finite, or a beam is given without a
         positive ``pixel_scale``.
 
     Examples
@@ -296,8 +296,8 @@ def correlated_noise(shape, *, rms, beam=None, pixel_scale=None, rng=None):
     padded = tuple(fft.next_fast_len(n + padding, real=True) for n in (ny, nx))
 
     transfer = gaussian_transfer(covariance, padded)
-    # A kernel h turns unit white noise into variance sum h^2 = mean |H|^2
-    # (Parseval), over the whole plane of which rfft keeps one half.
+    # A kernel h gives unit white noise the variance sum h^2 = mean |H|^2 (Parseval)
+    # over the whole plane, of which rfft keeps one half.
     weight = np.full(transfer.shape[1], 2.0)
     weight[0] = 1.0
     if padded[1] % 2 == 0:

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""A cube as one FITS file that keeps everything, or as one FITS image per epoch."""
+"""Writing a cube to one FITS file that keeps everything, or to an image per epoch."""
 
 import re
 import warnings
@@ -29,29 +29,28 @@ CARDS = "BMAJ", "BMIN", "BPA"
 
 def write_cube(cube, path, *, overwrite=False):
     """
-    Write everything to one FITS file, which `read` reads back.
+    Write the whole cube to one FITS file, which `read` reads back.
 
     Parameters
     ----------
     cube : `EpochCube`
     path : str or path-like
     overwrite : bool
-        Replace a file that exists.  A file is replaced only when the
-        new one is complete.
+        Replace an existing file, once the new one is complete.
 
     Raises
     ------
     OSError
-        If the file exists and ``overwrite`` is False, or cannot be
+        If the file exists and ``overwrite`` is False, or it cannot be
         written.
 
     Notes
     -----
-    The images are the extension ``DATA`` with the celestial WCS, bad pixels
-    ``MASK``; ``EPOCHS`` has a row per epoch with the date (also as the two
-    parts of the Julian date), beam and noise; ``META`` holds the
-    rest as YAML in which astropy's objects keep their types.  What YAML
-    cannot hold becomes text.
+    The extension ``DATA`` has the images with the celestial WCS, ``MASK`` the
+    bad pixels; ``EPOCHS`` has a row per epoch with the date (also as the two
+    parts of the Julian date), beam and noise; ``META`` holds the rest as YAML,
+    in which astropy's objects keep their types.  Values that YAML cannot hold
+    become text.
 
     Examples
     --------
@@ -98,35 +97,35 @@ def write_cube(cube, path, *, overwrite=False):
 
 
 def beam_columns(cube):
-    """Return major and minor axes and angles of all beams, each with its unit."""
+    """Yield the major axes, minor axes and angles of all beams, each with its unit."""
     for name, unit in BEAM.items() if cube.beams is not None else ():
         values = [getattr(beam, name).to_value(unit) for beam in cube.beams]
         yield np.array(values), unit
 
 
 def beams_of(major, minor, pa):
-    """Return the beams of columns of numbers, as `beam_columns` has them."""
+    """Return the beams in columns of numbers, in the units of `beam_columns`."""
     rows = zip(major, minor, pa, strict=True)
     return [Beam(*map(u.Quantity, row, BEAM.values())) for row in rows]
 
 
 def is_cube_file(path):
-    """Return whether `write_cube` wrote a file; False for what is no FITS file."""
+    """Return whether `write_cube` wrote a file; False if it is not a FITS file."""
     with warnings.catch_warnings(action="ignore"):
         try:
             with open(path, "rb") as file, open_fits(file) as hdus:
                 return hdus[0].header.get("CREATOR") == CUBE_CREATOR
         except Exception:
-            # What is wrong with it, reading it as an image will say.
+            # Reading it as an image will give the reason.
             return False
 
 
 def read_cube(path, *, region=None, pad=0):
     """
-    Return the fields of the cube of a file of `write_cube`.
+    Return the fields of the cube in a file of `write_cube`.
 
-    Of a ``region`` the bounding box only, see `EpochCube.crop`.  An OSError says that
-    the file is damaged or of a later version.
+    With a ``region`` only its bounding box is read, see `EpochCube.crop`.  A file that
+    is damaged or of a later version raises an OSError.
     """
     with warnings.catch_warnings(action="ignore"):
         try:
@@ -143,7 +142,7 @@ def read_cube(path, *, region=None, pad=0):
 
 
 class _RegionError(Exception):
-    """The file is sound, the region is not."""
+    """The region, not the file, is at fault."""
 
 
 def _unpack(hdus, region, pad):
@@ -180,7 +179,7 @@ def _unpack(hdus, region, pad):
 
 
 def pack_wcs(wcs):
-    """Return header text, and the numbers that a header would round to 12 digits."""
+    """Return a WCS as header text and the numbers that a header would round."""
     inner = wcs.wcs
     numbers = {"cdelt": np.ones(2), "pc": wcs.pixel_scale_matrix}
     if not inner.has_cd():
@@ -203,7 +202,7 @@ def unpack_wcs(packed):
 
 
 def without_dates(header):
-    """Return a header without the dates that wcslib writes to that of a WCS."""
+    """Return a header without the dates that wcslib adds to the header of a WCS."""
     for keyword in ("DATE-OBS", "MJD-OBS", "MJDREF", "DATEREF", "TIMESYS"):
         header.remove(keyword, ignore_missing=True)
     return header
@@ -220,7 +219,7 @@ def unpack_facts(text):
 
 
 def _plain(value):
-    """Return a value as YAML can hold it, what it cannot hold as text."""
+    """Return a value that YAML can hold; other objects become text."""
     if isinstance(value, dict):
         return {str(key): _plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
@@ -242,12 +241,12 @@ def write_epochs(cube, directory, *, prefix=None, overwrite=False):
     ----------
     cube : `EpochCube`
     directory : path
-        Made if need be.
+        Created if necessary.
     prefix : str, optional
         Start of the files' names, by default the object's name; the number
         of the epoch and its date follow.
     overwrite : bool, optional
-        Replace files that exist.
+        Replace existing files.
 
     Returns
     -------
@@ -260,8 +259,8 @@ def write_epochs(cube, directory, *, prefix=None, overwrite=False):
 
     Notes
     -----
-    Masked pixels become NaN; values are kept as 32-bit floats.  A file
-    appears under its name when it is complete.
+    Masked pixels become NaN, and values are stored as 32-bit floats.  A file
+    has its name only once it is complete.
 
     Examples
     --------
@@ -298,7 +297,7 @@ def write_epochs(cube, directory, *, prefix=None, overwrite=False):
 def _image_hdu(cube, i):
     image = np.where(cube.mask[i], np.nan, cube.data[i]).astype(np.float32)
     header = epoch_header(cube, i)
-    # The epoch's own date stands; wcslib derives others from the first.
+    # Keep the epoch's own date; wcslib would derive others from the first epoch's.
     header.update(without_dates(cube.wcs.to_header()))
     if cube.unit == u.Jy / u.beam:
         header["BUNIT"] = "JY/BEAM"

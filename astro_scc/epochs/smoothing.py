@@ -8,17 +8,17 @@ from scipy import fft, optimize
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.epochs.validation import as_beam
 
-# Beams from headers in single precision, or typed from them, contain
-# themselves within this much of their variance.
+# Beams that headers round to single precision contain themselves only to this
+# fraction of their variance.
 CONTAINS = 1e-4
 EQUAL = 1e-6
 
 
 def is_per(unit, *names):
     """
-    Return whether a unit counts per one of some units, "beam" or "pix".
+    Return whether a unit is per one of the given units, "beam" or "pix".
 
-    Unrecognised units such as 'JY/BEAM' are judged by how they end.
+    Unrecognised units such as 'JY/BEAM' are judged by their end.
     """
     if isinstance(unit, u.UnrecognizedUnit):
         text = unit.name.lower().replace(" ", "")
@@ -34,12 +34,12 @@ def gaussian_smooth(image, covariance, mask=None):
     Return an image convolved with an elliptical Gaussian of unit sum.
 
     The image is multiplied in Fourier space by ``exp(-2 pi^2 k^T C k)``, with
-    the ``covariance`` C over (x, y) in square pixels, which may be singular;
-    that is exact for well-sampled images however narrow the Gaussian is.  A
-    normalised convolution leaves out bad pixels and what lies beyond the edges
-    (Knutsson & Westin 1993): ``(g * (m I)) / (g * m)`` with m 1 for good pixels
-    and 0 for others.  Bad are those of the mask and those that are not finite,
-    and they stay NaN.
+    the ``covariance`` C over (x, y) in square pixels, which may be singular.
+    This is exact for well-sampled images however narrow the Gaussian is.  A
+    normalised convolution (Knutsson & Westin 1993) leaves out bad pixels and
+    everything beyond the edges: ``(g * (m I)) / (g * m)``, where m is 1 for good
+    pixels and 0 for others.  Pixels that are masked or not finite are bad, and
+    stay NaN.
     """
     image = np.asarray(image, dtype=float)
     covariance = np.asarray(covariance, dtype=float)
@@ -62,16 +62,16 @@ def gaussian_smooth(image, covariance, mask=None):
 
     weight = convolve((~bad).astype(float))
     smooth = convolve(np.where(bad, 0.0, image))
-    # Good pixels have their own weight, so nothing is divided by zero there.
+    # Good pixels contribute to their own weight, so it is never zero there.
     return np.divide(smooth, weight, out=np.full(image.shape, np.nan), where=~bad)
 
 
 def gaussian_transfer(covariance, shape):
     """
-    Return the Fourier transform of a Gaussian of unit sum, as `scipy.fft.rfft2` has it.
+    Return the transform of a Gaussian of unit sum in the layout of `scipy.fft.rfft2`.
 
-    ``covariance`` is over (x, y) in square pixels, ``shape`` (ny, nx) that of
-    the image; it may be singular.
+    The ``covariance`` over (x, y), in square pixels, may be singular; ``shape`` is
+    that of the image, (ny, nx).
     """
     ky = fft.fftfreq(shape[0])[:, None]
     kx = fft.rfftfreq(shape[1])[None, :]
@@ -86,10 +86,10 @@ def _covariance(beam):
 
 def _excess(covariance, others):
     """
-    Return how far Gaussians stick out of one, as variances in units of its own.
+    Return the largest ratio of the variances of Gaussians to those of one Gaussian.
 
-    Largest eigenvalue of ``C^-1 C_i`` for each i: at most 1 for those that
-    fit inside.
+    It is the largest eigenvalue of ``C^-1 C_i`` for each i, at most 1 for a
+    Gaussian that fits into the one with covariance C.
     """
     root = np.linalg.inv(np.linalg.cholesky(covariance))
     return np.linalg.eigvalsh(root @ np.asarray(others) @ root.T)[..., -1]
@@ -99,8 +99,8 @@ def smallest_common_beam(beams):
     """
     Return the smallest beam to which several beams can all be convolved.
 
-    Its covariance C is the one of least determinant for which no ``C - C_i``
-    has a negative variance, found by a simplex search over axis ratio and
+    Its covariance C has the smallest determinant for which no ``C - C_i`` has a
+    negative variance.  It is found by a simplex search over axis ratio and
     position angle.
 
     Parameters
@@ -132,7 +132,7 @@ def smallest_common_beam(beams):
     if np.all(_excess(covariances[largest], covariances) <= 1 + EQUAL):
         return beams[largest]
     found = _least_covariance(covariances)
-    # What is left of rounding must not stick out.
+    # Rounding errors must not leave a beam that does not fit.
     found = found * max(1.0, _excess(found, covariances).max() * (1 + 1e-9))
     variances, axes = np.linalg.eigh(found)
     minor, major = np.sqrt(variances) / FWHM_TO_SIGMA * u.mas
@@ -140,7 +140,7 @@ def smallest_common_beam(beams):
 
 
 def _least_covariance(covariances):
-    """Return the containing covariance of least determinant."""
+    """Return the covariance of smallest determinant that contains all others."""
 
     def shape(p):
         r, angle = np.hypot(*p), np.arctan2(p[1], p[0])
@@ -158,11 +158,11 @@ def _least_covariance(covariances):
 
 def common_beam(cube, beam=None):
     """
-    Return all epochs convolved to one and the same beam.
+    Return the cube with all epochs convolved to the same beam.
 
     An epoch with beam covariance ``C_i`` is convolved with a Gaussian of
     covariance ``C - C_i``; intensities per beam are multiplied by the ratio
-    of the beam areas, so that flux densities are kept.
+    of the beam areas, so that flux densities are conserved.
 
     Parameters
     ----------
@@ -176,10 +176,10 @@ def common_beam(cube, beam=None):
     Returns
     -------
     `~astro_scc.epochs.EpochCube`
-        Epochs that have the beam already are the same to the bit.  Bad
-        pixels stay bad and take no part; good pixels beside them and at the
-        edges keep their level.  ``noise`` is None, to be measured anew,
-        unless no epoch needed convolution.
+        Epochs that already have the beam are identical to the bit.  Bad
+        pixels stay bad and do not contribute; good pixels beside them and at
+        the edges keep their level.  ``noise`` is None, and is then measured
+        again, unless no epoch needed convolution.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def common_beam(cube, beam=None):
         if max(_excess(goal, covariance), _excess(covariance, goal)) <= 1 + EQUAL:
             continue
         variances, axes = np.linalg.eigh(to_pixels @ (goal - covariance) @ to_pixels.T)
-        # Rounding must not leave a negative variance.
+        # Rounding errors must not leave a negative variance.
         difference = (axes * np.maximum(variances, 0)) @ axes.T
         data[i] = gaussian_smooth(data[i], difference, cube.mask[i])
         if is_per(cube.unit, "beam"):

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What an `EpochCube` accepts, turned into what it holds."""
+"""Conversion of the arguments of an `EpochCube` into its fields."""
 
 import warnings
 from numbers import Integral
@@ -19,9 +19,9 @@ from astropy.wcs import WCS
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.headers import parse_date
 
-#: Power of an uncertainty that is a standard deviation.
+#: Power that turns an uncertainty into a standard deviation.
 POWERS = {StdDevUncertainty: 1, VarianceUncertainty: 0.5, InverseVariance: -0.5}
-#: Factor by which uncertainties of pixels may differ from that of the image.
+#: Factor by which uncertainties of pixels may differ from the image's median.
 EVEN = 1.5
 UNEVEN = (
     "its uncertainty differs from pixel to pixel, and the median is taken for the "
@@ -68,7 +68,7 @@ def as_stack(data, mask, unit):
 
 
 def as_mask(data, mask, labels):
-    """Return the mask with the pixels that are not finite added."""
+    """Return the mask, to which pixels that are not finite are added."""
     bad = ~np.isfinite(data)
     if mask is not None:
         mask = np.asarray(mask)
@@ -102,12 +102,12 @@ def as_times(times, n):
         raise ValueError("every epoch needs a date, times has missing values")
     with warnings.catch_warnings(record=True, action="always") as dubious:
         atomic = times.tai
-    # Photographic plates are older than UTC; with it every use would warn.
+    # In UTC every use of older dates, such as of photographic plates, would warn.
     return atomic if dubious else times
 
 
 def as_beam(beam):
-    """Return a `Beam` from one, or from what has major, minor and pa."""
+    """Return a `Beam`, also from an object with major, minor and pa."""
     if isinstance(beam, Beam):
         return beam
     try:
@@ -146,10 +146,10 @@ def uncertainty_noise(uncertainty, unit, mask):
     """
     Return the noise of an image whose pixels have uncertainties.
 
-    The noise is the median of the standard deviations of valid pixels, in the
-    ``unit`` of the image, which is also that of an NDUncertainty without one.  With
-    it come the mask of where there is no finite standard deviation, and whether the
-    pixels differ little.  A ValueError says why it cannot be used.
+    The noise is the median standard deviation of the valid pixels, in the ``unit`` of
+    the image, which is also assumed for an NDUncertainty without a unit.  The function
+    also returns a mask of the pixels without a finite standard deviation, and whether
+    the pixels differ little.  An uncertainty that cannot be used raises a ValueError.
     """
     kind, given = type(uncertainty).__name__, uncertainty.unit
     power = next((p for k, p in POWERS.items() if isinstance(uncertainty, k)), None)
@@ -179,18 +179,18 @@ def uncertainty_noise(uncertainty, unit, mask):
 
 def fits_wcs(wcs):
     """
-    Return the FITS WCS of one that was sliced or resampled.
+    Return the FITS WCS behind a WCS that was sliced or resampled.
 
-    Besides a WCS a `~astropy.wcs.wcsapi.SlicedLowLevelWCS` or
-    `ndcube.wcs.wrappers.ResampledLowLevelWCS` around one is understood, as images get
-    that were sliced or rebinned.
+    Images that were sliced or rebinned have a
+    `~astropy.wcs.wcsapi.SlicedLowLevelWCS` or a
+    `ndcube.wcs.wrappers.ResampledLowLevelWCS` around a WCS; both are understood.
 
     Returns
     -------
     wcs : `~astropy.wcs.WCS`
-        With all axes; those of which one pixel was taken start at it.
+        With all axes; an axis sliced to one pixel starts at that pixel.
     size : `~numpy.ndarray`
-        Pixels of the original in one of the axis.
+        Number of original pixels per pixel along each axis.
     kept : `~numpy.ndarray` of bool
         Axes that the image still has.
     """
@@ -246,7 +246,7 @@ def as_celestial(wcs):
 
 
 def as_epoch_tuple(values, n, name, convert):
-    """Return one value per epoch as a tuple, empty where there are none."""
+    """Return one value per epoch as a tuple, empty if there are none."""
     values = () if values is None else tuple(convert(v) for v in values)
     if values and len(values) != n:
         raise ValueError(f"{n} epochs need {n} {name}, got {len(values)}")
@@ -254,7 +254,7 @@ def as_epoch_tuple(values, n, name, convert):
 
 
 def date_labels(times):
-    """Return dates as short text, with the time of day where dates alone are equal."""
+    """Return dates as short text, with the time of day if two dates are equal."""
     text = [value[:10] for value in times.isot]
     if len(set(text)) < len(text):
         text = [value[:19] for value in times.isot]

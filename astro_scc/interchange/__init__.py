@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Interchange: epochs in the formats and containers of other packages."""
+"""Interchange of epochs with the file formats and containers of other packages."""
 
 from astro_scc.interchange.files import read_movie
 from astro_scc.interchange.ndcubes import from_ndcube, to_ndcube

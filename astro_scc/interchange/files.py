@@ -22,7 +22,7 @@ __doctest_requires__ = {"read_movie": ["h5py"]}
 
 
 def optional(package, purpose, extra):
-    """Return a module that is needed for one format only, or say how to install it."""
+    """Return an optional module; an ImportError says how to install it."""
     try:
         return import_module(package)
     except ImportError:
@@ -39,24 +39,24 @@ def read_movie(path, *, beams=None):
     ----------
     path : str or path-like
     beams : beam or sequence of beams, optional
-        To which the frames have been blurred; a movie says nothing of it.
+        Beams to which the frames have been blurred; a movie does not state them.
 
     Returns
     -------
     `~astro_scc.epochs.EpochCube`
-        Stokes I in Jy/pixel; offsets are from the centre of the frames.
+        Stokes I in Jy/pixel, with offsets from the centre of the frames.
 
     Raises
     ------
     OSError
-        If h5py is not installed, or the file is no such movie.
+        If h5py is not installed, or the file is not such a movie.
 
     Notes
     -----
-    The dataset ``I`` holds the frames (time, row, column), the first row in
-    the north and the first column in the east, ``times`` hours UTC after
-    the day ``mjd``.  That and ``psize`` (rad), ``ra`` (h), ``dec`` (deg),
-    ``rf`` (Hz) and ``source`` are attributes of ``header``.
+    The dataset ``I`` holds the frames (time, row, column), with the first row
+    in the north and the first column in the east; ``times`` are hours UTC
+    after the start of day ``mjd``.  The latter, ``psize`` (rad), ``ra`` (h),
+    ``dec`` (deg), ``rf`` (Hz) and ``source`` are attributes of ``header``.
 
     Examples
     --------
@@ -107,7 +107,7 @@ def read_movie(path, *, beams=None):
 
 
 def _plain(value):
-    """An attribute as text, however it is kept."""
+    """Return an attribute as a plain value, bytes as text."""
     value = value.item() if isinstance(value, np.generic) else value
     return value.decode() if isinstance(value, bytes) else value
 
@@ -116,10 +116,10 @@ def read_casa_image(path):
     """
     Return a CASA image, a folder, as the FITS images that CASA would export.
 
-    ``casatools`` is asked first, since the date of observation comes with
-    it; ``spectral-cube`` gives images without date, for which
-    ``EpochCube.read`` takes ``times``.  An OSError says that neither is installed,
-    or that they cannot read it.
+    ``casatools`` is tried first, since it gives the date of observation;
+    ``spectral-cube`` gives images without a date, so ``EpochCube.read`` needs
+    ``times``.  An OSError is raised if neither is installed or the image cannot
+    be read.
     """
     path = Path(os.fspath(path))
     for module, read in (("casatools", _by_casatools), ("spectral_cube", _by_cube)):
@@ -156,7 +156,7 @@ def _by_cube(path):
     from spectral_cube import SpectralCube
 
     with warnings.catch_warnings(action="ignore"):
-        # What it says about frequency axes is of no concern here.
+        # Its warnings about frequency axes do not matter here.
         cube = SpectralCube.read(str(path), format="casa_image")
         cube.allow_huge_operations = True
         return fits.HDUList([cube.hdu])

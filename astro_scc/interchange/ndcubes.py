@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""A cube as NDCube, and back; NDCubes of others."""
+"""Conversion between cubes and NDCubes, including NDCubes of other packages."""
 
 import warnings
 from collections.abc import Mapping
@@ -20,9 +20,9 @@ from astro_scc.interchange.files import optional
 
 __doctest_requires__ = {("from_ndcube", "to_ndcube"): ["ndcube"]}
 
-#: The axis of the numbers of the epochs.
+#: Name of the WCS axis that counts the epochs.
 AXIS = "EPOCH"
-#: What `to_ndcube` keeps for each of them.
+#: Fields of each epoch that `to_ndcube` keeps.
 EACH = ("labels", "beams", "epoch_meta")
 
 
@@ -37,10 +37,10 @@ def to_ndcube(cube):
     Returns
     -------
     `ndcube.NDCube`
-        Its WCS has the number of the epoch as third axis, whose dates are
-        the extra coordinate ``time``.  The noise is its uncertainty; labels,
-        beams and facts of all epochs are in its meta, where `from_ndcube`
-        finds them by the number of the epoch.
+        The third axis of its WCS is the index of the epoch, and the dates are
+        the extra coordinate ``time``.  The noise is its uncertainty; its meta
+        has the labels, beams and facts of all epochs, in which `from_ndcube`
+        finds those of an epoch by its index.
 
     Raises
     ------
@@ -72,11 +72,11 @@ def to_ndcube(cube):
 
 
 def _with_epochs(celestial):
-    """Return a WCS with the number of the epoch, from 0, as third axis."""
+    """Return a WCS with the index of the epoch, from 0, as third axis."""
     header = without_dates(celestial.to_header())
     header.update({"WCSAXES": 3, "CTYPE3": AXIS})
     wcs = WCS(header)
-    # A header rounds; the numbers themselves do not.
+    # A header rounds numbers, so they are set directly.
     wcs.wcs.crval = [*celestial.wcs.crval, 0.0]
     wcs.wcs.crpix = [*celestial.wcs.crpix, 1.0]
     wcs.wcs.cdelt = [1.0, 1.0, 1.0]
@@ -87,19 +87,19 @@ def _with_epochs(celestial):
 
 def from_ndcube(ndcube, *, times=None, beams=None):
     """
-    Return a cube from an NDCube of epochs, sliced and rebinned or not.
+    Return a cube from an NDCube of epochs, which may be sliced or rebinned.
 
     Parameters
     ----------
     ndcube : `ndcube.NDCube` or `ndcube.NDCubeSequence`
-        Two celestial axes, and one of the epochs where there are several;
-        of a sequence each is an epoch.  Its WCS is a FITS WCS, or one that
-        was sliced or resampled.
+        It has two celestial axes, and one of the epochs if there are several;
+        each item of a sequence is an epoch.  Its WCS is a FITS WCS, possibly
+        sliced or resampled.
     times : `~astropy.time.Time` or sequence, optional
-        By default the coordinate of type Time, or the date in its meta.
+        By default the coordinate of type Time, or the date in the meta.
     beams : beam or sequence of beams, optional
-        By default what `to_ndcube` has kept, or ``BMAJ``, ``BMIN`` and
-        ``BPA`` of its meta, as in a FITS header.
+        By default the beams that `to_ndcube` has kept, or ``BMAJ``, ``BMIN``
+        and ``BPA`` in the meta, as in a FITS header.
 
     Returns
     -------
@@ -109,8 +109,8 @@ def from_ndcube(ndcube, *, times=None, beams=None):
     Raises
     ------
     ValueError
-        If axes or dates cannot be found, or epochs were averaged of which
-        dates or beams are not the same any more.
+        If axes or dates cannot be found, or epochs with different dates or
+        beams were averaged.
 
     Examples
     --------
@@ -135,7 +135,7 @@ def from_ndcube(ndcube, *, times=None, beams=None):
             "WCS; EpochCube.from_arrays takes what has none"
         )
 
-    # Array axes run against the order of WCS axes.
+    # Array axes are in the reverse order of WCS axes.
     axis = int(np.sum(kept[others[0] :])) - 1 if others else None
 
     def planes(values):
@@ -169,7 +169,7 @@ def from_ndcube(ndcube, *, times=None, beams=None):
 
 
 def _noise(ndcube, planes, mask):
-    """Return the noise of every epoch; what has no uncertainty is masked, in place."""
+    """Return the noise of every epoch; mask pixels without uncertainty, in place."""
     given, unit = ndcube.uncertainty, ndcube.unit or u.dimensionless_unscaled
     noise, uneven = [], False
     for values, bad in zip(planes(np.asarray(given.array)), mask, strict=True):
@@ -187,7 +187,7 @@ def _noise(ndcube, planes, mask):
 
 
 def _own(meta, first, n, averaged, beams):
-    """Return what `to_ndcube` has kept for epochs, from the number of the first."""
+    """Return the fields that `to_ndcube` has kept for n epochs from the first one."""
     kept = {"meta": {key: value for key, value in meta.items() if key not in EACH}}
     every = meta["beams"]
     if not averaged:
@@ -203,7 +203,7 @@ def _own(meta, first, n, averaged, beams):
 
 
 def _times(ndcube, meta, axis, averaged):
-    """Return the coordinate of type Time, or else the date of an only epoch."""
+    """Return the coordinate of type Time, or else the date of a single epoch."""
     if axis is None:
         found = [v for v in ndcube.global_coords.values() if isinstance(v, Time)]
         found.append(read_header(meta).time)

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""A cube as xarray Dataset, and back; images that others keep in xarray."""
+"""Conversion between cubes and xarray, including images from other packages."""
 
 import astropy.units as u
 import numpy as np
@@ -21,12 +21,12 @@ from astro_scc.interchange.files import optional
 
 __doctest_requires__ = {("from_xarray", "to_xarray"): ["xarray"]}
 
-#: What the images are called.
+#: Name of the images.
 NAME = "brightness"
 IMAGES = "time", "y", "x"
-#: Attributes of what `to_xarray` made.
+#: Attributes that mark a Dataset of `to_xarray`.
 OWN = {"wcs", "meta"}
-#: Names of axes, those to the east and those to the north.
+#: Names of axes to the east, and of axes to the north.
 EAST = ("x", "east", "ra", "right_ascension", "lon", "longitude", "hpln")
 NORTH = ("y", "north", "dec", "declination", "lat", "latitude", "hplt")
 
@@ -42,12 +42,12 @@ def to_xarray(cube):
     Returns
     -------
     `xarray.Dataset`
-        ``brightness`` and ``mask`` over (time, y, x), and where the cube
-        has them ``noise``, ``beam_major``, ``beam_minor`` and ``beam_pa``
-        over time, each with ``units``.  Coordinates are ``time`` (UTC),
+        ``brightness`` and ``mask`` over (time, y, x), and if the cube has
+        them ``noise``, ``beam_major``, ``beam_minor`` and ``beam_pa`` over
+        time, each with ``units``.  Coordinates are ``time`` (UTC),
         ``label``, the pixels ``x`` and ``y`` and the offsets ``east`` and
         ``north`` in mas (``lon_offset`` and ``lat_offset`` in frames without
-        right ascension).  Attributes are text, as netCDF needs them.
+        right ascension).  Attributes are text, as netCDF requires.
 
     Raises
     ------
@@ -110,16 +110,16 @@ def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
     Parameters
     ----------
     source : `xarray.Dataset` or `xarray.DataArray`
-        What `to_xarray` made, also when epochs or a window of pixels have
-        been selected since; or three axes, one of them the dates, the
+        A result of `to_xarray`, also after a selection of epochs or of a
+        window of pixels; or an array of three axes, one of the dates, the
         others named ``x`` and ``y``, ``east`` and ``north``, ``ra`` and
-        ``dec`` or ``lon`` and ``lat``.  A Dataset must have one such
+        ``dec`` or ``lon`` and ``lat``.  A Dataset must have exactly one such
         array.
     times : `~astropy.time.Time` or sequence, optional
         By default the coordinate of type ``datetime64``, taken as UTC.
     pixel_scale : `~astropy.units.Quantity`, optional
-        By default from the coordinates, which must be even, with an angle
-        as the attribute ``units``.
+        By default from the coordinates, which must be evenly spaced, with an
+        angle as the attribute ``units``.
     unit : `~astropy.units.Unit`, optional
         By default the attribute ``units``.
     beams : beam or sequence of beams, optional
@@ -127,8 +127,8 @@ def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
     Returns
     -------
     `~astro_scc.epochs.EpochCube`
-        The origin is where the coordinates are 0 if that is in the image,
-        otherwise its centre.
+        The origin is where the coordinates are 0, if that is in the image,
+        otherwise the centre of the image.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
         If axes, dates or the size of the pixels cannot be found, or the
         coordinates are uneven.
     TypeError
-        If it is of another kind.
+        If ``source`` is not a Dataset or a DataArray.
 
     Examples
     --------
@@ -178,7 +178,7 @@ def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
             "square ones"
         )
     wcs = offset_wcs(abs(dx) * u.mas, (x0, y0))
-    # Coordinates that have no direction run as on the sky, east to the left.
+    # Coordinates without a direction run as on the sky, with east to the left.
     wcs.wcs.cdelt = dx / 3.6e6, dy / 3.6e6
     wcs.wcs.set()
     return EpochCube(
@@ -192,7 +192,7 @@ def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
 
 
 def _own(source):
-    """Return the cube of what `to_xarray` made."""
+    """Return the cube in a Dataset of `to_xarray`."""
     shift = []
     for axis in ("x", "y"):
         pixels = np.asarray(source[axis].values)

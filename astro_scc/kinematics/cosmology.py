@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Redshifts, cosmologies and distances, and the apparent speeds that follow."""
+"""Redshifts, cosmologies and distances, and apparent speeds."""
 
 import re
 
@@ -9,7 +9,7 @@ from astropy import constants
 
 from astro_scc.quantities import NUMBER, named, parse_quantities, to_quantity
 
-#: Redshift of the microwave background, beyond which nothing is seen.
+#: Redshift of the microwave background, beyond which nothing can be seen.
 LAST_SCATTERING = 1090
 _PARAMETER = re.compile(rf"\s*(\w+)\s*=\s*({NUMBER})\s*")
 
@@ -18,7 +18,7 @@ def paper_cosmology():
     """
     Return the cosmology of Mertens & Lobanov (2016).
 
-    It is the one of every redshift that comes without a cosmology.
+    It is used for every redshift that is given without a cosmology.
 
     Returns
     -------
@@ -40,9 +40,9 @@ def to_cosmology(value=None):
     """
     Return a cosmology from its name, its parameters or the meta of a table.
 
-    Parameters are in km/s/Mpc and as fractions, ``H0=71, Om0=0.27`` for a flat
-    universe and with ``Ode0`` for any.  Without a value it is `paper_cosmology`,
-    whatever astropy's own default is.
+    Parameters are in km/s/Mpc and as fractions: ``H0=71, Om0=0.27`` for a flat
+    universe, and also ``Ode0`` for any other.  Without a value the result is
+    `paper_cosmology`, whatever astropy's own default is.
     """
     from astropy.cosmology import (
         FLRW,
@@ -78,7 +78,7 @@ def to_cosmology(value=None):
 
 
 def cosmology_text(cosmology):
-    """Return a cosmology, or what `to_cosmology` takes for one, in a few words."""
+    """Return a short text about a cosmology, in any form that `to_cosmology` takes."""
     cosmology = to_cosmology(cosmology)
     name = f"{cosmology.name}, " if cosmology.name else ""
     hubble = cosmology.H0.to_value(u.km / u.s / u.Mpc)
@@ -91,12 +91,12 @@ def cosmology_text(cosmology):
 
 def to_redshift(value):
     """
-    Return a redshift, or an array of them, as plain numbers between 0 and 1090.
+    Return a redshift, or an array of redshifts, as plain numbers between 0 and 1090.
 
-    It is given as a number, as text, per cent, or in the unit ``redshift`` of
-    `astropy.cosmology.units`.  A velocity is refused, because there are three
-    definitions of it (c z, the radio convention and the relativistic one), and a
-    length, which is a distance.
+    It may be given as a number, as text, in per cent, or in the unit ``redshift`` of
+    `astropy.cosmology.units`.  A velocity is refused because it has three
+    definitions (c z, the radio convention and the relativistic one), and a length
+    because it is a distance.
     """
     import astropy.cosmology.units as cu
 
@@ -147,10 +147,10 @@ def apparent_speed(proper_motion, *, redshift=None, cosmology=None, distance=Non
     """
     Return the apparent speed of a proper motion, in units of c.
 
-    ``beta_app = mu D_M / c = mu D_A (1 + z) / c``, with the transverse
+    It is ``beta_app = mu D_M / c = mu D_A (1 + z) / c``, with the transverse
     comoving distance ``D_M`` of the redshift (in a flat universe the
     comoving distance), or ``mu D / c`` with the distance of a nearby
-    source.  The (1 + z) accounts for the stretched intervals of time.
+    source.  The factor (1 + z) accounts for time dilation.
 
     Parameters
     ----------
@@ -160,9 +160,9 @@ def apparent_speed(proper_motion, *, redshift=None, cosmology=None, distance=Non
         A number, per cent, or in the unit ``redshift`` of
         `astropy.cosmology.units`, between 0 and 1090.
     cosmology : `~astropy.cosmology.FLRW`, str or dict, optional
-        Of the redshift: a cosmology, the name of a realization of
+        Cosmology for the redshift: an object, the name of a realization of
         `astropy.cosmology` such as ``Planck18``, parameters such as ``H0=71,
-        Om0=0.27``, or what the meta of a table has; by default
+        Om0=0.27``, or the entry in the meta of a table; by default
         `paper_cosmology`.  The result depends on it by several per cent.
     distance : `~astropy.units.Quantity` or str, optional
         Length, instead of a redshift and a cosmology.
@@ -170,13 +170,13 @@ def apparent_speed(proper_motion, *, redshift=None, cosmology=None, distance=Non
     Returns
     -------
     `~astropy.units.Quantity`
-        Dimensionless, in the shape of ``proper_motion``.
+        Dimensionless, with the shape of ``proper_motion``.
 
     Raises
     ------
     ValueError
-        If there is neither a redshift nor a distance, or both; a cosmology
-        without a redshift; or one of them is not what it must be.
+        If neither a redshift nor a distance is given, or both; if a cosmology
+        is given with a distance; or if one of them is not allowed.
 
     Examples
     --------
@@ -204,10 +204,10 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
     """
     Return a copy of a table of proper motions with speeds in units of c.
 
-    ``beta_app`` and ``beta_app_err`` are those of the columns ``pm`` and
+    ``beta_app`` and ``beta_app_err`` follow from the columns ``pm`` and
     ``pm_err``, see `apparent_speed`.  The redshift and the cosmology, or the
-    distance, are in its meta; the cosmology as a dictionary that any reader of
-    ECSV understands, and that `to_cosmology` takes.
+    distance, are in its meta.  The cosmology is a dictionary that any reader of
+    ECSV understands and that `to_cosmology` takes.
     """
     how = _how(redshift, cosmology, distance)
     for name, value in how.items():
@@ -219,7 +219,7 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
         table[f"beta_app{name}"].info.description = f"{what}, in units of c"
     if "cosmology" in how:
         plain = how["cosmology"].to_format("mapping", cosmology_as_str=True)
-        # A cosmology itself could not be read before astropy.cosmology is imported.
+        # A cosmology object can be read only after astropy.cosmology is imported.
         how["cosmology"] = {
             k: v for k, v in plain.items() if k != "meta" and v is not None
         }
@@ -228,7 +228,7 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
 
 
 def _how(redshift, cosmology, distance):
-    """Return what was given as a redshift and a cosmology, or as a distance."""
+    """Return the given redshift and cosmology, or the given distance."""
     if (redshift is None) == (distance is None):
         raise ValueError(
             "an apparent speed needs either a redshift, of which the cosmology may be "

@@ -8,7 +8,8 @@ import numpy as np
 
 from astro_scc.quantities import named, one_quantity, to_quantity
 
-#: Nearer to the centre than this part of the radius nothing is said of expansion.
+#: Positions nearer to the centre than this fraction of the radius do not constrain
+#: the expansion.
 INNERMOST = 0.2
 
 
@@ -16,8 +17,8 @@ def frame_displacements(frame, position, motion):
     """
     Return displacements along the axes of a frame, shape (n, 2).
 
-    ``position`` and ``motion``, shape (n, 2), are east and north in mas.  A frame with
-    a method ``displacement`` is asked; of others the axes are those at the position.
+    ``position`` and ``motion``, shape (n, 2), are east and north in mas.  The method
+    ``displacement`` of a frame is used if it has one, or else its axes at the position.
     """
     own = getattr(frame, "displacement", None)
     if own is not None:
@@ -27,7 +28,7 @@ def frame_displacements(frame, position, motion):
 
 
 def axes_along(sin, cos):
-    """Return matrices of the axes along directions (sin, cos) of (east, north)."""
+    """Return the matrices of axes along and across directions (sin, cos)."""
     return np.stack(
         [np.stack([sin, cos], axis=-1), np.stack([cos, -sin], axis=-1)], axis=-2
     )
@@ -36,7 +37,7 @@ def axes_along(sin, cos):
 @dataclass(frozen=True)
 class SkyFrame:
     """
-    East and north.
+    Axes to the east and to the north.
 
     Examples
     --------
@@ -69,7 +70,7 @@ class SkyFrame:
 @dataclass(frozen=True)
 class PositionAngleFrame:
     """
-    Along a position angle and across it.
+    Axes along a position angle and across it.
 
     With the position angle ``p``, north through east, the parallel axis is
     ``(sin p, cos p)`` over (east, north) and the transverse axis ``(cos p,
@@ -129,11 +130,11 @@ class PositionAngleFrame:
 @dataclass(frozen=True)
 class RadialFrame:
     """
-    Away from a point and around it.
+    Axes away from a point and around it.
 
-    At each position, radial points away from the origin and transverse
-    towards larger position angles about it, north through east.  At the
-    origin itself, where neither is defined, the matrix is NaN.
+    At each position, the radial axis points away from the origin and the
+    transverse axis towards larger position angles about it, north through
+    east.  At the origin itself neither is defined, and the matrix is NaN.
 
     Parameters
     ----------
@@ -203,24 +204,23 @@ class ExpansionFrame:
     """
     Expansion and rotation about a centre, as speeds at one radius.
 
-    In homologous expansion everything moves at a speed in proportion to its
-    distance r from the centre.  Axes are those of `RadialFrame`, scaled by
-    ``radius / r``: one rate of expansion is one velocity, wherever it is
-    seen.
+    In homologous expansion all speeds are proportional to the distance r from
+    the centre.  The axes are those of `RadialFrame`, scaled by ``radius / r``,
+    so a rate of expansion is the same velocity at all positions.
 
     Parameters
     ----------
     centre : `~astropy.units.Quantity`, shape (2,)
         (east, north) of the centre from the reference pixel.
     radius : `~astropy.units.Quantity`
-        At which velocities are given.
+        Radius at which velocities are given.
 
     Raises
     ------
     ValueError
         If the centre is not two finite angles, or the radius is not positive.
     `~astropy.units.UnitConversionError`
-        If either is no angle.
+        If either is not an angle.
 
     Examples
     --------
@@ -260,8 +260,8 @@ class ExpansionFrame:
         Returns
         -------
         `numpy.ndarray`, shape (..., 2, 2)
-            Orthogonal but for the factor ``radius / r``; NaN within a fifth
-            of the radius, where an expansion is hardly a motion.
+            Orthogonal except for the factor ``radius / r``; NaN within a
+            fifth of the radius, where an expansion is hardly a motion.
         """
         r = self._distance(east, north)
         r = np.where(r >= INNERMOST * self.radius.value, r, np.nan)
@@ -277,7 +277,7 @@ class ExpansionFrame:
 
     def displacement(self, position, motion):
         """
-        Return displacements at the radius, with the axes of the place midway.
+        Return displacements scaled to the radius, along the axes at their middle.
 
         Parameters
         ----------
@@ -290,7 +290,7 @@ class ExpansionFrame:
         """
         motion = np.asarray(motion, dtype=float)
         east, north = (np.asarray(position, dtype=float) + 0.5 * motion).T
-        # A chance match may lead across the centre.
+        # A chance match may cross the centre.
         r = np.maximum(self._distance(east, north), INNERMOST * self.radius.value)
         axes = self._scaled(east, north, r)
         return np.einsum("nai,ni->na", axes, motion)
@@ -306,7 +306,7 @@ class ExpansionFrame:
         Returns
         -------
         `~astropy.units.Quantity`
-            In per cent a year.
+            In per cent per year.
         """
         return (u.Quantity(speed) / self.radius).to(u.percent / u.yr)
 

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What apparent speeds say of relativistic flows, and of two-sided jets."""
+"""Speeds, angles and Doppler factors of relativistic flows and two-sided jets."""
 
 import astropy.units as u
 import numpy as np
@@ -28,7 +28,7 @@ def beta_intrinsic(beta_app, viewing_angle):
     """
     Return the speed of a flow from its apparent speed, in units of c.
 
-    ``beta = beta_app / (sin t + beta_app cos t)``, the inverse of
+    It is ``beta = beta_app / (sin t + beta_app cos t)``, the inverse of
     ``beta_app = beta sin t / (1 - beta cos t)``.
 
     Parameters
@@ -89,11 +89,11 @@ def minimum_lorentz_factor(beta_app):
     """
     Return the smallest Lorentz factor that can show an apparent speed.
 
-    ``Gamma_min = sqrt(1 + beta_app^2)``, at the viewing angle with ``cos t = beta``.
-    Read the other way, a Lorentz factor shows at most ``sqrt(Gamma^2 - 1)``: 5.92 c
-    for a Lorentz factor of 6.  Mertens & Lobanov (2016) let a jet with that Lorentz
-    factor go from 4 c to 6 c by a change of viewing angle, which is not possible; 6 c
-    needs 6.08 at least, and 7.48 at 15 degrees.
+    It is ``Gamma_min = sqrt(1 + beta_app^2)``, at the viewing angle with
+    ``cos t = beta``.  Conversely, a Lorentz factor shows at most ``sqrt(Gamma^2 - 1)``,
+    5.92 c for a Lorentz factor of 6.  Mertens & Lobanov (2016) explain a change from
+    4 c to 6 c at that Lorentz factor by a change of viewing angle, which is not
+    possible: 6 c needs at least 6.08, and 7.48 at 15 degrees.
     """
     return np.sqrt(1 + in_units_of_c(beta_app) ** 2) * u.one
 
@@ -130,8 +130,8 @@ def maximum_viewing_angle(beta_app):
     """
     Return the largest angle to the line of sight that allows an apparent speed.
 
-    ``t_max = 2 atan(1 / beta_app)``, reached as the flow's speed approaches c; 180 deg
-    for no apparent speed.
+    It is ``t_max = 2 atan(1 / beta_app)``, which is approached as the flow's speed
+    approaches c; 180 deg for no apparent speed.
     """
     return np.degrees(2 * np.arctan2(1, in_units_of_c(beta_app))) * u.deg
 
@@ -140,7 +140,7 @@ def viewing_angle(beta_app, doppler):
     """
     Return the angle to the line of sight from apparent speed and Doppler factor.
 
-    ``tan t = 2 beta_app / (beta_app^2 + delta^2 - 1)``.
+    It follows from ``tan t = 2 beta_app / (beta_app^2 + delta^2 - 1)``.
 
     Parameters
     ----------
@@ -171,27 +171,28 @@ def intrinsic_table(
     r"""
     Return Lorentz factors, angles and Doppler factors with errors.
 
-    The values are those of the apparent speeds as they are; their limits are
-    the central 68% of trials with speeds, and the angle, drawn from normal
+    The values are for the given apparent speeds.  Their limits are the central
+    68% of trials in which the speeds, and the angle, are drawn from normal
     distributions.
 
     Parameters
     ----------
     beta_app, error : array_like, shape (n,)
-        In units of c.
+        Apparent speeds and their standard errors, in units of c.
     viewing_angle, angle_error : `~astropy.units.Quantity`, optional
-        Angle between flow and line of sight; without it what needs it is
-        not in the table.
+        Angle between flow and line of sight, and its standard error.  Without
+        the angle the table has no columns that need it.
     n_trials : int, optional
     rng : None, int or `~numpy.random.Generator`, optional
 
     Returns
     -------
     `~astropy.table.QTable`
-        ``beta_app``, ``beta_app_err``; ``gamma_min`` and ``angle_max``; with an
-        angle ``gamma``, ``doppler`` and ``possible``, the share of trials in
-        which there is a flow below c.  Each with ``_low`` and ``_high``; an
-        impossible Lorentz factor is infinite, and its Doppler factor 0.
+        ``beta_app``, ``beta_app_err``, ``gamma_min`` and ``angle_max``; with an
+        angle also ``gamma``, ``doppler`` and ``possible``, the fraction of trials
+        in which a flow below c exists.  ``gamma_min``, ``angle_max``, ``gamma``
+        and ``doppler`` have limits ``_low`` and ``_high``.  If no such flow
+        exists, the Lorentz factor is infinite and the Doppler factor 0.
 
     Raises
     ------
@@ -240,10 +241,10 @@ def intrinsic_table(
 
 
 def _at_angle(beta_app, angle):
-    """Return Lorentz and Doppler factors of flows that are seen at an angle."""
+    """Return the Lorentz and Doppler factors of flows seen at an angle."""
     beta = beta_intrinsic(beta_app, angle)
     gamma, doppler = lorentz_factor(beta), doppler_factor(beta, angle)
-    # What is too fast for the angle is faster than anything, and unseen.
+    # Speeds that are impossible at this angle must not be missing from quantiles.
     impossible = ~np.isfinite(gamma)
     return (
         np.where(impossible, np.inf * u.one, gamma),
@@ -255,7 +256,7 @@ def two_sided_jet(
     approaching, receding, distance=None, *, errors=(0.0, 0.0), n_trials=20000, rng=None
 ):
     r"""
-    Return speed and angle of two jets that are alike and flow apart.
+    Return the speed and angle of two equal jets in opposite directions.
 
     .. math:: \beta \cos\theta = \frac{\mu_a - \mu_r}{\mu_a + \mu_r}, \qquad
               \tan\theta = \frac{2 D}{c}\,\frac{\mu_a \mu_r}{\mu_a - \mu_r}
@@ -267,31 +268,31 @@ def two_sided_jet(
     approaching, receding : `~astropy.units.Quantity`
         Proper motions away from the core.
     distance : `~astropy.units.Quantity`, optional
-        Length; without it there is ``beta_cos`` only.  For a redshift, the
-        angular diameter distance times 1 + z.
+        Distance as a length; without it there is ``beta_cos`` only.  For a
+        redshift, give the angular diameter distance times 1 + z.
     errors : (`~astropy.units.Quantity`, `~astropy.units.Quantity`), optional
-        Of the two proper motions.
+        Standard errors of the two proper motions.
     n_trials : int, optional
     rng : None, int or `~numpy.random.Generator`, optional
 
     Returns
     -------
     dict
-        ``beta_cos`` and, with a distance, ``angle`` and ``beta``; each a tuple
-        of the value and its standard error.  ``beta_max_distance`` is the
-        largest distance at which the flow is slower than light.
+        ``beta_cos`` and, with a distance, ``angle`` and ``beta``, each as a
+        tuple of the value and its standard error.  ``beta_max_distance`` is the
+        distance up to which the flow is slower than light.
 
     Raises
     ------
     ValueError
-        If the receding motion is not positive, or not the smaller one, or the
-        distance is not positive.
+        If the receding motion is not positive or larger than the approaching
+        one, or the distance is not positive.
     `~astropy.units.UnitConversionError`
         If a motion, an error other than 0 or the distance has another unit.
 
     Examples
     --------
-    GRS 1915+105 as Mirabel & Rodriguez saw it:
+    GRS 1915+105 as observed by Mirabel & Rodriguez:
 
     >>> import astropy.units as u
     >>> from astro_scc.kinematics import two_sided_jet
@@ -309,7 +310,7 @@ def two_sided_jet(
     rng = np.random.default_rng(rng)
     trials = []
     for value, error in zip((a, r), errors, strict=True):
-        # No error is 0, whatever its unit.
+        # An error of 0 needs no unit.
         none = isinstance(error, int | float) and error == 0
         s = 0.0 if none else _motion("errors", error)
         trials.append(np.abs(rng.normal(value, s, n_trials)))
@@ -323,7 +324,7 @@ def two_sided_jet(
         return (a - r) / (a + r)
 
     speed = constants.c.to_value(u.m / u.s)
-    # beta = 1 there: (beta cos)^2 + (beta sin)^2 = 1.
+    # At this distance beta = 1: (beta cos)^2 + (beta sin)^2 = 1.
     farthest = (speed / np.sqrt(a * r) * u.m).to(u.kpc)
     found = {"beta_cos": with_error(beta_cos), "beta_max_distance": farthest}
     if distance is not None:
@@ -348,13 +349,13 @@ def _motion(name, value):
 
 def two_sided_ratio(beta, viewing_angle, *, spectral_index=-0.7, blobs=True):
     r"""
-    Return the ratio of brightness of the approaching to the receding jet.
+    Return the brightness ratio of the approaching to the receding jet.
 
     .. math:: R = \left(\frac{1 + \beta\cos\theta}{1 -
               \beta\cos\theta}\right)^{p - \alpha},
 
-    p = 3 for blobs, seen at the same distance from the core, and p = 2 for
-    a steady jet (Scheuer & Readhead 1979, Nature 277, 182); the flux density is
+    where p = 3 for blobs that are seen at the same distance from the core and p = 2
+    for a steady jet (Scheuer & Readhead 1979, Nature 277, 182).  The flux density is
     proportional to :math:`\nu^\alpha`.
     """
     cos = float(beta) * float(np.cos(u.Quantity(viewing_angle).to_value(u.rad)))

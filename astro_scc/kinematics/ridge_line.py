@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The ridge line of a jet: distance along it, offset from it, axes on it."""
+"""The ridge line of a jet, with distances along it, offsets from it, and axes."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,19 +10,19 @@ from astropy.table import QTable
 
 from astro_scc.kinematics.frames import axes_along
 
-#: Steps of the line that lie between two of its points, for projections.
+#: Steps of the curve between two points of the line.
 FINE = 8
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RidgeLine:
     """
-    A line along which a jet flows, and the frame along and across it.
+    The line along which a jet flows, and the frame along and across it.
 
-    The distance s runs along the line from its first point, which is the
-    core; the offset n is positive towards larger position angles of the
-    local direction, as the transverse axis of `PositionAngleFrame`.  Beyond
-    its ends the line goes on straight.
+    The distance s is measured along the line from its first point, which is
+    the core.  The offset n is positive towards larger position angles of the
+    local direction, like the transverse axis of `PositionAngleFrame`.  Beyond
+    its ends the line continues straight.
 
     Parameters
     ----------
@@ -31,19 +31,19 @@ class RidgeLine:
     error : `~astropy.units.Quantity`, shape (n,), optional
         Standard errors of the points across the line.
     meta : dict, optional
-        Facts that go into a table.
+        Facts for the meta of a table.
 
     Raises
     ------
     ValueError
         If there are fewer than two points, or two neighbours coincide.
     `~astropy.units.UnitConversionError`
-        If the points are no angles.
+        If the points are not angles.
 
     Examples
     --------
-    A quarter of a circle of 10 mas, that begins to the west and ends to the
-    north:
+    A quarter of a circle with a radius of 10 mas that begins to the west and
+    ends to the north:
 
     >>> import astropy.units as u
     >>> import numpy as np
@@ -118,7 +118,7 @@ class RidgeLine:
 
     def at(self, distance):
         """
-        Return points of the line.
+        Return the points of the line at some distances along it.
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class RidgeLine:
         Returns
         -------
         s, n : `~astropy.units.Quantity`
-            Of the nearest point of the line, in mas.
+            Distance of the nearest point of the line, and offset from it, in mas.
         """
         x, y = (u.Quantity(v).to_value(u.mas) for v in (east, north))
         s, n = self._project(np.stack(np.broadcast_arrays(x, y), axis=-1))
@@ -197,8 +197,8 @@ class RidgeLine:
         """
         Return displacements as changes of s and n.
 
-        Along a bend this is the way along the line, which is longer than
-        the straight way between the two places.
+        Along a bend this is the length along the line, which is longer than
+        the straight distance between the two positions.
 
         Parameters
         ----------
@@ -237,7 +237,7 @@ class RidgeLine:
             unit = step / length[:, None]
             away = flat - start
             along = (away * unit).sum(axis=1)
-            # The first and the last segment go on beyond the line.
+            # The first and the last segment continue beyond the line.
             low = np.where(segment == 0, -np.inf, 0.0)
             high = np.where(segment == last, np.inf, length)
             along = np.clip(along, low, high)
@@ -252,7 +252,7 @@ class RidgeLine:
 
     def to_table(self):
         """
-        Return the points of the line.
+        Return the points of the line as a table.
 
         Returns
         -------
@@ -272,7 +272,7 @@ class RidgeLine:
     @classmethod
     def from_table(cls, table):
         """
-        Read what `to_table` wrote.
+        Return the ridge line in a table of `to_table`.
 
         Parameters
         ----------
@@ -296,5 +296,5 @@ class RidgeLine:
 
 
 def lengths_of(points):
-    """Return the way to each of the points (n, 2) along all before it."""
+    """Return the length of the path to each of the points, shape (n, 2)."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])

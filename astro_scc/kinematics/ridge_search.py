@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Where the ridge line of a jet runs, and where it points, from its stacked image."""
+"""The ridge line and the position angle of a jet, from its mean image."""
 
 import astropy.units as u
 import numpy as np
@@ -8,11 +8,11 @@ from astro_scc.kinematics.frames import PositionAngleFrame, RadialFrame
 from astro_scc.kinematics.ridge_line import RidgeLine, lengths_of
 from astro_scc.quantities import named, one_quantity
 
-#: Steps of the search in beams.
+#: Step of the search, in beams.
 STEP = 0.25
-#: A line that is within a beam of itself, so many beams along it before, turns back.
+#: A line turns back if it comes within a beam of its points this many beams earlier.
 APART = 3.0
-#: Points of a slice across the jet.
+#: Number of points of a slice across the jet.
 SLICE = 61
 
 
@@ -20,8 +20,8 @@ def fit_position_angle(cube, *, origin=None, threshold=5.0):
     r"""
     Return the position angle of a jet, from the mean of its images.
 
-    The direction of the mean offset, weighted by brightness, of the pixels
-    above a threshold that lie more than a beam from the core,
+    It is the direction of the mean offset, weighted by brightness, of the
+    pixels above a threshold that lie more than a beam from the core,
 
     .. math:: \tan p = \sum I\, \Delta_\mathrm{east} / \sum I\,
               \Delta_\mathrm{north}.
@@ -37,8 +37,8 @@ def fit_position_angle(cube, *, origin=None, threshold=5.0):
     Returns
     -------
     angle, error : `~astropy.units.Quantity`
-        North through east, 0 to 360 deg; the error is that of a jackknife over
-        the epochs, infinite for one epoch.
+        North through east, 0 to 360 deg; the error is from a jackknife over the
+        epochs, and infinite for one epoch.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def fit_position_angle(cube, *, origin=None, threshold=5.0):
 
 
 def _jackknife(sums, total):
-    """Return the error of the direction of a sum over epochs, in degrees."""
+    """Return the error of the direction of a sum over the epochs, in degrees."""
     n = len(sums)
     if n < 2:
         return np.inf
@@ -96,27 +96,27 @@ def find_ridge_line(
     """
     Follow the brightest line of a jet in the mean of its images.
 
-    From the core on, in steps of a quarter of a beam, the brightness in a
-    slice across the jet is taken; the point is the mean position of what is
-    brighter than half of the slice's maximum, and the next slice lies
-    across the direction of the last points.  Points are then smoothed by
-    local parabolas.  It ends where the slice is no longer above the noise,
-    at the edge of the image, or where it would turn back.
+    The line starts at the core and advances by a quarter of a beam.  At each
+    step, its point is the mean position of the part of a slice across the jet
+    that is brighter than half of the slice's maximum.  The next slice is
+    perpendicular to the direction of the last points.  The points are then
+    smoothed by local parabolas.  The line ends where the slice is no longer
+    above the noise, at the edge of the image, or where it would turn back.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     position_angle : `~astropy.units.Quantity`, optional
-        Direction at the core, by default that of `fit_position_angle`.
+        Direction at the core, by default from `fit_position_angle`.
     origin : `~astropy.units.Quantity`, shape (2,), optional
         (east, north) of the core, by default the reference pixel.
     half_width : `~astropy.units.Quantity`, optional
         Half length of the slices, by default 1.5 beams.
     smoothing : `~astropy.units.Quantity`, optional
-        Standard deviation of the weights of the parabolas, two beams by
-        default.
+        Standard deviation of the weights of the parabolas, by default two
+        beams.
     threshold : float, optional
-        The line ends where the slice's maximum is below so many standard
+        The line ends where the slice's maximum is below this many standard
         deviations of the mean image's noise.
     r_max : `~astropy.units.Quantity`, optional
         Largest length.
@@ -124,9 +124,9 @@ def find_ridge_line(
     Returns
     -------
     `RidgeLine`
-        The error of a slice is that of noise, ``b / (sqrt(2) SNR)``
-        (Fomalont 1999), or the scatter about the smooth line where that is
-        larger; those of the points are what smoothing leaves of it.
+        The error of a slice is due to noise, ``b / (sqrt(2) SNR)`` (Fomalont
+        1999), or the scatter about the smooth line where that is larger; the
+        errors of the points are propagated through the smoothing.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def find_ridge_line(
     step = STEP * width
     half = 1.5 * width if half_width is None else _length("half_width", half_width)
     smooth = 2 * width if smoothing is None else _length("smoothing", smoothing)
-    # No jet is longer than twice the image is wide; lines could go in circles.
+    # The length is limited, as a line could go in circles.
     longest = 2 * np.hypot(*cube.shape[1:]) * cube.pixel_scale.value
     if r_max is not None:
         longest = min(longest, _length("r_max", r_max))
@@ -167,7 +167,7 @@ def find_ridge_line(
     points = np.array(points)
     snr[0] = np.nanmax(snr)
     error = width / (np.sqrt(2) * snr)
-    # The core is where the line begins.
+    # A small error keeps the beginning of the line at the core.
     error[0] = 1e-2 * error.min()
     points, error = _smoothed(points, error, smooth, step)
     meta = {"width": width * u.mas, "smoothing": smooth * u.mas}
@@ -180,8 +180,8 @@ def limb_masks(cube, ridge, half_width):
     """
     Return the two limbs of a jet and its spine as masks, shape (ny, nx).
 
-    The spine is what lies within ``half_width`` of the ``ridge``; "north" is the side
-    of the line whose mean normal points north.
+    The spine lies within ``half_width`` of the ``ridge``; "north" is the side of the
+    line whose mean normal points north.
     """
     half = _length("half_width", half_width) * u.mas
     _, n = ridge.coordinates(*cube.offsets())
@@ -193,7 +193,7 @@ def limb_masks(cube, ridge, half_width):
 
 
 def _follow(cube, image, start, direction, half, faintest, longest):
-    """Return the brightest points of slices from a start on, and their maxima."""
+    """Return the points of slices from a start onwards, and the slices' maxima."""
     width = mean_width(cube)
     step = STEP * width
     points, tops = [start], [np.nan]
@@ -205,20 +205,20 @@ def _follow(cube, image, start, direction, half, faintest, longest):
         point, top = found
         met = _met_again(points, point, width)
         if met is not None:
-            # It went round the end of the jet: half of the way it is none.
+            # The line went round the end of the jet, so half of the detour is cut off.
             end = (met + len(points)) // 2
             del points[end:], tops[end:]
             break
         points.append(point)
         tops.append(top)
-        # The direction is that of the last beam, or slices would tumble.
+        # A direction over the last 1.5 beams keeps the slices from tumbling.
         back = points[max(0, len(points) - 1 - round(1.5 / STEP))]
         direction = (point - back) / np.hypot(*(point - back))
     return points, np.array(tops)
 
 
 def _met_again(points, point, width):
-    """Return an earlier point of a line that a new one is within a beam of, or None."""
+    """Return the index of an earlier point within a beam of a new one, or None."""
     earlier = np.array(points[: -round(APART / STEP)])
     if len(earlier) == 0:
         return None
@@ -227,7 +227,7 @@ def _met_again(points, point, width):
 
 
 def _slice_point(cube, image, guess, direction, half):
-    """Return the middle and the maximum of the bright part of a slice."""
+    """Return the mean position and the maximum of the bright part of a slice."""
     from scipy.ndimage import map_coordinates
 
     normal = np.array([direction[1], -direction[0]])
@@ -242,7 +242,7 @@ def _slice_point(cube, image, guess, direction, half):
     top = int(values.argmax())
     if values[top] <= 0:
         return None
-    # What is connected with the maximum; another ridge is none of this one.
+    # Only the part connected with the maximum, as another ridge is not part of it.
     low = values < 0.5 * values[top]
     left = top - int(np.argmax(low[top::-1])) if low[: top + 1].any() else -1
     right = top + int(np.argmax(low[top:])) if low[top:].any() else SLICE
@@ -252,7 +252,7 @@ def _slice_point(cube, image, guess, direction, half):
 
 
 def _smoothed(points, error, width, step):
-    """Smooth by local parabolas over distance; return points and their errors."""
+    """Return points smoothed by local parabolas over distance, and their errors."""
     s = lengths_of(points)
     smooth, gains = np.empty_like(points), np.empty((len(points),) * 2)
     windows = np.empty_like(gains)
@@ -264,7 +264,7 @@ def _smoothed(points, error, width, step):
         gain = np.linalg.solve(normal, design.T * weight)[0]
         smooth[k], gains[k] = gain @ points, gain
         windows[k] = np.exp(-0.5 * x**2)
-    # Half of the square in two dimensions is what lies across the line.
+    # Half of the square in two dimensions is across the line.
     square = 0.5 * ((points - smooth) ** 2).sum(axis=1)
     scatter = windows @ square / windows.sum(axis=1)
     variance = np.maximum(error**2, scatter)
@@ -274,14 +274,14 @@ def _smoothed(points, error, width, step):
 
 
 def _mean(cube):
-    """Return the mean image, masked pixels NaN, and its noise."""
+    """Return the mean image, with NaN for masked pixels, and its noise."""
     image = np.asarray(cube.mean_image().data, dtype=float)
     noise = u.Quantity(cube.noise_rms()).value
     return image, float(np.sqrt(np.mean(noise**2) / len(cube)))
 
 
 def mean_width(cube):
-    """Return the resolution in mas: the mean beam, or four pixels."""
+    """Return the resolution in mas: the mean beam, or four pixels without beams."""
     if cube.beams is None:
         return 4 * cube.pixel_scale.value
     areas = [(b.major * b.minor).to_value(u.mas**2) for b in cube.beams]

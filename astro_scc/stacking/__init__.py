@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Stacking: velocity samples as a diagram and a map, and what they show."""
+"""Stacking of velocity samples into a diagram and a map, and the streams in them."""
 
 from astro_scc.stacking.diagram import Rays
 from astro_scc.stacking.features import Feature

@@ -19,19 +19,19 @@ class Diagram:
 
     ``E(d, tau) = sum_(i<j in tau) (H_ij(d) - <H>(d))``, where ``H_ij`` is
     the density of the displacements from the image at date i to that at date
-    j, weighted by the correlation coefficient and smoothed, and ``<H>`` its
-    mean over all ordered pairs of different images: under all permutations
-    of the epochs every pair of images falls on every pair of dates equally
-    often.  What moves with the speed v lies on the ray d = v tau.
+    j, weighted by the correlation coefficient and smoothed.  ``<H>`` is its
+    mean over all ordered pairs of different images, because over all
+    permutations of the epochs every pair of images falls on every pair of
+    dates equally often.  Features of speed v lie on the ray d = v tau.
 
     Attributes
     ----------
     displacement : `~numpy.ndarray`, shape (n_d,)
         In beams.
     interval : `~numpy.ndarray`, shape (n_tau,)
-        Mean of each bin, in years.
+        Mean interval of each bin, in years.
     n_pairs : `~numpy.ndarray` of int, shape (n_tau,)
-        Pairs of dates in each bin.
+        Number of pairs of dates in each bin.
     observed, excess : `~numpy.ndarray`, shape (n_tau, n_d)
     """
 
@@ -44,7 +44,7 @@ class Diagram:
     @classmethod
     def of(cls, samples, rays, settings):
         """
-        Return the diagram of the epochs in their order.
+        Return the diagram of the epochs in their observed order.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class PairDensity:
         flat = np.concatenate([row * len(grid) + low, row * len(grid) + low + 1])
         weight = np.concatenate([d.weight[use] * (1 - part), d.weight[use] * part])
         pairs = np.bincount(flat, weight, n * n * len(grid)).reshape(n, n, -1)
-        # From the later image's side the same motion has the other sign.
+        # Seen from the later image the same motion has the opposite sign.
         pairs = pairs + pairs.transpose(1, 0, 2)[:, :, ::-1]
         kernel = np.exp(-0.5 * ((grid[:, None] - grid) / settings.blur) ** 2)
         pairs = (pairs.reshape(n * n, -1) @ kernel).reshape(n, n, -1)
@@ -100,7 +100,7 @@ class PairDensity:
 
 @dataclass(frozen=True, eq=False)
 class IntervalBins:
-    """Pairs of dates in bins of their interval, of one relative width."""
+    """Pairs of dates in bins of their interval, of equal relative width."""
 
     n_dates: int
     first: np.ndarray
@@ -122,7 +122,7 @@ class IntervalBins:
         return cls(len(years), first, second, which, mean, count)
 
     def sums(self, pairs, orders):
-        """Sums of densities of pairs of images over bins, (n_orders, n_tau, n_d)."""
+        """Return the densities of pairs summed over bins, (n_orders, n_tau, n_d)."""
         n, n_bins = len(orders), len(self.mean)
         rows = np.arange(n)[:, None] * n_bins + self.bin
         columns = orders[:, self.first] * self.n_dates + orders[:, self.second]
@@ -136,27 +136,28 @@ class IntervalBins:
 @dataclass(frozen=True, eq=False, repr=False)
 class Rays:
     """
-    Which speeds are searched, and in which intervals each of them.
+    The speeds that are searched, and the intervals that are used for each.
 
     Attributes
     ----------
     speed : `~numpy.ndarray`, shape (n_v,)
-        In beams a year, both directions, even in the logarithm: from that
-        which moves ``slowest`` beams in the whole time to that which moves
-        ``radius`` in the shorter quarter of the intervals between epochs.
+        In beams/yr, in both directions and evenly spaced in the
+        logarithm.  The slowest moves ``slowest`` beams in the whole time, the
+        fastest ``radius`` in the shorter quarter of the intervals between
+        epochs.
     bins : `IntervalBins`
     radius : float
         Largest displacement in beams.
     shortest : float
-        Intervals up to this one are the shortest there are, in years.
+        Intervals up to this one count as the shortest, in years.
     intervals : tuple of float
         Shortest and longest interval that is used.
     settings : `~astro_scc.stacking.SearchSettings`
 
     Examples
     --------
-    Of six epochs in five years, from one beam in all to 1.5 in one year.
-    What moves half a beam a year is looked for in intervals up to two years:
+    Six epochs in five years allow speeds of one beam in all to 1.5 in one year.
+    A speed of half a beam a year is searched in intervals of up to two years:
 
     >>> import numpy as np
     >>> from astro_scc.stacking import Rays, SearchSettings
@@ -197,7 +198,7 @@ class Rays:
         Raises
         ------
         ValueError
-            If no two epochs are as far apart as ``intervals`` ask.
+            If the separations of no two epochs lie within ``intervals``.
         """
         bins = IntervalBins.of(years, settings.interval_step, intervals)
         if len(bins.mean) == 0:
@@ -223,7 +224,7 @@ class Rays:
 
     def weight(self, motion, interval):
         """
-        Weight of intervals: those in which a speed moves as far as counts.
+        Return the weights of intervals, by the motion of a speed in them.
 
         Parameters
         ----------
@@ -240,14 +241,14 @@ class Rays:
         soft = 0.25 * settings.nearest
         near = np.clip((motion - settings.nearest) / (2 * soft) + 0.5, 0, 1)
         far = np.clip((settings.farthest - motion) / (4 * soft) + 0.5, 0, 1)
-        # What moves farther even in the shortest intervals is looked for there.
+        # Speeds that move farther even in the shortest intervals are searched there.
         far = np.where((interval <= self.shortest) & (motion <= self.radius), 1.0, far)
         used = (interval >= self.intervals[0]) & (interval <= self.intervals[1])
         return near * far * used
 
     def matrix(self, speed, grid):
         """
-        Return the sums of a diagram over rays, as a matrix.
+        Return the matrix that sums a diagram over rays.
 
         Parameters
         ----------

@@ -23,12 +23,13 @@ class StreamVelocity:
     value : `~numpy.ndarray`, shape (2,)
         In mas/yr.
     features : `~numpy.ndarray`, shape (2, 2)
-        Covariance by the scatter and the errors of its features, in
-        (mas/yr)^2; NaN where it has none.
+        Covariance from the scatter and the errors of its features, in
+        (mas/yr)^2; NaN without features.
     alignment : `~numpy.ndarray`, shape (2, 2)
-        Covariance by what moves all features of an epoch together.
+        Covariance from alignment errors, which shift all features of an
+        epoch together.
     dispersion, dispersion_error : float
-        Of the features' speeds along the stream, in mas/yr.
+        Dispersion of the features' speeds along the stream, in mas/yr.
     """
 
     value: np.ndarray
@@ -39,13 +40,13 @@ class StreamVelocity:
 
     @property
     def covariance(self):
-        """The covariance that is quoted."""
+        """Total covariance, which is quoted."""
         return self.features + self.alignment
 
 
 def velocity_of(stream, beam, misaligned, epoch):
     """
-    A stream's velocity in mas/yr on the axes of the frame.
+    Return a stream's velocity in mas/yr on the axes of the frame.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ def velocity_of(stream, beam, misaligned, epoch):
 
 def alignment_response(stream, epoch, n_epochs):
     """
-    Change of a stream's mean speed for a displacement of whole epochs.
+    Return the change of a stream's mean speed per displacement of each epoch.
 
     Parameters
     ----------
@@ -101,9 +102,9 @@ def alignment_response(stream, epoch, n_epochs):
 
 def jackknife_covariance(estimates):
     """
-    Return the covariance of an estimate by those without one part of the data each.
+    Return the jackknife covariance of estimates that each leave out a part of the data.
 
-    Infinite with fewer than four parts.
+    It is infinite for fewer than four parts.
     """
     n = len(estimates)
     if n < 4:
@@ -115,20 +116,20 @@ def jackknife_covariance(estimates):
 @dataclass(frozen=True, eq=False)
 class JitteredVelocity:
     """
-    Outcome of the velocity-jitter test: a peak while SSPs are shifted by their errors.
+    Outcome of the velocity-jitter test, in which SSPs are shifted by their errors.
 
     Attributes
     ----------
     covariance : `~numpy.ndarray`, shape (2, 2)
-        Of the velocity peak over the trials.
+        Covariance of the velocity peak over the trials.
     bias : `~numpy.ndarray`, shape (2,)
-        Mean of the trials minus the observed velocity, that of the maximum
-        in the box without shifts.
+        Mean of the trials minus the observed velocity, which is that of the
+        maximum in the box without shifts.
     gaussian_p : float
-        Smaller p-value of the two axes of D'Agostino and Pearson's test
-        that the trials are Gaussian.
+        p-value of D'Agostino and Pearson's test that the trials are
+        Gaussian, the smaller one of the two axes.
     share : float
-        Share of the trials that have a maximum in the box.
+        Fraction of the trials that have a maximum in the box.
     """
 
     covariance: np.ndarray
@@ -139,10 +140,11 @@ class JitteredVelocity:
 
 def _ends(samples, index):
     """
-    Which of n positions each match starts from and which it ends at.
+    Return the positions from which each match starts and at which it ends.
 
-    An SSP is one position, whatever it is matched with and whichever of the
-    two ends of a displacement it is; an end without an SSP is one of its own.
+    They are indices of n positions.  An SSP is one position in all its matches,
+    at either end of a displacement; an end without an SSP is a position of its
+    own.  n is returned as well.
     """
     start, end = samples.ssp[index], samples.target_ssp[index]
     end = np.where(end < 0, -1 - np.arange(len(end)), end)
@@ -156,7 +158,7 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
 
     Each trial draws one shift for every SSP from a normal distribution
     (paper, Sect. 2.4), stacks the matches around the peak again and
-    takes its maximum.
+    finds the maximum.
 
     Parameters
     ----------
@@ -164,8 +166,7 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
     pairs : `~astro_scc.stacking.DatePairs`
     peak : `~astro_scc.stacking.VelocityPeak`
     box : tuple of float
-        Sides of the box around the peak in which the maximum is
-        looked for.
+        Sides of the box around the peak in which the maximum is searched.
     n_trials : int
     rng : `~numpy.random.Generator`
 
@@ -175,7 +176,7 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
         Its covariance is NaN if fewer than 3 trials have a maximum.
     """
     index, *columns = sample_velocities(samples, pairs)
-    # Velocities and their errors on both axes, and weights.
+    # The rows are velocities and their errors on both axes, and weights.
     columns, half = np.array(columns), np.array(box) / 2
     centre = np.array([peak.v1, peak.v2])
     apart = np.abs(columns[:2] - centre[:, None])
@@ -185,7 +186,7 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
         np.linspace(v - h, v + h, POINTS) for v, h in zip(centre, half, strict=True)
     )
     observed = _maximum(gaussian_sum(*columns, grid1, grid2), grid1, grid2)
-    # Single precision is enough for places in units of the box.
+    # Single precision is enough for positions in units of the box.
     columns[:2] -= centre[:, None]
     columns[:4] /= half[[0, 1, 0, 1], None]
     x, y, sx, sy, w = columns.astype(np.float32)
@@ -193,7 +194,7 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
     start, end, n = _ends(samples, index)
     found = []
     for _ in range(n_trials):
-        # Half the variance of a displacement belongs to either end.
+        # Each end of a displacement has half of its variance.
         unit = rng.standard_normal((2, n)) / np.sqrt(2)
         shift = (unit[:, end] - unit[:, start]).astype(np.float32)
         local = gaussian_sum(
@@ -229,7 +230,7 @@ def _maximum(scc, grid1, grid2):
 def _gaussian_p(found):
     from scipy.stats import normaltest
 
-    # The test's kurtosis part is not valid for fewer.
+    # With fewer trials the test's kurtosis part is not valid.
     if len(found) < 20 or np.any(np.ptp(found, axis=0) == 0):
         return float("nan")
     return float(np.min(normaltest(found, axis=0).pvalue))

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Features: the SSPs that follow one straight line through the epochs."""
+"""Features: SSPs that follow a straight line through the epochs."""
 
 from dataclasses import dataclass, replace
 
@@ -16,20 +16,20 @@ class Feature:
     Attributes
     ----------
     ssp : `~numpy.ndarray` of int, shape (n_epochs,)
-        By epoch.
+        Indices of the SSPs, in the order of the epochs.
     speed, error : float
-        Along the axis, in beams a year, with its standard error.
+        Speed along the axis, in beams/yr, and its standard error.
     across, across_error : float
         The same across the axis.
     place : float
         Mean position along the axis, in beams.
     motion : float
-        Beams moved while it is seen.
+        Motion while the feature is seen, in beams.
     response : `~numpy.ndarray`, shape (n_epochs,)
         Change of the speed for a displacement of each SSP by one beam.
     acceleration, acceleration_error : float
-        Along the axis, in beams/yr^2, of a parabola; NaN with fewer than five
-        SSPs.
+        Acceleration along the axis, in beams/yr^2, from a parabola; NaN with
+        fewer than five SSPs.
 
     Examples
     --------
@@ -60,8 +60,9 @@ class Feature:
         """
         Fit a straight line to the positions of SSPs.
 
-        The variance of a position is that of the residuals, drawn towards
-        ``position_error`` of the settings as if by three more measurements.
+        The variance of a position is that of the residuals, drawn towards the
+        square of ``position_error`` in the settings, which counts as three more
+        measurements.
 
         Parameters
         ----------
@@ -108,13 +109,14 @@ class Feature:
 
 def find_features(samples, rays, settings, prior):
     """
-    Find features that move, each with a speed of its own.
+    Find features that move, each with its own speed.
 
-    An SSP has, for each speed, the sum of its matches on the ray of that
-    speed less what its matches would give under permutations of the epochs.
-    The SSP with the largest excess begins a feature; those that its matches
-    lead to along the ray, and theirs, join it as long as they lie on one
-    line; then the next one begins, of what is left.
+    For each SSP and speed, the excess is the sum of its matches on the ray of
+    that speed less the sum expected under permutations of the epochs.  The SSP
+    with the largest excess begins a feature.  The SSPs to which its matches
+    lead along the ray join it, and those to which their matches lead, as long
+    as they lie on one line.  Then the next feature begins with the remaining
+    SSPs.
 
     Parameters
     ----------
@@ -122,12 +124,12 @@ def find_features(samples, rays, settings, prior):
     rays : `~astro_scc.stacking.Rays`
     settings : `~astro_scc.stacking.SearchSettings`
     prior : callable
-        Weight between 0 and 1 of an array of speeds.
+        Returns weights between 0 and 1 for an array of speeds.
 
     Returns
     -------
     list of `Feature`
-        Those of several scales that are the same only once.
+        A feature that is seen on several scales is there only once.
     """
     d = samples
     keep = (np.abs(d.d2) <= settings.across) & (np.abs(d.d1) <= rays.radius)
@@ -161,11 +163,11 @@ def standing_features(samples, settings):
     Returns
     -------
     list of `Feature`
-        With speeds below two standard errors.
+        Their speeds are at most two standard errors.
     """
     d = samples
     close = (np.hypot(d.d1, d.d2) <= settings.nearest) & (d.target_ssp >= 0)
-    # Images of one date say nothing about motion.
+    # Images of the same date say nothing about motion.
     close &= d.interval != 0
     links = _Links.of(d.select(close))
     least = max(settings.least_epochs, len(d.years) / 2)
@@ -180,7 +182,7 @@ def standing_features(samples, settings):
 
 def clear_of(features, standing, samples, settings):
     """
-    Fit features again where no standing one pulls at them.
+    Fit features again without the SSPs near a standing feature.
 
     Parameters
     ----------
@@ -191,8 +193,9 @@ def clear_of(features, standing, samples, settings):
     Returns
     -------
     list of `Feature`
-        Of the same SSPs, those near a standing feature without a say in the speed;
-        as they were if fewer than ``least_epochs`` others are left.
+        With the same SSPs, but those within ``pull`` of a standing feature do not
+        affect the speed.  A feature is unchanged if fewer than ``least_epochs`` other
+        SSPs are left.
     """
     if not standing:
         return list(features)
@@ -214,7 +217,7 @@ def clear_of(features, standing, samples, settings):
 
 @dataclass(frozen=True, eq=False)
 class _Links:
-    """Matches from both of their SSPs, sorted by the SSP they start from."""
+    """Matches in both directions, sorted by the SSP from which they start."""
 
     ssp: np.ndarray
     to: np.ndarray
@@ -236,13 +239,13 @@ class _Links:
         return cls(ssp, to, along[order], weight[order], interval, start)
 
     def of_ssps(self, ssps):
-        """Indices of the links from some SSPs."""
+        """Return the indices of the links from some SSPs."""
         parts = [np.arange(self.start[s], self.start[s + 1]) for s in ssps]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=int)
 
 
 def _speeds(rays):
-    """Return the speeds of single features: somewhat beyond those of streams."""
+    """Return the speeds of single features, a wider range than those of streams."""
     fastest, slowest = 1.1 * rays.speed.max(), 0.5 * np.abs(rays.speed).min()
     n = int(np.ceil(np.log(fastest / slowest) / rays.settings.feature_speed_step))
     speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
@@ -250,7 +253,7 @@ def _speeds(rays):
 
 
 def _excess(links, d, speeds, rays):
-    """Return the matches of each SSP on rays, less those that permutations give."""
+    """Return the excess of each SSP's matches on rays over permutations."""
     n, n_epochs, sigma = len(d.epoch), len(d.years), rays.settings.smoothing
     step = sigma / 2
     half = np.ceil(rays.radius / step) + 2
@@ -269,7 +272,7 @@ def _excess(links, d, speeds, rays):
         value = weight[use] * links.weight[use]
         value *= np.exp(-0.5 * ((links.along[use] - expected[use]) / sigma) ** 2)
         found[:, k] = np.bincount(links.ssp[use], value, n)
-        # The share of each cell of displacement, of the dates seen from each.
+        # Weight of each displacement cell from each date, summed over all others.
         motion = speed * interval
         share = np.where(interval == 0, 0.0, rays.weight(motion, interval))
         cells = np.rint((np.clip(motion, grid[0], grid[-1]) - grid[0]) / step)
@@ -281,7 +284,7 @@ def _excess(links, d, speeds, rays):
 
 
 def _chains(seeds, speed, links, d, settings):
-    """Yield the SSPs that lie on a line with each seed, each SSP in one chain only."""
+    """Yield the SSPs on a line with each seed; each SSP is in one chain only."""
     free = np.ones(len(d.epoch), dtype=bool)
     for seed in seeds:
         if free[seed]:
@@ -291,7 +294,7 @@ def _chains(seeds, speed, links, d, settings):
 
 
 def _follow(seed, speed, links, d, free, settings):
-    """SSPs along a line from one of them, one an epoch."""
+    """Return the SSPs along a line from a seed, one per epoch."""
     members = {int(d.epoch[seed]): int(seed)}
     front, here, when = [int(seed)], d.position[seed], d.years[d.epoch[seed]]
     across = 0.0
@@ -324,14 +327,14 @@ def _follow(seed, speed, links, d, free, settings):
 
 
 def _line(chosen, d):
-    """Return the velocity, the mean place and the mean date of some SSPs."""
+    """Return the velocity, the mean position and the mean date of some SSPs."""
     years, place = d.years[d.epoch[chosen]], d.position[chosen]
     time = years - years.mean()
     return time @ place / (time @ time), place.mean(axis=0), years.mean()
 
 
 def _on_line(chosen, d, settings):
-    """Without what lies off the line of the others."""
+    """Return the SSPs of a chain without those that lie off its line."""
     for _ in range(3):
         if len(chosen) <= settings.least_epochs:
             break
@@ -352,9 +355,9 @@ def _feature(chosen, d, settings):
 
 
 def _different(features, d, settings):
-    """The longest of those that follow one another on one line or several scales."""
+    """Return the features without those near the line of a longer one, on any scale."""
     kept = []
-    # The finer scale of two as long is blended less.
+    # Of two features of equal length, the one on the finer scale is blended less.
     for feature in sorted(features, key=lambda f: (-len(f), d.scale[f.ssp[0]])):
         years, place = d.years[d.epoch[feature.ssp]], d.position[feature.ssp]
         for other in kept:

@@ -12,18 +12,18 @@ from astro_scc.stacking.velocities import VelocitySamples
 
 #: Spacing of the maps in units of the narrowest kernel.
 STEP_SIGMA = 2 / 3
-#: Kernels beyond the largest velocity that maps reach: room for shifts.
+#: Margin of the maps beyond the largest velocity, in kernels: room for shifts.
 MARGIN = 6.0
 #: Degree of the interpolating spline; with the step above its error is 1e-4.
 DEGREE = 7
-#: Intervals beyond the shortest and the longest at which stacks are made, so
-#: that the ends of the spline between intervals are out of the way.
+#: Number of nodes beyond the shortest and the longest interval, so that the
+#: ends of the spline between intervals do not matter.
 BEYOND = 3
-#: With more intervals than these stacks are made in single precision.
+#: With more intervals, stacks are made in single precision.
 FEW_INTERVALS = 8
 #: Bytes of stacks that are made at once.
 BLOCK_BYTES = 2**26
-#: Bytes of maps that are kept; if all are more they are made as needed.
+#: Bytes of maps that are kept; if all maps take more, they are made as needed.
 MAP_BYTES = 2**28
 #: Bytes of maps that are added up at once.
 WORK_BYTES = 2**24
@@ -32,7 +32,7 @@ MAX_SIZE = 1001
 
 
 def _basis(axis, positions):
-    """Matrix from coefficients to values at positions, zero beyond the axis."""
+    """Return the matrix from coefficients to values, zero beyond the axis."""
     knots = make_interp_spline(axis, axis, k=DEGREE).t
     inside = np.abs(positions) <= axis[-1]
     at = np.clip(positions, axis[0], axis[-1])
@@ -45,10 +45,10 @@ class PairMaps:
     """
     The correlation peaks of each ordered pair of images as a map.
 
-    The maps are in displacement and know no dates.  A stack is a sum over
-    pairs of dates of the map of the two images at these dates, stretched by
-    the interval, which is a product with two small matrices.  Equivalent
-    to `stack` within 1e-3 of the maximum.
+    The maps are in displacement and do not depend on dates.  A stack is the
+    sum, over pairs of dates, of the map of the two images at these dates,
+    stretched by the interval, which is a product with two small matrices.  It
+    agrees with `stack` within 1e-3 of the maximum.
 
     Attributes
     ----------
@@ -56,9 +56,9 @@ class PairMaps:
     axis1, axis2 : `~numpy.ndarray`
         Displacements at which the maps are sampled.
     index : `~numpy.ndarray` of int, shape (n_matches,)
-        Matches by pair of images.
+        Indices of the matches, sorted by pair of images.
     ends : `~numpy.ndarray` of int, shape (n_images ** 2 + 1,)
-        Where those of images (r, t) begin, at ``r * n_images + t``.
+        Where the matches of images (r, t) begin, at ``r * n_images + t``.
     """
 
     samples: VelocitySamples
@@ -76,9 +76,9 @@ class PairMaps:
         ----------
         samples : `~astro_scc.stacking.VelocitySamples`
         v_max : tuple of float
-            Largest velocities that will be asked for.
+            Largest velocities of the stacks.
         longest : float
-            Longest interval that a pair of dates has, in years.
+            Longest interval of a pair of dates, in years.
 
         Returns
         -------
@@ -100,7 +100,7 @@ class PairMaps:
 
     @cached_property
     def _rows(self):
-        """Row of each pair of images among the maps, or -1 for an empty one."""
+        """Row of each pair of images in the maps, or -1 without matches."""
         used = np.diff(self.ends) > 0
         return np.where(used, np.cumsum(used) - 1, -1)
 
@@ -111,7 +111,7 @@ class PairMaps:
 
     @cached_property
     def _everything(self):
-        """All maps, or None if they are too many to be kept."""
+        """All maps, or None if they take too much memory."""
         pairs = np.flatnonzero(self._rows >= 0)
         if len(pairs) * self.map_bytes > MAP_BYTES:
             return None
@@ -124,7 +124,7 @@ class PairMaps:
         Parameters
         ----------
         pairs : `~numpy.ndarray` of int, shape (n,)
-            Numbers of the pairs.
+            Indices of the pairs.
 
         Returns
         -------
@@ -174,13 +174,13 @@ class PairMaps:
             for maps, rows in self._parts(reference * self.samples.n_epochs + target):
                 for own, row in zip(total, rows, strict=True):
                     own += stretch(maps, row)
-                # Before the next part is made.
+                # Freed before the next part is made.
                 del maps
             number = number_of_ssps(self.samples, pairs, some)
             yield total / number[:, None, None]
 
     def _parts(self, images):
-        """As many maps as are kept at a time, and the rows of pairs in them."""
+        """Yield as many maps as fit into memory, and the rows of the pairs in them."""
         if self._everything is not None:
             yield self._everything, self._rows[images]
             return
@@ -197,18 +197,18 @@ class PairMaps:
 @dataclass(frozen=True, eq=False)
 class _Stretch:
     """
-    Maps in displacement to stacks in velocity, for pairs of dates.
+    The transformation of maps in displacement to stacks in velocity.
 
-    The stack of a map is a smooth function of the interval, so that maps are
+    The stack of a map is a smooth function of the interval.  Maps are therefore
     first added up at a few intervals, with the weights of a spline between
     them, and then stretched.
     """
 
-    # Share of each pair of dates in the intervals, times its weight, shape
-    # (n_intervals, n_pairs).
+    # Spline weight of each pair of dates at the intervals, times its weight in the
+    # stack, shape (n_intervals, n_pairs).
     share: np.ndarray
-    # For each interval the part of the map that it needs, and the matrices
-    # along both axes.
+    # For each interval, the part of the map that is needed and the matrices along
+    # both axes.
     steps: tuple
     # Shape of a map.
     size: tuple
@@ -216,7 +216,7 @@ class _Stretch:
     @classmethod
     def of(cls, maps, pairs, grid, shift):
         at, share = _intervals(maps, pairs, grid)
-        # Orders tie where dates are even or few: that takes double precision.
+        # If dates are even or few, permutations tie, which needs double precision.
         kind = np.float32 if len(at) > FEW_INTERVALS else float
         steps = []
         for interval in at:
@@ -234,7 +234,7 @@ class _Stretch:
         total, kind = 0.0, self.share.dtype
         if len(slots) == 0:
             return total
-        # A few intervals and a few pairs of dates at a time bound memory.
+        # To save memory, only a few intervals and pairs of dates at a time.
         few = max(1, WORK_BYTES // (kind.itemsize * maps.shape[1]))
         for first in range(0, len(self.share), few):
             some, added = slice(first, first + few), 0
@@ -258,7 +258,7 @@ def _support(matrix):
 
 def _intervals(maps, pairs, grid):
     """
-    Return the intervals that maps are stretched by, and how pairs share in them.
+    Return the intervals by which maps are stretched, and the weights of pairs in them.
 
     Returns
     -------

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Permutations of the epochs: along the rays of the diagram, and on stacks."""
+"""Permutations of the epochs, along the rays of the diagram and in stacks."""
 
 import itertools
 import math
@@ -11,17 +11,17 @@ import numpy as np
 from astro_scc.stacking.diagram import PairDensity
 from astro_scc.stacking.search import DEFAULT
 
-#: Standard deviations of stacks are floored at this share of their largest value.
+#: Standard deviations of stacks are at least this fraction of the largest one.
 STD_FLOOR = 0.01
 #: Bytes of permuted diagrams that are made at once.
 BYTES = 2**26
-#: Factorials beyond this one are as good as endless.
+#: Factorials of larger numbers of epochs are replaced by that of this one.
 MOST = 20
 
 
 def number_of_permutations(n_epochs):
     """
-    Return how many orders are distinguished: one and its reversal are not.
+    Return the number of different orders, where a reversed order is the same one.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def number_of_permutations(n_epochs):
 
 def permutations_of_epochs(n_epochs, n_trials, rng, settings=DEFAULT):
     """
-    Draw permutations of the epochs, as likely as the observed order.
+    Draw permutations of the epochs, each as likely as the observed order.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ def permutations_of_epochs(n_epochs, n_trials, rng, settings=DEFAULT):
     Returns
     -------
     `~numpy.ndarray` of int, shape (n, n_epochs)
-        All but the observed one of up to six epochs, or if there are no more
-        than ``n_trials``.
+        All except the observed one for up to six epochs, or if these are at
+        most ``n_trials``; otherwise random ones.
     """
     few = n_epochs <= settings.all_orders_of
     if few or math.factorial(min(n_epochs, MOST)) <= n_trials + 1:
@@ -64,17 +64,17 @@ def random_permutations(n_epochs, n_trials, rng):
 @dataclass(frozen=True, eq=False, repr=False)
 class EpochPermutations:
     """
-    What permuted epochs show along the rays of the diagram.
+    The permutation test along the rays of the diagram.
 
     Attributes
     ----------
     speed : `~numpy.ndarray`, shape (n_v,)
-        In beams a year, both directions.
+        In beams/yr, in both directions.
     z : `~numpy.ndarray`, shape (n_axes, n_v)
-        ``E(v) / std E(v)``, E the sum of the excess along a ray and the
-        standard deviation that of all orders, the observed one among them.
+        ``E(v) / std E(v)``, where E is the sum of the excess along a ray and
+        the standard deviation is over all orders, including the observed one.
     permuted : `~numpy.ndarray`, shape (n_orders - 1, n_axes, n_v)
-        The same of each permutation.
+        The same for each permutation.
     smallest_p : float
         Smallest probability that the number of orders allows.
 
@@ -114,7 +114,7 @@ class EpochPermutations:
             The same matches along each axis that is searched.
         rays : `Rays`
         n_trials : int
-            Number of permutations; all there are if they are fewer.
+            Number of random permutations; for few epochs all are used.
         rng : `~numpy.random.Generator`
         settings : `~astro_scc.stacking.SearchSettings`
         outward : bool, optional
@@ -142,7 +142,7 @@ class EpochPermutations:
             largest = max(largest, chance.max())
         sums = np.stack(sums, axis=1)
         std = sums.std(axis=0)
-        # Epochs that are all the same differ by rounding only.
+        # The floor keeps rounding errors of identical epochs from counting.
         z = sums / np.maximum(
             std, settings.least_std * std.max(axis=0) + 1e-6 * largest
         )
@@ -166,7 +166,7 @@ class EpochPermutations:
         -------
         axis : int
         speed : float
-            Between grid points, by a parabola in the logarithm.
+            Interpolated between grid points by a parabola in the logarithm.
         """
         axis, k = np.unravel_index(self.z.argmax(), self.z.shape)
         speed = self.speed[k]
@@ -176,14 +176,14 @@ class EpochPermutations:
             and (speed * self.speed[k + 1] > 0)
         ):
             below, here, above = self.z[axis, k - 1 : k + 2]
-            # The first of the largest: the one below is less.
+            # argmax is the first of equal values, so the one below is smaller.
             shift = 0.5 * (below - above) / (below - 2 * here + above)
             speed *= np.exp(shift * np.log(abs(self.speed[k + 1] / speed)))
         return int(axis), float(speed)
 
     def significance(self, axis, speed):
         """
-        Return z at speeds, between grid points.
+        Return z at speeds, interpolated between grid points.
 
         Parameters
         ----------
@@ -201,7 +201,7 @@ class EpochPermutations:
 
     def p_values(self, axis, speed):
         """
-        Probabilities of as large a z at this speed, and at any.
+        Return the probabilities of as large a z at this speed, and at any speed.
 
         Parameters
         ----------
@@ -211,9 +211,9 @@ class EpochPermutations:
         Returns
         -------
         p_local, p_global : float
-            ``(b + 1) / (n + 1)``, b the number of the n permutations whose z
-            at this speed, or whose largest over all axes and speeds, is at
-            least the observed one.
+            ``(b + 1) / (n + 1)``, where b of the n permutations have a z at
+            this speed, or a largest z over all axes and speeds, of at least
+            the observed one.
         """
         z = float(self.significance(axis, speed))
         if not np.isfinite(z):
@@ -233,11 +233,11 @@ class PermutedStacks:
 
     def z_score(self, scc):
         """
-        Return the significance of a stack, ``(C - mean) / std`` (paper, Sect. 2.3).
+        Return the z-score of a stack, ``(C - mean) / std`` (paper, Sect. 2.3).
 
-        It is no probability: the paper's 11 sigma come from 1000 trials.  The
-        standard deviation is floored at a hundredth of its largest value; where
-        no trial has any correlation the result is zero.
+        It is not a probability: the paper's 11 sigma come from 1000 trials.  The
+        standard deviation is at least a hundredth of its largest value; where no
+        trial has any correlation, the result is zero.
         """
         floor = np.maximum(self.std, STD_FLOOR * self.std.max(initial=0.0))
         excess = scc - self.mean
@@ -246,7 +246,7 @@ class PermutedStacks:
 
 def permute_stacks(pair_maps, pairs, grid, n_trials, *, rng, shift=None, progress=None):
     """
-    Stack the epochs in permuted order, again and again, for the paper's z-score.
+    Stack the epochs in many permuted orders, for the paper's z-score.
 
     Parameters
     ----------
@@ -256,12 +256,12 @@ def permute_stacks(pair_maps, pairs, grid, n_trials, *, rng, shift=None, progres
     n_trials : int
     rng : `~numpy.random.Generator`
     shift : tuple of float, optional
-        Displacement (the paper: a fifth of the beam) by which the images of
-        a trial are shifted, along either axis and in either sense in turn;
-        the paper's correction for small displacements, at which permuted
-        epochs of standing structure still correlate.
+        Displacement (in the paper, a fifth of the beam) by which the images
+        of a trial are shifted, along each axis and in each direction in turn.
+        This is the paper's correction for small displacements, at which
+        permuted epochs of standing structure still correlate.
     progress : callable, optional
-        Called with the number of trials done at a time.
+        Called with the number of trials done since the last call.
 
     Returns
     -------
@@ -275,7 +275,7 @@ def permute_stacks(pair_maps, pairs, grid, n_trials, *, rng, shift=None, progres
     if n_trials < 2:
         raise ValueError(f"permutations need at least 2 trials, got {n_trials}")
     orders = random_permutations(pairs.n_dates, n_trials, rng)
-    # The maps that a copy makes go with it.
+    # A copy, so that the maps that it caches are freed with it.
     pair_maps = replace(pair_maps)
     parts = [(orders, (0.0, 0.0))]
     if shift is not None:

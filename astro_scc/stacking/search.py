@@ -10,7 +10,7 @@ class SearchSettings:
     Constants of the search for streams; lengths are in beams.
 
     They were chosen on simulated jets by ``benchmarks/calibration/design.py``,
-    with seeds that are not used for the calibration.
+    with seeds that the calibration does not use.
 
     Parameters
     ----------
@@ -18,11 +18,11 @@ class SearchSettings:
         Largest displacement between any two epochs that is searched: with
         1.5, neighbours one spacing apart seldom match.
     nearest, farthest : float
-        Displacements that count for a speed: below 0.2 a standing feature
-        overlaps itself, beyond 1 chance matches prevail.
+        Range of displacements that count for a speed: below 0.2 a standing
+        feature overlaps itself, beyond 1 chance matches prevail.
     blur : float
-        Standard deviation of the densities of the diagram: speeds that
-        differ and features that wander are to share a ray.
+        Standard deviation of the densities of the diagram, so wide that
+        speeds with a dispersion and features that wander share a ray.
     smoothing : float
         Scatter of the displacements of one feature.
     across : float
@@ -31,80 +31,83 @@ class SearchSettings:
         Relative widths of the bins of the intervals and of the grid of
         speeds; finer ones change nothing.
     slowest : float
-        Beams that a speed must move within the time span: blends of standing
+        Smallest motion of a speed within the time span: blends of standing
         features whose fluxes vary drift by up to about one beam.
     n_axes : int
-        Directions that are searched if none is known, over half a turn.
+        Number of directions, over half a turn, that are searched if the
+        direction is unknown.
     line : float
         Largest distance of an SSP from the line of its feature.
     position_error : float
-        Error of an SSP's position beyond noise, by blending.
+        Error of an SSP's position beyond noise, due to blending.
     least_epochs : int
-        Epochs in which a feature is seen.
+        Smallest number of epochs in which a feature is seen.
     least_share : float
-        Share of the epochs from its first to its last one in which it is
-        seen: of 95% of the features that are followed rightly it is 0.7 or
-        more, SSPs that lie on a line by chance leave most epochs out.
+        Smallest fraction of the epochs from its first to its last one in which
+        a feature is seen.  The fraction is at least 0.7 for 95% of the features
+        that are followed correctly; SSPs that lie on a line by chance miss
+        most epochs.
     least_motion : float
-        Beams that the features of a stream move while they are seen, added in
-        squares: three that move one beam, or one that moves farther than the
-        blends of standing features drift.
+        Smallest motion of a stream's features while they are seen, added in
+        quadrature: three features that move one beam, or one that moves
+        farther than blends of standing features drift.
     least_score : float
         Smallest excess of matches over chance with which a feature begins.
     full_prior : float
         Significance, in standard deviations of the permutations, from which
-        on a speed counts fully for single features.
+        on a speed has full weight for single features.
     least_prior : float
-        Weight of a speed for single features that no permutation test
-        supports: features of any speed are followed, but never first.
+        Weight, for single features, of a speed that the permutation test does
+        not support: features of any speed are followed, but never first.
     least_z : float
-        Speeds less significant than this, in standard deviations of the
-        permutations, are not those of a feature of the stream.
+        Smallest significance of the speed of a stream's feature, in standard
+        deviations of the permutations.
     max_turns : int
-        The direction is that of the features after so many steps at most;
-        on simulated jets it stays after two.
+        Largest number of steps in which the axis is turned to the direction of
+        the features; on simulated jets two are enough.
     rest_errors : float
-        Errors that a speed is from rest: 95% of a normal distribution, one-sided.
+        Smallest distance of a moving speed from rest, in errors: 95% of a
+        normal distribution, one-sided.
     pull : float
-        Positions this near to a standing feature are drawn to it or pushed away:
-        of a line through them speeds are 7% too small at 2 to 2.5 beams on simulated
-        jets, without them 0.1%.
+        Distance within which a standing feature attracts or repels positions.
+        On simulated jets, speeds at 2 to 2.5 beams are 7% too small if lines
+        are fitted through such positions, and 0.1% without them.
     apart : float
-        Two streams differ by so many standard deviations of what a flow
-        with ``lone_dispersion`` scatters.
+        Smallest difference of two streams, in standard deviations of the
+        difference that a flow with ``lone_dispersion`` gives.
     same_speed : float
         Largest relative difference from the tested speed of the features
-        that count where the mean of all is not significant.
+        that count if the mean of all is not significant.
     feature_speed_step : float
-        Relative step of the speeds that single SSPs are given.
+        Relative step of the speeds that are tried for single SSPs.
     accelerated_epochs : int
-        Fewest SSPs of a feature of which an acceleration is known.
+        Fewest SSPs of a feature with an acceleration.
     prior_freedom : int
         Degrees of freedom that ``position_error`` counts as: a straight line
         through three SSPs has one of its own.
     same_feature : float
         Features closer than this to the line of a longer one are parts of it.
     error_inflation : float
-        Errors of features are larger than their residuals say by this
-        factor, as blends move smoothly; measured on simulated jets.
+        Ratio of the errors of features to those from their residuals, as
+        blends move smoothly; measured on simulated jets.
     core_bias : float
-        Relative error of a feature's speed that is left of the pull of the
-        core on simulated jets.
+        Relative error of a feature's speed from the remaining pull of the
+        core, on simulated jets.
     lone_dispersion : float
-        Dispersion, relative to the speed, that is assumed of a stream of
-        which one feature is seen: that of the flows of blazars is 10 to 30%.
+        Dispersion, relative to the speed, that is assumed for a stream with
+        a single feature: that of the flows of blazars is 10 to 30%.
     fewest_of_two : int
-        Fewest features of which two streams can be distinguished.
+        Fewest features with which two streams can be distinguished.
     one_dispersions, two_dispersions : tuple of float
         Dispersions, relative to the mean, that are tried for one stream and
         for each of two.
     least_std : float
-        Standard deviations of the permutations are at least this share of the
-        largest of any axis at the same speed: single matches across the flow
-        are no surprise.
+        Standard deviations of the permutations are at least this fraction of
+        the largest of any axis at the same speed, so that single matches
+        across the flow are not significant.
     all_orders_of : int
-        Up to so many epochs all permutations are taken: a sample of few has a
-        poor variance.
+        Up to this number of epochs all permutations are used: the variance of
+        a small sample would be inaccurate.
 
     Examples
     --------
@@ -154,5 +157,5 @@ class SearchSettings:
     all_orders_of: int = 6
 
 
-#: What is used where no other settings are given.
+#: Settings that are used if no others are given.
 DEFAULT = SearchSettings()

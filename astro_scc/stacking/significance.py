@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Which speeds the epochs show: the search for streams and its significance."""
+"""The search for streams, and the significance of their speeds."""
 
 from dataclasses import dataclass, field, replace
 
@@ -31,14 +31,15 @@ class Stream:
     angle : float
         Direction of the axis from the first axis of the frame, in radians.
     along, across : `~astro_scc.stacking.streams.Population`
-        Of the speeds of its features, in beams a year.
+        Mean and dispersion of the speeds of its features, in beams/yr.
     z : float
         Excess along its ray in standard deviations of the permutations.
     p_local, p_global : float
-        Of the permutation test at exactly this speed, see `EpochPermutations`.
+        p-values of the permutation test at exactly this speed, see
+        `EpochPermutations`.
     p_distinct : float
-        How often one stream fewer would give features as separate; of the
-        first stream its ``p_global``.
+        Probability that one stream fewer gives features that separate as
+        well; for the first stream its ``p_global``.
     features : tuple of `~astro_scc.stacking.Feature`
 
     Examples
@@ -64,20 +65,21 @@ class Stream:
 @dataclass(frozen=True, eq=False)
 class Search:
     """
-    What a search for streams found, and what it was found on.
+    The result of a search for streams, with the diagram and the permutations.
 
     Attributes
     ----------
     streams : tuple of `Stream`
-        The moving ones, that with more features first, then what stands still;
-        or the strongest speed that is not significant.  Empty without matches.
+        Streams of features that move, the one with more features first, or else
+        the strongest speed, which is not significant; then the features that
+        stand still.  Empty without matches.
     diagram : `~astro_scc.stacking.diagram.Diagram`
-        Along the direction of the first stream.
+        Diagram along the direction of the first stream.
     angle : float
-        Of that direction from the first axis of the frame, in radians.
+        Angle of that direction from the first axis of the frame, in radians.
     permutations : `~astro_scc.stacking.EpochPermutations`
     axis : int
-        Of the permutations, the one nearest to that direction.
+        Axis of the permutations that is nearest to that direction.
     rays : `~astro_scc.stacking.Rays`
 
     Examples
@@ -115,13 +117,13 @@ class Search:
         Parameters
         ----------
         samples : `~astro_scc.stacking.VelocitySamples`
-            Along the direction of that stream.
+            Samples along the direction of that stream.
 
         Returns
         -------
         list of `~astro_scc.stacking.Feature`
-            Those that move in the direction of the stream, at speeds that the
-            epochs show.
+            Features that move in the direction of the stream, at speeds whose
+            z is at least ``least_z`` of the settings.
         """
         if not self.streams:
             return []
@@ -145,32 +147,31 @@ def find_streams(
     """
     Find the streams whose motion permuted epochs do not show.
 
-    The speed with the largest excess over the permutations, along the rays
-    of the displacement-interval diagram, is tested against the largest of
-    each permutation.  If it is significant, single features are followed
-    along that direction; a stream is the mean and the dispersion of their
-    speeds, and there are two streams where a parametric bootstrap rejects
-    one.  The probability that a stream is given is of its own mean speed.
+    The search starts at the speed with the largest excess over the permutations
+    along the rays of the displacement-interval diagram.  Single features are
+    followed in its direction.  A stream is the mean and the dispersion of their
+    speeds, and there are two streams if a parametric bootstrap rejects one.  Each
+    stream is tested at its own mean speed against the maximum of each permutation.
 
     Parameters
     ----------
     project : callable
-        The `~astro_scc.stacking.VelocitySamples` along an angle in radians
-        from the first axis of the frame.
+        Returns the `~astro_scc.stacking.VelocitySamples` along an angle in
+        radians from the first axis of the frame.
     angles : sequence of float
         Axes to search, evenly over half a turn from the first axis of the
-        frame; one if the direction of the flow is known.
+        frame; one axis if the direction of the flow is known.
     radius : float
         Largest displacement in beams.
     alpha : float, optional
-        Largest ``p_global`` of what is significant.
+        Largest ``p_global`` of a significant stream.
     n_trials : int, optional
         Number of permutations.
     rng : `~numpy.random.Generator`
     outward : bool, optional
         Search positive speeds only.
     fastest : float, optional
-        Largest speed, in beams a year.
+        Largest speed, in beams/yr.
     intervals : tuple of float, optional
         Shortest and longest interval between epochs that is used, in years.
     settings : `~astro_scc.stacking.SearchSettings`, optional
@@ -182,7 +183,7 @@ def find_streams(
     Raises
     ------
     ValueError
-        If no two epochs are as far apart as ``intervals`` ask.
+        If the separations of no two epochs lie within ``intervals``.
 
     Examples
     --------
@@ -219,27 +220,27 @@ def find_streams(
     permutations = permuted(projected)
     number, speed = permutations.largest()
     axis = _Axis(angles[number], projected[number], rays, permutations, number)
-    # 2. The features that move at such speeds, along their own direction.
+    # 2. The features that move at similar speeds, along their own direction.
     axis, speed, features = _turn_to_features(axis, speed, project, len(angles))
     # 3. Their streams: one, or two where a parametric bootstrap rejects one.
     groups = _feature_groups(axis, features, speed, alpha, n_trials, model_rng)
     streams, tested = [], axis
     for group, p_distinct in groups:
         if streams:
-            # The second one is tested without the features of the first.
+            # The second stream is tested without the features of the first.
             first = _is_member(streams[0].features, axis.samples)
             rest = axis.samples.without_ssps(first)
             tested = replace(
                 axis, samples=rest, permutations=permuted([rest]), number=0
             )
-        # 4. The mean speed of its features, and the permutation test at that speed.
+        # 4. The mean speed of a stream's features, and the permutation test at it.
         mean = _population(group, settings)
         streams.append(_stream(tested, *mean, group, alpha, p_distinct))
     if not streams and permutations.z.any():
         along = Population(float(speed), np.nan, np.nan, np.nan)
         across = Population(0.0, np.nan, np.nan, np.nan)
         streams.append(_stream(axis, along, across, (), alpha))
-    # 5. What stands still, without the features that move.
+    # 5. The standing features, without the features that move.
     streams += _standing_stream(axis, streams)
     return Search(
         streams=tuple(streams),
@@ -253,7 +254,7 @@ def find_streams(
 
 def classify(along, p_global, features, permutations, alpha, settings):
     """
-    Decide the kind of a stream, and say why it is not significant.
+    Return the kind of a stream, and the reason if it is not significant.
 
     Parameters
     ----------
@@ -293,10 +294,9 @@ def classify(along, p_global, features, permutations, alpha, settings):
 @dataclass(frozen=True, eq=False)
 class _Axis:
     """
-    One axis: the matches along it, and what permuted epochs show there.
+    One axis: the matches along it, and the permutation test there.
 
-    The permutations are of the axis ``number`` of those that were searched, which is
-    the nearest one.
+    The test is that of the nearest axis that was searched, its ``number``.
     """
 
     angle: float
@@ -319,7 +319,7 @@ class _Axis:
         return self.permutations.p_values(self.number, speed)
 
     def features(self):
-        """Return the features, those of significant speeds first."""
+        """Return the features; significant speeds have the larger weight."""
 
         def prior(speeds):
             z = self.z(speeds) / self.settings.full_prior
@@ -330,7 +330,7 @@ class _Axis:
         return clear_of(found, standing, self.samples, self.settings)
 
     def moving(self, features, speed):
-        """Return those that move in the direction of a speed, significantly."""
+        """Return the features in the direction of a speed with ``least_z`` or more."""
         z = self.z(np.array([f.speed for f in features]))
         return [
             f
@@ -340,7 +340,7 @@ class _Axis:
 
 
 def _turn_to_features(axis, speed, project, n_axes):
-    """Turn an axis to its features, whose motion is foreshortened along another."""
+    """Turn an axis to the direction of its features, whose motion it foreshortens."""
     features = axis.features()
     for _ in range(axis.settings.max_turns if n_axes > 1 else 0):
         near = [f for f in features if f.speed * speed > 0] or features
@@ -373,19 +373,19 @@ def _feature_groups(axis, features, speed, alpha, n_trials, rng):
         def rank(part):
             return len(part), axis.z(_population(part, settings)[0].mean)
 
-        # The one with more features first, of equal ones the more significant.
+        # The stream with more features is first; of equal ones the more significant.
         first, second = sorted(parts, key=rank, reverse=True)
         return [(first, None), (second, p_two)]
     mean = _population(moving, settings)[0].mean
     if axis.p_values(mean)[1] > max(alpha, axis.permutations.smallest_p):
-        # Speeds so different that their mean is none of theirs.
+        # The speeds differ so much that no feature moves at their mean.
         near = [f for f in moving if abs(f.speed / speed - 1) <= settings.same_speed]
         return [(near or moving, None)]
     return [(moving, None)]
 
 
 def _are_apart(one, other, settings):
-    """Whether the speeds differ by more than those of so few of one flow may."""
+    """Return whether two groups differ by more than so few features of one flow."""
     (v, _), (w, _) = (feature_speeds(part, settings) for part in (one, other))
     difference = np.log(abs(np.mean(v) / np.mean(w)))
     scatter = settings.lone_dispersion * np.sqrt(1 / len(one) + 1 / len(other))
@@ -403,7 +403,7 @@ def _population(features, settings):
 
 
 def _stream(axis, along, across, features, alpha, p_distinct=None):
-    """Test a stream at its mean speed."""
+    """Return a stream, tested at its mean speed."""
     p_local, p_global = axis.p_values(along.mean)
     kind, reason = classify(
         along, p_global, features, axis.permutations, alpha, axis.settings
@@ -423,7 +423,7 @@ def _stream(axis, along, across, features, alpha, p_distinct=None):
 
 
 def _standing_stream(axis, streams):
-    """Return the stream at rest in a list, empty if nothing stands still."""
+    """Return a list with the stream at rest, empty if nothing stands still."""
     moving = [f for s in streams if s.kind == "moving" for f in s.features]
     rest = axis.samples.without_ssps(_is_member(moving, axis.samples))
     still = standing_features(rest, axis.settings)
@@ -434,7 +434,7 @@ def _standing_stream(axis, streams):
 
 
 def _is_member(features, samples):
-    """Whether each SSP is one of a feature."""
+    """Return whether each SSP belongs to one of the features."""
     member = np.zeros(len(samples.epoch), dtype=bool)
     for feature in features:
         member[feature.ssp] = True

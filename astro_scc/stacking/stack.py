@@ -7,19 +7,19 @@ import numpy as np
 
 from astro_scc.correlation.zncc import find_peaks
 
-#: Matches that are summed at once; bounds memory.
+#: Matches that are summed at once, to limit memory.
 BLOCK = 16384
-#: Beyond this many standard deviations a Gaussian does not count.
+#: Gaussians are neglected beyond this many standard deviations.
 REACH_SIGMA = 5.0
-#: Share of a maximum that a grid point must reach to take part in its fit.
+#: Fraction of a maximum that a grid point must reach to enter its fit.
 LEVEL = 0.5
 
 
 def gaussian_sum(x, y, sx, sy, weight, grid_x, grid_y):
     """
-    Sum of axis-parallel Gaussians of unit height on a grid.
+    Return the weighted sum of axis-parallel Gaussians of unit height on a grid.
 
-    A Gaussian is the product of its profiles, so the sum over K of them
+    A Gaussian is the product of its profiles, so the sum over K Gaussians
     is one matrix product, (ny x K) (K x nx).
 
     Parameters
@@ -50,12 +50,12 @@ def sample_velocities(samples, pairs, order=None):
     samples : `VelocitySamples`
     pairs : `DatePairs`
     order : array_like of int, shape (n_dates,), optional
-        Image at each date; their own by default.
+        Image at each date; by default the observed order.
 
     Returns
     -------
     index : `~numpy.ndarray` of int, shape (k,)
-        Match; one can enter with more than one pair of dates.
+        Index of the match; a match can enter with more than one pair of dates.
     v1, v2, s1, s2 : `~numpy.ndarray`, shape (k,)
     weight : `~numpy.ndarray`, shape (k,)
     """
@@ -80,7 +80,7 @@ def sample_velocities(samples, pairs, order=None):
 
 def number_of_ssps(samples, pairs, order=None):
     """
-    Return the normalisation of a stack: SSPs of all its reference images.
+    Return the normalisation of a stack, the SSPs of all its reference images.
 
     Parameters
     ----------
@@ -92,8 +92,8 @@ def number_of_ssps(samples, pairs, order=None):
     Returns
     -------
     float or `~numpy.ndarray`, shape (...)
-        ``sum_t w_t N_SSP(t)``, w the weights of the pairs; infinite where
-        there are none, so that a stack of nothing is zero.
+        ``sum_t w_t N_SSP(t)``, where w are the weights of the pairs; infinite
+        without SSPs, so that an empty stack is zero.
     """
     order = np.arange(pairs.n_dates) if order is None else order
     reference, _ = pairs.images(order)
@@ -109,15 +109,15 @@ def stack(samples, pairs, grid, *, order=None):
               \gamma_{i,j,t}(p)\, g(v - p / \Delta t,\ \sigma / \Delta t)}
               {\sum_t \sum_j N^t_{\mathrm{SSP},j}},
 
-    g a Gaussian of unit height (Mertens & Lobanov 2016, Eqs. 5 and 6).
-    SSPs without a peak count in the denominator.
+    where g is a Gaussian of unit height (Mertens & Lobanov 2016, Eqs. 5 and
+    6).  SSPs without a peak count in the denominator.
 
     Parameters
     ----------
     samples : `VelocitySamples`
     pairs : `DatePairs`
     grid : `VelocityGrid`
-        In the unit of the displacements per year.
+        Grid of velocities, in the unit of the displacements per year.
     order : array_like of int, shape (n_dates,), optional
         Image at each date, to stack a permuted order of epochs.
 
@@ -165,8 +165,8 @@ class VelocityPeak:
     width1, width2 : float
         Standard deviations of the fitted Gaussian along the axes.
     fitted : bool
-        False where no Gaussian with a maximum in the box fits, and the
-        velocity is that of the local quadratic.
+        False if no Gaussian with a maximum in the box fits, and the velocity
+        is that of the local quadratic.
 
     Examples
     --------
@@ -193,21 +193,21 @@ def fit_gaussian(values, x, y):
     """
     Fit a two-dimensional Gaussian by linear least squares of its logarithm.
 
-    ``ln f = a + b x + c y + d x^2 + e x y + f y^2`` with weights f^2, which
-    make the residuals those of f itself to first order (Guo 2011, IEEE
+    ``ln f = a + b x + c y + d x^2 + e x y + g y^2`` is fitted with weights f^2,
+    so that the residuals are those of f itself to first order (Guo 2011, IEEE
     Signal Process. Mag. 28, 134).
 
     Parameters
     ----------
     values : array_like, shape (ny, nx)
-        Only positive ones take part.
+        Only positive values enter the fit.
     x, y : array_like, shapes (nx,) and (ny,)
 
     Returns
     -------
     tuple of float or None
-        ``x0, y0, height, sigma_x, sigma_y``, sigma those of the marginal
-        profiles; None if the surface has no maximum.
+        ``x0, y0, height, sigma_x, sigma_y``, where the sigmas are those of the
+        marginal profiles; None if the surface has no maximum.
     """
     values = np.asarray(values, dtype=float)
     gx, gy = np.meshgrid(x, y)
@@ -215,7 +215,7 @@ def fit_gaussian(values, x, y):
     if good.sum() < 6:
         return None
     f, gx, gy = values[good] / values.max(), gx[good], gy[good]
-    # Centred and scaled, or the normal equations lose digits.
+    # Coordinates are centred and scaled, or the normal equations lose digits.
     x0, y0 = gx.mean(), gy.mean()
     scale = max(np.ptp(gx), np.ptp(gy))
     px, py = (gx - x0) / scale, (gy - y0) / scale
@@ -239,25 +239,25 @@ def find_velocity_peaks(scc, grid, box, *, threshold=0.0):
     """
     Find the maxima of a stack and fit a Gaussian to a box around each.
 
-    Within the box only those grid points take part that reach half of the
-    maximum and are nearer to it than to another one: neighbours in the box
-    would pull the fit to themselves, and the level beneath the maximum,
-    where the stack is of unrelated matches, would widen it.
+    Only grid points in the box that reach half of the maximum and are nearer
+    to it than to any other maximum enter the fit: neighbouring maxima would
+    attract the fit, and the level of unrelated matches beneath the maximum
+    would widen it.
 
     Parameters
     ----------
     scc : `~numpy.ndarray`, shape ``grid.shape``
     grid : `VelocityGrid`
     box : tuple of float
-        Sides of the box along the two axes, the beam over the interval in
-        the paper.
+        Sides of the box along the two axes; in the paper, the beam divided by
+        the interval.
     threshold : float, optional
         Smallest coefficient of a maximum.
 
     Returns
     -------
     list of `VelocityPeak`
-        By falling coefficient.
+        In the order of decreasing coefficient.
 
     Examples
     --------
@@ -298,14 +298,14 @@ def find_velocity_peaks(scc, grid, box, *, threshold=0.0):
 
 
 def _fitted_points(scc, grid, box, point, points):
-    """Return the grid points of the box, and which of them take part in the fit."""
+    """Return the grid points of the box, and which of them enter the fit."""
     row, column = point
     step1, step2 = grid.step
     near1 = np.abs(grid.v1 - grid.v1[column]) <= max(box[0] / 2, 1.5 * step1)
     near2 = np.abs(grid.v2 - grid.v2[row]) <= max(box[1] / 2, 1.5 * step2)
     part = rows, columns = np.ix_(near2, near1)
     squares = [(rows - r) ** 2 + (columns - c) ** 2 for r, c in (point, *points)]
-    # Nearer to this maximum than to any other.
+    # Grid points that are nearer to this maximum than to any other.
     own = np.all([squares[0] <= other for other in squares[1:]], axis=0)
     return part, own & (scc[part] >= LEVEL * scc[row, column])
 
@@ -319,7 +319,7 @@ def velocity_peak_near(scc, grid, box, v1, v2):
     scc : `~numpy.ndarray`, shape ``grid.shape``
     grid : `VelocityGrid`
     box : tuple of float
-        As for `find_velocity_peaks`; the maximum lies within half of it.
+        As in `find_velocity_peaks`; the maximum must lie within half of it.
     v1, v2 : float
 
     Returns
@@ -340,7 +340,7 @@ def velocity_peak_near(scc, grid, box, v1, v2):
 
 
 def _grid_point(scc, y, x):
-    """Return the maximum's grid point; half a step aside, rounding may miss it."""
+    """Return the grid point of a maximum, which simple rounding may miss."""
     rows = {int(np.floor(y)), int(np.ceil(y))}
     columns = {int(np.floor(x)), int(np.ceil(x))}
     return max(((r, c) for r in rows for c in columns), key=lambda p: scc[p])

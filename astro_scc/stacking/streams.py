@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Streams of features: mean speed, dispersion and number."""
+"""Streams of features: their mean speed, dispersion and number."""
 
 from dataclasses import dataclass
 
@@ -12,14 +12,14 @@ from astro_scc.stacking.search import DEFAULT
 @dataclass(frozen=True)
 class Population:
     """
-    Speeds of features as N(mean, dispersion^2 + error^2).
+    Speeds of features with the distribution N(mean, dispersion^2 + error^2).
 
     Attributes
     ----------
     mean, error : float
         ``error`` is the half-width of the 68% interval.
     dispersion, dispersion_error : float
-        NaN of a single feature.
+        NaN for a single feature.
 
     Examples
     --------
@@ -39,10 +39,10 @@ def random_effects(values, errors, settings=DEFAULT):
     Return the mean and dispersion of values that differ by more than their errors.
 
     The dispersion solves ``sum (x - m)^2 / (tau^2 + e^2) = n - 1`` (Paule &
-    Mandel 1982, J. Res. NBS 87, 377); the error of the mean is that of
+    Mandel 1982, J. Res. NBS 87, 377).  The error of the mean is that of
     Hartung & Knapp (2001, Stat. Med. 20, 3875) with Student's t of n - 1
-    degrees of freedom, at 68%, where values that agree by chance count as if
-    they scattered by half their errors.  Of a single value the error holds a
+    degrees of freedom, at 68%; values that agree by chance count as if they
+    scattered by half their errors.  The error of a single value includes a
     dispersion of 15%.
 
     Parameters
@@ -68,7 +68,7 @@ def random_effects(values, errors, settings=DEFAULT):
         return Population(float(x[0]), float(error), np.nan, np.nan)
     (m,), covariance, tau, w = scattered_fit(np.ones((n, 1)), x, e)
     error = np.sqrt(covariance[0, 0]) * stdtrit(n - 1, 0.8413)
-    # Of the sum of squares, chi-square with n - 1 degrees of freedom.
+    # The sum of squares is distributed as chi-square with n - 1 degrees of freedom.
     total = 1 / w.mean()
     tau_error = total / np.sqrt(2 * (n - 1)) / max(tau, np.sqrt(total) / 2)
     return Population(float(m), float(error), float(tau), float(tau_error))
@@ -82,15 +82,15 @@ def scattered_fit(design, values, errors):
     ----------
     design : `~numpy.ndarray`, shape (n, k)
     values, errors : `~numpy.ndarray`, shape (n,)
-        With n above k.
+        n must be larger than k.
 
     Returns
     -------
     coefficients : `~numpy.ndarray`, shape (k,)
     covariance : `~numpy.ndarray`, shape (k, k)
-        Of Hartung & Knapp, for Student's t of n - k degrees of freedom.
+        By Hartung & Knapp, for Student's t of n - k degrees of freedom.
     tau : float
-        Scatter beyond the errors, of Paule & Mandel.
+        Scatter beyond the errors, by Paule & Mandel.
     weight : `~numpy.ndarray`, shape (n,)
 
     Examples
@@ -120,12 +120,12 @@ def scattered_fit(design, values, errors):
         else:
             high = middle
     found, inverse, w, squares = fit(high)
-    # Values that agree by chance make no error less than half of what theirs say.
+    # If values agree by chance, the error is still half of that from their errors.
     return found, inverse * max(squares / freedom, 0.25), np.sqrt(high), w
 
 
 def feature_speeds(features, settings=DEFAULT):
-    """Return speeds of features with errors that hold blends and the core's pull."""
+    """Return speeds of features, with errors that include blends and the core."""
     speed = np.array([f.speed for f in features])
     error = np.array([f.error for f in features])
     return speed, np.hypot(
@@ -135,19 +135,19 @@ def feature_speeds(features, settings=DEFAULT):
 
 def separate_streams(features, n_trials, rng, settings=DEFAULT):
     """
-    Whether the features' speeds are of two streams rather than one.
+    Test whether the speeds of features are those of two streams rather than one.
 
-    The statistic is the ratio of the largest likelihoods of a mixture of two
-    log-normal distributions of one dispersion of at most 25% and of a normal
-    or log-normal one of any dispersion.  Its distribution under one
-    stream is simulated: as many features, with their errors, drawn from the
-    one stream that fits (parametric bootstrap; McLachlan 1987, Appl. Stat.
-    36, 318).
+    The statistic is the ratio of the largest likelihood of a mixture of two
+    log-normal distributions, with a common dispersion of at most 25%, to that
+    of one normal or log-normal distribution of any dispersion.  Its
+    distribution for one stream is simulated by drawing as many features, with
+    the same errors, from the one stream that fits (parametric bootstrap;
+    McLachlan 1987, Appl. Stat. 36, 318).
 
     Parameters
     ----------
     features : sequence of `~astro_scc.stacking.Feature`
-        Moving in one direction.
+        Features that move in one direction.
     n_trials : int
     rng : `~numpy.random.Generator`
     settings : `~astro_scc.stacking.SearchSettings`, optional
@@ -157,7 +157,7 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     p_value : float
         1 with fewer than four features.
     second : `~numpy.ndarray` of bool, shape (n,)
-        Features that are of the faster stream, where two fit better.
+        Whether a feature belongs to the faster one of the two streams.
 
     Examples
     --------
@@ -182,7 +182,7 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     two, split = (v[0] for v in _two(y[None], e[None], two_of))
     width = np.sqrt(tau**2 * len(y) / (len(y) - 1) + e**2)
     trials = width * rng.normal(size=(n_trials, len(y)))
-    # A stream has speeds of one direction.
+    # The speeds of a stream have one direction.
     trials = np.log(np.abs(1 + trials)) if linear else trials
     trials += mean
     sort = np.argsort(trials, axis=1)
@@ -202,10 +202,10 @@ def _log_normal(y, e, m, tau):
 
 def _one(y, e, dispersions):
     """
-    Return the largest log-likelihood of one stream by trial, normal or log-normal.
+    Return the largest log-likelihood of one stream, normal or log-normal, per trial.
 
-    With the logarithm of its mean, its relative dispersion, and whether it is
-    normal.
+    The logarithm of its mean, its relative dispersion and whether it is normal
+    are returned as well.
     """
     best = np.full((4, len(y)), -np.inf)
     v, size = np.exp(y), np.exp(y).mean(axis=1, keepdims=True)
@@ -214,7 +214,7 @@ def _one(y, e, dispersions):
         m = (w * y).sum(axis=1) / w.sum(axis=1)
         value = _log_normal(y, e, m[:, None], tau).sum(axis=1)
         _keep_better(best, value, m, tau, 0)
-        # As a density of the logarithm too.
+        # The normal distribution, also as a density of the logarithm.
         w = 1 / ((e * v) ** 2 + (tau * size) ** 2)
         m = (w * v).sum(axis=1, keepdims=True) / w.sum(axis=1, keepdims=True)
         value = y - 0.5 * (w * (v - m) ** 2 - np.log(w))
@@ -229,7 +229,7 @@ def _keep_better(best, value, *what):
 
 
 def _two(y, e, dispersions):
-    """Return the largest log-likelihood of two streams, and where they are split."""
+    """Return the largest log-likelihood of two streams, and where they split."""
     n = y.shape[1]
     best, where = np.full(len(y), -np.inf), np.zeros(len(y), dtype=int)
     for split in range(1, n):

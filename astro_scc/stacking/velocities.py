@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Velocity samples, the pairs of dates that they are of, and the grid of velocities."""
+"""Velocity samples, pairs of dates, and the grid of velocities."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -9,11 +9,11 @@ import numpy as np
 @dataclass(frozen=True, eq=False, repr=False)
 class VelocitySamples:
     """
-    Matched pairs of SSPs: a displacement between two epochs each.
+    Matched pairs of SSPs, each with a displacement between two epochs.
 
-    A displacement over an interval is a sample of the velocities.  Stacks take the
-    intervals from `DatePairs`, as permuted epochs have other ones.  What only
-    some of the stages need may be missing.
+    A displacement divided by an interval is a sample of the velocities.  Stacks take
+    the intervals from `DatePairs`, because permuted epochs have different intervals.
+    Attributes that only some stages need may be None.
 
     Attributes
     ----------
@@ -23,19 +23,19 @@ class VelocitySamples:
     weight : `~numpy.ndarray`, shape (n,)
         Correlation coefficient.
     reference, target : `~numpy.ndarray` of int, shape (n,)
-        Epochs of the SSP and of the image it was matched in.
+        Epochs of the SSP and of the image in which it was matched.
     ssp, target_ssp : `~numpy.ndarray` of int, shape (n,)
-        The SSP, and that of the target epoch which the match falls on, or -1.
+        The SSP, and the SSP of the target epoch on which the match falls, or -1.
     s1, s2 : `~numpy.ndarray`, shape (n,)
-        Standard errors of the displacement, of SSP and target combined.
+        Standard errors of the displacement, SSP and target combined.
     motion : `~numpy.ndarray`, shape (n, 2)
-        Displacement in the coordinates of ``position``, which the axes need
-        not be.
+        Displacement in the coordinates of ``position``, which may differ from
+        the axes.
     n_ssps : `~numpy.ndarray` of int, shape (n_epochs,)
         Number of SSPs of each epoch that were correlated, with or without
         a match.
     position : `~numpy.ndarray`, shape (n_ssps, 2)
-        Cartesian place of each SSP.
+        Cartesian position of each SSP.
     epoch, scale : `~numpy.ndarray`, shape (n_ssps,)
     years : `~numpy.ndarray`, shape (n_epochs,)
         Dates in years, ascending.
@@ -79,7 +79,7 @@ class VelocitySamples:
 
     @property
     def interval(self):
-        """Time from the SSP's epoch to its match's, in years, with its sign."""
+        """Time from the SSP's epoch to that of its match, in years, signed."""
         return self.years[self.target] - self.years[self.reference]
 
     @property
@@ -89,17 +89,17 @@ class VelocitySamples:
 
     @property
     def middle(self):
-        """Place of the feature midway between the epochs, (n, 2)."""
+        """Position of the feature midway between the epochs, (n, 2)."""
         return self.position[self.ssp] + 0.5 * self.motion
 
     @property
     def sigma(self):
-        """Standard error of the displacement, mean of both axes."""
+        """Standard error of the displacement, geometric mean of both axes."""
         return np.sqrt(self.s1 * self.s2)
 
     def select(self, keep):
         """
-        Return a selection of the samples; the SSPs and dates stay.
+        Return a selection of the samples, with the same SSPs and dates.
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class VelocitySamples:
 
     def without_ssps(self, taken):
         """
-        Return the samples from and to SSPs that are not taken.
+        Return the samples that neither start nor end at the ``taken`` SSPs.
 
         Parameters
         ----------
@@ -158,7 +158,7 @@ COLUMNS = tuple(f.name for f in fields(VelocitySamples))[:10]
 @dataclass(frozen=True, eq=False)
 class DatePairs:
     """
-    Pairs of dates that a stack compares, earlier one first.
+    Pairs of dates that a stack compares, the earlier date first.
 
     Attributes
     ----------
@@ -189,7 +189,7 @@ class DatePairs:
 
     def images(self, order):
         """
-        Return the ordered pairs of images, for an order of images over dates.
+        Return the ordered pairs of images for an order of the images over the dates.
 
         Parameters
         ----------
@@ -213,10 +213,9 @@ def _pairs(years, first, second, weight=None):
 
 def consecutive_pairs(years):
     """
-    Each date and the next one, as in the paper.
+    Return the pairs of each date and the next one, as in the paper.
 
-    Dates at which several epochs were taken have no interval between them
-    and make no pair.
+    Epochs of the same date have no interval between them and make no pair.
 
     Parameters
     ----------
@@ -240,11 +239,11 @@ def consecutive_pairs(years):
 
 def baseline_pairs(years, shortest, longest):
     """
-    Every pair of dates whose separation lies in a range.
+    Return all pairs of dates whose separation lies in a range.
 
-    A displacement error sigma is a velocity error sigma / interval, so pairs
-    weigh with the square of their interval, normalised to a mean of one:
-    the inverse variances.
+    The weights are inverse variances: a displacement error sigma gives a
+    velocity error sigma / interval, so pairs are weighted by the square of
+    their interval, normalised to a mean of one.
 
     Parameters
     ----------
@@ -276,8 +275,8 @@ def baseline_pairs(years, shortest, longest):
         )
     years = np.asarray(years, dtype=float)
     separation = years[None, :] - years[:, None]
-    # A rounded limit must not lose a pair: a third of a day, or a percent of
-    # what is limited where dates are minutes apart.
+    # Rounded limits must not lose a pair.  The slack is a third of a day, or 1% of
+    # the longest separation if dates are minutes apart.
     slack = min(1e-3, 0.01 * longest)
     inside = (separation >= shortest - slack) & (separation <= longest + slack)
     first, second = np.nonzero(inside & (separation > 0))
@@ -331,12 +330,12 @@ class VelocityGrid:
         Parameters
         ----------
         v_max : float or tuple of float
-            Largest velocity, of each axis if two.
+            Largest velocity; two numbers are for the two axes.
         step : float or tuple of float
             Largest spacing.
         max_size : int, optional
-            Largest number of velocities an axis; the spacing grows if
-            there would be more.
+            Largest number of velocities per axis; the spacing grows if there
+            would be more.
 
         Returns
         -------
