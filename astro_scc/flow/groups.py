@@ -223,7 +223,7 @@ def _mean(features, beam):
 
 
 def _difference(first, second):
-    """Return the difference of two means, its error, and the p-value of Welch's test."""
+    """Return the difference of means, its error, and the p-value of Welch's test."""
     (m1, e1, n1), (m2, e2, n2) = first, second
     error = np.hypot(e1, e2)
     freedom = error**4 / (e1**4 / n1 + e2**4 / n2)
