@@ -114,9 +114,9 @@ def compare_speeds(result, groups):
     """
     Compare the speeds along the jet of groups of SSPs.
 
-    A feature belongs to the group in which it is brighter than the median
-    feature: of two groups of scales, the coarse one gets the larger half of
-    the features.  The mean speed of a group follows from a random-effects
+    A feature belongs to the group that has more of its brightness than of the
+    median feature's: of two groups of scales, the coarse one gets the larger
+    half of the features.  The mean speed of a group follows from a random-effects
     model of its features' speeds (see `~astro_scc.stacking.random_effects`),
     the p-value of a difference from Welch's test (1947, Biometrika 34, 28).
 

@@ -137,9 +137,9 @@ def search_radius(cube, max_speed, fwhm):
     """
     Return the search radius, the largest displacement between epochs, in beams.
 
-    It is one and a half, or more if even the shortest intervals are too long
-    for that: as far as the largest speed moves in the lower quartile of the
-    intervals between epochs, plus a margin.  Without a largest speed, series
+    It is one and a half beams, or more if even the shortest intervals are too
+    long for that: as far as the largest speed moves in the lower quartile of
+    the intervals between epochs, plus a margin.  Without a largest speed, series
     of up to 20 epochs are searched to four beams in the median interval.
 
     Parameters

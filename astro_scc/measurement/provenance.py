@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What determines the matches of a cube, so that outdated ones are recognized."""
+"""What determines the matches of a cube, so that outdated ones are recognised."""
 
 import hashlib
 import json

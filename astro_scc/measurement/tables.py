@@ -68,7 +68,7 @@ COLUMNS = {
 
 def versions():
     """
-    Return the versions of this package and of those its numbers depend on.
+    Return the versions of this package and of the packages its numbers depend on.
 
     Returns
     -------

@@ -139,7 +139,7 @@ def completeness(
     ------
     ValueError
         If an argument is out of its range, if the velocity axes of ``scc``
-        have neither a single direction nor are radial, if there are too few
+        are neither radial nor of a single direction, if there are too few
         epochs or trials to find anything, if a speed is beyond the largest
         that ``scc`` searches, or if the cube has no beams and ``fwhm`` is not
         given.

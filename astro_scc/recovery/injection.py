@@ -121,7 +121,7 @@ def draw_paths(
 
 
 def _motion(start, origin, to_sky, position_angle):
-    """Return the direction of motion (east, north), and the distance travelled."""
+    """Return the direction of motion (east, north) and the distance from its origin."""
     if isinstance(position_angle, str):
         offset = to_sky @ (start - origin)
         # Avoid a division by zero at the origin.
