@@ -1,8 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Two speeds along simulated jets that bend by 70 degrees.
+Measure two speeds along simulated jets that bend by 70 degrees.
 
-Run by ``profiles.py --only bent``.
+``profiles.py --only bent`` runs this module.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ NAMES = ("ridge line", "position angle")
 
 
 def bent_jets(args):
-    """Speeds along the ridge line and along one position angle."""
+    """Measure the speeds along the ridge line and along one position angle."""
     found = {name: [] for name in NAMES}
     rows = []
     for seed in range(args.seed, args.seed + args.n_jets):
@@ -52,7 +52,7 @@ def bent_jets(args):
 
 
 def _nearest(table, speed):
-    """The moving component nearest to a speed, if it is nearer than a third of it."""
+    """Return the moving component nearest to a speed, if within a third of it."""
     values = [
         (plain(row["pm_parallel"], PM_UNIT), plain(row["pm_parallel_err"], PM_UNIT))
         for row in table
@@ -62,7 +62,7 @@ def _nearest(table, speed):
 
 
 def summary(found):
-    """What is found of each stream, and how far it is off."""
+    """Write how often each stream is found, and with which errors."""
     rows = []
     for name in NAMES:
         values = np.array(found[name])
@@ -88,7 +88,7 @@ def summary(found):
 
 
 def bent_images(seed, n_epochs=10):
-    """A circle from west to north, features at two speeds along it."""
+    """Simulate features at two speeds along a circle from west to north."""
     rng = np.random.default_rng(seed)
     beam = Beam(1 * u.mas, 1 * u.mas)
     cube = EpochCube.from_arrays(

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 # ruff: noqa: E402
-"""What the benchmarks share: jets of MOJAVE, tables of text, time and memory."""
+"""Functions that the benchmarks share: MOJAVE jets, tables of text, time and memory."""
 
 import csv
 import os
@@ -10,7 +10,7 @@ import threading
 import time
 from pathlib import Path
 
-# One core for each process; libraries read this when they are loaded.
+# Use one core per process; libraries read this when they are loaded.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
@@ -25,7 +25,7 @@ PM_UNIT = u.mas / u.yr
 
 
 def mojave_images(folder, table, beam, *, before=None, seed=1):
-    """Epochs restored from the features of MOJAVE, pixels of 0.1 mas."""
+    """Restore epochs from the features of MOJAVE, with pixels of 0.1 mas."""
     components = read_components(folder / f"{table}.ecsv")
     if before is not None:
         components = components.select(before=before)
@@ -37,24 +37,24 @@ def mojave_images(folder, table, beam, *, before=None, seed=1):
 
 def feature_motions(folder, source, pa, *, before="9999", epochs=3):
     """
-    Proper motions that were fitted to features, along a position angle.
+    Return the proper motions fitted to features, along a position angle.
 
     Parameters
     ----------
     folder : `~pathlib.Path`
-        With ``SOURCE.ecsv``, the features of each epoch, and
+        Folder with ``SOURCE.ecsv``, the features of each epoch, and
         ``SOURCE.linear-fits.csv``, the straight lines fitted to them.
     source : str
     pa : float
-        In degrees.
+        Position angle in degrees.
     before : str, optional
-        Only epochs before this date, of features with so many
-        ``epochs`` at least.
+        Use only epochs before this date, and features with at least
+        ``epochs`` of them.
 
     Returns
     -------
     dict of `~numpy.ndarray`
-        ``feature``, ``distance`` (mean, of these epochs), ``speed`` and
+        ``feature``, mean ``distance`` at these epochs, ``speed`` and
         ``error`` in mas/yr, and ``epochs``, an array of distances for
         each feature.
     """
@@ -80,19 +80,19 @@ def feature_motions(folder, source, pa, *, before="9999", epochs=3):
 
 
 def plain(value, unit=None):
-    """A number out of a table, Quantity or not."""
+    """Return a number from a table, Quantity or not, as a float."""
     return float(u.Quantity(value).to_value(unit)) if unit is not None else float(value)
 
 
 def measured(value, error, digits=2):
-    """A value with its error as text."""
+    """Return a value with its error as text."""
     if not np.isfinite(error):
         return f"{value:.{digits}f}"
     return f"{value:.{digits}f} ± {error:.{digits}f}"
 
 
 def p_text(p):
-    """A p-value as text."""
+    """Return a p-value as text."""
     return "" if not np.isfinite(p) else f"{p:.3f}" if p >= 0.001 else f"{p:.1g}"
 
 
@@ -121,7 +121,7 @@ class Stopwatch:
         return time.process_time(), time.perf_counter()
 
     def lap(self, name):
-        """End a stage: its seconds of processor and of wall clock."""
+        """End a stage, and return its processor time and wall clock in seconds."""
         now = self._now()
         spent = tuple(b - a for a, b in zip(self._start, now, strict=True))
         self.stages[name] = spent
@@ -130,7 +130,7 @@ class Stopwatch:
 
     @staticmethod
     def peak_memory():
-        """Largest resident memory of this process so far, in GB."""
+        """Return the largest resident memory of this process so far, in GB."""
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak / (1e9 if sys.platform == "darwin" else 1e6)
 
@@ -159,9 +159,9 @@ class Sampler(threading.Thread):
 
 def memory_of(pid, kind="Pss"):
     """
-    Gigabytes of a process and of all that it started.
+    Return the memory in GB of a process and of all processes that it started.
 
-    ``kind`` is ``"Rss"``, with all pages that it shares, or ``"Pss"``, with its part.
+    ``kind`` is ``"Rss"``, with all shared pages, or ``"Pss"``, with a share of them.
     """
     folder = Path(f"/proc/{pid}")
     try:

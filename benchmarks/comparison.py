@@ -1,12 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-The speeds that several packages for motion in images find in simulated jets.
+Compare the speeds that several packages for motion in images find in simulated jets.
 
     python benchmarks/comparison.py [--seeds 8] [--choose]
 
-The packages are those of ``comparison-requirements.txt``; what is not installed gets a
-row that says so.  ``--choose`` measures other jets with all the settings that were
-tried, of which each package has the best in the table.
+The packages are those of ``comparison-requirements.txt``; a package that is not
+installed gets a row that says so.  ``--choose`` measures other jets with all settings
+that were tried; the table uses the best settings of each package.
 """
 
 import argparse
@@ -38,7 +38,7 @@ VALUES_HEADER = ["what moves", "package", "speeds found", "values (px/epoch)", "
                  "all right", "CPU s a jet"]  # fmt: skip
 PACKAGES_HEADER = ["package", "version", "licence", "what it was told"]
 CHOICE_HEADER = ["package", "settings", "all right", "true speeds found", "others"]
-#: Of a true speed is what is found this near to it, in pixels an epoch.
+#: Largest distance of a speed found from the true speed it belongs to, in pixels/epoch.
 NEAR = 3.0
 #: The earlier epoch of the pair that is drawn.
 PAIR_DRAWN = 4
@@ -48,15 +48,15 @@ SHAPE, BEAM, NOISE, N_EPOCHS = (128, 256), 10.0, 0.002, 10
 DATES = JetSimulation([Stream("none", half_width=1.0)]).dates
 
 
-# -- what moves --------------------------------------------------------------------
+# -- simulated images --------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Case:
     """
-    Images of a kind, and the speeds in them.
+    Images of one kind, and the speeds in them.
 
-    A speed is right if it is as near to a true one as ``right``.
+    A speed is right if it is within ``right`` of a true one.
     """
 
     name: str
@@ -66,18 +66,18 @@ class Case:
 
     @property
     def digits(self):
-        """Digits of a speed that are worth printing."""
+        """Number of decimals to print of a speed."""
         return 1 if self.right >= 1 else 2
 
 
 def one_stream(seed):
-    """The slow stream of the paper's jet alone."""
+    """Simulate the slow stream of the paper's jet alone."""
     slow = Stream("slow", dx=5.0, density=1.0, half_width=15.0, jitter=2.0)
     return JetSimulation([slow], name="one stream").run(rng=seed).cube
 
 
 def knots(seed):
-    """Three features, each with a speed of its own, that never meet."""
+    """Simulate three features with different speeds that never meet."""
     rng = np.random.default_rng(seed)
     time = np.arange(N_EPOCHS)[:, None]
     start = np.array([25.0, 55.0, 105.0]) + rng.uniform(-5, 5, 3)
@@ -87,7 +87,7 @@ def knots(seed):
 
 
 def shifted(seed):
-    """An image that moves as a whole."""
+    """Simulate an image that moves as a whole."""
     rng = np.random.default_rng(seed)
     time = np.arange(N_EPOCHS)[:, None]
     x = rng.uniform(30, 200, 18) + SHIFT[0] * time
@@ -96,7 +96,7 @@ def shifted(seed):
 
 
 def images_of(x, y, rng):
-    """Epochs of features at positions of shape (n_epochs, n), with beam and noise."""
+    """Make epochs with noise of features at positions, shape (n_epochs, n)."""
     n = x.shape[1]
     peak, fwhm = rng.uniform(0.3, 1.5, n), rng.uniform(2, 6, n)
     variance = FWHM_TO_SIGMA**2 * (BEAM**2 + fwhm**2)
@@ -123,7 +123,7 @@ CASES = (
 )
 
 
-# -- what is found -----------------------------------------------------------------
+# -- results -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ class Outcome:
 
     @cached_property
     def near(self):
-        """The speed that is nearest to each true one; none is nearest to two."""
+        """The speed found for each true one; each is used only once."""
         left, near = list(self.speeds), {}
         truth = self.case.truth
         for distance, v, true in sorted(
@@ -156,18 +156,18 @@ class Outcome:
 
     @property
     def others(self):
-        """How many speeds were found that are none of the true ones."""
+        """Number of speeds found that are not true."""
         return len(self.speeds) - len(self.right)
 
     @property
     def all_right(self):
-        """Whether what was found are the true speeds, all of them and no others."""
+        """Whether all true speeds were found, and no others."""
         complete = len(self.right) == len(self.case.truth)
         return complete and not self.others and not self.error
 
 
 def ask(package, case, cube, settings):
-    """Have one package measure one jet."""
+    """Measure one jet with one package."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         start = time.process_time()
@@ -184,7 +184,7 @@ def ask(package, case, cube, settings):
 
 
 def row_of(case, package, outcomes):
-    """What a package found in all jets of a kind."""
+    """Return the table row of what a package found in all jets of a kind."""
     values = []
     for true in case.truth:
         own = [o.near[true] for o in outcomes if true in o.near]
@@ -206,12 +206,12 @@ def row_of(case, package, outcomes):
 
 
 def share(outcomes):
-    """In how many jets the answer is right, as text."""
+    """Return in how many jets the answer is right, as text."""
     return f"{sum(o.all_right for o in outcomes)}/{len(outcomes)}"
 
 
 def compare(n_seeds):
-    """What all packages find in all jets, by kind of jet and package."""
+    """Return the outcomes of all packages in all jets, by kind of jet and package."""
     found = {}
     RESULTS.mkdir(exist_ok=True)
     for case in CASES:
@@ -220,7 +220,7 @@ def compare(n_seeds):
             if package.why_not or (package.cases and case.name not in package.cases):
                 continue
             if not any(name == package.name for _, name in found):
-                # The first call of a package imports it.
+                # The first call imports the package, which must not be timed.
                 ask(package, case, cubes[0][:3], package.settings)
             outcomes = [ask(package, case, c, package.settings) for c in cubes]
             found[case.name, package.name] = outcomes
@@ -255,7 +255,7 @@ def report(found):
 
 
 def draw(cube, case, found):
-    """Vectors of all packages in one jet, and how often each velocity is among them."""
+    """Draw the vectors of all packages in one jet, and the density of their speeds."""
     names = [name for kind, name in found if kind == case.name]
     outcomes = [found[case.name, name][0] for name in names]
     figure = Figure(figsize=(7.2, 1.2 * len(names) + 0.6), layout="constrained")
@@ -327,7 +327,7 @@ def choose():
 
 
 def text_of(settings):
-    """Settings in a cell of a table."""
+    """Return settings as text for a cell of a table."""
     return ", ".join(f"{k} {v}" for k, v in settings.items())
 
 

@@ -2,9 +2,9 @@
 """
 The packages that are compared, each used through its documented functions.
 
-All get the same: ten images, and that nothing is faster than 30 pixels an epoch.  What
-comes back is a `Sample` of velocities, and the speeds if the package itself says what
-they are.  A package is imported when it is used.
+All get the same input: ten images, and the limit of 30 pixels per epoch for all speeds.
+They return a `Sample` of velocities, and the speeds if the package itself derives them.
+A package is imported when it is used.
 """
 
 from collections.abc import Callable
@@ -18,17 +18,17 @@ import numpy as np
 from common import PM_UNIT
 from comparison_reading import ACROSS, LARGEST, Sample
 
-#: Where a package has a vector for every place, those count at which the earlier image
-#: is brighter than this part of its maximum.
+#: If a package gives a vector for every position, those are used at which the earlier
+#: image is brighter than this fraction of its maximum.
 BRIGHT = 0.1
-#: Of places a beam of 10 pixels apart, one in so many pixels is more than enough.
+#: Step in pixels between the vectors that are used; the beam is 10 pixels wide.
 EVERY = 4
 
 
 @dataclass(frozen=True)
 class Package:
     """
-    One way to get velocities out of images.
+    One way to measure velocities in images.
 
     Attributes
     ----------
@@ -37,15 +37,15 @@ class Package:
         Its name in the package index.
     license : str
     run : callable
-        Takes a cube and settings, gives (speeds or None, `Sample`).
+        Takes a cube and settings, and returns (speeds or None, `Sample`).
     settings : dict
-        Those of the table.
+        Settings of the table.
     others : dict of tuple
-        Those that were tried besides, see ``--choose``.
+        Other settings that were tried, see ``--choose``.
     cases : tuple of str, optional
-        Names of the only jets that it is meant for.
+        Names of the jets for which it is meant, if not all.
     about : str
-        What stands for the settings, if there are none.
+        Text for the table if there are no settings.
     reason : str
         Why it has no answer, if it has none.
     """
@@ -62,14 +62,14 @@ class Package:
 
     @property
     def why_not(self):
-        """Why there is no answer: "" if there is one."""
+        """Why there is no answer, or "" if there is one."""
         if self.reason:
             return self.reason
         return "" if self.version else f"not installed: pip install {self.distribution}"
 
     @property
     def version(self):
-        """What is installed, or None."""
+        """The installed version, or None."""
         try:
             return version(self.distribution)
         except PackageNotFoundError:
@@ -77,12 +77,12 @@ class Package:
 
 
 def pixel_an_epoch(cube):
-    """The proper motion of one pixel per epoch."""
+    """Return the proper motion of one pixel per epoch."""
     return (cube.pixel_scale / np.diff(cube.years).mean()).to(PM_UNIT)
 
 
 def of_pairs(cube, displacements):
-    """What a function of two images finds, (x, y, along, across), in all pairs."""
+    """Return the vectors (x, y, along, across) that a function finds in all pairs."""
     images = cube.data / cube.data.max()
     return Sample.of(
         (i, *displacements(images[i], images[i + 1])) for i in range(len(images) - 1)
@@ -90,7 +90,7 @@ def of_pairs(cube, displacements):
 
 
 def bright(image, along, across):
-    """Of a field with a vector for every pixel, those where there is something."""
+    """Return the vectors of a field at bright pixels."""
     y, x = np.mgrid[: image.shape[0] : EVERY, : image.shape[1] : EVERY]
     use = image[y, x] > BRIGHT * image.max()
     y, x = y[use], x[use]
@@ -98,7 +98,7 @@ def bright(image, along, across):
 
 
 def whole(cube, along, across):
-    """One vector a pair of epochs, drawn in the middle of the image."""
+    """Return one vector per pair of epochs, in the middle of the image."""
     y, x = ((n - 1) / 2 for n in cube.shape[1:])
     vectors = enumerate(zip(along, across, strict=True))
     return Sample.of((i, x, y, *vector) for i, vector in vectors)
@@ -108,7 +108,7 @@ def whole(cube, along, across):
 
 
 def stacked(cube):
-    """The components that count as found, and the displacements behind them."""
+    """Return speeds of moving and stationary components, and their displacements."""
     from astro_scc import StackedCrossCorrelation
 
     step = pixel_an_epoch(cube)
@@ -124,7 +124,7 @@ def stacked(cube):
 
 
 def members(result, numbers):
-    """Displacements that make components, to the next epoch."""
+    """Return the displacements of components between consecutive epochs."""
     cube, d, ssps = result.cube, result.displacements, result.matched.ssps
     scale = cube.pixel_scale.to_value(u.mas)
     parts = []
@@ -132,13 +132,13 @@ def members(result, numbers):
         for k in result.members(int(number)):
             if d.target[k] == d.reference[k] + 1:
                 x, y = ssps.x_centroid[d.ssp[k]], ssps.y_centroid[d.ssp[k]]
-                # Along is west, which is +x; across then is north.
+                # Along the jet is west, which is +x, so that across is north.
                 parts.append((d.reference[k], x, y, d.d1[k] / scale, d.d2[k] / scale))
     return Sample.of(parts)
 
 
 def tracked(cube):
-    """Velocities of features from one epoch of a track to the next."""
+    """Return velocities of features from one epoch of a track to the next."""
     from astro_scc.decomposition import Decomposer
     from astro_scc.tracking import FeatureTracker
 
@@ -154,21 +154,21 @@ def tracked(cube):
 
 
 def links(epoch, x, y):
-    """(pair, x, y, along, across) of a track, from each of its epochs to the next."""
+    """Return (pair, x, y, along, across) from each epoch of a track to the next."""
     gap = np.diff(epoch)
     along, across = np.diff(x) / gap, np.diff(y) / gap
     return zip(epoch[:-1], x[:-1], y[:-1], along, across, strict=True)
 
 
 def aligned(cube):
-    """Shifts of whole images that align them."""
+    """Return the shifts that align whole images."""
     done = cube.align("correlate").meta["alignment"]
     east, north = (
         np.array([record[f"shift_{axis}_mas"] for record in done])
         / cube.pixel_scale.to_value(u.mas)
         for axis in ("east", "north")
     )
-    # The image is moved back by what it has moved; x is west.
+    # The alignment moves the image back by what it has moved; +x is west.
     return None, whole(cube, np.diff(east), -np.diff(north))
 
 
@@ -176,7 +176,7 @@ def aligned(cube):
 
 
 def trackpy(cube, *, diameter, separation, reach, predict):
-    """Blobs, linked into trajectories."""
+    """Link blobs into trajectories."""
     import pandas as pd
     import trackpy as tp
 
@@ -200,7 +200,7 @@ def trackpy(cube, *, diameter, separation, reach, predict):
 
 
 def openpiv(cube, *, window, extended, sig2noise):
-    """Windows of an image, each correlated with the next image."""
+    """Correlate windows of each image with the next image."""
     from openpiv.pyprocess import extended_search_area_piv, get_coordinates
 
     search = window + 2 * int(LARGEST) if extended else window
@@ -221,7 +221,7 @@ def openpiv(cube, *, window, extended, sig2noise):
 
 
 def openpiv_passes(cube, *, windows):
-    """Windows that become smaller and follow what larger ones have found."""
+    """Correlate ever smaller windows, which follow the results of larger ones."""
     from openpiv.settings import PIVSettings
     from openpiv.windef import simple_multipass
 
@@ -238,7 +238,7 @@ def openpiv_passes(cube, *, windows):
         frames = [(4095 * np.clip(image, 0, 1)).astype(np.int32) for image in (a, b)]
         with redirect_stdout(StringIO()):
             x, y, along, across, _ = simple_multipass(*frames, told)
-        # Its y counts from the last row of the image and its rows from the first.
+        # OpenPIV counts y from the last row of the image, but rows from the first.
         y = len(a) - y
         use = a[np.rint(y).astype(int), np.rint(x).astype(int)] > BRIGHT * a.max()
         return x[use], y[use], along[use], -across[use]
@@ -247,7 +247,7 @@ def openpiv_passes(cube, *, windows):
 
 
 def flow_ilk(cube, *, radius):
-    """Optical flow, iterative Lucas-Kanade."""
+    """Measure optical flow by iterative Lucas-Kanade."""
     from skimage.registration import optical_flow_ilk
 
     def displacements(a, b):
@@ -258,7 +258,7 @@ def flow_ilk(cube, *, radius):
 
 
 def flow_tvl1(cube, *, attachment, tightness):
-    """Optical flow of small total variation."""
+    """Measure optical flow of small total variation."""
     from skimage.registration import optical_flow_tvl1
 
     def displacements(a, b):
@@ -269,7 +269,7 @@ def flow_tvl1(cube, *, attachment, tightness):
 
 
 def phase(cube, *, normalization):
-    """The shift of the whole image."""
+    """Measure the shift of the whole image."""
     from skimage.registration import phase_cross_correlation
 
     shifts = np.array(
@@ -280,12 +280,12 @@ def phase(cube, *, normalization):
             for a, b in zip(cube.data[:-1], cube.data[1:], strict=True)
         ]
     )
-    # They bring the later image onto the earlier one.
+    # The shifts bring the later image onto the earlier one.
     return None, whole(cube, -shifts[:, 1], -shifts[:, 0])
 
 
 def flct(cube, *, sigma, kr):
-    """Fourier local correlation tracking."""
+    """Measure motion by Fourier local correlation tracking."""
     from pyflct import flct as track
 
     def displacements(a, b):

@@ -1,9 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-How the speeds of a jet are read from a sample of velocities.
+Read the speeds of a jet from a sample of velocities.
 
-One rule for the packages that give vectors and leave it to the reader how many speeds
-are among them.  It was fixed before any of them was run.
+The same rule is used for all packages that give vectors but not the number of speeds
+among them.  It was fixed before any of them was run.
 """
 
 from dataclasses import dataclass
@@ -12,18 +12,18 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-#: The largest speed along the jet that anyone is told of, and across; in pixels.
+#: Largest speeds along and across the jet that the packages are told, in pixels.
 LARGEST = 30.0
 ACROSS = 10.0
-#: Standard deviation of the kernel, the accuracy that is asked for, in pixels.
+#: Standard deviation of the kernel, the accuracy required, in pixels.
 KERNEL = 1.0
-#: Height of a maximum above the saddle to a higher one, in parts of the highest.
+#: Prominence of a maximum as a fraction of the highest maximum.
 PROMINENCE = 0.2
-#: A maximum is there again, in a sample drawn anew, if it is this near, in pixels.
+#: Distance in pixels within which a bootstrap sample shows a maximum again.
 AGAIN = 2.0
-#: In how many of the samples drawn anew it has to be there again.
+#: Share of bootstrap samples that must show a maximum again.
 SHARE = 0.9
-#: The value of a speed is the mean of the velocities within this of its maximum.
+#: A speed is the mean of the velocities within this distance of its maximum.
 AROUND = 3.0
 N_DRAWN = 200
 STEP = 0.1
@@ -33,16 +33,16 @@ GRID = np.arange(-LARGEST - 5, LARGEST + 5 + STEP, STEP)
 @dataclass(frozen=True, eq=False)
 class Sample:
     """
-    Velocities in pixels an epoch, and where and when they were found.
+    Velocities in pixels per epoch, with their positions and epochs.
 
     Attributes
     ----------
     pair : `~numpy.ndarray` of int
-        The earlier one of the two epochs.
+        The earlier of the two epochs.
     x, y : `~numpy.ndarray`
-        Where, in the earlier one, in pixels from 0.
+        Positions in the earlier epoch, in pixels from 0.
     along, across : `~numpy.ndarray`
-        Along the jet, which is x, and across, which is y.
+        Velocities along the jet, which is x, and across it, which is y.
     """
 
     pair: np.ndarray
@@ -53,7 +53,7 @@ class Sample:
 
     @classmethod
     def of(cls, parts):
-        """Of (pair, x, y, along, across) of each pair of epochs."""
+        """Return the sample from (pair, x, y, along, across) of each pair of epochs."""
         columns = [[] for _ in range(5)]
         for number, *part in parts:
             arrays = [np.ravel(np.asarray(a, dtype=float)) for a in part]
@@ -65,7 +65,7 @@ class Sample:
         return cls(pair.astype(int), *rest)
 
     def within_limits(self):
-        """What is not faster than may be."""
+        """Return the velocities within ``LARGEST`` and ``ACROSS``."""
         good = (np.abs(self.along) <= LARGEST) & (np.abs(self.across) <= ACROSS)
         return Sample(
             *(a[good] for a in (self.pair, self.x, self.y, self.along, self.across))
@@ -73,7 +73,7 @@ class Sample:
 
 
 def densities(sample):
-    """Sums of the kernels of the velocities along the jet, a row a pair of epochs."""
+    """Return kernel densities of the speeds along the jet, a row per pair of epochs."""
     pairs = np.unique(sample.pair)
     rows = np.zeros((len(pairs), len(GRID)))
     edges = np.append(GRID, GRID[-1] + STEP) - STEP / 2
@@ -83,7 +83,7 @@ def densities(sample):
 
 
 def maxima(density):
-    """Where a density has maxima that stand clear of one another."""
+    """Return the positions of the prominent maxima of a density."""
     if not density.any():
         return np.empty(0)
     found, _ = find_peaks(density, prominence=PROMINENCE * density.max())
@@ -92,21 +92,21 @@ def maxima(density):
 
 def read_speeds(sample, *, rng=0):
     """
-    The speeds along the jet that are in a sample.
+    Return the speeds along the jet that are in a sample.
 
-    They are the clear maxima of the density of the velocities, if these are there
-    again when the pairs of epochs are drawn anew.
+    They are the prominent maxima of the density of the velocities that appear
+    again in bootstrap samples of the pairs of epochs.
 
     Parameters
     ----------
     sample : Sample
     rng : seed, optional
-        Of the pairs that are drawn.
+        Seed of the bootstrap samples.
 
     Returns
     -------
     `~numpy.ndarray`
-        In pixels an epoch, in rising order; empty if there are none.
+        Speeds in pixels per epoch, in rising order; empty if there are none.
 
     Examples
     --------

@@ -1,8 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-How true image files are read or refused, those that break naive readers among them.
+Read real image files, including some that break naive readers, and show the results.
 
-Each file alone, and beside the three epochs of 0506+056, as a pattern may catch it::
+Each file is read alone and with the three epochs of 0506+056, as if a pattern matched
+all four::
 
     python benchmarks/files.py ../shared/data
 """
@@ -49,7 +50,7 @@ def main():
 
 
 def outcome(paths, folder, **options):
-    """The cube in a line, or the error, and the warnings."""
+    """Return the cube as one line, or the error, and the warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:

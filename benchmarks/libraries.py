@@ -1,10 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Errors of cores, and features found, by the package and by photutils.
+Compare core positions and detected features of the package with those of photutils.
 
-Cores of 1 Jy in a beam of 9 x 6 pixels, with a feature of so many Jy so many beams
-downstream and fainter ones beyond, signal-to-noise ratio 300; and the patterns of the
-wavelet planes of the paper's two-fluid jet, of which the features are known::
+Cores of 1 Jy in a beam of 9 x 6 pixels have a feature of several flux densities at
+several distances downstream and fainter features beyond; the signal-to-noise ratio is
+300.  Patterns are those of the wavelet planes of the paper's two-fluid jet, whose
+features are known::
 
     python benchmarks/libraries.py
 """
@@ -30,14 +31,14 @@ from astro_scc.simulation import simulate_two_fluid
 BEAM = Beam(0.9 * u.mas, 0.6 * u.mas, -10 * u.deg)
 PIXEL = 0.1 * u.mas
 N_CORES = 20
-#: Distance in beams and flux density of the feature nearest to the core.
+#: Distance in beams and flux density in Jy of the feature nearest to the core.
 NEIGHBOURS = ((1.0, 0.0), (0.5, 0.3), (0.5, 1.0), (0.7, 2.0), (1.0, 1.0), (1.2, 4.0))
-#: Distance in pixels, half the beam of the two-fluid jet, that makes a match.
+#: Largest distance of a match in pixels, half the beam of the two-fluid jet.
 NEAR = 5.0
 
 
 def cores(distance, flux, rng):
-    """Images of cores at random parts of a pixel, and where they are."""
+    """Simulate images of cores at random subpixel positions; return both."""
     pa = rng.uniform(0, 2 * np.pi, N_CORES)
     core = rng.uniform(-0.05, 0.05, (2, N_CORES))
     fwhm = BEAM.fwhm_along(pa * u.rad).value
@@ -59,7 +60,7 @@ def cores(distance, flux, rng):
 
 
 def psf_of(cube):
-    """The beam as model of photutils, its covariance in pixels, half a box."""
+    """Return the beam as a photutils model, and its major axis in pixels."""
     to_pixels = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
     covariance = to_pixels @ BEAM.covariance.to_value(u.mas**2) @ to_pixels.T
     variance, axes = np.linalg.eigh(covariance)
@@ -69,7 +70,7 @@ def psf_of(cube):
 
 
 def by_photutils(image, start, direction, psf, fwhm):
-    """Positions of the core in an image by each of its ways."""
+    """Return functions that measure the core's position, one per method."""
     x, y = np.rint(start).astype(int)
     half = int(np.ceil(1.5 * fwhm))
     box = image[y - half : y + half + 1, x - half : x + half + 1]
@@ -98,7 +99,7 @@ def by_photutils(image, start, direction, psf, fwhm):
 
 
 def core_table():
-    """Errors and times of all ways, a row for each."""
+    """Return errors and times of all methods, one row each."""
     errors, spent = {}, {}
     for distance, flux in NEIGHBOURS:
         cube, pa, core, fwhm = cores(distance, flux, np.random.default_rng(1))
@@ -114,7 +115,7 @@ def core_table():
             peak = np.unravel_index(np.argmax(image), image.shape)[::-1]
             found.setdefault("brightest pixel", []).append(peak)
             direction = np.array([-np.sin(pa[i]), np.cos(pa[i])])
-            # As core_positions: the farthest upstream of the maxima.
+            # Like core_positions, start from the maximum farthest upstream.
             maxima = find_peaks(image, 0.1 * image.max(), box_size=5)
             maxima = np.stack([maxima["x_peak"], maxima["y_peak"]], axis=1).astype(
                 float
@@ -140,7 +141,7 @@ def core_table():
 
 
 def segments(plane, noise):
-    """Maxima of what photutils detects and deblends."""
+    """Return the maxima of the segments that photutils detects and deblends."""
     found = detect_sources(plane, 3 * noise, 5, connectivity=4)
     found = deblend_sources(plane, found, 5, connectivity=4, progress_bar=False)
     catalogue = SourceCatalog(plane, found)
@@ -148,7 +149,7 @@ def segments(plane, noise):
 
 
 def ssps(scale):
-    """What finds the SSPs of a plane."""
+    """Return a function that finds the maxima of the SSPs of a plane."""
 
     def find(plane, noise):
         found = find_ssps(plane, scale, noise)
@@ -158,7 +159,7 @@ def ssps(scale):
 
 
 def pattern_table():
-    """Features of the two-fluid jet that are found, a row for each way and scale."""
+    """Return the features of the two-fluid jet found, a row per method and scale."""
     jet = simulate_two_fluid(rng=1)
     head = ["way", "scale", "patterns an epoch", "features found",
             "patterns at a feature", "distance (pixels)", "time (ms)"]  # fmt: skip
@@ -190,7 +191,7 @@ def pattern_table():
 def main():
     """Measure, print and write both tables."""
     with warnings.catch_warnings():
-        # What photutils says of fits that fail is in the errors.
+        # Failed fits of photutils, of which it warns, show up in the errors.
         warnings.simplefilter("ignore")
         for name, rows in (
             ("libraries_cores", core_table()),

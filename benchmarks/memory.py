@@ -1,15 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Time and memory of measuring images that are larger than the memory.
+Measure the time and memory for images that are larger than the memory.
 
-A hundred epochs of 4096 x 4096 pixels, of which a part of 400 x 400 is measured, and
+A part of 400 x 400 pixels is measured in a hundred epochs of 4096 x 4096 pixels, and in
 five of 8192 x 8192::
 
     python benchmarks/memory.py
 
-The files take 8 GB of a disk in all (``--folder``), and are deleted in the end.  Peaks
-are of the memory of the process and of what it starts, files that are mapped into it
-among them.
+The files take 8 GB of disk space in total (``--folder``) and are deleted at the end.
+Peak memory is that of the process and its children, including mapped files.
 """
 
 import argparse
@@ -29,7 +28,7 @@ from astropy.time import Time
 from common import Sampler, memory_of, write_table
 
 MAS = 1 / 3.6e6
-#: Side of the part that is measured, pixels, and steps of its features an epoch.
+#: Side of the part that is measured and motion of its features per epoch, in pixels.
 PART, STEP = 400, 1.5
 DAYS = 30.0
 #: Rows of an image that are written at once.
@@ -37,7 +36,7 @@ ROWS = 256
 
 
 def header(size, i):
-    """Of epoch ``i``, with pixels of 0.1 mas."""
+    """Return the header of epoch ``i``, with pixels of 0.1 mas."""
     middle = size // 2
     cards = {
         "OBJECT": "J0000+00", "BUNIT": "JY/BEAM", "EPOCH": 2000.0,
@@ -51,7 +50,7 @@ def header(size, i):
 
 
 def part_of(size, i, n):
-    """The part: features that all move to the west, and noise."""
+    """Simulate the part: features that all move to the west, and noise."""
     y, x = np.mgrid[:PART, :PART]
     rng = np.random.default_rng([size, i])
     data = rng.normal(0, 1e-3, (PART, PART))
@@ -65,7 +64,7 @@ def part_of(size, i, n):
 
 
 def write(folder, size, n):
-    """Write the epochs, one patch of noise all over each; their paths and a region."""
+    """Write the epochs on repeated noise; return their paths and a region file."""
     patch = np.random.default_rng(0).normal(0, 1e-3, (ROWS, size)).astype(">f4")
     first = (size - PART) // 2
     paths = []
@@ -105,7 +104,7 @@ def watch(words):
 
 
 def measured(folder):
-    """East and north of the strongest component, mas/yr."""
+    """Return the velocity of the first component to the east and north, in mas/yr."""
     table = QTable.read(folder / "components.ecsv")
     return tuple(float(table[k][0].value) for k in ("pm_ra_cosdec", "pm_dec"))
 

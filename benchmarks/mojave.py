@@ -1,14 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Speeds of twelve jets of MOJAVE, measured without any options, beside the survey's.
+Compare speeds of twelve jets of MOJAVE, measured without options, with the survey's.
 
-Neither a speed nor an interval nor a direction is given.  The whole jet and rings about
-the core stand beside the straight lines that the survey fits to its features::
+Neither a speed nor an interval nor a direction is given.  The whole jet, and rings
+around the core, are compared with the straight lines that the survey fits to features::
 
     python benchmarks/mojave.py ../shared/data/mojave_xviii
     python benchmarks/mojave.py ../shared/data/mojave_xviii --only 1641+399
 
-It takes an hour of one processor and 3 GB; a source has its rows as soon as
+It takes an hour on one processor and 3 GB; the rows of a source are written as soon as
 it is measured.
 """
 
@@ -37,19 +37,19 @@ from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import apparent_speed, paper_cosmology
 from astro_scc.measurement import select_ssps
 
-#: The images of the paper: 3C 273 and 3C 120 are measured before this date.
+#: The paper uses the images of 3C 273 and 3C 120 before this date.
 BEFORE = "2011-01-01"
 BEAM = Beam(0.9 * u.mas, 0.6 * u.mas, -5 * u.deg)
 RINGS = ((0.5, 2), (2, 4), (4, 7), (7, 12), (12, 20))
-#: Features of a ring that is judged, and epochs in which a feature is seen.
+#: Fewest features of a ring that is judged, and fewest epochs of a feature.
 FEATURES, EPOCHS = 5, 5
-#: A speed is right within this share of the features' mean, or within two errors.
+#: A speed is right within this fraction of the features' mean, or within two errors.
 RIGHT = 0.2
 
 
 @dataclass(frozen=True)
 class Source:
-    """A jet of the survey; redshift and direction where the paper measures it."""
+    """A jet of the survey, with redshift and direction if the paper measures it."""
 
     name: str
     table: str
@@ -59,7 +59,7 @@ class Source:
 
     @property
     def per_c(self):
-        """Units of c that 1 mas/yr is."""
+        """Apparent speed of 1 mas/yr in units of c."""
         speed = apparent_speed(
             1 * PM_UNIT, redshift=self.redshift, cosmology=paper_cosmology()
         )
@@ -91,7 +91,7 @@ HEADER = [
 
 
 def main():
-    """Measure the jets that were asked for, and judge all that are in the table."""
+    """Measure the requested jets, and judge all that are in the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument("folder", type=Path, help="of the tables of features")
     parser.add_argument("--only", nargs="+", metavar="TABLE", help="as 1641+399")
@@ -109,7 +109,7 @@ def main():
 
 
 def earlier():
-    """The rows of the table as it is."""
+    """Return the rows of the existing table."""
     path = RESULTS / "mojave.csv"
     if not path.exists():
         return []
@@ -119,7 +119,7 @@ def earlier():
 
 
 def measure(source, args):
-    """Rows of the table: the whole jet, and its rings."""
+    """Return the rows of the table for the whole jet and its rings."""
     watch = Stopwatch()
     cube = mojave_images(args.folder, source.table, source.beam, seed=args.seed)
     scc = StackedCrossCorrelation(position_angle="fit")
@@ -146,7 +146,7 @@ def measure(source, args):
 
 
 def rows_of(source, cube, ring, result, motions, cost):
-    """A row for each component that does not stand still."""
+    """Return a row for each component that is not stationary."""
     speed, error = motions["speed"], motions["error"]
     moving = np.abs(speed) > 2 * error
     mean = np.mean(speed[moving]) if moving.any() else np.nan
@@ -159,7 +159,7 @@ def rows_of(source, cube, ring, result, motions, cost):
         v, e = (plain(row[c], PM_UNIT) for c in ("pm_parallel", "pm_parallel_err"))
         away = np.abs(v - mean)
         right = away <= max(RIGHT * abs(mean), 2 * np.nan_to_num(e))
-        # Of any feature: one error of its own and one of the row.
+        # For a single feature, its own error is added to the error of the row.
         near = np.abs(v - speed) <= np.maximum(
             RIGHT * np.abs(speed), 2 * np.hypot(error, np.nan_to_num(e))
         )

@@ -1,9 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Speeds in the simulated jets of the paper by the paper, its program and this package.
+Compare the speeds in the paper's simulated jets: paper, authors' program, this package.
 
-The jets of Sect. 2.4 of Mertens & Lobanov (2016), with the settings of the paper.  The
-program of its authors was run on these very files; what it found lies beside them::
+The jets are those of Sect. 2.4 of Mertens & Lobanov (2016), measured with the settings
+of the paper.  The results of the authors' program on the same files are in their
+folders::
 
     python benchmarks/paper_test.py ../shared/data/paper_test
 """
@@ -33,9 +34,9 @@ PAPER = {
     ("random", "strongest other"): "z < 2",
 }
 SCALES = (1, 2, 3)
-#: Columns of pixels, both included.
+#: First and last column of the region, in pixels.
 REGION = (60, 160)
-#: A component is that of a stream within so many pixels per epoch.
+#: Largest difference of a component from its stream, in pixels per epoch.
 NEAR = 3.0
 AXES = ("parallel", "transverse")
 HEADER = ["jet", "what", "paper", "authors' program", "astro_scc"]
@@ -58,7 +59,7 @@ def main():
 
 
 def rows_of(name, streams, folder, result, step, seed):
-    """What the three found in one jet, beside one another."""
+    """Return rows that compare what the three found in one jet."""
     own, theirs = components(result, step), program_components(folder)
     rows = [("SSPs on scales 1, 2, 3", program_ssps(folder), ssp_counts(result))]
     rest = list(range(len(own)))
@@ -95,7 +96,7 @@ def rows_of(name, streams, folder, result, step, seed):
 
 
 def measure(cube, n_trials, seed):
-    """The measurement with the paper's settings, and a pixel per epoch."""
+    """Measure with the paper's settings; return the result and a pixel per epoch."""
     step = (cube.pixel_scale / np.diff(cube.years).mean()).to(PM_UNIT)
     region = np.zeros(cube.shape[1:], dtype=bool)
     region[:, REGION[0] : REGION[1] + 1] = True
@@ -106,7 +107,7 @@ def measure(cube, n_trials, seed):
 
 
 def components(result, step):
-    """The components in pixels per epoch."""
+    """Return the components in pixels per epoch."""
     return [
         {
             "v": tuple(plain(row[f"pm_{a}"] / step, u.one) for a in AXES),
@@ -121,7 +122,7 @@ def components(result, step):
 
 
 def text(c):
-    """A component in a cell of the table."""
+    """Return a component as text for a cell of the table."""
     along, across = (
         measured(v, e, d) for v, e, d in zip(c["v"], c["e"], (2, 1), strict=True)
     )
@@ -132,7 +133,7 @@ def text(c):
 
 
 def nearest(found, speed):
-    """Index of the strongest component near (speed, 0), or None."""
+    """Return the index of the strongest component near (speed, 0), or None."""
     near = [
         i for i, c in enumerate(found)
         if np.hypot(c["v"][0] - speed, c["v"][1]) < NEAR
@@ -141,14 +142,14 @@ def nearest(found, speed):
 
 
 def ssp_counts(result):
-    """Number of SSPs in the region, on each scale and in all."""
+    """Return the number of SSPs in the region on each scale and in total, as text."""
     table = result.ssps[result.ssps["in_region"]]
     counts = [int(np.sum(table["scale"] == scale)) for scale in SCALES]
     return f"{', '.join(map(str, counts))}: {sum(counts)}"
 
 
 def program_ssps(folder):
-    """The same, of the authors' program."""
+    """Return the same for the authors' program."""
     with open(folder / "wise_ssps.csv", newline="", encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["in_roi"] == "1"]
     counts = [sum(row["scale_px"] == str(2**s) for row in rows) for s in SCALES]
@@ -156,7 +157,7 @@ def program_ssps(folder):
 
 
 def program_components(folder):
-    """Peaks of the authors' program by falling significance."""
+    """Return the peaks of the authors' program, most significant first."""
     found = json.loads((folder / "wise_significance.json").read_text(encoding="utf-8"))
     errors = {e["target"]: e["std"] for e in found.get("unc", ())}
     peaks = [
@@ -171,7 +172,7 @@ def program_components(folder):
 
 
 def of_program(peaks, speed):
-    """The peak of the authors' program near a speed, in a cell of the table."""
+    """Return the peak of the authors' program near a speed, as text."""
     for peak in peaks:
         if np.hypot(peak["v"][0] - speed, peak["v"][1]) < NEAR:
             return program_text(peak)
@@ -179,7 +180,7 @@ def of_program(peaks, speed):
 
 
 def program_text(peak):
-    """A peak of the authors' program in a cell of the table."""
+    """Return a peak of the authors' program as text for a cell of the table."""
     errors = peak["e"] or (np.nan, np.nan)
     along, across = (
         measured(v, e, d) for v, e, d in zip(peak["v"], errors, (2, 1), strict=True)
@@ -189,7 +190,7 @@ def program_text(peak):
 
 def z_without_successors(result, index, seed, n_orders=300):
     """
-    The z-score from orders in which no epoch follows its own predecessor.
+    Return the z-score from permutations in which no epoch follows its predecessor.
 
     These are the permutations of the authors' program.
     """

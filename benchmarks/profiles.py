@@ -1,9 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Speeds along jets, of their layers and of shells, beside those that are known.
+Measure speeds along jets, of layers and of shells, and compare them with known ones.
 
-3C 120 and 3C 273 as in Sect. 3 of Mertens & Lobanov (2016), M 87, a bent jet whose
-speeds are known, and a shell with two rates of expansion::
+The sources are 3C 120 and 3C 273 as in Sect. 3 of Mertens & Lobanov (2016), M 87, a
+bent jet whose speeds are known, and a shell with two rates of expansion::
 
     python benchmarks/profiles.py ../shared/data/mojave_xviii
     python benchmarks/profiles.py ../shared/data/mojave_xviii --only bent shell
@@ -45,14 +45,14 @@ from astro_scc.tracking.motion import track_profile
 
 SOURCE = {source.name: source for source in SOURCES}
 VIEWING_ANGLE = 15 * u.deg
-#: Paper, Sect. 3.2, by the middle of the bin in mas.
+#: Speeds in c from the paper, Sect. 3.2, by the middle of the bin in mas.
 PAPER_3C120 = {1: "4.0 ± 0.2", 7: "6.0 ± 0.4", 8: "slower", 9: "slower", 10: "slower"}
 M87_DISTANCE = 16.7 * u.Mpc
 M87_BEAM = Beam(1.2 * u.mas, 0.6 * u.mas, -5 * u.deg)
 
 
 def main():
-    """Run what was asked for."""
+    """Run the requested parts."""
     everything = {
         "3c120": acceleration_of_3c120,
         "3c273": streams_of_3c273,
@@ -73,14 +73,14 @@ def main():
 
 
 def settings(source):
-    """How the paper's jets are measured."""
+    """Return the measurement of one of the paper's jets."""
     return StackedCrossCorrelation(
         scales=(1, 2, 3, 4), position_angle=source.position_angle * u.deg
     )
 
 
 def features_as_the_paper(folder, table, radii, *, before, half_width=2.0):
-    """Mean speed of the survey's own features within 2 mas of each distance."""
+    """Return the mean speed of the survey's features within 2 mas of each distance."""
     seen = Table.read(folder / f"{table}.ecsv", format="ascii.ecsv")
     use = (np.asarray(seen["epoch"], dtype=str) < before) & (seen["feature"] > 0)
     seen = seen[use]
@@ -99,7 +99,7 @@ def _year(text):
 
 
 def acceleration_of_3c120(args):
-    """Speed against distance in 3C 120, ten bins."""
+    """Measure speed against distance in 3C 120 in ten bins."""
     source = SOURCE["3C 120"]
     k = source.per_c
     cube = mojave_images(
@@ -159,7 +159,7 @@ def acceleration_of_3c120(args):
 
 
 def bins_of_3c120(profile, beside, k):
-    """What stands for each bin from 1 mas on, beside the features and the paper."""
+    """Write the main component of each bin, compared with features and paper."""
     main_rows = {round(float(r["r_mid"].value)): r for r in profile.main}
     rows = []
     for radius, features in enumerate(beside, 1):
@@ -177,7 +177,7 @@ def bins_of_3c120(profile, beside, k):
 
 
 def features_of_3c120(args, half_width=2.0):
-    """The survey's features averaged as in the paper, two ways."""
+    """Write the speeds of the survey's features, averaged in two ways."""
     source = SOURCE["3C 120"]
     k = source.per_c
     radii = np.arange(1.0, 11.0)
@@ -202,7 +202,7 @@ def features_of_3c120(args, half_width=2.0):
 
 
 def accelerations(scc, matched, k, args):
-    """The acceleration of the features, over stretches of 3C 120."""
+    """Write the acceleration of the features in several parts of 3C 120."""
     rows = []
     for low, high in ((0.5, 10.5), (0.5, 7.5), (1.5, 7.5), (5.5, 10.5)):
         part = select_ssps(matched, r_min=low * u.mas, r_max=high * u.mas)
@@ -220,7 +220,7 @@ def accelerations(scc, matched, k, args):
 
 
 def figure_3c120(profile, matched, radii, speed, error, n, k):
-    """The paper's figure: speed against distance, the jet above it."""
+    """Draw the paper's figure: speed against distance, with the jet above it."""
     use = n > 0
     others = [("features within 2 mas", radii[use] * u.mas, speed[use] * PM_UNIT,
                error[use] * PM_UNIT)]  # fmt: skip
@@ -230,7 +230,7 @@ def figure_3c120(profile, matched, radii, speed, error, n, k):
 
 
 def figure_along(profile, matched, position_angle, k, **kwargs):
-    """Speed against distance along a position angle, the jet above it."""
+    """Draw speed against distance along a position angle, with the jet above it."""
     from astro_scc.kinematics import RidgeLine
     from astro_scc.visualization import plot_profile
 
@@ -243,7 +243,7 @@ def figure_along(profile, matched, position_angle, k, **kwargs):
 
 
 def streams_of_3c273(args):
-    """Speeds and places of small and large scales in 3C 273."""
+    """Compare the speeds and positions of small and large scales in 3C 273."""
     source = SOURCE["3C 273"]
     k = source.per_c
     cube = mojave_images(
@@ -298,7 +298,7 @@ def streams_of_3c273(args):
 
 
 def limit_of_m87(args):
-    """What can be said of M 87, and the limit below which nothing can."""
+    """Write the components in bins of M 87, and the limits of their speeds."""
     cube = mojave_images(args.folder, "1228+126", M87_BEAM, seed=args.seed)
     scc = StackedCrossCorrelation(
         scales=(1, 2, 3, 4),

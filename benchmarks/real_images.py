@@ -1,10 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Speeds in ten epochs of the quasar 0003+380, beside those of MOJAVE's features.
+Compare the speeds in ten epochs of the quasar 0003+380 with those of MOJAVE's features.
 
 The images are aligned on the core by a table and convolved to one beam.  The jet is
-measured in rings about the core, with the settings that the dates and the beam
-suggest and, to see how much depends on them, with others::
+measured in rings around the core, with the settings that the dates and the beam
+suggest and, to test the sensitivity, with others::
 
     python benchmarks/real_images.py ../shared/data
 """
@@ -28,11 +28,11 @@ from astro_scc.epochs import plan_intervals
 from astro_scc.measurement import select_ssps
 
 SOURCE = "0003+380"
-#: Direction of the jet, where its patterns lie as seen from the core.
+#: Direction from the core to the patterns of the jet, in degrees.
 POSITION_ANGLE = 115.0
 MAX_SPEED = 1.0
 SCALES = (1, 2, 3)
-#: The first ring is what the beam does not tell from the core.
+#: Rings in mas; the beam does not distinguish the first from the core.
 RINGS = ((0, 1), (1, 3), (3, 6))
 VARIANTS = {
     "consecutive": {},
@@ -77,13 +77,13 @@ def main():
 
 
 def read(folder):
-    """The epochs with one beam, their cores on one another."""
+    """Read the epochs, convolve them to one beam and align their cores."""
     cube = EpochCube.read(str(folder / "*.fits"))
     return cube.to_common_beam().align("table", table=folder / "core_offsets.csv")
 
 
 def rows_of(cube, args):
-    """All rings with all variants of the settings."""
+    """Measure all rings with all variants of the settings."""
     found = {}
     for name, changes in VARIANTS.items():
         settings = {
@@ -108,7 +108,7 @@ def rows_of(cube, args):
 
 
 def component_text(row):
-    """A component in a cell of the table."""
+    """Return a component as text for a cell of the table."""
     along, across = (
         measured(plain(row[name], PM_UNIT), plain(row[f"{name}_err"], PM_UNIT))
         for name in ("pm_parallel", "pm_transverse")
@@ -120,7 +120,7 @@ def component_text(row):
 
 
 def largest(result):
-    """Where the stack is largest, significant or not."""
+    """Return the maximum of the stack, significant or not, as text."""
     k = np.unravel_index(result.coefficient.argmax(), result.coefficient.shape)
     v1, v2 = result.grid.v1[k[1]], result.grid.v2[k[0]]
     return f"{v1 + 0.0:.2f}, {v2 + 0.0:.2f} ({result.coefficient[k]:.2f})"

@@ -1,12 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Share of injected motion that is found, in simulated and in real images.
+Measure the share of injected motion that is found in simulated and in real images.
 
     python benchmarks/recovery.py ../shared/data [--parts simulated real plan]
 
-``simulated`` puts a second stream into a simulated jet that has one, ``real`` puts
-features into ten epochs of the quasar 0003+380, ``plan`` asks how many epochs a jet of
-two speeds needs.
+``simulated`` injects a second stream into a simulated jet that has one, ``real``
+injects features into ten epochs of the quasar 0003+380, and ``plan`` finds how many
+epochs a jet of two speeds needs.
 """
 
 import argparse
@@ -26,12 +26,12 @@ HEADER = ["speed (mas/yr)", "peak / noise", "found", "of", "fraction", "95% inte
           "bias", "scatter", "coverage"]  # fmt: skip
 PLAN_HEADER = ["epochs", "interval", "total", "slow, fast (beams)", "limit",
                "jets", "slow found", "fast found", "both", "95% interval"]  # fmt: skip
-#: Half of the width of the jet of 0003+380, and how far it is seen, in mas.
+#: Half the width of the jet of 0003+380, and the range of distances used, in mas.
 HALF_WIDTH, NEAREST, FARTHEST = 1.0, 1.0, 6.0
 
 
 def main():
-    """Make what was asked for."""
+    """Run the requested parts."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument("folder", type=Path, help="of all test data")
     parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=list(PARTS))
@@ -49,7 +49,7 @@ def main():
 
 
 def simulated(args):
-    """A second stream in a jet that has one of 6.1 mas/yr."""
+    """Inject a second stream into a jet that has one of 6.1 mas/yr."""
     sheath = Stream("sheath", dx=5.0, density=0.6, half_width=12.0, jitter=1.0)
     cube = JetSimulation(
         [sheath], n_epochs=8, shape=(64, 192), extent=(15, 175), axis=32.0, noise=0.01
@@ -65,7 +65,7 @@ def simulated(args):
 
 
 def real(args):
-    """Features in the jet of 0003+380, beyond what the beam does not resolve."""
+    """Inject features into the resolved part of the jet of 0003+380."""
     cube = read(args.folder / SOURCE)
     east, north = cube.pixel_to_offset(*np.meshgrid(*map(np.arange, cube.shape[:0:-1])))
     turn = np.radians(POSITION_ANGLE)
@@ -85,7 +85,7 @@ def real(args):
 
 
 def campaigns(args):
-    """Epochs that tell 0.3 from 1.2 mas/yr with a beam of 0.8 mas."""
+    """Find the epochs that distinguish 0.3 from 1.2 mas/yr with a beam of 0.8 mas."""
     table = plan(
         speeds=[0.3, 1.2] * PM_UNIT, beam=0.8 * u.mas, n_epochs=[4, 6, 10],
         intervals=[1, 6, 12] * u.yr / 12, wanted=0.8, n_jets=args.n_jets,
@@ -117,7 +117,7 @@ PARTS = {"simulated": simulated, "real": real, "plan": campaigns}
 
 
 def common(args):
-    """Arguments of every table."""
+    """Return the arguments that all tables share."""
     return {
         "n_injections": args.n_injections,
         "n_trials": args.n_trials,
@@ -127,12 +127,12 @@ def common(args):
 
 
 def interval(low, high):
-    """An interval as text."""
+    """Return an interval as text."""
     return f"{low:.2f} to {high:.2f}"
 
 
 def number(value, form):
-    """A number as text, nothing if it is masked."""
+    """Return a number as text, empty if it is masked."""
     if np.any(getattr(value, "mask", False)):
         return ""
     return form.format(float(u.Quantity(getattr(value, "unmasked", value)).value))

@@ -1,16 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Time and memory of a measurement, and how they grow.
+Measure how the time and memory of a measurement grow.
 
-What is compared runs in turn, several times, and the medians of the processor's
-times are divided; so that a busy machine slows both alike.  The parts are::
+Cases that are compared run in turn, several times, and the ratio of the medians of
+their processor times is given, so that a busy machine slows all alike.  The parts are::
 
     python benchmarks/scaling.py doubling   # epochs, pixels, trials
     python benchmarks/scaling.py workers    # two workers against one, minutes
     python benchmarks/scaling.py imports    # beside numpy and astropy.units
     python benchmarks/scaling.py whole      # 69 epochs of 512 x 512, some minutes
 
-The jet of all parts has about 90 SSPs an epoch on four scales, at uneven dates.
+The jet has about 90 SSPs per epoch on four scales, at uneven dates.
 """
 
 import argparse
@@ -30,9 +30,9 @@ from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.simulation import JetSimulation, Stream
 
 SCALES = (1, 2, 3, 4)
-#: Beam in pixels.
+#: Width of the beam in pixels.
 BEAM = 6.0
-#: Columns of the table of the whole of a measurement.
+#: Columns of the table of whole measurements.
 WHOLE = [
     "windows",
     "SSPs an epoch",
@@ -46,7 +46,7 @@ WHOLE = [
 
 
 def simulate(n_epochs, shape=(512, 512), rng=1):
-    """A jet of two streams along an image, at dates 20 to 40 days apart."""
+    """Simulate a jet of two streams along an image, at dates 20 to 40 days apart."""
     gaps = np.random.default_rng(rng).uniform(20, 40, n_epochs - 1)
     dates = Time("2000-01-01") + np.concatenate([[0], np.cumsum(gaps)]) * u.day
     streams = [
@@ -66,7 +66,7 @@ def simulate(n_epochs, shape=(512, 512), rng=1):
 
 
 def measurer(cube, reach):
-    """A measurement whose windows reach so many pixels."""
+    """Return a measurement whose windows reach this many pixels."""
     settings = {"scales": SCALES, "position_angle": 270 * u.deg}
     longest = StackedCrossCorrelation(**settings).date_pairs(cube).interval.max()
     speed = (reach - BEAM - 0.05) * 0.1 / longest * u.mas / u.yr
@@ -74,7 +74,7 @@ def measurer(cube, reach):
 
 
 def medians(functions, runs):
-    """Median processor time of functions that run in turn."""
+    """Return the median processor times of functions that run in turn."""
     spent = np.empty((runs, len(functions)))
     for row in spent:
         for k, function in enumerate(functions):
@@ -85,7 +85,7 @@ def medians(functions, runs):
 
 
 def workers_part(runs, n_epochs, n_trials):
-    """Wall clock of a whole measurement with one worker and with two."""
+    """Measure the wall clock of a whole measurement with one worker and with two."""
     cube = simulate(n_epochs).cube
     scc = measurer(cube, 20)
     spent = np.empty((runs, 2))
@@ -103,7 +103,7 @@ def workers_part(runs, n_epochs, n_trials):
 
 
 def doubling_part(runs):
-    """Processor time of a measurement when something is doubled."""
+    """Measure the processor time when epochs, pixels or trials are doubled."""
 
     def measure(n_epochs, shape, n_trials):
         cube = simulate(n_epochs, shape).cube
@@ -134,7 +134,7 @@ def doubling_part(runs):
 
 
 def imports_part(runs):
-    """Seconds that importing the package takes beyond what it builds on."""
+    """Measure the time to import the package, beyond numpy and astropy.units."""
     base = "import numpy, astropy.units"
     spent = np.empty((runs, 2))
     for row in spent:
@@ -152,7 +152,7 @@ def imports_part(runs):
 
 
 def whole_part(reaches, n_epochs, n_trials, n_workers):
-    """All of a measurement of many epochs: processor time, wall clock, memory."""
+    """Measure processor time, wall clock and memory for many epochs."""
     rows = []
     for reach in reaches:
         code = (
@@ -171,7 +171,7 @@ def whole_part(reaches, n_epochs, n_trials, n_workers):
 
 
 def whole(reach, n_epochs, n_trials, n_workers):
-    """One row of it, in a process of its own."""
+    """Print one row of the table, in a process of its own."""
     import scipy.stats  # noqa: F401 (the errors of components load it)
 
     cube = simulate(n_epochs).cube
@@ -196,7 +196,7 @@ def whole(reach, n_epochs, n_trials, n_workers):
 
 
 def main():
-    """Print the tables of the parts that are asked for."""
+    """Print the tables of the requested parts."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     names = ["doubling", "workers", "imports", "whole"]
     parser.add_argument("parts", nargs="*", choices=names, default=[])

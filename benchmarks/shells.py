@@ -1,8 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Errors of the rates and centres of simulated shells, and the least that are possible.
+Measure errors of rates and centres of simulated shells, and the least possible errors.
 
-Run by ``profiles.py --only shell``.
+``profiles.py --only shell`` runs this module.
 """
 
 import astropy.units as u
@@ -18,15 +18,15 @@ RATE = u.percent / u.yr
 COMPACT = 5 * u.arcsec
 #: Mean width of the knots, and the resolution of scale 1, in arcsec.
 BEAM = 4.0
-#: Added to the seed: shells that the fit was not made with.
+#: Added to the seed, as the fit was developed with smaller seeds.
 FIRST = 200
-#: Shells of which the bound is calculated.
+#: Number of shells for which the bound is calculated.
 N_BOUNDS = 4
 FWHM_TO_SIGMA = 1 / np.sqrt(8 * np.log(2))
 
 
 def settings(*scales):
-    """How a shell is measured."""
+    """Return the measurement of a shell."""
     return StackedCrossCorrelation(
         scales=scales, max_speed=200 * u.mas / u.yr, baseline=[4, 26] * u.yr,
         min_error_beams=0.1, detection=7, segmentation=5,
@@ -34,7 +34,7 @@ def settings(*scales):
 
 
 def two_rates(args):
-    """Rates and centre of simulated shells, one seed each."""
+    """Measure the rates and centres of simulated shells, one per seed."""
     true = np.array([0.11, 0.07])
     true = true / (1 + 12.5 * true / 100)
     rows, off, errors, leaked = [], [], [], []
@@ -46,7 +46,7 @@ def two_rates(args):
         matched = {
             "knots": fine.match(shell.cube),
             "ring": coarse.match(smooth),
-            # Of both, at a rate between; but the centre of both is one.
+            # These patterns blend both rates, but they share the centre.
             "knots on clumps": blended.match(shell.cube),
         }
         fit = fit_shell(fine, matched)
@@ -76,7 +76,7 @@ def two_rates(args):
 
 
 def summary(off, errors, leaked, least):
-    """Deviations in errors, and the centres in beams."""
+    """Write the deviations in units of the errors, and those of centres in beams."""
     columns = [
         ("knots (%/yr)", off[:, 0], errors[:, 0], least[0], 5),
         ("ring (%/yr)", off[:, 1], errors[:, 1], least[1], 5),
@@ -110,10 +110,10 @@ def summary(off, errors, leaked, least):
 
 def bound(seed):
     """
-    The least errors of the two rates and the centre (Cramer & Rao).
+    Return the least possible errors of the two rates and the centre (Cramer & Rao).
 
-    Of a fit of all features at once, with their places, maxima and widths
-    unknown, to the counts of all epochs.
+    They are those of a fit to the counts of all epochs, of all features at
+    once, with their positions, maxima and widths unknown.
     """
     shell = simulate_shell(rng=seed)
     truth, cube = shell.truth, shell.cube
@@ -127,7 +127,7 @@ def bound(seed):
     n = len(truth)
 
     def bells(year):
-        """Offsets from, and Gaussians of, each feature, on the pixels near it."""
+        """Yield the offsets from each feature and its Gaussian, on nearby pixels."""
         x = (nx - 1) / 2 - (centre[0] + (1 + rate * year) * place[0])
         y = (ny - 1) / 2 + (centre[1] + (1 + rate * year) * place[1])
         for k in range(n):
@@ -169,7 +169,7 @@ def bound(seed):
 
 
 def draw(seed, found, errors, true):
-    """A shell, the rates and the centres that were measured."""
+    """Draw a shell, and the rates and centres that were measured."""
     from matplotlib.figure import Figure
 
     shell = simulate_shell(n_epochs=2, rng=seed)

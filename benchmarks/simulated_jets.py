@@ -1,8 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Numbers and pictures of simulated jets beside those of jets of the MOJAVE survey.
+Compare statistics and images of simulated jets with those of jets of the MOJAVE survey.
 
-Run with ``python benchmarks/simulated_jets.py ../shared/data``; writes
+``python benchmarks/simulated_jets.py ../shared/data`` writes
 ``results/simulated_jets.csv`` and ``results/simulated_jets.png``.
 """
 
@@ -33,9 +33,9 @@ N_EPOCHS = 12
 
 
 def row(name, cube):
-    """Numbers of one jet, from epochs evenly chosen."""
+    """Return statistics of one jet, from an even selection of epochs."""
     steps = np.log(np.diff(cube.years.to_value(u.yr)))
-    # Of 15 epochs in a row, as many as are simulated.
+    # Use 15 consecutive epochs, as many as are simulated.
     windows = [np.std(steps[i : i + 14]) for i in range(0, len(steps) - 13, 7)]
     x0, y0 = cube.reference_pixel
     y, x = np.indices(cube.shape[1:])

@@ -1,12 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 # ruff: noqa: E402
 """
-How long it takes to measure the two-fluid jet of the paper, on one core.
+Time the measurement of the two-fluid jet of the paper on one core.
 
-Ten epochs of 256 x 128 pixels, three scales, 1000 trials of each null hypothesis, of
-the paper's shuffle and of position errors; the SSPs of the whole image, and those of
-the paper's region, ten beams long.  The stages run in this process after all imports;
-``astro-scc --help`` is a process of its own::
+The jet has ten epochs of 256 x 128 pixels and is measured on three scales, with 1000
+trials each of the permutation test, of the paper's z-score and of the velocity-jitter
+test, for the SSPs of the whole image and of the paper's region, ten beams long.  The
+stages run in this process after all imports; ``astro-scc --help`` is a process of its
+own::
 
     python benchmarks/speed.py
 """
@@ -64,7 +65,7 @@ def main():
 
 
 def help_seconds(runs):
-    """Least processor time and least wall clock of printing the help."""
+    """Return the least processor time and wall clock for printing the help."""
     spent = []
     for _ in range(runs):
         before, start = os.times(), time.perf_counter()

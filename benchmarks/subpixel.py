@@ -1,9 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Error of the displacement where it is the same for all pairs of epochs.
+Measure the error of a displacement that is the same for all pairs of epochs.
 
-Five epochs of four features that move by the same part of a pixel each, with hardly any
-noise, for features of several widths::
+Five epochs show four features that move by the same fraction of a pixel, with hardly
+any noise, for features of several widths::
 
     python benchmarks/subpixel.py
 """
@@ -19,7 +19,7 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
 
 PIXEL, DAYS, N = 0.1, 30.0, 5
-#: Part of ``pm_err`` for the sampling, in pixels times the resolution in pixels.
+#: Part of ``pm_err`` due to sampling, times the resolution, both in pixels.
 SAMPLING = 0.15
 STEPS = np.arange(1, 11) / 10
 #: Width of the features in pixels, and the scales that see them.
@@ -27,7 +27,7 @@ WIDTHS = {3: [1], 4: [1, 2], 5: [1, 2], 7: [2, 3], 10: [2, 3]}
 
 
 def images(step, fwhm, rng):
-    """Epochs whose features move ``step`` pixels to the right."""
+    """Yield epochs whose features move ``step`` pixels to the right."""
     size = 16 * fwhm + 20
     y, x = np.mgrid[:size, : size * 5 // 4]
     phases = rng.uniform(size=(4, 2))
@@ -43,7 +43,7 @@ def images(step, fwhm, rng):
 
 
 def measured(fwhm, scales, step):
-    """The displacement less the true one and its error, in pixels."""
+    """Return the measured minus the true displacement, and its error, in pixels."""
     times = Time(2451910.5 + DAYS * np.arange(N), format="jd", scale="tai")
     data = np.array(list(images(step, fwhm, np.random.default_rng(1))))
     cube = EpochCube.from_arrays(data, times=times, pixel_scale=PIXEL * u.mas)

@@ -1,12 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Time of a survey of simulated sources on one and on two Dask workers.
+Time a survey of simulated sources on one and on two Dask workers.
 
     python benchmarks/survey.py [--sources 20] [--repeat 1] [--trials 100]
 
-Each cluster is a real one, of processes with one thread each, on this machine; its
-workers have measured a source before the clock starts, and so imported everything.
-The tables are compared byte by byte.
+Each cluster consists of local processes with one thread each.  Its workers measure a
+source before the clock starts, so that everything is imported.  The tables are compared
+byte by byte.
 """
 
 import argparse
@@ -31,12 +31,12 @@ redshift = 0.1
 
 
 def at_work():
-    """Number of processes at work on the machine."""
+    """Return the number of processes at work on the machine."""
     return int(Path("/proc/loadavg").read_text().split()[3].split("/")[0])
 
 
 def write_sources(folder, number, trials):
-    """Cubes of short jets, and the survey that measures them."""
+    """Write cubes of short jets, and return the survey that measures them."""
     text = [HEAD, f"n_trials = {trials}\n"]
     for k in range(number):
         cube = simulate_two_fluid(n_epochs=6, rng=k).cube
@@ -49,7 +49,7 @@ def write_sources(folder, number, trials):
 
 
 def tables(folder):
-    """Bytes of all tables of a survey by their name."""
+    """Return the bytes of all tables of a survey by name."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*.ecsv"))
@@ -57,7 +57,7 @@ def tables(folder):
 
 
 def ready(source):
-    """Measure a source in a worker, so that it has imported all that it needs."""
+    """Measure a source in a worker, so that it imports everything it needs."""
     from astro_scc.cli.survey_run import measure_source
 
     with tempfile.TemporaryDirectory() as folder:
@@ -65,7 +65,7 @@ def ready(source):
 
 
 def timed(survey, output, n_workers):
-    """Seconds of a survey, by the clock and of processors, and how busy it was."""
+    """Return wall clock and processor time of a survey, and the processes at work."""
     with (
         LocalCluster(
             n_workers=n_workers,
@@ -100,7 +100,7 @@ def main():
         survey = write_sources(folder, args.sources, args.trials)
         cost, found = {1: [], 2: []}, []
         for turn in range(args.repeat):
-            # The one first, then the other first.
+            # Alternate which of the two runs first.
             for n in (1, 2) if turn % 2 == 0 else (2, 1):
                 output = folder / f"out-{turn}-{n}"
                 cost[n].append(timed(survey, output, n))

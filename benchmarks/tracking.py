@@ -1,10 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Share of right links of the tracking, its speeds beside those of MOJAVE, and its cost.
+Measure the share of right links, compare speeds with MOJAVE's, and time the tracking.
 
-The links of the paper's dense jet of two streams against its truth; tracks in 3C 273
-and 3C 120, restored from the features of MOJAVE, against the straight lines that were
-fitted to these; time against the number of features::
+The links in the paper's dense jet of two streams are compared with the truth; tracks in
+3C 273 and 3C 120, restored from the features of MOJAVE, with the straight lines that
+were fitted to these features; and time is measured against the number of features::
 
     python benchmarks/tracking.py ../shared/data
 """
@@ -25,19 +25,19 @@ from astro_scc.epochs import read_components
 from astro_scc.simulation import simulate_two_fluid
 from astro_scc.tracking import FeatureTracker, assign
 
-#: Of the paper's jet: 1 pixel an epoch is 1.2175 mas/yr.
+#: Limits for the paper's jet, where 1 pixel per epoch is 1.2175 mas/yr.
 WINDOW = {
     "position_angle": -90 * u.deg,
     "along": [-6, 36] * PM_UNIT,
     "across": [-12, 12] * PM_UNIT,
 }
-#: Seeds of dense jets of our own; the defaults were chosen on 101 to 112.
+#: Seeds of our own dense jets; the defaults were chosen on seeds 101 to 112.
 SEEDS = range(201, 209)
 SOURCES = {
     "3C 273": ("1226+023", Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg), 2.0),
     "3C 120": ("0430+052", Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg), 4.0),
 }
-#: A position of MOJAVE's feature belongs to a track if it is this near, in mas.
+#: Largest distance of a position of MOJAVE's feature from its track, in mas.
 NEAR = 0.3
 
 
@@ -61,13 +61,13 @@ def main():
 
 
 def decomposed(cube, scales=(1, 2, 3)):
-    """Decompositions of all epochs."""
+    """Return the decompositions of all epochs."""
     decompose = Decomposer(scales=scales)
     return [decompose(d, mask=m) for d, m in zip(cube.data, cube.mask, strict=True)]
 
 
 def links(folder):
-    """Links of the dense jets against what was put in."""
+    """Compare the links in dense jets with the truth."""
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     cube = EpochCube.read(str(folder / "*.fits"))
     params, features = truth["params"], truth["features"]
@@ -98,7 +98,7 @@ def links(folder):
 
 
 def true_positions(truth, n_epochs):
-    """Positions and visibility of simulated features, shape (n, n_epochs)."""
+    """Return the positions and visibility of simulated features, (n, n_epochs)."""
     feature = np.asarray(truth["feature"])
     names, row = np.unique(feature, return_inverse=True)
     x, y = np.full((2, len(names), n_epochs), np.nan)
@@ -112,7 +112,7 @@ def true_positions(truth, n_epochs):
 
 
 def compare(cube, x, y, seen, group, tracker, n_trials):
-    """Counts of right and wrong links of one jet."""
+    """Return the counts of right and wrong links in one jet."""
     tracking = tracker(cube, decomposed(cube), n_trials=n_trials, rng=1)
     ssps, links = tracking.ssps, tracking.links
     one = links.kind == "link"
@@ -145,7 +145,7 @@ def compare(cube, x, y, seen, group, tracker, n_trials):
 
 
 def alone_in_segment(ssps, x, y, seen, width):
-    """The feature of each SSP that holds one and no other, or -1."""
+    """Return the feature of each SSP that holds exactly one, or -1."""
     owner = np.full(len(ssps), -1)
     for epoch in range(seen.shape[1]):
         own = np.flatnonzero(seen[:, epoch])
@@ -158,7 +158,7 @@ def alone_in_segment(ssps, x, y, seen, width):
 
 
 def alone_in_beam(ssps, x, y, seen, beam):
-    """The feature nearest to each SSP, if no other is within a beam of it, or -1."""
+    """Return the feature at each SSP, if no other is within a beam of it, or -1."""
     owner = np.full(len(ssps), -1)
     for epoch in range(seen.shape[1]):
         own = np.flatnonzero(seen[:, epoch])
@@ -176,7 +176,7 @@ def alone_in_beam(ssps, x, y, seen, beam):
 
 
 def shares(found):
-    """Cells of the table of links."""
+    """Return the cells of the table of links."""
     cells = []
     for key in ("segment", "beam"):
         for name in ("slow", "fast", "wrong"):
@@ -194,7 +194,7 @@ def shares(found):
 
 
 def mojave(folder):
-    """Tracks against the straight lines of MOJAVE's features."""
+    """Compare tracks with the straight lines of MOJAVE's features."""
     rows, differences = [], []
     for name, (table, beam, speed) in SOURCES.items():
         components = read_components(folder / f"{table}.ecsv")
@@ -240,7 +240,7 @@ def mojave(folder):
 
 
 def beside(tracking, components, fit):
-    """The track that is nearest to most positions of a feature, and how it differs."""
+    """Return the track near most positions of a feature, and how it differs."""
     own = np.flatnonzero(components.feature == fit["feature"])
     at = np.stack([components.east[own].value, components.north[own].value])
     near = {}
@@ -273,14 +273,14 @@ def beside(tracking, components, fit):
         "speed": speed,
         "speed_err": error,
         "z": abs(speed - mu) / np.hypot(error, mu_err),
-        # Of two axes, so that 1 is what errors alone give on average.
+        # The mean over two axes, so that errors alone give 1 on average.
         "vector": np.sqrt(np.mean((apart / total) ** 2)),
         "relative": abs(speed / mu - 1) if mu else 0.0,
     }
 
 
 def profile(folder):
-    """Speed against distance in 3C 120, by tracks, beside the stack of mojave.py."""
+    """Measure the speed of tracks against distance in 3C 120."""
     from astro_scc.kinematics import apparent_speed, paper_cosmology
     from astro_scc.visualization import plot_track_profile
 
@@ -309,7 +309,7 @@ def profile(folder):
 
 
 def long_jet(length, n_epochs=10):
-    """A dense jet of some length in units of the paper's."""
+    """Simulate a dense jet with a length in units of the paper's jet."""
     return simulate_two_fluid(
         dense=True, n_epochs=n_epochs, rng=1, shape=(128, 56 + 200 * length),
         extent=(20.0, 20.0 + 200 * length),
@@ -317,14 +317,14 @@ def long_jet(length, n_epochs=10):
 
 
 def seconds(function, *args, **options):
-    """Result and processor time of a call."""
+    """Return the result and the processor time of a call."""
     start = time.process_time()
     result = function(*args, **options)
     return result, time.process_time() - start
 
 
 def cost():
-    """Time against the number of features, and of two given sizes."""
+    """Time the tracking for several numbers of features, and for large cases."""
     rows, sizes, times = [], [], []
     tracker = FeatureTracker(**WINDOW)
     for length in (1, 2, 4, 8, 16):

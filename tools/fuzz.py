@@ -2,13 +2,13 @@
 """
 Damage files at random and read them.
 
-Whatever the readers are given, they give an answer or one line of `ValueError`,
-`TypeError` or `OSError`, soon and without filling the memory::
+Every file must be read, or refused with one line of `ValueError`, `TypeError` or
+`OSError`, in a short time and without filling the memory::
 
     python tools/fuzz.py --number 10000 --seed 1
 
-prints how many files of each kind were read and refused, and every file that got
-something else, which ``--seed 1 --first 1234 --number 1`` makes again.
+prints the numbers of files of each kind that were read and refused, and lists every
+other file.  ``--seed 1 --first 1234 --number 1`` makes number 1234 again.
 """
 
 import argparse
@@ -37,9 +37,9 @@ from astro_scc.epochs import EpochCube, read_components
 from astro_scc.epochs.alignment import offsets_from_table
 from astro_scc.settings import Settings, read_config
 
-#: What a user may get.
+#: Errors that a user may get.
 EXPECTED = (ValueError, TypeError, OSError)
-#: Seconds and bytes that one file may take.
+#: Most seconds and bytes for one file.
 TIME, MEMORY = 10, 2**30
 CARD, BLOCK = 80, 2880
 ODD = (
@@ -60,7 +60,7 @@ def _settings(path):
 
 def sources(folder):
     """
-    Sound files of every kind that is read.
+    Make sound files of every kind that is read.
 
     Parameters
     ----------
@@ -69,8 +69,8 @@ def sources(folder):
     Returns
     -------
     dict
-        For each kind the suffix, the bytes, and the function of a path that
-        reads it.
+        For each kind, the suffix, the bytes, and the function that reads a
+        path.
     """
     folder = Path(folder)
     data = np.random.default_rng(0).normal(size=(2, 8, 12))
@@ -202,7 +202,7 @@ position_angle = "290 deg"
 
 def damage(content, rng):
     """
-    Bytes with one to four random changes.
+    Return bytes with one to four random changes.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def damage(content, rng):
     """
     binary = content.startswith(b"SIMPLE")
     changes = TEXT + HEADER * 2 if binary else TEXT
-    # Of text hardly anything is left after many.
+    # Many changes would leave hardly anything of a text.
     for _ in range(rng.integers(1, 5 if binary else 3)):
         content = changes[rng.integers(len(changes))](content, rng)
         if not content:
@@ -314,12 +314,12 @@ HEADER = (_odd_value, _repeat_card, _blank_card, _other_digit)
 
 
 class TooLongError(BaseException):
-    """A file took longer than it may; no reader catches it."""
+    """A file took too long; no reader catches this exception."""
 
 
 @contextmanager
 def limits(memory=MEMORY):
-    """Let this process have so many bytes more than it has."""
+    """Let this process allocate at most ``memory`` additional bytes."""
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     used = int(re.search(r"VmData:\s+(\d+)", _status())[1]) * 1024
     resource.setrlimit(resource.RLIMIT_DATA, (used + memory, hard))
@@ -339,7 +339,7 @@ def _too_long(*args):
 
 def read(path, reader):
     """
-    What a reader makes of a file.
+    Read a file and return the outcome.
 
     Returns
     -------
@@ -371,21 +371,22 @@ def read(path, reader):
 
 def fuzz(number, *, seed=0, first=0, kinds=None, seconds=np.inf):
     """
-    Damage and read files, of all kinds in turn.
+    Damage and read files of all kinds in turn.
 
     Parameters
     ----------
     number : int
+        Number of files.
     seed, first : int
-        Of the damage, and number of the first file.
+        Seed of the damage, and number of the first file.
     kinds : sequence of str, optional
     seconds : float, optional
-        Stop after these.
+        Stop after this time.
 
     Returns
     -------
     counts : `~collections.Counter`
-        By kind and "read", "refused" or "fault".
+        Files by kind and outcome: "read", "refused" or "fault".
     faults : list of (int, str, str)
         Number of the file, its kind and what went wrong.
     """
@@ -410,7 +411,7 @@ def fuzz(number, *, seed=0, first=0, kinds=None, seconds=np.inf):
 
 
 def main():
-    """Print what became of the files."""
+    """Print the outcomes, and list the faults."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument("--number", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)

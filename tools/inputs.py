@@ -1,14 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-What a user of the command line gets for inputs as archives and mistakes make them.
+Measure unusual and faulty inputs, and show what the command line answers.
 
 Each case makes its files, five epochs of a small jet whose features all move 2 pixels
-west an epoch, and measures them::
+west per epoch, and measures them::
 
     python tools/inputs.py --table benchmarks/results/inputs.csv
 
-prints the answers, and writes them with ``--table FILE.csv``.  The tests in
-``tests/robustness`` hold every case to what it says it gets.
+prints the answers and, with ``--table FILE.csv``, writes them.  The tests in
+``tests/robustness`` check that every case gets the answer that it states.
 """
 
 import argparse
@@ -66,7 +66,7 @@ NO_BEAM = {"BMAJ": None, "BMIN": None, "BPA": None}
 
 
 def image(i, *, turn=0, speed=2.0):
-    """Epoch ``i`` of the jet, with noise; ``turn`` times turned by 90 degrees."""
+    """Return epoch ``i`` of the jet with noise, turned ``turn`` times by 90 degrees."""
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     data = np.random.default_rng(i).normal(0, 1e-3, SHAPE)
     for north, west, peak, width in FEATURES:
@@ -76,14 +76,14 @@ def image(i, *, turn=0, speed=2.0):
 
 
 def header(i, **changes):
-    """Header of epoch ``i``; None removes a keyword."""
+    """Return the header of epoch ``i``; None removes a keyword."""
     cards = {**CARDS, "DATE-OBS": DAYS[i]}
     cards |= {k.replace("DATE_", "DATE-"): v for k, v in changes.items()}
     return fits.Header({k: v for k, v in cards.items() if v is not None})
 
 
 def write(folder, i, *, data=None, name=None, tables=(), **changes):
-    """Write epoch ``i`` as AIPS does: four axes, big-endian floats."""
+    """Write epoch ``i`` as AIPS does: with four axes and big-endian floats."""
     data = image(i) if data is None else np.asarray(data)
     data = data[None, None] if data.ndim == 2 else data
     path = Path(folder) / (name or f"e{i}.fits")
@@ -95,27 +95,27 @@ def write(folder, i, *, data=None, name=None, tables=(), **changes):
 
 
 def series(folder, each=lambda i: {}, n=5):
-    """Write the jet; ``each(i)`` is what is special about epoch ``i``."""
+    """Write the jet; ``each(i)`` returns the options of `write` for epoch ``i``."""
     return [write(folder, i, **each(i)) for i in range(n)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
     """
-    An input, and what it gets.
+    An input, and the answer that it must get.
 
     Attributes
     ----------
     name : str
-        What is special about it.
+        What is special about the input.
     make : callable
-        Takes a folder, makes the files, gives the arguments of ``measure``.
+        Makes the files in a folder and returns the arguments of ``measure``.
     status : int
         Exit status.
     says : str
-        Regular expression for what is on standard error; empty for nothing.
+        Regular expression for standard error; empty if nothing is printed.
     velocity : tuple of float or None
-        To the east and north in mas/yr, where there is an answer.
+        Velocity to the east and north in mas/yr, if there is an answer.
     slow : bool
         Whether it takes more than two seconds.
     """
@@ -132,7 +132,7 @@ CASES = []
 
 
 def case(name, says="", *, status=0, **options):
-    """Add a case that a function makes."""
+    """Add a case whose files a function makes."""
 
     def add(make):
         CASES.append(Case(name=name, make=make, says=says, status=status, **options))
@@ -142,12 +142,12 @@ def case(name, says="", *, status=0, **options):
 
 
 def refused(name, says):
-    """Add a case that gets one line and status 2."""
+    """Add a case that is refused with one line and status 2."""
     return case(name, says, status=2)
 
 
 def each(name, says="", **options):
-    """Add a case of five files from a function of the number of the epoch."""
+    """Add a case of five files, with options from a function of the epoch's number."""
 
     def add(special):
         case(name, says, **options)(lambda folder: series(folder, special))
@@ -396,7 +396,7 @@ each("pixels that are not square")(
 
 
 def _changed(change):
-    """Five epochs, the third changed on the disk."""
+    """Make five epochs and change the third one on the disk."""
 
     def make(folder):
         paths = series(folder)
@@ -488,7 +488,7 @@ def _large(folder):
         head["NAXIS1"], head["NAXIS2"] = side, side
         head.extend(own)
         with paths[-1].open("wb") as file:
-            # What is not written takes no place on the disk, and reads as 0.
+            # Unwritten parts take no space on the disk and read as 0.
             start = file.write(head.tostring().encode("ascii"))
             for k, row in enumerate(image(i).astype(">f4")):
                 file.seek(start + 4 * ((top + k) * side + left))
@@ -503,7 +503,7 @@ def _large(folder):
 
 
 def _options(*words, **texts):
-    """Five epochs, files of some text beside them, and options."""
+    """Make five epochs and text files, and add options."""
 
     def make(folder):
         for name, text in texts.items():
@@ -631,7 +631,7 @@ refused("a number of 400 digits", "c.toml: kappa = .* must be a finite number")(
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run of ``measure`` left."""
+    """What a run of ``measure`` printed, measured and left behind."""
 
     status: int
     errors: str
@@ -640,14 +640,14 @@ class Outcome:
 
     @property
     def answer(self):
-        """In one line, without what differs from run to run."""
+        """The answer in one line, without what differs from run to run."""
         if self.status:
             return self.errors.splitlines()[-1].removeprefix(
                 "astro-scc measure: error: "
             )
         found = "no component"
         if self.velocity is not None:
-            # Adding 0 makes no zero negative.
+            # Adding 0 makes negative zeros positive.
             east, north = (round(value, 2) + 0.0 for value in self.velocity)
             found = f"{east:.2f}, {north:.2f} mas/yr"
         return "; ".join([found, *self.errors.splitlines()])
@@ -669,7 +669,7 @@ def run(case, folder):
     words = [str(word) for word in case.make(folder)]
     before = set(folder.rglob("*"))
     out = folder / "out"
-    # What a case gives itself comes after and counts.
+    # The options of the case come last and take precedence.
     argv = ["measure", "-o", str(out), "--no-report", *QUICK, *words]
     errors = io.StringIO()
     with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(io.StringIO()):
@@ -690,7 +690,7 @@ def run(case, folder):
 
 def faults(found, case):
     """
-    What is wrong with an outcome.
+    Return what is wrong with an outcome.
 
     Returns
     -------
@@ -736,7 +736,7 @@ def main():
         wrong = faults(found, one)
         mark = f"FAULT ({', '.join(wrong)}) " if wrong else ""
         print(f"{mark}{one.name}: {found.answer}", flush=True)
-        # The page that shows the table reads it as text with markup.
+        # The page that shows the table interprets it as reStructuredText.
         answer = re.sub(r"([*`|\\])", r"\\\1", found.answer)
         rows.append([one.name, found.status, answer])
     if args.table:

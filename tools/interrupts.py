@@ -1,15 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Stop measurements at random moments, start them again, and compare what they give.
+Stop measurements at random moments, start them again, and compare the results.
 
 ``astro-scc measure --resume`` and ``astro-scc survey`` are each stopped five times by
-SIGINT, by SIGTERM and by SIGKILL, at moments drawn over the time that an undisturbed
-run takes::
+SIGINT, by SIGTERM and by SIGKILL, at random moments within the time of an undisturbed
+run::
 
     python tools/interrupts.py --seed 1 --table benchmarks/results/interrupts.csv
 
-prints how each ended, what there was then, and whether the tables and maps of the
-second run are those of the undisturbed one to the bit.
+prints how each run ended, what it left, and whether the tables and maps of the second
+run equal those of the undisturbed run bit by bit.
 """
 
 import argparse
@@ -28,7 +28,7 @@ import numpy as np
 from astropy.io import fits
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
-#: The rest of a run: settings, states and what is kept for the next one.
+#: Suffixes of tables and maps; other files hold settings and states.
 TABLES = (".ecsv", ".fits")
 WORK = ".astro_scc-work"
 
@@ -40,9 +40,9 @@ def launch(words, log):
     Parameters
     ----------
     words : list of str
-        Of the command line.
+        Arguments of the command line.
     log : path
-        For what it says.
+        File for its output.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def launch(words, log):
         (os.POSIX_SPAWN_OPEN, 1, str(log), how, 0o644),
         (os.POSIX_SPAWN_DUP2, 1, 2),
     ]
-    # What runs in the background of a shell would ignore an interrupt.
+    # A process in the background of a shell would ignore SIGINT.
     return os.posix_spawn(
         sys.executable,
         argv,
@@ -66,13 +66,13 @@ def launch(words, log):
 
 
 def end_of(process):
-    """Status of a process that ends, below 0 for a signal."""
+    """Wait for a process and return its status, negative for a signal."""
     return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
 
 
 def tables(folder):
     """
-    The tables of a run as their bytes, and its maps as those of their pixels.
+    Return the bytes of the tables of a run, and of the pixels of its maps.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def tables(folder):
     Returns
     -------
     dict
-        By path in the folder.
+        Bytes by the path within the folder.
     """
     found = {}
     for path in sorted(Path(folder).rglob("*")):
@@ -99,27 +99,27 @@ def tables(folder):
 @dataclass(frozen=True)
 class Trial:
     """
-    A run that was stopped, and the one after it.
+    A run that was stopped, and a second run after it.
 
     Attributes
     ----------
     how : `signal.Signals`
     after : float
-        Seconds from the start.
+        Seconds from the start to the signal.
     status : int
-        Of the run that was stopped.
+        Status of the run that was stopped.
     left : str
-        What there was then.
+        What the stopped run left.
     again : int
         Status of the second run.
     seconds : float
-        That it took.
+        Time that the second run took.
     same : bool
-        Whether its tables are those of the undisturbed run.
+        Whether its tables equal those of the undisturbed run.
     rest : tuple of str
-        Hidden folders that are left in the end.
+        Hidden folders that are left at the end.
     said : str
-        By both runs.
+        Output of both runs.
     """
 
     how: signal.Signals
@@ -134,7 +134,7 @@ class Trial:
 
     @property
     def good(self):
-        """Whether the second run is as if nothing had been."""
+        """Whether the second run gave all results and left nothing else."""
         return self.again == 0 and self.same and not self.rest
 
 
@@ -145,14 +145,14 @@ def stop_and_go_on(words, folder, expected, *, how, after, launch=launch):
     Parameters
     ----------
     words : list of str
-        Of the command line, to which the folder of the products is added.
+        Arguments of the command line without the folder of the products.
     folder : path
-        An empty one.
+        An empty folder.
     expected : dict
         `tables` of an undisturbed run.
     how : `signal.Signals`
     after : float
-        Seconds.
+        Seconds from the start to the signal.
     launch : callable, optional
 
     Returns
@@ -177,7 +177,7 @@ def stop_and_go_on(words, folder, expected, *, how, after, launch=launch):
 
 
 def what_is_left(out):
-    """What a run that was stopped has left, in words."""
+    """Return in words what a stopped run left."""
     found = []
     parts = [*out.parent.glob(f".{out.name}.partial-*"), *out.rglob("*partial-*")]
     if parts:
@@ -193,7 +193,7 @@ def what_is_left(out):
 
 
 def measurement(folder):
-    """A jet, and the words that measure it."""
+    """Make a jet, and return the arguments that measure it."""
     from astro_scc.simulation import simulate_two_fluid, write_simulation
 
     write_simulation(simulate_two_fluid(n_epochs=8, rng=1), folder / "jet")
@@ -203,7 +203,7 @@ def measurement(folder):
 
 
 def survey(folder):
-    """Three jets, and the words that survey them."""
+    """Make three jets, and return the arguments that survey them."""
     from astro_scc.simulation import simulate_two_fluid
 
     text = '[defaults]\nscales = [1, 2]\nmax_speed = "30 mas/yr"\nn_trials = 100\n'
@@ -222,16 +222,16 @@ def trials(words, folder, *, number, seed, launch=launch):
     ----------
     words : list of str
     folder : path
-        For the products.
+        Folder for the products.
     number : int
-        Of trials with each signal.
+        Number of trials with each signal.
     seed : int
     launch : callable, optional
 
     Yields
     ------
     `Trial`, float
-        And the seconds of the undisturbed run.
+        A trial, and the seconds of the undisturbed run.
     """
     folder = Path(folder)
     folder.mkdir()
@@ -251,7 +251,7 @@ def trials(words, folder, *, number, seed, launch=launch):
             trial = stop_and_go_on(words, own, expected, **options)
             if trial.status or not trial.good:
                 break
-            # The machine was quicker this time, and the run complete.
+            # The run was faster this time and ended before the signal.
             after = rng.uniform(0, after)
         yield trial, seconds
 

@@ -1,16 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Change a room of the package at random, and see whether one of its tests fails.
+Change a subpackage at random, and see whether one of its tests fails.
 
     python tools/mutation.py ROOM [ROOM ...] [--number 45] [--seed 1]
 
 copies the repository to a temporary folder and draws ``--number`` mutants of each room:
-another comparison, operator, number, bound of a slice or function (``min`` for
-``max``), a condition negated, two arguments exchanged, one that has a name or a whole
-call left out, nothing returned.  Text, annotations, decorators, ``raise`` and
-``__repr__`` stay as they are.  A mutant is killed if a test in ``tests/ROOM`` fails, or
-if the tests take ten times as long as usual.  Printed are the share that is killed,
-with a 95% interval, and the mutants that survive.
+a mutant has another comparison, operator, number, bound of a slice or function (``min``
+for ``max``), a negated condition, two exchanged arguments, no keyword argument or call
+where there was one, or returns nothing.  Text, annotations, decorators, ``raise`` and
+``__repr__`` are not changed.  A mutant is killed if a test in ``tests/ROOM`` fails, or
+if the tests take ten times as long as usual.  The share of killed mutants, with a 95%
+interval, and the mutants that survive are printed.
 """
 
 import argparse
@@ -32,7 +32,7 @@ REPO = Path(__file__).parents[1]
 IGNORED = shutil.ignore_patterns(
     *(".git", ".venv*", "__pycache__", ".hypothesis", "_build", "api", "results")
 )
-#: Tests hang that take so many times as long as usual, and some seconds.
+#: Tests count as hanging after this many times their usual time plus some seconds.
 SLOWER, GRACE = 10, 20
 COMPARISONS = {
     ast.Lt: (ast.LtE, ast.GtE), ast.LtE: (ast.Lt, ast.Gt),
@@ -46,14 +46,14 @@ OPERATORS = {
     ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd, ast.BitXor: ast.BitAnd,
     ast.LShift: ast.RShift, ast.RShift: ast.LShift, ast.And: ast.Or, ast.Or: ast.And,
 }  # fmt: skip
-#: Functions, and methods, that another one may stand for.
+#: Functions and methods, and what replaces them.
 FUNCTIONS = {
     "min": "max", "max": "min", "any": "all", "all": "any", "sin": "cos", "cos": "sin",
     "minimum": "maximum", "maximum": "minimum", "argmin": "argmax", "argmax": "argmin",
     "nanmin": "nanmax", "nanmax": "nanmin", "floor": "ceil", "ceil": "floor",
     "zeros": "ones", "ones": "zeros", "sum": "max", "mean": "max", "median": "max",
 }  # fmt: skip
-#: Functions whose arguments can change places.
+#: Functions whose arguments can be exchanged without effect.
 SYMMETRIC = {
     *("min", "max", "minimum", "maximum", "hypot", "array_equal", "isinstance"),
     *("union1d", "intersect1d", "logical_and", "logical_or"),
@@ -63,13 +63,14 @@ SYMMETRIC = {
 @dataclass(frozen=True)
 class Mutant:
     """
-    One changed expression: which change of which node of the tree of a module.
+    One changed expression of a module.
 
     Attributes
     ----------
     path : `~pathlib.Path`
-        Of the module.
+        Path of the module.
     node, variant, line : int
+        Number of the node of the syntax tree, number of its change, and line.
     before, after : str
     """
 
@@ -85,7 +86,7 @@ class Mutant:
 
 
 def changes(node):
-    """Return what may stand in the place of a node."""
+    """Return the nodes that may replace a node."""
 
     def with_(**fields):
         other = copy.copy(node)
@@ -129,12 +130,12 @@ def changes(node):
 
 
 def changed_calls(node, with_):
-    """Return a call without one of its named arguments, with two others exchanged, or
-    of another function."""
+    """Return calls without one keyword argument, with exchanged arguments, or of
+    another function."""
     found = [
         with_(keywords=[other for other in node.keywords if other is not word])
         for word in node.keywords
-        # zip(strict=True) only asserts.
+        # zip(strict=True) is only an assertion.
         if word.arg not in (None, "strict")
     ]
     name = getattr(node.func, "id", getattr(node.func, "attr", None))
@@ -150,7 +151,7 @@ def changed_calls(node, with_):
 
 
 def left_alone(node):
-    """Return whether nothing in a node is changed."""
+    """Return whether a node is left unchanged."""
     match node:
         case ast.Raise() | ast.JoinedStr() | ast.Import() | ast.ImportFrom():
             return True
@@ -194,7 +195,7 @@ def mutants_of(path):
 
 
 def text_of(node):
-    """Return the code of a node, of a statement with a body its condition."""
+    """Return the code of a node, or the condition of a statement with a body."""
     if isinstance(node, ast.If | ast.While):
         return f"if {ast.unparse(node.test)}"
     if isinstance(node, ast.Slice):
@@ -220,7 +221,7 @@ def mutated(mutant):
 def fails(clone, room, limit=None):
     """Return whether a test of a room fails in a copy of the repository."""
     words = ["-x", "-q", "-n0", "-p", "no:cacheprovider", f"tests/{room}"]
-    # Bytecode of one mutant may not be taken for that of another.
+    # The bytecode of one mutant must not be used for another.
     environment = os.environ | {
         "PYTHONPATH": str(clone), "PYTHONDONTWRITEBYTECODE": "1", "CI": "1"
     }  # fmt: skip
@@ -235,7 +236,7 @@ def fails(clone, room, limit=None):
 
 
 def survivors_of(clone, room, number, seed):
-    """Return how many mutants of a room were drawn, and those that survive."""
+    """Return the number of mutants drawn of a room, and those that survive."""
     start = time.monotonic()
     if fails(clone, room):
         raise SystemExit(f"tests/{room} fails without any change")
@@ -255,7 +256,7 @@ def survivors_of(clone, room, number, seed):
 
 
 def main():
-    """Print the shares that are killed and the mutants that survive."""
+    """Print the shares of killed mutants, and the mutants that survive."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument("rooms", nargs="+", metavar="ROOM")
     parser.add_argument("--number", type=int, default=45, help="mutants of each room")

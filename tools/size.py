@@ -1,8 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Show the size of the package: code lines, files and exported names of each room.
+Show the size of the package: code lines, files and exported names of each subpackage.
 
-With images, also the functions and files that a measurement of them runs through::
+With images, show how many functions and files a measurement of them runs through::
 
     python tools/size.py
     python tools/size.py --way ../shared/data/0003+380/*.fits
@@ -25,7 +25,7 @@ DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def code_lines(source):
-    """Return the number of lines without docstrings, comments and blank ones."""
+    """Return the number of lines without docstrings, comments and blank lines."""
     docstrings = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, DOCUMENTED) and ast.get_docstring(node) is not None:
@@ -64,14 +64,14 @@ def rooms():
 
 
 def way(paths):
-    """Print the functions and files from FITS files to the table of components."""
+    """Print the numbers of functions and files between FITS files and components."""
     from astro_scc import EpochCube, StackedCrossCorrelation
 
     seen = set()
 
     def note(frame, event, _):
         code = frame.f_code
-        # Neither modules nor comprehensions.
+        # Count neither modules nor comprehensions.
         named = not code.co_name.startswith("<")
         if event == "call" and named and code.co_filename.startswith(str(PACKAGE)):
             seen.add((code.co_filename, code.co_qualname))

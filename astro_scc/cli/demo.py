@@ -5,8 +5,8 @@ Simulate the two-fluid jet of the paper and measure it.
 Simulate the two-fluid jet of Mertens & Lobanov (2016), a slow sheath around a
 fast spine, measure it and write the report.  No input is needed.
 
-The folder gets what astro-scc measure writes, the images in epochs and the
-region in region.reg.
+The folder gets the products of astro-scc measure, the images in epochs/ and
+the region in region.reg.
 """
 
 import math
@@ -21,7 +21,7 @@ from astro_scc.cli.summary import component_lines, table_lines
 from astro_scc.settings import Settings
 
 SEED, N_TRIALS = 1, 1000
-# Pixels of the jet that are measured, x from 0 (Mertens & Lobanov 2016, Sect. 2.4).
+# Columns of the jet that are measured, from 0 (Mertens & Lobanov 2016, Sect. 2.4).
 FIRST, LAST = 60, 160
 
 
@@ -31,7 +31,7 @@ def add_arguments(parser):
 
 
 def run(args, reporter):
-    """Simulate a jet, measure it and compare."""
+    """Simulate a jet, measure it, and print both results."""
     from astro_scc.measurement import product_folder
     from astro_scc.simulation import write_simulation
 
@@ -60,7 +60,7 @@ def run(args, reporter):
 
 
 def _write_region(path, shape):
-    """Write the jet between two columns as a DS9 region in pixels from 1."""
+    """Write the jet between ``FIRST`` and ``LAST`` as a DS9 region."""
     from regions import PixCoord, RectanglePixelRegion, Regions
 
     centre = PixCoord((FIRST + LAST) / 2, (shape[0] - 1) / 2)
@@ -69,7 +69,7 @@ def _write_region(path, shape):
 
 
 def _truth_lines(jet):
-    """What was put in."""
+    """Return the simulated velocities as lines."""
     head = ["stream", "proper motion (mas / yr)", "PA (deg)"]
     rows = []
     for name in dict.fromkeys(jet.truth["group"]):

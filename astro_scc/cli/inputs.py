@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What a command is given: settings of the command line and of files, and epochs."""
+"""Inputs of a command: settings from the command line and files, and epochs."""
 
 import secrets
 from dataclasses import replace
@@ -9,12 +9,12 @@ from astro_scc.settings import OPTIONS, Settings, check_setting, override, read_
 
 
 def draw_seed(seed=None):
-    """Return a seed, or one that nobody chose, short enough to be typed."""
+    """Return the seed, or a random one that is short enough to be typed."""
     return secrets.randbelow(2**31) if seed is None else seed
 
 
 def workers_of(args):
-    """Return the workers that ``--workers`` or ``--scheduler`` name."""
+    """Return the workers that ``--workers`` or ``--scheduler`` gives."""
     if args.workers < 1:
         raise ValueError(f"--workers must be at least 1, got {args.workers}")
     return args.workers if args.scheduler is None else args.scheduler
@@ -27,7 +27,7 @@ def option_of(args, name):
 
 def settings_of(args, reporter, *, unused=(), **defaults):
     """
-    Return the settings of the configuration file and of the command line over it.
+    Return the settings of the configuration file, overridden by the command line.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def settings_of(args, reporter, *, unused=(), **defaults):
     unused : sequence of str, optional
         Settings of the file that the command does not use.
     **defaults
-        Of the command.
+        Defaults of the command.
 
     Returns
     -------
@@ -45,7 +45,8 @@ def settings_of(args, reporter, *, unused=(), **defaults):
     Raises
     ------
     ValueError
-        If one makes no sense, some do not go together, or there are no epochs.
+        If a setting is invalid, settings contradict each other, or there are no
+        epochs.
     """
     given = {}
     if args.config:
@@ -62,7 +63,7 @@ def settings_of(args, reporter, *, unused=(), **defaults):
     except ValueError as error:
         if (name := getattr(error, "setting", None)) not in own:
             raise
-        # An option is named as it is typed.
+        # The message names the option as it is typed.
         text = str(error).replace(f"{name} =", option_name(name), 1)
         raise ValueError(text) from None
     if not settings.epochs:
@@ -91,23 +92,23 @@ def read_epochs(settings, *, files=None, note=lambda text: None):
     ----------
     settings : `~astro_scc.settings.Settings`
     files : list of path, optional
-        Where the epochs are now, if that is not where they will be.
+        Present paths of the epochs, if they will be moved.
     note : callable, optional
-        Called with a line of text for what is decided here.
+        Called with a line of text on every decision.
 
     Returns
     -------
     cube : `~astro_scc.EpochCube`
-        With one beam and aligned.
+        The epochs, aligned, with a common beam if that is wanted.
     settings : `~astro_scc.settings.Settings`
-        With the files, the steps that were taken, and a seed.
+        The settings with the files, the steps that were taken, and a seed.
     left_out : list of (str, str)
-        Epochs that are not in the cube, and why.
+        Epochs that are not in the cube, and the reasons.
 
     Raises
     ------
     OSError, ValueError
-        If files cannot be read, or not as one cube.
+        If the files cannot be read, or do not make one cube.
     """
     from astro_scc.epochs import EpochCube
     from astro_scc.epochs.cutout import refuse_pixels
@@ -131,7 +132,7 @@ def read_epochs(settings, *, files=None, note=lambda text: None):
 
 
 def _wants_common_beam(cube, wanted, note):
-    """Whether to convolve to a common beam, and what is said of it."""
+    """Return whether to convolve to a common beam, and note what is decided."""
     from astro_scc.epochs.beam import different_beam
 
     differ = different_beam(cube) is not None
@@ -147,11 +148,11 @@ def _wants_common_beam(cube, wanted, note):
 
 
 def select_epochs(cube, after=None, before=None):
-    """Return the epochs between two dates, and the others with the reason."""
+    """Return the epochs between two dates, and the other ones with the reasons."""
     from astro_scc.quantities import to_time
 
     left_out = {}
-    # In atomic time, as far dates are.
+    # Very old or future dates are kept in atomic time, so compare in it.
     for i, time in enumerate(cube.times.tai):
         if after is not None and time < to_time(after):
             left_out[i] = f"before {after}"

@@ -1,9 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Say what images hold, what is wrong and what can be measured.
+Show what images hold, what is wrong and what can be measured.
 
-One line per epoch, then what is wrong, and which speeds the dates allow to be
-measured, with which pairs of epochs.  Nothing is measured and nothing is written.
+Print one line per epoch, then the problems, and the speeds that can be measured
+with these dates and from which pairs of epochs.  Nothing is measured or written.
 
 examples:
   astro-scc inspect 3c273/*.fits
@@ -16,9 +16,9 @@ from astro_scc.cli.options import add_option, add_setting
 from astro_scc.cli.summary import misalignment_text, table_lines
 from astro_scc.quantities import named, one_quantity
 
-#: Speeds that are explained when none is given.
+#: Number of speeds that are explained when none is given.
 N_SPEEDS = 4
-#: In years; so much intervals are wrong by that are given in days.
+#: Tolerance in years for intervals that were rounded to days.
 DAY = 1e-3
 
 
@@ -33,7 +33,7 @@ def add_arguments(parser):
 
 
 def run(args, reporter):
-    """Look at files, as the arguments say."""
+    """Inspect files according to the arguments."""
     from pathlib import Path
 
     from astro_scc.epochs import inspect_epochs
@@ -81,14 +81,14 @@ def run(args, reporter):
 
 
 def _cube(files):
-    """The files as a cube, or None and why they are none."""
+    """Return the files as a cube and None, or None and the reason why they are not."""
     import warnings
 
     from astro_scc import EpochCube
     from astro_scc.exceptions import AstroSccWarning
 
     with warnings.catch_warnings():
-        # They are among the problems.
+        # Warnings are listed among the problems.
         warnings.simplefilter("ignore", AstroSccWarning)
         try:
             return EpochCube.read(files), None
@@ -97,7 +97,7 @@ def _cube(files):
 
 
 def _cores(cube):
-    """Offset of the core of each epoch as text, by label, and its scatter in beams."""
+    """Return the core's offset at each epoch as text, and its scatter in beams."""
     import numpy as np
 
     from astro_scc.epochs.registration import core_positions
@@ -137,7 +137,7 @@ def _offset(east, north):
 
 
 def _cells(row):
-    """One row of `inspect_epochs` as text."""
+    """Return a row of `inspect_epochs` as text."""
     import numpy as np
 
     from astro_scc.epochs.positions import readable_angle
@@ -160,7 +160,7 @@ def _cells(row):
 
 
 def _facts_of_cube(cube):
-    """Return what `inspect_epochs` says of files, of the epochs of a cube."""
+    """Return for the epochs of a cube what `inspect_epochs` returns for files."""
     import astropy.units as u
     import numpy as np
 
@@ -180,7 +180,7 @@ def _facts_of_cube(cube):
 
 
 def _plan(cube, speed):
-    """What the dates allow."""
+    """Return lines on the speeds that can be measured with the dates."""
     from astro_scc.epochs import plan_intervals
 
     try:
@@ -191,7 +191,7 @@ def _plan(cube, speed):
 
 
 def _speed_lines(cube, plan, speed):
-    """How far features of some speeds move, and the pairs of epochs that suit them."""
+    """Return lines on the motion at some speeds and on the baselines for them."""
     import numpy as np
 
     if speed is None:
@@ -217,7 +217,7 @@ def _speed_lines(cube, plan, speed):
 def _rounded(interval, how):
     """Return an interval with two digits, rounded by a function."""
     step = 10 ** (math.floor(math.log10(interval.value)) - 1)
-    # A number that is round already has a rounding error.
+    # Rounding errors must not change a number that is already round.
     return f"{how(round(interval.value / step, 6)) * step:.2g} {interval.unit}"
 
 

@@ -14,10 +14,10 @@ examples:
   astro-scc measure --config out/config.toml -o again
 
 The folder gets components.ecsv, features.ecsv, ssps.ecsv, scc.fits, report.html with
-its figures, and config.toml: with it, and the same images, the same tables come out to
-the bit.  Every option of a measurement may stand in a configuration file, with _ for
--, and some that have no option (see the documentation).  What the command line says
-comes before what the file says.
+its figures, and config.toml, which reproduces the tables bit by bit from the same
+images.  A configuration file may hold every option of a measurement, with _ for -,
+and some settings that have no option (see the documentation).  The command line takes
+precedence over the file.
 """
 
 from contextlib import contextmanager, suppress
@@ -32,9 +32,9 @@ PRODUCTS = (
     "components.ecsv features.ecsv ssps.ecsv scc.fits config.toml report.html "
     "diagram.png velocity_map.png significance.png members.png epochs.png intervals.png"
 ).split()
-#: What an earlier measurement left that must not stand beside a new one.
+#: Products of an earlier measurement that must not remain beside new ones.
 STALE = (*PRODUCTS, "components.vot", "ssps.vot", "ssp_regions")
-#: Folder for what --resume keeps, in that of the products.
+#: Folder, within the folder of the products, for what --resume keeps.
 WORK = ".astro_scc-work"
 SEED = "seed.txt"
 
@@ -58,7 +58,7 @@ def add_arguments(parser):
 
 
 def run(args, reporter):
-    """Measure, as the arguments say."""
+    """Measure according to the arguments."""
     from astro_scc.measurement import product_folder, write_epoch_regions
     from astro_scc.measurement.products import write_votables
 
@@ -113,7 +113,7 @@ def measure(cube, settings, reporter, *, region=None, n_workers=1, work=None):
     settings : `~astro_scc.settings.Settings`
     reporter : `~astro_scc.cli.reporter.Reporter`
     region : path, optional
-        Where the region file is now, if that is not where it will be.
+        Present path of the region file, if it will be moved.
     n_workers : int or str, optional
         See `~astro_scc.StackedCrossCorrelation.match`.
     work : `~pathlib.Path`, optional
@@ -126,7 +126,7 @@ def measure(cube, settings, reporter, *, region=None, n_workers=1, work=None):
     from astro_scc import StackedCrossCorrelation
 
     region = region or settings.region
-    # A region file that cannot be used is better known before the long part.
+    # Refuse an unusable region file before the long computation.
     cube.region_mask(region)
     return StackedCrossCorrelation.from_settings(settings)(
         cube,
@@ -150,10 +150,11 @@ def write_measurement(result, settings, folder, *, output, report=True, **page):
     folder : path
         Where to write.
     output : path
-        What the folder will be called.
+        Final path of the folder.
     report : bool, optional
     **page
-        Of `~astro_scc.report.write_report`; the title is the object by default.
+        Arguments of `~astro_scc.report.write_report`; the title is the name of
+        the object by default.
 
     Returns
     -------
@@ -181,7 +182,7 @@ def write_measurement(result, settings, folder, *, output, report=True, **page):
 
 @contextmanager
 def working_folder(work, output, *, overwrite):
-    """Make the folder for what a resumed run needs; leave none that holds nothing."""
+    """Make the folder that --resume needs; remove it if a failed run left nothing."""
     if work is None:
         yield
         return
@@ -199,7 +200,7 @@ def working_folder(work, output, *, overwrite):
     try:
         yield
     except BaseException:
-        # A seed alone is nothing to go on from.
+        # A seed alone is nothing to resume from.
         if made and {p.name for p in work.iterdir()} <= {SEED}:
             (work / SEED).unlink(missing_ok=True)
             for folder in made:
@@ -209,7 +210,7 @@ def working_folder(work, output, *, overwrite):
 
 
 def kept_seed(work):
-    """Return the seed of a run that may be resumed, drawn the first time."""
+    """Return the seed of a run that may be resumed, and draw it the first time."""
     from astro_scc.partial import replace_when_complete
 
     path = work / SEED

@@ -1,21 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Arguments that several commands have; those of settings are made from `Settings`."""
+"""Arguments shared by several commands; those of settings come from `Settings`."""
 
 import argparse
 
 from astro_scc.settings import GROUPS, OPTIONS
 
-#: An option of a setting that is on or off.
+#: Metavar of a setting that is on or off.
 SWITCH = "true|false"
 
 
 def option_name(name):
-    """Return the option of a setting or argument, as it is typed."""
+    """Return the option of a setting or argument as it is typed."""
     return f"--{name.replace('_', '-')}"
 
 
 def add_setting(parser, name):
-    """Add the option of a setting, or the argument if it is the epochs."""
+    """Add the option of a setting; epochs are a positional argument."""
     facts = OPTIONS[name]
     option, kind = option_name(name), {"metavar": facts["metavar"]}
     if name == "epochs":
@@ -26,7 +26,7 @@ def add_setting(parser, name):
 
 
 def add_settings(parser, command):
-    """Add all settings that a command has, in their groups, and who works."""
+    """Add all settings of a command in their groups, ``--config`` and the workers."""
     for group in GROUPS:
         own = [
             name
@@ -48,12 +48,12 @@ def add_option(parser, option, metavar, text, **kind):
 
 
 def add_switch(parser, option, text, **kind):
-    """Add an option that is given or not."""
+    """Add an option without a value."""
     parser.add_argument(option, action="store_true", help=text, **kind)
 
 
 def add_output(parser, what, *, default=None, votable=None, overwrite=True):
-    """Add ``--output``, required without a default, and how to write there."""
+    """Add ``--output``, required without a default, and options on what is written."""
     text = f"folder for {what}" + (f"; default {default}" if default else "")
     own = {"required": default is None, "default": default, "dest": "output"}
     parser.add_argument("-o", "--output", metavar="DIR", help=text, **own)
@@ -76,7 +76,7 @@ def add_no_report(parser):
 
 
 def add_workers(parser):
-    """Add the options that say who works."""
+    """Add the options ``--workers`` and ``--scheduler``."""
     group = parser.add_argument_group("running")
     text = "processes; the numbers do not depend on it; default 1"
     add_option(group, "--workers", "N", text, type=int, default=1)

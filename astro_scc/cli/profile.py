@@ -11,12 +11,12 @@ examples:
       --distance "16.7 Mpc"
   astro-scc profile *.fits -o out --bins "1 2 3 4 5 mas" --window "2 mas"
 
-Matches are made once, for all images; each bin is a stack of those of its patterns.
-The folder gets profile.ecsv, a row for each bin and component with p_fdr, which is
-adjusted for all bins, and in its header the acceleration of the whole stretch;
-scales.ecsv, the speeds of the finest scale and of the others beside one another;
-profile.png, velocity_maps.png and position_angles.png; and config.toml.  With
---position-angle ridge, distances are along the ridge line.
+All images are matched once; for each bin, the matches of its patterns are stacked.
+The folder gets profile.ecsv, with a row for each bin and component, p_fdr adjusted
+for all bins, and in its header the acceleration over all bins; scales.ecsv, which
+compares the speeds of the finest scale and of the others; profile.png,
+velocity_maps.png and position_angles.png; and config.toml.  With --position-angle
+ridge, distances are measured along the ridge line.
 """
 
 from dataclasses import asdict
@@ -40,7 +40,7 @@ def add_arguments(parser):
 
 
 def run(args, reporter):
-    """Measure a profile, as the arguments say."""
+    """Measure a profile according to the arguments."""
     from astro_scc.flow.profile import bins_of
     from astro_scc.measurement import product_folder, write_votable
 
@@ -61,7 +61,7 @@ def run(args, reporter):
 
 
 def _measure(cube, settings, folder, reporter, n_workers):
-    """Write the profile; its components, and lines on the whole stretch."""
+    """Write the profile; return its components, and lines on all bins together."""
     from astro_scc import StackedCrossCorrelation
     from astro_scc.flow import measure_acceleration
     from astro_scc.flow.profile import measure_profile, write_profile
@@ -102,7 +102,7 @@ def _measure(cube, settings, folder, reporter, n_workers):
 
 
 def _of_scales(result):
-    """Return speeds of the finest scale and of the others, if there are any."""
+    """Compare the speeds of the finest scale and of the others, if there are any."""
     from astro_scc.flow import compare_speeds, scale_groups
     from astro_scc.kinematics import SkyFrame
 

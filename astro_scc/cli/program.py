@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The program: its commands, and what becomes of errors and warnings."""
+"""The program: its commands, and the handling of errors and signals."""
 
 import argparse
 import os
@@ -22,11 +22,11 @@ from astro_scc.cli import (
 from astro_scc.cli.options import add_switch
 from astro_scc.cli.reporter import Reporter
 
-# What a user gets wrong, extras that are not installed among it; other exceptions
-# are mistakes of the program.
+# Errors that a user can correct, missing extras among them; other exceptions are
+# mistakes of the program.
 USER_ERRORS = (ValueError, TypeError, OSError, MemoryError, ImportError)
-# What ends a run as an interrupt does: of `kill` and of batch systems, and of a
-# terminal that is closed.
+# Signals handled like an interrupt: from `kill` and batch systems, and from a terminal
+# that is closed.
 SIGNALS = ("SIGTERM", "SIGHUP")
 COMMANDS = (demo, simulate, restore, inspect, measure, profile, track, survey)
 
@@ -37,16 +37,16 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **options):
         options.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         super().__init__(allow_abbrev=False, **options)
-        # "-112deg" is an angle and no option, as argparse takes "-112" for one.
+        # "-112deg" must be a value, not an option, as "-112" already is to argparse.
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message):
-        """Leave with one line and status 2."""
+        """Print the error as one line and exit with status 2."""
         self.exit(2, f"{self.prog}: error: {message}; see {self.prog} --help\n")
 
 
 class Ended(KeyboardInterrupt):
-    """One of `SIGNALS`, its number the argument."""
+    """The program got one of `SIGNALS`, whose number is the argument."""
 
 
 def _end(number, frame):
@@ -55,11 +55,11 @@ def _end(number, frame):
 
 @contextmanager
 def _ended_by_signals():
-    """Clean up after `SIGNALS`, where nobody else handles or ignores them."""
+    """Clean up after `SIGNALS`, unless other code handles or ignores them."""
     with ExitStack() as stack:
         for name in SIGNALS:
             number = getattr(signal, name, None)
-            # Only the main thread may; elsewhere the host decides.
+            # Only the main thread may set handlers; elsewhere the host decides.
             with suppress(ValueError):
                 if number and signal.getsignal(number) is signal.SIG_DFL:
                     stack.callback(signal.signal, number, signal.signal(number, _end))
@@ -68,7 +68,7 @@ def _ended_by_signals():
 
 def build_parser():
     """
-    The parser of the whole command line.
+    Return the parser of the whole command line.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def build_parser():
         title="commands", metavar="COMMAND", dest="command", required=True
     )
     for module in COMMANDS:
-        # Their documentation is their help; python -OO has none.
+        # The docstring of a command is its help; python -OO has no docstrings.
         doc = (module.__doc__ or "").strip()
         brief, text, more = [*doc.split("\n\n", 2), "", "", ""][:3]
         command = commands.add_parser(
@@ -113,18 +113,18 @@ def main(argv=None):
     Parameters
     ----------
     argv : list of str, optional
-        Arguments; those of the process when not given.
+        Arguments, by default those of the process.
 
     Returns
     -------
     int
-        Exit status: 0, 2 for what the user can mend, 130 when interrupted, 143
-        when terminated.
+        Exit status: 0, 2 for errors that the user can correct, 130 when
+        interrupted, 143 when terminated.
 
     Raises
     ------
     SystemExit
-        After ``--help`` and for arguments that are not understood.
+        After ``--help`` and for invalid arguments.
     """
     args = build_parser().parse_args(argv)
     reporter = Reporter(f"astro-scc {args.command}", quiet=args.quiet)
@@ -138,7 +138,7 @@ def main(argv=None):
         reporter.error(reporter.on_interrupt)
         return 128 + (error.args[0] if isinstance(error, Ended) else signal.SIGINT)
     except BrokenPipeError:
-        # The reader of the output has gone, as `head` does.
+        # The reader of the output has closed the pipe, as `head` does.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except USER_ERRORS as error:

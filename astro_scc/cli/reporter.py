@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What a command says, and where."""
+"""Messages of a command: results, notes, warnings and errors."""
 
 import sys
 from contextlib import contextmanager
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 def one_line(error):
     """
-    An error as one line that begins with the file, where there is one.
+    Return an error as one line that begins with the file, if there is one.
 
     Parameters
     ----------
@@ -35,8 +35,7 @@ def one_line(error):
 
 
 def _print(text, file):
-    # Names from files may have codes in them that steer the terminal, or letters
-    # that it has not.
+    # Names from files may have control codes, or letters that the terminal lacks.
     text = "".join(
         c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text
     )
@@ -46,25 +45,25 @@ def _print(text, file):
 
 class Reporter:
     """
-    Messages of a command: results to standard output, the rest to error.
+    Print messages of a command: results to standard output, others to standard error.
 
     Parameters
     ----------
     name : str
-        Of the command.
+        Name of the command.
     quiet : bool, optional
         Print errors only.
 
     Attributes
     ----------
     warnings : list of str
-        All that were issued, each once.
+        All warnings that were issued, each once.
     progress : bool
         Whether to show progress.
     bars : bool
-        Whether it is shown as bars, on a terminal.
+        Whether to show progress as bars, which needs a terminal.
     on_interrupt : str
-        What is said of an interrupt.
+        Message after an interrupt.
     """
 
     def __init__(self, name, *, quiet=False):
@@ -81,12 +80,12 @@ class Reporter:
             _print(text, sys.stdout)
 
     def note(self, text):
-        """Print what was decided or left out."""
+        """Print a note on what was decided or left out."""
         if not self.quiet:
             _print(f"note: {text}", sys.stderr)
 
     def warn(self, text):
-        """Print and keep a warning, the first time."""
+        """Print and keep a warning the first time it is given."""
         text = one_line(text)
         if text not in self.warnings:
             self.warnings.append(text)
@@ -100,7 +99,7 @@ class Reporter:
     @contextmanager
     def warnings_as_lines(self):
         """
-        Keep warnings and print each as a line, while in this context.
+        Print each warning as a line and keep it, within this context.
 
         Yields
         ------
@@ -108,7 +107,8 @@ class Reporter:
         """
         import warnings
 
-        # Astropy replaces the function that shows warnings when it is imported.
+        # Astropy replaces the function that shows warnings when it is imported, so
+        # it must be imported first.
         from astropy.utils.exceptions import AstropyWarning
 
         def show(message, category, filename, lineno, file=None, line=None):

@@ -1,8 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Make images of lists of Gaussian or CLEAN components.
+Make images from lists of Gaussian or CLEAN components.
 
-Make images of lists of components, all with one beam: one FITS file per epoch.
+Make images from lists of components, all with one beam: one FITS file per epoch.
 
 examples:
   astro-scc restore 1226+023.ecsv -o 3c273 --beam "1.0 mas 0.5 mas -7 deg" \\
@@ -12,10 +12,10 @@ examples:
   astro-scc restore models/*.mod -o images --beam "0.9 0.6 mas -5 deg" \\
       --pixel "0.1 mas"
 
-Tables are ECSV or machine-readable tables as the journal publishes those of a survey,
-of the AAS (.txt) or the CDS (.dat, with its ReadMe beside it), with the columns epoch
-(or Obs.Y, Obs.M, Obs.D), flux, separation and position_angle; .mod are models of difmap
-with the date in the name; .fits have CLEAN components in an AIPS CC table.
+Tables are ECSV files or the machine-readable tables of journals, from the AAS (.txt)
+or the CDS (.dat, with its ReadMe beside it), with the columns epoch (or Obs.Y, Obs.M,
+Obs.D), flux, separation and position_angle.  Files .mod are models of difmap with the
+date in the name; files .fits have CLEAN components in an AIPS CC table.
 """
 
 from pathlib import Path
@@ -53,7 +53,7 @@ def add_arguments(parser):
 
 
 def run(args, reporter):
-    """Restore, as the arguments say."""
+    """Restore images according to the arguments."""
     import astropy.units as u
 
     from astro_scc.epochs import read_components, restore, write_epochs

@@ -1,9 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Make images of a jet whose velocities are known.
+Simulate images of a jet whose velocities are known.
 
-Make the images of a jet whose velocities are known: one FITS file per
-epoch, and truth.ecsv with the position and the velocity of every feature.
+Simulate images of a jet whose velocities are known: one FITS file per epoch,
+and truth.ecsv with the position and the velocity of every feature.
 
 jets:
   two-fluid        a slow sheath around a fast spine
@@ -11,7 +11,7 @@ jets:
   ballistic        features that each keep a random velocity
   static           stationary features
   unrelated        epochs that have nothing in common
-  jet              as surveys see them: uneven dates, a core, features about a flow
+  jet              as in surveys: uneven dates, a core, features that scatter in speed
 
 examples:
   astro-scc simulate two-fluid jet --seed 1 --epochs 10
@@ -30,7 +30,7 @@ from astro_scc.cli.options import (
 )
 
 JETS = ("two-fluid", "random-velocity", "ballistic", "static", "unrelated", "jet")
-# Option -> its type and its help; in `PARAMETERS` what simulate_jet calls it.
+# Type and help of each option; `PARAMETERS` has their names in simulate_jet.
 FLOW = {
     "motion": (float, "mean, in beams per median interval; default 0.6"),
     "dispersion": (float, "of the speeds, over the mean; default 0.1"),
@@ -65,7 +65,7 @@ def add_arguments(parser):
 
 
 def simulated(jet, *, seed, **options):
-    """Return a jet by its name on the command line; its truth knows its seed."""
+    """Return a jet by its name on the command line; its truth holds the seed."""
     from astro_scc import simulation
 
     make = getattr(simulation, f"simulate_{jet.replace('-', '_')}")
@@ -75,7 +75,7 @@ def simulated(jet, *, seed, **options):
 
 
 def run(args, reporter):
-    """Simulate, as the arguments say."""
+    """Simulate a jet according to the arguments."""
     from astro_scc.measurement import product_folder
     from astro_scc.simulation import observe, write_simulation
 

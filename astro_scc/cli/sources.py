@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The sources of a survey, read from a file."""
+"""Read the sources of a survey from a file."""
 
 import glob
 import hashlib
@@ -17,21 +17,21 @@ from astro_scc.settings import OPTIONS, Settings, check_setting, override, read_
 
 __all__ = ["read_survey"]
 
-#: Without a region, and without scale groups.
+#: Name of the part without a region, or without scale groups.
 WHOLE = "all"
 ALIGNMENTS = (None, "none", "core", "correlate", "wcs")
 SEED, N_TRIALS = 1, 1000
-#: Longest name of a folder, but for a check sum.
+#: Longest name of a folder, without its check sum.
 LONGEST = 60
-#: What a check sum looks like.
+#: Pattern of a check sum.
 SUM = re.compile(r"-[0-9a-f]{6}$", re.IGNORECASE)
-#: What Windows keeps for devices.
+#: Names that Windows reserves for devices.
 RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Source:
-    """A source: scales by name, and region files by name or one None for all."""
+    """A source: its scale groups and regions by name; the region None is everything."""
 
     name: str
     folder: str
@@ -41,11 +41,11 @@ class Source:
 
     @property
     def parts(self):
-        """Names of each region with each scale group."""
+        """Names of all pairs of a region and a scale group."""
         return [(r, g) for r in self.regions for g in self.scale_groups]
 
     def key(self):
-        """Return a check sum of the settings, versions and files of the products."""
+        """Return a check sum of the settings, versions and files that products need."""
         known = {
             "settings": self.settings.to_dict(),
             "regions": self.regions,
@@ -69,18 +69,18 @@ class Source:
 
 
 def _facts(path):
-    """Name, size and times of a file."""
+    """Return the name, size and times of a file."""
     try:
         state = Path(path).stat()
     except OSError:
         return [str(path), None, None]
-    # Of the content, which may be set back, and of anything about the file.
+    # The time of the content can be set back; the other one changes even then.
     return [str(path), state.st_size, state.st_mtime_ns, state.st_ctime_ns]
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Sources that are measured together, and the text of their file."""
+    """Sources to be measured together, and the text of their file."""
 
     sources: tuple[Source, ...]
     text: str = ""
@@ -93,11 +93,11 @@ def read_survey(path):
     Parameters
     ----------
     path : path
-        A TOML file: a table ``[sources.NAME]`` for each source with its
+        A TOML file with a table ``[sources.NAME]`` for each source, with its
         ``epochs``, ``regions`` (a table of region files), ``scale_groups`` (a
         table of scales) and any setting of a measurement; and a table
-        ``[defaults]`` with what holds where a source says nothing else.
-        Paths are relative to the file.
+        ``[defaults]`` for what a source does not set.  Paths are relative to
+        the file.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def read_survey(path):
     OSError
         If the file cannot be read.
     ValueError
-        If it is no TOML, or a key or a value in it makes no sense.
+        If the file is not TOML, or a key or a value in it is invalid.
 
     Examples
     --------
@@ -161,7 +161,7 @@ def _table(value, where):
 
 
 def _known(values, where):
-    """Return the values of a table, all keys of which a survey has."""
+    """Return the values of a table, and refuse keys that a survey does not have."""
     for name in _table(values, where):
         if name in ("regions", "scale_groups"):
             _table(values[name], f"{where}: {name}")
@@ -176,7 +176,7 @@ def _known(values, where):
 
 
 def _source(name, folder, given, base):
-    """Return a source of what its file gives; paths are relative to ``base``."""
+    """Return a source from the values of its table; paths are relative to ``base``."""
     given = dict(given)
     regions = given.pop("regions", None) or {WHOLE: None}
     for label, file in regions.items():
@@ -197,7 +197,7 @@ def _source(name, folder, given, base):
     def absolute(path):
         return None if path is None else str(base / path)
 
-    # What is special to patterns in the folder's own name is not meant so.
+    # Special characters in the folder's own name are not meant as a pattern.
     escaped = glob.escape(str(base))
     align = settings.align
     settings = replace(
@@ -223,12 +223,12 @@ def _all_scales(groups):
 
 def folder_names(names):
     """
-    Return names of folders for any names, of one folder and all different.
+    Return safe and different folder names for any names.
 
-    They have letters, digits and ``+ - _ .`` only, none at the beginning that hides or
-    goes up, and at most 60 characters and a check sum.  A name that needs no change is
-    its own; what had to be changed, looks like a check sum, or differs from another in
-    upper and lower case only, ends in a check sum.
+    They have only letters, digits and ``+ - _ .``, none at the beginning that hides
+    the folder or leads upwards, and at most 60 characters and a check sum.  A name that
+    needs no change is kept.  A name that is changed, looks like a check sum, or differs
+    from another only in upper and lower case, ends in a check sum.
     """
     plain = {}
     for name in names:

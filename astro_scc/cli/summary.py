@@ -5,7 +5,7 @@ import math
 
 from astro_scc.quantities import with_error
 
-# What stands beside the numbers of each kind of component.
+# Remarks beside the numbers of each kind of component.
 REMARKS = {"moving": "", "stationary": "stationary"}
 EXPLANATION = (
     "p_global: probability that epochs in permuted order would give an equally strong",
@@ -22,13 +22,13 @@ PROFILE_EXPLANATION = (
 
 def table_lines(head, rows):
     """
-    A table as aligned lines.
+    Return a table as aligned lines.
 
     Parameters
     ----------
     head : sequence of str
     rows : sequence of sequence of str
-        As long as ``head``.
+        Rows as long as ``head``.
 
     Returns
     -------
@@ -43,13 +43,13 @@ def table_lines(head, rows):
     a.fits  0.3 mJy
     """
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    # Text to the left in the first column, numbers to the right in the others.
+    # The first column is text, aligned left; the others are numbers, aligned right.
     shape = "  ".join(f"{{:{'>' if i else '<'}{w}}}" for i, w in enumerate(widths))
     return [shape.format(*row).rstrip() for row in (head, *rows)]
 
 
 def plus_minus(row, name, unit=None):
-    """Return a number of a row with its error, as letters of ASCII."""
+    """Return a number of a row with its error in ASCII."""
     value, error = row[name], row[f"{name}_err"]
     if hasattr(value, "unit"):
         unit = unit or value.unit
@@ -59,7 +59,7 @@ def plus_minus(row, name, unit=None):
 
 def component_lines(components):
     """
-    Components as a table to read.
+    Return components as the lines of a table.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def component_lines(components):
 
 def profile_lines(components):
     """
-    The components of bins of distance as a table to read.
+    Return the components in bins of distance as the lines of a table.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def profile_lines(components):
             **_in_c(row),
         }
         for name in ("p_global", "p_fdr"):
-            # Stationary features are not tested.
+            # Stationary components are not tested.
             cells[name] = "-" if kind == "stationary" else f"{row[name]:.2g}"
         rows.append(cells | {"SSPs": str(row["n_ssp"]), "": REMARKS.get(kind, kind)})
     if not rows:
@@ -131,7 +131,7 @@ def profile_lines(components):
 
 def scale_lines(of_scales):
     """
-    The speeds of groups of scales beside one another, as lines.
+    Return the comparison of speeds of groups of scales as lines.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def scale_lines(of_scales):
 
 def misalignment_text(scatter):
     """
-    Return how well epochs are aligned, as a line.
+    Return a line on how well epochs are aligned.
 
     Parameters
     ----------
@@ -180,24 +180,24 @@ def misalignment_text(scatter):
 
 
 def meta_lines(meta):
-    """Return how speeds in units of c were made, and the alignment, as lines."""
+    """Return lines on the conversion to units of c and on the alignment."""
     scatter = meta.get("misalignment_beams")
     return speed_lines(meta) + ([] if scatter is None else [misalignment_text(scatter)])
 
 
 def speed_lines(meta):
     """
-    Return what speeds in units of c were made with, as lines.
+    Return lines on the redshift and cosmology, or distance, of speeds in units of c.
 
     Parameters
     ----------
     meta : dict
-        Of a table, or the settings of a measurement.
+        Meta of a table, or settings of a measurement.
 
     Returns
     -------
     list of str
-        None where there are no such speeds.
+        Empty if there are no such speeds.
 
     Examples
     --------
@@ -216,7 +216,7 @@ def speed_lines(meta):
 
 
 def _in_c(row):
-    """Return the speed of a row in units of c by its heading, if it has one."""
+    """Return the speed of a row in units of c under its heading, if it has one."""
     known = "beta_app" in row.colnames
     return {"speed (c)": plus_minus(row, "beta_app")} if known else {}
 

@@ -21,14 +21,13 @@ survey.toml:
   max_speed = "2 mas/yr"
   regions = {inner = "3c273/inner.reg", outer = "3c273/outer.reg"}
 
-Everything that may stand in a configuration of astro-scc measure may stand in
-[defaults] or with a source, but region.  Paths are relative to the file.  A source
-that fails does not stop the others.  Run again with the same folder, it goes on:
-sources that are finished with the same settings, files and versions are not measured
-again.  The folder gets survey.ecsv, a row for each source, region, scale group and
-component with p_fdr over all of them, or with the reason why there is none; and in
-sources/ a folder for each source with the products of astro-scc measure, a report
-among them.
+[defaults] and each source may hold any setting of a configuration of astro-scc measure
+except region.  Paths are relative to the file.  A source that fails does not stop the
+others.  Run again with the same folder, the command resumes: sources that are finished
+with the same settings, files and versions are not measured again.  The folder gets
+survey.ecsv, with a row for each source, region, scale group and component, and p_fdr
+over all of them, or the reason why there is no component; and in sources/ a folder
+for each source with the products of astro-scc measure, including a report.
 """
 
 from contextlib import contextmanager
@@ -49,7 +48,7 @@ def add_arguments(parser):
 
 
 def run(args, reporter):
-    """Run a survey, as the arguments say."""
+    """Run a survey according to the arguments."""
     from astro_scc.cli.sources import read_survey
     from astro_scc.cli.survey_run import TABLE, run_survey
 
@@ -88,7 +87,7 @@ def run(args, reporter):
 
 @contextmanager
 def _cluster(n_workers, n_local, reporter):
-    """A number of processes, or a client whose dashboard's address is told."""
+    """Yield a number of processes, or a client, and note its dashboard's address."""
     if isinstance(n_workers, int):
         yield n_workers
         return
@@ -101,7 +100,7 @@ def _cluster(n_workers, n_local, reporter):
 
 
 def _summary(table):
-    """Numbers of sources, and of the components that are discoveries."""
+    """Yield lines on the numbers of sources and of significant components."""
     from collections import Counter
 
     import numpy as np

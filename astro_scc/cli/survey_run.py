@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""A survey: its sources measured one by one, in one table."""
+"""Run a survey: measure its sources one by one, and write one table."""
 
 import json
 import os
@@ -33,9 +33,9 @@ from astro_scc.scc import StackedCrossCorrelation
 __all__ = ["run_survey"]
 
 SOURCES, STATE, TABLE, PLAN = "sources", "source.json", "survey.ecsv", "survey.toml"
-#: What the folder of a source begins with until it is complete.
+#: Prefix of the folder of a source until it is complete.
 PARTIAL = "partial-"
-#: Columns of the table that name a row, and what is said of it.
+#: Columns that identify a row of the table, and their descriptions.
 HEAD = {
     "source": "name of the source",
     "region": "name of the region, all without one",
@@ -47,7 +47,7 @@ HEAD = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a region and scale group; ``folder`` has its products."""
+    """Outcome of a region and scale group; ``folder`` has its products."""
 
     source: str
     region: str
@@ -68,33 +68,33 @@ def run_survey(
     survey : Survey
         See `read_survey`.
     output : path
-        Folder of the products, on a cluster one that all workers see.  In a
-        folder where this ran before, sources that are finished are not
-        measured again.
+        Folder of the products; on a cluster, all workers must see it.  Sources
+        that an earlier run in this folder finished are not measured again.
     n_workers : int, str or `dask.distributed.Client`, optional
-        Number of processes, or a Dask scheduler, by its address or a client of
-        it; the unit of work is a source.  The numbers do not depend on it.
+        Number of processes, or a Dask scheduler, given by its address or a
+        client; the unit of work is a source.  The results do not depend on it.
     report : bool, optional
         Write a report for each region and scale group.
     done : callable, optional
-        Called with the name of each source that is done, a list with the
-        status of each region and scale group, and whether it was finished before.
+        Called for each source that is done, with its name, the list of outcomes
+        of its regions and scale groups, and whether it was finished before.
     progress_bar : bool, optional
 
     Returns
     -------
     `~astropy.table.QTable`
         A row for each source, region, scale group and component, with the
-        columns of `~astro_scc.measurement.SCCResult.components` and ``p_fdr``,
-        see `~astro_scc.measurement.false_discovery_rate`, over all that was
-        searched; a row with masked numbers for each region and scale group
-        without a component.  It is written to ``survey.ecsv``.
+        columns of `~astro_scc.measurement.SCCResult.components` and ``p_fdr``
+        over all that was searched, see
+        `~astro_scc.measurement.false_discovery_rate`; a region and scale group
+        without a component has a row with masked numbers.  The table is written
+        to ``survey.ecsv``.
 
     Raises
     ------
     OSError
-        If the folder has files of others, another run is at work in it, or it
-        cannot be written to.
+        If the folder has other files, another run writes there, or it cannot
+        be written to.
 
     Examples
     --------
@@ -133,7 +133,7 @@ def run_survey(
                     survey.sources, measure, n_workers, done, progress_bar
                 )
             finally:
-                # Of workers that were ended.
+                # Delete what terminated workers left.
                 remove_left(work, PARTIAL)
             table = _survey_table(found, output)
             with replace_when_complete(output / TABLE, overwrite=True) as part:
@@ -147,7 +147,7 @@ def run_survey(
 
 
 def _outcomes(sources, measure, n_workers, done, progress_bar):
-    """Return what became of each source, in their order."""
+    """Return the outcomes of the sources, in their order."""
     found = {}
     with (
         workers_of(n_workers) as workers,
@@ -167,14 +167,14 @@ def _outcomes(sources, measure, n_workers, done, progress_bar):
         left = [k for k in range(len(sources)) if k not in found]
         for i, outcomes in as_done(measure, (sources[k] for k in left), workers):
             if isinstance(outcomes, Exception):
-                # Of the worker, not of the measurement: it died, or its disk is full.
+                # The worker failed, not the measurement: it died, or its disk is full.
                 outcomes = _failed(sources[left[i]], outcomes)
             finish(left[i], outcomes, False)
     return [outcome for k in range(len(sources)) for outcome in found[k]]
 
 
 def finished_outcomes(source, output, report):
-    """Return the outcomes of a source that is finished, by its products, or None."""
+    """Return the outcomes of a source whose products are complete, else None."""
     path = Path(output, SOURCES, source.folder, STATE)
     try:
         state = json.loads(path.read_text(encoding="utf-8"))
@@ -197,12 +197,12 @@ def finished_outcomes(source, output, report):
 
 def measure_source(source, output, report=False):
     """
-    Measure a source in all its regions and scale groups, and never fail.
+    Measure a source in all its regions and scale groups, without raising errors.
 
     SSPs are correlated once, in all regions and on all scales together; each region and
     scale group is a stack of its own.  The folder of the source is replaced as a whole
-    when all is written.  What goes wrong is the message of an outcome; the place of the
-    program that raised it stands in ``error.txt`` of the folder.
+    when everything is written.  An error becomes the message of an outcome; its
+    traceback is in ``error.txt`` of the folder.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ def _stack(matched, inside, settings):
 
 
 def _found(result, components):
-    """Return the status of what was measured, and the reason if it is empty."""
+    """Return the status of a measurement, and the reason if it is empty."""
     if len(components):
         return {"status": "measured", "message": ""}
     searched = result.matched.select.any()
@@ -324,7 +324,7 @@ def _failed(source, error):
 
 
 def _reason(error):
-    """Return an error in one line, with its class unless the text is for users."""
+    """Return an error as one line, with its class unless the text is for users."""
     known = isinstance(error, ValueError | OSError | Warning) and str(error)
     return one_line(error) if known else f"{type(error).__name__}: {one_line(error)}"
 
@@ -335,7 +335,7 @@ def _note_error(folder, head=""):
 
 
 def _lines(said):
-    """Return warnings that were recorded, each once."""
+    """Return the recorded warnings as lines, each once."""
     return sorted({one_line(warning.message) for warning in said})
 
 
@@ -376,7 +376,7 @@ def _survey_table(outcomes, output):
 
 
 def _with_head(components, outcome):
-    """Return components, or one row without any, behind what they are of."""
+    """Return components, or one row without any, after the columns of ``HEAD``."""
     n = 1 if components is None else len(components)
     table = QTable()
     for name, description in HEAD.items():

@@ -1,8 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Follow single features from epoch to epoch (WISE).
+Follow individual features from epoch to epoch (WISE).
 
-Follow the features of images of one object at many dates.
+Follow the features in images of one object at many dates.
 
 examples:
   astro-scc track 3c120/*.fits -o tracks --align core --max-speed "4 mas/yr" \\
@@ -10,9 +10,9 @@ examples:
   astro-scc track *.fits -o tracks --align cores.ecsv --position-angle "-112 deg" \\
       --along "0 4 mas/yr" --across "-1 1 mas/yr" --profile out/profile.ecsv
 
-The folder gets features.ecsv, a row for each feature and epoch, tracks.ecsv, a row for
-each feature, track_profile.ecsv, speed against distance, and figures of all three.
-A configuration file of astro-scc measure may be given for the settings that both have.
+The folder gets features.ecsv, with a row for each feature and epoch; tracks.ecsv, with
+a row for each feature; track_profile.ecsv, speed against distance; and figures of all
+three.  A configuration file of astro-scc measure sets what both commands have.
 """
 
 from dataclasses import fields, replace
@@ -21,7 +21,7 @@ from astro_scc.cli.inputs import read_epochs, settings_of, workers_of
 from astro_scc.cli.options import add_option, add_output, add_settings, add_switch
 from astro_scc.cli.summary import speed_lines, table_lines
 
-# Files of an earlier run that must not stand beside new ones.
+# Files of an earlier run that must not remain beside new ones.
 PRODUCTS = (
     "features.ecsv tracks.ecsv track_profile.ecsv features.vot tracks.vot "
     "separation.png tracks.png track_profile.png"
@@ -29,7 +29,7 @@ PRODUCTS = (
 KAPPA, N_TRIALS = 0.5, 20
 #: Dots per inch of the figures.
 DPI = 130
-#: Points of the profile.
+#: Number of points of the profile.
 N_RADII = 20
 
 
@@ -43,15 +43,15 @@ def add_arguments(parser):
 
 
 def run(args, reporter):
-    """Track, as the arguments say."""
+    """Track features according to the arguments."""
     from astro_scc.measurement import product_folder
 
-    # The smallest correlation of a measurement is for stacks.
+    # The smallest correlation in a measurement's configuration is for stacks.
     settings = settings_of(
         args, reporter, unused=("kappa",), kappa=KAPPA, n_trials=N_TRIALS
     )
     if settings.along is None and settings.across is None:
-        # Axes of a measurement that tracking does not have make no difference.
+        # Ignore velocity axes of a measurement that tracking does not have.
         if args.position_angle is None and isinstance(settings.position_angle, str):
             settings = replace(settings, position_angle=None)
     n_workers = workers_of(args)
@@ -70,7 +70,7 @@ def run(args, reporter):
 
 
 def _tracker(settings):
-    """Return the tracker of the settings that are given."""
+    """Return the tracker with the settings that are given."""
     from astro_scc.tracking import FeatureTracker
 
     found = {own.name: getattr(settings, own.name) for own in fields(FeatureTracker)}
@@ -78,7 +78,7 @@ def _tracker(settings):
 
 
 def _stack_profile(path):
-    """Return the profile of the stack, and refuse what is none."""
+    """Return the profile of the stack, and refuse other files."""
     from astropy.table import QTable
 
     from astro_scc.visualization.profiles import missing_columns
@@ -119,7 +119,7 @@ def _track(cube, tracker, settings, reporter, n_workers):
 
 
 def _write(tracking, settings, folder, *, votable):
-    """Write the tables; the profile."""
+    """Write the tables, and return the profile."""
     import astropy.units as u
     import numpy as np
     from astropy.table import QTable
@@ -155,7 +155,7 @@ def _write(tracking, settings, folder, *, votable):
 
 
 def _draw(tracking, profile, settings, folder, stack):
-    """Write the figures; ``stack`` is a profile to draw beside, or None."""
+    """Write the figures, with the profile ``stack`` if it is not None."""
     import astropy.units as u
 
     from astro_scc.kinematics import apparent_speed
@@ -173,7 +173,7 @@ def _draw(tracking, profile, settings, folder, stack):
 
 
 def _summary(tracking):
-    """Return what was found, as lines."""
+    """Yield lines on what was found."""
     import numpy as np
 
     tracks = tracking.tracks

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Expansion: rates of shells about a centre, and the centre."""
+"""Expansion: the centre of a shell and its expansion rates."""
 
 from astro_scc.expansion.centre import fit_shell
 from astro_scc.expansion.compact import remove_compact

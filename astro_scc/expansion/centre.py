@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The centre of a shell, and the rates of groups of patterns about it."""
+"""Fit the centre of a shell and the expansion rates of groups of patterns."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -10,28 +10,27 @@ import numpy as np
 from astro_scc.measurement.axes import alignment_errors
 from astro_scc.stacking.errors import jackknife_covariance
 
-#: Kinds of one scale, by signal-to-noise ratio, and velocity samples that each should
-#: have.
+#: Most kinds of one scale, by signal-to-noise ratio, and velocity samples per kind.
 PARTS, ENOUGH = 4, 100
-#: Velocity samples of a group that has a rate.
+#: Fewest velocity samples of a group.
 FEWEST = 10
-#: Width of the kernel in standard errors of a velocity sample, from wide to narrow.
+#: Widths of the kernel in standard errors of a velocity sample, from wide to narrow.
 WIDTHS = (4.0, 2.0, 1.0)
-#: Rates that are tried first, on each side.
+#: Rates that are tried first, for expansion and for contraction.
 TRIED = 60
-#: Steps uphill at most, of a kernel and of the mixture, and the part of an error at
-#: which those of the mixture end.
+#: Most steps uphill for a kernel and for the mixture, and the step of the mixture, in
+#: standard errors, below which it has converged.
 KERNEL_STEPS, MIXTURE_STEPS, SMALL = 40, 100, 0.02
-#: Bounds of the scatter in standard errors of a velocity sample as they are given, and
-#: of the share of those that expand.
+#: Bounds of the scatter, in standard errors of a velocity sample, and of the share of
+#: samples that expand.
 SCATTER, SHARE = (0.02, 1.0), (0.02, 0.98)
-#: Parts of the azimuth that are left out in turn for the errors.
+#: Sectors of azimuth that the jackknife leaves out in turn.
 AZIMUTHS = 24
 
 
 @dataclass(frozen=True, eq=False)
 class ShellFit:
-    """Rates of expansion of groups of SSPs about one centre."""
+    """Expansion rates of groups of SSPs from one centre."""
 
     groups: tuple
     rate: u.Quantity
@@ -44,45 +43,45 @@ class ShellFit:
 
 def fit_shell(scc, matched, groups=None, *, centre=None):
     r"""
-    Fit the centre of a shell and rates of expansion about it.
+    Fit the centre of a shell and its expansion rates.
 
     Parameters
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
-        The settings; its axes do not matter.
+        The settings; its velocity axes are not used.
     matched : `~astro_scc.measurement.MatchedEpochs` or dict of it
-        Of the same dates; of several, each is a group and its key the name.
+        In a dict, each value is a group with the key as its name; all must
+        have the same dates.
     groups : dict of `~numpy.ndarray` of bool, shape (n_ssps,), optional
-        Groups with a rate of their own, see
-        `~astro_scc.flow.scale_groups`; one of all by default.
+        Groups with rates of their own, see `~astro_scc.flow.scale_groups`; by
+        default one group of all SSPs.
     centre : `~astropy.units.Quantity`, shape (2,), optional
         (east, north) from the reference pixel, if it is known.
 
     Returns
     -------
     ``ShellFit``
-        ``groups``, their names; ``rate`` of each in per cent a year; ``centre``,
-        (east, north) from the reference pixel; both with ``_err``; ``radius``,
-        the mean distance of the SSPs from the centre; and ``covariance`` of the
-        rates, per year, and the centre, in mas.
+        ``groups``, their names; ``rate`` of each in per cent per year and
+        ``centre``, (east, north) from the reference pixel, both with ``_err``;
+        ``radius``, the mean distance of the SSPs from the centre; and
+        ``covariance`` of the rates, per year, and the centre, in mas.
 
     Raises
     ------
     ValueError
-        If a group has fewer than ten velocity samples, both several matches and
-        groups are given, or their dates are not the same.
+        If a group has fewer than ten velocity samples, or if several matches
+        are given with ``groups`` or with different dates.
 
     Notes
     -----
-    Many patterns are chance, so the fit is that of a mixture: a velocity
-    sample moves as its group does, with a scatter that is fitted for each scale
-    and quarter of the signal-to-noise ratios, or falls anywhere in what was
-    searched.  It starts where a stack with the kernel of ``scc`` has its
-    maximum.  Errors are those of a jackknife over 24 parts of the azimuth,
-    each with all epochs of its features, and of the alignment of the epochs
-    as `~astro_scc.measurement.axes.alignment_errors` knows it: epochs that drift
-    by :math:`\delta` in the time T move the centre by
-    :math:`\delta / (e\, T)`.
+    Many matches are due to chance, so the model is a mixture: a velocity sample
+    either moves with its group, with a scatter that is fitted for each scale
+    and quarter of the signal-to-noise ratios, or falls anywhere in the area
+    that was searched.  The fit starts at the maximum of a stack with the kernel
+    of ``scc``.  Errors combine a jackknife over 24 sectors of azimuth, each with
+    all epochs of its features, and the errors of the alignment (see
+    `~astro_scc.measurement.axes.alignment_errors`): epochs that drift by
+    :math:`\delta` in the time T move the centre by :math:`\delta / (e\, T)`.
 
     Examples
     --------
@@ -134,7 +133,7 @@ def fit_shell(scc, matched, groups=None, *, centre=None):
 
 
 def _parts(matched, groups):
-    """Return the names of the groups, and what was matched of each."""
+    """Return the names of the groups, and the matches of each."""
     if not hasattr(matched, "matches"):
         if groups is not None:
             raise ValueError("several matches are groups already: give no groups")
@@ -156,9 +155,9 @@ class Samples:
     Velocity samples of groups of patterns as columns.
 
     ``x`` is the position at the mean date and ``v`` the velocity, shape (n, 2);
-    ``error`` the standard error of the displacement over the ``interval``, that no
-    scatter is above.  ``group`` numbers what has a rate of its own, ``kind`` what has
-    a scatter of its own, from 0.
+    ``error`` is the standard error of the displacement over the ``interval``, an upper
+    limit for the scatter.  Samples with the same number of ``group`` share a rate,
+    those with the same number of ``kind`` a scatter, from 0.
     """
 
     x: np.ndarray
@@ -175,13 +174,13 @@ class Samples:
 
 def _samples_of(scc, names, parts, limit):
     """Return velocity samples, and their earlier date, weight, scale and SNR."""
-    # East and north: a place has no other axes before its centre is known.
+    # Use east and north, as radial axes need the centre.
     sky = replace(scc, position_angle=None)
     columns = []
     for k, part in enumerate(parts):
         displacements, _ = sky.displacements(part)
         s = displacements.within(scc.date_pairs(part.cube), (limit, limit))
-        # What is alike is not known before all are seen: the group for now.
+        # Kinds need the samples of all groups; the group number holds their place.
         group = np.full(len(s), k)
         interval = np.abs(s.interval)
         fitted = s.middle, s.velocity, interval, s.sigma, group, group
@@ -202,7 +201,7 @@ def _samples_of(scc, names, parts, limit):
 
 
 def _kinds(group, scale, snr):
-    """Return numbers of what is alike: the scale, the signal-to-noise ratio."""
+    """Number the kinds: samples of one group, scale and range of signal-to-noise."""
     kind = np.zeros(len(group), dtype=int)
     n = 0
     for g in np.unique(group):
@@ -216,7 +215,7 @@ def _kinds(group, scale, snr):
 
 
 def _with_alignment(covariance, response, first, interval, years, errors):
-    """Return a covariance with that which shifts of whole epochs make."""
+    """Return a covariance plus the one due to shifts of whole epochs."""
     second = np.abs(np.subtract.outer(years[first] + interval, years)).argmin(axis=1)
     for k in range(len(years)):
         moved = ((second == k) * 1.0 - (first == k)) / interval
@@ -227,16 +226,16 @@ def _with_alignment(covariance, response, first, interval, years, errors):
 
 def kernel_maximum(samples, weight, *, max_rate, centre=None):
     r"""
-    Return rates and centre, shape (n_groups + 2,), at which a kernel has its maximum.
+    Return the rates and the centre that maximise a kernel, shape (n_groups + 2,).
 
-    It is that of
+    The maximum of
 
     .. math:: C(e, c) = \sum_i w_i \exp\left(-\frac{|v_i - e_{g(i)}\,
               (x_i - c)|^2}{2\,\sigma_i^2}\right)
 
-    over the rates :math:`e_g` of all groups and the centre c: from the rates
-    at which a wide kernel has its largest sum, uphill by weighted least
-    squares.  A centre that is given stays.
+    over the rates :math:`e_g` of all groups and the centre c is reached by
+    weighted least squares, from the rates at which a wide kernel has its
+    largest sum.  A centre that is given is kept.
     """
     x, v, group = samples.x, samples.v, samples.group
     s = samples.error / samples.interval
@@ -268,10 +267,10 @@ def kernel_maximum(samples, weight, *, max_rate, centre=None):
 
 class Mixture(NamedTuple):
     """
-    The most likely mixture of what expands and chance.
+    The most likely mixture of expansion and chance.
 
-    ``place`` are the rates and the centre, ``response``, shape (n, 2, n_groups + 2),
-    what they change by with each velocity; ``scatter`` and ``share`` are of each kind.
+    ``place`` holds the rates and the centre; ``response``, shape (n, 2, n_groups + 2),
+    their derivatives by each velocity; ``scatter`` and ``share`` are given per kind.
     """
 
     place: np.ndarray
@@ -283,20 +282,20 @@ class Mixture(NamedTuple):
 
 def fit_mixture(samples, start, area, *, fixed=False):
     r"""
-    Fit rates and centre of the most likely mixture of what expands and chance.
+    Fit rates and centre of the most likely mixture of expansion and chance.
 
     A velocity sample i, displaced by :math:`d_i` over the interval :math:`t_i`,
-    is one of what expands, or falls anywhere in the area :math:`A_i` that
-    was searched:
+    either takes part in the expansion, or falls anywhere in the area
+    :math:`A_i` that was searched:
 
     .. math:: p_i = \frac{f_k}{2\pi\sigma_k^2} \exp\left(-\frac{|d_i - e_g t_i\,
               (x_i - c)|^2}{2\,\sigma_k^2}\right) + \frac{1 - f_k}{A_i}
 
-    The scatter :math:`\sigma_k` and the share :math:`f_k` of each kind are as unknown
-    as the rates and the centre.  The likelihood is climbed by expectation and
-    maximisation (Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1) from
-    ``start``; with ``fixed`` the centre stays.  Errors are those of a jackknife over 24
-    parts of the azimuth, each with all epochs of its features.
+    The scatter :math:`\sigma_k` and the share :math:`f_k` of each kind are fitted with
+    the rates and the centre.  Expectation maximisation (Dempster, Laird & Rubin 1977,
+    J. R. Stat. Soc. B 39, 1) begins at ``start``; with ``fixed`` the centre is kept.
+    Errors are those of a jackknife over 24 sectors of azimuth, each with all epochs
+    of its features.
     """
     n_groups = len(start) - 2
     kinds = range(int(samples.kind.max()) + 1)
@@ -323,7 +322,7 @@ def fit_mixture(samples, start, area, *, fixed=False):
 
 
 def _climb(samples, place, scatter, share, area, widest, fixed):
-    """Return the maximum uphill of a place, and what the last step was made of."""
+    """Return the maximum near ``place``, and what its last step was computed from."""
     kind, square_interval = samples.kind, samples.interval**2
     n = len(widest)
     number = np.maximum(np.bincount(kind, minlength=n), 1)
@@ -359,7 +358,7 @@ def _model(samples, place):
 
 
 def _design(samples, place, fixed):
-    """Return derivatives of the velocities by the rates and the centre."""
+    """Return the derivatives of the velocities by the rates and the centre."""
     design = np.zeros((len(samples.x), 2, len(place)))
     design[np.arange(len(samples.x)), :, samples.group] = samples.x - place[-2:]
     if not fixed:
@@ -389,7 +388,7 @@ def _equations(samples, place, weight, rest):
 
 
 def _scaled_inverse(normal):
-    """Return units, as rates and lengths have their own, and the inverse in them."""
+    """Return units that give rates and lengths one scale, and the inverse in them."""
     unit = 1 / np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
     unit[np.diag(normal) == 0] = 0.0
     return unit, np.linalg.pinv(normal * np.outer(unit, unit), hermitian=True)

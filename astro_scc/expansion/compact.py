@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Images without their compact features."""
+"""Remove compact features from images."""
 
 import astropy.units as u
 import numpy as np
@@ -10,15 +10,15 @@ from scipy.ndimage import (
     maximum_filter,
 )
 
-#: Standard deviation, in widths, of the narrowest of three Gaussians that are told
-#: apart; with it a feature of two widths is half as bright in the finer band.
+#: Standard deviation, in widths, of the narrowest of three Gaussian filters, for which
+#: a feature of two widths is half as bright in the finer band.
 NARROWEST = 0.227
-#: The finer band of a compact feature is more than this part of the coarser one.
+#: Smallest ratio of the finer to the coarser band of a compact feature.
 RATIO = 0.5
-#: Deviation in pixels of the Gaussian that leaves the finest structure, the noise.
+#: Standard deviation, in pixels, of the filter that leaves the finest structure, noise.
 FINEST = 0.7
-#: Half of the hole for a feature, and the deviation of the weights of its filling, in
-#: widths: larger holes are filled worse, smaller ones leave more of the feature.
+#: Radius of the hole for a feature, and standard deviation of the weights that fill it,
+#: in widths: larger holes are filled worse, smaller ones leave more of the feature.
 REACH = 1.0
 NEAR = 1.0
 #: Terms of the surface that fills holes.
@@ -29,14 +29,14 @@ def remove_compact(cube, width, *, threshold=5.0):
     r"""
     Replace compact features by what surrounds them.
 
-    A pattern of a large scale holds the small features that lie on it, and
-    moves in part as they do.  Without them it moves as itself.
+    A pattern on a large scale includes the small features on it and partly
+    moves with them.  Without them, it has its own motion.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     width : `~astropy.units.Quantity`
-        Full width at half maximum of the largest feature that is compact.
+        Full width at half maximum of the largest compact feature.
     threshold : float, optional
         Faintest feature, in standard deviations of the noise around it.
 
@@ -47,21 +47,21 @@ def remove_compact(cube, width, *, threshold=5.0):
     Raises
     ------
     ValueError
-        If the width is not positive, or the images are not larger than ten
+        If the width is not positive, or the images are smaller than ten
         widths.
     `~astropy.units.UnitConversionError`
-        If the width is no angle.
+        If the width is not an angle.
 
     Notes
     -----
-    With the images :math:`G_k` smoothed by Gaussians of :math:`k\,\times`
-    0.227 widths, a feature is a maximum of :math:`F = G_1 - G_2` above the
-    noise at which :math:`F > |G_2 - G_4| / 2`.  A Gaussian of two widths is
-    just not one.  The noise of F is the local one of the finest structure,
-    which is that of counts, scaled as noise that is independent from pixel
-    to pixel; where it is not, give a higher threshold.  Within a width of
-    each feature the image is replaced by surfaces of the second degree,
-    fitted with Gaussian weights of one width to the pixels that stay.
+    With the images :math:`G_k` smoothed by Gaussians with standard deviations
+    of :math:`k\,\times` 0.227 widths, a compact feature is a maximum of
+    :math:`F = G_1 - G_2` above the noise with :math:`F > |G_2 - G_4| / 2`; a
+    Gaussian of two widths just fails.  The noise of F is scaled from the local
+    noise of the finest structure, which varies as counts do, as if pixels were
+    independent; if they are not, give a higher threshold.  Within one width of
+    each feature, the image is replaced by surfaces of the second degree, fitted
+    to the other pixels with Gaussian weights of one width.
 
     Examples
     --------
@@ -102,7 +102,7 @@ def _pixels(cube, width):
 
 
 def _features(image, good, w, threshold):
-    """Return what is compact, and its surroundings."""
+    """Return the pixels of compact features and of their surroundings."""
     share = good.astype(float)
 
     def smooth(s):
@@ -129,7 +129,7 @@ def _features(image, good, w, threshold):
 
 
 def _noise_ratio(a):
-    """Return white noise of the finer band over that of the finest structure."""
+    """Return the ratio of white noise in the finer band to the finest structure."""
     point = np.zeros((2 * int(np.ceil(10 * a)) + 1,) * 2)
     point[len(point) // 2, len(point) // 2] = 1
     fine = gaussian_filter(point, a) - gaussian_filter(point, 2 * a)
@@ -138,7 +138,7 @@ def _noise_ratio(a):
 
 
 def _fill(image, known, good, hole, s):
-    """Return an image with surfaces of the second degree in its holes."""
+    """Return an image whose holes are filled with surfaces of the second degree."""
     if not hole.any():
         return image
     weight = good.astype(float)

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The stack of a shell in expansion rate, whole and in sectors."""
+"""Stack a shell in expansion rate, as a whole or in sectors."""
 
 from dataclasses import replace
 
@@ -12,19 +12,19 @@ from astro_scc.kinematics import ExpansionFrame
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.tables import stack_tables
 
-#: Columns of the components that a row of a sector keeps.
+#: Columns of the components that the table of sectors keeps.
 KEPT = ("kind", "coefficient", "z_score", "p_local", "p_global", "p_fdr", "n_ssp",
         "n_pairs", "n_features", "note")  # fmt: skip
 
 
 def expansion_speed(rate, radius, distance):
     """
-    Return the speed of what expands at a rate, across the line of sight.
+    Return the speed of expansion across the line of sight.
 
     Parameters
     ----------
     rate : `~astropy.units.Quantity`
-        Such as per cent a year.
+        Expansion rate, for example in per cent per year.
     radius : `~astropy.units.Quantity`
         Angle from the centre.
     distance : `~astropy.units.Quantity`
@@ -57,21 +57,22 @@ def measure_expansion(
     rng=None,
 ):
     """
-    Stack a shell in expansion rate and rotation about a centre.
+    Stack a shell in rates of expansion from, and rotation about, a centre.
 
     Parameters
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
-        The settings; ``max_speed`` is that at the radius.
+        The settings; ``max_speed`` is the speed at the radius.
     matched : `~astro_scc.measurement.MatchedEpochs`
     centre : `~astropy.units.Quantity`, shape (2,)
         (east, north) from the reference pixel, see `fit_shell`.
     radius : `~astropy.units.Quantity`
-        Of the shell, at which speeds are given.
+        Radius of the shell, for which speeds are given.
     sectors : int or `~astropy.units.Quantity`, optional
-        Equal sectors of azimuth from north through east, or their limits.
+        Number of equal sectors of azimuth from north through east, or the
+        limits of sectors.
     distance : `~astropy.units.Quantity`, optional
-        Of the object, for speeds in km/s at the radius.
+        Distance of the object, for speeds in km/s at the radius.
     n_trials : int, optional
     rng : None, int or `~numpy.random.Generator`, optional
 
@@ -79,20 +80,20 @@ def measure_expansion(
     -------
     `~astropy.table.QTable`
         A row for each sector and velocity that was tested: ``pa_min``,
-        ``pa_max``, ``rate`` and ``rotation`` in per cent a year with
-        errors, ``kind``, probabilities (``p_fdr`` adjusted for all sectors),
+        ``pa_max``, ``rate`` and ``rotation`` in per cent per year with
+        errors, ``kind``, p-values (``p_fdr`` adjusted for all sectors),
         ``n_features``, ``note`` and, with a distance, ``speed`` and
         ``speed_err``.
 
     Raises
     ------
     ValueError
-        If there is no sector, or no SSP.
+        If there is no sector, or no SSP in any.
 
     Notes
     -----
-    Without a beam the resolution of an SSP is twice the size of its scale,
-    so errors of displacements grow with it.
+    Without a beam, the resolution of an SSP is twice the size of its scale,
+    so the errors of displacements grow with the scale.
 
     Examples
     --------
@@ -140,7 +141,7 @@ def measure_expansion(
 
 
 def _limits(sectors):
-    """Return the azimuths that bound each sector, in degrees."""
+    """Return the limits of each sector in azimuth, in degrees."""
     if isinstance(sectors, u.Quantity):
         edges = sectors.to_value(u.deg)
         if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Flow: speeds along a jet, their acceleration, and groups of scales and limbs."""
+"""Flow: speed profiles of jets, acceleration, and groups of scales or limbs."""
 
 from astro_scc.flow.acceleration import measure_acceleration
 from astro_scc.flow.groups import (

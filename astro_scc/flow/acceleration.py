@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Acceleration of a flow, from the speeds and the bends of its features."""
+"""Acceleration of a flow, from the speeds and the accelerations of its features."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -12,35 +12,36 @@ from astro_scc.measurement.axes import projection_of
 from astro_scc.stacking.search import DEFAULT
 from astro_scc.stacking.streams import feature_speeds, scattered_fit
 
-#: The core pulls at features that are nearer, in beams.
+#: Distance in beams below which the core shifts features.
 CORE = 2.0
-#: Relative gradient of the speed that blends leave on jets without acceleration, per
-#: beam (``benchmarks/calibration/design.py``).
+#: Relative gradient of the speed, per beam, that blends cause in jets without
+#: acceleration (``benchmarks/calibration/design.py``).
 BLENDS = 0.009
-#: Fewest features whose speeds have a gradient, and whose bends have a mean.
+#: Fewest features for a gradient of speeds, and for a mean of accelerations.
 FEWEST_SPEEDS, FEWEST_BENDS = 4, 2
 
 
 @dataclass(frozen=True)
 class FlowAcceleration:
     """
-    Acceleration of a flow, from the speeds and the bends of its features.
+    Acceleration of a flow, from the speeds and the accelerations of its features.
 
     Attributes
     ----------
     speed : `~astropy.units.Quantity`
-        Mean speed of its features, in mas/yr.
+        Mean speed of the features, in mas/yr.
     centre : `~astropy.units.Quantity`
-        Their mean distance along the flow, in mas.
+        Mean distance of the features along the flow, in mas.
     gradient, gradient_err : `~astropy.units.Quantity`
         Change of the speed with distance, in 1/yr.
     acceleration, acceleration_err : `~astropy.units.Quantity`
-        Of the matter, the gradient times the speed, in mas/yr^2.
+        Acceleration of the matter, the gradient times the speed, in mas/yr^2.
     p_value : float
-        Of an acceleration as large, of either sign, if there is none.
+        Probability of as large an acceleration of either sign if there is none.
     n_features : int
-        Features beyond two beams from the origin; below two of them, or four
-        with speeds only, nothing is known, and the numbers are NaN.
+        Number of features beyond two beams from the origin.  If there are
+        fewer than two, or fewer than four and these have only speeds, the
+        other numbers are NaN.
     """
 
     speed: u.Quantity
@@ -69,23 +70,24 @@ def measure_acceleration(result, row=0):
     """
     Measure the acceleration of a flow.
 
-    The slope of the speeds of its features against their distances and their
-    own accelerations a are combined, weighted by their errors, as a flow with
-    the speed v(x) has ``a = v dv/dx``.  Both are random-effects models.
+    Two estimates are combined, weighted by their errors: the slope of the
+    features' speeds against distance, and the features' own accelerations a,
+    since a flow with the speed v(x) has ``a = v dv/dx``.  Both estimates are
+    random-effects models.
 
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
     row : int, optional
-        Of its components.
+        Row in the table of components.
 
     Returns
     -------
     ``FlowAcceleration``
-        ``speed`` in mas/yr and ``centre`` in mas, the means of its features;
+        ``speed`` in mas/yr and ``centre`` in mas, the means of the features;
         ``gradient`` of the speed with distance in 1/yr and ``acceleration`` in
-        mas/yr^2, each with ``_err``; ``p_value`` and ``n_features``.  As text it
-        is one line.
+        mas/yr^2, each with ``_err``; ``p_value`` and ``n_features``.  It prints
+        as one line.
 
     Raises
     ------
@@ -130,9 +132,9 @@ class Gradient(NamedTuple):
     """
     Gradient of the speed along a flow, in beams and years.
 
-    ``gradient`` and ``error`` are of the speed with distance over the mean speed, in
-    1/beam, ``p_value`` of as large a gradient of either sign if there is none; NaN if
-    too few features are seen.
+    ``gradient`` and its ``error`` are relative to the mean speed, in 1/beam;
+    ``p_value`` is the probability of as large a gradient of either sign if there is
+    none.  They are NaN if too few features are seen.
     """
 
     gradient: float
@@ -145,11 +147,11 @@ class Gradient(NamedTuple):
 
 def fit_gradient(features):
     """
-    Fit the gradient of the speed of features that pass through a flow.
+    Fit the gradient of the speed along a flow to its features.
 
     Two estimates are combined: the slope of the features' speeds against distance,
-    and the mean of their own accelerations over their speeds.  Features within two
-    beams of the origin, where the core pulls at them, do not count.
+    and the mean ratio of their own accelerations to their speeds.  Features within
+    two beams of the origin, where the core shifts them, are not used.
     """
     ways = np.sign([f.speed for f in features])
     beyond = [f for f, way in zip(features, ways, strict=True) if f.place * way > CORE]

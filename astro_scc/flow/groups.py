@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Groups of SSPs by scale or by limb: do they differ in speed, and in place?"""
+"""Groups of SSPs by scale or by limb, and tests whether they differ."""
 
 import warnings
 from itertools import combinations
@@ -19,7 +19,7 @@ from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.stacking.search import DEFAULT
 from astro_scc.stacking.streams import feature_speeds, scattered_fit
 
-#: SSPs of one feature are those ejected within so many beams of one another.
+#: SSPs ejected within this length of the flow, in beams, count as one feature.
 FEATURE_BEAMS = 2.0
 
 
@@ -31,7 +31,7 @@ def scale_groups(matched, groups):
     ----------
     matched : `~astro_scc.measurement.MatchedEpochs`
     groups : dict of sequence of float or `~astropy.units.Quantity`
-        Scales by the name of the group.
+        The scales of each group, by its name.
 
     Returns
     -------
@@ -40,7 +40,7 @@ def scale_groups(matched, groups):
     Raises
     ------
     ValueError
-        If a scale was not decomposed, or is of two groups.
+        If a scale was not decomposed, or belongs to two groups.
 
     Examples
     --------
@@ -64,7 +64,7 @@ def scale_groups(matched, groups):
 
 def limb_groups(matched, ridge, half_width):
     """
-    Return groups of SSPs by the side of the ridge line that their centroid is on.
+    Return groups of SSPs by the position of their centroids across the ridge line.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def limb_groups(matched, ridge, half_width):
     Returns
     -------
     dict of `~numpy.ndarray` of bool, shape (n_ssps,)
-        "north", "spine" and "south"; those that have an SSP.
+        "north", "spine" and "south", without groups that have no SSP.
 
     Examples
     --------
@@ -93,7 +93,7 @@ def limb_groups(matched, ridge, half_width):
     """
     groups = {}
     for name, mask in limb_masks(matched.cube, ridge, half_width).items():
-        # A region without a pixel is refused.
+        # ``select_ssps`` refuses a region without pixels.
         if mask.any():
             select = select_ssps(matched, region=mask).select
             if select.any():
@@ -114,27 +114,26 @@ def compare_speeds(result, groups):
     """
     Compare the speeds along the jet of groups of SSPs.
 
-    A feature belongs to the group that has more of its brightness than of
-    that of the median feature: of two scale groups, the larger half of the
-    features is of the coarse one.  The mean speed of a group is that of its
-    features by the random-effects model (see `~astro_scc.stacking.random_effects`),
-    the probability of a difference that of Welch's test (1947, Biometrika
-    34, 28).
+    A feature belongs to the group that has more of its brightness than of the
+    median feature's: of two groups of scales, the coarse one gets the larger
+    half of the features.  The mean speed of a group follows from a random-effects
+    model of its features' speeds (see `~astro_scc.stacking.random_effects`),
+    the p-value of a difference from Welch's test (1947, Biometrika 34, 28).
 
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
         With a ``position_angle``, "radial", "fit" or "ridge".
     groups : dict of `~numpy.ndarray` of bool, shape (n_ssps,)
-        Of `scale_groups`, `limb_groups`, or any others that share no SSP.
+        Groups from `scale_groups` or `limb_groups`, or others that share no SSP.
 
     Returns
     -------
     `~astropy.table.QTable`
-        A row for each pair of groups: ``first``, ``second``, and of either the
-        numbers of SSPs and of features and the mean speed with its error;
-        ``difference`` with its error, and ``p_value``.  What fewer than two
-        features leave unknown is NaN.
+        A row for each pair of groups: ``first`` and ``second``; for each of
+        them the numbers of SSPs and of features and the mean speed with its
+        error; ``difference`` with its error, and ``p_value``.  What is unknown
+        with fewer than two features is NaN.
 
     Raises
     ------
@@ -192,11 +191,10 @@ def compare_speeds(result, groups):
 
 def _groups_of(features, d, ssps, groups):
     """
-    Return the group of each feature: that in which it is brighter than others.
+    Return the group of each feature, the one in which it is relatively brightest.
 
-    A small feature is seen on large scales, too, and a large one on small
-    ones: what counts is its share of brightness beside that of the median
-    feature.
+    Small features are seen on large scales, too, and large ones on small
+    scales, so the share of brightness is compared with the median feature's.
     """
     total = np.zeros((len(features), len(groups)))
     for row, feature in zip(total, features, strict=True):
@@ -225,7 +223,7 @@ def _mean(features, beam):
 
 
 def _difference(first, second):
-    """Return a difference of means, its error, and the p-value of Welch's test."""
+    """Return the difference of means, its error, and the p-value of Welch's test."""
     (m1, e1, n1), (m2, e2, n2) = first, second
     error = np.hypot(e1, e2)
     freedom = error**4 / (e1**4 / n1 + e2**4 / n2)
@@ -234,13 +232,13 @@ def _difference(first, second):
 
 def ssp_angles(matched, jet):
     """
-    Return places of the centroids of SSPs about the reference pixel.
+    Return the positions of the centroids of SSPs relative to the reference pixel.
 
     Returns
     -------
     angle, east, north : `~numpy.ndarray`, shape (n_ssps,)
-        Position angles in degrees, within half a turn of that of the jet, and
-        offsets in mas.
+        Position angles in degrees, within half a turn of the jet's, and offsets
+        in mas.
     """
     east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True)
     jet = jet.to_value(u.deg)
@@ -250,13 +248,14 @@ def ssp_angles(matched, jet):
 
 def ssp_places(scc, matched):
     """
-    Return where the centroids of SSPs are: position angle, across and along the jet.
+    Return the positions of the centroids of SSPs relative to the jet.
 
     Returns
     -------
     angle, offset, distance : `~astropy.units.Quantity`, shape (n_ssps,)
-        The angle about the reference pixel, within half a turn of the jet's; the
-        offset is positive towards larger position angles.
+        The position angle from the reference pixel, within half a turn of the
+        jet's; the offset across the jet, positive towards larger position
+        angles; and the distance along it.
     """
     frame, jet = velocity_frame(matched, scc.position_angle)
     angle, east, north = ssp_angles(matched, jet)
@@ -289,21 +288,22 @@ def compare_positions(
     rng=None,
 ):
     """
-    Compare where groups of SSPs lie across the jet.
+    Compare the positions of groups of SSPs across the jet.
 
-    Both the position angles and the transverse offsets are compared by the
-    Anderson-Darling test of two samples (Scholz & Stephens 1987, J. Am.
-    Stat. Assoc. 82, 918), and so are the distances of the offsets from the
-    median of both groups, which tell a spine from limbs.
+    The position angles, the transverse offsets, and the distances of the
+    offsets from the median of both groups, which distinguish a spine from
+    limbs, are compared by the two-sample Anderson-Darling test (Scholz &
+    Stephens 1987, J. Am. Stat. Assoc. 82, 918).
 
     Parameters
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
-        Its velocity axes say what is across.
+        Its velocity axes define the direction across the jet.
     matched : `~astro_scc.measurement.MatchedEpochs`
     groups : dict of `~numpy.ndarray` of bool, shape (n_ssps,)
     speed : `~astropy.units.Quantity`, optional
-        Of the flow, to tell which SSPs are of one feature; at rest without.
+        Speed of the flow, which decides which SSPs belong to one feature; by
+        default the flow is taken to be at rest.
     r_min, r_max : `~astropy.units.Quantity`, optional
     n_trials : int, optional
     rng : None, int or `~numpy.random.Generator`, optional
@@ -312,24 +312,25 @@ def compare_positions(
     -------
     `~astropy.table.QTable`
         A row for each pair of groups and each ``quantity`` ("position
-        angle", "offset", "from the middle"): medians and half the central
-        68% of both, the ``statistic``, ``p_ksamp`` as
-        `scipy.stats.anderson_ksamp` has it, and ``p_paired``.
+        angle", "offset", "from the middle"): the median and half the central
+        68% of each group, the ``statistic``, ``p_ksamp`` of
+        `scipy.stats.anderson_ksamp`, and ``p_paired``.
 
     Raises
     ------
     ValueError
-        If groups share SSPs, or one has fewer than two here.
+        If groups share SSPs, or one has fewer than two in this part of the jet.
 
     Notes
     -----
-    ``p_ksamp`` takes every SSP for a sample of its own, but a feature is seen
-    in many epochs; it is far too small, and never below 0.001.  ``p_paired``
-    is that of a permutation: SSPs are gathered into lengths of the flow of
-    two beams, and in each the names of the two groups are kept or swapped.
+    ``p_ksamp`` treats every SSP as an independent sample, but a feature is
+    seen in many epochs.  It is therefore far too small, though never below
+    0.001.  ``p_paired`` is the p-value of a permutation test: SSPs are
+    collected into lengths of the flow of two beams, and in each length the
+    names of the two groups are kept or swapped.
 
-    Groups of scales can differ in place even in a jet that has no layers,
-    because what is apart on a small scale is one pattern on a large one.
+    Groups of scales can differ in position even in a jet that has no layers,
+    because separate patterns on a small scale are one pattern on a large one.
 
     Examples
     --------
@@ -371,7 +372,7 @@ def compare_positions(
         for name, values in quantities.items():
             v = values.value[both]
             row = {"first": pair[0], "second": pair[1], "quantity": name}
-            # Angles and lengths do not share a column of one unit.
+            # Angles and lengths cannot share a column with a unit.
             for which, own in (("first", v[~second]), ("second", v[second])):
                 low, middle, high = np.percentile(own, [16, 50, 84])
                 row[f"{which}_median"] = float(middle)
@@ -383,7 +384,7 @@ def compare_positions(
 
 
 def _ejections(matched, distance, speed):
-    """Return numbers of what was ejected at one time, as it moves at a speed."""
+    """Number SSPs by their time of ejection, if they move at ``speed``."""
     cube = matched.cube
     v = 0.0 if speed is None else u.Quantity(speed).to_value(PM_UNIT)
     years = cube.years.to_value(u.yr)[matched.ssps.epoch]
@@ -392,12 +393,12 @@ def _ejections(matched, distance, speed):
 
 
 def _test(values, second, ejected, n_trials, rng):
-    """Return the statistic, its own probability and that of the paired permutation."""
+    """Return the statistic, its p-value and that of the paired permutation test."""
     from scipy.stats import anderson_ksamp
 
     def statistic(names):
         with warnings.catch_warnings():
-            # That the table of probabilities ends at 0.001 and 0.25 is known.
+            # scipy warns that its table of p-values ends at 0.001 and 0.25.
             warnings.simplefilter("ignore")
             return anderson_ksamp([values[~names], values[names]])
 

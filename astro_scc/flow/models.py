@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Models of speeds at distances, and the Lorentz factors that follow from them."""
+"""Models of speed against distance, and Lorentz factors from apparent speeds."""
 
 from dataclasses import dataclass, field
 
@@ -18,7 +18,7 @@ MODELS = {
     "power-law": ("v0", "index"),
     "broken": ("v0", "inner_gradient", "outer_gradient", "r_break"),
 }
-#: Breaks that are tried between the second and the last but one distance.
+#: Number of breaks tried between the second and the last but one distance.
 BREAKS = 200
 
 
@@ -31,7 +31,7 @@ class ProfileFit:
     ----------
     model : str
     r0 : `~astropy.units.Quantity`
-        Distance that ``v0`` refers to; of a broken line the break.
+        Distance at which the speed is ``v0``; the break of a broken line.
     parameters : dict of `~astropy.units.Quantity`
     errors : dict of `~astropy.units.Quantity`
     chi2 : float
@@ -40,8 +40,8 @@ class ProfileFit:
     aicc : float
         Akaike's criterion for small samples; the smallest is the best.
     p_constant : float
-        Probability of as much improvement over a constant speed by chance,
-        of the difference in chi-square; 1 for the constant itself.
+        Probability that chance improves as much on a constant speed, from the
+        difference in chi-square; 1 for the constant itself.
 
     Examples
     --------
@@ -96,7 +96,7 @@ def fit_profile(distance, speed, error, *, model="linear"):
     ----------
     distance : `~astropy.units.Quantity`, shape (n,)
     speed, error : `~astropy.units.Quantity` or array_like, shape (n,)
-        Those without a finite, positive error do not count.
+        Speeds without a finite, positive error are not used.
     model : str, optional
 
     Returns
@@ -106,13 +106,14 @@ def fit_profile(distance, speed, error, *, model="linear"):
     Raises
     ------
     ValueError
-        If the model is unknown, fewer speeds than parameters can be used, or
-        a power law is fitted to distances or speeds that are not positive.
+        If the model is unknown, if there are fewer distances with usable
+        speeds than parameters, or if a power law is fitted to distances or
+        speeds that are not positive.
 
     Notes
     -----
-    Errors follow from those of the speeds, as they are.  Speeds of bins that
-    share features are not independent; `measure_acceleration
+    The errors follow from those of the speeds, which are not rescaled.  Speeds
+    in bins that share features are not independent; `measure_acceleration
     <astro_scc.flow.measure_acceleration>` needs no bins.
 
     Examples
@@ -172,7 +173,7 @@ def _model(model, r, r0, values):
 
 
 def _columns(model, r, r0):
-    """Return what the parameters of straight lines are multiplied by."""
+    """Return the columns of the design matrix of straight lines."""
     away = np.asarray(r, dtype=float) - r0
     if model == "broken":
         return [np.ones_like(away), np.minimum(away, 0), np.maximum(away, 0)]
@@ -184,7 +185,7 @@ def _chi2(rest, s):
 
 
 def _solve(model, x, y, s, x0):
-    """Return the distance of v0, the parameters, their covariance and chi-square."""
+    """Return the distance of v0, and the parameters, covariance and chi-square."""
     if model == "power-law":
         return _solve_power_law(x, y, s, x0)
     if model != "broken":
@@ -194,14 +195,14 @@ def _solve(model, x, y, s, x0):
     fits = [_linear(_columns(model, x, at), y, s) for at in tried]
     best = int(np.argmin([chi2 for *_, chi2 in fits]))
     at, (values, _, chi2) = tried[best], fits[best]
-    # The break as a fourth parameter, its slope that of the side it is seen from.
+    # The break is a fourth parameter; its derivative differs between the two sides.
     turn = np.where(x < at, -values[1], -values[2])
     _, covariance, _ = _linear([*_columns(model, x, at), turn], y, s)
     return at, np.array([*values, at]), covariance, chi2
 
 
 def _linear(columns, y, s):
-    """Return the parameters of weighted least squares, covariance and chi-square."""
+    """Return parameters, covariance and chi-square of weighted least squares."""
     design = np.stack(columns, axis=1)
     weighted = design / s[:, None]
     covariance = np.linalg.pinv(weighted.T @ weighted)
@@ -249,11 +250,11 @@ def lorentz_profile(
     r"""
     Return Lorentz factors from apparent speeds at a viewing angle.
 
-    :math:`\beta = \beta_\mathrm{app} / (\sin\theta + \beta_\mathrm{app}
-    \cos\theta)` and :math:`\Gamma = (1 - \beta^2)^{-1/2}` at every distance,
-    and :math:`\Gamma = a\, r^k` by least squares of the logarithms, in
-    trials with speeds and angle drawn from normal distributions.  The angle
-    is the same for all distances of a trial.
+    At every distance, :math:`\beta = \beta_\mathrm{app} / (\sin\theta +
+    \beta_\mathrm{app} \cos\theta)` and :math:`\Gamma = (1 - \beta^2)^{-1/2}`;
+    :math:`\Gamma = a\, r^k` is fitted by least squares of the logarithms.
+    Errors follow from trials with speeds and angle drawn from normal
+    distributions.  The angle is the same for all distances of a trial.
 
     Parameters
     ----------
@@ -278,9 +279,9 @@ def lorentz_profile(
     Raises
     ------
     ValueError
-        If there are fewer than two speeds, a distance, speed or angle is not
-        positive, or no trial is possible: a larger angle than
-        ``angle_max`` of `~astro_scc.kinematics.intrinsic_table`.
+        If there are fewer than two speeds, if a distance, speed or angle is
+        not positive, or if no trial is possible because the angle is larger
+        than ``angle_max`` of `~astro_scc.kinematics.intrinsic_table`.
 
     Examples
     --------
@@ -318,14 +319,14 @@ def lorentz_profile(
         )
     best = lorentz_factor(beta_intrinsic(beta, angle)).value
     log = np.log(gamma[whole])
-    # Inverse variances over the trials.
+    # Weights are inverse variances over the trials.
     variance = log.var(axis=0)
     weight = 1 / np.maximum(variance, 1e-6 * max(variance.max(), 1e-12))
     k, ln_a = _line(np.log(r), log, weight)
     k0, ln_a0 = np.median(k), np.median(ln_a)
     if np.isfinite(best).all():
         (k0,), (ln_a0,) = _line(np.log(r), np.log(best)[None], weight)
-    # What is too fast for the angle is faster than anything.
+    # Speeds that are impossible at the angle have an infinite Lorentz factor.
     best, gamma = (np.where(np.isfinite(g), g, np.inf) for g in (best, gamma))
     low, high = np.quantile(gamma, CENTRAL, axis=0, method="nearest")
     table = QTable(
@@ -344,7 +345,7 @@ def lorentz_profile(
 
 
 def _line(x, y, weight):
-    """Return slopes and offsets of straight lines, one a row of y."""
+    """Return slopes and offsets of straight lines, one per row of y."""
     x0 = np.average(x, weights=weight)
     y0 = np.average(y, weights=weight, axis=1)
     slope = ((y - y0[:, None]) * (x - x0)) @ weight / ((x - x0) ** 2 @ weight)

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Velocity components in bins of distance, their table and figures."""
+"""Velocity profile: components in bins of distance, their table and figures."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,8 +27,8 @@ def bins_of(edges, *, window=None):
     """
     Return the limits of bins of distance, shape (n, 2).
 
-    They are between increasing ``edges``; with a ``window`` each edge is the middle of
-    a bin of that width, and neighbours share features where they overlap.
+    Bins lie between increasing ``edges``.  With a ``window``, each edge is the middle
+    of a bin of that width, and neighbours share features where they overlap.
     """
     edges = require("bins", edges).to(u.mas)
     if window is None:
@@ -43,16 +43,16 @@ def bins_of(edges, *, window=None):
 @dataclass(frozen=True, eq=False, repr=False)
 class Profile:
     """
-    What was measured in each bin of distance.
+    The measurement in each bin of distance.
 
     Attributes
     ----------
     bins : `~astropy.units.Quantity`, shape (n, 2)
         Limits of the bins.
     results : tuple of `~astro_scc.measurement.SCCResult` or None
-        One a bin; None where a bin has no SSP.
+        One per bin; None if the bin has no SSP.
     along : {"radius", "ridge"}
-        Whether distances are from the core or along its ridge line.
+        Whether distances are measured from the core or along the ridge line.
 
     Examples
     --------
@@ -88,13 +88,12 @@ class Profile:
         """
         The components of all bins, a `~astropy.table.QTable`.
 
-        Columns ``r_min``, ``r_max``, ``r_mid``, those of
+        The columns are ``r_min``, ``r_max``, ``r_mid``, those of
         `SCCResult.components <astro_scc.measurement.SCCResult.components>`
-        with ``p_fdr``, which is adjusted for all bins, and ``main``: one
-        component of each bin, the significant and moving one with the
-        largest coefficient or, where there is none, the one with the largest
-        coefficient of those that are not significant and are further from
-        rest than by their error.
+        with ``p_fdr``, adjusted for all bins, and ``main``, which marks at most
+        one component of each bin: of those whose speed exceeds its error, the
+        moving one with the largest coefficient or, if none moves, the one with
+        the largest coefficient that is not significant.
         """
         tables = [
             component_table([]) if result is None else result.components
@@ -118,7 +117,7 @@ class Profile:
         Parameters
         ----------
         redshift, cosmology, distance : optional
-            As for `SCCResult.components_in_c
+            See `SCCResult.components_in_c
             <astro_scc.measurement.SCCResult.components_in_c>`.
 
         Returns
@@ -131,7 +130,7 @@ class Profile:
 
     @property
     def main(self):
-        """The rows of `components` that are the ``main`` one of their bin."""
+        """The rows of `components` that are ``main`` in their bin."""
         return self.components[self.components["main"]]
 
 
@@ -153,7 +152,7 @@ def _in_bin(table, limits):
 
 
 def _main(table):
-    """Return which row stands for the bin."""
+    """Return which row, if any, represents the bin."""
     kind = np.asarray(table["kind"], dtype=str)
     chosen = np.zeros(len(table), dtype=bool)
     for wanted in ("moving", "not significant"):
@@ -179,23 +178,22 @@ def measure_profile(
     """
     Measure the velocity components in bins of distance.
 
-    Matches are made once, of all epochs; each bin is a stack of those of
-    its SSPs.
+    All epochs are matched once; for each bin, the matches of its SSPs are
+    stacked.
 
     Parameters
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
         The settings.
     matched : `~astro_scc.measurement.MatchedEpochs` or cube
-        ``scc.match(cube)``; of a cube the matches are made.
+        The result of ``scc.match(cube)``, or a cube, which is matched first.
     edges : `~astropy.units.Quantity` or str, shape (n + 1,)
-        Limits of the bins, increasing angles from 0 or more.
+        Limits of the bins: increasing angles, none negative.
     window : `~astropy.units.Quantity` or str, optional
-        Width of windows that slide from one edge to the next instead of bins
-        between them: each edge is the middle of one, and neighbours share
-        features where they overlap.
+        Width of windows that replace the bins between edges: each edge is the
+        middle of a window, and neighbours share features where they overlap.
     ridge : `~astro_scc.kinematics.RidgeLine`, optional
-        Distances are along this line instead of from the reference pixel.
+        Measure distances along this line instead of from the reference pixel.
     n_trials : int, optional
     rng : None, int or `~numpy.random.Generator`, optional
         The trials of each bin are independent.
@@ -208,7 +206,7 @@ def measure_profile(
     Raises
     ------
     ValueError
-        If the bins make no sense, or none of them has an SSP.
+        If the bins are invalid, or none of them has an SSP.
 
     Examples
     --------
@@ -255,19 +253,19 @@ def write_profile(profile, components, directory, *, configuration=None, text=No
     ----------
     profile : `Profile`
     components : `~astropy.table.QTable`
-        `Profile.components`, or that with apparent speeds.
+        `Profile.components`, or `Profile.components_in_c`.
     directory : path
         A folder that exists.
     configuration : dict, optional
         Settings as plain numbers and text, for the meta of the table.
     text : str, optional
-        The same as TOML, for ``config.toml``.
+        The same settings as TOML, for ``config.toml``.
 
     Returns
     -------
     list of `~pathlib.Path`
         ``profile.ecsv``, ``profile.png``, ``velocity_maps.png``,
-        ``position_angles.png`` and, with a ``text``, ``config.toml``.
+        ``position_angles.png`` and, if ``text`` is given, ``config.toml``.
 
     Raises
     ------
@@ -348,7 +346,7 @@ def _scale_maps(results):
 
 
 def _angles_of_scales(results):
-    """Return position angles of the SSPs of the bins by the name of their scale."""
+    """Return the position angles of the SSPs in the bins, by the name of the scale."""
     matched = results[0].matched
     select = np.any([r.matched.select for r in results], axis=0)
     angle, _, _ = ssp_angles(matched, results[0].position_angle)
@@ -368,7 +366,7 @@ def _line_of(result, length):
 
 
 def _fits(main):
-    """Return a straight line and a power law, where there are enough speeds."""
+    """Return a straight line and a power law, if there are enough speeds."""
     speeds = main["r_mid"], main["pm_parallel"], main["pm_parallel_err"]
     fits = []
     for model in ("linear", "power-law"):

@@ -15,7 +15,7 @@ from astro_scc.stacking import VelocitySamples
 
 class AxisProjection:
     """
-    Project the matches of a cube on axes of the sky, in units of the beam.
+    Project the matches of a cube onto axes of the sky, in units of the beam.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class AxisProjection:
         Parameters
         ----------
         angle : float
-            Of the axis from the first one of the frame, in radians.
+            Angle of the axis from the first axis of the frame, in radians.
 
         Returns
         -------
@@ -86,7 +86,7 @@ class AxisProjection:
 
 
 def projection_of(result):
-    """Return the projection of the displacements of a result on axes of the sky."""
+    """Return the projection of a result's displacements onto axes of the sky."""
     matched = result.matched
     return AxisProjection(
         result.displacements, matched.ssps, matched.cube, result.frame
@@ -98,7 +98,7 @@ def _turn(angle):
 
 
 def _positions(frame, east, north):
-    """Places along the axes of a frame, in mas, (n, 2)."""
+    """Return positions along the axes of a frame, in mas, shape (n, 2)."""
     if isinstance(frame, RidgeLine):
         s, n = frame.coordinates(east * u.mas, north * u.mas)
         return np.stack([s.to_value(u.mas), n.to_value(u.mas)], axis=1)
@@ -108,14 +108,14 @@ def _positions(frame, east, north):
     x, y = np.stack([east, north]) - origin.to_value(u.mas)[:, None]
     distance = np.maximum(np.hypot(x, y), np.finfo(float).tiny)
     if isinstance(frame, ExpansionFrame):
-        # Homologous expansion is uniform in the logarithm.
+        # Homologous expansion is uniform in the logarithm of the radius.
         length = frame.radius.to_value(u.mas)
         distance = length * np.log(distance / length)
     else:
         length = distance.sum() / max(len(distance), 1)
-    # What moves away from a point keeps its direction, not its arc.
+    # Radial motion keeps the angle, not the arc length.
     angle = np.arctan2(x, y)
-    # Angles are cut opposite to where most SSPs are.
+    # Angles wrap opposite to where most SSPs are.
     angle = (angle - np.angle(np.exp(1j * angle).sum()) + np.pi) % (2 * np.pi)
     return np.stack([distance, length * angle], axis=1)
 
@@ -133,21 +133,20 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
     frame : frame of `astro_scc.kinematics`
         Gives the two axes at the position of each SSP.
     fraction : float
-        Floor of the displacement error in beams.
+        Smallest error of a displacement, in beams.
     select : array_like of bool, shape (n_ssps,), optional
-        The SSPs that count.
+        The SSPs that are used.
 
     Returns
     -------
     `~astro_scc.stacking.VelocitySamples`
-        Without the matches of SSPs at which the frame has no axes; they
-        count as SSPs without a match.
+        SSPs at which the frame has no axes count as SSPs without a match.
     """
     select = np.ones(len(ssps), bool) if select is None else np.asarray(select, bool)
     matches = matches.of_ssps(select)
     east, north = ssp_offsets(ssps, cube)
     axes = frame.matrix(east, north)
-    # At the origin of a radial frame there are no axes.
+    # A radial frame has no axes at its origin.
     known = np.isfinite(axes).all(axis=(-2, -1))
     matches = matches.of_ssps(np.broadcast_to(known, len(ssps)))
     owner = matches.ssp
@@ -179,7 +178,7 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
 
 
 def _widths(cube, ssps, axes, owner, target):
-    """Resolution in the epochs of SSPs and in those of their matches, (n, 2)."""
+    """Return the resolution in the epochs of SSPs and of their matches, (n, 2)."""
     here = beam_fwhm(cube, ssps.epoch, ssps.scale, axes)[owner]
     if cube.beams is None:
         return here, here
@@ -191,15 +190,15 @@ def _widths(cube, ssps, axes, owner, target):
 
 def alignment_errors(cube, error=None):
     """
-    Standard error of the alignment of each epoch, on either axis.
+    Return the standard error of the alignment of each epoch on both axes.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     error : `~astropy.units.Quantity`, optional
-        One for all epochs, or one for each.  By default what the alignment
-        left with each epoch (``shift_east_err_mas``, ``shift_north_err_mas``
-        in its meta), and none where it left nothing.
+        One error for all epochs, or one per epoch.  The default is the error
+        that the alignment stored in the meta of the epoch
+        (``shift_east_err_mas``, ``shift_north_err_mas``), or zero without it.
 
     Returns
     -------
@@ -209,8 +208,8 @@ def alignment_errors(cube, error=None):
     Raises
     ------
     ValueError
-        If there are neither one nor as many as epochs, or one is negative
-        or not finite.
+        If ``error`` has neither one element nor one per epoch, or if an
+        element is negative or not finite.
     """
     n = len(cube)
     if error is None:

@@ -11,34 +11,33 @@ from astro_scc.correlation.correlate import STACK_BYTES
 from astro_scc.correlation.parallel import in_order
 from astro_scc.exceptions import MeasurementWarning
 
-#: Bytes of this package with the libraries that it works with, in each process.
+#: Bytes of this package and its libraries in each process.
 LIBRARIES = 250e6
-#: Bytes of maps that a stack keeps, and what is made of them, at most.
+#: Most bytes of the maps that a stack keeps and of what is made from them.
 STACK = 500e6
-#: Bytes of what comes from one window, on average: matches and displacements.
+#: Average bytes of the matches and displacements from one window.
 WINDOW = 500.0
-#: Blocks of work that are in memory for each process.
+#: Blocks of work in memory for each process.
 BLOCKS = 3
-#: Images in double precision, beside the planes, that a decomposition works with.
+#: Images in double precision that a decomposition needs besides the planes.
 IMAGES = 8
-#: So much of what looks like noise in one epoch must be in others too...
+#: Apparent noise is structure if more than this share of it is in other epochs too...
 SHARED = 0.5
-#: ... and so many times what noise has in common by chance.  The largest of a noise's
-#: correlations at all displacements is five times that, seldom eight.
+#: ... and more than this many times the share by chance.  The largest correlation of
+#: noise at any displacement is five times chance, seldom eight.
 BEYOND_CHANCE = 6.0
-#: Most of so many pairs of epochs must show it: one epoch may be there twice.
+#: Pairs of epochs examined; most must show structure, as one epoch may be there twice.
 PAIRS = 3
 
 
 def allow_for_structure(cube, decomposer):
     """
-    A decomposer that does not take structure for noise.
+    Return a decomposer that does not take structure for noise.
 
-    The noise of a plane is measured in the plane, in what looks like empty
-    sky.  Where a texture fills the images there is none, and no pattern
-    stands out from the texture itself.  Noise is not the same in two
-    epochs, structure is, but for where it is: by `shared_variance` of pairs
-    of epochs that follow one another the noise is separated from it.
+    The noise of a plane is measured where the plane looks like empty sky.
+    If a texture fills the images, there is no empty sky, and no pattern
+    stands out from the texture.  Consecutive epochs share structure, though
+    not its position, but no noise: their `shared_variance` separates the two.
 
     Parameters
     ----------
@@ -48,13 +47,13 @@ def allow_for_structure(cube, decomposer):
     Returns
     -------
     `~astro_scc.decomposition.Decomposer`
-        The same, or with ``noise_factors``, the root of the share of each
-        plane's variance that epochs have not in common.
+        The same, or one with ``noise_factors``: the square root of the share
+        of each plane's variance that epochs do not have in common.
 
     Warns
     -----
     `~astro_scc.exceptions.MeasurementWarning`
-        If there are any.
+        If the decomposer needs ``noise_factors``.
     """
     if decomposer.noise == "propagated" or len(cube) < 2:
         return decomposer
@@ -88,20 +87,21 @@ def allow_for_structure(cube, decomposer):
 
 def working_memory(cube, decomposer, n_workers, *, n_windows=0):
     """
-    About how many bytes a measurement takes on this machine.
+    Estimate the memory that a measurement takes on this machine.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     decomposer : `~astro_scc.decomposition.Decomposer`
     n_workers : int, str or `dask.distributed.Client`
-        The workers of a scheduler are taken to be elsewhere.
+        The workers of a scheduler are assumed to run elsewhere.
     n_windows : int, optional
-        SSPs times epochs that each is correlated with.
+        Number of SSPs times the number of epochs that each is correlated with.
 
     Returns
     -------
     float
+        In bytes.
     """
     n, pixels = len(cube), float(np.prod(cube.shape[1:]))
     scales = len(decomposer.scales)
@@ -118,7 +118,7 @@ def working_memory(cube, decomposer, n_workers, *, n_windows=0):
 
 def refuse_too_much(cube, decomposer, n_workers, *, n_windows=0):
     """
-    Refuse what the machine cannot hold, before it comes to a standstill.
+    Refuse a measurement that this machine cannot hold in memory.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def refuse_too_much(cube, decomposer, n_workers, *, n_windows=0):
     Raises
     ------
     MemoryError
-        If it is more than the machine has.
+        If the measurement needs more memory than the machine has.
     """
     from astro_scc.correlation.parallel import machine_memory
 
@@ -178,10 +178,10 @@ def decompose_epochs(cube, decomposer, *, n_workers=1):
 
 class LazyDecompositions(Sequence):
     """
-    The decompositions of epochs, each made when it is asked for.
+    Decompositions of epochs, each computed when it is accessed.
 
-    Planes of a hundred large images are more than matches, stacks and errors
-    take together, and none of these needs them.
+    The planes of a hundred large images take more memory than matches, stacks
+    and errors together, and none of these needs the planes.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ class LazyDecompositions(Sequence):
 
 def noise_facts(cube, decomposer):
     """
-    What the decomposition of each epoch takes besides its image and mask.
+    Return what the decomposition of each epoch needs besides its image and mask.
 
     Parameters
     ----------
@@ -225,8 +225,8 @@ def noise_facts(cube, decomposer):
     Returns
     -------
     list of tuple
-        The rms of the image and the covariance of its beam in pixels, or
-        None.
+        The rms of each image and the covariance of its beam in pixels; None
+        where it is not needed or not known.
     """
     propagated = decomposer.noise == "propagated"
     rms = cube.noise_rms().value if propagated else [None] * len(cube)
@@ -238,6 +238,6 @@ def noise_facts(cube, decomposer):
 
 
 def _decompose(epoch):
-    """Decompose one epoch, given as a piece of work."""
+    """Decompose one epoch, given as the arguments of one task."""
     decomposer, image, mask, rms, beam_covariance = epoch
     return decomposer(image, mask=mask, rms=rms, beam_covariance=beam_covariance)

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Matches on disk: one FITS file, and the blocks of one that is not complete."""
+"""Matches on disk: a complete FITS file, or the blocks of an unfinished one."""
 
 import json
 import shutil
@@ -29,7 +29,7 @@ from astro_scc.partial import replace_when_complete
 
 CREATOR = "astro_scc matches"
 LAYOUT = 1
-#: Columns of the table of SSPs; its pixels are an extension of their own.
+#: Columns of the table of SSPs; their pixels have an extension of their own.
 SSP_COLUMNS = tuple(f.name for f in fields(SSPs) if f.name not in ("starts", "pixels"))
 MATCH_COLUMNS = (
     "ssp", "target", "dy", "dx", "coefficient", "overlap", "target_snr",
@@ -41,13 +41,13 @@ N_COLUMNS = len(MATCH_COLUMNS)
 @dataclass(frozen=True, eq=False, repr=False)
 class MatchedEpochs:
     """
-    Epochs decomposed and correlated: all that a stack needs but the dates.
+    Decomposed and correlated epochs: all that a stack needs except the dates.
 
     Attributes
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     decompositions : sequence of `~astro_scc.decomposition.Decomposition`
-        Made again when they are asked for.
+        Computed again when they are accessed.
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
     select : `~numpy.ndarray` of bool, shape (n_ssps,)
@@ -113,9 +113,10 @@ class MatchedEpochs:
 
         Notes
         -----
-        ``SSPS`` and ``MATCHES`` are tables, ``PIXELS`` the pixels of the SSPs,
-        ``PAIRS`` the pairs of epochs, ``PROVENANCE`` JSON.  The images are not
-        in the file, nor their wavelet planes, which are quickly made again.
+        ``SSPS`` and ``MATCHES`` are tables, ``PIXELS`` holds the pixels of the
+        SSPs, ``PAIRS`` the pairs of epochs, ``PROVENANCE`` JSON.  The file
+        holds neither the images nor their wavelet planes, which are quickly
+        computed again.
         """
         if not self.provenance:
             raise ValueError(
@@ -124,7 +125,7 @@ class MatchedEpochs:
             )
         provenance = dict(self.provenance)
         if provenance.pop("selected") != selection_digest(self.select):
-            # A part that was chosen later is of no region that can be asked for.
+            # No region that can be requested gives SSPs that were selected later.
             provenance["region"] = "chosen SSPs"
         ssps, matches = self.ssps, self.matches
         columns = {name: getattr(ssps, name) for name in SSP_COLUMNS}
@@ -156,7 +157,7 @@ class MatchedEpochs:
         ----------
         path : path
         cube : `~astro_scc.epochs.EpochCube`
-            The same that was matched; its dates may be others.
+            The cube that was matched; its dates may differ.
 
         Returns
         -------
@@ -165,9 +166,9 @@ class MatchedEpochs:
         Raises
         ------
         OSError
-            If the file cannot be read, or is not of this kind.
+            If the file cannot be read, or is not a file of matches.
         ValueError
-            If it is of other images or versions.
+            If it was made from other images or by other versions.
         """
         return read_matches(path, cube)
 
@@ -181,8 +182,8 @@ def read_matches(path, cube, *, wanted=None):
     path : path
     cube : `~astro_scc.epochs.EpochCube`
     wanted : dict, optional
-        Provenance that they must have, see `match_provenance`; by default
-        they must be of these images and of these versions.
+        Provenance that the matches must have, see `match_provenance`; by
+        default the images and versions must be the present ones.
 
     Returns
     -------
@@ -192,9 +193,9 @@ def read_matches(path, cube, *, wanted=None):
     Raises
     ------
     OSError
-        If the file cannot be read, or is not of this kind.
+        If the file cannot be read, or is not a file of matches.
     ValueError
-        If it is of other images, settings or versions.
+        If it was made from other images, or by other settings or versions.
     """
     with open(path, "rb") as file:
         try:
@@ -218,9 +219,9 @@ def read_matches(path, cube, *, wanted=None):
 
 
 def _parts(file):
-    """Layout, provenance, and the SSPs, selection and matches of a file."""
+    """Return layout, provenance, and the SSPs, selection and matches of a file."""
     with warnings.catch_warnings():
-        # A checksum that is not that of the data is a warning of astropy's.
+        # astropy only warns of a wrong checksum.
         warnings.simplefilter("error")
         with fits.open(file, memmap=False, checksum=True) as hdus:
             primary = hdus[0].header
@@ -254,7 +255,7 @@ def _native(array):
 
 class MatchCache:
     """
-    Where the matches of one provenance are, or the part that is done.
+    Store of the matches of one provenance, complete or unfinished.
 
     Parameters
     ----------
@@ -272,7 +273,7 @@ class MatchCache:
 
     def load(self, cube):
         """
-        Return the matches, if they are there and of this provenance.
+        Return the stored matches if they have this provenance.
 
         Parameters
         ----------
@@ -285,7 +286,7 @@ class MatchCache:
         Warns
         -----
         `~astro_scc.exceptions.MeasurementWarning`
-            If there is a file that cannot be used.
+            If there is a file but it cannot be used.
         """
         if not self.path.exists():
             return None
@@ -302,7 +303,7 @@ class MatchCache:
 
     def blocks(self):
         """
-        What is done of the matches.
+        Return the blocks of matches that are computed so far.
 
         Returns
         -------
@@ -312,7 +313,7 @@ class MatchCache:
 
     def store(self, matched):
         """
-        Keep the matches, and their blocks no longer.
+        Write the matches and delete their blocks.
 
         Parameters
         ----------
@@ -325,9 +326,9 @@ class MatchCache:
 
 class BlockFiles:
     """
-    The columns of blocks of pairs of epochs, each in a file by its number.
+    Matches of blocks of epoch pairs, one numbered file per block.
 
-    Those of another provenance are taken away when the first is added.
+    Adding a block deletes the blocks of another provenance.
 
     Parameters
     ----------
@@ -337,7 +338,7 @@ class BlockFiles:
 
     def __init__(self, folder, cache):
         self.folder = Path(folder)
-        # How blocks are cut belongs to the version.
+        # The versions in the provenance cover how blocks are cut.
         self.digest = digest_of(cache.provenance)
 
     def _file(self, number):
@@ -360,6 +361,6 @@ class BlockFiles:
             np.savez(part, *columns)
 
     def clear(self):
-        """Take the folder away."""
+        """Delete the folder."""
         with suppress(FileNotFoundError):
             shutil.rmtree(self.folder)

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What a measurement of a cube comes to: scales, pairs, speeds and windows."""
+"""Plan of a measurement: scales, pairs of dates, search radius, speeds and SSPs."""
 
 import os
 import warnings
@@ -20,23 +20,23 @@ from astro_scc.stacking import (
     consecutive_pairs,
 )
 
-#: Angles may differ so much from the size of a scale that they name.
+#: Largest relative difference between an angle and the size of the scale it names.
 SCALE_TOLERANCE = 0.2
 #: Largest scale number that an angle can name.
 LARGEST_SCALE = 12
-#: Displacements below this part of a pixel are none.
+#: Smallest displacement in the longest interval, in pixels.
 LEAST_MOTION = 0.01
 #: Largest displacement in the shortest interval, in diagonals of the image.
 MOST_MOTION = 10
 #: Spacing of the velocity grid in units of the narrowest kernel.
 GRID_STEP = 0.5
-#: Displacements are searched by so many smoothing lengths beyond the largest.
+#: Smoothing lengths by which the search goes beyond the largest displacement.
 MARGIN = 3.0
-#: Matches are made so many beams beyond the largest speed: stacks in speed and
+#: Beams by which matches go beyond the largest speed: stacks in speed and
 #: acceleration have kernels of 0.8 beam.
 BEYOND = 1.0
-#: Without a largest speed, series of up to so many epochs are searched to so
-#: many beams in the median interval.
+#: Without a largest speed, series of up to this many epochs are searched to
+#: ``FAR_BEAMS`` beams in the median interval.
 FEW_EPOCHS = 20
 FAR_BEAMS = 4.0
 
@@ -58,7 +58,7 @@ def scales_of_pixels(scales, pixel_scale):
     Raises
     ------
     ValueError
-        If an angle is not within 20% of a scale's size.
+        If an angle is not within 20% of the size of a scale.
     """
     if not isinstance(scales, u.Quantity):
         return scales
@@ -82,7 +82,7 @@ def pairs_of_dates(cube, baseline):
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     baseline : `~astropy.units.Quantity`, shape (2,), or None
-        Shortest and longest separation; consecutive epochs without it.
+        Shortest and longest interval; if None, consecutive epochs are paired.
 
     Returns
     -------
@@ -117,13 +117,13 @@ def pairs_of_dates(cube, baseline):
 
 def mean_fwhm(cube, scale):
     """
-    Return the mean width of the resolution over the epochs and both axes, in mas.
+    Return the resolution, the mean FWHM over epochs and both axes, in mas.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     scale : float
-        Scale number that stands for the resolution if there are no beams.
+        Number of the scale whose size is the resolution if there are no beams.
 
     Returns
     -------
@@ -135,12 +135,12 @@ def mean_fwhm(cube, scale):
 
 def search_radius(cube, max_speed, fwhm):
     """
-    Return the largest displacement between two epochs that is searched, in beams.
+    Return the search radius, the largest displacement between epochs, in beams.
 
-    One and a half, and farther where even the shortest intervals are too
-    long for that: as far as the largest speed moves in the shorter quarter
-    of the intervals between epochs.  Without one, series of up to 20 epochs
-    are searched to four beams in the median interval.
+    It is one and a half beams, or more if even the shortest intervals are too
+    long for that: as far as the largest speed moves in the lower quartile of
+    the intervals between epochs, plus a margin.  Without a largest speed, series
+    of up to 20 epochs are searched to four beams in the median interval.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def search_radius(cube, max_speed, fwhm):
 
 def largest_speed(cube, radius, baseline=None):
     """
-    Return the largest speed that is searched for streams if none is given.
+    Return the largest speed at which streams are searched for if none is given.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def largest_speed(cube, radius, baseline=None):
     Returns
     -------
     float
-        In beams a year.
+        In beams per year.
 
     Raises
     ------
@@ -197,18 +197,18 @@ def largest_speed(cube, radius, baseline=None):
 
 def search_reach(cube, pairs, radius, fwhm, max_speed):
     """
-    Return the largest displacement in pixels that is matched, whatever the dates.
+    Return the largest displacement to match between any two epochs, in pixels.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     pairs : `~astro_scc.stacking.DatePairs`
     radius : float
-        Largest displacement that is searched for streams, in beams.
+        Largest displacement at which streams are searched for, in beams.
     fwhm : float
         Resolution in mas.
     max_speed : float or None
-        Largest speed in mas/yr of the map of ``pairs``.
+        Largest speed of the velocity map of ``pairs``, in mas/yr.
 
     Returns
     -------
@@ -218,8 +218,8 @@ def search_reach(cube, pairs, radius, fwhm, max_speed):
     Raises
     ------
     ValueError
-        If the largest speed is far out of the image in any interval, or
-        moves nothing in any.
+        If the largest speed leads far out of the image even in the shortest
+        interval, or hardly moves anything even in the longest.
     """
     farthest = radius * fwhm
     # Pixels may not be square: (x, y) sides.
@@ -283,7 +283,7 @@ def map_grid(displacements, pairs, limit):
 
 def ssps_inside(decompositions, cube, region):
     """
-    Return the SSPs of all epochs, and which have their centroid in a region.
+    Return the SSPs of all epochs, and which of them have centroids in a region.
 
     Parameters
     ----------
@@ -303,7 +303,7 @@ def ssps_inside(decompositions, cube, region):
 
 def centroids_inside(ssps, cube, region):
     """
-    Which SSPs have their centroid in a region.
+    Return which SSPs have their centroid in a region.
 
     Parameters
     ----------
@@ -348,7 +348,7 @@ def flow_direction(matched):
 
 def ssp_distances(matched, *, origin=None, ridge=None):
     """
-    Distances of the centroids of SSPs.
+    Return the distances of the centroids of SSPs from a point or along a line.
 
     Parameters
     ----------
@@ -356,7 +356,7 @@ def ssp_distances(matched, *, origin=None, ridge=None):
     origin : `~astropy.units.Quantity`, shape (2,), optional
         (east, north) of the core, by default the reference pixel.
     ridge : `~astro_scc.kinematics.RidgeLine`, optional
-        Along this line instead of from a point.
+        Measure along this line instead of from ``origin``.
 
     Returns
     -------
@@ -383,9 +383,8 @@ def select_ssps(
     """
     Return the matches of the SSPs in a part of the jet and on some scales.
 
-    Nothing is correlated again: what is chosen is whose matches are
-    stacked.  An SSP belongs where its centroid is; what it is matched with
-    may lie outside.
+    Nothing is correlated again; only the matches of the selected SSPs are
+    stacked.  An SSP is selected by its centroid; its matches may lie outside.
 
     Parameters
     ----------
@@ -397,7 +396,8 @@ def select_ssps(
     scales : sequence of float or `~astropy.units.Quantity`, optional
         Numbers, or angles.
     origin, ridge : optional
-        From where, or along what, r is counted, see `ssp_distances`.
+        Point from which, or line along which, r is measured, see
+        `ssp_distances`.
 
     Returns
     -------
@@ -446,7 +446,7 @@ def select_ssps(
 
 def warn_of_none_inside(ssps, select, region):
     """
-    Say so if a region was asked for that holds none of the SSPs.
+    Warn if a region holds none of the SSPs.
 
     Parameters
     ----------
@@ -454,11 +454,12 @@ def warn_of_none_inside(ssps, select, region):
     select : `~numpy.ndarray` of bool, shape (n_ssps,)
         Those with their centroid in the region.
     region : optional
-        What it was, or None for everything, of which nothing is said.
+        The region, or None for everything, which gives no warning.
 
     Warns
     -----
     `~astro_scc.exceptions.MeasurementWarning`
+        If there are SSPs, but none in the region.
     """
     if region is None or np.any(select) or len(ssps) == 0:
         return

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""A measurement as files: tables, maps and the settings that lead to them."""
+"""Write a measurement to files: tables, maps and settings."""
 
 import errno
 import os
@@ -23,7 +23,7 @@ from astro_scc.partial import (
 )
 from astro_scc.stacking import SearchSettings
 
-# Of the disk, which do not always come with the name of a file.
+# Errors of the disk, which do not always name a file.
 DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
 MAPS = (("coefficient", "COEFFICIENT"), ("z_score", "ZSCORE"))
 MOTION = "direction of the proper motion"
@@ -42,35 +42,35 @@ DIAGRAM = (
 @contextmanager
 def product_folder(path, *, overwrite=False, stale=()):
     """
-    Make a folder of products that appears when all of them are complete.
+    Make a folder of products that appears only when all of them are complete.
 
     Parameters
     ----------
     path : path
-        The folder.  Its parents are made if need be.
+        The folder.  Its parents are made if needed.
     overwrite : bool, optional
-        Replace the files of a folder that has some, those of the same names;
-        its other files stay.
+        Replace files of the same names in a folder that is not empty; other
+        files stay.
     stale : sequence of str, optional
-        Names of files that go when they are not replaced, and of folders
-        that go as a whole.
+        Names of files that are deleted if they are not replaced, and of
+        folders that are deleted as a whole.
 
     Yields
     ------
     `~pathlib.Path`
-        Where to write.  Nothing of it is left behind if there is an error.
+        Where to write.  Nothing is left behind if there is an error.
 
     Raises
     ------
     OSError
-        If the folder has files and ``overwrite`` is False, is a file,
-        cannot be written to, or another run is at work for it.
+        If the path is a file or cannot be written to, if the folder is not
+        empty and ``overwrite`` is False, or if another run writes there.
 
     Warns
     -----
     `~astro_scc.exceptions.MeasurementWarning`
-        If there is what a run on another machine may have left.  What killed
-        runs left on this machine is taken away.
+        If there are partial products that a run on another machine may have
+        left.  Those that killed runs left on this machine are deleted.
 
     Examples
     --------
@@ -86,7 +86,7 @@ def product_folder(path, *, overwrite=False, stale=()):
     if target.exists() and not exists:
         raise OSError(f"{path}: is a file; choose another folder")
     made = [parent for parent in target.absolute().parents if not parent.exists()]
-    # On the disk of the target, so that things only have to be renamed.
+    # On the same disk as the target, so that files only have to be renamed.
     outside = target.parent, f".{target.name}.partial-"
     inside = target, ".partial-"
     _refuse_others(path, outside, inside)
@@ -128,7 +128,7 @@ def product_folder(path, *, overwrite=False, stale=()):
 
 
 def _refuse_others(path, *places, own=None):
-    """Refuse what another run is at work for; warn of what may be such a run."""
+    """Raise an error if another run writes there; warn if one may do so."""
     for left in (left for place in places for left in remove_left(*place)):
         if left == own:
             continue
@@ -147,7 +147,7 @@ def _refuse_others(path, *places, own=None):
 
 
 def _move(folder, target, stale=()):
-    """Put all files of a folder into another one, and take stale ones away."""
+    """Move all files of a folder into another one, and delete stale ones there."""
     new = {path.name for path in folder.iterdir()}
     for name in stale:
         if (target / name).is_dir():
@@ -174,16 +174,16 @@ def write_products(result, components, directory, *, configuration=None, text=No
     directory : path
         A folder that exists, see `product_folder`.
     configuration : dict, optional
-        Settings as plain numbers and text; they go into the meta of the
-        tables in place of the settings of the stack alone.
+        Settings as plain numbers and text.  In the meta of the tables, they
+        replace the settings of the stack alone.
     text : str, optional
-        The same as TOML, for ``config.toml``.
+        The same settings as TOML, for ``config.toml``.
 
     Returns
     -------
     list of `~pathlib.Path`
         ``components.ecsv``, ``features.ecsv``, ``ssps.ecsv``, ``scc.fits``
-        and, with a ``text``, ``config.toml``.
+        and, if ``text`` is given, ``config.toml``.
 
     Raises
     ------
@@ -192,8 +192,8 @@ def write_products(result, components, directory, *, configuration=None, text=No
 
     Notes
     -----
-    The files have no date of their own: the same measurement gives the same
-    files, to the byte.
+    The files do not hold the time of writing: the same measurement gives the
+    same files, to the byte.
 
     Examples
     --------
@@ -229,7 +229,7 @@ def write_products(result, components, directory, *, configuration=None, text=No
 
 
 def with_configuration(meta, configuration):
-    """Return the meta of a table with all settings in place of those of the stack."""
+    """Return a table's meta with all settings instead of those of the stack alone."""
     if configuration is None:
         return dict(meta)
     kept = {key: value for key, value in meta.items() if key != "settings"}
@@ -237,7 +237,7 @@ def with_configuration(meta, configuration):
 
 
 def write_configuration(directory, text):
-    """Write settings as ``config.toml``, if given, and return its path in a list."""
+    """Write settings, if any, to ``config.toml``, and return the list of paths."""
     if text is None:
         return []
     path = Path(directory, "config.toml")
@@ -246,7 +246,7 @@ def write_configuration(directory, text):
 
 
 def plain_meta(value):
-    """Return scalars of Python, lists and quantities, which ECSV keeps as text."""
+    """Convert meta to Python scalars, lists and quantities, which ECSV writes."""
     if isinstance(value, dict):
         return {key: plain_meta(item) for key, item in value.items()}
     if isinstance(value, u.Quantity):
@@ -264,15 +264,15 @@ def velocity_hdus(result, *, text=None):
     ----------
     result : `SCCResult`
     text : str, optional
-        Settings, for the comments of the header.
+        Settings, which become comments of the header.
 
     Returns
     -------
     `~astropy.io.fits.HDUList`
         The stacked correlation coefficients, and the extension ``ZSCORE``,
-        with a linear WCS in mas/yr along the axes of the velocities; the
-        image ``DIAGRAM`` of `SCCResult.diagram`, and the table ``INTERVALS``
-        of its columns.
+        with a linear WCS in mas/yr along the velocity axes; the image
+        ``DIAGRAM`` of `SCCResult.diagram`, and the table ``INTERVALS``, which
+        describes the columns of that image.
     """
     hdus = []
     for which, name in MAPS:
@@ -312,7 +312,7 @@ def _diagram_hdus(result):
 
 def _header(image, comments):
     header = image.wcs.to_header()
-    # Of the sky, which these axes are not.
+    # Keywords of celestial coordinates, which these axes are not.
     for key in ("LATPOLE", "LONPOLE", "MJDREF", "RADESYS"):
         header.remove(key, ignore_missing=True)
     for i, named in enumerate(zip(image.meta["axes"], comments, strict=True), start=1):
@@ -327,7 +327,7 @@ def _facts(result):
     creator = f"astro_scc {versions.get('astro_scc', '')}"
     facts = {
         "OBJECT": (_ascii(cube.meta.get("object", ""))[:60], "name of the object"),
-        # Without both forms of a date, readers complain that they add the other.
+        # If one form of a date is missing, readers warn that they add it.
         "TIMESYS": ("UTC", "time scale"),
         "DATE-BEG": (times.isot[0], "first epoch"),
         "DATE-END": (times.isot[1], "last epoch"),
@@ -400,9 +400,8 @@ def write_votable(table, path, *, overwrite=False):
 
     Notes
     -----
-    Columns keep their units and descriptions.  Dates become ISO text.  Of
-    the meta, what is one number or one line of text becomes a parameter;
-    ECSV keeps all of it.
+    Columns keep their units and descriptions.  Dates become ISO text.  Single
+    numbers and texts in the meta become parameters; ECSV keeps the whole meta.
 
     Examples
     --------
@@ -435,7 +434,7 @@ def write_votable(table, path, *, overwrite=False):
 
 def _plain_column(values):
     if isinstance(values, Time):
-        # Of no dates, text is not known to be text.
+        # An empty array of dates does not have the type of text.
         dates = np.asarray(values.isot, dtype=str if len(values) else "U23")
         return Column(dates, description=values.info.description)
     plain = getattr(values, "value", values)
@@ -446,7 +445,7 @@ def _plain_column(values):
         description=values.info.description,
         **masked,
     )
-    # VOTable has no type for numbers of 8 bits with a sign, nor of 128 bits.
+    # VOTable has no type for signed 8-bit integers.
     if column.dtype == np.int8:
         column = column.astype(np.int16)
     return column

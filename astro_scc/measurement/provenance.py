@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What determines the matches of a cube, so that old ones are known."""
+"""What determines the matches of a cube, so that outdated ones are recognised."""
 
 import hashlib
 import json
@@ -10,7 +10,7 @@ import numpy as np
 from astro_scc.measurement.decomposing import noise_facts
 from astro_scc.measurement.tables import versions
 
-#: How each part is called in messages.
+#: What each part is called in messages.
 NAMES = {
     "data": "images",
     "mask": "masks",
@@ -36,11 +36,11 @@ def image_provenance(cube):
     Returns
     -------
     dict of str
-        SHA-256 of the values, masks, coordinates of the pixels and beams.
-        Dates are not among them: matches do not know them.
+        SHA-256 of the values, masks, pixel coordinates and beams.  Dates are
+        left out because matches do not depend on them.
     """
     wcs = cube.wcs.to_header(relax=True)
-    # Of the first epoch; the pixels are where they are on any date.
+    # These are of the first epoch, and the pixel coordinates do not depend on them.
     dates = ("DATE", "MJD")
     cards = [
         f"{card.keyword}={card.value!r}"
@@ -65,7 +65,7 @@ def image_provenance(cube):
 
 def match_provenance(cube, decomposer, correlator, reach, inside):
     """
-    All that determines the matches of a cube.
+    Return all that determines the matches of a cube.
 
     Parameters
     ----------
@@ -75,13 +75,13 @@ def match_provenance(cube, decomposer, correlator, reach, inside):
     reach : tuple of int
         Largest displacement in pixels.
     inside : `~numpy.ndarray` of bool, shape (ny, nx), or None
-        The region, or everything.
+        The region, or None for everything.
 
     Returns
     -------
     dict
         Text, numbers and lists, which JSON can hold.  The dates of the epochs
-        enter through their order and ``reach`` alone.
+        enter only through their order and through ``reach``.
     """
     facts = [
         (rms, None if beam is None else np.asarray(beam).tolist())
@@ -96,13 +96,13 @@ def match_provenance(cube, decomposer, correlator, reach, inside):
         "region": "everything" if inside is None else _of_array(np.packbits(inside)),
         "versions": versions(),
     }
-    # As it will be when it is read.
+    # Give it the types that it will have when it is read.
     return json.loads(json.dumps(made))
 
 
 def digest_of(provenance):
     """
-    A provenance as a short text.
+    Return a short digest of a provenance.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def digest_of(provenance):
 
 def selection_digest(select):
     """
-    A selection of SSPs as a short text.
+    Return a short digest of a selection of SSPs.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def selection_digest(select):
 
 def stale_parts(found, wanted):
     """
-    What of a provenance is not as it is wanted.
+    Name the parts of a provenance that are not the wanted ones.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def stale_parts(found, wanted):
     Returns
     -------
     str
-        Such as ``"images, versions"``; empty if all is the same.
+        For example ``"images, versions"``; empty if all parts agree.
     """
     return ", ".join(
         NAMES.get(name, name)

@@ -14,9 +14,9 @@ from astro_scc.partial import replace_when_complete
 
 #: Folder of the regions of all epochs.
 REGIONS = "ssp_regions"
-#: One colour a scale, which DS9 knows.
+#: One colour per scale, by its name in DS9.
 COLORS = ("cyan", "orange", "green", "magenta", "yellow", "red")
-#: Digits after the point, of degrees and of arcsec: below a nanoarcsecond.
+#: Decimal places of degrees and arcsec, for errors below a nanoarcsecond.
 DIGITS = 13
 
 
@@ -27,34 +27,34 @@ def ssp_regions(ssps, cube, epoch, *, scales=None, shape="outline", frame="cube"
     Parameters
     ----------
     ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs, such as ``result.matched.ssps``.
+        Of all epochs, for example ``result.matched.ssps``.
     cube : `~astro_scc.epochs.EpochCube`
     epoch : int
         Index of the epoch.
     scales : sequence of float, optional
         By default all scales.
     shape : {"outline", "circle"}
-        Polygons around the centres of the pixels of each SSP (holes are
-        not cut out), or circles about the maxima, as wide as the scale.
+        Polygons around the centres of the pixels of each SSP (holes are not
+        cut out), or circles around the maxima, as wide as the scale.
     frame : {"cube", "epoch"}
         The coordinates of the cube, as in the files of
         `~astro_scc.epochs.write_epochs`, or those that the epoch's own file
-        gives to these pixels.  They differ where epochs are aligned by
-        their core, and in most VLBI images.
+        gives to these pixels.  They differ if epochs are aligned on the core,
+        and in most VLBI images.
 
     Returns
     -------
     `regions.Regions`
-        Of `~regions.PolygonSkyRegion` or `~regions.CircleSkyRegion`; the
-        text of each is its number in ``ssps``, its colour that of the scale.
+        Each is a `~regions.PolygonSkyRegion` or `~regions.CircleSkyRegion`.
+        Its text is its number in ``ssps``, its colour shows the scale.
 
     Raises
     ------
     IndexError
         If there is no such epoch.
     ValueError
-        If the shape or the frame is unknown, or the cube does not know the
-        coordinates of the epoch's own file.
+        If the shape or the frame is unknown, or if the coordinates of the
+        epoch's own file are wanted but the cube was not read from files.
 
     Examples
     --------
@@ -85,7 +85,7 @@ def ssp_regions(ssps, cube, epoch, *, scales=None, shape="outline", frame="cube"
 
 def write_ssp_regions(ssps, cube, epoch, path, *, overwrite=False, **options):
     """
-    Write the SSPs of an epoch for DS9, CARTA or any reader of its regions.
+    Write the SSPs of an epoch as regions for DS9, CARTA and others.
 
     Parameters
     ----------
@@ -109,9 +109,8 @@ def write_ssp_regions(ssps, cube, epoch, path, *, overwrite=False, **options):
 
     Notes
     -----
-    Regions need many digits at the scale of mas, which the writers of
-    `regions` have to be told: positions and sizes are right to a
-    nanoarcsecond.
+    On scales of mas, regions need more digits than `regions` writes by
+    default: positions and sizes are accurate to a nanoarcsecond.
 
     Examples
     --------
@@ -129,7 +128,7 @@ def write_ssp_regions(ssps, cube, epoch, path, *, overwrite=False, **options):
     from regions import Regions
 
     found = ssp_regions(ssps, cube, epoch, **options)
-    # Of no region at all, regions writes nothing.
+    # For an empty list, regions writes nothing at all.
     text = "# Region file format: DS9 version 4.1\nglobal color=green\nicrs\n"
     if len(found):
         text = Regions(found).serialize(format="ds9", precision=DIGITS)
@@ -140,7 +139,7 @@ def write_ssp_regions(ssps, cube, epoch, path, *, overwrite=False, **options):
 
 def ssp_segmentation(ssps, cube, epoch, scale):
     """
-    Return the SSPs of one scale of an epoch as segmentation image of photutils.
+    Return the SSPs of one scale of an epoch as a photutils segmentation image.
 
     Parameters
     ----------
@@ -154,8 +153,8 @@ def ssp_segmentation(ssps, cube, epoch, scale):
     Returns
     -------
     `photutils.segmentation.SegmentationImage`
-        Labels are 1 + the number in ``ssps``, and so in the column ``ssp``
-        of the tables.
+        Labels are 1 + the number in ``ssps``, which is also the column
+        ``ssp`` of the tables.
 
     Raises
     ------
@@ -215,7 +214,7 @@ def _outline(ssps, index, cube, wcs):
     inside = np.zeros((y1 - y0 + 2, x1 - x0 + 2))
     inside[row - y0 + 1, column - x0 + 1] = 1
     contours = find_contours(inside, 0.5, fully_connected="high")
-    # The longest is the outer one; the others go round holes.
+    # The longest contour is the outer one; the others surround holes.
     y, x = max(contours, key=len)[:-1].T
     return PolygonSkyRegion(wcs.pixel_to_world(x + x0 - 1, y + y0 - 1))
 
@@ -230,23 +229,23 @@ def _circle(ssps, index, cube, wcs):
 
 def write_epoch_regions(ssps, cube, directory, **options):
     """
-    Write the SSPs of every epoch as regions for DS9, a file an epoch.
+    Write the SSPs of every epoch as regions for DS9, one file per epoch.
 
     Parameters
     ----------
     ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs, such as ``result.matched.ssps``.
+        Of all epochs, for example ``result.matched.ssps``.
     cube : `~astro_scc.epochs.EpochCube`
     directory : path
-        Its folder ``ssp_regions`` is made if need be; files of the same
-        names are replaced.
+        Its folder ``ssp_regions`` is made if needed; files of the same names
+        are replaced.
     **options
         ``scales`` and ``shape`` of `ssp_regions`.
 
     Returns
     -------
     list of `~pathlib.Path`
-        The number of each epoch and its name, ``00_first.reg``.
+        Named by the number and the name of each epoch: ``00_first.reg``.
 
     Raises
     ------
@@ -255,8 +254,8 @@ def write_epoch_regions(ssps, cube, directory, **options):
 
     Notes
     -----
-    The coordinates are those of the epoch's own file, which DS9 opens beside
-    it, or those of the cube if it was not read from files.
+    The coordinates are those of the epoch's own file, which DS9 can show below
+    the regions, or those of the cube if it was not read from files.
 
     Examples
     --------
@@ -283,6 +282,6 @@ def write_epoch_regions(ssps, cube, directory, **options):
 
 
 def _plain(label):
-    """A label as part of the name of a file."""
+    """Return a label in the characters of a file name."""
     stem = PurePath(label).name.removesuffix(".fits")
     return re.sub(r"[^A-Za-z0-9+._-]+", "_", stem)[:60].strip("._") or "epoch"

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What a measurement found."""
+"""The result of a measurement."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -33,9 +33,9 @@ from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
 from astro_scc.stacking.permutations import PermutedStacks
 from astro_scc.stacking.stack import sample_velocities
 
-#: A match belongs to a component within this many of its standard errors.
+#: A match within this many of its standard errors belongs to a component.
 MEMBER_SIGMA = 2.0
-#: Columns of the components that fit on a screen, and how they are printed.
+#: Columns of the components that fit on a screen, and their formats.
 COLUMNS = {
     "component": "d",
     "kind": None,
@@ -70,11 +70,11 @@ class SCCResult:
     permuted : `~astro_scc.stacking.permutations.PermutedStacks`
         Mean and standard deviation of the stacks of permuted epochs.
     search : `~astro_scc.stacking.Search`
-        The streams, and the displacement-interval diagram they are found on.
+        The streams, and the displacement-interval diagram that shows them.
     velocities : tuple of `~astro_scc.stacking.errors.StreamVelocity`
-        Of the streams, with their errors.
+        Velocities of the streams, with their errors.
     maxima : tuple of `~astro_scc.stacking.VelocityPeak`
-        Of the stack, the nearest one to each velocity.
+        The peak of the stack that is nearest to each velocity.
     jitters : tuple of `~astro_scc.stacking.errors.JitteredVelocity`
         The velocity-jitter test, the paper's uncertainty.
     meta : dict
@@ -117,7 +117,7 @@ class SCCResult:
 
     @property
     def errors(self):
-        """Covariance of each velocity, as it is quoted."""
+        """Covariance of each velocity."""
         return tuple(velocity.covariance for velocity in self.velocities)
 
     @property
@@ -140,11 +140,11 @@ class SCCResult:
         """
         The velocity components, a `~astropy.table.QTable`.
 
-        One row a stream, those that move first, by their number of features, then
-        what stands still.  If nothing moves significantly, the first row is
-        the strongest speed that was tested, "not significant", and its
-        ``note`` says why.  The meta holds the settings, the seed and the
-        versions.
+        There is one row per stream: first those that move, the ones with more
+        features first, then what stands still.  If nothing moves significantly,
+        the first row is the strongest speed that was tested, "not significant",
+        and its ``note`` says why.  The meta holds the settings, the seed and
+        the versions.
         """
         rows = [
             component_row(self, number) for number in range(1, len(self.maxima) + 1)
@@ -159,23 +159,23 @@ class SCCResult:
         ----------
         redshift : float, str or `~astropy.units.Quantity`, optional
         cosmology : `~astropy.cosmology.FLRW` or str, optional
-            Of the redshift, or its name; by default
+            Cosmology for the redshift, or its name; by default
             `~astro_scc.kinematics.paper_cosmology`.
         distance : `~astropy.units.Quantity` or str, optional
-            Of a nearby source, instead of a redshift.
+            Distance of a nearby source, instead of a redshift.
 
         Returns
         -------
         `~astropy.table.QTable`
             `components` with the columns ``beta_app`` and ``beta_app_err``,
             the speed ``pm`` in units of c, see
-            `~astro_scc.kinematics.apparent_speed`.  What it was made with is in
-            its meta.
+            `~astro_scc.kinematics.apparent_speed`.  The meta holds the redshift
+            and cosmology, or the distance.
 
         Raises
         ------
         ValueError
-            If neither a redshift nor a distance is given, or one is none.
+            If neither a redshift nor a distance is given, or if one is invalid.
         """
         return table_in_c(
             self.components, redshift=redshift, cosmology=cosmology, distance=distance
@@ -197,7 +197,7 @@ class SCCResult:
         Raises
         ------
         ValueError
-            For another name.
+            If ``which`` is another name.
         """
         if which not in ("coefficient", "z_score"):
             raise ValueError(f"unknown map {which!r}: use 'coefficient' or 'z_score'")
@@ -216,8 +216,8 @@ class SCCResult:
         """
         Return the displacement-interval diagram along the direction of the streams.
 
-        What moves at a constant speed lies on a ray from the origin, what
-        stands still at no displacement.
+        What moves at a constant speed lies on a ray from the origin; what
+        stands still lies at zero displacement.
 
         Returns
         -------
@@ -225,30 +225,30 @@ class SCCResult:
             Matches per pair of dates beyond those of permuted epochs, weighted
             by their coefficients, shape (n_displacements, n_intervals); NaN at
             intervals that no two dates have.  The axes of the WCS are the
-            interval, logarithmic as its bins are (FITS ``-LOG``), and the
+            interval, logarithmic like its bins (FITS ``-LOG``), and the
             displacement in mas.  The meta holds the mean ``interval`` and the
-            ``n_pairs`` of each bin, the ``beam`` along the displacement, its
-            ``direction`` on the axes of the frame, and its ``position_angle``
-            if that is the same everywhere, else None.
+            ``n_pairs`` of each bin, the ``beam`` along the displacement, the
+            ``direction`` of the displacement on the axes of the frame, and its
+            ``position_angle``, or None if that differs from place to place.
         """
         return diagram_image(self)
 
     def members(self, number):
         """
-        Return the matches that make a component.
+        Return the matches that belong to a component.
 
         Parameters
         ----------
         number : int
-            Of the component, from 1.
+            Number of the component, from 1.
 
         Returns
         -------
         `~numpy.ndarray` of int
-            Indices into ``displacements``: matches between SSPs of one
-            feature of the stream; where no feature was followed, those
-            between dates of the map within two standard errors of the
-            velocity on both axes.
+            Indices into ``displacements`` of the matches between two SSPs of
+            the same feature of the stream.  If no feature was followed, they
+            are the matches between dates of the map that agree with the
+            velocity within two standard errors on both axes.
 
         Raises
         ------
@@ -342,7 +342,7 @@ def diagram_image(result):
 
 
 def _shortest(years, diagram):
-    """Return the shortest interval that was used, with which the first bin begins."""
+    """Return the shortest interval that was used, where the first bin begins."""
     first, second = np.triu_indices(len(years), 1)
     every, n = np.sort(years[second] - years[first]), diagram.n_pairs[0]
     every = every[every > 0]
@@ -353,7 +353,7 @@ def _shortest(years, diagram):
 
 def result_html(result):
     """
-    A measurement in a few lines, its components as a table.
+    Return a measurement as a few lines and the table of its components.
 
     Parameters
     ----------

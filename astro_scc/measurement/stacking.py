@@ -32,7 +32,7 @@ from astro_scc.stacking.stack import velocity_peak_near
 
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2
-#: The map reaches so many times the largest speed that is found.
+#: Extent of the map, in units of the largest speed found.
 MAP_SPEEDS = 3.0
 #: Fewest pairs of dates of a map.
 FEWEST_PAIRS = 3
@@ -58,15 +58,14 @@ def stack_matches(
     settings=None,
 ):
     """
-    Search matches of epochs for streams, and stack them.
+    Search the matches of epochs for streams, and stack them.
 
     Parameters
     ----------
     matched : `~astro_scc.measurement.MatchedEpochs`
     pairs : `~astro_scc.stacking.DatePairs`
-        Of the paper's stack; without a ``baseline`` only where nothing
-        moves, otherwise those in which what moves is displaced by 0.2 to 1
-        beam.
+        Pairs of the paper's stack.  Without a ``baseline``, if the first stream
+        moves, they are replaced by those in which it moves 0.2 to 1 beam.
     radius : float
         Largest displacement that was matched, in beams.
     fwhm : float
@@ -76,13 +75,14 @@ def stack_matches(
     baseline : tuple of float, optional
         Shortest and longest interval that is used, in years.
     position_angle : `~astropy.units.Quantity`, str, frame or None
-        Of the velocity axes, see `~astro_scc.StackedCrossCorrelation`.
+        Direction of the velocity axes, see
+        `~astro_scc.StackedCrossCorrelation`.
     min_error_beams : float
         Smallest standard error of a displacement, in beams.
     alpha : float
-        Largest ``p_global`` of a component.
+        Largest ``p_global`` of a significant component.
     outward : bool
-        Search positive speeds along the first axis only.
+        Search only positive speeds along the first axis.
     alignment_error : `~astropy.units.Quantity`, optional
         See `alignment_errors`.
     small_displacement_correction : bool
@@ -105,7 +105,7 @@ def stack_matches(
     Warns
     -----
     `~astro_scc.exceptions.MeasurementWarning`
-        If the trials or the epochs are so few that no ``p_global`` can be as
+        If there are so few trials or epochs that no ``p_global`` can be as
         small as ``alpha``.
     """
     n_trials = require("n_trials", n_trials)
@@ -185,7 +185,7 @@ def stack_matches(
 def _stack_of_paper(
     samples, pairs, velocities, limit, fwhm, *, shift, n_trials, rngs, progress_bar
 ):
-    """Return the paper's stack, its z-score and its peaks, as parts of a result."""
+    """Return the paper's stack, its z-score and its peaks as parts of a result."""
     grid = map_grid(samples, pairs, limit)
     maps = PairMaps.of(samples, grid.v_max, pairs.interval.max())
     with progress(n_trials, "Permuting", show=progress_bar) as done:
@@ -210,14 +210,14 @@ def _stack_of_paper(
 
 
 def seeded(rng):
-    """Return a seed or generator, drawn if there is none, and the seed if it is one."""
+    """Return ``rng``, or a random seed for None, and the seed if it is an integer."""
     if rng is None:
         rng = int(np.random.SeedSequence().entropy % 2**63)
     return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
 
 
 def _pairs_of_speed(cube, pairs, years):
-    """Return pairs of dates in which what moves a beam in some years moves enough."""
+    """Return the pairs of dates that suit a motion of one beam in ``years``."""
     settings = SearchSettings()
     found = baseline_pairs(
         cube.years.to_value(u.yr),
@@ -228,7 +228,7 @@ def _pairs_of_speed(cube, pairs, years):
 
 
 def _warn_of_limits(smallest, n_epochs, n_trials, level):
-    """Tell when no probability can be as small as the level."""
+    """Warn if no p-value can be as small as the level."""
     if smallest <= level:
         return
     if 1 / number_of_permutations(n_epochs) <= level:

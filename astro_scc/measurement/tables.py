@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Results as tables: components, features, SSPs, and adjusted probabilities."""
+"""Results as tables: components, features, SSPs, and adjusted p-values."""
 
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
@@ -21,7 +21,7 @@ from astro_scc.measurement.axes import projection_of
 
 #: Unit of proper motions.
 PM_UNIT = u.mas / u.yr
-#: Errors of a normal distribution above its mean at the one-sided limit of 95%.
+#: Standard errors above the mean at the one-sided 95% limit of a normal distribution.
 LIMIT = 1.645
 P_FDR = "p_global adjusted for all searches: share of false discoveries up to it"
 
@@ -68,12 +68,12 @@ COLUMNS = {
 
 def versions():
     """
-    Versions of this package and of what its numbers depend on.
+    Return the versions of this package and of the packages its numbers depend on.
 
     Returns
     -------
     dict of str
-        numba is among them where it is installed.
+        numba is among them if it is installed.
 
     Examples
     --------
@@ -107,11 +107,10 @@ def ssp_table(ssps, cube, *, select=None):
     Returns
     -------
     `~astropy.table.QTable`
-        One row an SSP, its ``date`` a `~astropy.time.Time`.  Positions
-        ``east`` and ``north`` are offsets of the maximum from the reference
-        pixel, with thermal errors ``beam / (sqrt(2) SNR)``.  In frames
-        without right ascension columns are called as
-        `~astro_scc.epochs.name_by_frame` says.
+        One row per SSP; ``date`` is a `~astropy.time.Time`.  ``east`` and
+        ``north`` are offsets of the maximum from the reference pixel, with
+        thermal errors ``beam / (sqrt(2) SNR)``.  In frames without right
+        ascension, `~astro_scc.epochs.name_by_frame` gives the column names.
     """
     n = len(ssps)
     select = np.ones(n, bool) if select is None else np.asarray(select, bool)
@@ -157,11 +156,11 @@ def feature_table(result):
     Returns
     -------
     `~astropy.table.QTable`
-        A row a feature: the ``component`` that it is of, its ``scale``, the
-        number of epochs and its ``first`` and ``last`` date, its mean
-        ``distance`` from the reference pixel along the component, the
-        ``motion`` in that time, its speed ``pm`` along and ``pm_transverse``
-        across the component with errors, and its ``acceleration``.
+        One row per feature: its ``component``, its ``scale``, the number of
+        epochs, its ``first`` and ``last`` date and its ``motion`` between
+        them, its mean ``distance`` from the reference pixel along the
+        component, its speed ``pm`` along and ``pm_transverse`` across the
+        component with errors, and its ``acceleration``.
     """
     ssps, cube = result.matched.ssps, result.cube
     project = projection_of(result)
@@ -203,19 +202,19 @@ def feature_table(result):
 
 def component_table(rows, *, meta=None):
     """
-    Velocity components as a table.
+    Return velocity components as a table.
 
     Parameters
     ----------
     rows : sequence of dict
-        One a component: the columns as plain numbers, proper motions in
+        One per component: the columns as plain numbers, proper motions in
         mas/yr and angles in degrees.  May be empty.
     meta : dict, optional
 
     Returns
     -------
     `~astropy.table.QTable`
-        All columns are there with their units even if there is no row.
+        It has all columns with their units even if there is no row.
 
     Examples
     --------
@@ -252,7 +251,7 @@ def component_row(result, number):
         "n_ssp": len(np.unique(d.ssp[member])),
         "n_pairs": len(np.unique(pairs.min(axis=0) * d.n_epochs + pairs.max(axis=0))),
         "n_features": len(stream.features),
-        # ECSV takes empty text for a missing value.
+        # ECSV reads empty text as a missing value.
         "note": stream.reason or "-",
     }
 
@@ -269,15 +268,15 @@ def component_row(result, number):
 
 
 def _root(variance):
-    # That of errors along a line only is zero across it, but for rounding.
+    # Rounding can make a variance negative that should be zero.
     return np.sqrt(np.maximum(variance, 0.0))
 
 
 def velocity_columns(velocity, covariance, frame, position_angle):
     """
-    Components of a velocity and their errors, on the sky and to the jet.
+    Return the components of a velocity, on the sky and relative to the jet.
 
-    Errors that the data do not give are NaN.
+    Each has an error, which is NaN if the data do not determine it.
     """
     if not np.all(np.isfinite(covariance)):
         row = velocity_columns(velocity, np.zeros((2, 2)), frame, position_angle)
@@ -290,7 +289,7 @@ def velocity_columns(velocity, covariance, frame, position_angle):
         jet = np.array([[np.sin(pa), np.cos(pa)], [np.cos(pa), -np.sin(pa)]])
         along, along_covariance = jet @ sky, jet @ sky_covariance @ jet.T
     else:
-        # Away from a point or along a bend there is no one direction on the sky.
+        # The axes of radial and curved frames have no single direction on the sky.
         sky, sky_covariance = np.full(2, np.nan), np.full((2, 2), np.nan)
         along, along_covariance = velocity, covariance
     speed = float(np.hypot(*along))
@@ -301,7 +300,7 @@ def velocity_columns(velocity, covariance, frame, position_angle):
     if not frame.uniform:
         pa_err = np.nan
     elif speed > 0:
-        # No direction is more than half a turn off.
+        # A direction cannot be wrong by more than half a turn.
         across_err = _root(across @ along_covariance @ across)
         pa_err = np.minimum(across_err, np.pi * speed) / speed
     names = ("pm_ra_cosdec", "pm_dec", "pm_parallel", "pm_transverse")
@@ -317,9 +316,9 @@ def velocity_columns(velocity, covariance, frame, position_angle):
 
 def build_table(rows, columns):
     """
-    Return a table of dicts, with the units or types and the texts of its columns.
+    Build a table from dicts, with the unit or type and description of each column.
 
-    Where a value is None it is masked.
+    Values that are None are masked.
     """
     table = QTable()
     for name, (kind, text) in columns.items():
@@ -339,7 +338,7 @@ def build_table(rows, columns):
 
 
 def stack_tables(tables, meta):
-    """Return the rows of tables with the same columns, and with a meta of its own."""
+    """Return one table of the rows of all, with a meta of its own."""
     filled = [table for table in tables if len(table)] or tables[:1]
     stacked = vstack(filled, metadata_conflicts="silent")
     stacked.meta.clear()
@@ -349,16 +348,16 @@ def stack_tables(tables, meta):
 
 def false_discovery_rate(tables, *, method="bh"):
     """
-    Adjust the probabilities of components of regions searched together.
+    Adjust the p-values of components for the number of regions searched.
 
-    Of m velocities that were tested in all regions, bins or groups of
-    scales together, with :math:`p_{(1)} \\le \\ldots \\le p_{(m)}` their
-    ``p_global``, the k-th smallest becomes
+    Let :math:`p_{(1)} \\le \\ldots \\le p_{(m)}` be the ``p_global`` of the m
+    velocities that were tested in all regions, bins or groups of scales
+    together.  The k-th smallest becomes
 
     .. math:: q_{(k)} = \\min_{l \\ge k}\\ \\min(1,\\ c_m\\, m\\, p_{(l)} / l),
 
     with :math:`c_m = 1` [1]_, or :math:`c_m = \\sum_{l=1}^{m} 1 / l` [2]_.  Of
-    the components with ``p_fdr <= q`` a share of at most q is expected to be
+    the components with ``p_fdr <= q``, a share of at most q is expected to be
     false.
 
     Parameters
@@ -367,39 +366,39 @@ def false_discovery_rate(tables, *, method="bh"):
         Components, see `SCCResult.components`: one table for each region,
         bin or group of scales, *those without components included*.
     method : {"bh", "by"}, optional
-        Benjamini & Hochberg, which holds for independent tests and for
-        those that depend on one another positively, as regions that share
-        features and scales that see the same feature do; or Benjamini &
-        Yekutieli, which holds for any dependence and costs the factor
-        :math:`c_m`, 3.6 for m = 20.
+        Benjamini & Hochberg, which holds for independent and for positively
+        dependent tests, for example of regions that share features or of
+        scales that see the same feature; or Benjamini & Yekutieli, which
+        holds for any dependence and costs the factor :math:`c_m`, 3.6 for
+        m = 20.
 
     Returns
     -------
     list or dict of `~astropy.table.QTable`
-        Copies with the column ``p_fdr`` behind ``p_global_err``; its meta
-        has the method and the number of tests.
+        Copies with the column ``p_fdr`` after ``p_global_err``; their meta
+        holds the method and the number of tests.
 
     Raises
     ------
     TypeError
         If ``tables`` is one table.
     ValueError
-        If a table has no column ``p_global`` or one that is no probability,
-        or for another ``method``.
+        If a table has no column ``p_global``, if a value in it is no
+        probability, or if ``method`` is unknown.
 
     Notes
     -----
-    ``p_global`` enters because it has paid already for all the velocities at
-    which one region was searched; ``p_local`` has not.  Every velocity that
-    was tested counts, those "not significant" too, and a table without any
-    counts as one test with a probability of 1.  Were only those counted that
-    are significant by themselves, a lone false alarm among twenty regions
-    would have nothing to pay for the other nineteen.  What is "stationary" is
-    not tested and does not count.  ``kind`` is not changed: a component is a
-    discovery of the whole search if it is "moving" *and* its ``p_fdr`` is
-    small.
+    ``p_global`` is adjusted because it already accounts for all velocities at
+    which one region was searched; ``p_local`` does not.  Every velocity that
+    was tested counts, including those "not significant", and a table without
+    any counts as one test with a p-value of 1.  If only significant velocities
+    counted, a single false alarm among twenty regions would not be corrected
+    for the other nineteen.  "stationary" components are not tested and do not
+    count.  ``kind`` is not changed: a component is a discovery of the whole
+    search if it is "moving" *and* its ``p_fdr`` is small.
 
-    With n trials no ``p_fdr`` of a lone component is below m / (n + 1).
+    With n trials, the ``p_fdr`` of a single small p-value cannot be below
+    m / (n + 1).
 
     References
     ----------
@@ -426,7 +425,7 @@ def false_discovery_rate(tables, *, method="bh"):
     is_mapping = hasattr(tables, "items")
     tables = dict(tables.items() if is_mapping else enumerate(tables))
     tested = {name: _tested(table, name) for name, table in tables.items()}
-    # Where nothing could be tested was searched all the same.
+    # A region where nothing could be tested was searched all the same.
     p = [p[use] if use.any() else np.ones(1) for p, use in tested.values()]
     adjusted = false_discovery_control(np.concatenate(p), method=method) if p else []
     meta = {"false_discovery": {"method": method, "n_tests": len(adjusted)}}
@@ -440,7 +439,7 @@ def false_discovery_rate(tables, *, method="bh"):
 
 
 def _tested(table, name):
-    """Return the probabilities, and which were tested: not of what stands still."""
+    """Return the p-values, and which were tested: stationary components are not."""
     if "p_global" not in table.colnames:
         raise ValueError(
             f"table {name!r} has no column p_global: give tables of components"
@@ -455,7 +454,7 @@ def _tested(table, name):
 
 
 def _with_column(table, values, meta):
-    """Return a copy of a table with adjusted probabilities."""
+    """Return a copy of a table with adjusted p-values."""
     table = table.copy()
     before = "p_global_err" if "p_global_err" in table.colnames else "p_global"
     if "p_fdr" in table.colnames:

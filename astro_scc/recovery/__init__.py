@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Recovery: what is found of motion that was injected."""
+"""Recovery: injection of moving features, completeness, and planning of epochs."""
 
 from astro_scc.recovery.completeness import completeness
 from astro_scc.recovery.injection import draw_paths, inject

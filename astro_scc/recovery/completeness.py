@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Completeness: how often motion that is injected into epochs is found."""
+"""Completeness: how often motion injected into epochs is found."""
 
 import math
 import warnings
@@ -28,17 +28,17 @@ from astro_scc.recovery.injection import (
     velocity_along,
 )
 
-#: A component is that of the features within this part of the beam over the
-#: median interval.
+#: Largest difference of a component's velocity from that of the features, in beams
+#: over the median interval.
 TOLERANCE = 0.2
-#: Of the intervals of shares.
+#: Confidence level of the intervals of shares.
 CONFIDENCE = 0.95
 #: Beginning of the warning of a region without SSPs.
 NOTHING_THERE = ".*: no significant pattern has its centroid inside"
 
 
 _LIMIT = "limit of the 95% interval of fraction (Jeffreys)"
-#: Units and descriptions of the columns.
+#: Columns of the table: unit and description.
 COLUMNS = {
     "speed": (PM_UNIT, "speed of the features that were injected"),
     "flux": (None, "their peak"),
@@ -80,10 +80,10 @@ def completeness(
     """
     Inject moving features into epochs and count how often they are found.
 
-    The epochs keep their images, dates, noise, masks and beams; features of
+    The epochs keep their images, dates, noise, masks and beams.  Features with
     the shape of the beam, on straight lines at one speed, are added to them
-    (`draw_paths`, `inject`), and everything is measured with the settings
-    that measured the epochs themselves.
+    (`draw_paths`, `inject`), and the sum is measured with the settings that
+    are used for the epochs themselves.
 
     Parameters
     ----------
@@ -92,33 +92,33 @@ def completeness(
     speeds : `~astropy.units.Quantity`, scalar or shape (n,)
         Proper motions of the features.
     fluxes : `~astropy.units.Quantity` or float, scalar or shape (n,)
-        Peaks of the features in the unit of the cube (their flux densities,
-        as they are as small as the beam), or as plain numbers in multiples
-        of the median noise of the epochs.
+        Peaks of the features in the unit of the cube (equal to their flux
+        densities, as they have the size of the beam), or, as plain numbers, in
+        multiples of the median noise of the epochs.
     position_angle : `~astropy.units.Quantity` or "radial", optional
-        Direction in which they move, by default that of ``scc``.
+        Direction in which the features move, by default that of ``scc``.
     region : optional
-        Anything that ``cube.region_mask`` takes: SSPs inside are
-        correlated, and features put there.  Without it everything is
-        correlated and features are put where the epochs have SSPs, or
-        anywhere if they have none.
+        Anything that ``cube.region_mask`` takes.  SSPs inside are correlated,
+        and features are injected there.  Without it, everything is correlated
+        and features are injected where the epochs have SSPs, or anywhere if
+        they have none.
     n_features : float, optional
         Mean number of features in the region at a time.
     n_injections : int, optional
-        Measurements at each speed and flux.
+        Number of measurements at each speed and flux.
     n_trials : int, optional
-        Of each measurement.
+        Number of trials of each measurement.
     scatter : float, optional
-        Standard deviation of the position of a feature at an epoch about
-        its line, on each axis, in beams.
+        Standard deviation of a feature's position around its line at each
+        epoch, on each axis, in beams.
     tolerance : `~astropy.units.Quantity`, optional
         Largest distance of a component's velocity from the true one, by
         default 0.2 beams over the median interval of the pairs of epochs.
     fwhm : `~astropy.units.Quantity`, optional
-        Full width of the features and of what counts as a beam above.
-        Needed if the cube has no beams.
+        Full width of the features, which replaces the beam in the lengths
+        above.  Needed if the cube has no beams.
     rng : None, int or `~numpy.random.Generator`, optional
-        Every measurement has a generator of its own: the table is the same
+        Every measurement has a generator of its own, so the table is the same
         for any ``n_workers``.
     n_workers : int, optional
         Number of threads.
@@ -127,41 +127,41 @@ def completeness(
     Returns
     -------
     `~astropy.table.QTable`
-        One row a speed and flux: ``speed``, ``flux``, ``snr``,
+        One row per speed and flux: ``speed``, ``flux``, ``snr``,
         ``n_injected``, ``n_found``, ``fraction`` with the limits
-        ``fraction_low`` and ``fraction_high`` of its 95% interval (Jeffreys),
-        ``bias``, ``bias_err``, ``scatter`` and ``coverage`` of those that
-        were found, masked where none was (of ``bias_err`` and ``scatter``:
-        fewer than two), and ``own``.  Its meta holds the settings, the
-        velocities of the epochs' own components, the seed and the versions.
+        ``fraction_low`` and ``fraction_high`` of its 95% interval (Jeffreys);
+        ``bias``, ``bias_err``, ``scatter`` and ``coverage`` of those found,
+        masked if there are too few (``bias_err`` and ``scatter`` need two);
+        and ``own``.  The meta holds the settings, the velocities of the epochs'
+        own components, the seed and the versions.
 
     Raises
     ------
     ValueError
-        If an argument is out of its range, the velocity axes of ``scc`` have
-        no one direction and are not radial, the epochs or the trials are so
-        few that nothing can be found, a speed is beyond the largest that
-        ``scc`` searches, or the cube has no beams and ``fwhm`` is not
+        If an argument is out of its range, if the velocity axes of ``scc``
+        are neither radial nor of a single direction, if there are too few
+        epochs or trials to find anything, if a speed is beyond the largest
+        that ``scc`` searches, or if the cube has no beams and ``fwhm`` is not
         given.
     `~astropy.units.UnitConversionError`
-        If a unit does not fit.
+        If a unit cannot be converted.
 
     Notes
     -----
     The features are found if there is a component that
 
     1. is "moving" with ``p_global <= scc.alpha``,
-    2. lies within the tolerance of their velocity,
-    3. is not one of the epochs' own: the epochs are measured without
-       features first, and each moving component of theirs takes the one
-       nearest to it within the tolerance; so at a speed that the epochs have
-       already (``own``) a second component beside it is needed, and
+    2. lies within the tolerance of the features' velocity,
+    3. is not one of the epochs' own components: the epochs are first measured
+       without features, and each moving component found there claims the
+       nearest one within the tolerance.  At a speed that the epochs already
+       show (``own``), a second component is therefore needed, and
     4. has most of its SSPs within half a beam of injected features.
 
     The epochs are measured ``1 + len(speeds) len(fluxes) n_injections``
-    times.  Features change the planes of every epoch, and the noise that is
-    measured on them, so each time everything is decomposed and correlated
-    anew.
+    times.  Features change the planes of every epoch and the noise that is
+    measured on them, so every measurement decomposes and correlates everything
+    again.
 
     Examples
     --------
@@ -202,7 +202,7 @@ def completeness(
         return scc.stack(matched, n_trials=n_trials, rng=rng)
 
     with warnings.catch_warnings():
-        # Features are injected where there were none as well.
+        # Features are injected even if the region has no SSP.
         warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
         bare = measure(cube, own_rng)
     area = area_for_features(bare.matched, region)
@@ -246,7 +246,7 @@ def completeness(
 
 
 def _offset(result, number, axis, speed):
-    """Return measured minus true speed of a component along an axis, and its error."""
+    """Return the measured minus the true speed along an axis, and its error."""
     velocity = result.velocities[number - 1]
     error = np.inf
     if np.all(np.isfinite(velocity.covariance)):
@@ -255,7 +255,7 @@ def _offset(result, number, axis, speed):
 
 
 def _check_possible(n_epochs, n_trials, level):
-    """Refuse epochs and trials so few that nothing can be found."""
+    """Refuse too few epochs or trials to find anything."""
     if smallest_p(n_epochs) > level:
         raise ValueError(
             f"{n_epochs} epochs allow no p_global below {smallest_p(n_epochs):.2g} "
@@ -266,7 +266,7 @@ def _check_possible(n_epochs, n_trials, level):
 
 
 def _direction(position_angle, axis):
-    """Return the direction of motion, and the part of a speed along the axis."""
+    """Return the direction of motion, and the fraction of a speed along the axis."""
     axis = axis.pa if isinstance(axis, PositionAngleFrame) else axis
     radial = isinstance(axis, str) and axis == "radial"
     if not (radial or axis is None or isinstance(axis, u.Quantity)):
@@ -313,7 +313,7 @@ def _tolerance(cube, scc, width, tolerance):
 
 
 def _speeds(speeds, limit, largest_part):
-    """Return speeds in mas/yr, of which the part along the axis is searched."""
+    """Return speeds in mas/yr, whose component along the axis must be searched."""
     values = positive_quantities("speeds", speeds, "2 mas/yr").to_value(PM_UNIT)
     if np.any(values * largest_part > limit):
         raise ValueError(
@@ -326,7 +326,7 @@ def _speeds(speeds, limit, largest_part):
 def _peaks(fluxes, unit, noise):
     """Return peaks of features as numbers in the unit of a cube."""
     if isinstance(fluxes, u.Quantity):
-        # What is as small as the beam has as much in it as at its peak.
+        # The flux density of a feature of the size of the beam equals its peak.
         per_beam = fluxes / u.beam
         if per_beam.unit.is_equivalent(unit):
             fluxes = per_beam
@@ -347,7 +347,7 @@ def _peaks(fluxes, unit, noise):
 
 
 def _counted(outcomes):
-    """Return how many injections were found, and how well; None what is not known."""
+    """Return how many injections were found, and how well (None if unknown)."""
     found = [outcome for outcome in outcomes if outcome is not None]
     n = len(found)
     fraction, low, high = share(n, len(outcomes))
@@ -367,7 +367,7 @@ def _counted(outcomes):
 
 
 def positive_quantities(name, value, example):
-    """Return one or more positive quantities of the unit of an example."""
+    """Return one or more positive quantities in the unit of an example."""
     wanted = f"must be positive and finite, with a unit, such as {example!r}"
     unit = u.Quantity(example).unit
     found = np.atleast_1d(named(name, to_quantity, value, unit, wanted))
@@ -378,7 +378,7 @@ def positive_quantities(name, value, example):
 
 
 def check_trials(n_trials, level):
-    """Refuse trials that allow no probability as small as a level."""
+    """Refuse too few trials for a p-value as small as a level."""
     if not n_trials >= 2:
         raise ValueError(f"n_trials must be at least 2, got {n_trials}")
     if 1 / (n_trials + 1) > level:
@@ -389,8 +389,8 @@ def check_trials(n_trials, level):
 
 
 def smallest_p(n_epochs):
-    """Return the smallest ``p_global`` of what moves, 2 / N! (:ref:`significance`)."""
-    # The factorial of 171 is no float any more.
+    """Return the smallest ``p_global`` of motion, 2 / N! (:ref:`significance`)."""
+    # The factorial of 171 overflows a float.
     return min(1.0, 2 / math.factorial(min(n_epochs, 170)))
 
 
@@ -410,17 +410,17 @@ def share(number, of):
 
 def run_all(function, cells, numbers, rng, n_workers=1, label="", progress_bar=False):
     """
-    Return what a function makes of each cell and a generator, a list per cell.
+    Call a function with each cell and each of its generators; return lists by cell.
 
-    Each cell has as many generators as its number says, so that the outcome is the same
+    The n-th cell has ``numbers[n]`` generators of its own, so the outcome is the same
     for any number of threads.  Warnings about what the data support are not repeated.
     """
     if n_workers < 1:
         raise ValueError(f"n_workers must be at least 1, got {n_workers}")
     rngs = [own.spawn(n) for own, n in zip(rng.spawn(len(cells)), numbers, strict=True)]
     with (
-        # Each measurement limits the threads of products by itself; limits that
-        # overlap in time would be restored in the wrong order.
+        # Each measurement limits the threads of matrix products by itself; limits
+        # that overlap in time would be restored in the wrong order.
         threadpool_limits(1),
         warnings.catch_warnings(),
         progress(sum(numbers), label, show=progress_bar) as done,

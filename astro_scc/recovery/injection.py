@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Injection of moving features into epochs, and which component they become."""
+"""Inject moving features into epochs, and find the component that they cause."""
 
 from dataclasses import dataclass
 
@@ -11,13 +11,13 @@ from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.kinematics import RadialFrame
 from astro_scc.measurement.tables import PM_UNIT
 
-#: An injected feature holds an SSP whose maximum is this close, in beams.
+#: An SSP belongs to an injected feature within this distance, in beams.
 NEAR = 0.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FeaturePaths:
-    """Where features are at each epoch of a cube, see `draw_paths`."""
+    """Positions of features at each epoch of a cube, see `draw_paths`."""
 
     x: np.ndarray
     y: np.ndarray
@@ -39,11 +39,11 @@ def draw_paths(
     """
     Draw features that flow through an area at one speed.
 
-    All lines that meet the area are equally likely, so that it is populated
-    evenly and at all times: a line is drawn through a point of the area at
-    one of the epochs and kept with probability 1/m, m the number of epochs
-    at which it meets the area.  Lines are added until the mean number of
-    features in the area reaches ``n_features``.
+    All lines that meet the area are equally likely, so features populate it
+    evenly at all times: a line is drawn through a point of the area at one of
+    the epochs and kept with probability 1/m, where m is the number of epochs at
+    which it meets the area.  Lines are added until the mean number of features
+    in the area reaches ``n_features``.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ def draw_paths(
     n_features : float, optional
         Mean number in the area at a time.
     scatter : `~astropy.units.Quantity`, optional
-        Standard deviation of positions about the lines, an angle, on each
-        axis and at each epoch on its own.
+        Standard deviation of positions around the lines, an angle; it is drawn
+        on each axis and at each epoch independently.
     rng : `numpy.random.Generator`, seed or None, optional
 
     Returns
@@ -66,7 +66,7 @@ def draw_paths(
     ``FeaturePaths``
         ``x`` and ``y``, shape (n_features, n_epochs), in pixels counted from 0,
         NaN at epochs before a feature has left the origin of a radial flow; and
-        ``inside``, whether it is in the area, without its scatter.
+        ``inside``, whether the feature, without scatter, is in the area.
 
     Raises
     ------
@@ -121,10 +121,10 @@ def draw_paths(
 
 
 def _motion(start, origin, to_sky, position_angle):
-    """Return the direction of motion (east, north), and the way from its origin."""
+    """Return the direction of motion (east, north) and the distance from its origin."""
     if isinstance(position_angle, str):
         offset = to_sky @ (start - origin)
-        # Rounding must not lose the pixel of the origin itself.
+        # Avoid a division by zero at the origin.
         distance = max(np.hypot(*offset), 1e-12)
         return offset / distance, distance
     angle = u.Quantity(position_angle).to_value(u.rad)
@@ -142,9 +142,9 @@ def _is_inside(line, area):
 
 def inject(cube, paths, peak, *, fwhm=None):
     """
-    Add features of the shape of each epoch's beam to a cube.
+    Add features with the shape of each epoch's beam to a cube.
 
-    Dates, masks, beams and all else stay as they are.
+    Everything but the images stays the same.
 
     Parameters
     ----------
@@ -205,8 +205,8 @@ def area_for_features(matched, region=None):
     """
     Return the pixels in which features are injected, shape (ny, nx).
 
-    They are those of the region that exist in any epoch; without a region those of
-    SSPs of any epoch and scale, or all if there are none.
+    They are the pixels of the region that are valid in any epoch.  Without a region,
+    they are the pixels of SSPs of any epoch and scale, or all if there are none.
     """
     exists = ~matched.cube.mask.all(axis=0)
     if region is None:
@@ -227,7 +227,7 @@ def velocity_along(frame, position_angle):
 
 
 def moving_components(result, level):
-    """Return the numbers, from 1, of the components that move with ``p_global``."""
+    """Return the numbers, from 1, of moving components with ``p_global <= level``."""
     table = result.components
     moving = (table["kind"] == "moving") & (table["p_global"] <= level)
     return [int(number) for number in table["component"][moving]]
@@ -237,11 +237,11 @@ def recovered(result, own, velocity, *, tolerance, level, paths, fwhm):
     """
     Return the number of the component that is due to injected features, or None.
 
-    It is moving, with ``p_global <= level``, and within the ``tolerance`` (mas/yr) of
-    their ``velocity``, on the axes of the result's frame; it is none of the components
-    that the epochs have of their own, shape (n, 2), each of which takes the component
-    nearest to it, if one is within the tolerance; and more of its SSPs are within half
-    a beam (``fwhm`` in mas) of an injected feature than of the others.
+    The component is moving with ``p_global <= level``, and within the ``tolerance``
+    (mas/yr) of the features' ``velocity`` on the axes of the result's frame.  It is not
+    a component that the epochs have without features: each velocity in ``own``, shape
+    (n, 2), claims the component nearest to it within the tolerance.  And more than
+    half of its SSPs are within half a beam (``fwhm`` in mas) of an injected feature.
     """
     left = {
         number: result.velocities[number - 1].value
@@ -273,5 +273,5 @@ def _share_of_features(result, number, paths, fwhm):
     epoch = ssps.epoch[member]
     pixels = paths.x[:, epoch] - ssps.x[member], paths.y[:, epoch] - ssps.y[member]
     offset = np.einsum("ij,jnm->inm", result.cube.pixel_matrix.value, np.stack(pixels))
-    # A feature that is not there is NaN, and near to nothing.
+    # Positions of features that do not exist yet are NaN and compare as far away.
     return float((np.hypot(*offset) <= NEAR * fwhm).any(axis=0).mean())

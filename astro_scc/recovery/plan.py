@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Plan: how many epochs at which spacing distinguish two speeds."""
+"""Plan observations: the number and spacing of epochs that distinguish two speeds."""
 
 from dataclasses import dataclass
 
@@ -22,24 +22,24 @@ from astro_scc.recovery.completeness import (
 )
 from astro_scc.stacking import SearchSettings
 
-#: Pixels of a simulated beam, as in the paper's test, and scales for them.
+#: Width of a simulated beam in pixels, as in the paper's test, and the scales for it.
 BEAM_PIXELS = 10
 SCALES = (1, 2, 3)
 #: Position angle of the simulated jets.
 JET = 270 * u.deg
-#: Features of two streams whose motions in the whole time differ by fewer
-#: beams scatter as much by themselves.
+#: Smallest difference of motion over the whole time, in beams, that two streams need,
+#: because the features of one scatter as much.
 RESOLVED = 0.5
-#: Share of the field that may be crossed between consecutive epochs.
+#: Largest share of the field that features may cross between consecutive epochs.
 CROSSED = 0.5
-#: Motions larger than the faster one, by so many beams, are searched too.
+#: Beams per interval by which the search goes beyond the faster speed.
 MARGIN = 2.0
-#: A component is a stream's within this part of its speed, and of the beam
-#: over the interval.
+#: Largest difference of a component from a stream, relative to its speed and to one
+#: beam per interval.
 TOLERANCE = 0.2
 #: Length of the simulated field by default, in beams.
 FIELD = 20.0
-#: Units and descriptions of the columns.
+#: Columns of the table: unit and description.
 COLUMNS = {
     "n_epochs": (None, "number of epochs"),
     "interval": (None, "time between consecutive epochs"),
@@ -79,80 +79,82 @@ def plan(
     **options,
 ):
     """
-    Tell with how many epochs at which spacing two speeds are distinguished.
+    Find the number and spacing of epochs that distinguish two speeds.
 
-    For every number of epochs and interval the jet of the paper's two-fluid
+    For every number of epochs and interval, the jet of the paper's two-fluid
     test is simulated with the two speeds and measured, unless a simple
-    estimate says that nothing can come of it.
+    estimate says that they cannot be distinguished.
 
     Parameters
     ----------
     speeds : `~astropy.units.Quantity`, shape (2,)
         Proper motions of the two streams, in any order.
     beam : `~astro_scc.epochs.Beam` or `~astropy.units.Quantity`
-        Or the full width of a round one.
+        The beam, or the full width of a round one.
     n_epochs : int or sequence of int
     intervals : `~astropy.units.Quantity`, scalar or shape (n,), or sequence
         Times between consecutive epochs.
     position_angle : `~astropy.units.Quantity`, optional
-        Direction of the jet, north through east, to which the beam is
-        turned.  Without it the beam is taken to be round, of the same area.
+        Direction of the jet, north through east, relative to which the beam is
+        oriented.  Without it, the beam is replaced by a round one of the same
+        area.
     field : `~astropy.units.Quantity`, optional
-        Length of the jet that is seen, an angle; 20 beams by default.
+        Visible length of the jet, an angle; 20 beams by default.
     n_jets : int, optional
-        Simulated jets for each row.  With 0 nothing is simulated, and the
-        simple estimate is returned at once.
+        Number of simulated jets for each row.  With 0, nothing is simulated and
+        the table holds only the simple estimate.
     n_trials : int, optional
-        Of each measurement.
+        Number of trials of each measurement.
     alpha : float, optional
         Largest ``p_global`` of a component.
     wanted : float, optional
-        The share of jets in which both are found that `smallest_plan`
-        looks for, see ``meta["smallest"]``.
+        Share of jets in which both streams must be found for
+        ``meta["smallest"]``, see `smallest_plan`.
     rng : None, int or `~numpy.random.Generator`, optional
-        Every jet has a generator of its own: the table is the same for any
+        Every jet has a generator of its own, so the table is the same for any
         ``n_workers``.
     n_workers : int, optional
         Number of threads.
     progress_bar : bool, optional
     **options
-        Of `~astro_scc.simulation.simulate_two_fluid` (``densities``,
+        Options of `~astro_scc.simulation.simulate_two_fluid` (``densities``,
         ``dense``, ``jitter``) and `~astro_scc.simulation.JetSimulation`
         (``noise``, ``core``); lengths there are in pixels, ten to the beam.
 
     Returns
     -------
     `~astropy.table.QTable`
-        One row a number of epochs and interval: ``n_epochs``, ``interval``,
+        One row per number of epochs and interval: ``n_epochs``, ``interval``,
         ``total_time``, ``motion_slow`` and ``motion_fast`` (beams per
         interval), ``p_smallest``, ``limit``, ``n_jets``, and the shares
         ``fraction_slow``, ``fraction_fast`` and ``fraction_both``, each with
-        its 95% interval ``_low`` and ``_high`` (Jeffreys), masked where
-        nothing was simulated.  ``meta["smallest"]`` is the row that
-        `smallest_plan` finds, as a dictionary, or None.
+        its 95% interval ``_low`` and ``_high`` (Jeffreys), masked if nothing
+        was simulated.  ``meta["smallest"]`` is the row that `smallest_plan`
+        finds, as a dictionary, or None.
 
     Raises
     ------
     ValueError
         If an argument is out of its range.
     `~astropy.units.UnitConversionError`
-        If a unit does not fit.
+        If a unit cannot be converted.
 
     Notes
     -----
-    The simple estimate, ``limit``: with N epochs an interval dt apart, T the
-    time between first and last, speeds v < V, b the beam along the jet and L
-    the field,
+    The simple estimate, ``limit``, is the reason why two speeds v < V cannot be
+    distinguished.  With N epochs over the time T, and b the beam along the jet:
 
     - "epochs": 2 / N! is above ``alpha``;
-    - "rest": v T < b, the slower stream is not searched, as standing features
-      that blend drift, too (``slowest`` of `~astro_scc.stacking.SearchSettings`);
+    - "rest": v T < b, and the slower stream is not searched because blended
+      standing features drift as far (``slowest`` of
+      `~astro_scc.stacking.SearchSettings`);
     - "field": features of the faster stream cross more than half of the field
       between consecutive epochs;
-    - "difference": (V - v) T < 0.5 b, the speeds of features scatter as much.
+    - "difference": (V - v) T < 0.5 b, and the speeds of features scatter as
+      much.
 
-    A stream is found if there is a component that moves with ``p_global <=
-    alpha`` within 20% of its velocity and within 0.2 beams over the interval.
+    A stream is found if a component moves with ``p_global <= alpha`` and its
+    velocity agrees within 20% and within 0.2 beams over the interval.
 
     Examples
     --------
@@ -227,17 +229,18 @@ def plan(
 
 def smallest_plan(table, wanted=0.9):
     """
-    The smallest row of a plan that reaches a share.
+    Return the smallest row of a plan that reaches a share.
 
-    Of the rows with the fewest epochs that with the shortest total time.
+    It is the row with the fewest epochs and, among these, the shortest total
+    time.
 
     Parameters
     ----------
     table : `~astropy.table.QTable`
         From `plan`.
     wanted : float, optional
-        Smallest ``fraction_both``.  Of rows that were not simulated those
-        without a ``limit`` count.
+        Smallest ``fraction_both``.  If nothing was simulated, rows without a
+        ``limit`` qualify.
 
     Returns
     -------
@@ -266,7 +269,7 @@ def smallest_plan(table, wanted=0.9):
 
 @dataclass(frozen=True)
 class _Campaign:
-    """Epochs at one spacing, speeds in mas/yr, times in yr, angles in mas."""
+    """Epochs at one spacing; speeds are in mas/yr, times in yr, angles in mas."""
 
     n_epochs: int
     interval: float
@@ -282,10 +285,10 @@ class _Campaign:
 
     @property
     def limit(self):
-        """The reason why nothing can come of it, or an empty string."""
+        """The reason why the speeds cannot be distinguished, or an empty string."""
         if smallest_p(self.n_epochs) > self.alpha:
             return "epochs"
-        # Rounding decides nothing.
+        # Rounding must not decide.
         beam = self.width * (1 - 1e-9)
         if self.slow * self.total < SearchSettings().slowest * beam:
             return "rest"
@@ -296,7 +299,7 @@ class _Campaign:
         return ""
 
     def row(self, interval, found):
-        """Return the row of a table; of each jet is known which streams are found."""
+        """Return the row of the table, given the streams ``found`` in each jet."""
         per_beam = self.interval / self.width
         row = {
             "n_epochs": self.n_epochs,
@@ -353,7 +356,7 @@ class _Campaign:
 
 
 def _as_dict(row):
-    """Return a row as ECSV can keep it in a meta."""
+    """Return a row as a dictionary that ECSV can keep in a meta."""
     fraction = row["fraction_both"]
     found = {name: row[name] for name in ("n_epochs", "interval", "total_time")}
     found["fraction_both"] = None if fraction is np.ma.masked else fraction

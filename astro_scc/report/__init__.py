@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Report: a measurement as one page to read, print and send."""
+"""Report: an HTML page on a measurement, to read, print and send."""
 
 from astro_scc.report.page import write_report
 

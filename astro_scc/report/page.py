@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""A measurement as one page to read; its sentences stand in the template."""
+"""Write a measurement as one page; its sentences are in the template."""
 
 import base64
 import io
@@ -15,14 +15,14 @@ from astro_scc.quantities import with_error
 from astro_scc.report import tables
 from astro_scc.report.tables import plain_value, unit_text
 
-#: What else may be in the folder, in this order.
+#: Other products that the folder may hold, in the order of the page.
 PRODUCTS = (
     "components.ecsv features.ecsv components.vot ssps.ecsv ssps.vot scc.fits "
     "config.toml region.reg"
 ).split()
-#: Dots per inch of the figures, which are up to six inches wide.
+#: Dots per inch of the figures, which are at most six inches wide.
 DPI = 150
-#: Speeds beyond this part of the largest one that was searched are pointed out.
+#: Speeds above this fraction of the largest one searched are pointed out.
 EDGE = 0.9
 NUMBERS = "no one two three four five six seven eight nine".split()
 
@@ -39,7 +39,7 @@ def write_report(
     config_text=None,
 ):
     """
-    Write a measurement as an HTML page that stands alone, and its figures.
+    Write a self-contained HTML page on a measurement, and its figures.
 
     Parameters
     ----------
@@ -48,25 +48,26 @@ def write_report(
         ``result.components``, or the table with apparent speeds of
         ``result.components_in_c``.
     directory : path
-        Gets ``report.html``, and ``diagram.png``, ``velocity_map.png``,
-        ``significance.png``, ``members.png``, ``epochs.png`` and
-        ``intervals.png``, which the page holds too.  It is made if need be;
-        files of these names are replaced, each when the new one is complete.
+        Folder for ``report.html``, and for ``diagram.png``,
+        ``velocity_map.png``, ``significance.png``, ``members.png``,
+        ``epochs.png`` and ``intervals.png``, which the page also holds.  It is
+        made if needed; files of these names are replaced, each when the new one
+        is complete.
     title : str
         Heading of the page, the name of the object.
     warnings : sequence of str, optional
         What the reader must know, in plain words.
     left_out : sequence of str or of (str, str), optional
-        Epochs that were not used, each with the reason.
+        Epochs that were not used, optionally with the reason.
     rerun : str, optional
-        The command that does the measurement again.
+        The command that repeats the measurement.
     config_text : str, optional
         The configuration as text.
 
     Returns
     -------
     `~pathlib.Path`
-        Of ``report.html``.
+        Path of ``report.html``.
 
     Raises
     ------
@@ -134,18 +135,18 @@ def _template():
 
 
 def _listed(words):
-    """Join words by commas, and the last by "and"."""
+    """Join words with commas, and the last one with "and"."""
     words = [str(word) for word in words]
     return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else words[0]
 
 
 def _address(png):
-    """Return a picture as an address that holds it."""
+    """Return a picture as a data URI."""
     return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
 
 
 def draw_figures(result, components):
-    """Return the figures as PNG, without members where there is no component."""
+    """Return the figures as PNG, without members if there is no component."""
     from astro_scc import visualization as show
 
     shared = {"components": components, "beta_per_pm": _beta_per_pm(components)}
@@ -168,7 +169,7 @@ def draw_figures(result, components):
 
 
 def _beta_per_pm(components):
-    """Return the apparent speed in units of c of 1 mas/yr, if the table has it."""
+    """Return the apparent speed in units of c of 1 mas/yr, if the table gives it."""
     if "beta_app" not in components.colnames:
         return None
     speed = u.Quantity(components["pm"]).to_value(u.mas / u.yr)
@@ -178,7 +179,7 @@ def _beta_per_pm(components):
 
 
 def _findings(result, components):
-    """Return the numbers that the sentences, tables and captions are made of."""
+    """Return the values that the template needs for sentences, tables and captions."""
     from astro_scc.visualization.style import component_kinds
 
     kinds = component_kinds(components)
@@ -213,7 +214,7 @@ def _findings(result, components):
 
 
 def fast_components(result, rows):
-    """Return the numbers of moving components at the edge of what was searched."""
+    """Return the numbers of moving components near the largest speed searched."""
     fastest = result.search.permutations.speed.max()
     moving = [int(row["component"]) for row in rows if row["kind"] == "moving"]
     speeds = [abs(result.search.streams[number - 1].along.mean) for number in moving]

@@ -10,7 +10,7 @@ from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.quantities import with_error
 
-#: Columns of the page: name, heading with {unit}, decimals where there is no error.
+#: Columns of the page: name, heading with {unit}, decimals of values without errors.
 COLUMNS = (
     ("component", "No.", 0),
     ("kind", "kind", 0),
@@ -38,18 +38,18 @@ COLUMNS = (
     ("p_smallest", "smallest p_global", 3),
     ("note", "note", 0),
 )
-#: What is in the meta of a table and stands elsewhere on the page.
+#: Entries of a table's meta that are elsewhere on the page.
 NO_SETTINGS = ("versions", "history", "configuration")
 
 
 def plain_value(item):
-    """A plain number, or text, of a cell."""
+    """Return a cell as a plain number or text."""
     item = getattr(item, "value", item)
     return item if isinstance(item, str) else float(item)
 
 
 def unit_text(unit):
-    """Return a unit without blanks; nothing for none."""
+    """Return a unit as text without blanks, empty for None."""
     from astro_scc.visualization.style import unit_name
 
     return "" if unit is None else unit_name(unit)
@@ -57,7 +57,7 @@ def unit_text(unit):
 
 def in_easy_units(components):
     """
-    Components with proper motions in the unit in which they are easily read.
+    Return components with proper motions in a unit that is easy to read.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def in_easy_units(components):
     Returns
     -------
     `~astropy.table.QTable`
-        The same table if that is the unit it has.
+        The same table if it already has that unit.
     """
     from astro_scc.visualization.style import speed_unit
 
@@ -85,7 +85,7 @@ def in_easy_units(components):
 
 def component_rows(components, kinds):
     """
-    Heads, rows and explanations of the tables of components.
+    Return heads, rows and explanations of the tables of components.
 
     Parameters
     ----------
@@ -95,10 +95,10 @@ def component_rows(components, kinds):
     Returns
     -------
     tables : list of (list of str, list of (str, list of str))
-        Head and rows, each with its kind: what the answer is made of, and the
-        rest, both narrow enough for paper.
+        Head and rows, each row with its kind.  The first table has the main
+        columns, the second the others; both are narrow enough for paper.
     notes : list of (str, str)
-        What stands below each heading.
+        Headings and what the columns mean.
     """
     known = [column for column in COLUMNS if column[0] in components.colnames]
     taken = {name for name, *_ in COLUMNS}
@@ -126,7 +126,7 @@ def component_rows(components, kinds):
 
 
 def _note(description):
-    """A description of a column in the words of the page."""
+    """Return the description of a column in the words of the page."""
     description = re.sub(r"\bpm_err\b", "the error of the speed", description)
     return re.sub(r"\bpm\b", "the speed", description)
 
@@ -137,18 +137,18 @@ def _cell(components, row, name, digits):
         return value
     if f"{name}_err" in components.colnames:
         return with_error(value, plain_value(row[f"{name}_err"]))
-    # A probability may be small, but is never rounded to nothing.
+    # A small p-value must not be rounded to zero.
     return f"{value:.2g}" if name.startswith("p_") else f"{value:.{digits}f}"
 
 
 def feature_rows(components, features):
     """
-    The features that were followed, each with its own speed.
+    Return the table of the features that were followed, each with its own speed.
 
     Parameters
     ----------
     components : `~astropy.table.QTable`
-        Of which the speeds have their unit.
+        Components, whose unit of speed is used.
     features : `~astropy.table.QTable`
         See `~astro_scc.measurement.tables.feature_table`.
 

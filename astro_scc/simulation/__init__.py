@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Simulation: jets whose velocities are known."""
+"""Simulation: images of jets and shells with known velocities."""
 
 from astro_scc.simulation.jets import JetSimulation, SimulatedJet, write_simulation
 from astro_scc.simulation.presets import (

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Images of a jet whose features move at known velocities."""
+"""Simulate images of a jet whose features move at known velocities."""
 
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -24,13 +24,13 @@ BOWL = 6.0
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulatedJet:
     """
-    A simulated jet: its images and what is in them.
+    A simulated jet: its images and the features in them.
 
     Attributes
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     truth : `~astropy.table.QTable`
-        A row for each feature and epoch; see `JetSimulation`.
+        One row per feature and epoch, see `JetSimulation`.
     simulation : `JetSimulation`
 
     Examples
@@ -59,8 +59,8 @@ class JetSimulation:
 
     The defaults are those of Sect. 2.4 of Mertens & Lobanov (2016): a beam
     of 10 pixels and ten epochs, 30 days apart.  Features fade in and out at
-    the two ends of the jet with a raised cosine, and there are always
-    others to follow, so that the region stays populated.
+    the two ends of the jet with a raised cosine, and new ones follow, so that
+    the jet stays populated.
 
     Parameters
     ----------
@@ -71,9 +71,8 @@ class JetSimulation:
     interval : `~astropy.units.Quantity`, optional
         Time between epochs, to which velocities in pixels refer.
     dates : `~astropy.time.Time`, optional
-        Dates of the epochs, increasing; they replace ``n_epochs`` and a
-        regular series from 2000-01-01.  Velocities still refer to
-        ``interval``.
+        Dates of the epochs, increasing, instead of ``n_epochs`` regular dates
+        from 2000-01-01.  Velocities still refer to ``interval``.
     shape : tuple of int, optional
         Shape (ny, nx) of the images.
     pixel_scale : `~astropy.units.Quantity`, optional
@@ -83,28 +82,28 @@ class JetSimulation:
         Root mean square of the noise in Jy per beam, correlated by the beam;
         one for all epochs, or one for each.
     extent : tuple of float, optional
-        x between which features are seen, in pixels from 0.
+        Limits in x between which features are seen, in pixels from 0.
     axis : float, optional
         y of the jet axis, in pixels from 0.
     taper : float, optional
-        Length of the fading at each end of ``extent``, in pixels.
+        Length over which features fade at each end of ``extent``, in pixels.
     core : float, optional
         Flux density in Jy of an unresolved, stationary core at the start of
-        the jet, which is the reference pixel.  None by default.
+        the jet, which is the reference pixel.  There is none by default.
     position_angle : `~astropy.units.Quantity`, optional
         Direction of the jet, north through east; the jet is turned about
         its start.
     flux_variation : float, optional
-        Standard deviation of the logarithms of all flux densities, in time.
+        Standard deviation in time of the logarithms of all flux densities.
     memory : float, optional
-        Time in intervals over which variations are correlated: those of two
-        epochs t apart by ``exp(-t / memory)``.  At 0 they are white.
+        Correlation time of the variations, in intervals: the correlation of
+        two epochs t apart is ``exp(-t / memory)``.  At 0, variations are white.
     alignment_error : float, optional
         Standard deviation per axis, in beams, of a shift of each image.
     ripple : float, optional
-        Amplitude at the core of a wave that differs from epoch to epoch, as
-        a fraction of the image's maximum.  It is 1.5 to 4 beams long, and
-        falls to a half at 5 beams.
+        Amplitude, as a fraction of the image's maximum, of a wave around the
+        core that differs from epoch to epoch.  Its wavelength is 1.5 to 4
+        beams, and its amplitude falls to a half at 5 beams.
     bowl : float, optional
         Depth of the negative bowl around every feature, six times as wide
         as its image, as a fraction of its peak.
@@ -112,23 +111,23 @@ class JetSimulation:
     Raises
     ------
     ValueError
-        If a parameter is outside its range, or their numbers of epochs
-        differ.
+        If a parameter is outside its range, or the numbers of dates, beams
+        and noise levels differ.
 
     Notes
     -----
     A feature of full width ``fwhm`` and peak ``p`` in the mean beam ``b``
     has the flux density ``p (b^2 + fwhm^2) / b^2``, which is the same in
-    every epoch's beam.  Columns of the truth: ``feature`` (from 0),
-    ``group`` (the stream, or ``core``), ``epoch``, ``date``; ``x``, ``y`` in
-    pixels from 0, as the image shows them; ``east``, ``north`` from the start
-    of the jet, free of errors of alignment; ``flux``, fading included;
-    ``fwhm``; ``visible``, whether any flux is left; ``pm_east``,
-    ``pm_north``, the mean proper motion of the feature's motion to the next
-    epoch (from the previous one, for the last), jitter included.  Its meta
-    has for each stream the mean and the standard deviation of the speeds,
-    outward along the jet, of the features that are visible at two epochs or
-    more.
+    every epoch's beam.
+
+    Columns of the truth: ``feature`` (from 0), ``group`` (the stream, or
+    ``core``), ``epoch``, ``date``; ``x``, ``y`` in the image, in pixels from 0;
+    ``east``, ``north`` from the start of the jet, without errors of alignment;
+    ``flux``, including fading; ``fwhm``; ``visible``, whether any flux is left;
+    ``pm_east``, ``pm_north``, the mean proper motion to the next epoch (for
+    the last epoch, from the previous one), including jitter.  For each stream,
+    the meta holds the mean and the standard deviation of the speeds, outward
+    along the jet, of the features that are visible at two epochs or more.
 
     Examples
     --------
@@ -216,7 +215,7 @@ class JetSimulation:
 
     def place(self, group, along, across, flux, fwhm):
         """
-        Return features that are given in beams from the start of the jet.
+        Return features whose positions are given in beams from the start of the jet.
 
         Parameters
         ----------
@@ -235,7 +234,7 @@ class JetSimulation:
         """
         Return the fraction of the flux that is seen at x, in pixels from 0.
 
-        It falls at both ends as a raised cosine.
+        It falls to zero at both ends as a raised cosine.
 
         Parameters
         ----------
@@ -276,8 +275,8 @@ class JetSimulation:
         ----------
         rng : `numpy.random.Generator`, seed or None, optional
             Passed to `numpy.random.default_rng`.  Features and noise have
-            generators of their own: the same seed with another noise level
-            has the same features.
+            generators of their own, so the same seed gives the same features
+            for any noise level.
 
         Returns
         -------
@@ -297,7 +296,7 @@ class JetSimulation:
             wcs=offset_wcs(self.pixel_scale, (self.extent[0], self.axis)),
             unit=unit,
             beams=self.beams,
-            # That of images with artefacts is for the measurement to find.
+            # The noise of images with artefacts must be measured.
             noise=None if self.ripple or self.bowl else self.noise * unit,
             epoch_meta=tuple({"object": self.name} for _ in self.beams),
             meta={"object": self.name, "history": [f"simulated: {self.name}"]},
@@ -305,7 +304,7 @@ class JetSimulation:
         return SimulatedJet(cube, self._truth(features, seen), self)
 
     def _features(self, rngs, flux_rng):
-        """Return all features, turned to the jet's direction; the core is the last."""
+        """Return all features, turned to the jet's direction, with the core last."""
         parts = [
             stream.features(self, rng)
             for stream, rng in zip(self.streams, rngs, strict=True)
@@ -364,7 +363,7 @@ class JetSimulation:
         return images
 
     def _ripple(self, peak, rng):
-        """Draw a wave about the core, of random direction, length and phase."""
+        """Draw a wave around the core with random direction, wavelength and phase."""
         beam = self.beam_length
         wave = 2 * np.pi / (beam * rng.uniform(1.5, 4.0))
         angle, phase = rng.uniform(0, 2 * np.pi, 2)
@@ -382,7 +381,7 @@ class JetSimulation:
         n, n_epochs = east.shape
         pm = np.full((2, n, n_epochs), np.nan)
         pm[..., :-1] = np.diff([east, north], axis=-1) / np.diff(years)
-        # To the next epoch, or from the previous one.
+        # The motion is to the next epoch, or from the previous one for the last.
         before = np.concatenate([pm[..., :1], pm[..., :-1]], axis=-1)
         pm = np.where(np.isnan(pm), before, pm)
         visible = features.flux > 0
@@ -424,7 +423,7 @@ class JetSimulation:
         return QTable(rows, meta=meta)
 
     def _stream_facts(self, stream, outward):
-        """Return what a stream is, with the speeds of the features that were seen."""
+        """Return the parameters of a stream and the speeds of its visible features."""
         own = outward[np.isfinite(outward).sum(axis=1) >= 2]
         speeds = np.nanmean(own, axis=1) * u.mas / u.yr
         return {f.name: _plain(getattr(stream, f.name)) for f in fields(stream)} | {
@@ -435,7 +434,7 @@ class JetSimulation:
 
 
 def _plain(value):
-    """Return a parameter of a stream as ECSV can keep it."""
+    """Return a parameter of a stream in a form that ECSV can keep."""
     if callable(value):
         return "function"
     if isinstance(value, tuple):
@@ -445,13 +444,13 @@ def _plain(value):
 
 def write_simulation(jet, directory, *, overwrite=False):
     """
-    Write a simulated jet: one FITS image an epoch, and ``truth.ecsv``.
+    Write a simulated jet: one FITS image per epoch, and ``truth.ecsv``.
 
     Parameters
     ----------
     jet : `SimulatedJet`
     directory : path
-        Made if need be.
+        Made if needed.
     overwrite : bool, optional
         Replace files that exist.
 

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The simulated jets: those of the paper's tests, and those that look real."""
+"""Simulate the jets of the paper's tests, realistic jets, and shells."""
 
 from dataclasses import dataclass, replace
 
@@ -14,7 +14,7 @@ from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.simulation.jets import JetSimulation
 from astro_scc.simulation.streams import Flow, Stream
 
-# About that of the VLBA at 15 GHz.
+# About the beam of the VLBA at 15 GHz.
 BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 
 
@@ -22,7 +22,7 @@ def simulate_two_fluid(
     *, slow=5.0, fast=20.0, densities=None, dense=False, jitter=2.0, rng=None, **options
 ):
     """
-    A slow sheath around a fast spine, the paper's two-fluid jet.
+    Simulate the paper's two-fluid jet, a slow sheath around a fast spine.
 
     Parameters
     ----------
@@ -30,11 +30,11 @@ def simulate_two_fluid(
         Speeds of the two streams, in pixels per interval or as proper
         motions.
     densities : (float, float), optional
-        Features per beam length of the slow and of the fast stream, (1.0,
+        Features per beam length of the slow and of the fast stream: (1.0,
         0.8) by default, (1.0, 1.2) in a dense jet.
     dense : bool, optional
-        A wider sheath (25 instead of 15 pixels on each side of the axis)
-        and a spine with more and brighter features.
+        Make the sheath wider (25 instead of 15 pixels on each side of the axis)
+        and give the spine more and brighter features.
     jitter : float, optional
         Random walk per epoch and axis, in pixels.
     rng : `numpy.random.Generator`, seed or None, optional
@@ -78,9 +78,9 @@ def simulate_random_velocity(
     *, dx=(0.0, 40.0), dy=(-5.0, 5.0), density=1.8, rng=None, **options
 ):
     """
-    Features that take a new random velocity at every epoch.
+    Simulate features that take a new random velocity at every epoch.
 
-    The paper's second test: nothing moves at a common speed.
+    This is the paper's second test: nothing moves at a common speed.
 
     Parameters
     ----------
@@ -114,9 +114,9 @@ def simulate_ballistic(
     *, dx=(0.0, 40.0), dy=(-5.0, 5.0), density=1.8, jitter=0.0, rng=None, **options
 ):
     """
-    Features that each keep a random velocity of their own.
+    Simulate features that each keep a random velocity of their own.
 
-    All of them move, none of the velocities is common.
+    All of them move, but they have no common velocity.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def simulate_ballistic(
 
 def simulate_static(*, density=1.8, rng=None, **options):
     """
-    Features that stand still, under noise that differs at every epoch.
+    Simulate features that stand still, with noise that differs at every epoch.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def simulate_static(*, density=1.8, rng=None, **options):
 
 def simulate_unrelated(*, density=1.8, rng=None, **options):
     """
-    Epochs that have nothing to do with one another.
+    Simulate unrelated epochs.
 
     Every epoch has features of its own, drawn from the same distributions.
 
@@ -229,13 +229,13 @@ def simulate_jet(
     **flow,
 ):
     """
-    A jet as surveys of blazars see it.
+    Simulate a jet as surveys of blazars see it.
 
-    Features are ejected from a core that varies, move apart, each at a speed
-    of its own about that of the flow, fade and widen; epochs are uneven.
-    Lengths are in beams (``sqrt(major minor)``), times in median intervals.
-    Without features that move (``n_features=0``) the jet is static: of
-    ``standing`` features, whose fluxes may vary.
+    Features are ejected from a variable core and move, each at a speed of its
+    own that scatters about the speed of the flow; they fade and widen.  Epochs
+    are uneven.  Lengths are in beams (``sqrt(major minor)``), times in median
+    intervals.  Without moving features (``n_features=0``), the jet is static and
+    consists of ``standing`` features, whose fluxes may vary.
 
     Parameters
     ----------
@@ -248,14 +248,14 @@ def simulate_jet(
     dates : `~astropy.time.Time`, optional
         Dates of the epochs, instead of random ones.
     streams : sequence of `Flow`, optional
-        Instead of one flow.
+        Flows that replace the one flow.
     standing : int or sequence of float, optional
-        Number of standing features, at random distances from the core, or
+        Number of standing features at random distances from the core, or
         their distances.
     core_flux : float, optional
         Median flux density of the core in Jy; 0 for none.
     flux_variation : float, optional
-        Standard deviation of the logarithms of all flux densities in time.
+        Standard deviation in time of the logarithms of all flux densities.
     memory : float, optional
         Correlation time of the variations; 0 for white ones.
     alignment_error : float, optional
@@ -272,8 +272,8 @@ def simulate_jet(
     beam : `~astro_scc.epochs.Beam` or sequence of them, optional
     pixel_scale : `~astropy.units.Quantity`, optional
     shape : tuple of int, optional
-        Shape (ny, nx) of the images, by default 8 beams more than the jet on
-        all sides.
+        Shape (ny, nx) of the images; by default they reach 8 beams beyond the
+        jet on all sides.
     rng : `numpy.random.Generator`, seed or None, optional
         Passed to `numpy.random.default_rng`.
     **flow
@@ -287,8 +287,8 @@ def simulate_jet(
     Raises
     ------
     ValueError
-        If a parameter is outside its range, or those of one flow come with
-        ``streams``.
+        If a parameter is outside its range, or if parameters of the one flow
+        are given with ``streams``.
 
     Examples
     --------
@@ -329,7 +329,7 @@ def simulate_jet(
         ripple=ripple,
         bowl=bowl,
     )
-    # The middle of the jet is that of the image.
+    # The jet is centred in the image.
     beam_length, angle = jet.beam_length, u.Quantity(position_angle).to_value(u.rad)
     tip = length * beam_length * np.array([-np.sin(angle), np.cos(angle)])
     if shape is None:
@@ -346,14 +346,14 @@ def _run(name, streams, rng, options):
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulatedShell:
     """
-    A simulated shell: its images and what is in them.
+    A simulated shell: its images and the features in them.
 
     Attributes
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-        Counts, without beam.
+        Images in counts, without a beam.
     truth : `~astropy.table.QTable`
-        A row for each feature: ``group`` ("knots" or "ring"), ``east`` and
+        One row per feature: ``group`` ("knots" or "ring"), ``east`` and
         ``north`` from the centre at the first epoch, ``fwhm``, ``rate``.
     centre : `~astropy.units.Quantity`, shape (2,)
         (east, north) from the reference pixel.
@@ -386,31 +386,31 @@ def simulate_shell(
     rng=None,
 ):
     """
-    A shell with small knots and a ring of large clumps, each at its own rate.
+    Simulate a shell of small knots and large clumps that expand at two rates.
 
-    Cassiopeia A is like this: its radio ring expands at 0.07 per cent a
-    year, small structure in it at 0.11.  Features keep their size; noise is
-    that of Poisson counts, and there is no beam.
+    Cassiopeia A is an example: its radio ring expands at 0.07 per cent per
+    year, small structure in it at 0.11.  The clumps form a ring.  Features keep
+    their size, the noise is that of Poisson counts, and there is no beam.
 
     Parameters
     ----------
     knot_rate, ring_rate : `~astropy.units.Quantity`, optional
-        Part of the distance from the centre that is moved in a time, at the
-        first epoch; motion is uniform, so at the mean of two dates, t after
-        the first, the rate e is ``e / (1 + e t)``.
+        Expansion rates at the first epoch: motion per time as a fraction of the
+        distance from the centre.  As the motion is uniform, the rate e becomes
+        ``e / (1 + e t)`` at the time t after the first epoch.
     n_epochs : int, optional
     interval : `~astropy.units.Quantity`, optional
     n_knots, n_clumps : int, optional
     radius : `~astropy.units.Quantity`, optional
-        Of the ring; knots are at 0.6 to 1.05 of it.
+        Radius of the ring; knots are at 0.6 to 1.05 of it.
     pixel_scale : `~astropy.units.Quantity`, optional
     centre : `~astropy.units.Quantity`, shape (2,), optional
         (east, north) from the reference pixel, the middle of the image.
     size : int, optional
         Pixels on a side of the image.
     counts, background : float, optional
-        Counts in a pixel: knots have 0.4 to 1 of them at their maximum,
-        clumps 0.6 to 1; and everywhere.
+        Counts per pixel: the maxima of knots have 0.4 to 1 of ``counts``, those
+        of clumps 0.6 to 1; ``background`` is added everywhere.
     rng : None, int or `~numpy.random.Generator`, optional
 
     Returns
@@ -443,7 +443,7 @@ def simulate_shell(
     angle = rng.uniform(0, 2 * np.pi, n)
     angle[~knot] = 2 * np.pi * (np.arange(n_clumps) + rng.uniform(0, 0.7, n_clumps))
     angle[~knot] /= n_clumps
-    # Evenly over the area of the ring, for knots.
+    # Knots are distributed evenly over an area.
     inner, outer = 0.6**2, 1.05**2
     distance = np.where(
         knot, r * np.sqrt(rng.uniform(inner, outer, n)), r * rng.normal(1, 0.03, n)

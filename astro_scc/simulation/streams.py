@@ -13,7 +13,7 @@ DISTRIBUTIONS = ("normal", "lognormal", "uniform")
 MOTIONS = ("steady", "random", "unrelated")
 # Slowest feature, as a fraction of the mean: slower ones would stay for ever.
 SLOWEST = 0.1
-# Length in beams over which features part from the axis and fade at the end.
+# Length in beams over which features move off the axis, and fade at the end.
 RAMP = 2.0
 
 
@@ -21,8 +21,8 @@ class Features(NamedTuple):
     """
     Features of a jet along x, at every epoch.
 
-    Positions in pixels from 0, NaN where a feature does not exist, flux densities in
-    Jy and widths in pixels have the shape (n, n_epochs), groups (n,).
+    Positions in pixels from 0 (NaN where a feature does not exist), flux densities in
+    Jy and widths in pixels have the shape (n, n_epochs), groups the shape (n,).
     """
 
     group: np.ndarray
@@ -36,8 +36,8 @@ def check_not_negative(owner, names, whose=""):
     """
     Refuse negative and infinite parameters.
 
-    ``names`` are attributes, separated by blanks, of which None is left alone;
-    ``whose`` is what the message of the ValueError begins with.
+    ``names`` are attributes, separated by blanks; None is accepted.  ``whose`` is
+    the beginning of the message of the ValueError.
     """
     for name in names.split():
         value = getattr(owner, name)
@@ -53,7 +53,7 @@ class Stream:
     """
     A group of features with one law of motion.
 
-    Pixels are those of the simulated image, x along the jet.
+    Lengths are in pixels of the simulated image, with x along the jet.
 
     Parameters
     ----------
@@ -64,16 +64,17 @@ class Stream:
         or a function of the positions (x, y), evaluated at every epoch.  A
         Quantity, scalar or of two limits, is a proper motion.
     motion : {'steady', 'random', 'unrelated'}, optional
-        What a distribution is drawn for: each feature once, which then keeps
-        its own velocity; each feature at every epoch; or, 'unrelated', the
-        features themselves are new at every epoch and do not move.
+        How velocities are drawn from a distribution: 'steady', once for each
+        feature, which keeps its velocity; 'random', for each feature at every
+        epoch.  With 'unrelated', every epoch has new features, which do not
+        move.
     density : float, optional
         Features per beam length along the jet.
     half_width : float, optional
         Features start uniformly within this distance of the axis, in pixels.
     sigma : float, optional
-        Features start with this normal deviation from the axis, in pixels;
-        instead of ``half_width``.
+        Features start at normally distributed distances from the axis with
+        this standard deviation, in pixels, instead of ``half_width``.
     fwhm : (float, float), optional
         Limits of the features' own widths in pixels, uniform.
     peak : (float, float), optional
@@ -85,8 +86,8 @@ class Stream:
     Raises
     ------
     ValueError
-        If a parameter is outside its range, or both or none of
-        ``half_width`` and ``sigma`` are given.
+        If a parameter is outside its range, or if not exactly one of
+        ``half_width`` and ``sigma`` is given.
 
     Examples
     --------
@@ -141,7 +142,7 @@ class Stream:
 
     def features(self, jet, rng):
         """
-        Draw the features, and follow those that are seen over the epochs.
+        Draw the features, and follow the visible ones over the epochs.
 
         Parameters
         ----------
@@ -166,8 +167,8 @@ class Stream:
         """
         Draw positions of the features at every epoch, NaN where one does not exist.
 
-        Features start over the whole stretch from which they can reach the region
-        in which they are seen, so that its density stays the same on average.
+        Features start anywhere from where they can reach the visible region, so
+        that its mean density is constant.
         """
         dx, dy = (_in_pixels(value, jet) for value in (self.dx, self.dy))
         start, end = jet.extent
@@ -192,7 +193,7 @@ class Stream:
         own = [_draw(value, x[:, 0], y[:, 0], rng) for value in (dx, dy)]
         for i, step in enumerate(steps):
             for k, value in enumerate((dx, dy)):
-                # A field of velocities is followed; drawn ones are kept.
+                # Velocities from a function depend on position; drawn ones are kept.
                 if self.motion == "random" or callable(value):
                     own[k] = _draw(value, x[:, i], y[:, i], rng)
             for at, speed in zip((x, y), own, strict=True):
@@ -213,7 +214,7 @@ def _in_pixels(value, jet):
 
 
 def _draw(value, x, y, rng):
-    """Return the motions of features at positions: a field, a number or drawn."""
+    """Return the motions of features: from a function, a number, or drawn."""
     if callable(value):
         return np.broadcast_to(value(x, y), x.shape)
     return value if np.ndim(value) == 0 else rng.uniform(*value, x.size)
@@ -222,31 +223,31 @@ def _draw(value, x, y, rng):
 @dataclass(frozen=True)
 class Flow:
     """
-    Features ejected from the core, each with a speed of its own about a mean.
+    Features ejected from the core, whose speeds scatter about a mean.
 
     Lengths are in beams, times in median intervals between epochs.  A flow
-    of speed zero is made of standing features.
+    of speed zero consists of standing features.
 
     Parameters
     ----------
     name : str, optional
     speed : float, optional
-        Mean speed in beams per interval, that at the middle of the jet if
-        the flow accelerates.
+        Mean speed in beams per interval; if the flow accelerates, the mean
+        speed at the middle of the jet.
     dispersion : float, optional
         Scatter of the features' speeds: the standard deviation as a fraction
-        of the mean or, of a log-normal distribution, that of the logarithm.
-        The mean is ``speed`` in all distributions, but for the cut at a
-        tenth of it that spares the jet features which never leave.
+        of the mean, or that of the logarithm for a log-normal distribution.
+        The mean is ``speed`` in all distributions, except that speeds are cut
+        off at a tenth of it so that all features leave the jet.
     distribution : {'normal', 'lognormal', 'uniform'}, optional
     n_features : float, optional
-        Mean number of features in view at a time; of standing features
+        Mean number of features in view at a time; for standing features,
         their number.
     positions : sequence of float, optional
         Distances of standing features from the core, instead of
         ``n_features`` random ones.
     acceleration : float, optional
-        Speed at the end of the jet over that at the core.
+        Ratio of the speeds at the end of the jet and at the core.
     flux : float, optional
         Median flux density in Jy at ejection.
     flux_scatter : float, optional
@@ -260,14 +261,14 @@ class Flow:
     width : float, optional
         Standard deviation of the features' distances from the flow's axis.
     offset : float, optional
-        Distance of the flow's axis from the jet's, to the left of the
-        direction of the jet as seen on the sky (larger position angles).
+        Distance of the flow's axis from the jet's, positive to the left of
+        the direction of the jet on the sky (larger position angles).
 
     Raises
     ------
     ValueError
-        If a parameter is outside its range, or positions are given to
-        features that move.
+        If a parameter is outside its range, or if positions are given for
+        moving features.
 
     Examples
     --------
@@ -371,7 +372,7 @@ class Flow:
         """Return distances from the core; NaN before the ejection and after the end."""
         start = 2 / (1 + self.acceleration)
         growth = start * (self.acceleration - 1) / length
-        # Distance over speed of what is needed to leave the jet.
+        # Product of speed and time at which a feature leaves the jet.
         needed = length / start
         if growth:
             needed = np.log(self.acceleration) / growth
@@ -380,7 +381,7 @@ class Flow:
             return np.empty((0, times.size))
         rate = self.n_features / (needed * np.mean(1 / self.speeds(grid)))
         longest = times[-1] - times[0] + needed / self.speeds(grid[0] / 1000)
-        # One ejection in each interval of 1 / rate, at any time of it.
+        # One ejection in each interval of 1 / rate, at a random time in it.
         n = int(np.ceil(rate * longest))
         ejected = times[-1] - (np.arange(n) + rng.uniform(size=n)) / rate
         path = self.speeds(rng.uniform(size=n))[:, None] * (times - ejected[:, None])
@@ -391,5 +392,5 @@ class Flow:
 
 
 def _end(left):
-    """Return the fraction of the flux that is seen this far from the end."""
+    """Return the fraction of the flux that is seen at a distance from the end."""
     return 0.5 * (1 - np.cos(np.pi * np.clip(left / RAMP, 0, 1)))

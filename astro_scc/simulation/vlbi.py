@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Images of a simulated jet as the VLBA would make them: visibilities and CLEAN."""
+"""Observe simulated jets with the VLBA: visibilities and CLEAN images."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -27,8 +27,8 @@ STATIONS = {
 }
 # Lowest elevation at which a station observes, in degrees.
 LOWEST = 10.0
-# CLEAN: part of the peak that is taken away; half width of the window about the
-# jet, in beams; and where it stops, in root mean squares of the noise.
+# CLEAN: fraction of the peak that is subtracted; half width of the window around
+# the jet, in beams; and threshold, in root mean squares of the noise.
 LOOP_GAIN, WINDOW, STOP = 0.1, 3.0, 3.0
 
 
@@ -46,37 +46,37 @@ def observe(
     """
     Observe a simulated jet with the VLBA, and image it with CLEAN.
 
-    Every epoch has scans at hour angles of its own, within five hours of the
-    transit at the middle of the array; the visibilities of the features, which
-    are Gaussians, are analytic; they get errors of the antennas' gains and
-    the thermal noise that gives the image the noise of the simulation.  The
-    dirty image, naturally weighted, is CLEANed (Hoegbom 1974) along the jet
-    and restored with a Gaussian beam.
+    Every epoch has scans at hour angles of its own, within about five hours of
+    transit at the middle of the array.  The visibilities of the Gaussian
+    features are analytic.  They get errors of the antennas' gains, and the
+    thermal noise that gives the image the noise of the simulation.  The
+    naturally weighted dirty image is CLEANed (Hoegbom 1974) along the jet and
+    restored with a Gaussian beam.
 
     Parameters
     ----------
     jet : `SimulatedJet`
     declination : `~astropy.units.Quantity`, optional
-        Of the source: it sets the coverage and so the beam.
+        Declination of the source, which sets the coverage and so the beam.
     frequency : `~astropy.units.Quantity`, optional
     n_scans : int, optional
-        Scans at each epoch, each of two times five minutes apart.
+        Number of scans at each epoch; each has two times five minutes apart.
     gain_error : float, optional
-        Standard deviation, in real and imaginary part, of the antennas' gains
-        that self-calibration has left at each scan.
+        Standard deviation, in real and imaginary part, of the errors of the
+        antennas' gains that self-calibration leaves in each scan.
     beam : `~astro_scc.epochs.Beam`, optional
-        To restore all epochs with, by default each with a Gaussian that is
-        fitted to the main lobe of its dirty beam.
+        Beam with which all epochs are restored; by default, a Gaussian fitted
+        to the main lobe of each epoch's dirty beam.
     n_iterations : int, optional
-        Most CLEAN components at an epoch; it ends earlier at three times the
-        noise.
+        Most CLEAN components of an epoch; CLEAN ends earlier at three times
+        the noise.
     rng : `numpy.random.Generator`, seed or None, optional
         Passed to `numpy.random.default_rng`.
 
     Returns
     -------
     `SimulatedJet`
-        With new images, and the same truth.
+        The same jet with new images.
 
     Raises
     ------
@@ -139,23 +139,23 @@ def _complex_normal(rng, shape):
 
 def _coverage(declination, frequency, n_scans, rng):
     """
-    Spatial frequencies of all baselines and times.
+    Return the spatial frequencies of all baselines and times.
 
     Returns
     -------
     uv : `numpy.ndarray`, shape (n, 2)
     antennas : `numpy.ndarray` of int, shape (3, n)
-        First and second antenna, and the scan.
+        First and second antenna, and scan.
     """
     latitude, west, height = np.array(list(STATIONS.values())).T
     where = EarthLocation.from_geodetic(-west * u.deg, latitude * u.deg, height * u.m)
     stations = np.array([axis.to_value(u.m) for axis in where.geocentric])
     dec = declination.to_value(u.rad)
-    # Hour angles at Greenwich of the scans: the array's middle is at 112 deg west.
+    # Hour angles of the scans at Greenwich: the middle of the array is 112 deg west.
     scans = np.radians(15 * np.linspace(-5, 5, n_scans)) + np.radians(112)
     scans = scans + rng.uniform(-0.5, 0.5, n_scans) * np.radians(150 / n_scans)
     times = (scans[:, None] + np.radians(15 / 12) * np.arange(2)).ravel()
-    # Towards the source, and the unit vectors of u and v (Thompson et al., Eq. 4.1).
+    # Unit vectors towards the source and along u and v (Thompson et al., Eq. 4.1).
     zero = np.zeros_like(times)
     sin, cos = np.sin(times), np.cos(times)
     source = np.array([np.cos(dec) * cos, -np.cos(dec) * sin, zero + np.sin(dec)])
@@ -179,7 +179,7 @@ def _coverage(declination, frequency, n_scans, rng):
 
 
 def _visibilities(features, setup, uv):
-    """Return the sum of the features, S exp(-2 pi i (u l + v m)) of each Gaussian."""
+    """Return the visibilities, the sum of S exp(-2 pi i (u l + v m)) of Gaussians."""
     scale = setup.pixel_scale.to_value(u.rad)
     x, y = features["x"].value - setup.extent[0], features["y"].value - setup.axis
     sigma = FWHM_TO_SIGMA * features["fwhm"].to_value(u.rad)
@@ -192,13 +192,13 @@ def _transform(visibility, uv, east, north):
     """Return the image at the offsets: the mean of V exp(2 pi i (u l + v m))."""
     columns = np.exp(2j * np.pi * np.outer(uv[:, 0], east)) * visibility[:, None]
     rows = np.exp(2j * np.pi * np.outer(north, uv[:, 1]))
-    # The real part of the product, of real products that are faster.
+    # The real part of the product, as real products are faster.
     image = rows.real @ columns.real - rows.imag @ columns.imag
     return image / len(uv)
 
 
 def _dirty_beam(uv, scale, shape):
-    """Return the response to a point, shape (2 ny - 1, 2 nx - 1) about its centre."""
+    """Return the response to a point source, shape (2 ny - 1, 2 nx - 1), centred."""
     ny, nx = shape
     half = _transform(
         np.ones(len(uv)), uv, -np.arange(1 - nx, nx) * scale, np.arange(ny) * scale
@@ -207,7 +207,7 @@ def _dirty_beam(uv, scale, shape):
 
 
 def _window(setup, x, y):
-    """Return the pixels near the jet, in which CLEAN looks for components."""
+    """Return the pixels near the jet where CLEAN searches for components."""
     angle = setup.position_angle.to_value(u.rad)
     x, y = x - setup.extent[0], y - setup.axis
     along = -x * np.sin(angle) + y * np.cos(angle)
@@ -219,7 +219,7 @@ def _window(setup, x, y):
 
 
 def _clean(image, psf, window, stop, n_iterations):
-    """Find the CLEAN components of an image, which is left with the residuals."""
+    """Return the CLEAN components of an image, and leave residuals in the image."""
     ny, nx = image.shape
     model = np.zeros_like(image)
     flat = image.reshape(-1)
@@ -244,7 +244,7 @@ def _fitted_beam(psf, pixel_scale):
     y, x = np.nonzero(lobe == lobe[middle])
     level = -np.log(psf[y, x])
     y, x = y - middle[0], x - middle[1]
-    # East is towards smaller x.
+    # East is in the direction of smaller x.
     terms = np.stack([0.5 * x * x, -x * y, 0.5 * y * y], axis=1)
     a, b, d = np.linalg.lstsq(terms, level, rcond=None)[0]
     variances, axes = np.linalg.eigh(np.linalg.inv([[a, b], [b, d]]))

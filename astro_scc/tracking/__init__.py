@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tracking: features followed from epoch to epoch, one by one (WISE)."""
+"""Tracking: individual features followed from epoch to epoch (WISE)."""
 
 from astro_scc.tracking.candidates import Candidates, find_candidates
 from astro_scc.tracking.likelihood import LinkLikelihood

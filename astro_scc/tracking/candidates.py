@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Candidates: which SSP of a later epoch each SSP may have become."""
+"""Candidates for links: pairs of SSPs that may be one feature at two epochs."""
 
 from dataclasses import dataclass, fields
 
@@ -7,9 +7,9 @@ import numpy as np
 
 from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 
-#: Features are distinguished from the core beyond this part of a beam, its half width.
+#: Distance in beams beyond which features are distinguished from the core.
 CORE_RADIUS = 0.5
-#: Candidates of one SSP for one epoch that are kept, those of highest correlation.
+#: Candidates kept for one SSP and one later epoch, those of highest correlation.
 MAX_CANDIDATES = 12
 
 
@@ -23,13 +23,13 @@ class Candidates:
     source, target : `~numpy.ndarray` of int, shape (n,)
         Indices in the catalogue of the SSPs of all epochs.
     dy, dx : `~numpy.ndarray`, shape (n,)
-        From maximum to maximum, in pixels.
+        Displacement from maximum to maximum, in pixels.
     interval : `~numpy.ndarray`, shape (n,)
         Time from source to target, positive.
     gap : `~numpy.ndarray` of int, shape (n,)
-        Epochs between the two, 0 for consecutive ones.
+        Number of epochs between the two, 0 for consecutive ones.
     coefficient : `~numpy.ndarray`, shape (n,)
-        Correlation of the source with the image of the target there.
+        Correlation of the source with the target's image at that displacement.
 
     Examples
     --------
@@ -73,7 +73,7 @@ class Candidates:
         Returns
         -------
         `Candidates`
-            Of links, `Links`.
+            Or `Links`, if these are links.
         """
         return type(self)(*(getattr(self, f.name)[keep] for f in fields(self)))
 
@@ -84,9 +84,9 @@ def find_candidates(
     """
     Return the candidates among the correlation peaks.
 
-    A peak is a candidate if it falls on an SSP of the same scale of a later
-    epoch.  Of several peaks of one SSP on the same other one the highest
-    counts, and of the candidates of one SSP for one epoch the twelve highest.
+    A peak is a candidate if it falls on an SSP of the same scale at a later
+    epoch.  If several peaks connect the same two SSPs, the highest is used.
+    Each SSP keeps its twelve highest candidates for each later epoch.
 
     Parameters
     ----------
@@ -99,12 +99,12 @@ def find_candidates(
     years : array_like, shape (n_epochs,)
         Dates in order, not decreasing.
     place : array_like of int, shape (n_epochs,), optional
-        Place in time of each image, of a permutation of the epochs; their own
-        one by default.
+        Place in time of each image in a permutation of the epochs; by default
+        the observed order.
     max_gap : int, optional
         Most epochs between source and target, 0 or more.
     inside : callable, optional
-        Given `Candidates`, says which of them are within the limits of speed.
+        Takes `Candidates` and returns which are within the limits of speed.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def find_candidates(
     use = (target >= 0) & (to > at) & (to - at <= max_gap + 1) & (years[to] > years[at])
     source, target, at, to = source[use], target[use], at[use], to[use]
     coefficient = matches.coefficient[use].astype(float)
-    # The best peak of each pair of SSPs.
+    # Keep the highest peak of each pair of SSPs.
     order = np.lexsort((-coefficient, target, source))
     order = order[rank_in_group(source[order], target[order]) == 0]
     source, target, at, to = source[order], target[order], at[order], to[order]
@@ -158,13 +158,12 @@ def find_candidates(
 
 def core_ssps(ssps, cube):
     """
-    Return the number of the scale of the SSPs that are the core of a jet.
+    Return a number for the SSPs that are the core of a jet, one per scale, or -1.
 
-    The core is, on each scale and at each epoch, the nearest SSP to the
-    reference pixel of the cube, if it is no farther from it than half the
-    width of the beam; on scales on which there is one at half of the epochs at
-    least, because what passes by is no core.  Scales count from 0; all other
-    SSPs have -1.
+    On each scale and at each epoch, the core is the SSP nearest to the reference
+    pixel of the cube, if it is within half the width of the beam.  A scale has a
+    core only if there is such an SSP in at least half of the epochs, because a
+    feature that passes by is no core.  The numbers start from 0.
     """
     offset = np.stack(ssp_offsets(ssps, cube), axis=1)
     distance = np.hypot(*offset.T)
@@ -183,7 +182,7 @@ def core_ssps(ssps, cube):
 
 
 def rank_in_group(*keys):
-    """Return the place of each entry of sorted keys among those equal to it."""
+    """Return the rank of each entry of sorted keys among the equal ones, from 0."""
     new = np.ones(len(keys[0]), bool)
     new[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
     return np.arange(len(new)) - np.flatnonzero(new)[np.cumsum(new) - 1]

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The likelihood of links: the same feature at two dates, against chance."""
+"""Likelihood of links: the same feature at two epochs, or a chance pair."""
 
 from dataclasses import dataclass
 
@@ -9,44 +9,44 @@ from scipy.spatial import cKDTree
 from astro_scc.decomposition import scale_size
 from astro_scc.tracking.candidates import equal_pairs, rank_in_group
 
-#: Neighbours are no farther apart than so many times their radii together.
+#: Largest distance of neighbours, in units of the sum of their radii.
 NEAR = 1.2
-#: Log-likelihood that a merge or split must bring more than it would by chance.
+#: Log-likelihood that a merge or split must gain, as chance also gains some.
 MERGE_COST = 1.0
 
 
 @dataclass(frozen=True)
 class LinkLikelihood:
     """
-    Log-likelihood ratios of candidates: the same feature against chance.
+    Log-likelihood ratios of candidates: the same feature, or a chance pair.
 
-    The terms are `similarity` of a candidate alone, `merged_flux` of it with
+    The terms are the `similarity` of a candidate alone, its `merged_flux` with
     its neighbours, `coarse_to_fine` given the links of the coarser scale, and
-    `steady_motion` given the track that it continues.  The widths are those of
-    features in simulated jets of two streams; what chance gives is measured on
-    the SSPs themselves, but for the correlation.  See the documentation.
+    `steady_motion` given the track that it continues.  The widths were measured
+    for features in simulated jets of two streams.  The distributions of chance
+    pairs are measured on the SSPs themselves, except for the correlation.
 
     Parameters
     ----------
     tolerance : float, optional
-        Standard deviation of a displacement in pixels, on each axis, about
-        steady motion.
+        Standard deviation of a displacement from steady motion, in pixels on
+        each axis.
     decorrelation, chance_decorrelation : float, optional
-        Means of one minus the correlation coefficient, taken as
-        exponential, of the same feature and of chance pairs.
+        Means of one minus the correlation coefficient of the same feature and
+        of chance pairs; both distributions are taken as exponential.
     variability : float, optional
-        Half width of the Lorentzian of the logarithm of the ratio of peaks
-        of the same feature.
+        Half width of the Lorentzian distribution of the logarithm of the ratio
+        of two peaks of the same feature.
     missing : float, optional
         Cost of an epoch at which the feature is not seen.
     follow : float, optional
-        Probability that a pattern moves with the larger one that it lies in.
+        Probability that a pattern moves with the larger one in which it lies.
 
     Raises
     ------
     ValueError
-        If a width is not positive, ``follow`` no probability below 1, or
-        ``missing`` negative.
+        If a width is not positive, ``follow`` is not a probability below 1, or
+        ``missing`` is negative.
 
     Examples
     --------
@@ -77,9 +77,9 @@ class LinkLikelihood:
 
     def correlation(self, coefficient):
         """
-        Return the term of the correlation, a ratio of two exponentials.
+        Return the term of the correlation, the log ratio of two exponentials.
 
-        With means a and b of ``1 - c`` it is ``ln(b/a) - (1 - c)(1/a - 1/b)``.
+        With means a and b of ``1 - c``, it is ``ln(b/a) - (1 - c)(1/a - 1/b)``.
 
         Parameters
         ----------
@@ -110,11 +110,11 @@ class LinkLikelihood:
 
     def similarity(self, candidates, ssps):
         """
-        Return the terms of correlation and brightness, less the cost of gaps.
+        Return the terms of correlation and brightness, minus the cost of gaps.
 
-        From `brightness` is subtracted the logarithm of the density that the
-        ratio has between any two SSPs of the scale, so that a core and a
-        feature a hundred times fainter are no likely pair.
+        The term of brightness is `brightness` minus the logarithm of the
+        density of the same ratio between any two SSPs of the scale, so that a
+        core and a feature a hundred times fainter are an unlikely pair.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class LinkLikelihood:
         return correlation + light - self.missing * candidates.gap
 
     def _chance_brightness(self, log_ratio, log_peak):
-        """Return the density of ratios between any two peaks, as variable as those."""
+        """Return the density of ratios of any two peaks, with ``variability``."""
         step = self.variability / 4
         place = np.rint((log_peak - log_peak.min()) / step).astype(int)
         share = np.bincount(place) / len(place)
@@ -150,12 +150,12 @@ class LinkLikelihood:
         """
         Return what a candidate gains by a merge or split with its neighbours.
 
-        Neighbours of a source that may go to the same target, moving alike
-        within three tolerances, are tried together with it: the nearest, the
-        second nearest and both, three patterns at most.  If the sum of their
-        fluxes explains the flux of the target better than the source's peak
-        explains the target's, this is the difference in `brightness`, less
-        one.  Targets that may come out of one source the same way.
+        For a merge, neighbours of the source that may go to the same target,
+        with displacements equal within three tolerances, are combined with the
+        source: the nearest, the second nearest, and both.  If the sum of fluxes
+        explains the flux of the target better than the source's peak explains
+        the target's peak, the gain is the difference in `brightness` minus one.
+        Splits, of targets that may come from one source, are treated likewise.
 
         Parameters
         ----------
@@ -194,7 +194,7 @@ class LinkLikelihood:
 
     def neighbours(self, one, other, ssps):
         """
-        Return whether SSPs are different ones that about touch.
+        Return whether two SSPs differ and almost touch.
 
         Parameters
         ----------
@@ -225,11 +225,11 @@ class LinkLikelihood:
 
     def coarse_to_fine(self, candidates, coarse, parent, width, density):
         """
-        Return the prior that the links of the coarser scale give.
+        Return the prior from the links of the coarser scale.
 
-        A pattern moves with the larger one that it lies in with the
-        probability ``follow``, and then within a normal distribution; so the
-        term is never below ``ln(1 - follow)``.
+        A pattern moves with the larger one in which it lies with the
+        probability ``follow``, and then its displacement is normally
+        distributed; the term is never below ``ln(1 - follow)``.
 
         Parameters
         ----------
@@ -240,7 +240,7 @@ class LinkLikelihood:
         parent : `~numpy.ndarray` of int, shape (n_ssps,)
             See `coarser_ssps`.
         width : float
-            Standard deviation in pixels, about the size of the coarser scale.
+            Standard deviation in pixels: about the size of the coarser scale.
         density : `~numpy.ndarray`, shape (n_ssps,)
             See `chance_density`.
 
@@ -266,24 +266,25 @@ class LinkLikelihood:
         """
         Return the term of displacements, given the mean velocity of their tracks.
 
-        The density of a two-dimensional normal distribution about the
-        displacement that the mean velocity predicts, over that of chance
-        targets.  Displacements have the standard deviation ``tolerance``
-        each, whatever their times t, so that the mean weights them by
-        ``t^2``, and has the variance ``tolerance^2`` over the sum of these.
+        It is the log ratio of two densities: a two-dimensional normal
+        distribution around the displacement that the mean velocity predicts,
+        and chance targets.  Each displacement has the standard deviation
+        ``tolerance``, whatever its interval t.  The mean velocity therefore
+        weights displacements by ``t^2``, and its variance is ``tolerance^2``
+        over the sum of these weights.
 
         Parameters
         ----------
         motion : `~numpy.ndarray`, shape (n, 2)
             Displacements (y, x).
         interval : `~numpy.ndarray`, shape (n,)
-            Their times.
+            Intervals of the displacements.
         velocity : `~numpy.ndarray`, shape (n, 2)
-            Mean velocities of the tracks that they continue.
+            Mean velocities of the tracks that the displacements continue.
         weight : `~numpy.ndarray`, shape (n,)
-            Sums of the squares of the times of these.
+            Sums of the squared intervals of these tracks.
         density : `~numpy.ndarray`, shape (n,)
-            SSPs per square pixel where the displacement leads to.
+            SSPs per square pixel where the displacements end.
 
         Returns
         -------
@@ -300,11 +301,12 @@ def _distance(ssps, one, other):
 
 def chance_density(ssps):
     """
-    Return how many SSPs of its scale and epoch there are about each SSP.
+    Return the density of SSPs of the same scale and epoch for each SSP.
 
-    Per square pixel: the median, over the SSPs of the scale and epoch, of k
-    over the area to the k-th neighbour, k = 3 or as many as there are.  One
-    SSP alone counts as one in a circle of ten scales.
+    It is k per area of the circle whose radius is the median distance to the
+    k-th neighbour over the SSPs of the scale and epoch, with k = 3 or as many
+    as there are, in 1/pixel^2.  It is at least one SSP in a circle with a radius
+    of ten scales, also for an SSP alone.
     """
     density = np.empty(len(ssps))
     for scale in np.unique(ssps.scale):
@@ -325,8 +327,8 @@ def coarser_ssps(ssps, width):
     """
     Return the SSP of the next coarser scale that holds each SSP's maximum.
 
-    It is one of the same epoch, or -1; ``width`` is the number of pixels in a
-    row of the images.
+    It belongs to the same epoch; -1 means that there is none.  ``width`` is the
+    number of pixels in a row of the images.
     """
     found = np.full(len(ssps), -1)
     n_pixels = int(ssps.pixels.max(initial=0)) + 1

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""From candidates to links, scale by scale, the coarsest first, and to tracks."""
+"""Link candidates, scale by scale from the coarsest, and chain links to tracks."""
 
 from dataclasses import dataclass
 
@@ -14,28 +14,27 @@ from astro_scc.decomposition import scale_size
 from astro_scc.tracking.candidates import Candidates, equal_pairs, rank_in_group
 from astro_scc.tracking.likelihood import MERGE_COST, LinkLikelihood, chance_density
 
-#: Rounds in which candidates are judged by the links of the round before.
+#: Rounds in which candidates are evaluated, given the links of the previous round.
 ROUNDS = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Links(Candidates):
     """
-    The candidates that are links: which SSP is which other one, later.
+    The candidates that are links: pairs of SSPs that are one feature.
 
     Attributes
     ----------
     source, target : `~numpy.ndarray` of int, shape (n,)
-        Indices in the catalogue of the SSPs of all epochs.  Of links of kind
-        "link" no SSP has more than one before it and one after it.
+        Indices in the catalogue of the SSPs of all epochs.  No SSP is the
+        source, or the target, of more than one link of kind "link".
     dy, dx, interval, gap, coefficient : `~numpy.ndarray`, shape (n,)
         As in `Candidates`.
     kind : `~numpy.ndarray` of str, shape (n,)
-        "link"; "merge", the source goes into a target that has another
-        source; "split", the target comes out of a source that has another
-        target.
+        "link"; "merge" if the target has another source; "split" if the source
+        has another target.
     gain : `~numpy.ndarray`, shape (n,)
-        Log-likelihood by which the link betters the tracks that it joins.
+        Log-likelihood that the link adds to the tracks that it joins.
 
     Examples
     --------
@@ -65,12 +64,13 @@ def link(candidates, ssps, *, parent=None, place=None, likelihood=None):
     """
     Choose links among candidates.
 
-    On each scale, the coarsest first, all candidates are judged by what they
-    add to the best paths through several epochs, and the choice of the
-    largest sum is made for each pair of epochs (`assign`), consecutive ones
-    first.  Then candidates are judged anew, each by the links that were
-    chosen and their mean velocity, before it and after it, until nothing
-    changes or five times.  What is left without a partner may merge or split.
+    Scales are linked one after the other, from the coarsest.  Each candidate
+    is evaluated by what it adds to the best paths through several epochs, and
+    for each pair of epochs, consecutive ones first, the candidates with the
+    largest total are chosen (`assign`).  Candidates are then evaluated again,
+    given the chosen links before and after them and their mean velocity, until
+    nothing changes, in at most five rounds.  SSPs without a partner may merge
+    or split.
 
     Parameters
     ----------
@@ -78,16 +78,16 @@ def link(candidates, ssps, *, parent=None, place=None, likelihood=None):
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
     parent : array_like of int, shape (n_ssps,), optional
-        The SSP of the next coarser scale that each lies in, or -1: its motion
-        is then the prior of the smaller ones in it.
+        The SSP of the next coarser scale in which each SSP lies, or -1.  Its
+        motion is the prior for the smaller SSPs in it.
     place : array_like of int, shape (n_epochs,), optional
-        Place in time of each image, as for `find_candidates`.
+        Place in time of each image, see `find_candidates`.
     likelihood : `LinkLikelihood`, optional
 
     Returns
     -------
     `Links`
-        By source.
+        Ordered by source.
 
     Examples
     --------
@@ -153,12 +153,12 @@ def _link_scale(part, worth, step, density, likelihood):
 
 
 def _steady_motion(part, chosen, transitions, step, density, likelihood):
-    """Return the term of each transition by the track before and the one after it."""
+    """Return the term of each transition, given the track before and the one after."""
     motion = part.motion
     weight = part.interval**2
     total = motion * part.interval[:, None]
     own = np.flatnonzero(chosen)
-    # The links of one track after another, each in time order.
+    # Order the links by track, and by time within each track.
     source = part.source[own]
     track = connected(source, part.target[own], len(step))[source]
     order = np.lexsort((step[source], track))
@@ -181,7 +181,7 @@ def _steady_motion(part, chosen, transitions, step, density, likelihood):
 
 
 def _running_sums(values, group):
-    """Return the sums of the rows up to each one, within its group."""
+    """Return the cumulative sums of rows within each group."""
     sums = np.cumsum(values, axis=0)
     first = np.arange(len(group)) - rank_in_group(group)
     return sums - (sums[first] - values[first])
@@ -194,7 +194,8 @@ def _choose(part, gain, n_ssps):
         taken = np.zeros((2, n_ssps), bool)
         taken[0, part.source[chosen]] = True
         taken[1, part.target[chosen]] = True
-        # The pairs of epochs have no SSPs in common: one call for all of them.
+        # Pairs of epochs with the same gap can be solved together, as no SSP is
+        # the source, or the target, in two of them.
         own = np.flatnonzero(
             (part.gap == gap) & ~taken[0, part.source] & ~taken[1, part.target]
         )
@@ -207,16 +208,16 @@ def path_gains(part, worth, transitions, between, step, *, use=None):
     Return what each candidate adds to the best paths that it connects.
 
     The value of a path is the sum of the worth of its candidates and of the
-    transitions between them; a path may begin and end anywhere.  Two passes,
-    forward and back in time, give the best path through each candidate; its
-    gain is the value of that less the values of the best path that ends at
-    its source and of the best one that begins at its target.  The work is
-    linear in the number of transitions.
+    values of the transitions between them; a path may begin and end anywhere.
+    Two passes, forward and backward in time, give the best path through each
+    candidate.  The gain of the candidate is the value of this path minus the
+    values of the best path that ends at its source and of the best path that
+    begins at its target.  The work is linear in the number of transitions.
 
-    ``transitions`` are the pairs of candidates that meet in an SSP, earlier
-    and later one, ``between`` their values forward and back in time, shape (2,
-    n_transitions), ``step`` the place in time of each SSP; only candidates of
-    ``use``, all by default, come before and after another one.
+    ``transitions`` are pairs of candidates, the earlier and the later one, that
+    meet in an SSP; ``between`` are their values forward and backward in time,
+    shape (2, n_transitions); ``step`` is the place in time of each SSP.  Only
+    candidates of ``use``, all by default, come before or after another one.
     """
     use = np.ones(len(part), bool) if use is None else use
     before, after = transitions
@@ -233,7 +234,7 @@ def path_gains(part, worth, transitions, between, step, *, use=None):
 
 
 def _best_paths(source, target, worth, before, after, between, step, use):
-    """Return the value of the best path up to each candidate, and to each SSP."""
+    """Return the value of the best path that ends with each candidate or SSP."""
     best = worth.astype(float).copy()
     at = step[source]
     order = np.lexsort((after, at[after]))
@@ -251,16 +252,16 @@ def _best_paths(source, target, worth, before, after, between, step, use):
 
 def _merges_and_splits(part, chosen, ssps, likelihood):
     """
-    Give SSPs without a partner a seat beside a neighbour.
+    Link SSPs without a partner to the partner of a neighbour.
 
-    A source that has no target may share that of a neighbour (a merge), a
-    target that has no source that of a neighbour (a split), up to three
-    together.  Its candidate must move as the neighbour's link does, and the
-    sum of their fluxes must explain the flux on the other side better than one
-    of them alone: the gain of the seat is that of the candidate's correlation
-    and of the brightness, less one.  The seats are given by `assign`, merges
-    first.  Returned are the kind of each candidate, "" for what is no link, and
-    the gains of the seats.
+    A source without a target may share the target of a neighbour (a merge); a
+    target without a source may share the source of a neighbour (a split); up to
+    three SSPs can share one.  The candidate must have the displacement of the
+    neighbour's link, and the sum of fluxes must explain the flux on the other
+    side better than the neighbour alone.  The gain is that of the brightness,
+    plus the term of the candidate's correlation if negative, minus one.
+    `assign` chooses, merges first.  Returned are the kind of each candidate, ""
+    if it is no link, and the gains.
     """
     kind = np.where(chosen, "link", "").astype("U5")
     gain = np.zeros(len(part))
@@ -269,7 +270,7 @@ def _merges_and_splits(part, chosen, ssps, likelihood):
         ("merge", part.source, part.target),
         ("split", part.target, part.source),
     ):
-        # The link that already sits there, of the same pair of epochs.
+        # The link that each shared SSP already has.
         sitting = np.full(len(ssps), -1)
         sitting[shared[chosen]] = np.flatnonzero(chosen)
         host = sitting[shared]
@@ -288,7 +289,7 @@ def _merges_and_splits(part, chosen, ssps, likelihood):
         better = together - likelihood.brightness(np.log(flux[beside] / flux[other]))
         correlation = likelihood.correlation(part.coefficient[own])
         value = better + np.minimum(correlation, 0.0) - MERGE_COST
-        # Two more seats; to take the first is never worse.
+        # Two more SSPs can share each; the first place is always preferred.
         seats = np.concatenate([other, len(ssps) + other])
         values = np.concatenate([value, value - 1e-9])
         taken = assign(np.tile(free[own], 2), seats, values)
@@ -300,18 +301,18 @@ def _merges_and_splits(part, chosen, ssps, likelihood):
 
 def chain(links, n_ssps, *, min_epochs=1, core=None):
     """
-    Return the track of each SSP that one-to-one links make, or -1.
+    Return the number of each SSP's track, a chain of one-to-one links, or -1.
 
-    Tracks are numbered in the order of their first SSPs; those of less than
-    ``min_epochs`` are none.  SSPs with the same number of ``core``, if it is
-    not negative, are one feature: those of them that are linked at all make
-    one track, however long it is not seen.
+    Tracks are numbered in the order of their first SSPs; chains of fewer than
+    ``min_epochs`` SSPs are not tracks.  SSPs with the same number of ``core``,
+    if it is not negative, are one feature: all of them that have a link make
+    one track, however long the core is not seen.
     """
     own = links.kind == "link"
     source, target = links.source[own], links.target[own]
     n = n_ssps
     if core is not None:
-        # Through a node of its own for each core.
+        # Each core is an additional node that connects its SSPs.
         linked = np.union1d(source, target)
         linked = linked[core[linked] >= 0]
         source, target = np.r_[source, linked], np.r_[target, n_ssps + core[linked]]
@@ -326,22 +327,22 @@ def chain(links, n_ssps, *, min_epochs=1, core=None):
     return number[group]
 
 
-# -- the best choice ---------------------------------------------------------------
+# -- optimal assignment ------------------------------------------------------------
 
 
 def assign(row, column, weight):
     """
-    Return the choice of pairs of the largest total weight, none used twice.
+    Choose the pairs of largest total weight that use each row and column once.
 
     Rows and columns may stay without a partner, so only pairs of positive
-    weight are chosen.  Exact and polynomial: pairs that outweigh the best
-    others of their row and column together are certain; what is left is
-    solved by `scipy.sparse.csgraph.min_weight_full_bipartite_matching`.
+    weight are chosen.  The solution is exact and takes polynomial time: pairs
+    that outweigh the best others of their row and column together are certain;
+    `scipy.sparse.csgraph.min_weight_full_bipartite_matching` solves the rest.
 
     Parameters
     ----------
     row, column : array_like of int, shape (n,)
-        Not negative; rows and columns are counted apart.
+        Not negative; rows and columns are numbered independently.
     weight : array_like, shape (n,)
 
     Returns
@@ -350,7 +351,7 @@ def assign(row, column, weight):
 
     Examples
     --------
-    Two that want the same: together they do better otherwise.
+    Two rows prefer the same column, but their total is larger otherwise:
 
     >>> from astro_scc.tracking import assign
     >>> assign([0, 0, 1], [0, 1, 0], [3.0, 2.5, 2.5]).tolist()
@@ -373,10 +374,10 @@ def assign(row, column, weight):
 
 
 def _certain(row, column, weight):
-    """Return the pairs not lighter than the best others of row and column together."""
+    """Return the pairs that outweigh the best others of their row and column."""
     total = weight - _best_other(row, weight) - _best_other(column, weight)
     certain = np.flatnonzero(total >= 0)
-    # Of equal ones that share a row or column, the first.
+    # If equal pairs share a row or column, keep the first.
     keep = np.zeros(len(row), bool)
     first = np.intersect1d(
         np.unique(row[certain], return_index=True)[1],
@@ -399,7 +400,7 @@ def _best_other(key, weight):
 
 def _solve(row, column, weight):
     """Return the indices of the chosen pairs."""
-    # Of pairs that are there twice the heavier.
+    # If a pair is given twice, keep the larger weight.
     order = np.lexsort((-weight, column, row))
     order = order[rank_in_group(row[order], column[order]) == 0]
     rows, r = np.unique(row[order], return_inverse=True)
@@ -407,18 +408,18 @@ def _solve(row, column, weight):
     n, m = len(rows), len(columns)
     if n == 0:
         return order
-    # A seat of its own for each row makes a full matching possible.  Weights
-    # must not be zero, and the same shift of all of them changes nothing.
+    # A column of its own for each row makes a full matching possible.  Weights
+    # must not be zero, and shifting all of them alike changes nothing.
     cost = np.concatenate([-weight[order], np.zeros(n)]) - weight.max() - 1.0
     seats = np.concatenate([r, np.arange(n)]), np.concatenate([c, m + np.arange(n)])
     graph = coo_array((cost, seats), shape=(n, m + n)).tocsr()
     at, seat = min_weight_full_bipartite_matching(graph)
-    # Ordered by row and column, as the pairs are.
+    # The pairs are ordered by row and column.
     place = np.searchsorted(r * (m + n) + c, (at * (m + n) + seat)[seat < m])
     return order[place]
 
 
 def connected(one, other, n):
-    """Number the groups of n nodes that pairs of nodes connect."""
+    """Return the number of each node's group, for n nodes connected in pairs."""
     graph = coo_array((np.ones(len(one)), (one, other)), shape=(n, n))
     return connected_components(graph, directed=False)[1]

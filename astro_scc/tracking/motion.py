@@ -1,22 +1,22 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Motion fitted to the positions of features, and what follows from it."""
+"""Fits of motion to the positions of features, ejection epochs and mean speeds."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import stdtrit
 
-#: Residuals beyond so many standard deviations lose weight (Huber 1981).
+#: Residuals beyond this many standard deviations lose weight (Huber 1981).
 HUBER = 1.345
-#: Normalised median absolute deviation of a normal distribution.
+#: Ratio of standard deviation to median absolute deviation of a normal distribution.
 MAD = 1.4826
-#: Largest factor of a variance by residuals that depend on one another.
+#: Largest factor by which correlated residuals inflate a variance.
 LARGEST_INFLATION = 10.0
-#: Share of a normal distribution below one standard deviation.
+#: Probability of a normal distribution below one standard deviation.
 ONE_SIGMA = 0.8413447
-#: A speed or an acceleration counts from so many standard errors.
+#: Standard errors from which a speed or an acceleration is significant.
 SIGNIFICANT = 3.0
-#: Largest angle, with two standard errors, between motion and radius (deg).
+#: Largest angle between motion and radius, plus two standard errors, in degrees.
 RADIAL = 15.0
 
 
@@ -28,14 +28,14 @@ class MotionFit:
     Attributes
     ----------
     middle : float
-        Time that the coefficients refer to, the middle of first and last.
+        Time to which the coefficients refer, midway between first and last.
     coefficients : `~numpy.ndarray`, shape (2, degree + 1)
-        Of each axis: position, velocity and, for degree 2, acceleration.
+        For each axis: position, velocity and, for degree 2, acceleration.
     covariance : `~numpy.ndarray`, shape (2, degree + 1, degree + 1)
     scatter : `~numpy.ndarray`, shape (2,)
         Robust standard deviation of the residuals.
     weight : `~numpy.ndarray`, shape (2, n)
-        Between 0 and 1: how much each position counts.
+        Weight of each position, between 0 and 1.
 
     Examples
     --------
@@ -76,7 +76,7 @@ class MotionFit:
 
     @property
     def velocity_errors(self):
-        """Standard errors of speed and direction, in radians and at most pi."""
+        """Standard errors of the speed and of its direction (rad, at most pi)."""
         v, error = self.coefficients[:, 1], self.errors[:, 1]
         speed = np.hypot(*v)
         if speed == 0:
@@ -87,7 +87,7 @@ class MotionFit:
 
 
 def _design(time, degree):
-    """Return the powers of the time, that of the acceleration halved."""
+    """Return the powers of the time, the square halved for the acceleration."""
     return np.stack([time**k / (1 if k < 2 else 2) for k in range(degree + 1)])
 
 
@@ -97,16 +97,15 @@ def fit_motion(time, position, error, *, degree=1):
 
     .. math:: x(t) = x_m + \mu (t - t_m) + \tfrac12 \dot\mu (t - t_m)^2
 
-    with :math:`t_m` the middle of first and last date (Lister et al. 2009,
-    AJ 138, 1874, Eq. 1).  Positions are weighted by their errors and, by
-    Huber's function of the residuals, less if they lie away.  The errors
-    of positions count relative to one another only: the covariance is
-    scaled by the robust scatter of the residuals, with Huber's correction
-    for small numbers, by Student's factor, so that one standard error holds
-    68% with few dates too, and by :math:`(1 + r)/(1 - r)`, ten at most, where
-    residuals of consecutive dates have a correlation r above what chance
-    gives, for features that wander.  The scatter is never taken below the
-    errors of the positions.
+    with :math:`t_m` midway between the first and the last date (Lister et al.
+    2009, AJ 138, 1874, Eq. 1).  Positions are weighted by their errors, and by
+    Huber's function of the residuals, which reduces the weight of outliers.
+    The covariance is scaled by three factors: the robust scatter of the
+    residuals, never below the errors of the positions, with Huber's correction
+    for small numbers; Student's factor, so that one standard error holds 68%
+    also with few dates; and, because features wander,
+    :math:`(1 + r)/(1 - r)`, ten at most, if the correlation r of residuals of
+    consecutive dates is above what chance gives.
 
     Parameters
     ----------
@@ -153,7 +152,7 @@ def _fit_axis(design, x, error):
     """Fit one axis by iteratively reweighted least squares."""
     p, n = design.shape
     free = n - p
-    # In units of the errors, all positions are alike.
+    # In units of their errors, all positions have the same weight.
     a, y = design / error, x / error
     weight = np.ones(n)
     scatter = 1.0
@@ -174,16 +173,16 @@ def _fit_axis(design, x, error):
         psi = weight * residual
         small = 1 + p / n * (1 - inside) / max(inside, 1e-3)
         robust = small**2 * np.sum(psi**2) / free / max(inside, 0.5) ** 2
-        # A scatter from few residuals is uncertain itself.
+        # The scatter of few residuals is itself uncertain.
         robust *= stdtrit(free, ONE_SIGMA) ** 2
-        # Never better than the positions themselves.
+        # The scatter is never below the errors of the positions.
         variance = max(robust * _inflation(psi, p), 1.0)
     inverse = np.linalg.pinv(a @ a.T)
     return solution, variance * inverse, scatter * np.median(error), weight
 
 
 def _scatter(residual, free):
-    """Return the normalised median deviation, of few residuals the standard one."""
+    """Return the normalised median deviation; for few residuals the standard one."""
     if free < 1:
         return 1.0
     n = len(residual)
@@ -195,12 +194,12 @@ def _scatter(residual, free):
 
 
 def _inflation(residual, p):
-    """Return by how much the variance grows if residuals follow one another."""
+    """Return the factor by which correlated residuals inflate the variance."""
     n = len(residual)
     energy = np.sum(residual**2)
     if n < 6 or energy <= 0:
         return 1.0
-    # A fit of p coefficients makes independent residuals look anticorrelated.
+    # The fit of p coefficients anticorrelates residuals, which p / n corrects.
     r = np.sum(residual[1:] * residual[:-1]) / energy + p / n
     r = np.clip(r, 0.0, 0.95)
     if r < 1 / np.sqrt(n):
@@ -215,13 +214,12 @@ def ejection_epoch(fit, beam, *, accelerated=False):
     .. math:: t_\mathrm{ej} = t_m - \frac{\boldsymbol r \cdot \boldsymbol\mu}
                                          {|\boldsymbol\mu|^2}
 
-    with position and velocity of the straight fit at its middle date.  As
-    in MOJAVE (Lister et al. 2009, AJ 138, 1874; 2019, ApJ 874, 43) there is
-    none unless the speed is three standard errors or more, the motion is
-    not accelerated, and it points outward within 15 degrees with two
-    standard errors of the angle to spare.  Far out 15 degrees are several
-    beams: the straight line must pass the origin within one as well, nearer
-    than which a feature is not distinguished from the core.
+    with position and velocity of the straight fit at its middle date.  As in
+    MOJAVE (Lister et al. 2009, AJ 138, 1874; 2019, ApJ 874, 43), a date is
+    given only if the speed is at least three standard errors, the motion is
+    not accelerated, and its angle to the radius plus two standard errors is
+    within 15 degrees.  Since 15 degrees are several beams far from the origin,
+    the straight line must also pass the origin within one beam.
 
     Parameters
     ----------
@@ -234,8 +232,8 @@ def ejection_epoch(fit, beam, *, accelerated=False):
     Returns
     -------
     epoch, error : float or None
-        In the unit and from the zero of the times of the fit; None where it
-        is not allowed.
+        In the unit and from the zero point of the times of the fit; None if the
+        criteria are not met.
 
     Examples
     --------
@@ -255,7 +253,7 @@ def ejection_epoch(fit, beam, *, accelerated=False):
     passes = np.abs(r[0] * v[1] - r[1] * v[0]) / speed
     if distance == 0 or passes > beam:
         return None, None
-    # The direction to the mean position has an error of its own.
+    # The direction to the mean position has an error, too.
     across = np.array([r[1], -r[0]]) / distance**2
     radius_err = np.sqrt(np.sum(across**2 * fit.covariance[:, 0, 0]))
     off = turn_between(r, v)
@@ -270,7 +268,7 @@ def ejection_epoch(fit, beam, *, accelerated=False):
 
 
 def turn_between(a, b):
-    """Return the angle between two vectors in degrees, 0 for one without length."""
+    """Return the angle between two vectors in degrees, 0 if one has no length."""
     cross = a[0] * b[1] - a[1] * b[0]
     return float(np.degrees(np.abs(np.arctan2(cross, np.dot(a, b)))))
 
@@ -281,15 +279,15 @@ def track_profile(
     """
     Return the mean radial speed of the features near each distance.
 
-    At each radius a straight line is fitted to the distances of every track,
-    with its features within ``half_width`` of the radius alone, and the
-    slopes are averaged (Mertens & Lobanov 2016, Sect. 3.3).  Tracks with fewer
-    features than ``min_epochs`` there do not count.  One feature makes tracks
-    on several scales, which are not independent: given the ``scale`` of each
-    feature, errors grow by the root of the number of scales that count.
+    At each radius, a straight line is fitted to the distances of every track
+    within ``half_width`` of the radius, and the slopes are averaged (Mertens &
+    Lobanov 2016, Sect. 3.3).  Tracks with fewer than ``min_epochs`` dates there
+    are not used.  One feature makes tracks on several scales, which are not
+    independent: if ``scale`` is given, errors grow by the square root of the
+    number of scales used.
 
-    Returned are speeds, their errors, zero where no track counts, and numbers
-    of tracks, each of the shape of ``radii``.
+    Returned are the speeds and their errors, zero if no track is used, and the
+    numbers of tracks, each with the shape of ``radii``.
     """
     time, distance, error = (np.asarray(a, dtype=float) for a in
                              (time, distance, error))  # fmt: skip
@@ -317,10 +315,10 @@ def track_profile(
 
 def average_with_scatter(values, errors):
     """
-    Return the weighted mean and its error of values that scatter beyond their errors.
+    Return the weighted mean of values that scatter beyond their errors, and its error.
 
-    Weights are ``1 / (error^2 + s^2)`` with the scatter s that the values
-    have beyond their errors (DerSimonian & Laird 1986).
+    Weights are ``1 / (error^2 + s^2)``, where s is the scatter of the values
+    beyond their errors (DerSimonian & Laird 1986).
     """
     values, weight = np.asarray(values, float), 1 / np.asarray(errors, float) ** 2
     mean = np.average(values, weights=weight)

@@ -13,7 +13,7 @@ from astro_scc.tracking.motion import SIGNIFICANT, ejection_epoch, turn_between
 PM_UNIT = u.mas / u.yr
 PM_DOT_UNIT = u.mas / u.yr**2
 
-#: Name, unit or type, and what it is; of the tracks.
+#: Columns of the tracks: name, unit or type, and description.
 COLUMNS = (
     ("track", "U64", "name: date, scale and place of the first feature"),
     ("scale", float, "wavelet scale number"),
@@ -52,12 +52,12 @@ COLUMNS = (
     ("merges_into", "U64", "track that it goes into at its end"),
     ("splits_from", "U64", "track that it comes out of at its beginning"),
 )
-#: Columns that not every track has begin with these.
+#: Prefixes of the columns that not every track has.
 PARTIAL = ("pm_dot", "t_ej")
 
 
 def track_table(tracking):
-    """Return the tracks, one row each; all columns are there even without a row."""
+    """Return the table of tracks, one row each, with all columns even if empty."""
     cube = tracking.cube
     rows = [_motion_row(tracking, number) for number in range(tracking.n_tracks)]
     table = QTable()
@@ -80,7 +80,7 @@ def track_table(tracking):
 
 
 def _motion_row(tracking, number):
-    """Return the entries of a track: plain numbers or None, for dates the epochs."""
+    """Return the entries of a track: plain numbers or None, epoch indices for dates."""
     own = tracking.members(number)
     ssps, links = tracking.ssps, tracking.links
     fit = tracking.fits[number]
@@ -94,7 +94,7 @@ def _motion_row(tracking, number):
     starts, ends = np.isin(links.source, own), np.isin(links.target, own)
     is_link = (links.kind == "link") & starts & ends
     mean = east.mean(), north.mean()
-    # In the order of `COLUMNS`.
+    # The order is that of `COLUMNS`.
     return [
         tracking.names[number], ssps.scale[own[0]], len(own), epochs[0], epochs[-1],
         int(epochs[-1] - epochs[0] + 1 - len(own)), np.median(ssps.flux[own]),
@@ -112,7 +112,7 @@ def _motion_row(tracking, number):
 
 
 def _name(tracking, other, at, kind):
-    """Return the name of the track at the other end of a merge or split, or none."""
+    """Return the name of the track at the other end of a merge or split, or ''."""
     track = tracking.track[other[at & (tracking.links.kind == kind)]][:1]
     return tracking.names[track[0]] if np.any(track >= 0) else ""
 
@@ -122,14 +122,14 @@ def _angle(east, north):
 
 
 def _acceleration(tracking, number):
-    """Return the components of the acceleration with errors, and whether it counts."""
+    """Return the acceleration on both axes with errors, and if it is significant."""
     fit = tracking.accelerated_fits[number]
     if fit is None:
         return (None, None), (None, None), False
     velocity = fit.coefficients[:, 1]
     speed = np.hypot(*velocity)
     along = velocity / speed if speed > 0 else np.array([0.0, 1.0])
-    # To larger position angles, as in `PositionAngleFrame`.
+    # Positive towards larger position angles, as in `PositionAngleFrame`.
     across = np.array([along[1], -along[0]])
     pairs = [
         (
@@ -142,7 +142,7 @@ def _acceleration(tracking, number):
 
 
 def feature_table(tracking):
-    """Return the features of all tracks, one row a feature and epoch."""
+    """Return the features of all tracks, one row per feature and epoch."""
     from astropy.coordinates import SkyCoord
 
     ssps, cube = tracking.ssps, tracking.cube
@@ -188,7 +188,7 @@ def feature_table(tracking):
 
 def plain_table(table):
     """
-    Return a table without objects, as VOTable can hold it.
+    Return a table without objects, which VOTable can hold.
 
     Parameters
     ----------
@@ -197,8 +197,8 @@ def plain_table(table):
     Returns
     -------
     `~astropy.table.QTable`
-        Coordinates become the columns ``ra`` and ``dec``, with proper
-        motions beside them, and dates text.
+        Coordinates become the columns ``ra`` and ``dec``, followed by their
+        proper motions; dates become text.
 
     Examples
     --------

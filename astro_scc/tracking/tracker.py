@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tracking the features of a cube: settings, windows, and the one call."""
+"""Track the features of a cube: settings, search windows, and the call."""
 
 from dataclasses import asdict, dataclass, fields, replace
 
@@ -21,11 +21,11 @@ from astro_scc.tracking.linking import chain, link
 from astro_scc.tracking.tables import PM_UNIT
 from astro_scc.tracking.tracks import Tracking, linked_shares, mean_fwhm
 
-#: Without a largest speed, displacements up to this many beams are tried.
+#: Without a largest speed, displacements up to this many beams are searched.
 BEAMS_PER_INTERVAL = 4.0
-#: Displacements may pass the limits by so many tolerances.
+#: Displacements may exceed the limits by this many tolerances.
 MARGIN = 2.0
-#: Windows are as large as these numbers of pixels, so that few sizes are needed.
+#: Sizes of windows in pixels; few sizes mean few calls of the correlation.
 WINDOWS = (8, 12, 16, 20, 24, 32, 40, 48, 56, 64, 72, 80, 96, 112, 128, 160, 192, 224,
            256, 320, 384, 448, 512, 768, 1024)  # fmt: skip
 
@@ -35,9 +35,9 @@ class FeatureTracker:
     """
     Follow the SSPs of a cube from epoch to epoch.
 
-    The settings are kept; calling the object on a cube and its
-    decompositions tracks it.  Those with a unit may be text, as on the
-    command line.
+    The object keeps the settings; calling it with a cube and its
+    decompositions tracks the cube.  Settings with a unit may be text, as on
+    the command line.
 
     Parameters
     ----------
@@ -45,34 +45,34 @@ class FeatureTracker:
         Largest proper motion.  By default four beams over the median
         interval of consecutive epochs.
     position_angle : `~astropy.units.Quantity` or "radial", optional
-        Direction of the jet, north through east, that ``along`` and
-        ``across`` refer to.
+        Direction of the jet, north through east, to which ``along`` and
+        ``across`` refer.
     along, across : `~astropy.units.Quantity`, shape (2,), optional
-        Smallest and largest proper motion along the jet and across it,
-        positive to larger position angles, in place of ``max_speed`` on
-        that axis.
+        Smallest and largest proper motion along the jet, and across it
+        (positive towards larger position angles).  Either replaces
+        ``max_speed`` on its axis.
     tolerance : float, optional
-        Standard deviation of a displacement about steady motion, in beams.
+        Standard deviation of a displacement from steady motion, in beams.
     max_gap : int, optional
         Most consecutive epochs at which a feature may be missing.
     max_interval : `~astropy.units.Quantity`, optional
         Longest time between two epochs that are linked.
     min_epochs : int, optional
-        Tracks of fewer epochs are none.
+        Fewest epochs of a track.
     kappa : float, optional
         Smallest correlation of a candidate.
     target, min_overlap
         See `~astro_scc.correlation.Correlator`.
     common_beam : bool, optional
-        Refuse epochs whose beams differ, which ``cube.to_common_beam()``
-        mends.  False tracks them as they are.
+        Refuse epochs whose beams differ; ``cube.to_common_beam()`` gives them
+        the same beam.  False tracks them as they are.
 
     Raises
     ------
     ValueError
         If a setting is out of its range.
     `~astropy.units.UnitConversionError`
-        If a unit does not fit.
+        If a unit cannot be converted.
 
     Examples
     --------
@@ -151,10 +151,10 @@ class FeatureTracker:
 
     def _pairs(self, cube, permutations):
         """
-        Return the pairs of epochs that may be linked, and their longest interval.
+        Return the pairs of epochs that may be linked, and their longest intervals.
 
-        In time order, shape (n_pairs, 2); intervals are the longest that a pair
-        has in any permutation of the epochs, in years.
+        Pairs, in time order, have the shape (n_pairs, 2); the interval is the
+        longest that a pair has in any permutation of the epochs, in years.
         """
         years = cube.years.to_value(u.yr)
         n = len(years)
@@ -180,7 +180,7 @@ class FeatureTracker:
         progress_bar=False,
     ):
         """
-        Correlate the SSPs of each epoch with the few epochs after it.
+        Correlate the SSPs of each epoch with the next epochs.
 
         Parameters
         ----------
@@ -189,14 +189,14 @@ class FeatureTracker:
         select : array_like of bool, shape (n_ssps,), optional
             The SSPs that are tracked.
         permutations : sequence of `~numpy.ndarray` of int, optional
-            Places in time of the images in permutations that are linked too.
+            Places in time of the images in permutations that are also linked.
         n_workers : int, optional
         progress_bar : bool, optional
 
         Returns
         -------
         `~astro_scc.correlation.Matches`
-            The windows are as large as the interval of the pair needs.
+            The window of each pair is as large as its interval requires.
         """
         pairs, interval = self._pairs(cube, permutations)
         scales = decompositions[0].scales
@@ -239,7 +239,7 @@ class FeatureTracker:
         return self.along is None and self.across is None
 
     def _fastest(self, cube, scales):
-        """Return the largest speeds along (y, x), in pixels a year."""
+        """Return the largest speeds along (y, x), in pixels per year."""
         limits = self._limits(cube, scales)
         matrix = np.linalg.inv(cube.pixel_matrix.value)
         if self._any_direction or isinstance(self.position_angle, str):
@@ -247,7 +247,7 @@ class FeatureTracker:
             fastest = ends[0] if self._any_direction else np.hypot(*ends)
             return fastest * np.hypot(*matrix.T)[::-1]
         corners = np.stack(np.meshgrid(*limits)).reshape(2, -1)
-        # Symmetric and orthogonal, the frame's matrix is its own inverse.
+        # The frame's matrix is symmetric and orthogonal, so it is its own inverse.
         pixels = matrix @ self._frame().matrix() @ corners
         return np.abs(pixels).max(axis=1)[::-1]
 
@@ -264,7 +264,7 @@ class FeatureTracker:
         x0, y0 = cube.reference_pixel
         at = np.stack([ssps.x[candidates.source] - x0, ssps.y[candidates.source] - y0])
         axes = self._frame().matrix(*(matrix @ at))
-        # At the origin of a radial frame there are no axes, and any will do.
+        # A radial frame has no axes at its origin, and any will do there.
         axes = np.where(np.isfinite(axes), axes, np.eye(2))
         sky = np.stack([candidates.dx, candidates.dy], axis=1) @ matrix.T
         moved = np.einsum("nai,ni->na", axes, sky)
@@ -298,18 +298,18 @@ class FeatureTracker:
         Parameters
         ----------
         cube : `~astro_scc.epochs.EpochCube`
-            Aligned; distances are from its reference pixel, and what stands
-            there is the core.
+            Its epochs must be aligned.  Distances are measured from its
+            reference pixel, and what stands there is the core.
         decompositions : sequence of `~astro_scc.decomposition.Decomposition`
             One for each epoch.
         matches : `~astro_scc.correlation.Matches`, optional
-            Of the pairs of epochs that may be linked at least, with
-            permutations of all pairs.  By default those of `match`.
+            Matches of at least the pairs of epochs that may be linked; with
+            permutations, of all pairs.  By default those of `match`.
         select : array_like of bool, shape (n_ssps,), optional
             The SSPs that are tracked.
         n_trials : int, optional
-            Number of permutations of the epochs that are linked too, to see
-            what chance gives.
+            Number of permutations of the epochs that are also linked, to
+            measure what chance gives.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the permutations, and of the resampled epochs.
         n_workers : int, optional
@@ -322,14 +322,15 @@ class FeatureTracker:
         Raises
         ------
         ValueError
-            If there is not one decomposition for each epoch, ``select`` has not
-            one value for each SSP, no epoch shows an SSP, no two epochs have
-            different dates, or their beams differ and ``common_beam`` is True.
+            If ``decompositions`` has not one entry per epoch or ``select`` not
+            one value per SSP, if no epoch shows an SSP, if no two epochs have
+            different dates, if ``n_trials`` is negative, or if beams differ and
+            ``common_beam`` is True.
 
         Warns
         -----
         `~astro_scc.exceptions.MeasurementWarning`
-            If the epochs are aligned with one another to 0.2 beams or worse.
+            If the alignment of the epochs is as poor as 0.2 beams or worse.
         """
         rng = np.random.default_rng(rng)
         ssps, select = self._checked(cube, decompositions, select, n_trials)
@@ -362,8 +363,8 @@ class FeatureTracker:
         """
         Return a function that links the images, given their places in time.
 
-        It returns the links, the track of each SSP, and how many SSPs of each
-        scale and epoch are linked to a later one, and are there at all.
+        The function returns the links, the track of each SSP, and for each scale
+        and epoch the numbers of SSPs that are linked to a later one and of all.
         """
         matches = matches.of_ssps(select)
         matches = matches.select(matches.coefficient >= self.kappa)
@@ -375,7 +376,7 @@ class FeatureTracker:
         likelihood = LinkLikelihood(tolerance=self.tolerance * fwhm)
 
         def inside(found):
-            # Nothing jumps into the core or out of it.
+            # Features do not jump into the core or out of it.
             same = core[found.source] == core[found.target]
             return same & self._inside(found, ssps, cube, scales)
 
@@ -397,7 +398,7 @@ class FeatureTracker:
                  for scale in scales]
                 for own in (linked, select)
             ]  # fmt: skip
-            # The last epoch has none after it.
+            # The last epoch has no later one.
             return links, track, np.array(counts)[:, :, :-1]
 
         return tracks_of

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tracked features: the result of tracking."""
+"""The result of tracking: tracks of features and their motion."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ from astro_scc.tracking.linking import Links
 from astro_scc.tracking.motion import fit_motion, track_profile
 from astro_scc.tracking.tables import feature_table, track_table
 
-#: Positions are not known better than to this part of a beam (Lister et al. 2009).
+#: Smallest error of a position, in beams (Lister et al. 2009).
 POSITION_FLOOR = 0.05
-#: Tracks of so many epochs get an accelerated fit.
+#: Fewest epochs of a track for an accelerated fit.
 ACCELERATED_EPOCHS = 10
-#: Resamples of the epochs for the errors of shares.
+#: Number of bootstrap samples of the epochs for the errors of shares.
 N_BOOTSTRAP = 1000
 
 
@@ -32,12 +32,12 @@ class LinkedShare(NamedTuple):
     """
     The share of SSPs that tracks link to a later one, and what chance gives.
 
-    The scale is None for all of them together; ``n_ssps`` counts those that
+    The ``scale`` is None for all scales together; ``n_ssps`` counts the SSPs that
     have a later epoch.  The error of the share is its standard deviation over
-    resampled epochs.  ``permuted`` is the mean of the share over permutations
-    of the epochs, with its standard deviation, and ``p_value`` the part of the
-    permutations, the observed order included, that link as many; NaN without
-    permutations.
+    bootstrap samples of the epochs.  ``permuted`` is the mean of the share over
+    permutations of the epochs, with its standard deviation.  ``p_value`` is the
+    fraction of permutations, including the observed order, that link as many.
+    These are NaN without permutations.
     """
 
     scale: float | None
@@ -66,10 +66,10 @@ class Tracking:
     track : `~numpy.ndarray` of int, shape (n_ssps,)
         Number of the track of each SSP, -1 for none.
     shares : tuple
-        The shares of SSPs that are linked, of all scales and of each, see
-        ``confidence``.
+        The shares of SSPs that are linked, on all scales together and on each,
+        see ``confidence``.
     n_trials : int
-        Permutations of the epochs that were linked.
+        Number of permutations of the epochs that were also linked.
     settings : dict
 
     Examples
@@ -113,7 +113,7 @@ class Tracking:
         Parameters
         ----------
         number : int
-            From 0.
+            Number of the track, from 0.
 
         Returns
         -------
@@ -125,9 +125,9 @@ class Tracking:
     @cached_property
     def names(self):
         """
-        Names of the tracks by the date, scale and place at which they begin.
+        Names of the tracks: the date, scale and position at which each begins.
 
-        A name stays what it is when epochs are added after the first one of its
+        A name does not change when epochs are added after the first one of its
         track, whatever the other tracks are.
         """
         dates = self.cube.times.isot
@@ -143,19 +143,19 @@ class Tracking:
                 for offset in self.offsets[:, first]
             )
             name = f"{date}_s{self.ssps.scale[first]:g}_{place}"
-            # Two that round to one place: in the order of the catalogue.
+            # Tracks with the same rounded position are numbered as in the catalogue.
             seen[name] += 1
             names.append(name if seen[name] == 1 else f"{name}.{seen[name]}")
         return tuple(names)
 
     @cached_property
     def fwhm(self):
-        """Size of the resolution in mas, the mean beam or twice the middle scale."""
+        """Resolution in mas: the mean beam, or twice the middle scale."""
         return mean_fwhm(self.cube, np.unique(self.ssps.scale))
 
     @cached_property
     def offsets(self):
-        """East and north of every SSP in mas, shape (2, n_ssps)."""
+        """Offsets of every SSP to the east and north in mas, shape (2, n_ssps)."""
         return np.stack(ssp_offsets(self.ssps, self.cube))
 
     @cached_property
@@ -163,8 +163,8 @@ class Tracking:
         """
         Standard errors of the offsets in mas, shape (2, n_ssps).
 
-        See `~astro_scc.epochs.position_errors`; the floor is that of one
-        position.
+        See `~astro_scc.epochs.position_errors`; the floor is the smallest error
+        of one position, not of a displacement.
         """
         ssps = self.ssps
         fwhm = beam_fwhm(self.cube, ssps.epoch, ssps.scale, np.eye(2))
@@ -173,15 +173,15 @@ class Tracking:
     @cached_property
     def fits(self):
         """
-        Fitted motions, a `MotionFit` of a straight line for each track.
+        Fitted motions: for each track, the `MotionFit` of a straight line.
 
-        Offsets in mas, times in Julian years since the first epoch.
+        Offsets are in mas, times in Julian years since the first epoch.
         """
         return tuple(self._fit(number, 1) for number in range(self.n_tracks))
 
     @cached_property
     def accelerated_fits(self):
-        """Fits of a parabola, None for tracks of less than ten epochs."""
+        """Fits of a parabola; None for tracks of fewer than ten epochs."""
         return tuple(
             self._fit(number, 2)
             if len(self.members(number)) >= ACCELERATED_EPOCHS
@@ -199,14 +199,14 @@ class Tracking:
     @cached_property
     def features(self):
         """
-        One row a feature and epoch, `~astropy.table.QTable`.
+        One row per feature and epoch, `~astropy.table.QTable`.
 
-        By track and date, which is a `~astropy.time.Time`.  ``sky`` is a
-        `~astropy.coordinates.SkyCoord` with the proper motion of the track; in
-        frames without right ascension there are ``lon`` and ``lat`` in its
-        place, with ``pm_lon_coslat`` and ``pm_lat``.  ``link`` says how the
-        feature follows from the one before it: "first", "link", or "gap" where
-        epochs lie between.
+        Rows are ordered by track and ``date``, a `~astropy.time.Time`.  ``sky``
+        is a `~astropy.coordinates.SkyCoord` with the proper motion of the track;
+        frames without right ascension have ``lon``, ``lat``, ``pm_lon_coslat``
+        and ``pm_lat`` instead.  ``link`` tells how the row continues the
+        previous one of the track: "first", "link", or "gap" if epochs are
+        missing between them.
         """
         table = feature_table(self)
         table.meta.update(self._meta())
@@ -215,10 +215,10 @@ class Tracking:
     @cached_property
     def tracks(self):
         """
-        One row a track, `~astropy.table.QTable`.
+        One row per track, `~astropy.table.QTable`.
 
-        All columns are there even if there is no row.  Accelerations and
-        ejection epochs are masked where the track has none.
+        The table has all columns even if it has no row.  Accelerations and
+        ejection epochs are masked for tracks without them.
         """
         table = track_table(self)
         table.meta.update(self._meta())
@@ -248,8 +248,8 @@ class Tracking:
         """
         Shares of linked SSPs, observed and permuted, `~astropy.table.QTable`.
 
-        The first row, with scale 0, is that of all scales.  What permutations
-        of the epochs give is masked where there were none.
+        The first row, with scale 0, is for all scales together.  The columns of
+        permuted epochs are masked if there were no permutations.
         """
         table = QTable(
             rows=[(share.scale or 0.0, *share[1:]) for share in self.shares],
@@ -266,18 +266,19 @@ class Tracking:
         """
         Return the mean radial speed of the features near each distance.
 
-        At each radius a straight line is fitted to the distances of every
-        track, with its features within ``half_width`` of the radius alone, and
-        the slopes are averaged (Mertens & Lobanov 2016, Sect. 3.3).
+        At each radius, a straight line is fitted to the distances of every
+        track within ``half_width`` of the radius, and the slopes are averaged
+        (Mertens & Lobanov 2016, Sect. 3.3).
 
         Parameters
         ----------
         radii : `~astropy.units.Quantity`, shape (n,)
             Distances from the core.
         half_width : `~astropy.units.Quantity`, optional
-            Features within this of a radius count, 2 mas in the paper.
+            Features within this distance of a radius are used; 2 mas in the
+            paper.
         scales : sequence of float, optional
-            The scales whose tracks count.
+            The scales whose tracks are used.
 
         Returns
         -------
@@ -331,7 +332,7 @@ class Tracking:
 
 
 def mean_fwhm(cube, scales):
-    """Return the size of the resolution in mas, the mean beam or twice the scale."""
+    """Return the resolution in mas: the mean beam, or twice the middle scale."""
     if cube.beams is None:
         middle = np.exp(np.mean(np.log([scale_size(s) for s in scales])))
         return 2 * middle * cube.pixel_scale
@@ -341,12 +342,12 @@ def mean_fwhm(cube, scales):
 
 def linked_shares(counts, permuted, scales, *, rng=None):
     """
-    Return the `LinkedShare` of all scales, and of each.
+    Return the `LinkedShare` of all scales together, and of each scale.
 
-    ``counts``, shape (2, n_scales, n), are linked SSPs and all of them, and
-    ``permuted`` a sequence of the same for permutations of the epochs.  The
-    error is the standard deviation of 1000 resamples of the epochs, with
-    replacement (Efron & Tibshirani 1993).
+    ``counts``, shape (2, n_scales, n), are the numbers of linked SSPs and of all
+    SSPs; ``permuted`` is a sequence of such counts for permuted epochs.  The
+    error is the standard deviation over 1000 bootstrap samples of the epochs
+    (Efron & Tibshirani 1993).
     """
     rng = np.random.default_rng(rng)
     n = counts.shape[2]
@@ -374,5 +375,5 @@ def linked_shares(counts, permuted, scales, *, rng=None):
 
 
 def _ratio(part, whole):
-    """Return the quotients, 0 where there is nothing."""
+    """Return the ratios, 0 where the denominator is 0."""
     return np.divide(part, whole, out=np.zeros(np.shape(whole)), where=whole != 0)

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Visualization: one function a figure, each a matplotlib figure of its own."""
+"""Visualization: one function per figure; each returns a matplotlib figure."""
 
 from astro_scc.visualization.diagram import plot_diagram
 from astro_scc.visualization.epochs import (

@@ -12,35 +12,35 @@ from astro_scc.visualization import style
 from astro_scc.visualization.style import BLACK, KINDS, PM_UNIT, unit_name
 from astro_scc.visualization.velocity import on_sky
 
-#: Intervals are shown up to this many times the one in which the slowest
-#: stream that moves leaves the diagram, and at least this many.
+#: Intervals are shown up to this many times the one after which the slowest
+#: moving stream leaves the diagram, and at least this number of intervals.
 BEYOND = 1.3
 FEWEST_INTERVALS = 4
-#: Part of the diagram whose excess the colours reach.
+#: Fraction of the diagram that is within the range of the colours.
 UNSATURATED = 0.995
-#: In inches: with these letters it can be read in one column of a journal.
+#: Size in inches, at which letters can be read in one column of a journal.
 SIZE = (4.8, 4.0)
 
 
 def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     """
-    Draw displacements against the intervals in which they happen.
+    Draw the displacement-interval diagram with the rays of the streams.
 
-    Red is where more patterns match than in permuted epochs.  What moves at
-    a constant speed is a ray from the origin, what stands still is at no
-    displacement; thin lines beside a ray are one dispersion of its speeds
-    away.  Intervals are shown until the slowest stream that moves has left
-    the diagram.  A second axis has the displacement in beams.
+    In red areas, more patterns match than in permuted epochs.  What moves at a
+    constant speed lies on a ray from the origin; what stands still lies at zero
+    displacement.  Thin lines on both sides of a ray are one dispersion of the
+    speeds away.  Intervals are shown until the slowest moving stream leaves the
+    diagram.  A second axis shows the displacement in beams.
 
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
     ax : `matplotlib.axes.Axes`, optional
-        Drawn on these instead of a new figure.
+        Axes to draw on instead of a new figure.
     components : `~astropy.table.QTable`, optional
         The components whose rays are drawn, by default ``result.components``.
     unit : `~astropy.units.Unit`, optional
-        Of the displacement, by default one in which it is easily read.
+        Unit of the displacement, by default one that is easy to read.
     colorbar : bool, optional
 
     Returns
@@ -50,7 +50,7 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     Raises
     ------
     ValueError
-        If the unit is no angle.
+        If the unit is not an angle.
 
     Examples
     --------
@@ -69,7 +69,7 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     kinds = style.component_kinds(components)
     numbers = np.asarray(components["component"], dtype=int)
     velocities = [result.velocities[number - 1] for number in numbers]
-    # What stands still has no speed beyond its errors.
+    # The speed of a stationary component is zero within its errors.
     slopes = [
         0.0 if kind == "stationary" else float(image.meta["direction"] @ velocity.value)
         for kind, velocity in zip(kinds, velocities, strict=True)
@@ -117,7 +117,7 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
 
 
 def _texts(components, kinds):
-    """Return number and speed of each component, or that it stands still."""
+    """Return the number and the speed, or kind, of each component."""
     unit = style.speed_unit(components["pm"].to_value(PM_UNIT).max(initial=0.0))
     texts = []
     for row, kind in zip(components, kinds, strict=True):
@@ -136,7 +136,7 @@ def _longest(years, slopes, kinds, reach):
         own = [abs(v) for v, kind in zip(slopes, kinds, strict=True) if kind == shown]
         if any(own):
             longest = BEYOND * reach / min(v for v in own if v > 0)
-            # A fast one alone would leave a single column.
+            # A fast stream alone would leave a single column.
             return min(max(longest, _edges(years)[: FEWEST_INTERVALS + 1][-1]), last)
     return last
 
@@ -162,7 +162,7 @@ def _draw_ray(ax, slope, spread, line, number, text):
                 (0, 0), slope=other, color=BLACK, linewidth=0.6, alpha=0.7,
                 gid="dispersion",
             )  # fmt: skip
-    # On the ray, before it leaves the axes.
+    # The number lies on the ray, before it leaves the axes.
     x = 0.88 * min(right, top / abs(slope) if slope else right)
     ax.text(
         x, slope * x, number, ha="center", va="center", fontsize="small",
@@ -172,7 +172,7 @@ def _draw_ray(ax, slope, spread, line, number, text):
 
 
 def _direction(result, image):
-    """Return what the displacement is along."""
+    """Return the label of the displacement, with its direction."""
     if not on_sky(result):
         jet = result.frame.axis_names[0] == "parallel"
         return f"Displacement {'along the jet' if jet else 'outward'}"

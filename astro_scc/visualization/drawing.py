@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""How images and their SSPs are drawn in offsets from the reference pixel."""
+"""Draw images and their SSPs in offsets from the reference pixel."""
 
 from dataclasses import dataclass
 
@@ -11,24 +11,24 @@ from astro_scc.epochs.positions import axis_words
 from astro_scc.visualization import style
 from astro_scc.visualization.style import unit_name
 
-#: Ground of masked pixels, a colour that the greys of the image do not have.
+#: Colour of masked pixels, which is not among the greys of the image.
 MASKED = "#BFDFF2"
 #: Brightness up to which the asinh stretch is linear, in units of the noise.
 LINEAR_NOISE = 3.0
-#: Share of the weight of the SSPs beyond each side of a figure that shows them.
+#: Share of the SSPs' weight that lies beyond each side of a zoomed figure.
 EDGE = 0.015
 
 
-# -- which part, in which unit and colours -----------------------------------------
+# -- limits, units and colours -----------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class View:
     """
-    Which part of a cube's images is shown, in which unit and colours.
+    The part of a cube's images that is shown, with its unit and colours.
 
-    ``points`` are the SSPs, see `ssp_points`, ``limits`` the offsets in mas, shape
-    (2, 2): east, then north, and ``norm`` turns brightness into colour.
+    ``points`` are the SSPs, see `ssp_points`; ``limits`` are offsets in mas, shape
+    (2, 2), east, then north; ``norm`` maps brightness to colour.
     """
 
     cube: object
@@ -39,7 +39,7 @@ class View:
 
     @classmethod
     def of(cls, cube, ssps, image, *, zoom=True, unit=None, **colors):
-        """Return the view of an image, or images, and SSPs."""
+        """Return the view of one or more images and SSPs."""
         points = ssp_points(cube, ssps)
         limits = image_limits(cube, points if zoom else None)
         unit = style.offset_unit(lengths(limits).max(), unit)
@@ -47,7 +47,7 @@ class View:
 
     @property
     def factor(self):
-        """The unit of the offsets over mas."""
+        """Factor that converts mas to the unit of the offsets."""
         return u.mas.to(self.unit)
 
 
@@ -60,8 +60,8 @@ def image_limits(cube, points=None):
     """
     Return the range of offsets to show, shape (2, 2) in mas: east, then north.
 
-    All of the image or, for the points of `ssp_points`, where they are, with a
-    margin; the outermost are left out, which may be noise at the edges.
+    It is the whole image or, given the points of `ssp_points`, the range of the
+    points with a margin, without the outermost, which may be noise at the edges.
     """
     _, ny, nx = cube.shape
     corners = cube.pixel_to_offset(
@@ -78,7 +78,7 @@ def image_limits(cube, points=None):
     if cube.beams is not None:
         margin = max(margin, 1.5 * max(beam.major.value for beam in cube.beams))
     near += [-margin, margin]
-    # A strip of a few pixels across shows nothing: a third of its length at least.
+    # A narrow strip shows nothing, so the width is at least a third of the length.
     short = np.maximum(lengths(near).max() / 3 - lengths(near), 0)
     near += short[:, None] * [-0.5, 0.5]
     low, high = whole.T
@@ -95,7 +95,7 @@ def _inner_range(values, weight):
 def plotting_norm(
     cube, image, epochs=slice(None), stretch="asinh", vmin=None, vmax=None
 ):
-    """Return the norm that turns brightness into colour, for the noise of epochs."""
+    """Return the norm that maps brightness to colour, for the noise of the epochs."""
     from matplotlib.colors import AsinhNorm, LogNorm, Normalize
 
     if stretch not in ("asinh", "log", "linear"):
@@ -118,7 +118,7 @@ def plotting_norm(
 
 
 def ticks_of(norm):
-    """Return zero and the powers of ten that are apart from it; None for others."""
+    """Return zero and larger powers of ten as ticks of an asinh norm, else None."""
     width = getattr(norm, "linear_width", None)
     if width is None or norm.vmax < 30 * width:
         return None
@@ -171,7 +171,7 @@ def draw_beam(ax, view, beam):
     ellipse = Ellipse(
         (east1 - half[0] - margin, north0 + half[1] + margin),
         width=beam.minor.to_value(view.unit), height=beam.major.to_value(view.unit),
-        # Counted from the second axis towards the first, north through east.
+        # matplotlib's angle and the position angle have opposite senses.
         angle=-beam.pa.to_value(u.deg), facecolor="white", edgecolor=style.BLACK,
         hatch="////", linewidth=0.8, zorder=4, gid="beam",
     )  # fmt: skip
@@ -179,7 +179,7 @@ def draw_beam(ax, view, beam):
 
 
 def offset_labels(cube, unit):
-    """Return what the two axes of an image are called."""
+    """Return the labels of the two axes of an image."""
     names = (n if " " in n else f"the {n}" for n in axis_words(cube)[:2])
     return tuple(f"Offset to {name} ({unit_name(unit)})" for name in names)
 
@@ -188,8 +188,8 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     """
     Return a figure, the given one or a new one, and its axes for n images.
 
-    There are as many columns as make the panels largest, in the figure or on a
-    page; ``aside`` and ``above`` are the room for labels in inches.
+    The number of columns makes the panels as large as possible in the figure or on
+    a page; ``aside`` and ``above`` are the room for labels in inches.
     """
     width, height = lengths(view.limits)
     page = (5.0, 8.0) if figure is None else figure.get_size_inches() - [1.2, 1.0]
@@ -197,7 +197,7 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
         min(page[0] / columns, page[1] / -(-n // columns) * width / height)
         for columns in range(1, n + 1)
     ]
-    # Equal but for rounding, the grid with fewer empty places.
+    # Of grids with equal panels, but for rounding, take the one with fewest columns.
     columns = 1 + int(np.argmax(np.round(sizes, 3)))
     rows = -(-n // columns)
     if figure is None:
@@ -210,7 +210,7 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     for ax in grid.flat[n:]:
         ax.set_axis_off()
     for ax in grid.flat[max(n - columns, 0) : n]:
-        # Shared axes hide their ticks all but in the last row.
+        # Shared axes hide the tick labels of all rows but the last.
         ax.tick_params(labelbottom=True)
     across, up = offset_labels(view.cube, view.unit)
     figure.supxlabel(across, fontsize="medium")
@@ -219,7 +219,7 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
 
 
 def mean_image_panels(cube, ssps, n, *, figure, unit):
-    """Return a view, a figure, and its axes with the mean image in pale colours."""
+    """Return a view, and a figure and its axes with the mean image in pale colours."""
     mean = cube.mean_image()
     image = np.ma.masked_array(mean.data, mean.mask)
     view = View.of(cube, ssps, image, unit=unit)
@@ -232,7 +232,7 @@ def mean_image_panels(cube, ssps, n, *, figure, unit):
 
 
 def panel_text(ax, text, x=0.02, y=0.95, color=style.BLACK):
-    """Write in the upper left corner of a panel."""
+    """Write text in a panel, by default in its upper left corner."""
     ax.text(
         x, y, text, transform=ax.transAxes, va="top", fontsize="small", color=color,
         path_effects=style.outline(),
@@ -244,10 +244,10 @@ def panel_text(ax, text, x=0.02, y=0.95, color=style.BLACK):
 
 def ssp_points(cube, ssps):
     """
-    Return what is drawn of SSPs: a dictionary of arrays, or None for None.
+    Return what is drawn of SSPs as a dictionary of arrays, or None for None.
 
-    Positions in mas, ``epoch``, ``scale``, whether they are ``used``, and a
-    ``weight`` that is small where an SSP is hardly more than noise.
+    It has the positions in mas, ``epoch``, ``scale``, whether SSPs are ``used``, and a
+    ``weight`` that is small for SSPs close to the noise.
     """
     if ssps is None:
         return None
@@ -275,7 +275,7 @@ def ssp_points(cube, ssps):
 
 
 def is_catalogue(ssps):
-    """Return whether SSPs know their pixels, as those of a decomposition do."""
+    """Return whether SSPs are a catalogue, which knows their pixels, not a table."""
     return hasattr(ssps, "pixels_of")
 
 
@@ -314,14 +314,14 @@ def draw_ssps(ax, view, ssps, epoch, size=1.0):
 
 
 def _scale_label(view, scale, first, last):
-    """Return the size of a scale; the first says what it is, the last has the unit."""
+    """Return the label of a scale: its size, with words if first, a unit if last."""
     size = (scale_size(scale) * view.cube.pixel_scale).to_value(view.unit)
     words = ["SSPs of scale"] * first + [f"{size:.2g}"]
     return " ".join(words + [unit_name(view.unit)] * last)
 
 
 def _draw_outlines(ax, view, ssps, indices, **line):
-    """Draw the edges of the pixels of SSPs, none over another."""
+    """Draw the outlines of SSPs along the edges of their pixels, each edge once."""
     from matplotlib.collections import LineCollection
 
     _, ny, nx = view.cube.shape

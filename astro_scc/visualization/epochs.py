@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Pictures of the epochs with their SSPs, alone, together and moving, and of dates."""
+"""Figures and animations of the epochs with their SSPs, and a figure of dates."""
 
 import operator
 from pathlib import Path
@@ -11,7 +11,7 @@ from astro_scc.partial import replace_when_complete
 from astro_scc.stacking import consecutive_pairs
 from astro_scc.visualization import drawing, style
 
-#: What writes which files, by their ending.
+#: matplotlib's writer for each file suffix.
 WRITERS = {".gif": "pillow", ".mp4": "ffmpeg"}
 LEGEND = {"fontsize": "small", "frameon": False, "columnspacing": 1.0}
 LEGEND |= {"handletextpad": 0.3, "borderaxespad": 0.2, "ncols": 9}
@@ -40,20 +40,20 @@ def plot_epoch(
         Index of the epoch.
     ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
         The SSPs of all epochs: a table (``result.ssps``) is drawn as
-        circles, larger for larger scales and pale where the SSP is outside
-        the region that was measured; a catalogue
-        (``result.matched.ssps``) as the outlines of the SSPs.
+        circles, larger for larger scales and pale if the SSP is outside the
+        region that was measured; a catalogue (``result.matched.ssps``) is
+        drawn as outlines.
     ax : `matplotlib.axes.Axes`, optional
-        Drawn on these instead of a new figure.
+        Axes to draw on instead of a new figure.
     unit : `~astropy.units.Unit`, optional
-        Of the offsets.
+        Unit of the offsets.
     stretch : {"asinh", "log", "linear"}
-        Asinh is linear up to three times the noise and logarithmic above.
+        "asinh" is linear up to three times the noise and logarithmic above.
     vmin, vmax : float, optional
         Brightness at the ends of the colours, in the unit of the cube.
     zoom : bool, optional
-        Show the part of the image that holds SSPs (but for the
-        outermost, which may be noise), not all of it.
+        Show only the part of the image that holds SSPs, except the outermost,
+        which may be noise.
     colorbar : bool, optional
 
     Returns
@@ -63,7 +63,7 @@ def plot_epoch(
     Raises
     ------
     ValueError
-        If the stretch is unknown, or the unit no angle.
+        If the stretch is unknown, or the unit is not an angle.
     IndexError
         If there is no such epoch.
 
@@ -103,7 +103,7 @@ def plot_epochs(
     **view,
 ):
     """
-    Draw all epochs with the same colours, or some of them evenly chosen.
+    Draw all epochs, or an even selection of them, with the same colours.
 
     Parameters
     ----------
@@ -111,12 +111,12 @@ def plot_epochs(
     ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
         As in `plot_epoch`.
     figure : `matplotlib.figure.Figure`, optional
-        Drawn on this one instead of a new figure.
+        Figure to draw on instead of a new one.
     max_panels : int, optional
-        Of more epochs than these, the first, the last and others evenly
-        between them are drawn.
+        If there are more epochs, the first, the last and others evenly between
+        them are drawn.
     **view
-        ``unit``, ``stretch``, ``vmin``, ``vmax`` and ``zoom``, as in `plot_epoch`.
+        ``unit``, ``stretch``, ``vmin``, ``vmax`` and ``zoom``, see `plot_epoch`.
 
     Returns
     -------
@@ -125,8 +125,8 @@ def plot_epochs(
     Raises
     ------
     ValueError
-        If ``max_panels`` is below 1, the stretch is unknown, or the unit no
-        angle.
+        If ``max_panels`` is below 1, the stretch is unknown, or the unit is
+        not an angle.
 
     Examples
     --------
@@ -157,18 +157,18 @@ def plot_epochs(
 
 def plot_intervals(cube, pairs=None, *, ax=None):
     """
-    Draw the dates of the epochs, and the pairs of them that are compared.
+    Draw the dates of the epochs, and the pairs of epochs that are compared.
 
-    Each pair is a bar from its first date to its second, as high as the time
-    between them: speeds come from motion over these times.
+    Each pair is a bar from its first to its second date, drawn at the height of
+    the interval between them, over which motion is measured.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     pairs : `~astro_scc.stacking.DatePairs`, optional
-        By default consecutive epochs; ``result.pairs`` of a measurement.
+        For example ``result.pairs``; by default consecutive epochs.
     ax : `matplotlib.axes.Axes`, optional
-        Drawn on these instead of a new figure.
+        Axes to draw on instead of a new figure.
 
     Returns
     -------
@@ -237,30 +237,30 @@ def animate_epochs(
     ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
         As in `plot_epoch`.
     n_frames : int, optional
-        By default one frame per epoch.  With a number, so many frames at equal
-        steps of time, each of the last epoch before it: motion then looks as
-        fast as it is, and gaps between the epochs as long.
+        Number of frames at equal steps of time, each of which shows the latest
+        epoch, so that speeds and gaps between epochs are in proportion.  By
+        default there is one frame per epoch.
     trail : int, optional
-        Dots show where SSPs were in so many epochs before.
+        Number of previous epochs whose SSPs are shown as dots.
     interval : `~astropy.units.Quantity`, optional
         Time between frames.
     ax : `matplotlib.axes.Axes`, optional
-        Drawn on these instead of a new figure.
+        Axes to draw on instead of a new figure.
     **view
-        ``unit``, ``stretch``, ``vmin``, ``vmax`` and ``zoom``, as in `plot_epoch`.
+        ``unit``, ``stretch``, ``vmin``, ``vmax`` and ``zoom``, see `plot_epoch`.
 
     Returns
     -------
     `matplotlib.animation.FuncAnimation`
-        To be kept in a variable.  In a notebook,
+        It must be kept in a variable.  In a notebook,
         ``IPython.display.HTML(animation.to_jshtml())`` plays it;
         `write_animation` saves it.
 
     Raises
     ------
     ValueError
-        If ``n_frames`` is below 1, ``trail`` negative, the interval not
-        positive, the stretch unknown, or the unit no angle.
+        If ``n_frames`` is below 1, ``trail`` is negative, the interval is not
+        positive, the stretch is unknown, or the unit is not an angle.
 
     Examples
     --------
@@ -285,7 +285,7 @@ def animate_epochs(
     figure, ax = style.figure_and_axes(ax, _figsize(view))
     picture = drawing.draw_image(ax, view, images[shown[0]])
     _add_bar(ax, picture, view)
-    # Laid out with a title and a legend, the same in all frames.
+    # The title and the legend fix the layout of all frames.
     handles = drawing.draw_ssps(ax, view, ssps, -1)
     if handles and trail:
         dot = {"linestyle": "", "marker": "o", "ms": 2.5, "color": style.ORANGE}
@@ -319,14 +319,14 @@ def write_animation(animation, path, *, fps=None, dpi=100, overwrite=False):
     Parameters
     ----------
     animation : `matplotlib.animation.FuncAnimation`
-        Of `animate_epochs`.
+        From `animate_epochs`.
     path : path
-        Its ending says what is written: ``.gif``, or ``.mp4`` where the
-        program ``ffmpeg`` is found.
+        The suffix gives the format: ``.gif``, or ``.mp4``, for which the
+        program ``ffmpeg`` is needed.
     fps : float, optional
-        Frames a second, by default those of the animation.
+        Frames per second, by default those of the animation.
     dpi : float, optional
-        Pixels an inch; a figure is six inches wide.
+        Pixels per inch; a figure is six inches wide.
     overwrite : bool, optional
         Replace a file that exists.
 
@@ -337,10 +337,10 @@ def write_animation(animation, path, *, fps=None, dpi=100, overwrite=False):
     Raises
     ------
     ValueError
-        If the ending is neither ``.gif`` nor ``.mp4``.
+        If the suffix is neither ``.gif`` nor ``.mp4``.
     OSError
-        If the file exists and ``overwrite`` is False, cannot be written, or
-        there is no ``ffmpeg``.
+        If the file exists and ``overwrite`` is False, if it cannot be written,
+        or if there is no ``ffmpeg``.
 
     Examples
     --------
@@ -365,11 +365,11 @@ def write_animation(animation, path, *, fps=None, dpi=100, overwrite=False):
     return path
 
 
-# -- what one epoch has ------------------------------------------------------------
+# -- parts of the figure of one epoch ----------------------------------------------
 
 
 def _figsize(view):
-    """Return the size of a figure of one image."""
+    """Return the size in inches of a figure of one image."""
     width, height = drawing.lengths(view.limits)
     return style.WIDTH, float(np.clip(4.6 * height / width + 1.0, 2.4, 8.0))
 
@@ -379,7 +379,7 @@ def _beam(cube, index):
 
 
 def _date_of(cube, index):
-    """Return the date of an epoch, with the time where another has the same."""
+    """Return the date of an epoch, with the time if another has the same date."""
     days = list(cube.times.strftime("%Y-%m-%d"))
     if days.count(days[index]) == 1:
         return days[index]
@@ -387,7 +387,7 @@ def _date_of(cube, index):
 
 
 def _name_axes(ax, view, index, handles):
-    """Name the axes, and write the date above a line with the legend."""
+    """Label the axes, and write the date above a line with the legend."""
     across, up = drawing.offset_labels(view.cube, view.unit)
     ax.set_xlabel(across)
     ax.set_ylabel(up)
@@ -403,7 +403,7 @@ def _add_bar(ax, drawn, view):
 
 
 def _masked_handle(view, mask):
-    """Return what the colour of masked pixels means, if some are seen."""
+    """Return the legend handle of masked pixels in a list, empty if none is seen."""
     from matplotlib.patches import Patch
 
     row, column = np.nonzero(mask)
@@ -414,7 +414,7 @@ def _masked_handle(view, mask):
 
 
 def _draw_trail(ax, view, index, trail):
-    """Draw where SSPs were before, the older, the paler."""
+    """Draw the earlier positions of SSPs, paler for earlier epochs."""
     points = view.points
     past = points["used"] & (points["epoch"] < index)
     past &= points["epoch"] >= index - trail
@@ -433,6 +433,6 @@ def _epochs_shown(cube, n_frames):
     if n_frames < 1:
         raise ValueError(f"n_frames must be at least 1, got {n_frames}")
     years = cube.years.value
-    # Rounding must not put the last frame before the last epoch.
+    # Rounding must not place the last frame before the last epoch.
     dates = np.linspace(0.0, years[-1], n_frames) + 1e-9
     return (np.searchsorted(years, dates, side="right") - 1).tolist()

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Speed against distance, maps of velocity by scale, and position angles."""
+"""Figures of speed against distance, velocity maps by scale, and position angles."""
 
 import astropy.units as u
 import numpy as np
@@ -8,7 +8,7 @@ from astro_scc.visualization import drawing, style
 from astro_scc.visualization.style import BLUE, LINES, PM_UNIT, SCALE_COLORS, unit_name
 from astro_scc.visualization.velocity import draw_map
 
-#: Half the height of the strip of jet above the profile, in beams.
+#: Half the width of the strip of the jet above the profile, in beams.
 STRIP = 3.0
 
 
@@ -31,20 +31,20 @@ def plot_profile(
     table : `~astropy.table.QTable`
         `Profile.components <astro_scc.flow.Profile.components>`.
     cube : `~astro_scc.epochs.EpochCube`, optional
-        Its mean image is drawn above, on the scale of distances.
+        Cube whose mean image is drawn above, on the same scale of distances.
     line : `~astro_scc.kinematics.RidgeLine`, optional
-        Along which the jet is drawn; it needs the cube.
+        Line along which the jet is drawn; it needs the cube.
     column : str, optional
-        The speed that is drawn.
+        Column of the speed that is drawn.
     fits : sequence of `~astro_scc.flow.ProfileFit`, optional
-        Curves.
+        Fits that are drawn as curves.
     others : sequence of (str, distance, speed, error), optional
-        Speeds that others found, with their name.
+        Names and values of published or other speeds.
     beta_per_pm : float, optional
-        Apparent speed, in units of c, of a proper motion of 1 mas/yr; draws
-        a second axis.
+        Apparent speed, in units of c, of a proper motion of 1 mas/yr, for a
+        second axis.
     figure : `matplotlib.figure.Figure`, optional
-        Drawn on this one instead of a new figure.
+        Figure to draw on instead of a new one.
 
     Returns
     -------
@@ -131,7 +131,7 @@ def _draw_components(ax, table, column):
 
 
 def _limit_speeds(ax, table, column):
-    """Set limits so that errors that say nothing do not squeeze the rest."""
+    """Set limits so that very large errors do not squeeze the rest."""
     if len(table) == 0:
         return
     v = table[column].to_value(PM_UNIT)
@@ -167,12 +167,12 @@ def _draw_strip(ax, cube, line, far):
 
 def plot_scale_maps(maps, grid, *, axis_names=("parallel", "transverse"), figure=None):
     """
-    Draw the stacks of several groups of scales beside one another.
+    Draw the stacks of several groups of scales side by side.
 
     Parameters
     ----------
     maps : dict of `~numpy.ndarray`, shape ``grid.shape``
-        By the name of the group.
+        The stacks, by the names of the groups.
     grid : `~astro_scc.stacking.VelocityGrid`
         In mas/yr.
     axis_names : (str, str), optional
@@ -224,11 +224,11 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
     Parameters
     ----------
     groups : dict of `~astropy.units.Quantity`
-        By the name of the group.
+        The angles or offsets, by the names of the groups.
     ax : `matplotlib.axes.Axes`, optional
-        Drawn on these instead of a new figure.
+        Axes to draw on instead of a new figure.
     label : str, optional
-        Of the axis; by default for position angles.
+        Label of the axis, by default that of position angles.
     n_bins : int, optional
 
     Returns
@@ -269,27 +269,28 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
 
 
 def missing_columns(stack):
-    """Return the columns that the profile of a stack needs and has not, as text."""
+    """Return the names of the columns that the profile of a stack lacks, as text."""
     wanted = ("r_mid", "pm_parallel", "pm_parallel_err")
     return ", ".join(name for name in wanted if name not in stack.colnames)
 
 
 def plot_track_profile(profile, *, stack=None, beta_per_pm=None, ax=None):
     """
-    Draw the speed of tracks against distance, and that of the stack over it.
+    Draw the speeds of tracks against distance, and those of the stack over them.
 
     Parameters
     ----------
     profile : `~astropy.table.QTable`
-        As `~astro_scc.tracking.Tracking.profile` gives it.
+        From `~astro_scc.tracking.Tracking.profile`.
     stack : `~astropy.table.QTable`, optional
-        What stacked cross-correlation gives: columns ``r_mid``,
+        Result of stacked cross-correlation, with the columns ``r_mid``,
         ``pm_parallel``, ``pm_parallel_err`` and, for bars, ``r_min`` and
         ``r_max``.
     beta_per_pm : float, optional
-        Apparent speed in units of c of 1 mas/yr, for a second axis.
+        Apparent speed, in units of c, of a proper motion of 1 mas/yr, for a
+        second axis.
     ax : `matplotlib.axes.Axes`, optional
-        Drawn on these instead of a new figure.
+        Axes to draw on instead of a new figure.
 
     Returns
     -------

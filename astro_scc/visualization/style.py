@@ -1,12 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What the figures share: colours, signs, units of axes, and colour bars."""
+"""Style that the figures share: colours, markers, units of axes, and colour bars."""
 
 from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
 
-# Okabe & Ito's colours, which people of all colour visions distinguish.
+# Colours of Okabe & Ito, which colour-blind readers can distinguish.
 BLACK = "#000000"
 ORANGE = "#E69F00"
 SKY_BLUE = "#56B4E9"
@@ -26,7 +26,7 @@ HEIGHT = 9.5
 
 
 class Kind(NamedTuple):
-    """Signs of a kind of component: in maps, slices and profiles, line, and name."""
+    """Markers of a kind of component in maps, slices and profiles, line and name."""
 
     on_map: str
     on_slice: str
@@ -44,10 +44,10 @@ KINDS = {
 
 def figure_and_axes(ax, figsize):
     """
-    Return the axes to draw on and their figure, new ones where none are given.
+    Return a figure and the axes to draw on, new ones if no axes are given.
 
-    Those of a WCS are refused.  Figures are made without pyplot: nothing is
-    registered, shown or set.
+    WCSAxes are refused.  Figures are made without pyplot, so nothing is
+    registered, shown or set globally.
     """
     if hasattr(ax, "wcs"):
         raise TypeError(
@@ -68,7 +68,7 @@ def new_figure(figsize):
 
 
 def offset_unit(span, unit=None):
-    """Return the unit in which offsets over a span of so many mas are easily read."""
+    """Return a unit that is easy to read for offsets over a span in mas."""
     if unit is not None:
         unit = u.Unit(unit)
         if not unit.is_equivalent(u.mas):
@@ -81,7 +81,7 @@ def offset_unit(span, unit=None):
 
 
 def speed_unit(fastest, unit=None):
-    """Return the unit in which proper motions up to so many mas/yr are easily read."""
+    """Return a unit that is easy to read for proper motions up to one in mas/yr."""
     if unit is None:
         if (fastest * PM_UNIT).to_value(u.arcsec / u.h) >= 0.3:
             return u.arcsec / u.h
@@ -95,7 +95,7 @@ def speed_unit(fastest, unit=None):
 
 
 def unit_name(unit):
-    """Return a unit as it stands in a label."""
+    """Return a unit as text for a label."""
     return u.Unit(unit).to_string().replace(" / ", "/")
 
 
@@ -106,7 +106,7 @@ def scale_colors(scales):
 
 
 def component_kinds(components):
-    """Return the column ``kind`` of a table as text; "moving" without one."""
+    """Return the column ``kind`` of a table as text, or "moving" if it has none."""
     if "kind" not in components.colnames:
         return ["moving"] * len(components)
     return [str(kind) for kind in components["kind"]]
@@ -119,14 +119,14 @@ def add_colorbar(ax, drawn, label, ticks=None):
 
 
 def set_ticks(bar, ticks):
-    """Set the ticks of a colour bar as plain numbers; none for matplotlib's."""
+    """Set the ticks of a colour bar as plain numbers; None keeps matplotlib's."""
     if ticks is not None:
         bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
         bar.minorticks_off()
 
 
 def add_speed_axis(ax, unit, beta_per_pm, side="top"):
-    """Add an axis in units of c to one in proper motions, if their ratio is known."""
+    """Add an axis in units of c to one of proper motion, if their ratio is known."""
     if beta_per_pm is None:
         return
     factor = float(beta_per_pm) * (1 * unit).to_value(PM_UNIT)
@@ -139,7 +139,7 @@ def add_speed_axis(ax, unit, beta_per_pm, side="top"):
 
 
 def outline(width=2.5, color="white"):
-    """Return path effects that keep a line or a letter readable on any ground."""
+    """Return path effects that keep lines and letters readable on any background."""
     from matplotlib.patheffects import Normal, Stroke
 
     return [Stroke(linewidth=width, foreground=color), Normal()]

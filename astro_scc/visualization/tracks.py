@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Features over the mean image and in time: of components, and of tracks."""
+"""Figures of the features of components and tracks, on the mean image and in time."""
 
 import astropy.units as u
 import numpy as np
@@ -11,33 +11,33 @@ from astro_scc.visualization.style import BLACK, PM_UNIT, unit_name
 
 def plot_members(result, *, figure=None, components=None, max_panels=4, unit=None):
     """
-    Draw the displacements that make each component on the mean image.
+    Draw the displacements that belong to each component on the mean image.
 
-    One panel per component: each arrow goes from an SSP to where its match is in
-    the next epoch in which its feature is seen.
+    There is one panel per component.  Each arrow leads from an SSP to its match
+    in the next epoch in which its feature is seen.
 
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
     figure : `matplotlib.figure.Figure`, optional
-        Drawn on this one instead of a new figure.
+        Figure to draw on instead of a new one.
     components : `~astropy.table.QTable`, optional
         By default ``result.components``.
     max_panels : int, optional
-        Of more components than these, those that count as found come
-        first, then the others, each in the order of the table.
+        Largest number of panels.  Components are drawn in the order of the
+        table, but those that are not significant come last.
     unit : `~astropy.units.Unit`, optional
-        Of the offsets.
+        Unit of the offsets.
 
     Returns
     -------
     `matplotlib.figure.Figure`
-        With the mean image alone if there is no component.
+        It shows only the mean image if there is no component.
 
     Raises
     ------
     ValueError
-        If ``max_panels`` is below 1, or the unit no angle.
+        If ``max_panels`` is below 1, or the unit is not an angle.
 
     Examples
     --------
@@ -74,7 +74,7 @@ def _draw_members(ax, view, result, number, kind):
     member = member[first]
     east, north = view.points["east"][owner], view.points["north"][owner]
     axes = np.broadcast_to(result.frame.matrix(east, north), (len(owner), 2, 2))
-    # Orthogonal, so its transpose leads back to the sky.
+    # The matrix is orthogonal, so its transpose leads back to the sky.
     motion = np.stack([d.d1[member], d.d2[member]], axis=-1)
     motion = np.einsum("nai,na->in", axes, motion) * view.factor
     strong = kind != "not significant"
@@ -93,19 +93,19 @@ def plot_separation(tracking, *, figure=None, unit=None, min_epochs=None):
     """
     Draw the distances of tracked features against time, with their fits.
 
-    One panel per scale.  Solid lines are the straight fits, dashed ones the
-    accelerated fits where these count; dotted ones lead back to the ejection
-    epoch.
+    There is one panel per scale.  Solid lines are straight fits, dashed lines
+    accelerated fits if the acceleration is significant; dotted lines lead back
+    to the ejection epoch.
 
     Parameters
     ----------
     tracking : `~astro_scc.tracking.Tracking`
     figure : `matplotlib.figure.Figure`, optional
-        Drawn on this one instead of a new figure.
+        Figure to draw on instead of a new one.
     unit : `~astropy.units.Unit`, optional
-        Of the distances.
+        Unit of the distances.
     min_epochs : int, optional
-        Tracks of fewer epochs are not drawn.
+        Tracks with fewer epochs are not drawn.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def plot_separation(tracking, *, figure=None, unit=None, min_epochs=None):
     Raises
     ------
     ValueError
-        If the unit is no angle.
+        If the unit is not an angle.
 
     Examples
     --------
@@ -151,7 +151,7 @@ def plot_separation(tracking, *, figure=None, unit=None, min_epochs=None):
             )  # fmt: skip
             _draw_fits(ax, tracking, number, time, start, factor)
         _name_panel(ax, tracking, scale, unit, len(own))
-        # Room for the name above the features.
+        # Leave room for the name above the features.
         ax.set_ylim(0, 1.15 * factor * tracked.max(initial=0.0) or 1.0)
     margin = 0.03 * (np.ptp(years) or 1.0)
     axes[-1, 0].set_xlim(start - margin, start + years[-1] + margin)
@@ -192,11 +192,11 @@ def plot_tracks(tracking, *, figure=None, unit=None, min_epochs=None):
     ----------
     tracking : `~astro_scc.tracking.Tracking`
     figure : `matplotlib.figure.Figure`, optional
-        Drawn on this one instead of a new figure.
+        Figure to draw on instead of a new one.
     unit : `~astropy.units.Unit`, optional
-        Of the offsets.
+        Unit of the offsets.
     min_epochs : int, optional
-        Tracks of fewer epochs are not drawn.
+        Tracks with fewer epochs are not drawn.
 
     Returns
     -------
@@ -205,7 +205,7 @@ def plot_tracks(tracking, *, figure=None, unit=None, min_epochs=None):
     Raises
     ------
     ValueError
-        If the unit is no angle.
+        If the unit is not an angle.
 
     Examples
     --------
@@ -252,7 +252,7 @@ def _shown(tracking, scale, min_epochs):
 
 
 def _scales(tracking):
-    """Return the scales of all SSPs, one at least, and a colour for each."""
+    """Return the scales of all SSPs, at least one, and a colour for each."""
     scales = np.unique(tracking.ssps.scale).tolist() or [1.0]
     return scales, style.scale_colors(scales)
 

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Maps of velocities, and their significance along the jet."""
+"""Velocity maps, and significance along the jet."""
 
 import astropy.units as u
 import numpy as np
@@ -19,10 +19,10 @@ MAP_LABELS = {
     "coefficient": "Stacked correlation coefficient",
     "z_score": "Significance z",
 }
-#: Corners for the legend, the first ones preferred, and the last ones for the arrow.
+#: Corners for the legend (the first preferred) and for the arrow (the last preferred).
 CORNERS = {"upper right": (1, 1), "upper left": (0, 1)}
 CORNERS |= {"lower right": (1, 0), "lower left": (0, 0)}
-#: Size of legend and arrow as parts of the axes.
+#: Sizes of legend and arrow as fractions of the axes.
 LEGEND_SIZE = (0.34, 0.16)
 ARROW_SIZE = (0.22, 0.22)
 
@@ -40,25 +40,25 @@ def plot_velocity_map(
     """
     Draw the stacked cross-correlation as a map of velocities.
 
-    Components have their numbers of the table, a sign for their kind (moving,
-    stationary, not significant), and an ellipse of one standard error along
-    each axis.  The arrow is the direction of the jet.
+    Components are marked with their numbers in the table, a symbol for their
+    kind (moving, stationary, not significant), and an ellipse of one standard
+    error along each axis.  The arrow shows the direction of the jet.
 
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
     ax : `matplotlib.axes.Axes`, optional
-        Drawn on these instead of a new figure.
+        Axes to draw on instead of a new figure.
     components : `~astropy.table.QTable`, optional
         The components to mark, by default ``result.components``.
     which : {"coefficient", "z_score"}
         The map that is drawn.
     unit : `~astropy.units.Unit`, optional
-        Of the axes, by default mas/yr, or arcsec/yr or arcsec/h for large
+        Unit of the axes, by default mas/yr, or arcsec/yr or arcsec/h for large
         speeds.
     beta_per_pm : float, optional
-        Apparent speed, in units of c, of a proper motion of 1 mas/yr; draws
-        a second axis.
+        Apparent speed, in units of c, of a proper motion of 1 mas/yr, for a
+        second axis.
     colorbar : bool, optional
 
     Returns
@@ -68,8 +68,8 @@ def plot_velocity_map(
     Raises
     ------
     ValueError
-        If the map is unknown, the unit no proper motion, or ``beta_per_pm``
-        not positive.
+        If the map is unknown, the unit is not that of a proper motion, or
+        ``beta_per_pm`` is not positive.
 
     Examples
     --------
@@ -139,7 +139,7 @@ def _axis_label(result, axis, unit):
 
 
 def _draw_components(ax, result, components, unit):
-    """Draw the components; return their positions as parts of the axes, (n, 2)."""
+    """Draw the components; return their positions as fractions of the axes, (n, 2)."""
     from matplotlib.patches import Ellipse
 
     first, second = ("pm_parallel", "pm_transverse")
@@ -147,7 +147,7 @@ def _draw_components(ax, result, components, unit):
         first, second = sky_columns(components)
     v1, v2 = (_plain(components, name, unit) for name in (first, second))
     e1, e2 = (_plain(components, f"{name}_err", unit) for name in (first, second))
-    # Where the components are as parts of the axes, for what is written beside them.
+    # Positions of the components as fractions of the axes place the text beside them.
     place = ax.transLimits.transform(np.stack([v1, v2], axis=-1))
     kinds = style.component_kinds(components)
     for kind in dict.fromkeys(kinds):
@@ -183,12 +183,12 @@ def _draw_components(ax, result, components, unit):
 
 
 def _crowd(place, corner, size):
-    """Return how many components are in so much of a corner."""
+    """Return the number of components in an area of some size in a corner."""
     return int(np.sum(np.all(np.abs(place - CORNERS[corner]) < size, axis=1)))
 
 
 def _draw_jet(ax, result, corner):
-    """Draw an arrow in a corner of the axes in the jet's direction."""
+    """Draw an arrow with the jet's direction in a corner of the axes."""
     direction = np.array([1.0, 0.0])
     if on_sky(result):
         angle = u.Quantity(result.position_angle).to_value(u.rad)
@@ -223,9 +223,9 @@ def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_p
     """
     Draw the significance along the jet, at zero speed across it.
 
-    The lower panels of Fig. 2 of Mertens & Lobanov (2016).  A thin line is
-    the largest significance at any speed across the jet; components off the
-    axis have open signs.
+    The figure is like the lower panels of Fig. 2 of Mertens & Lobanov (2016).
+    A thin line is the largest significance at any speed across the jet;
+    components off the axis have open symbols.
 
     Parameters
     ----------
@@ -242,7 +242,8 @@ def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_p
     Raises
     ------
     ValueError
-        If the unit is no proper motion, or ``beta_per_pm`` is not positive.
+        If the unit is not that of a proper motion, or ``beta_per_pm`` is not
+        positive.
 
     Examples
     --------
@@ -287,14 +288,14 @@ def plot_map_and_significance(
     """
     Draw the velocity map over its significance along the jet.
 
-    Fig. 2 of Mertens & Lobanov (2016): `plot_velocity_map` over
-    `plot_significance`.
+    The figure is like Fig. 2 of Mertens & Lobanov (2016): `plot_velocity_map`
+    over `plot_significance`.
 
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
     figure : `matplotlib.figure.Figure`, optional
-        Drawn on this one instead of a new figure.
+        Figure to draw on instead of a new one.
     components, unit, beta_per_pm
         As in `plot_velocity_map`.
 
@@ -305,7 +306,8 @@ def plot_map_and_significance(
     Raises
     ------
     ValueError
-        If the unit is no proper motion, or ``beta_per_pm`` is not positive.
+        If the unit is not that of a proper motion, or ``beta_per_pm`` is not
+        positive.
 
     Examples
     --------
@@ -326,7 +328,7 @@ def plot_map_and_significance(
 
 
 def _along_jet(result):
-    """Return speeds along the jet, z at no speed across, and its highest across."""
+    """Return speeds along the jet, z at zero speed across, and z's maximum across."""
     from scipy.ndimage import map_coordinates
 
     grid, z_score = result.grid, np.asarray(result.z_score, dtype=float)
@@ -335,7 +337,7 @@ def _along_jet(result):
         return grid.v1, z_score[middle], _highest(z_score)
     angle = u.Quantity(result.position_angle).to_value(u.rad)
     sin, cos = np.sin(angle), np.cos(angle)
-    # As far as the square map reaches in this direction.
+    # The map is square, so its reach depends on the direction.
     reach = min(np.divide(grid.v_max, np.maximum(np.abs([sin, cos]), 1e-9)))
     half = int(np.ceil(reach / min(grid.step)))
     speed = np.linspace(-reach, reach, 2 * half + 1)

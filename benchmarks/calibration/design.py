@@ -5,9 +5,9 @@ Vary the constants of the search one by one, on jets that the calibration does n
 
     python benchmarks/calibration/design.py [--jets 5]
 
-Writes ``results/design_table.csv``: for each constant and value the share of jets of
-one stream whose speed is right, of jets of two streams in which both are, and of static
-jets in which something moves.  Each jet is matched once.
+Writes ``results/design_table.csv``: for each constant and value, the share of jets with
+one stream whose speed is right, of jets with two streams in which both are right, and
+of static jets in which something moves.  Each jet is matched once.
 """
 
 import argparse
@@ -59,7 +59,7 @@ VALUES = {
 
 
 def matched_jet(kind, seed):
-    """The displacements of a jet along its axis, its truth, and the unit of speed."""
+    """Return the displacements of a jet along its axis, and its true mean speed."""
     jet = KINDS[kind](seed)
     beam = np.sqrt(jet.cube.beams[0].major * jet.cube.beams[0].minor)
     unit = (beam / (0.2 * u.yr)).to(u.mas / u.yr)
@@ -73,7 +73,7 @@ def matched_jet(kind, seed):
 
 
 def speeds(d, seed, settings):
-    """Speeds that move, in beams a median interval."""
+    """Return the speeds of moving streams, in beams per median interval."""
     found = find_streams(
         lambda angle: d, [0.0], settings.radius, n_trials=199,
         rng=np.random.default_rng(seed), settings=settings,

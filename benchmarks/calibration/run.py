@@ -1,15 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 # ruff: noqa: E402
 """
-Measure simulated jets, to see whether probabilities, speeds and errors hold.
+Measure simulated jets, to check whether p-values, speeds and errors are right.
 
     python benchmarks/calibration/run.py KIND [KIND ...] [--jets 100] [--trials 199]
 
-``all`` stands for every kind but those of ``power``, in which one option varies (30
-jets of each show how the power grows).  Each jet of each kind has its seed; what has
-been measured is kept in ``results/KIND.csv`` and not measured again, so a run can be
-stopped and started.  ``python benchmarks/calibration/summary.py`` makes the tables
-and the figures of the documentation from these files.
+``all`` stands for every kind except those of ``power``, in which one option varies (30
+jets of each show how the power grows).  Each jet of each kind has its own seed.
+Measured jets are kept in ``results/KIND.csv`` and not measured again, so a run can be
+stopped and resumed.  ``python benchmarks/calibration/summary.py`` makes the tables and
+the figures of the documentation from these files.
 """
 
 import argparse
@@ -31,9 +31,9 @@ from astro_scc.flow import compare_speeds, measure_acceleration, scale_groups
 from astro_scc.simulation import Flow
 
 RESULTS = Path(__file__).parent / "results"
-#: Seeds below were used to choose the constants of the search.
+#: Smaller seeds were used to choose the constants of the search.
 FIRST_SEED = 20_000
-#: Features that are seen at so many epochs make the true mean and dispersion.
+#: Fewest epochs of the features that give the true mean and dispersion.
 SEEN = 4
 COLUMNS = ("seed", "true_mean", "true_dispersion", "true_features", "row", "kind",
            "speed", "error", "dispersion", "p_global", "p_distinct",
@@ -41,17 +41,17 @@ COLUMNS = ("seed", "true_mean", "true_dispersion", "true_features", "row", "kind
 
 
 def jet(**options):
-    """A jet as surveys see it, by seed."""
+    """Return a function that simulates a jet as surveys see it, given a seed."""
     return lambda seed: sim.simulate_jet(rng=seed, **options)
 
 
 def streams(*flows, **options):
-    """A jet of several streams, by seed."""
+    """Return a function that simulates a jet of several streams, given a seed."""
     return jet(streams=[Flow(name, **flow) for name, flow in flows], **options)
 
 
 def static(**options):
-    """A jet in which nothing moves, by seed."""
+    """Return a function that simulates a static jet, given a seed."""
     return jet(n_features=0, **{"standing": 8, **options})
 
 
@@ -77,13 +77,13 @@ KINDS["unrelated"] = lambda seed: sim.simulate_unrelated(rng=seed)
 
 
 LONG = {"n_epochs": 30, "n_features": 10, "dispersion": 0.1}
-#: Speeds at the middle are the same.
+#: Both have the same speeds at the middle.
 KINDS["accelerated"] = jet(acceleration=1.6, **LONG)
 KINDS["steady"] = jet(**LONG)
 
 
 def layers(spine, sheath):
-    """Small features of one speed, and large ones of another, by seed."""
+    """Return a function that simulates small and large features at two speeds."""
     return streams(
         ("spine", {"speed": spine, "n_features": 5, "size": 0.2, "widening": 0.1}),
         ("sheath", {"speed": sheath, "n_features": 5, "size": 1.2, "widening": 0.1,
@@ -94,7 +94,7 @@ def layers(spine, sheath):
 
 KINDS["layers"] = layers(0.9, 0.3)
 KINDS["one-layer"] = layers(0.6, 0.6)
-#: One option varies, others are those of single-20, or of two-streams.
+#: Values of the option that varies; others are those of single-20 or two-streams.
 VARIED = {
     "epochs": (5, 6, 8, 10, 15, 20, 30, 40),
     "features": (3, 5, 8, 12, 20, 30),
@@ -106,7 +106,7 @@ VARIED = {
 
 
 def varied(option, value):
-    """A jet with another value of an option; noise in mJy per beam."""
+    """Return a function that simulates jets with an option; noise is in mJy/beam."""
     if option == "ratio":
         speeds = {"slow": 0.3, "fast": 0.3 * value}
         return streams(*((k, {"speed": v, "n_features": 5}) for k, v in speeds.items()))
@@ -129,7 +129,7 @@ FLOW_COLUMNS = ("seed", "rows", "gradient", "gradient_err", "p_acceleration", "f
 
 
 def measure_flow(kind, seed, n_trials):
-    """Acceleration in 1/yr and speeds of the scales in beams an interval, of a jet."""
+    """Return a jet's gradient in 1/yr, and speeds by scale in beams per interval."""
     cube = KINDS[kind](seed).cube
     scc = StackedCrossCorrelation(scales=[1, 2, 3, 4], position_angle=270 * u.deg)
     with warnings.catch_warnings():
@@ -148,7 +148,7 @@ def measure_flow(kind, seed, n_trials):
 
 
 def measure(kind, seed, n_trials):
-    """Rows of one jet; speeds in beams a median interval, or pixels an epoch."""
+    """Return the rows of one jet, with speeds in beams per median interval."""
     if kind in FLOW:
         return measure_flow(kind, seed, n_trials)
     jet = KINDS[kind](seed)
@@ -176,11 +176,11 @@ def measure(kind, seed, n_trials):
 
 
 def features(truth, unit):
-    """Mean and dispersion of the speeds of the features that are seen, their number."""
+    """Return mean, dispersion and number of the speeds of visible features."""
     group = np.asarray(truth["group"])
     moving = (group != "core") & (group != "standing") & np.asarray(truth["visible"])
     _, feature = np.unique(np.asarray(truth["feature"])[moving], return_inverse=True)
-    # Along the jet, as the row that it is compared with; the mean over the epochs.
+    # Mean over epochs of the speed along the jet, like the rows it is compared with.
     along = (-truth["pm_east"][moving] / unit).to_value(u.one)
     number = np.bincount(feature)
     speed = (np.bincount(feature, along) / np.maximum(number, 1))[number >= SEEN]
@@ -190,7 +190,7 @@ def features(truth, unit):
 
 
 def main():
-    """Measure what has not been measured."""
+    """Measure the jets that have not been measured."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument("kinds", nargs="+", choices=[*KINDS, "all", "power"])
     parser.add_argument("--jets", type=int, default=100)

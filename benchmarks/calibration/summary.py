@@ -1,12 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Summarise the calibration: the tables and the figure of the documentation.
+Summarise the calibration in the tables and figures of the documentation.
 
     python benchmarks/calibration/summary.py
 
-Reads ``results/*.csv``, which ``run.py`` writes, and writes tables beside them:
-``speeds_table.csv``, ``streams_table.csv``, ``static_table.csv``, ``flow_table.csv``,
-``power_table.csv``, and the figures ``calibration.png`` and ``power.png``.
+Reads ``results/*.csv``, which ``run.py`` writes, and writes in the same folder the
+tables ``speeds_table.csv``, ``streams_table.csv``, ``static_table.csv``,
+``flow_table.csv`` and ``power_table.csv``, and the figures ``calibration.png`` and
+``power.png``.
 """
 
 import csv
@@ -20,7 +21,7 @@ from run import FLOW, KINDS, POWER, VARIED
 
 RESULTS = Path(__file__).parent / "results"
 ALPHA = 0.05
-#: A speed is right within this share of the features' mean.
+#: A speed is right within this fraction of the features' mean.
 RIGHT = 0.2
 TWO = {"two-streams": (0.3, 0.9), "two-fluid-dense": (0.5, 2.0)}
 SINGLE = ("single", "epochs8", "features4", "features16", "vlba")
@@ -28,7 +29,7 @@ BROAD = ("lognormal", "uniform")
 
 
 def read(kind):
-    """Rows of each jet of a kind, by seed."""
+    """Return the rows of each jet of a kind."""
     jets = {}
     path = RESULTS / f"{kind}.csv"
     if not path.exists():
@@ -41,23 +42,23 @@ def read(kind):
 
 
 def moving(jet):
-    """The rows of a jet that move significantly."""
+    """Return the rows of a jet that move significantly."""
     return [r for r in jet if r["kind"] == "moving" and r["p_global"] <= ALPHA]
 
 
 def share(number, of):
-    """A share with the limits of its 95% interval."""
+    """Return a share with the limits of its 95% interval as text."""
     low, high = binom_conf_interval(number, of, 0.95, interval="jeffreys")
     return f"{number / of:.2f} [{low:.2f}, {high:.2f}]"
 
 
 def distinct(jet):
-    """Whether a second row is distinct from the first."""
+    """Return whether a second moving row is distinct from the first."""
     return any(r["p_distinct"] <= ALPHA for r in moving(jet)[1:])
 
 
 def speeds_row(kind, jets):
-    """How well one stream is measured."""
+    """Return how well one stream is measured."""
     first = [(moving(jet) or [None])[0] for jet in jets]
     found = [r for r in first if r is not None]
     right = sum(abs(r["speed"] / r["true_mean"] - 1) <= RIGHT for r in found)
@@ -79,7 +80,7 @@ def speeds_row(kind, jets):
 
 
 def streams_row(kind, jets):
-    """How often each of two streams is found, and something else."""
+    """Return how often each of two streams, both, and other speeds are found."""
     speeds = TWO[kind]
     near = [
         [any(abs(r["speed"] / v - 1) <= RIGHT for r in moving(jet)) for v in speeds]
@@ -97,7 +98,7 @@ def streams_row(kind, jets):
 
 
 def static_row(kind, jets):
-    """How often something moves where nothing does."""
+    """Return how often something seems to move in static jets."""
     n = len(jets)
     below = sum(
         any(r["kind"] != "stationary" and r["p_global"] <= ALPHA for r in jet)
@@ -107,7 +108,7 @@ def static_row(kind, jets):
 
 
 def flow_row(kind, jets):
-    """How often an acceleration is found, and a difference between scales."""
+    """Return how often an acceleration, and a difference between scales, is found."""
     n = len(jets)
     found = [
         sum(jet[0][p] <= ALPHA for jet in jets) for p in ("p_acceleration", "p_scales")
@@ -117,7 +118,7 @@ def flow_row(kind, jets):
 
 
 def power_row(kind, jets):
-    """How often the speeds are found as one option varies."""
+    """Return how often the speeds are found for one value of an option."""
     option, value = POWER[kind]
     n = len(jets)
     first = [(moving(jet) or [None])[0] for jet in jets]
@@ -135,7 +136,7 @@ def power_row(kind, jets):
 
 
 def write(name, header, rows):
-    """A table for the documentation."""
+    """Write a table for the documentation, and print it."""
     with open(RESULTS / f"{name}.csv", "w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows([header, *rows])
     for row in [header, *rows]:
@@ -143,7 +144,7 @@ def write(name, header, rows):
 
 
 def draw(kinds):
-    """The distribution of the pulls, and measured against true dispersions."""
+    """Draw the distribution of the pulls, and measured against true dispersions."""
     figure = Figure(figsize=(7, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     pulls, true, measured = [], [], []
@@ -175,7 +176,7 @@ LABELS = {
 
 
 def draw_power(rows):
-    """How the power grows with each option."""
+    """Draw how the power grows with each option."""
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axes = figure.subplots(2, 3, sharey=True).flat
     for axis, option in zip(axes, VARIED, strict=True):
@@ -199,7 +200,7 @@ def draw_power(rows):
 
 
 def main():
-    """Write the tables and the figure."""
+    """Write the tables and the figures."""
     have = {kind: jets for kind in KINDS if (jets := read(kind))}
     single = [k for k in have if k.startswith(SINGLE)]
     write(
