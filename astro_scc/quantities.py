@@ -400,10 +400,10 @@ def check_position_angle(value):
     """Return an angle, a frame or the name of a frame."""
     # A frame of astro_scc.kinematics checks itself.
     if hasattr(value, "matrix") or (
-        isinstance(value, str) and value in ("radial", "ridge", "fit")
+        isinstance(value, str) and value in ("radial", "ridge", "fit", "any")
     ):
         return value
-    return one_quantity(value, "radial, ridge, fit or an angle", "65 deg", False)
+    return one_quantity(value, "radial, ridge, fit, any or an angle", "65 deg", False)
 
 
 def check_alignment_error(value):

@@ -131,10 +131,11 @@ class MeasurementSettings:
     )
     position_angle: object = _measure(
         check_position_angle,
-        "direction of the jet, north through east: velocities along and across it "
-        "instead of east and north; fit for that of the mean image, ridge for along "
-        "its ridge line (neither for track), radial for away from the reference pixel",
-        '"65 deg"|fit|ridge|radial',
+        "direction of the jet, north through east: velocities along and across it; fit "
+        "for that of the mean image, ridge for along its ridge line (neither for "
+        "track), radial for away from the reference pixel, any for east and north; by "
+        "default fit for a one-sided jet, or else any",
+        '"65 deg"|fit|ridge|radial|any',
         unit="deg",
     )
     baseline: object = _stack(
@@ -246,10 +247,10 @@ class Settings(MeasurementSettings):
     )
     align: str | None = _image(
         check_text,
-        "align the epochs on their reference pixels (none, the default), on the "
-        "core that is fitted in each, on one another by correlation, on their "
-        "absolute coordinates (wcs; not for VLBI), or by a table (CSV or ECSV) of "
-        "dates and offsets of the core",
+        "align the epochs on their reference pixels (none), on the core that is fitted "
+        "in each, on one another by correlation, on their absolute coordinates (wcs; "
+        "not for VLBI), or by a table (CSV or ECSV) of dates and offsets of the core; "
+        "by default none, or core where the epochs scatter by more than 0.2 beams",
         "none|core|correlate|wcs|TABLE",
     )
     crop: str | None = _image(

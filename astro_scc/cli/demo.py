@@ -54,7 +54,12 @@ def run(args, reporter):
         components = write_measurement(
             result, settings, folder, output=output, warnings=reporter.warnings
         )
-    for line in (*_truth_lines(jet), "", "Measured:", *component_lines(components)):
+    for line in (
+        *_truth_lines(jet),
+        "",
+        "Measured:",
+        *component_lines(components, result.features),
+    ):
         reporter.say(line)
     reporter.say(f"\nReport: {output / 'report.html'}")
 

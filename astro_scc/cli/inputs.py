@@ -1,11 +1,18 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Inputs of a command: settings from the command line and files, and epochs."""
 
+import os
+import re
 import secrets
+from contextlib import suppress
 from dataclasses import replace
 
 from astro_scc.cli.options import option_name
 from astro_scc.settings import OPTIONS, Settings, check_setting, override, read_config
+
+#: Pixels of all epochs from which on more processes save more time than they take to
+#: start: some ten seconds of one.
+WORTH_PROCESSES = 3e6
 
 
 def draw_seed(seed=None):
@@ -14,10 +21,21 @@ def draw_seed(seed=None):
 
 
 def workers_of(args):
-    """Return the workers that ``--workers`` or ``--scheduler`` gives."""
-    if args.workers < 1:
+    """Return the workers that ``--workers`` or ``--scheduler`` name, or None."""
+    if args.workers is not None and args.workers < 1:
         raise ValueError(f"--workers must be at least 1, got {args.workers}")
     return args.workers if args.scheduler is None else args.scheduler
+
+
+def workers_for(cube, workers=None):
+    """Return the workers that were named, or one process per core for a large cube."""
+    if workers is not None:
+        return workers
+    if cube.data.size < WORTH_PROCESSES:
+        return 1
+    with suppress(AttributeError):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def option_of(args, name):
@@ -113,12 +131,12 @@ def read_epochs(settings, *, files=None, note=lambda text: None):
     from astro_scc.epochs import EpochCube
     from astro_scc.epochs.cutout import refuse_pixels
     from astro_scc.epochs.fits import find_files
+    from astro_scc.measurement.choices import choose_alignment
 
     if files is None:
         files = find_files(settings.epochs)
         settings = replace(settings, epochs=[str(path) for path in files])
-    align = settings.align or "none"
-    frame = "absolute" if align == "wcs" else "offset"
+    frame = "absolute" if settings.align == "wcs" else "offset"
     if settings.crop is not None and settings.region is not None:
         refuse_pixels(settings.region)
     cube = EpochCube.read(files, frame=frame, region=settings.crop)
@@ -126,9 +144,42 @@ def read_epochs(settings, *, files=None, note=lambda text: None):
     common = _wants_common_beam(cube, settings.common_beam, note)
     if common:
         cube = cube.to_common_beam()
+    align = settings.align
+    if align is None:
+        align, reason = choose_alignment(cube)
+        note(f"--align {align}: {reason}")
     seed = draw_seed(settings.seed)
     settings = replace(settings, align=align, common_beam=common, seed=seed)
     return cube.align(align), settings, left_out
+
+
+def with_direction(cube, settings, *, note=lambda text: None):
+    """Return the settings with the direction of the jet, if its images show one."""
+    if settings.position_angle is not None:
+        return settings
+    from astro_scc.measurement.choices import choose_direction
+
+    angle, reason = choose_direction(cube)
+    found = "any" if angle is None else f'"{angle:g}"'
+    note(f"--position-angle {found}: {reason}")
+    return replace(settings, position_angle="any" if angle is None else angle)
+
+
+def output_of(args, settings):
+    """Return the folder for the products, by default named after the object."""
+    if args.output is not None:
+        return args.output
+    from astropy.io import fits
+
+    from astro_scc.epochs.fits import find_files
+
+    first = find_files(settings.epochs)[0]
+    name = ""
+    # What cannot be read is refused where the epochs are.
+    with suppress(Exception):
+        name = str(fits.getval(first, "OBJECT")).strip()
+    name = re.sub(r"[^\w.+-]+", "_", name) or first.resolve().parent.name
+    return f"{name}-{args.command}"
 
 
 def _wants_common_beam(cube, wanted, note):

@@ -24,13 +24,28 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from astro_scc.cli.inputs import draw_seed, read_epochs, settings_of, workers_of
-from astro_scc.cli.options import add_no_report, add_output, add_settings, add_switch
+from astro_scc.cli.inputs import (
+    draw_seed,
+    output_of,
+    read_epochs,
+    settings_of,
+    with_direction,
+    workers_for,
+    workers_of,
+)
+from astro_scc.cli.options import (
+    OF_OBJECT,
+    add_no_report,
+    add_output,
+    add_settings,
+    add_switch,
+)
 from astro_scc.cli.summary import component_lines
 
 PRODUCTS = (
     "components.ecsv features.ecsv ssps.ecsv scc.fits config.toml report.html "
-    "diagram.png velocity_map.png significance.png members.png epochs.png intervals.png"
+    "members.png diagram.png speeds.png distances.png velocity_map.png "
+    "significance.png epochs.png intervals.png"
 ).split()
 #: Products of an earlier measurement that must not remain beside new ones.
 STALE = (*PRODUCTS, "components.vot", "ssps.vot", "ssp_regions")
@@ -42,7 +57,7 @@ SEED = "seed.txt"
 def add_arguments(parser):
     """Add the arguments of the command."""
     files = "components.vot and ssps.vot"
-    add_output(parser, "tables, maps and report", votable=files)
+    add_output(parser, "tables, maps and report", default=OF_OBJECT, votable=files)
     add_no_report(parser)
     text = (
         "write ssp_regions too, a file per epoch that DS9 and CARTA open, with the "
@@ -61,30 +76,34 @@ def run(args, reporter):
     """Measure according to the arguments."""
     from astro_scc.measurement import product_folder, write_epoch_regions
     from astro_scc.measurement.products import write_votables
+    from astro_scc.report.page import flow_lines
 
     settings = settings_of(args, reporter, n_trials=1000)
     n_workers = workers_of(args)
+    output = Path(output_of(args, settings))
     overwrite, work = args.overwrite, None
     if args.resume:
-        work = Path(args.output) / WORK
+        work = output / WORK
         overwrite = overwrite or work.is_dir()
         reporter.on_interrupt = (
             "interrupted; the same command goes on from what is done"
         )
     stale = {"overwrite": overwrite or bool(work), "stale": STALE}
     with (
-        working_folder(work, args.output, overwrite=overwrite),
-        product_folder(args.output, **stale) as folder,
+        working_folder(work, output, overwrite=overwrite),
+        product_folder(output, **stale) as folder,
     ):
         if work and settings.seed is None:
             settings = replace(settings, seed=kept_seed(work))
         cube, settings, left_out = read_epochs(settings, note=reporter.note)
+        settings = with_direction(cube, settings, note=reporter.note)
+        n_workers = workers_for(cube, n_workers)
         result = measure(cube, settings, reporter, n_workers=n_workers, work=work)
         components = write_measurement(
             result,
             settings,
             folder,
-            output=args.output,
+            output=output,
             report=not args.no_report,
             warnings=reporter.warnings,
             left_out=left_out,
@@ -93,13 +112,14 @@ def run(args, reporter):
             write_votables(result, components, folder)
         if args.ds9_regions:
             write_epoch_regions(result.matched.ssps, cube, folder)
-    for line in component_lines(components):
+    for line in component_lines(components, result.features):
         reporter.say(line)
-    where = Path(args.output)
+    for line in flow_lines(result):
+        reporter.say(line)
     reporter.say(
-        f"\nTables and maps: {where}"
+        f"\nTables and maps: {output}"
         if args.no_report
-        else f"\nReport: {where / 'report.html'}"
+        else f"\nReport: {output / 'report.html'}"
     )
 
 

@@ -5,7 +5,9 @@ import argparse
 
 from astro_scc.settings import GROUPS, OPTIONS
 
-#: Metavar of a setting that is on or off.
+#: A default folder: the names of the object and of the command.
+OF_OBJECT = "OBJECT-COMMAND"
+#: An option of a setting that is on or off.
 SWITCH = "true|false"
 
 
@@ -55,7 +57,8 @@ def add_switch(parser, option, text, **kind):
 def add_output(parser, what, *, default=None, votable=None, overwrite=True):
     """Add ``--output``, required without a default, and options on what is written."""
     text = f"folder for {what}" + (f"; default {default}" if default else "")
-    own = {"required": default is None, "default": default, "dest": "output"}
+    own = {"required": default is None, "dest": "output"}
+    own["default"] = None if default == OF_OBJECT else default
     parser.add_argument("-o", "--output", metavar="DIR", help=text, **own)
     if overwrite:
         add_overwrite(parser)
@@ -78,7 +81,10 @@ def add_no_report(parser):
 def add_workers(parser):
     """Add the options ``--workers`` and ``--scheduler``."""
     group = parser.add_argument_group("running")
-    text = "processes; the numbers do not depend on it; default 1"
-    add_option(group, "--workers", "N", text, type=int, default=1)
+    text = (
+        "processes; the numbers do not depend on it; by default one, and one per core "
+        "for more than three million pixels"
+    )
+    add_option(group, "--workers", "N", text, type=int)
     text = "of a Dask cluster that works instead, tcp://node1:8786"
     add_option(group, "--scheduler", "ADDRESS", text)

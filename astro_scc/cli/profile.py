@@ -22,8 +22,15 @@ ridge, distances are measured along the ridge line.
 from dataclasses import asdict
 from pathlib import Path
 
-from astro_scc.cli.inputs import read_epochs, settings_of, workers_of
-from astro_scc.cli.options import add_output, add_settings
+from astro_scc.cli.inputs import (
+    output_of,
+    read_epochs,
+    settings_of,
+    with_direction,
+    workers_for,
+    workers_of,
+)
+from astro_scc.cli.options import OF_OBJECT, add_output, add_settings
 from astro_scc.cli.summary import profile_lines, scale_lines
 
 PRODUCTS = (
@@ -35,7 +42,7 @@ PRODUCTS = (
 def add_arguments(parser):
     """Add the arguments of the command."""
     what = "the table and figures of the profile"
-    add_output(parser, what, votable="profile.vot")
+    add_output(parser, what, default=OF_OBJECT, votable="profile.vot")
     add_settings(parser, "profile")
 
 
@@ -47,23 +54,26 @@ def run(args, reporter):
     settings = settings_of(args, reporter, n_trials=1000)
     if settings.bins is None:
         raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
-    n_workers = workers_of(args)
+    n_workers, output = workers_of(args), Path(output_of(args, settings))
     bins_of(settings.bins, window=settings.window)
-    made = product_folder(args.output, overwrite=args.overwrite, stale=PRODUCTS)
+    made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
     with made as folder:
         cube, settings, _ = read_epochs(settings, note=reporter.note)
+        settings = with_direction(cube, settings, note=reporter.note)
+        n_workers = workers_for(cube, n_workers)
         components, lines = _measure(cube, settings, folder, reporter, n_workers)
         if args.votable:
             write_votable(components, folder / "profile.vot")
     for line in [*profile_lines(components), "", *lines]:
         reporter.say(line)
-    reporter.say(f"\nProfile: {Path(args.output) / 'profile.ecsv'}")
+    reporter.say(f"\nProfile: {output / 'profile.ecsv'}")
 
 
 def _measure(cube, settings, folder, reporter, n_workers):
     """Write the profile; return its components, and lines on all bins together."""
     from astro_scc import StackedCrossCorrelation
     from astro_scc.flow import measure_acceleration
+    from astro_scc.flow.groups import compare_scales
     from astro_scc.flow.profile import measure_profile, write_profile
     from astro_scc.measurement import select_ssps, versions
 
@@ -92,22 +102,10 @@ def _measure(cube, settings, folder, reporter, n_workers):
     acceleration = measure_acceleration(whole)
     components.meta["acceleration"] = asdict(acceleration)
     lines = [str(acceleration)]
-    if (of_scales := _of_scales(whole)) is not None:
+    if (of_scales := compare_scales(whole)) is not None:
         of_scales.write(folder / "scales.ecsv", format="ascii.ecsv")
         lines += scale_lines(of_scales)
     text = settings.to_toml("profile", versions=versions())
     configuration = settings.to_dict("profile")
     write_profile(profile, components, folder, configuration=configuration, text=text)
     return components, lines
-
-
-def _of_scales(result):
-    """Compare the speeds of the finest scale and of the others, if there are any."""
-    from astro_scc.flow import compare_speeds, scale_groups
-    from astro_scc.kinematics import SkyFrame
-
-    scales = sorted(set(result.matched.ssps.scale.tolist()))
-    if len(scales) < 2 or isinstance(result.frame, SkyFrame):
-        return None
-    groups = {"finest": scales[:1], "coarser": scales[1:]}
-    return compare_speeds(result, scale_groups(result.matched, groups))

@@ -5,16 +5,18 @@ import math
 
 from astro_scc.quantities import with_error
 
-# Remarks beside the numbers of each kind of component.
+# Remarks beside the numbers of each kind of component in a profile.
 REMARKS = {"moving": "", "stationary": "stationary"}
 EXPLANATION = (
     "p_global: probability that epochs in permuted order would give an equally strong",
     "peak at any velocity",
 )
 NOTHING = (
-    "No significant velocity component.  More epochs, other scales or a",
-    "--region may help.",
+    "No pattern has a match in another epoch: other scales, a larger --max-speed or",
+    "more epochs may show one.",
 )
+#: Of fewer features the speeds of each are shown.
+FEW = 5
 PROFILE_EXPLANATION = (
     "p_fdr: p_global adjusted for all bins, the share of false discoveries up to it",
 )
@@ -57,14 +59,17 @@ def plus_minus(row, name, unit=None):
     return with_error(float(value), float(error), "+-")
 
 
-def component_lines(components):
+def component_lines(components, features=None):
     """
-    Return components as the lines of a table.
+    Return what was found in one sentence, and the components as a table.
 
     Parameters
     ----------
     components : `~astropy.table.QTable`
         See `~astro_scc.measurement.SCCResult.components`.
+    features : `~astropy.table.QTable`, optional
+        See `~astro_scc.measurement.SCCResult.features`; they are shown where the
+        components other than stationary ones have fewer than five.
 
     Returns
     -------
@@ -72,27 +77,55 @@ def component_lines(components):
     """
     from astro_scc.visualization.style import component_kinds
 
+    if len(components) == 0:
+        return [*NOTHING, *meta_lines(components.meta)]
     kinds = component_kinds(components)
-    found = [k for k, kind in enumerate(kinds) if kind in REMARKS]
-    others = [k for k, kind in enumerate(kinds) if kind not in REMARKS]
-    lines = list(NOTHING)
-    if found:
-        lines = _found_lines(components[found], [kinds[k] for k in found])
-        lines += EXPLANATION
-    if others:
-        notes = "; ".join(dict.fromkeys(str(components["note"][k]) for k in others))
-        lines.append(
-            f"Not significant: {len(others)} of {len(components)} rows of "
-            f"components.ecsv, {notes}"
-        )
-    for row in components:
-        limit = row["pm_limit"]
+    lines = [_answer(components, kinds), "", *_component_table(components, kinds)]
+    lines += EXPLANATION
+    for row, kind in zip(components, kinds, strict=True):
+        limit, number = row["pm_limit"], row["component"]
+        if kind == "not significant":
+            lines.append(f"{number} is not significant: {row['note']}")
         if math.isfinite(limit.value):
-            lines.append(
-                f"Row {row['component']}: slower than {limit.value:.2g} {limit.unit} "
-                "at 95%"
-            )
+            text = f"{limit.value:.2g} {limit.unit}"
+            lines.append(f"{number} is slower than {text} at 95% confidence")
+    tested = [k for k, kind in enumerate(kinds) if kind != "stationary"]
+    if features is not None and sum(components["n_features"][tested]) < FEW:
+        own = [row for row in features if row["component"] - 1 in tested]
+        lines += _feature_lines(own) if own else []
     return [*lines, *meta_lines(components.meta)]
+
+
+def _answer(components, kinds):
+    """Return the result of a measurement as a sentence."""
+    found = [row for row, k in zip(components, kinds, strict=True) if k == "moving"]
+    if not found:
+        return "No significant motion was found."
+    speeds = []
+    for row in found:
+        in_c = (
+            f" ({plus_minus(row, 'beta_app')} c)" if "beta_app" in row.colnames else ""
+        )
+        angle = row["pm_pa"].value
+        towards = f" towards PA {angle:.0f} deg" if math.isfinite(angle) else ""
+        speeds.append(f"{plus_minus(row, 'pm')} {row['pm'].unit}{in_c}{towards}")
+    return f"Significant motion: {' and '.join(speeds)}."
+
+
+def _feature_lines(features):
+    """Return the features, each with the speed of its own straight line, as a table."""
+    rows = [
+        [
+            str(row["component"]),
+            f"{row['distance'].value:.2g}",
+            f"{row['first'].isot[:10]} to {row['last'].isot[:10]}",
+            str(row["n_epochs"]),
+            plus_minus(row, "pm"),
+        ]
+        for row in features
+    ]
+    head = ["feature of", "distance (mas)", "dates", "epochs", "speed (mas / yr)"]
+    return ["", *table_lines(head, rows), ""]
 
 
 def profile_lines(components):
@@ -221,7 +254,7 @@ def _in_c(row):
     return {"speed (c)": plus_minus(row, "beta_app")} if known else {}
 
 
-def _found_lines(components, kinds):
+def _component_table(components, kinds):
     from astro_scc.visualization.style import speed_unit
 
     unit = speed_unit(components["pm"].value.max())
@@ -230,14 +263,15 @@ def _found_lines(components, kinds):
         angle, spread = row["pm_pa"].value, row["dispersion"].to_value(unit)
         cells = {
             "component": str(row["component"]),
+            "kind": kind,
             f"proper motion ({unit})": plus_minus(row, "pm", unit),
             "PA (deg)": f"{angle:.0f}" if math.isfinite(angle) else "-",
             **_in_c(row),
             f"dispersion ({unit})": f"{spread:.2g}" if math.isfinite(spread) else "-",
-            "p_global": f"{row['p_global']:.2g}" if kind == "moving" else "-",
+            # What stands still is not tested.
+            "p_global": "-" if kind == "stationary" else f"{row['p_global']:.2g}",
             "z score": f"{row['z_score']:.1f}",
             "features": str(row["n_features"]),
-            "": REMARKS[kind],
         }
         rows.append(cells)
     return table_lines(rows[0], [cells.values() for cells in rows])

@@ -52,7 +52,7 @@ def run(args, reporter):
     from astro_scc.cli.sources import read_survey
     from astro_scc.cli.survey_run import TABLE, run_survey
 
-    n_workers = workers_of(args)
+    n_workers = workers_of(args) or 1
     survey = read_survey(args.survey)
     reporter.on_interrupt = "interrupted; the same command goes on from what is done"
     statuses = set()
@@ -66,7 +66,7 @@ def run(args, reporter):
         if not failed and not reporter.bars:
             reporter.say(f"{name}: {'finished before' if before else 'done'}")
 
-    with _cluster(n_workers, args.workers, reporter) as workers:
+    with _cluster(n_workers, args.workers or 1, reporter) as workers:
         table = run_survey(
             survey,
             args.output,

@@ -14,7 +14,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Column, QTable, vstack
 
-from astro_scc.cli.inputs import read_epochs
+from astro_scc.cli.inputs import read_epochs, with_direction
 from astro_scc.cli.measure import WORK, write_measurement
 from astro_scc.cli.reporter import one_line
 from astro_scc.cli.sources import WHOLE, folder_names
@@ -247,6 +247,7 @@ def measure_source(source, output, report=False):
 def _measure(source, output, part, report, said):
     """Match a source and measure its parts."""
     cube, settings, left_out = read_epochs(source.settings)
+    settings = with_direction(cube, settings)
     scc = StackedCrossCorrelation.from_settings(settings)
     masks, failed = {}, {}
     for name, path in source.regions.items():

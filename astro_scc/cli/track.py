@@ -16,9 +16,22 @@ three.  A configuration file of astro-scc measure sets what both commands have.
 """
 
 from dataclasses import fields, replace
+from pathlib import Path
 
-from astro_scc.cli.inputs import read_epochs, settings_of, workers_of
-from astro_scc.cli.options import add_option, add_output, add_settings, add_switch
+from astro_scc.cli.inputs import (
+    output_of,
+    read_epochs,
+    settings_of,
+    workers_for,
+    workers_of,
+)
+from astro_scc.cli.options import (
+    OF_OBJECT,
+    add_option,
+    add_output,
+    add_settings,
+    add_switch,
+)
 from astro_scc.cli.summary import speed_lines, table_lines
 
 # Files of an earlier run that must not remain beside new ones.
@@ -35,7 +48,8 @@ N_RADII = 20
 
 def add_arguments(parser):
     """Add the arguments of the command."""
-    add_output(parser, "the tables and figures", votable="features.vot and tracks.vot")
+    files = "features.vot and tracks.vot"
+    add_output(parser, "the tables and figures", default=OF_OBJECT, votable=files)
     add_switch(parser, "--no-figures", "write only the tables")
     text = "profile of the stack, as of astro-scc profile, for the figure"
     add_option(parser, "--profile", "FILE.ecsv", text)
@@ -54,19 +68,20 @@ def run(args, reporter):
         # Ignore velocity axes of a measurement that tracking does not have.
         if args.position_angle is None and isinstance(settings.position_angle, str):
             settings = replace(settings, position_angle=None)
-    n_workers = workers_of(args)
+    n_workers, output = workers_of(args), Path(output_of(args, settings))
     tracker = _tracker(settings)
     stack = None if args.profile is None else _stack_profile(args.profile)
-    made = product_folder(args.output, overwrite=args.overwrite, stale=PRODUCTS)
+    made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
     with made as folder:
         cube, settings, _ = read_epochs(settings, note=reporter.note)
+        n_workers = workers_for(cube, n_workers)
         tracking = _track(cube, tracker, settings, reporter, n_workers)
         profile = _write(tracking, settings, folder, votable=args.votable)
         if not args.no_figures:
             _draw(tracking, profile, settings, folder, stack)
     for line in (*_summary(tracking), *speed_lines(settings.in_c)):
         reporter.say(line)
-    reporter.say(f"\nTables{'' if args.no_figures else ' and figures'}: {args.output}")
+    reporter.say(f"\nTables{'' if args.no_figures else ' and figures'}: {output}")
 
 
 def _tracker(settings):

@@ -2,6 +2,7 @@
 """The elliptical Gaussian beam (PSF) of an epoch."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import astropy.units as u
 import numpy as np
@@ -71,7 +72,7 @@ class Beam:
         """Solid angle, pi major minor / (4 ln 2)."""
         return np.pi * self.major * self.minor / (4 * np.log(2))
 
-    @property
+    @cached_property
     def covariance(self):
         """
         Covariance of the Gaussian over (east, north), shape (2, 2).

@@ -6,6 +6,7 @@ import warnings
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cache
 
 import astropy.units as u
 import numpy as np
@@ -178,10 +179,14 @@ def parse_unit(text):
     words = re.sub(
         r"[A-Za-z]+", lambda word: _UNIT_WORDS.get(word[0].lower(), word[0]), text
     )
-    with warnings.catch_warnings(action="ignore"):
-        for candidate in (text, words):
-            with suppress(TypeError, ValueError):
-                return u.Unit(candidate)
+    return _unit(text) or _unit(words)
+
+
+@cache
+def _unit(text):
+    # For a text that is no unit astropy looks for similar ones, which takes long.
+    with warnings.catch_warnings(action="ignore"), suppress(TypeError, ValueError):
+        return u.Unit(text)
     return None
 
 

@@ -167,7 +167,12 @@ def compare_speeds(result, groups):
     matched, project = result.matched, projection_of(result)
     d = project(result.search.angle)
     beam = float(project.beam(result.search.angle)[0])
-    features = result.search.follow(d)
+    features = [
+        feature
+        for stream in result.search.streams
+        if stream.kind != "stationary"
+        for feature in stream.features
+    ]
     belongs = _groups_of(features, d, matched.ssps, list(groups.values()))
     known = {}
     for k, (name, member) in enumerate(groups.items()):
@@ -187,6 +192,26 @@ def compare_speeds(result, groups):
         rows.append(row | dict(zip(names, difference, strict=True)))
     speeds = [name for name in rows[0] if "speed" in name or "difference" in name]
     return QTable(rows, units=dict.fromkeys(speeds, PM_UNIT))
+
+
+def compare_scales(result):
+    """
+    Compare the speeds of the finest scale and of the coarser ones.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+
+    Returns
+    -------
+    `~astropy.table.QTable` or None
+        As of `compare_speeds`; None with one scale, or without a direction.
+    """
+    scales = result.matched.scales
+    if len(scales) < 2 or isinstance(result.frame, SkyFrame):
+        return None
+    groups = {"finest": scales[:1], "coarser": scales[1:]}
+    return compare_speeds(result, scale_groups(result.matched, groups))
 
 
 def _groups_of(features, d, ssps, groups):

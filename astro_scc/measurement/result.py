@@ -18,6 +18,7 @@ from astro_scc.measurement.match_files import MatchedEpochs
 from astro_scc.measurement.tables import (
     component_row,
     component_table,
+    feature_positions,
     feature_table,
     ssp_table,
 )
@@ -134,6 +135,11 @@ class SCCResult:
     def features(self):
         """The features that were followed, a `~astropy.table.QTable`."""
         return feature_table(self)
+
+    @cached_property
+    def feature_positions(self):
+        """The features by epoch, with SSP and distance, a `~astropy.table.QTable`."""
+        return feature_positions(self)
 
     @cached_property
     def components(self):

@@ -268,7 +268,9 @@ def velocity_frame(matched, position_angle):
     if isinstance(position_angle, PositionAngleFrame):
         return position_angle, position_angle.pa
     angle = flow_direction(matched)
-    if position_angle is None:
+    if position_angle is None or (
+        isinstance(position_angle, str) and position_angle == "any"
+    ):
         return SkyFrame(), angle
     if not isinstance(position_angle, str):
         return position_angle, angle

@@ -200,6 +200,41 @@ def feature_table(result):
     return table
 
 
+def feature_positions(result):
+    """
+    Return where each feature was seen.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        A row for each feature and epoch: ``component``, ``feature``, the row of
+        `feature_table` from 0, ``ssp``, ``epoch``, ``date``, and the ``distance`` from
+        the reference pixel along the component.
+    """
+    ssps, cube = result.matched.ssps, result.cube
+    project = projection_of(result)
+    parts, n_features = [np.zeros((4, 0))], 0
+    for number, stream in enumerate(result.search.streams, 1):
+        along = project(stream.angle).position[:, 0] * project.beam(stream.angle)[0]
+        for feature in stream.features:
+            same = np.ones(len(feature))
+            parts.append(
+                [number * same, n_features * same, feature.ssp, along[feature.ssp]]
+            )
+            n_features += 1
+    *numbers, distance = np.concatenate(parts, axis=1)
+    component, feature, ssp = np.array(numbers, dtype=int)
+    table = QTable({"component": component, "feature": feature, "ssp": ssp})
+    table["epoch"] = ssps.epoch[ssp]
+    table["date"] = Time(cube.times[ssps.epoch[ssp]], format="isot")
+    table["distance"] = distance * u.mas
+    return table
+
+
 def component_table(rows, *, meta=None):
     """
     Return velocity components as a table.

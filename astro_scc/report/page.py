@@ -10,6 +10,8 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 
+from astro_scc.flow import feature_profile, measure_acceleration
+from astro_scc.flow.groups import compare_scales
 from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
 from astro_scc.report import tables
@@ -48,11 +50,10 @@ def write_report(
         ``result.components``, or the table with apparent speeds of
         ``result.components_in_c``.
     directory : path
-        Folder for ``report.html``, and for ``diagram.png``,
-        ``velocity_map.png``, ``significance.png``, ``members.png``,
-        ``epochs.png`` and ``intervals.png``, which the page also holds.  It is
-        made if needed; files of these names are replaced, each when the new one
-        is complete.
+        Folder for ``report.html``, ``members.png``, ``diagram.png``, ``speeds.png``,
+        ``distances.png``, ``velocity_map.png``, ``significance.png``,
+        ``epochs.png`` and ``intervals.png``, which the page holds too.  It is made if
+        need be; files of these names are replaced, each when the new one is complete.
     title : str
         Heading of the page, the name of the object.
     warnings : sequence of str, optional
@@ -146,20 +147,29 @@ def _address(png):
 
 
 def draw_figures(result, components):
-    """Return the figures as PNG, without members if there is no component."""
+    """Return the figures as PNG, without those that would be empty."""
     from astro_scc import visualization as show
 
-    shared = {"components": components, "beta_per_pm": _beta_per_pm(components)}
+    per_pm = _beta_per_pm(components)
+    shared = {"components": components, "beta_per_pm": per_pm}
     figures = {
+        "members": show.plot_members(result, components=components),
         "diagram": show.plot_diagram(result, components=components),
+        "speeds": show.plot_feature_speeds(
+            result, profile=feature_profile(result), beta_per_pm=per_pm
+        ),
+        "distances": show.plot_feature_distances(result),
         "velocity_map": show.plot_velocity_map(result, **shared),
         "significance": show.plot_significance(result, **shared),
-        "members": show.plot_members(result, components=components),
         "epochs": show.plot_epochs(result.cube, result.ssps),
         "intervals": show.plot_intervals(result.cube, result.pairs),
     }
-    if len(components) == 0:
-        del figures["members"]
+    for name, table in (
+        ("members", components), ("speeds", result.features),
+        ("distances", result.features),
+    ):  # fmt: skip
+        if len(table) == 0:
+            del figures[name]
     found = {}
     for name, figure in figures.items():
         buffer = io.BytesIO()
@@ -200,6 +210,7 @@ def _findings(result, components):
         "notes": notes,
         "features": tables.feature_rows(easy, result.features),
         "fast": fast,
+        "flow": flow_lines(result),
         "dates": result.cube.times.strftime("%Y-%m-%d"),
         "n_pairs": int(result.search.diagram.n_pairs.sum()),
         "n_map_pairs": len(result.pairs),
@@ -211,6 +222,36 @@ def _findings(result, components):
         "n_trials": result.meta["n_trials"],
         "smallest_of_epochs": 2 / math.factorial(min(len(result.cube), 20)),
     }
+
+
+def flow_lines(result):
+    """
+    Return the acceleration of the moving components and the speeds of their scales.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+
+    Returns
+    -------
+    list of str
+        Sentences without a full stop; empty if nothing moves.
+    """
+    moving = [k for k, s in enumerate(result.search.streams) if s.kind == "moving"]
+    lines = [f"{k + 1}: {measure_acceleration(result, row=k)}" for k in moving]
+    scales = compare_scales(result) if moving else None
+    for row in () if scales is None else scales:
+        if np.isfinite(row["p_value"]):
+            unit = row["first_speed"].unit
+            speeds = [
+                with_error(row[f"{k}_speed"].value, row[f"{k}_speed_err"].value)
+                for k in ("first", "second")
+            ]
+            lines.append(
+                f"speeds of the {row['first']} and the {row['second']} scales: "
+                f"{speeds[0]} and {speeds[1]} {unit_text(unit)}, p {row['p_value']:.2g}"
+            )
+    return lines
 
 
 def fast_components(result, rows):

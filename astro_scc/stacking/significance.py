@@ -78,9 +78,6 @@ class Search:
     angle : float
         Angle of that direction from the first axis of the frame, in radians.
     permutations : `~astro_scc.stacking.EpochPermutations`
-    axis : int
-        Axis of the permutations that is nearest to that direction.
-    rays : `~astro_scc.stacking.Rays`
 
     Examples
     --------
@@ -107,28 +104,6 @@ class Search:
     diagram: Diagram
     angle: float
     permutations: EpochPermutations
-    axis: int
-    rays: Rays
-
-    def follow(self, samples):
-        """
-        Follow the features of some of the SSPs along the first stream.
-
-        Parameters
-        ----------
-        samples : `~astro_scc.stacking.VelocitySamples`
-            Samples along the direction of that stream.
-
-        Returns
-        -------
-        list of `~astro_scc.stacking.Feature`
-            Features that move in the direction of the stream, at speeds whose
-            z is at least ``least_z`` of the settings.
-        """
-        if not self.streams:
-            return []
-        axis = _Axis(self.angle, samples, self.rays, self.permutations, self.axis)
-        return axis.moving(axis.features(), self.streams[0].along.mean)
 
 
 def find_streams(
@@ -247,8 +222,6 @@ def find_streams(
         diagram=Diagram.of(axis.samples, rays, settings),
         angle=float(axis.angle),
         permutations=permutations,
-        axis=axis.number,
-        rays=rays,
     )
 
 

@@ -62,7 +62,7 @@ def test_angles_below_zero_are_no_options(angle):
     [
         ([], "astro-scc: error: the following arguments are required: COMMAND"),
         (["fly"], "astro-scc: error: argument COMMAND: invalid choice: 'fly'"),
-        (["measure", "a.fits"], "astro-scc measure: error: the following arguments"),
+        (["restore", "a.ecsv"], "astro-scc restore: error: the following arguments"),
         (["measure", "--bins", "3", "-o", "x"], "astro-scc: error: unrecognized arg"),
         (["simulate", "jets", "x"], "astro-scc simulate: error: argument JET: invalid"),
         (["simulate", "static", "x", "--epochs", "b"], "astro-scc simulate: error: "),

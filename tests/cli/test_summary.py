@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from astropy.table import Column, vstack
 
-from astro_scc.cli.summary import component_lines
+from astro_scc.cli.summary import component_lines, plus_minus
 
 
 @pytest.fixture(scope="module")
@@ -24,37 +24,53 @@ def radial(jet_results):
 
 def test_summary(radial):
     lines = component_lines(radial)
-    assert len(lines) == 6
-    head = lines[0].replace(" (mas / yr)", "").replace("proper ", "")
+    speed = plus_minus(radial[0], "pm")
+    assert lines[:2] == [f"Significant motion: {speed} mas / yr.", ""]
+    head = lines[2].replace(" (mas / yr)", "").replace("proper ", "")
     names = head.replace(" (deg)", "").replace("z score", "z").split()
-    assert names == ["component", "motion", "PA", "dispersion", "p_global", "z",
+    assert names == ["component", "kind", "motion", "PA", "dispersion", "p_global", "z",
                      "features"]  # fmt: skip
-    moving, still = lines[1].split(), lines[2].split()
+    moving, still = lines[3].split(), lines[5].split()
     # "5.7 +- 0.2" is three words.
-    assert moving[0] == "1"
-    assert moving[2] == "+-"
+    assert moving[:2] == ["1", "moving"]
+    assert moving[3] == "+-"
     spread = radial["dispersion"][0].value
     number = str(radial["n_features"][0])
-    assert moving[4:] == ["-", f"{spread:.2g}", "0.00099", moving[7], number]
-    assert still[4:7] == ["-", "-", "-"]
-    assert lines[2].endswith("stationary")
-    assert lines[3].startswith("p_global: probability that epochs in permuted order")
-    assert lines[5] == (
-        "Not significant: 2 of 4 rows of components.ecsv, permuted; blends"
-    )
+    assert moving[5:] == ["-", f"{spread:.2g}", "0.00099", moving[8], number]
+    assert still[1] == "stationary"
+    assert still[5:8] == ["-", "-", "-"]
+    assert lines[7].startswith("p_global: probability that epochs in permuted order")
+    number = radial["component"][0]
+    assert lines[9:] == [
+        f"{number} is not significant: permuted", f"{number} is not significant: blends"
+    ]  # fmt: skip
 
 
 def test_summary_of_chance(radial):
     table = radial[1:2]
     lines = component_lines(table)
-    assert lines[0].startswith("No significant velocity component.")
-    assert lines[-1] == "Not significant: 1 of 1 rows of components.ecsv, permuted"
-    assert component_lines(table[:0]) == lines[:-1]
+    assert lines[0] == "No significant motion was found."
+    assert lines[-1].endswith(" is not significant: permuted")
+    nothing = component_lines(table[:0])
+    assert nothing[0].startswith("No pattern has a match in another epoch")
+
+
+def test_few_features_are_shown_with_their_speeds(jet_results):
+    result = jet_results["radial"]
+    table = result.components[:1]
+    lines = component_lines(table, result.features)
+    assert not any(line.startswith("feature of") for line in lines)
+    table["n_features"] = 4
+    own = result.features[result.features["component"] == 1]
+    lines = component_lines(table, own)
+    (head,) = (k for k, line in enumerate(lines) if line.startswith("feature of"))
+    assert lines[head + 1].endswith(plus_minus(own[0], "pm"))
+    assert lines[head + len(own) + 1] == ""
 
 
 def test_fast_motion_has_a_unit_that_can_be_read(radial):
     table = radial[:1].copy()
     table["pm"], table["pm_err"] = [50_000] * u.mas / u.yr, [300] * u.mas / u.yr
-    head, line = component_lines(table)[:2]
+    head, line = component_lines(table)[2:4]
     assert "proper motion (arcsec / yr)" in head
     assert "50.00 +- 0.30" in line

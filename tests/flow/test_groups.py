@@ -18,7 +18,6 @@ from astro_scc.flow import (
 )
 from astro_scc.flow.groups import _difference, _groups_of, _mean
 from astro_scc.kinematics import RidgeLine
-from astro_scc.measurement.axes import projection_of
 from astro_scc.simulation import JetSimulation, Stream
 
 PM = u.mas / u.yr
@@ -66,7 +65,9 @@ def test_limbs_have_their_speeds(matched, limbs, result):
     assert abs(row["second_speed"].value - 8 * PER_PIXEL) < 1
     assert row["first_n_ssp"] == two["south"].sum()
     # Welch's test, by scipy.
-    features = result.search.follow(projection_of(result)(result.search.angle))
+    features = [
+        f for s in result.search.streams if s.kind == "moving" for f in s.features
+    ]
     assert row["first_n_features"] + row["second_n_features"] == len(features)
 
 

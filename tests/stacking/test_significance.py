@@ -368,7 +368,6 @@ class TestDirection:
         project = self.turned(lines, axis_matches, np.radians(degrees), 0.3)
         found = search(project, np.arange(3) * np.pi / 3)
         assert abs((np.degrees(found.angle) - degrees + 90) % 180 - 90) < 2
-        assert found.axis == round(degrees / 60) % 3
         assert found.streams[0].along.mean == pytest.approx(0.3, abs=0.02)
 
     def test_features_of_the_other_direction_alone(self, lines, axis_matches):

@@ -1,0 +1,153 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The features of a measurement: their speeds and their distances."""
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.visualization import style
+from astro_scc.visualization.style import BLACK, PM_UNIT, unit_name
+
+#: Errors beyond so many times the median one are of features that say little.
+LARGE_ERROR = 4.0
+
+
+def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None):
+    """
+    Draw the speed of each feature against its distance.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    profile : `~astropy.table.QTable`, optional
+        Of `astro_scc.flow.feature_profile`: mean speeds in bins of distance.
+    beta_per_pm : float, optional
+        Apparent speed in units of c of 1 mas/yr, for a second axis.
+    ax : `matplotlib.axes.Axes`, optional
+        Drawn on these instead of a new figure.
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Raises
+    ------
+    ValueError
+        If ``beta_per_pm`` is not positive.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_jet
+    >>> from astro_scc.visualization import plot_feature_speeds
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
+    >>> result = scc(simulate_jet(rng=1).cube, n_trials=50, rng=1)
+    >>> plot_feature_speeds(result).axes[0].get_xlabel()
+    'Distance (mas)'
+    """
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
+    table = result.features
+    distance = np.abs(table["distance"].to_value(u.mas))
+    unit = style.offset_unit(distance.max(initial=1.0))
+    speed, error = (table[k].to_value(PM_UNIT) for k in ("pm", "pm_err"))
+    # Outward is positive, also along a component that points to the core.
+    speed = np.where(table["distance"] < 0, -speed, speed)
+    length = error
+    if len(error):
+        length = np.minimum(error, LARGE_ERROR * np.median(error))
+    for number, stream in enumerate(result.search.streams, 1):
+        own = np.asarray(table["component"]) == number
+        if own.any():
+            ax.errorbar(
+                distance[own] * u.mas.to(unit), speed[own], length[own], ms=4, lw=0.8,
+                fmt=style.KINDS[stream.kind].on_profile, zorder=2,
+                color=style.SCALE_COLORS[(number - 1) % len(style.SCALE_COLORS)],
+                mfc="white" if stream.kind == "not significant" else None,
+                label=f"features of {number} ({stream.kind})",
+            )  # fmt: skip
+    if profile is not None and len(profile):
+        low, middle, high = (
+            profile[k].to_value(unit) for k in ("r_min", "r_mid", "r_max")
+        )
+        mean, error = (
+            profile[k].to_value(PM_UNIT) for k in ("pm_parallel", "pm_parallel_err")
+        )
+        ax.errorbar(
+            middle, mean, error, (middle - low, high - middle), fmt="none", zorder=3,
+            color=BLACK, elinewidth=1.6, label="means in bins",
+        )  # fmt: skip
+    ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
+    ax.set_xlim(left=0)
+    ax.set_xlabel(f"Distance ({unit_name(unit)})")
+    ax.set_ylabel(f"Proper motion ({unit_name(PM_UNIT)})")
+    if len(table):
+        ax.legend(fontsize="small", framealpha=0.85)
+    style.add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
+    return figure
+
+
+def plot_feature_distances(result, *, unit=None, ax=None):
+    """
+    Draw the distances of the features against time, with their straight lines.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    unit : `~astropy.units.Unit`, optional
+        Of the distances.
+    ax : `matplotlib.axes.Axes`, optional
+        Drawn on these instead of a new figure.
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Raises
+    ------
+    ValueError
+        If the unit is no angle.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_jet
+    >>> from astro_scc.visualization import plot_feature_distances
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
+    >>> result = scc(simulate_jet(rng=1).cube, n_trials=50, rng=1)
+    >>> plot_feature_distances(result).axes[0].get_xlabel()
+    'Year'
+    """
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.2))
+    table, cube = result.feature_positions, result.cube
+    start, years = cube.times[0].jyear, cube.years.to_value(u.yr)
+    kinds = [stream.kind for stream in result.search.streams]
+    distance = table["distance"].to_value(u.mas)
+    unit = style.offset_unit(np.abs(distance).max(initial=1.0), unit)
+    named = set()
+    for feature, slope in enumerate(result.features["pm"].to_value(PM_UNIT)):
+        own = np.flatnonzero(table["feature"] == feature)
+        number = int(table["component"][own[0]])
+        kind = kinds[number - 1]
+        color = style.SCALE_COLORS[(number - 1) % len(style.SCALE_COLORS)]
+        time, place = years[table["epoch"][own]], distance[own]
+        # Outward is positive, also along a component that points to the core.
+        factor = u.mas.to(unit) * (-1.0 if place.mean() < 0 else 1.0)
+        ax.plot(
+            start + time, factor * place, style.KINDS[kind].on_profile, ms=3,
+            color=color, mew=0.6, mfc="white" if kind == "not significant" else None,
+            label=None if number in named else f"features of {number} ({kind})",
+        )  # fmt: skip
+        named.add(number)
+        # Positions near a standing feature are not of the line.
+        middle, ends = np.median(place - slope * time), time[[0, -1]]
+        ax.plot(start + ends, factor * (middle + slope * ends), color=color, lw=0.8)
+    margin = 0.03 * (np.ptp(years) or 1.0)
+    ax.set_xlim(start - margin, start + years[-1] + margin)
+    ax.set_ylim(bottom=0)
+    ax.ticklabel_format(axis="x", useOffset=False)
+    ax.set_xlabel("Year")
+    ax.set_ylabel(f"Distance ({unit_name(unit)})")
+    if named:
+        ax.legend(fontsize="small", framealpha=0.85)
+    return figure

@@ -1,0 +1,89 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Alignment and direction are found in the images."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+from astro_scc import Beam, EpochCube
+from astro_scc.measurement.choices import choose_alignment, choose_direction
+from astro_scc.simulation import simulate_jet, simulate_static
+
+BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
+
+
+def spots(*places, beams=BEAM, bright=0.1):
+    """Two epochs of a core and of fainter spots, (east, north) in mas."""
+    y, x = np.mgrid[:81, :81]
+    image = np.zeros(x.shape)
+    for (east, north), flux in zip([(0, 0), *places], [1.0] + [bright] * len(places)):
+        r2 = (x - 40 + east / 0.1) ** 2 + (y - 40 - north / 0.1) ** 2
+        image += flux * np.exp(-4 * np.log(2) * r2 / 8**2)
+    return EpochCube.from_arrays(
+        np.stack([image] * 2), ["2000-01-01", "2001-01-01"], pixel_scale=0.1 * u.mas,
+        reference_pixel=(40, 40), beams=beams, noise=1e-3 * u.one,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("angle", [0, 60, 145, 270])
+def test_the_direction_is_that_of_the_jet(angle):
+    way = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
+    found, reason = choose_direction(spots(1.5 * way, 3 * way))
+    assert abs((found.value - angle + 180) % 360 - 180) <= 1
+    assert reason == "that of the mean image"
+
+
+@pytest.mark.parametrize(
+    ("cube", "reason"),
+    [
+        (lambda: spots((2, 0), beams=None), "without a beam"),
+        (lambda: spots(), "nothing is seen beyond"),
+        (lambda: spots((2, 0), bright=5.0), "no core"),
+        (lambda: spots((2, 0), (-2, 0.2)), "several directions"),
+        (lambda: spots((2, 0), (0, 2), (-1.5, -1.5)), "several directions"),
+    ],
+)
+def test_no_direction_has_a_reason(cube, reason):
+    cube = cube()
+    found, said = choose_direction(cube)
+    assert found is None
+    assert reason in said.replace("is not a core", "is no core")
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_simulated_jets_have_a_direction(seed):
+    angle, _ = choose_direction(simulate_jet(n_epochs=5, rng=seed).cube)
+    assert abs(angle.value - 270) < 5
+
+
+def test_aligned_epochs_are_left_alone():
+    align, reason = choose_alignment(simulate_jet(n_epochs=6, rng=1).cube)
+    assert align == "none"
+    assert reason.startswith("the epochs are aligned to 0.0")
+
+
+def test_epochs_that_scatter_are_aligned_on_the_core():
+    cube = simulate_jet(n_epochs=12, alignment_error=0.4, rng=2).cube
+    align, reason = choose_alignment(cube)
+    assert align == "core"
+    assert reason.startswith("the epochs scatter by 0.")
+
+
+def test_epochs_without_a_beam_do_not_tell():
+    align, reason = choose_alignment(spots((2, 0), beams=None))
+    assert (align, reason) == (
+        "none",
+        "the images do not show how well they are aligned",
+    )
+
+
+def test_a_core_that_is_not_found_aligns_nothing(monkeypatch):
+    def fail(self, *args, **kwargs):
+        raise ValueError("no core")
+
+    cube = simulate_static(n_epochs=4, rng=1).cube
+    object.__setattr__(cube, "misalignment", 0.3)
+    monkeypatch.setattr(EpochCube, "align", fail)
+    assert choose_alignment(cube) == (
+        "none", "the epochs scatter by 0.30 beams, no less on the core"
+    )  # fmt: skip
