@@ -2,7 +2,7 @@
 """Flow: speed profiles of jets, acceleration, and groups of scales or limbs."""
 
 from astro_scc.flow.acceleration import measure_acceleration
-from astro_scc.flow.feature_profile import feature_profile
+from astro_scc.flow.binned import feature_profile
 from astro_scc.flow.groups import (
     compare_positions,
     compare_speeds,
