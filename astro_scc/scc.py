@@ -338,7 +338,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         ----------
         matched : `~astro_scc.measurement.MatchedEpochs`
         n_trials : int, optional
-            Number of permutations of the epochs, and of trials of the errors.
+            Number of permutations of the epochs.  The paper's z-score and error take
+            at most 200, which give a standard deviation to 5%.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
         progress_bar : bool, optional
@@ -410,7 +411,8 @@ class StackedCrossCorrelation(MeasurementSettings):
             A region of `regions`, the path of a region file or a boolean
             image.  Only SSPs whose centroid lies inside are correlated.
         n_trials : int, optional
-            Number of permutations of the epochs, and of trials of the errors.
+            Number of permutations of the epochs.  The paper's z-score and error take
+            at most 200, which give a standard deviation to 5%.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
         n_workers, cache

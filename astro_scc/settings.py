@@ -311,7 +311,8 @@ class Settings(MeasurementSettings):
     )
     n_trials: int | None = _trial(
         integer(2, 10**9),
-        "permutations of the epochs and trials of the errors; default 1000 (track: 20)",
+        "permutations of the epochs; the paper's z-score and error take 200 at most; "
+        "default 1000 (track: 20)",
         "1000",
     )
     seed: int | None = _trial(

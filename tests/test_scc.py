@@ -159,7 +159,7 @@ def result(cube):
         (
             {"position_angle": "west"},
             "position_angle = 'west' has 'west' where a number is expected; it must be "
-            "radial, ridge, fit or an angle with a unit, such as '65 deg'",
+            "radial, ridge, fit, any or an angle with a unit, such as '65 deg'",
         ),
         (
             {"position_angle": [1, 2] * u.deg},
@@ -213,8 +213,11 @@ def test_a_setting_that_cannot_be_meant(settings, message):
         ({"max_speed": 2 * u.km / u.s}, "an angle per time with a unit"),
         ({"baseline": [1, 2]}, "a shortest and a longest time, such as '0.2 yr 1.0"),
         ({"baseline": [1, 2] * u.mas}, "a shortest and a longest time"),
-        ({"position_angle": 65}, "radial, ridge, fit or an angle with a unit"),
-        ({"position_angle": 1 * u.yr}, "radial, ridge, fit or an angle with a unit"),
+        ({"position_angle": 65}, "radial, ridge, fit, any or an angle with a unit"),
+        (
+            {"position_angle": 1 * u.yr},
+            "radial, ridge, fit, any or an angle with a unit",
+        ),
         ({"scales": [1, 2] * u.s}, "scale numbers such as 1,2,3 or angles such as"),
     ],
 )

@@ -20,7 +20,7 @@ from astro_scc.epochs.cutout import crop, region_mask
 from astro_scc.epochs.fits import find_files, is_hdf5
 from astro_scc.epochs.grid import reproject_cube
 from astro_scc.epochs.headers import epoch_header
-from astro_scc.epochs.inspection import epoch_table, noise_rms
+from astro_scc.epochs.inspection import epoch_table, noise_of_images, noise_rms
 from astro_scc.epochs.misalignment import misalignment
 from astro_scc.epochs.positions import offset_wcs, readable_angle
 from astro_scc.epochs.reading import read_files, read_images
@@ -341,6 +341,7 @@ class EpochCube:
     write = write_cube
     epochs = property(epoch_table)
     noise_rms = noise_rms
+    measured_noise = cached_property(noise_of_images)
     to_common_beam = common_beam
     align = align
     misalignment = cached_property(misalignment)

@@ -137,8 +137,11 @@ def noise_rms(cube):
     `~astropy.units.Quantity`, shape (n_epochs,)
         See `~astro_scc.epochs.measure_noise`.
     """
-    if cube.noise is not None:
-        return cube.noise
+    return cube.measured_noise if cube.noise is None else cube.noise
+
+
+def noise_of_images(cube):
+    """Return the noise of each epoch as measured in its image."""
     pairs = zip(cube.data, cube.mask, strict=True)
     return u.Quantity([measure_noise(d, mask=m) for d, m in pairs], cube.unit)
 

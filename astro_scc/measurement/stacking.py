@@ -34,6 +34,9 @@ from astro_scc.stacking.stack import velocity_peak_near
 SMALL_SHIFT = 0.2
 #: Extent of the map, in units of the largest speed found.
 MAP_SPEEDS = 3.0
+#: Most permutations for the paper's z-score and trials for its error: they are standard
+#: deviations, known to 5% from 200.
+PAPER_TRIALS = 200
 #: Fewest pairs of dates of a map.
 FEWEST_PAIRS = 3
 
@@ -88,6 +91,7 @@ def stack_matches(
     small_displacement_correction : bool
         Shift the permuted images of the z-score by a fifth of the beam.
     n_trials : int
+        The paper's z-score and error take at most 200.
     rng : None, int or `~numpy.random.Generator`
     progress_bar : bool
     settings : dict, optional
@@ -157,7 +161,7 @@ def stack_matches(
         max(limit, 1.2 * fastest),
         fwhm,
         shift=(SMALL_SHIFT * fwhm,) * 2 if small_displacement_correction else None,
-        n_trials=n_trials,
+        n_trials=min(n_trials, PAPER_TRIALS),
         rngs=(paper_rng, error_rng),
         progress_bar=progress_bar,
     )

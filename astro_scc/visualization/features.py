@@ -81,7 +81,8 @@ def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None):
     ax.set_xlabel(f"Distance ({unit_name(unit)})")
     ax.set_ylabel(f"Proper motion ({unit_name(PM_UNIT)})")
     if len(table):
-        ax.legend(fontsize="small", framealpha=0.85)
+        ax.legend(fontsize="small", frameon=False, loc="lower left", ncols=3,
+                  bbox_to_anchor=(0, 1), borderaxespad=0)  # fmt: skip
     style.add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
     return figure
 
@@ -149,5 +150,6 @@ def plot_feature_distances(result, *, unit=None, ax=None):
     ax.set_xlabel("Year")
     ax.set_ylabel(f"Distance ({unit_name(unit)})")
     if named:
-        ax.legend(fontsize="small", framealpha=0.85)
+        ax.legend(fontsize="small", frameon=False, loc="lower left", ncols=3,
+                  bbox_to_anchor=(0, 1), borderaxespad=0)  # fmt: skip
     return figure
