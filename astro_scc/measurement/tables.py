@@ -27,7 +27,7 @@ P_FDR = "p_global adjusted for all searches: share of false discoveries up to it
 
 #: Every column of the velocity components: unit or type, and meaning.
 COLUMNS = {
-    "component": (int, "number of the component, in the order of the search"),
+    "component": (int, "number of the component, as in the other tables"),
     "kind": ("U15", "moving, stationary (within its errors) or not significant"),
     "pm_ra_cosdec": (PM_UNIT, "proper motion to the east"),
     "pm_ra_cosdec_err": (PM_UNIT, "standard error of pm_ra_cosdec"),

@@ -33,6 +33,8 @@ def plot_epoch(
     """
     Draw one epoch in offsets from the reference pixel, east to the left.
 
+    Solar images have west to the right.
+
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
