@@ -92,10 +92,9 @@ def golden(request):
     "name",
     [
         "jet",
-        "tracks",
         *(
             pytest.param(name, marks=pytest.mark.slow)
-            for name in ("two_fluid", "profile")
+            for name in ("two_fluid", "profile", "tracks")
         ),
     ],
 )

@@ -20,7 +20,7 @@ from astro_scc.report.tables import epoch_rows, in_easy_units
 
 CHANCE = "permuted epochs give as strong a peak (p_global above alpha)"
 HOSTILE = "<script>alert('1')</script> & \"more\""
-FIGURES = ("members", "diagram", "speeds", "distances", "velocity_map",
+FIGURES = ("streams", "diagram", "speeds", "distances", "members", "velocity_map",
            "significance", "epochs", "intervals")  # fmt: skip
 VOID = {"meta", "img", "br", "link", "hr"}
 
@@ -121,11 +121,11 @@ def test_the_page_stands_alone(page, folder):
 
 def test_who_cannot_see_it_hears_what_the_figures_show(page):
     alts = [img["alt"] for img in page.all("img")]
-    assert alts[4] == (
+    assert alts[5] == (
         "Map of the stacked correlation over the velocities parallel and transverse, "
         "3 components marked"
     )
-    assert alts[6] == "Images of 8 epochs with circles about their patterns"
+    assert alts[7] == "Images of 8 epochs with circles about their patterns"
     assert len(set(alts)) == len(FIGURES)
     assert page.all("html") == [{"lang": "en"}]
     assert all(th["scope"] == "col" for th in page.all("th"))
@@ -174,10 +174,11 @@ def test_the_answer_comes_first(page, components):
         "stationary: no motion within the errors; 1 feature, ",
         "1: acceleration: ",
         "beware of",
-        "Patterns of each component.",
+        "Velocities of the features.",
         "Displacement against interval.",
         "Speed against distance.",
         "Distance against time.",
+        "Patterns of each component.",
         "Velocity map.",
         "Statistical significance",
         "epochs in permuted order would give an equally strong peak at any velocity; "

@@ -807,6 +807,7 @@ def check_two_streams(cube, truth):
     assert np.all(significant["p_distinct"] <= 0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_two_streams_of_a_simulated_jet(seed):
     jet = simulate_two_fluid(rng=seed)

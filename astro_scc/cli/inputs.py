@@ -102,7 +102,11 @@ def _compare_versions(written_by, file, reporter):
         reporter.note(f"{file} was written with {', '.join(other)}: numbers may differ")
 
 
-def read_epochs(settings, *, files=None, note=lambda text: None):
+def _ignore(text):
+    """Tell nobody."""
+
+
+def read_epochs(settings, *, files=None, note=_ignore, chosen=_ignore):
     """
     Read the epochs of a measurement.
 
@@ -113,6 +117,8 @@ def read_epochs(settings, *, files=None, note=lambda text: None):
         Present paths of the epochs, if they will be moved.
     note : callable, optional
         Called with a line of text on every decision.
+    chosen : callable, optional
+        Called with each choice that the images have made and its reason.
 
     Returns
     -------
@@ -147,13 +153,13 @@ def read_epochs(settings, *, files=None, note=lambda text: None):
     align = settings.align
     if align is None:
         align, reason = choose_alignment(cube)
-        note(f"--align {align}: {reason}")
+        chosen(f"--align {align}: {reason}")
     seed = draw_seed(settings.seed)
     settings = replace(settings, align=align, common_beam=common, seed=seed)
     return cube.align(align), settings, left_out
 
 
-def with_direction(cube, settings, *, note=lambda text: None):
+def with_direction(cube, settings, *, chosen=_ignore):
     """Return the settings with the direction of the jet, if its images show one."""
     if settings.position_angle is not None:
         return settings
@@ -161,7 +167,7 @@ def with_direction(cube, settings, *, note=lambda text: None):
 
     angle, reason = choose_direction(cube)
     found = "any" if angle is None else f'"{angle:g}"'
-    note(f"--position-angle {found}: {reason}")
+    chosen(f"--position-angle {found}: {reason}")
     return replace(settings, position_angle="any" if angle is None else angle)
 
 

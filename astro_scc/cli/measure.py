@@ -44,7 +44,7 @@ from astro_scc.cli.summary import component_lines
 
 PRODUCTS = (
     "components.ecsv features.ecsv ssps.ecsv scc.fits config.toml report.html "
-    "members.png diagram.png speeds.png distances.png velocity_map.png "
+    "streams.png diagram.png speeds.png distances.png members.png velocity_map.png "
     "significance.png epochs.png intervals.png"
 ).split()
 #: Products of an earlier measurement that must not remain beside new ones.
@@ -95,8 +95,11 @@ def run(args, reporter):
     ):
         if work and settings.seed is None:
             settings = replace(settings, seed=kept_seed(work))
-        cube, settings, left_out = read_epochs(settings, note=reporter.note)
-        settings = with_direction(cube, settings, note=reporter.note)
+        chosen = []
+        cube, settings, left_out = read_epochs(
+            settings, note=reporter.note, chosen=chosen.append
+        )
+        settings = with_direction(cube, settings, chosen=chosen.append)
         n_workers = workers_for(cube, n_workers)
         result = measure(cube, settings, reporter, n_workers=n_workers, work=work)
         components = write_measurement(
@@ -107,6 +110,7 @@ def run(args, reporter):
             report=not args.no_report,
             warnings=reporter.warnings,
             left_out=left_out,
+            chosen=chosen,
         )
         if args.votable:
             write_votables(result, components, folder)
@@ -114,7 +118,8 @@ def run(args, reporter):
             write_epoch_regions(result.matched.ssps, cube, folder)
     for line in component_lines(components, result.features):
         reporter.say(line)
-    for line in flow_lines(result):
+    found = [f"Found in the images: {line}" for line in chosen]
+    for line in (*flow_lines(result), *found):
         reporter.say(line)
     reporter.say(
         f"\nTables and maps: {output}"

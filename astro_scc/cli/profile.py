@@ -58,12 +58,16 @@ def run(args, reporter):
     bins_of(settings.bins, window=settings.window)
     made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
     with made as folder:
-        cube, settings, _ = read_epochs(settings, note=reporter.note)
-        settings = with_direction(cube, settings, note=reporter.note)
+        chosen = []
+        cube, settings, _ = read_epochs(
+            settings, note=reporter.note, chosen=chosen.append
+        )
+        settings = with_direction(cube, settings, chosen=chosen.append)
         n_workers = workers_for(cube, n_workers)
         components, lines = _measure(cube, settings, folder, reporter, n_workers)
         if args.votable:
             write_votable(components, folder / "profile.vot")
+    lines += [f"Found in the images: {line}" for line in chosen]
     for line in [*profile_lines(components), "", *lines]:
         reporter.say(line)
     reporter.say(f"\nProfile: {output / 'profile.ecsv'}")

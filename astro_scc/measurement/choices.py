@@ -17,6 +17,8 @@ SNR = 5.0
 #: Structure is one-sided if the mean of the unit vectors from the core, weighted by
 #: brightness, is as long as this: jets have 0.9 to 1, shells less than half of it.
 ONE_SIDED = 0.85
+#: It begins at the core if this share of the brightness is as near, in beams.
+INNER, NEAR = 0.05, 3.0
 #: Largest error of a direction that is used, in degrees.
 CERTAIN = 10.0
 
@@ -75,8 +77,8 @@ def choose_direction(cube):
     Returns
     -------
     position_angle : `~astropy.units.Quantity` or None
-        In whole degrees; None where the structure has no single direction from a core
-        in the reference pixel, so that motion in all directions is searched for.
+        In whole degrees; None where the structure does not extend to one side from the
+        reference pixel, so that motion in all directions is searched for.
     reason : str
 
     Examples
@@ -96,8 +98,6 @@ def choose_direction(cube):
     east, north = cube.offsets()
     width = mean_width(cube)
     r = np.hypot(east, north).to_value(u.mas)
-    if r.flat[image.argmax()] > width:
-        return None, "the brightest point is not a core in the reference pixel"
     # Without what is as bright on the other side: the core's wings, a shell.
     x, y = cube.offset_to_pixel(-east, -north)
     excess = image - map_coordinates(image, [y, x], order=1, cval=0.0)
@@ -106,5 +106,9 @@ def choose_direction(cube):
     weight = excess[use] / r[use]
     mean = [weight @ offset[use].to_value(u.mas) for offset in (east, north)]
     if np.hypot(*mean) <= ONE_SIDED * excess[use].sum() or error.value > CERTAIN:
-        return None, "the structure is not on one side of the core"
+        return None, "the structure is not on one side of the reference pixel"
+    order = np.argsort(r[use])
+    share = np.cumsum(excess[use][order]) / excess[use].sum()
+    if r[use][order][np.searchsorted(share, INNER)] > NEAR * width:
+        return None, "the structure does not begin at the reference pixel"
     return np.round(angle), "that of the mean image"

@@ -37,6 +37,7 @@ def write_report(
     title,
     warnings=(),
     left_out=(),
+    chosen=(),
     rerun=None,
     config_text=None,
 ):
@@ -50,16 +51,19 @@ def write_report(
         ``result.components``, or the table with apparent speeds of
         ``result.components_in_c``.
     directory : path
-        Folder for ``report.html``, ``members.png``, ``diagram.png``, ``speeds.png``,
-        ``distances.png``, ``velocity_map.png``, ``significance.png``,
-        ``epochs.png`` and ``intervals.png``, which the page holds too.  It is made if
-        need be; files of these names are replaced, each when the new one is complete.
+        Folder for ``report.html``, and for ``streams.png``, ``diagram.png``,
+        ``speeds.png``, ``distances.png``, ``members.png``, ``velocity_map.png``,
+        ``significance.png``, ``epochs.png`` and ``intervals.png``, which the page
+        holds too.  It is made if need be; files of these names are replaced, each
+        when the new one is complete.
     title : str
         Heading of the page, the name of the object.
     warnings : sequence of str, optional
         What the reader must know, in plain words.
     left_out : sequence of str or of (str, str), optional
         Epochs that were not used, optionally with the reason.
+    chosen : sequence of str, optional
+        Settings that the images have determined, each with its reason.
     rerun : str, optional
         The command that repeats the measurement.
     config_text : str, optional
@@ -100,6 +104,7 @@ def write_report(
         figures={name: _address(png) for name, png in figures.items()},
         epochs=tables.epoch_rows(result),
         left_out=[(w, "") if isinstance(w, str) else tuple(w) for w in left_out],
+        chosen=chosen,
         settings=tables.setting_rows(result, components),
         rerun=rerun,
         config_text=config_text,
@@ -153,23 +158,22 @@ def draw_figures(result, components):
     per_pm = _beta_per_pm(components)
     shared = {"components": components, "beta_per_pm": per_pm}
     figures = {
-        "members": show.plot_members(result, components=components),
+        "streams": show.plot_streams(result),
         "diagram": show.plot_diagram(result, components=components),
         "speeds": show.plot_feature_speeds(
             result, profile=feature_profile(result), beta_per_pm=per_pm
         ),
         "distances": show.plot_feature_distances(result),
+        "members": show.plot_members(result, components=components),
         "velocity_map": show.plot_velocity_map(result, **shared),
         "significance": show.plot_significance(result, **shared),
         "epochs": show.plot_epochs(result.cube, result.ssps),
         "intervals": show.plot_intervals(result.cube, result.pairs),
     }
-    for name, table in (
-        ("members", components), ("speeds", result.features),
-        ("distances", result.features),
-    ):  # fmt: skip
-        if len(table) == 0:
-            del figures[name]
+    if len(components) == 0:
+        del figures["members"]
+    if len(result.features) == 0:
+        del figures["streams"], figures["speeds"], figures["distances"]
     found = {}
     for name, figure in figures.items():
         buffer = io.BytesIO()

@@ -12,6 +12,7 @@ from astro_scc.visualization.epochs import (
 from astro_scc.visualization.features import (
     plot_feature_distances,
     plot_feature_speeds,
+    plot_streams,
 )
 from astro_scc.visualization.profiles import plot_profile, plot_track_profile
 from astro_scc.visualization.tracks import plot_members, plot_separation, plot_tracks
@@ -34,6 +35,7 @@ __all__ = [
     "plot_profile",
     "plot_separation",
     "plot_significance",
+    "plot_streams",
     "plot_track_profile",
     "plot_tracks",
     "plot_velocity_map",

@@ -15,6 +15,9 @@ from astro_scc.visualization.style import unit_name
 MASKED = "#BFDFF2"
 #: Brightness up to which the asinh stretch is linear, in units of the noise.
 LINEAR_NOISE = 3.0
+#: Lowest contour of a mean image, in its noise; of more contours than these each is
+#: four times the one before, of fewer twice.
+LOWEST, MOST_CONTOURS = 5.0, 8
 #: Share of the SSPs' weight that lies beyond each side of a zoomed figure.
 EDGE = 0.015
 
@@ -229,6 +232,27 @@ def mean_image_panels(cube, ssps, n, *, figure, unit):
         drawn = draw_image(ax, view, image, cube.beams[0] if common else None)
         drawn.set_alpha(0.5)
     return view, figure, axes
+
+
+def draw_contours(ax, view, image):
+    """Draw contours of a mean image; return the lowest in noises, and their ratio."""
+    from matplotlib.transforms import Affine2D
+
+    cube, unit = view.cube, view.unit
+    noise = np.median(u.Quantity(cube.noise_rms()).value) / np.sqrt(len(cube))
+    peak = float(image.max()) / (LOWEST * noise) if noise > 0 else 0.0
+    if not peak > 1:
+        return None
+    ratio = 2.0 if np.log2(peak) < MOST_CONTOURS else 4.0
+    levels = LOWEST * noise * ratio ** np.arange(np.log(peak) / np.log(ratio))
+    matrix = cube.pixel_matrix.to_value(unit)
+    to_offset = np.eye(3)
+    to_offset[:2, :2], to_offset[:2, 2] = matrix, -matrix @ cube.reference_pixel
+    ax.contour(
+        np.ma.filled(image, np.nan), levels=levels, colors=style.GREY, linewidths=0.6,
+        transform=Affine2D(to_offset) + ax.transData,
+    )  # fmt: skip
+    return LOWEST, ratio
 
 
 def panel_text(ax, text, x=0.02, y=0.95, color=style.BLACK):

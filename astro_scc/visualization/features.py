@@ -4,11 +4,105 @@
 import astropy.units as u
 import numpy as np
 
-from astro_scc.visualization import style
+from astro_scc.visualization import drawing, style
 from astro_scc.visualization.style import BLACK, PM_UNIT, unit_name
 
+#: Length of the longest arrow, as a share of the longer side of the figure.
+LONGEST = 0.1
 #: Errors beyond so many times the median one are of features that say little.
 LARGE_ERROR = 4.0
+
+
+def plot_streams(result, *, figure=None, unit=None):
+    """
+    Draw the velocity of each feature on contours of the mean image.
+
+    One arrow for each feature, at its mean position, as long as its speed.  Features
+    of stationary components are squares.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    figure : `matplotlib.figure.Figure`, optional
+        Drawn on this one instead of a new figure.
+    unit : `~astropy.units.Unit`, optional
+        Of the offsets.
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Raises
+    ------
+    ValueError
+        If the unit is no angle.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_jet
+    >>> from astro_scc.visualization import plot_streams
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
+    >>> figure = plot_streams(scc(simulate_jet(rng=1).cube, n_trials=50, rng=1))
+    """
+    view, figure, (ax,) = drawing.mean_image_panels(
+        result.cube, result.ssps, 1, figure=figure, unit=unit
+    )
+    mean = result.cube.mean_image()
+    drawing.draw_contours(ax, view, np.ma.masked_array(mean.data, mean.mask))
+    table, years = result.feature_positions, result.cube.years.to_value(u.yr)
+    place = np.stack([view.points["east"], view.points["north"]]) * view.factor
+    rows = []
+    for feature in np.unique(table["feature"]):
+        own = table[table["feature"] == feature]
+        time, here = years[own["epoch"]], place[:, own["ssp"]]
+        velocity = here @ (time - time.mean()) / ((time - time.mean()) ** 2).sum()
+        rows.append((int(own["component"][0]), *here.mean(axis=1), *velocity))
+    rows = np.reshape(rows, (-1, 5))
+    fastest = np.hypot(rows[:, 3], rows[:, 4]).max(initial=0.0)
+    # The longest arrow is a tenth of the jet.
+    span = drawing.lengths(view.limits).max() * view.factor
+    scale = fastest / (LONGEST * span) if fastest else 1.0
+    for number, stream in enumerate(result.search.streams, 1):
+        _, east, north, *motion = rows[rows[:, 0] == number].T
+        color = style.SCALE_COLORS[(number - 1) % len(style.SCALE_COLORS)]
+        label = f"{number}: {stream.kind}"
+        if stream.kind == "stationary":
+            ax.plot(east, north, "s", ms=5, color=color, mfc="none", label=label)
+            continue
+        ax.quiver(
+            east, north, *motion, angles="xy", scale_units="xy", scale=scale,
+            color=color, width=0.004, headwidth=4, headlength=5, minlength=0.1,
+            zorder=3, label=label,
+        )  # fmt: skip
+    _key(ax, view, fastest, scale)
+    if len(rows):
+        ax.legend(fontsize="small", frameon=False, loc="lower left", ncols=3,
+                  bbox_to_anchor=(0, 1), borderaxespad=0)  # fmt: skip
+    return figure
+
+
+def _key(ax, view, fastest, scale):
+    """Draw an arrow of a round speed and its value in the upper right corner."""
+    if not fastest:
+        return
+    speed = (fastest / view.factor) * PM_UNIT
+    unit = style.speed_unit(speed.value)
+    size = 10.0 ** np.floor(np.log10(speed.to_value(unit)))
+    round_speed = size * max(k for k in (1, 2, 5) if k * size <= speed.to_value(unit))
+    length = (round_speed * unit).to_value(PM_UNIT) * view.factor / scale
+    low, high = ax.get_xlim()
+    x = high - 0.03 * (high - low) - np.sign(high - low) * length
+    y = ax.get_ylim()[1] - 0.06 * np.ptp(ax.get_ylim())
+    ax.annotate(
+        "", (x + np.sign(high - low) * length, y), (x, y),
+        arrowprops={"arrowstyle": "-|>", "color": BLACK, "lw": 1.2, "shrinkA": 0,
+                    "shrinkB": 0},
+    )  # fmt: skip
+    text = f"{round_speed:g} {unit_name(unit)} "
+    ax.text(x, y, text, ha="right", va="center", fontsize="small",
+            path_effects=style.outline())  # fmt: skip
 
 
 def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None):
@@ -63,7 +157,7 @@ def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None):
                 fmt=style.KINDS[stream.kind].on_profile, zorder=2,
                 color=style.SCALE_COLORS[(number - 1) % len(style.SCALE_COLORS)],
                 mfc="white" if stream.kind == "not significant" else None,
-                label=f"features of {number} ({stream.kind})",
+                label=f"{number}: {stream.kind}",
             )  # fmt: skip
     if profile is not None and len(profile):
         low, middle, high = (
@@ -74,7 +168,7 @@ def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None):
         )
         ax.errorbar(
             middle, mean, error, (middle - low, high - middle), fmt="none", zorder=3,
-            color=BLACK, elinewidth=1.6, label="means in bins",
+            color=BLACK, elinewidth=1.6, label="mean of bin",
         )  # fmt: skip
     ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
     ax.set_xlim(left=0)
@@ -137,7 +231,7 @@ def plot_feature_distances(result, *, unit=None, ax=None):
         ax.plot(
             start + time, factor * place, style.KINDS[kind].on_profile, ms=3,
             color=color, mew=0.6, mfc="white" if kind == "not significant" else None,
-            label=None if number in named else f"features of {number} ({kind})",
+            label=None if number in named else f"{number}: {kind}",
         )  # fmt: skip
         named.add(number)
         # Positions near a standing feature are not of the line.

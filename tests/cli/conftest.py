@@ -30,20 +30,14 @@ def no_figures(monkeypatch):
     monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_: {})
 
 
-def besides_choices(err):
-    """Messages without the notes on what the images have chosen."""
-    lines = err.splitlines(keepends=True)
-    return "".join(line for line in lines if not line.startswith("note: --"))
-
-
 @pytest.fixture
 def astro_scc(capsys):
-    """Run a command; its status, output and messages but for choices."""
+    """Run a command; its status, output and messages."""
 
     def run(*argv):
         status = main([str(word) for word in argv])
         out, err = capsys.readouterr()
-        return status, out, besides_choices(err)
+        return status, out, err
 
     return run
 

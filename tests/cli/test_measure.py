@@ -58,6 +58,7 @@ def test_measure_writes_tables_maps_and_settings(measured, jet):
         assert f"seed = {config['seed']}" in list(hdus[0].header["COMMENT"])
 
 
+@pytest.mark.slow
 def test_files_for_other_programs(measured, jet, astro_scc, here):
     again = (
         "measure",

@@ -22,6 +22,7 @@ OPTIONS = ["--position-angle", "270 deg", "--max-speed", "20 mas/yr", "--scales"
            "--n-trials", "25"]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_whole_stretch(cube_file, tmp_path, capsys):
     """Its acceleration, and the speeds of its scales."""
     out = tmp_path / "out"
@@ -94,6 +95,7 @@ def test_no_epochs_and_no_workers(cube_file, tmp_path, capsys):
     assert "--workers must be at least 1" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_along_the_ridge_with_windows(cube_file, tmp_path):
     out = tmp_path / "out"
     command = ["profile", cube_file, "-o", str(out), "--bins", "8 14 mas", "--quiet",

@@ -79,6 +79,7 @@ def test_goes_on_and_ends_the_same(measure, blocks, tmp_path):
     assert products(tmp_path / "plain") == first
 
 
+@pytest.mark.slow
 def test_stale_matches_are_told_in_one_line(measure, blocks, tmp_path):
     done, _ = blocks
     assert measure("-o", "out", "--resume", "--seed", "1")[0] == 0

@@ -73,6 +73,7 @@ def test_a_steady_drift_is_motion(jet):
     assert (misalignment(shifted(jet, drift)) or 0) < 0.1
 
 
+@pytest.mark.slow
 def test_brightness_that_goes_from_feature_to_feature_is_no_misalignment():
     y, x = np.mgrid[:48, :96]
 
@@ -95,6 +96,7 @@ def test_brightness_that_goes_from_feature_to_feature_is_no_misalignment():
     assert scatter is None or scatter < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "simulate",
     [

@@ -68,5 +68,5 @@ def test_the_figures_have_a_line_for_each_feature(result):
     assert len(ax.lines) == 2 * len(result.features)
     ax = plot_feature_speeds(result, profile=feature_profile(result)).axes[0]
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert labels[0] == "features of 1 (moving)"
-    assert labels[-1] == "means in bins"
+    assert labels[0] == "1: moving"
+    assert labels[-1] == "mean of bin"

@@ -38,7 +38,7 @@ def test_the_direction_is_that_of_the_jet(angle):
     [
         (lambda: spots((2, 0), beams=None), "without a beam"),
         (lambda: spots(), "not on one side"),
-        (lambda: spots((2, 0), bright=5.0), "no core"),
+        (lambda: spots((0, 3.2), bright=5.0), "does not begin"),
         (lambda: spots((2, 0), (-2, 0.2)), "not on one side"),
         (lambda: spots((2, 0), (0, 2), (-1.5, -1.5)), "not on one side"),
     ],
@@ -47,7 +47,7 @@ def test_no_direction_has_a_reason(cube, reason):
     cube = cube()
     found, said = choose_direction(cube)
     assert found is None
-    assert reason in said.replace("is not a core", "is no core")
+    assert reason in said
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -106,6 +106,7 @@ def test_features_are_put_where_the_epochs_have_ssps(sky, settings):
     assert area_for_features(settings.match(sky), None).all()
 
 
+@pytest.mark.slow
 def test_masked_pixels_uneven_dates_and_changing_beams(noise_cube, settings):
     beams = [
         Beam((1.1 + 0.05 * k) * u.mas, 0.9 * u.mas, 30 * k * u.deg) for k in range(6)

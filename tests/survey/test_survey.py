@@ -18,6 +18,7 @@ from astro_scc.cli.sources import folder_names, read_survey
 from astro_scc.cli.survey_run import measure_source, run_survey
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement import false_discovery_rate
+from astro_scc.measurement.choices import choose_direction
 from astro_scc.partial import _machine
 from astro_scc.simulation import simulate_two_fluid
 
@@ -117,7 +118,11 @@ def test_rows_are_those_of_single_measurements(serial, folder):
     cube = EpochCube.read(folder / "two.fits")
     if any(beam != cube.beams[0] for beam in cube.beams):
         cube = cube.to_common_beam()
-    scc = StackedCrossCorrelation(scales=[1, 2], max_speed=30 * u.mas / u.yr)
+    scc = StackedCrossCorrelation(
+        scales=[1, 2],
+        max_speed=30 * u.mas / u.yr,
+        position_angle=choose_direction(cube)[0],
+    )
     matched = scc.match(cube)
     coarse = replace(matched, select=matched.select & (matched.ssps.scale == 2))
     with warnings.catch_warnings():
@@ -277,6 +282,7 @@ def test_every_region_and_group_has_a_report(folder, tmp_path, monkeypatch):
             assert file.read() == page["config_text"]
 
 
+@pytest.mark.slow
 def test_the_command_writes_reports(folder, tmp_path, capsys):
     (tmp_path / "s.toml").write_text(
         "[sources.Two]\nscales = [2]\nn_trials = 20\nmax_speed = '30 mas/yr'\n"

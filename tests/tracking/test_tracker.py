@@ -208,6 +208,7 @@ def test_the_core_is_one_track_however_long_it_is_not_seen():
     assert own["link"].tolist() == ["first", *["link"] * 2, "gap", *["link"] * 3]
 
 
+@pytest.mark.slow
 def test_features_of_0003_380_are_those_of_the_survey(shared_data):
     cube = EpochCube.read(str(shared_data / "0003+380" / "*.fits"))
     with pytest.warns(MeasurementWarning, match="the core is blended with the jet"):
