@@ -21,6 +21,10 @@ from astro_scc.stacking.streams import feature_speeds, scattered_fit
 
 #: SSPs ejected within this length of the flow, in beams, count as one feature.
 FEATURE_BEAMS = 2.0
+#: Fewest features of a group that are divided from others by their brightness.
+FEWEST = 2
+#: Logarithms of shares that differ by more from the median do not divide better.
+CLEAR = 0.5
 
 
 def scale_groups(matched, groups):
@@ -115,10 +119,11 @@ def compare_speeds(result, groups):
     Compare the speeds along the jet of groups of SSPs.
 
     A feature belongs to the group that has more of its brightness than of the
-    median feature's: of two groups of scales, the coarse one gets the larger
-    half of the features.  The mean speed of a group follows from a random-effects
-    model of its features' speeds (see `~astro_scc.stacking.random_effects`),
-    the p-value of a difference from Welch's test (1947, Biometrika 34, 28).
+    others': of two groups, the shares are divided where the variance within the
+    two parts is least (Otsu 1979, IEEE Trans. SMC 9, 62).  The mean speed of a
+    group follows from a random-effects model of its features' speeds (see
+    `~astro_scc.stacking.random_effects`), the p-value of a difference from Welch's
+    test (1947, Biometrika 34, 28).
 
     Parameters
     ----------
@@ -219,7 +224,9 @@ def _groups_of(features, d, ssps, groups):
     Return the group of each feature, the one in which it is relatively brightest.
 
     Small features are seen on large scales, too, and large ones on small
-    scales, so the share of brightness is compared with the median feature's.
+    scales, so the share of brightness is compared with that of the others: of two
+    groups by the division of the shares with the least variance within its parts
+    (Otsu 1979, IEEE Trans. SMC 9, 62), of more by the median.
     """
     total = np.zeros((len(features), len(groups)))
     for row, feature in zip(total, features, strict=True):
@@ -231,9 +238,21 @@ def _groups_of(features, d, ssps, groups):
     share = np.log(np.maximum(total, np.finfo(float).tiny))
     share -= share.mean(axis=1, keepdims=True)
     several = np.count_nonzero(total, axis=1) > 1
-    if several.any():
+    if len(groups) == 2 and several.sum() >= 2 * FEWEST:
+        share[several] -= _division(share[several, 0]) * np.array([1, -1])
+    elif several.any():
         share[several] -= np.median(share[several], axis=0)
     return np.argmax(share, axis=1)
+
+
+def _division(values):
+    """Return the value that divides others into two parts of least variance."""
+    middle = np.median(values)
+    values = np.sort(np.clip(values, middle - CLEAR, middle + CLEAR))
+    ends = range(FEWEST, len(values) - FEWEST + 1)
+    within = [k * values[:k].var() + values[k:].var() * (len(values) - k) for k in ends]
+    first = ends[int(np.argmin(within))]
+    return values[first - 1 : first + 1].mean()
 
 
 def _mean(features, beam):

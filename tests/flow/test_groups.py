@@ -157,3 +157,18 @@ def test_other_axes(scc, matched, limbs):
         found = replace(scc, position_angle=axes).stack(matched, n_trials=30, rng=1)
         table = compare_speeds(found, limbs)
         assert np.all(np.isfinite(table["difference"]))
+
+
+def test_features_are_divided_where_their_shares_leave_a_gap():
+    """Three large features among eight small ones, and one on the fine scale only."""
+    ratio = np.array([0.3, 0.25, 0.2, 0.9, 1.0, 0.95, 1.05, 1.1, 0.92, 1.0, 0.98])
+    peak = np.column_stack([ratio, np.ones(11)]).ravel()
+    place = np.repeat(5.0 * np.arange(12), 2)[:23]
+    d = SimpleNamespace(
+        epoch=np.zeros(23, dtype=int), position=np.column_stack([place, 0 * place])
+    )
+    features = [SimpleNamespace(ssp=[2 * k]) for k in range(12)]
+    fine = np.arange(23) % 2 == 0
+    ssps = SimpleNamespace(peak=np.append(peak, 2.0))
+    belongs = _groups_of(features, d, ssps, [fine, ~fine])
+    assert belongs.tolist() == [1, 1, 1, *[0] * 9]
