@@ -76,7 +76,8 @@ def run(args, reporter):
         reporter.say(f"  {problem}")
     if cube is not None:
         reporter.say()
-        for line in [*_plan(cube, speed), *_alignment(cube, of_core)]:
+        lines = *_plan(cube, speed), *_alignment(cube, of_core), *_choices(cube)
+        for line in lines:
             reporter.say(line)
 
 
@@ -129,6 +130,22 @@ def _alignment(cube, of_core):
         "Images that are not aligned can make a stationary jet appear to move: measure "
         "with --align core",
         "or a table of core positions, unless they are known to be aligned.",
+    ]
+
+
+def _choices(cube):
+    """Return what a measurement without options takes, as lines."""
+    from astro_scc.cli.inputs import with_direction
+    from astro_scc.measurement.choices import choose_alignment
+    from astro_scc.settings import Settings
+
+    align, reason = choose_alignment(cube)
+    chosen = [f"--align {align}: {reason}"]
+    with_direction(cube.align(align), Settings(), chosen=chosen.append)
+    return [
+        "",
+        "Without options, astro-scc measure takes:",
+        *(f"  {c}" for c in chosen),
     ]
 
 

@@ -119,7 +119,14 @@ def test_inspect_advises_an_alignment(astro_scc, here):
         jet.cube.write(f"{name}.fits")
         status, out, _ = astro_scc("inspect", f"{name}.fits")
         assert status == 0
-        said[name] = out.split("pairs\n")[-1].split("\n\n")[1]
+        said[name], choices = out.split("pairs\n")[-1].split("\n\n")[1:3]
+        head, align, direction = choices.splitlines()
+        assert head == "Without options, astro-scc measure takes:"
+        taken = "core" if name == "bad" else "none"
+        assert align.startswith(f"  --align {taken}: ")
+        # Two epochs 0.6 beams apart are as broad as the jet.
+        angle = "any" if name == "two" else '"2'
+        assert direction.startswith(f"  --position-angle {angle}")
     number = r"^The epochs are aligned to 0\.(\d\d) beams\.\n"
     advice = r"appear to move: measure with --align core\nor a table of core positions"
     assert int(re.match(number, said["bad"])[1]) >= 20
@@ -127,7 +134,7 @@ def test_inspect_advises_an_alignment(astro_scc, here):
     assert int(re.match(number, said["good"])[1]) <= 5
     assert "--align core" not in said["good"]
     nobody = "The images do not show how well the epochs are aligned.\n"
-    assert said["dense"] == nobody
+    assert said["dense"] == nobody.rstrip()
     assert said["two"].startswith(f"{nobody}The core as it is fitted scatters by 0.")
     assert re.search(advice, said["two"])
 
