@@ -74,8 +74,9 @@ def plot_streams(result, *, figure=None, unit=None):
         ax.quiver(
             east, north, *motion, angles="xy", scale_units="xy", scale=scale,
             color=color, width=0.004, headwidth=4, headlength=5, minlength=0.1,
-            zorder=3, label=label,
+            zorder=3,
         )  # fmt: skip
+        ax.plot([], [], color=color, label=label)
     _key(ax, view, fastest, scale)
     if len(rows):
         ax.legend(fontsize="small", frameon=False, loc="lower left", ncols=3,

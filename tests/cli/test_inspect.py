@@ -127,7 +127,7 @@ def test_inspect_advises_an_alignment(astro_scc, here):
         # Two epochs 0.6 beams apart are as broad as the jet.
         angle = "any" if name == "two" else '"2'
         assert direction.startswith(f"  --position-angle {angle}")
-    number = r"^The epochs are aligned to 0\.(\d\d) beams\.\n"
+    number = r"^The epochs are aligned to 0\.(\d\d) beams\."
     advice = r"appear to move: measure with --align core\nor a table of core positions"
     assert int(re.match(number, said["bad"])[1]) >= 20
     assert re.search(advice, said["bad"])
