@@ -99,7 +99,7 @@ def test_the_first_page_shows_what_its_commands_print(tmp_path, monkeypatch, cap
     page = REPOSITORY / "docs" / "start.rst"
     monkeypatch.chdir(tmp_path)
     for name in ("simulate", "measure"):
-        (words,) = (w for w in commands(unfolded(page)) if w.startswith(name))
+        words = next(w for w in commands(unfolded(page)) if w.startswith(name))
         argv = shlex.split(words.partition("`")[0])
         assert main([*argv, "--no-report"][: len(argv) + (name == "measure")]) == 0
     printed = capsys.readouterr().out.splitlines()

@@ -59,6 +59,7 @@ def test_every_example_is_tested_and_shown():
         assert f"    {command}\n" in source
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", with_marks(SIMULATED))
 def test_simulated_examples_print_what_the_gallery_shows(name, tmp_path, capsys):
     example = importlib.import_module(name)

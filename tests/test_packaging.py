@@ -70,6 +70,7 @@ def test_import_is_light():
     assert loaded.isdisjoint(HEAVY)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "statement",
     [
@@ -91,6 +92,7 @@ def test_every_public_name_resolves():
     assert set(astro_scc.__all__) == set(astro_scc._PUBLIC)
 
 
+@pytest.mark.slow
 def test_folders_are_attributes():
     code = "import astro_scc; print(astro_scc.epochs.EpochCube.__name__)"
     assert printed_by(code) == "EpochCube"

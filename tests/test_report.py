@@ -238,6 +238,7 @@ def words_of(result, components, folder, **kwargs):
     return Page(path.read_text(encoding="utf-8")).words
 
 
+@pytest.mark.slow
 def test_no_component_is_an_answer_too(result, tmp_path):
     empty = replace(result, maxima=(), velocities=(), jitters=())
     words = words_of(empty, empty.components, tmp_path)

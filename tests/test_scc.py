@@ -365,6 +365,7 @@ def test_finds_what_does_not_move():
     assert still["pm"] < 0.05 * PIXEL
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [
@@ -446,6 +447,7 @@ def test_a_region_without_ssps_is_told(cube, tmp_path):
     assert len(scc.match(flat, region=corner).ssps) == 0
 
 
+@pytest.mark.slow
 def test_only_ssps_of_the_region_count():
     up, down = moving((3, 0), seed=1), moving((-3, 0), seed=4)
     data = np.concatenate([up, down], axis=1)
@@ -498,6 +500,7 @@ def test_a_region_without_ssps_has_no_components(cube):
 # What must not matter ------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1e-9, 1e-3, 1e9])
 def test_the_unit_of_intensity(data, result, factor):
     found = measure(make_cube(factor * data))
@@ -505,11 +508,13 @@ def test_the_unit_of_intensity(data, result, factor):
     np.testing.assert_allclose(found.coefficient, result.coefficient, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_an_offset_of_intensity(data, result):
     found = measure(make_cube(data + 5.0))
     np.testing.assert_allclose(found.coefficient, result.coefficient, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_single_precision(data, result):
     found = measure(make_cube(data.astype(np.float32)))
     np.testing.assert_allclose(found.coefficient, result.coefficient, atol=1e-3)
@@ -520,11 +525,13 @@ def test_whether_there_are_beams(data, noise):
     check_motion(measure(make_cube(data, beams=None), noise=noise), (3, 1))
 
 
+@pytest.mark.slow
 def test_time_runs_backwards(data):
     """Images in reverse: every motion changes its sign."""
     check_motion(measure(make_cube(data[::-1])), (-3, -1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [1, 2, 3])
 def test_turned_by_right_angles(data, result, k):
     found = measure(make_cube(np.rot90(data, k, axes=(1, 2))))
@@ -535,6 +542,7 @@ def test_turned_by_right_angles(data, result, k):
     np.testing.assert_allclose(one, turn @ other, atol=0.02)
 
 
+@pytest.mark.slow
 def test_mirrored(data, result):
     found = measure(make_cube(data[:, :, ::-1]))
     np.testing.assert_allclose(strongest(found), strongest(result) * [-1, 1], atol=0.02)
@@ -715,6 +723,7 @@ def same_tables(one, other):
         np.testing.assert_array_equal(np.asarray(one[name]), np.asarray(other[name]))
 
 
+@pytest.mark.slow
 def test_the_seed_is_recorded_and_gives_the_same_again(cube, result):
     assert result.components.meta["seed"] == 1
     again = measure(cube)
@@ -725,6 +734,7 @@ def test_the_seed_is_recorded_and_gives_the_same_again(cube, result):
     assert np.any(other.z_score != result.z_score)
 
 
+@pytest.mark.slow
 def test_without_a_seed_one_is_drawn_and_recorded(cube):
     scc = make_scc()
     matched = scc.match(cube)
@@ -735,6 +745,7 @@ def test_without_a_seed_one_is_drawn_and_recorded(cube):
     same_tables(again.components, first.components)
 
 
+@pytest.mark.slow
 def test_a_generator_is_used_and_leaves_no_seed(cube, result):
     found = measure(cube, rng=np.random.default_rng(1))
     assert found.components.meta["seed"] is None
@@ -773,6 +784,7 @@ def test_one_call_gives_the_table(cube, result):
     same_tables(table, result.components)
 
 
+@pytest.mark.slow
 def test_progress_is_shown_when_asked_for(cube, capsys, monkeypatch):
     # Without a terminal there is a line every half minute only.
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
@@ -837,6 +849,7 @@ def test_two_streams_of_the_files_of_the_papers_test(shared_data, folder):
     check_two_streams(EpochCube.read(str(folder / "*.fits")), truth)
 
 
+@pytest.mark.slow
 def test_a_jet_that_stands_still():
     cube = simulate_static(n_epochs=5, rng=1).cube
     found = measure(cube, scales=[2, 3])

@@ -18,6 +18,7 @@ def epochs(folder):
     return sorted(folder.glob("*.fits"))
 
 
+@pytest.mark.slow
 def test_inspect(jet, astro_scc, here):
     status, out, err = astro_scc("inspect", *epochs(jet))
     assert (status, err) == (0, "")
@@ -51,6 +52,7 @@ def test_inspect_explains_speeds(jet, astro_scc):
     assert row.split()[2:] == ["too", "slow", "for", "this", "series", "0"]
 
 
+@pytest.mark.slow
 def test_the_baseline_that_inspect_gives_is_understood(jet, astro_scc, here):
     _, out, _ = astro_scc("inspect", *epochs(jet), "--speed", "12 mas/yr")
     baseline = re.search(r'^12 .*"(.*)"', out, flags=re.MULTILINE)[1]
@@ -107,6 +109,7 @@ def test_inspect_a_cube_file(jet, astro_scc, here):
     ]
 
 
+@pytest.mark.slow
 def test_inspect_advises_an_alignment(astro_scc, here):
     """An unaligned jet, one that is aligned, and ones of which only the core tells."""
     said = {}

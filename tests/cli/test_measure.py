@@ -84,6 +84,7 @@ def test_files_for_other_programs(measured, jet, astro_scc, here):
     assert {path.name for path in (here / "out").iterdir()} == set(PRODUCTS[:5])
 
 
+@pytest.mark.slow
 def test_measure_is_what_python_gives(measured, jet):
     seed = QTable.read(measured / "components.ecsv").meta["seed"]
     scc = StackedCrossCorrelation(
@@ -97,6 +98,7 @@ def test_measure_is_what_python_gives(measured, jet):
         np.testing.assert_array_equal(table[name], expected[name], err_msg=name)
 
 
+@pytest.mark.slow
 def test_the_configuration_gives_the_same_to_the_bit(measured, astro_scc, here):
     status, out, err = astro_scc(
         "measure", "--config", measured / "config.toml", "-o", "again", "--no-report",
@@ -125,6 +127,7 @@ def test_defaults_that_follow_from_the_images_are_repeated_to_the_bit(
         assert (here / "a" / name).read_bytes() == (here / "b" / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_the_command_line_comes_before_the_file(measured, astro_scc, here):
     status, _, err = astro_scc(
         "measure", "--config", measured / "config.toml", "-o", "new", "--no-report",
@@ -142,6 +145,7 @@ def test_the_command_line_comes_before_the_file(measured, astro_scc, here):
     assert set(QTable.read(here / "new" / "ssps.ecsv")["epoch"]) == {0, 1, 2, 3, 4}
 
 
+@pytest.mark.slow
 def test_a_distance_in_the_file_gives_way_to_a_redshift(jet, astro_scc, here):
     # Where there are no patterns.
     (here / "corner.reg").write_text("image\ncircle(3,3,2)\n")
@@ -171,6 +175,7 @@ def test_other_versions_are_noted(measured, astro_scc, here):
     assert "--n-trials" in error
 
 
+@pytest.mark.slow
 def test_a_region_restricts_the_patterns(jet, astro_scc, here):
     (here / "jet.reg").write_text("image\nbox(61,65,40,60,0)\n")
     status, _, err = astro_scc(
@@ -203,6 +208,7 @@ def test_beams_that_differ_become_one(series, astro_scc, here):
     assert config["common_beam"] is False
 
 
+@pytest.mark.slow
 def test_images_without_beams_are_left_as_they_are(series, astro_scc, refused):
     paths = series([None] * 5)
     status, _, err = astro_scc("measure", *paths, *QUICK, "-o", "a", "--no-report")
@@ -215,6 +221,7 @@ def test_images_without_beams_are_left_as_they_are(series, astro_scc, refused):
     assert "epochs have none" in line
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method",
     ["core", pytest.param("correlate", marks=pytest.mark.slow), "wcs", "table"],
@@ -261,6 +268,7 @@ def test_a_report_tells_warnings_and_epochs_left_out(
     assert "astro-scc measure --config out/config.toml -o FOLDER" in page
 
 
+@pytest.mark.slow
 def test_too_few_epochs_are_one_line(jet, astro_scc, here, no_figures):
     status, _, err = astro_scc("measure", *epochs(jet)[:3], *QUICK, "-o", "out")
     assert status == 0
@@ -271,6 +279,7 @@ def test_too_few_epochs_are_one_line(jet, astro_scc, here, no_figures):
     assert "measure more epochs." in page
 
 
+@pytest.mark.slow
 def test_overwriting_leaves_nothing_of_the_old_measurement(jet, astro_scc, here):
     out = here / "out"
     out.mkdir()
@@ -284,12 +293,14 @@ def test_overwriting_leaves_nothing_of_the_old_measurement(jet, astro_scc, here)
     assert all((out / name).read_bytes() != b"old" for name in PRODUCTS[:5])
 
 
+@pytest.mark.slow
 def test_a_cube_file_is_measured(jet, astro_scc, here):
     EpochCube.read(epochs(jet)[:5]).write("cube.fits")
     status, _, err = astro_scc("measure", "cube.fits", *QUICK, "-o", "a", "--no-report")
     assert (status, err) == (0, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
@@ -363,6 +374,7 @@ def test_epochs_that_are_none(refused, here, jet):
     )
 
 
+@pytest.mark.slow
 def test_the_scatter_of_the_epochs_is_said_and_what_mends_it(
     astro_scc, here, no_figures
 ):

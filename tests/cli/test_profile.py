@@ -108,6 +108,7 @@ def test_along_the_ridge_with_windows(cube_file, tmp_path):
     assert set(table["r_max"].to_value(u.mas)) <= {13.0, 19.0}
 
 
+@pytest.mark.slow
 def test_a_region_without_patterns(cube_file, tmp_path, capsys):
     region = tmp_path / "r.reg"
     region.write_text("image\ncircle(3,3,2)\n")

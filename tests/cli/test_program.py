@@ -17,6 +17,7 @@ from astro_scc.cli.reporter import Reporter
 from astro_scc.exceptions import EpochWarning
 
 
+@pytest.mark.slow
 def test_help_imports_nothing_that_takes_time():
     code = (
         "import sys\nfrom astro_scc.cli import main\n"
@@ -160,6 +161,7 @@ def test_mistakes_of_the_program_are_not_hidden(monkeypatch, here):
     assert not list(here.iterdir())
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error(tmp_path):
     process = subprocess.Popen(
         [

@@ -106,6 +106,7 @@ def test_folders_of_others_are_refused(measure, tmp_path):
     assert "file: cannot be made or used" in err
 
 
+@pytest.mark.slow
 def test_nothing_is_left_of_what_was_not_begun(measure, tmp_path):
     status, err = measure("-o", "deep/out", "--resume", "--region", "no.reg")
     assert status == 2
@@ -115,6 +116,7 @@ def test_nothing_is_left_of_what_was_not_begun(measure, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there(measure, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("astro_scc.correlation.parallel.TIMEOUT", 0.2)

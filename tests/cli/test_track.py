@@ -75,6 +75,7 @@ def test_the_same_seed_gives_the_same_tables(astro_scc, jet, tmp_path):
     assert not list((tmp_path / "a").glob("*.png"))
 
 
+@pytest.mark.slow
 def test_no_tracks_are_empty_tables(astro_scc, jet, tmp_path):
     status, out, _ = astro_scc(
         *jet, "-o", "out", *QUICK, "--max-interval", "1 d", "--distance", "10 Mpc"
@@ -87,6 +88,7 @@ def test_no_tracks_are_empty_tables(astro_scc, jet, tmp_path):
     assert len(QTable.read(tmp_path / "out" / "features.ecsv")) == 0
 
 
+@pytest.mark.slow
 def test_a_configuration_of_a_measurement_is_understood(astro_scc, jet, tmp_path):
     (tmp_path / "jet.toml").write_text(
         'scales = [2]\nmax_speed = "30 mas/yr"\nposition_angle = "radial"\n'
@@ -138,6 +140,7 @@ def test_no_epochs_are_refused(astro_scc):
     assert "no epochs were given" in err
 
 
+@pytest.mark.slow
 def test_a_region_without_patterns(astro_scc, jet, tmp_path):
     (tmp_path / "r.reg").write_text("image\ncircle(3,3,2)\n")
     status, out, err = astro_scc(*jet, "-o", "out", *QUICK, "--region", "r.reg")

@@ -102,6 +102,7 @@ except ChildProcessError as error:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["as_done", pytest.param("in_order", marks=pytest.mark.slow)]
 )

@@ -84,6 +84,7 @@ def slow_matches(decompositions, pairs, reach, kappa, target, min_overlap):
     return np.array(sorted(rows))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["segments", "plane"])
 def test_equals_the_papers_equation(target):
     """Masked, at the edges, on two scales, with every pixel summed in a loop."""
@@ -288,6 +289,7 @@ def test_target_snr():
     assert again.target_snr[0] == pytest.approx(best.target_snr[0] / 2, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_segments_are_the_stricter_target(jet):
     pairs = all_pairs(len(jet))
     segments = Correlator(target="segments")(jet, pairs, 20)
@@ -331,6 +333,7 @@ def test_processes_give_the_same_to_the_bit(jet):
     assert multiprocessing.active_children() == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["segments", "plane"])
 def test_small_blocks_give_the_same(jet, target, monkeypatch):
     """However few epochs a block holds, and after a pickle of each."""

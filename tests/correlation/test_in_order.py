@@ -63,6 +63,7 @@ def test_an_error_of_a_worker_is_raised_here():
     assert multiprocessing.active_children() == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("context", STARTS)
 def test_workers_have_one_thread_each(context):
     # With numpy, of which a worker that was not forked has nothing yet.
@@ -154,6 +155,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_workers_end_between_results(tmp_path):
     """One that ends while it sends its result would leave the pool waiting for ever."""
     script = tmp_path / "large.py"
@@ -179,6 +181,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_workers_end_with_a_parent_that_is_killed(tmp_path):
     script = tmp_path / "parent.py"

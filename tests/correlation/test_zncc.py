@@ -158,6 +158,7 @@ def faint_pattern(contrast, seed=0, reach=(24, 24)):
     return values, footprint, window, reach
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("contrast", "tolerance"),
     [(0, 1e-12), (1e2, 1e-10), (1e4, 1e-6), (1e5, 1e-5), (1e6, 2e-3)],

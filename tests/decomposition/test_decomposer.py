@@ -41,6 +41,7 @@ def same_patterns(a, b):
     np.testing.assert_allclose(a.snr, b.snr, rtol=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(
     st.integers(0, 2**32 - 1),

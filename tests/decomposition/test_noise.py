@@ -107,6 +107,7 @@ def jets():
     )
 
 
+@pytest.mark.slow
 def test_plane_noise_beside_a_bright_jet(jets):
     """
     The noise of a plane whose median coefficient is the jet's.
@@ -225,6 +226,7 @@ def test_local_noise_with_chosen_boxes_and_mask():
     assert np.isfinite(noise).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", ["plane", "local", "propagated"])
 def test_false_positives_are_rare(noise):
     """Above 4 sigma, about one pattern in two images of pure noise."""

@@ -306,6 +306,7 @@ def test_images_without_a_core():
         align(without, "core")
 
 
+@pytest.mark.slow
 def test_the_cores_of_0003_380(shared_data):
     """
     Against the cores of the model fits in the visibilities.
@@ -443,6 +444,7 @@ def test_absolute_coordinates():
     assert_array_equal(again.data, result.data)
 
 
+@pytest.mark.slow
 def test_absolute_coordinates_of_a_turned_camera():
     straight = images([[(0.4, -0.2, 1.0), (2, 1, 0.5)]])
     turned = images([[(0.4, -0.2, 1.0), (2, 1, 0.5)]], turn=30)

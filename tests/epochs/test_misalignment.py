@@ -41,6 +41,7 @@ def jet():
     return simulate_jet(n_epochs=12, rng=1).cube
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beams", [0.1, 0.3, 0.6])
 @pytest.mark.parametrize("standing", [False, True])
 def test_the_scatter_of_epochs_is_what_they_were_shifted_by(jet, beams, standing):
@@ -58,6 +59,7 @@ def test_epochs_that_are_aligned_are_said_to_be(jet):
     assert misalignment(simulate_static(n_epochs=5, core=3.0, rng=1).cube) < 0.01
 
 
+@pytest.mark.slow
 def test_an_alignment_mends_it(jet):
     bad = shifted(jet, *(4 * np.random.default_rng(0).normal(size=(2, 12))))
     assert misalignment(bad) > 0.2
@@ -127,6 +129,7 @@ def test_masked_epochs_are_compared_where_all_are_there(jet):
     assert found == pytest.approx(misalignment(bad), rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -147,6 +150,7 @@ def test_jets_that_are_aligned_by_their_cores(shared_data, name):
     assert misalignment(cube[:12]) is not None
 
 
+@pytest.mark.slow
 def test_a_jet_whose_core_is_not_its_brightest_pixel(shared_data):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the reader

@@ -233,6 +233,7 @@ def least_area(beams):
     return least
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(BEAMS)
 @example([beam(1.0, 1.0, 0.0), beam(2.0, 0.4375, 45.0)])

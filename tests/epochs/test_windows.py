@@ -202,6 +202,7 @@ def test_images_of_two_types_are_stacked():
     assert one.data.dtype == np.float32
 
 
+@pytest.mark.slow
 def test_only_the_part_is_in_memory(tmp_path):
     """Six images of 4 MB each, 8 as they are kept, of which a hundredth is wanted."""
     rng = np.random.default_rng(1)

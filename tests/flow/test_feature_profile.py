@@ -42,6 +42,7 @@ def test_speeds_are_those_of_random_effects(result):
     assert profile["dispersion"][0].value == pytest.approx(mean.dispersion * beam.value)
 
 
+@pytest.mark.slow
 def test_without_motion_it_is_empty():
     scc = StackedCrossCorrelation(scales=[1, 2])
     result = scc(simulate_static(n_epochs=5, rng=1).cube, n_trials=20, rng=1)

@@ -50,6 +50,7 @@ def test_a_steady_flow_has_none():
     assert found.p_value > 0.9
 
 
+@pytest.mark.slow
 def test_p_values_are_at_most_even():
     """Features of 15% dispersion without acceleration."""
     rng, p = np.random.default_rng(3), []

@@ -152,6 +152,7 @@ def test_refused(scc, matched, limbs, result):
         compare_positions(scc, matched, none)
 
 
+@pytest.mark.slow
 def test_other_axes(scc, matched, limbs):
     for axes in ("radial", RidgeLine([0, -25] * u.mas, [0, 0] * u.mas)):
         found = replace(scc, position_angle=axes).stack(matched, n_trials=30, rng=1)

@@ -62,6 +62,7 @@ def test_aligned_epochs_are_left_alone():
     assert reason.startswith("the epochs are aligned to 0.0")
 
 
+@pytest.mark.slow
 def test_epochs_that_scatter_are_aligned_on_the_core():
     cube = simulate_jet(n_epochs=12, alignment_error=0.4, rng=2).cube
     align, reason = choose_alignment(cube)

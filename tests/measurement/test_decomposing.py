@@ -198,6 +198,7 @@ def test_masked_pixels_are_no_structure():
     assert quiet(cube_of(images, mask=mask), Decomposer(scales=[1, 2]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["smooth", 3])
 def test_a_texture_is_measured_and_said(kind, tmp_path):
     cube = textured(kind, shape=(64, 96), n_epochs=5)

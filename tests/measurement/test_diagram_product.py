@@ -193,6 +193,7 @@ def test_two_epochs_make_one_column(uneven):
     np.testing.assert_allclose(image.meta["interval"].to_value(u.day), [31])
 
 
+@pytest.mark.slow
 def test_epochs_of_one_date_have_no_interval(uneven):
     times = uneven.cube.times[[0, 1, 1, 3, 4]]
     scc = StackedCrossCorrelation(

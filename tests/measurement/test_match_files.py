@@ -201,6 +201,7 @@ def test_a_part_that_was_chosen_later_is_no_cache(scc, made, cube, tmp_path):
         same(made, scc.match(cube, cache=path))
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on(scc, cube, made, counted, tmp_path, monkeypatch):
     path = tmp_path / "m.fits"
     bad = [True]
@@ -248,6 +249,7 @@ def test_workers_decompose_the_same(scc, cube, made):
     same(made, scc.match(cube, n_workers=2))
 
 
+@pytest.mark.slow
 def test_noise_enters_where_it_is_used(cube):
     scc = StackedCrossCorrelation(**SETTINGS, noise="propagated")
     noisy = [replace(cube, noise=value * cube.unit) for value in (0.01, 0.02)]

@@ -240,6 +240,7 @@ def test_a_folder_that_cannot_be_written_to(tmp_path, monkeypatch):
 # -- tables ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_tables_are_read_without_this_package(written):
     # Nor is astropy.cosmology imported, which registers the YAML of cosmologies.
     code = (

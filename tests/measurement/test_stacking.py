@@ -71,6 +71,7 @@ def test_another_alpha_is_another_kind_of_the_same_numbers(sky_result, stacked):
     assert one["pm"] == other["pm"]
 
 
+@pytest.mark.slow
 def test_outward_only(stacked):
     """Towards the east everything moves inward."""
     found = stacked(90 * u.deg)

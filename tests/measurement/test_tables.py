@@ -242,6 +242,7 @@ def test_an_empty_ssp_table_has_all_columns(sky_result, beams, tmp_path):
     assert QTable.read(tmp_path / "ssps.ecsv").colnames == empty.colnames
 
 
+@pytest.mark.slow
 def test_features_are_those_of_the_streams(stacked, tmp_path):
     result = stacked(270 * u.deg)
     table = result.features

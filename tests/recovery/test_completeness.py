@@ -75,6 +75,7 @@ def test_the_table_survives_a_file(table, tmp_path):
     assert read["fraction"].info.description == table["fraction"].info.description
 
 
+@pytest.mark.slow
 def test_components_of_the_epochs_themselves_are_no_recoveries(sky, settings):
     area = np.ones(sky.shape[1:], dtype=bool)
     paths = draw_paths(
@@ -123,6 +124,7 @@ def test_masked_pixels_uneven_dates_and_changing_beams(noise_cube, settings):
     assert table["n_found"][0] == 2
 
 
+@pytest.mark.slow
 def test_radial_motion_of_a_cube_without_beams(noise_cube, settings):
     cube = noise_cube(beams=(), shape=(80, 80))
     radial = replace(settings, position_angle="radial")

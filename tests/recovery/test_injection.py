@@ -112,6 +112,7 @@ def test_features_move_at_the_speed_in_the_direction(angle, turn, speed, seed):
     assert 5 <= paths.inside.sum(axis=0).mean() + 1e-6 < 6.01
 
 
+@pytest.mark.slow
 def test_the_area_is_evenly_populated_at_all_times():
     cube = cube_of()
     paths = draw_paths(

@@ -27,6 +27,7 @@ def test_sound_files_are_read(fuzz, tmp_path):
         assert fuzz.read(path, reader) == "read"
 
 
+@pytest.mark.slow
 def test_damaged_files_are_read_or_refused(fuzz):
     with fuzz.limits():
         counts, faults = fuzz.fuzz(270, seed=2, seconds=8)

@@ -14,6 +14,7 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.epochs import EpochCube, read_components, read_vlbi_fits
 
 
+@pytest.mark.slow
 def test_every_case_gets_what_it_should(inputs, case, tmp_path):
     assert inputs.faults(inputs.run(case, tmp_path), case) == []
 

@@ -87,6 +87,7 @@ def check_interrupts(usual, tmp_path, how, n, seed):
     return set(ends), log.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "seed"), [(signal.SIGINT, 1), (signal.SIGINT, 2), (signal.SIGTERM, 3)]
 )
@@ -111,6 +112,7 @@ def test_ten_moments(usual, tmp_path, how):
     check_interrupts(usual, tmp_path, how, 10, 4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", range(4))
 def test_a_kill_while_products_are_moved(usual, tmp_path, monkeypatch, moment):
     """Into a folder that has some already, they go one by one."""
@@ -143,6 +145,7 @@ def contents_of_files(folder):
     return {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP])
 def test_workers_end_with_a_run_that_is_told_to(inputs, tmp_path, how):
@@ -174,6 +177,7 @@ def test_workers_end_with_a_run_that_is_told_to(inputs, tmp_path, how):
     )
 
 
+@pytest.mark.slow
 def test_a_second_run_at_once_says_so(usual, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("astro_scc.partial.PATIENCE", 0.01)
     argv, expected, _ = usual
@@ -256,6 +260,7 @@ def test_what_a_stopped_run_has_left_is_seen(interrupts, tmp_path):
     assert interrupts.tables(out) == {"components.ecsv": b"a"}
 
 
+@pytest.mark.slow
 def test_a_kill_leaves_a_folder_that_the_next_run_takes_away(usual, tmp_path):
     argv, expected, _ = usual
     out, log = tmp_path / "here" / "out", tmp_path / "log"

@@ -83,6 +83,7 @@ def test_a_common_shift_moves_nothing(usual, down, left):
     assert np.hypot(*(found - usual[0])) < 3 * np.hypot(error, usual[1])
 
 
+@pytest.mark.slow
 @few
 @given(st.integers(1, 3))
 def test_turning_all_epochs_turns_velocities(usual, quarters):
@@ -107,6 +108,7 @@ def test_the_order_of_epochs_is_that_of_their_dates(usual, order):
     assert np.array_equal(found, usual[0])
 
 
+@pytest.mark.slow
 @few
 @given(
     st.tuples(*[st.integers(0, 9)] * 4),
@@ -121,6 +123,7 @@ def test_empty_margins_change_nothing(usual, widths, value):
     assert np.hypot(*(found - usual[0])) < 3 * np.hypot(error, usual[1])
 
 
+@pytest.mark.slow
 @few
 @example(1.5, 0.7)
 @given(st.floats(1.5, 3.0), st.floats(-np.pi, np.pi))
@@ -133,6 +136,7 @@ def test_any_shift_comes_back_within_its_error(size, angle):
     assert np.hypot(*(found - true_velocity((x, y)))) < 4 * error
 
 
+@pytest.mark.slow
 @few
 @given(st.floats(-3, 9), st.sampled_from([u.deg, u.arcsec, u.mas, u.uas]))
 def test_velocities_scale_with_pixels_in_any_unit(usual, exponent, unit):
@@ -142,6 +146,7 @@ def test_velocities_scale_with_pixels_in_any_unit(usual, exponent, unit):
     assert found / factor == pytest.approx(usual[0], rel=1e-3, abs=1e-3)
 
 
+@pytest.mark.slow
 @few
 @given(st.floats(-3, 3))
 def test_velocities_scale_with_time(usual, exponent):
@@ -151,6 +156,7 @@ def test_velocities_scale_with_time(usual, exponent):
     assert found * factor == pytest.approx(usual[0], rel=1e-3, abs=1e-3)
 
 
+@pytest.mark.slow
 @few
 @given(st.sampled_from(["Jy/beam", "mJy/beam", "ct", "K", "MJy/sr", ""]))
 def test_the_unit_of_the_image_is_no_matter(usual, unit):
@@ -190,6 +196,7 @@ def test_equal_in_other_units():
     assert one == StackedCrossCorrelation(baseline=[182.625, 365.25] * u.day)
 
 
+@pytest.mark.slow
 def test_speeds_in_c_are_read_where_no_cosmology_is_known(tmp_path):
     """Any reader of ECSV, before it imports `astropy.cosmology`."""
     cube = EpochCube.from_arrays(images(), times=TIMES, pixel_scale=PIXEL)

@@ -24,6 +24,7 @@ def part(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_a_part_is_measured(inputs, epochs, measure, part, tmp_path):
     status, err = measure(*epochs, "-o", tmp_path / "out", "--crop", part)
     assert (status, err.count("error")) == (0, 0)
@@ -62,6 +63,7 @@ def test_a_part_that_is_nowhere(epochs, measure, tmp_path):
     assert "part.reg: holds no pixel of the 48 x 40 image; check its coord" in err
 
 
+@pytest.mark.slow
 def test_parts_of_a_survey(epochs, tmp_path):
     text = (
         f'[sources.Jet]\nepochs = "{epochs[0].parent}/*.fits"\nn_trials = 2\n'

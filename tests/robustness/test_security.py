@@ -71,6 +71,7 @@ def test_nothing_is_written_beside_the_products(inputs, tmp_path, capsys):
     assert "<script" not in page
 
 
+@pytest.mark.slow
 def test_a_link_among_the_products_is_replaced_not_followed(inputs, epochs, tmp_path):
     mine = tmp_path / "mine.txt"
     mine.write_text("mine")

@@ -187,6 +187,7 @@ def rewrite(path, old, new):
     assert path.stat().st_mtime_ns == state.st_mtime_ns
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "old", "new"),
     [
@@ -202,6 +203,7 @@ def test_a_finished_source_of_another_content(survey, tmp_path, name, old, new):
     assert survey() is True
 
 
+@pytest.mark.slow
 def test_a_finished_source_of_more_files(survey, inputs, tmp_path):
     inputs.write(tmp_path / "jet", 3)
     assert survey() is False

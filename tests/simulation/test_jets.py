@@ -46,6 +46,7 @@ def seen(truth, n_epochs=10):
 # The paper's jets -------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("folder", "options"),
     [
@@ -128,6 +129,7 @@ def test_speeds_may_be_proper_motions():
 # Laws of motion ---------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_random_walk_of_the_jitter():
     truth = simulate_two_fluid(rng=1, densities=(20, 20)).truth
     slow = truth[truth["group"] == "slow"]

@@ -83,6 +83,7 @@ class TestRandomEffects:
         assert found.error**2 == pytest.approx(0.1**2 + (0.15 * value) ** 2)
         assert np.isnan([found.dispersion, found.dispersion_error]).all()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("n", "tau"), [(2, 0.1), (5, 0.0), (15, 0.1)])
     def test_the_interval_holds_the_mean_in_68_percent(self, n, tau):
         rng, n_trials = np.random.default_rng(n), 300
@@ -287,6 +288,7 @@ class TestSeparateStreams:
             assert two[k] == pytest.approx(best)
             assert where[k] == found
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("draw", ["normal", "uniform"])
     def test_one_broad_stream_is_seldom_two(self, draw):
         """At a level of 0.05, of speeds that scatter by a third or a half."""

@@ -200,6 +200,7 @@ def test_finished_sources_are_not_measured_again(serial, folder, monkeypatch):
     assert json.loads(state.read_text())["source"] == "Two"
 
 
+@pytest.mark.slow
 def test_interrupted_and_started_again(serial, folder, tmp_path, capsys, monkeypatch):
     _, reference = serial
     out = tmp_path / "out"
@@ -228,6 +229,7 @@ def test_interrupted_and_started_again(serial, folder, tmp_path, capsys, monkeyp
     assert [name for name in left if "partial" in name] == []
 
 
+@pytest.mark.slow
 def test_what_changed_is_measured_again(folder, tmp_path):
     text = '[sources.Two]\nepochs = "two.fits"\nscales = [2]\nn_trials = {}\n' \
            'max_speed = "30 mas/yr"\n'  # fmt: skip
@@ -322,6 +324,7 @@ def test_two_runs_do_not_write_into_each_other(tmp_path, capsys):
 # -- workers -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_processes_give_the_same(serial, folder, tmp_path):
     table, reference = serial
     survey = read_survey(folder / "survey.toml")
@@ -453,6 +456,7 @@ def test_when_nothing_could_be_measured(tmp_path, capsys):
     assert "beta_app" not in table.colnames
 
 
+@pytest.mark.slow
 def test_a_mistake_of_the_program_is_a_failed_source(folder, tmp_path, monkeypatch):
     def wrong(*args, **kwargs):
         raise AssertionError("odd")

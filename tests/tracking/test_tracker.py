@@ -151,6 +151,7 @@ def test_tables_survive_being_written(tracking, tmp_path):
     assert {"ra", "dec", "pm_dec"} <= set(plain_table(tracking.features).colnames)
 
 
+@pytest.mark.slow
 def test_a_missing_feature_is_a_gap(tracker):
     cube, decompositions = jet(missing=((0, 4),))
     tracking = tracker(cube, decompositions)
@@ -254,6 +255,7 @@ def test_matches_may_be_those_of_a_measurement(tracker, tracking):
     assert np.array_equal(same.links.target, tracking.links.target)
 
 
+@pytest.mark.slow
 def test_ranges_of_speed_along_and_across(tracking):
     cube, decompositions = jet()
     narrow = FeatureTracker(

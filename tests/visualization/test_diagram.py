@@ -119,6 +119,7 @@ def test_only_the_motion_along_the_displacement_is_a_slope(drawn):
     assert ray.get_slope() == pytest.approx(3)
 
 
+@pytest.mark.slow
 def test_the_band_is_one_dispersion_wide(drawn):
     band = parts(drawn(("moving", 6.0, 0.0, 1.5)), "dispersion")
     np.testing.assert_allclose([line.get_slope() for line in band], [4.5, 7.5])
@@ -162,6 +163,7 @@ def test_a_speed_without_an_error(drawn, result):
     assert legend(figure) == [f"1: {speed:.3g} mas/yr,\nnot significant"]
 
 
+@pytest.mark.slow
 def test_no_component_and_no_match_are_drawn(empty, bare):
     for result in (empty, bare):
         figure = plot_diagram(result)

@@ -32,6 +32,7 @@ def draw(figure):
     return np.frombuffer(file.getvalue(), dtype=np.uint8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plot", "frame"),
     [
@@ -53,6 +54,7 @@ def test_figures_are_drawn_and_change_no_global_state(plot, frame, results):
     assert list(_pylab_helpers.Gcf.figs) == managers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plot", OF_RESULTS)
 def test_no_component_is_no_reason_to_fail(plot, empty):
     plot(empty).draw_without_rendering()
@@ -82,6 +84,7 @@ def test_figures_draw_on_a_figure_that_is_given(plot, result):
     assert figure.axes
 
 
+@pytest.mark.slow
 def test_matplotlib_is_imported_when_something_is_drawn():
     code = (
         "import sys, astro_scc.visualization, astro_scc.report;"

@@ -255,6 +255,7 @@ def test_all_epochs_have_a_panel_of_the_same_colours(result):
     assert figure.get_supxlabel() == "Offset to the east (mas)"
 
 
+@pytest.mark.slow
 def test_of_many_epochs_some_are_chosen_evenly():
     n = 40
     cube = EpochCube.from_arrays(

@@ -24,6 +24,7 @@ def nothing(matched):
     return tracker(matched.cube, matched.decompositions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plot", [plot_separation, plot_tracks])
 def test_a_panel_a_scale(tracking, plot):
     figure = plot(tracking)
@@ -51,6 +52,7 @@ def test_short_tracks_can_be_left_out(tracking):
     assert plot_separation(tracking, figure=own, min_epochs=4) is own
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plot", [plot_separation, plot_tracks])
 def test_nothing_is_drawn_of_nothing(nothing, plot):
     plot(nothing).draw_without_rendering()
