@@ -275,6 +275,8 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Raises
         ------
+        TypeError
+            If ``cube`` is no cube.
         ValueError
             If the beams of the epochs differ, unless ``common_beam`` is False.
         MemoryError
@@ -287,6 +289,11 @@ class StackedCrossCorrelation(MeasurementSettings):
             region, structure fills the images, or the alignment of the epochs
             scatters by 0.2 beams or more.
         """
+        if not hasattr(cube, "beams"):
+            raise TypeError(
+                f"cube must be an EpochCube, got {type(cube).__name__}: read files by "
+                "EpochCube.read"
+            )
         if self.common_beam is not False:
             require_common_beam(cube)
         warn_of_misalignment(cube)

@@ -125,7 +125,10 @@ def test_who_cannot_see_it_hears_what_the_figures_show(page):
         "Map of the stacked correlation over the velocities parallel and transverse, "
         "3 components marked"
     )
-    assert alts[7] == "Images of 8 epochs with circles about their patterns"
+    assert (
+        alts[7]
+        == "Images of up to twelve of 8 epochs with circles about their patterns"
+    )
     assert len(set(alts)) == len(FIGURES)
     assert page.all("html") == [{"lang": "en"}]
     assert all(th["scope"] == "col" for th in page.all("th"))

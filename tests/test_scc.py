@@ -858,3 +858,10 @@ def test_a_jet_that_stands_still():
     (still,) = found.components[found.components["kind"] == "stationary"]
     assert still["n_features"] > 5
     assert still["pm"] < 0.1 * PIXEL
+
+
+def test_files_are_no_cube():
+    with pytest.raises(
+        TypeError, match="cube must be an EpochCube, got str: read files"
+    ):
+        StackedCrossCorrelation()("jet/*.fits")

@@ -124,12 +124,16 @@ def _alignment(cube, of_core):
     if max(scatter or 0, of_core) < LARGEST:
         return lines
     if of_core >= LARGEST:
-        lines.append(f"The core as it is fitted scatters by {of_core:.2f} beams.")
+        lines.append(
+            f"The core as it is fitted scatters by {of_core:.2f} beams: either the "
+            "epochs are not aligned,"
+        )
+        lines.append("or what was fitted is not the core.  Look at the images.")
     return [
         *lines,
-        "Images that are not aligned can make a stationary jet appear to move: measure "
-        "with --align core",
-        "or a table of core positions, unless they are known to be aligned.",
+        "Images that are not aligned can make a stationary jet appear to move: align "
+        "them on the core,",
+        "if there is one, or by a table of its positions, unless they are aligned.",
     ]
 
 

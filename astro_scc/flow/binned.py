@@ -16,9 +16,9 @@ MOST_BINS = 8
 
 def feature_profile(result):
     """
-    Return the mean speed of the moving features in bins of distance.
+    Return the mean speeds of moving features in bins of distance.
 
-    The features of all moving components are sorted by their distance and divided
+    The features of each moving component are sorted by their distance and divided
     into bins of equal numbers, at least five in each; the mean and the dispersion are
     those of `~astro_scc.stacking.random_effects`.  Nothing is stacked again.
 
@@ -29,10 +29,10 @@ def feature_profile(result):
     Returns
     -------
     `~astropy.table.QTable`
-        A row a bin: ``r_min``, ``r_max`` and ``r_mid``, the smallest, the largest and
-        the mean distance along the component, ``n_features``, ``pm_parallel`` with
-        ``pm_parallel_err``, and ``dispersion`` with ``dispersion_err``.  Empty with
-        fewer than five features.
+        One row per component and bin: ``component``, ``n_features``, ``r_min``,
+        ``r_max`` and ``r_mid``, the smallest, the largest and the mean distance,
+        ``pm_parallel`` with ``pm_parallel_err``, and ``dispersion`` with
+        ``dispersion_err``.  Empty if no component has five features.
 
     Examples
     --------
@@ -46,32 +46,27 @@ def feature_profile(result):
     [9]
     """
     project = projection_of(result)
-    moving = [
-        (feature, project.beam(stream.angle)[0])
-        for stream in result.search.streams
-        if stream.kind == "moving"
-        for feature in stream.features
-    ]
-    moving.sort(key=lambda own: abs(own[0].place) * own[1])
-    n_bins = min(len(moving) // LEAST, MOST_BINS)
     rows = []
-    for part in np.array_split(np.arange(len(moving)), n_bins) if n_bins else ():
-        features = [moving[k][0] for k in part]
-        beam = np.array([moving[k][1] for k in part])
-        place = np.abs([f.place for f in features]) * beam
-        speed, error = feature_speeds(features)
-        mean = random_effects(np.abs(speed) * beam, error * beam)
-        rows.append(
-            (place.min(), place.max(), place.mean(), len(part), mean.mean, mean.error,
-             mean.dispersion, mean.dispersion_error)
-        )  # fmt: skip
-    columns = np.reshape(rows, (-1, 8)).T
-    names = ["r_min", "r_max", "r_mid", "n_features", "pm_parallel", "pm_parallel_err",
-             "dispersion", "dispersion_err"]  # fmt: skip
-    table = QTable(dict(zip(names, columns, strict=True)))
-    table["n_features"] = table["n_features"].astype(int)
-    for name in names[:3]:
-        table[name].unit = u.mas
-    for name in names[4:]:
-        table[name].unit = u.mas / u.yr
-    return QTable(table)
+    for number, stream in enumerate(result.search.streams, 1):
+        beam = project.beam(stream.angle)[0]
+        features = sorted(stream.features, key=lambda feature: abs(feature.place))
+        n_bins = min(len(features) // LEAST, MOST_BINS)
+        if stream.kind != "moving" or n_bins == 0:
+            continue
+        for part in np.array_split(np.arange(len(features)), n_bins):
+            own = [features[k] for k in part]
+            place = np.abs([f.place for f in own]) * beam
+            speed, error = feature_speeds(own)
+            mean = random_effects(np.abs(speed) * beam, error * beam)
+            rows.append(
+                (number, len(own), place.min(), place.max(), place.mean(), mean.mean,
+                 mean.error, mean.dispersion, mean.dispersion_error)
+            )  # fmt: skip
+    component, n_features, *columns = np.reshape(rows, (-1, 9)).T
+    table = QTable({"component": component.astype(int)})
+    table["n_features"] = n_features.astype(int)
+    names = ["r_min", "r_max", "r_mid", "pm_parallel", "pm_parallel_err", "dispersion",
+             "dispersion_err"]  # fmt: skip
+    for name, values in zip(names, columns, strict=True):
+        table[name] = values * (u.mas if name.startswith("r_") else u.mas / u.yr)
+    return table

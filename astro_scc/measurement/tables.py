@@ -156,11 +156,11 @@ def feature_table(result):
     Returns
     -------
     `~astropy.table.QTable`
-        One row per feature: its ``component``, its ``scale``, the number of
-        epochs, its ``first`` and ``last`` date and its ``motion`` between
-        them, its mean ``distance`` from the reference pixel along the
-        component, its speed ``pm`` along and ``pm_transverse`` across the
-        component with errors, and its ``acceleration``.
+        One row per feature: its number, its ``component``, its ``scale``, the
+        number of epochs, its ``first`` and ``last`` date and its ``motion``
+        between them, its mean ``distance`` from the reference pixel along the
+        first component, its speed ``pm`` along and ``pm_transverse`` across it
+        with errors, and its ``acceleration``.
     """
     ssps, cube = result.matched.ssps, result.cube
     project = projection_of(result)
@@ -185,6 +185,7 @@ def feature_table(result):
     }
     table = QTable(
         {
+            "feature": np.arange(len(rows)),
             "component": np.array([number for number, *_ in rows], dtype=int),
             "scale": np.array([ssps.scale[f.ssp[0]] for f in features], dtype=float),
             "n_epochs": np.array([len(f) for f in features], dtype=int),
@@ -194,10 +195,18 @@ def feature_table(result):
     )
     for name, (attribute, axis, unit) in per_beam.items():
         values = np.array([getattr(f, attribute) for f in features], dtype=float)
+        if name != "motion" and not name.endswith("_err"):
+            values *= _sense(result)
         table[name] = (values * beam[axis] * unit).to(unit * u.mas)
-    table["pm"].info.description = "along the component"
-    table["pm_transverse"].info.description = "across the component"
+    table["pm"].info.description = "along the first component"
+    table["pm_transverse"].info.description = "across the first component"
     return table
+
+
+def _sense(result):
+    """Return the sign of the first component's speed along the axis of the search."""
+    streams = result.search.streams
+    return -1.0 if streams and streams[0].along.mean < 0 else 1.0
 
 
 def feature_positions(result):
@@ -211,9 +220,9 @@ def feature_positions(result):
     Returns
     -------
     `~astropy.table.QTable`
-        A row for each feature and epoch: ``component``, ``feature``, the row of
-        `feature_table` from 0, ``ssp``, ``epoch``, ``date``, and the ``distance`` from
-        the reference pixel along the component.
+        A row for each feature and epoch: ``component``, ``feature``, its number in
+        `feature_table`, ``ssp``, ``epoch``, ``date``, and the ``distance`` from the
+        reference pixel along the first component.
     """
     ssps, cube = result.matched.ssps, result.cube
     project = projection_of(result)
@@ -231,7 +240,7 @@ def feature_positions(result):
     table = QTable({"component": component, "feature": feature, "ssp": ssp})
     table["epoch"] = ssps.epoch[ssp]
     table["date"] = Time(cube.times[ssps.epoch[ssp]], format="isot")
-    table["distance"] = distance * u.mas
+    table["distance"] = _sense(result) * distance * u.mas
     return table
 
 

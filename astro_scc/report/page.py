@@ -252,7 +252,8 @@ def flow_lines(result):
                 for k in ("first", "second")
             ]
             lines.append(
-                f"speeds of the {row['first']} and the {row['second']} scales: "
+                f"speeds of all features on the {row['first']} and the "
+                f"{row['second']} scales: "
                 f"{speeds[0]} and {speeds[1]} {unit_text(unit)}, p {row['p_value']:.2g}"
             )
     return lines

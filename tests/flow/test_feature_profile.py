@@ -71,3 +71,16 @@ def test_the_figures_have_a_line_for_each_feature(result):
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
     assert labels[0] == "1: moving"
     assert labels[-1] == "mean of bin"
+
+
+def test_outward_is_positive_whatever_the_axis(result):
+    """East and north as axes, and a jet to the west."""
+    scc = StackedCrossCorrelation(scales=[1, 2])
+    found = scc.stack(result.matched, n_trials=99, rng=1)
+    assert found.search.streams[0].along.mean < 0
+    moving = found.features["component"] == 1
+    assert np.all(found.features["pm"][moving] > 0)
+    assert np.all(found.features["distance"][moving] > 0)
+    assert np.all(found.features["feature"] == np.arange(len(found.features)))
+    own = found.feature_positions
+    assert np.all(own["distance"][own["component"] == 1] > -1 * u.mas)
