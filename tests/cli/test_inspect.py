@@ -131,7 +131,7 @@ def test_inspect_advises_an_alignment(astro_scc, here):
         angle = "any" if name == "two" else '"2'
         assert direction.startswith(f"  --position-angle {angle}")
     number = r"^The epochs are aligned to 0\.(\d\d) beams\."
-    advice = r"appear to move: measure with --align core\nor a table of core positions"
+    advice = r"appear to move: align them on the core,\nif there is one, or by a table"
     assert int(re.match(number, said["bad"])[1]) >= 20
     assert re.search(advice, said["bad"])
     assert int(re.match(number, said["good"])[1]) <= 5
