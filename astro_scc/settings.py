@@ -7,7 +7,6 @@ line, TOML files, Python and the table in the documentation all use these fields
 Quantities may be text with a unit, ``"2 mas / yr"``.
 """
 
-import json
 import tomllib
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
@@ -445,19 +444,6 @@ def override(given, own):
     elif "redshift" in own:
         given = {k: v for k, v in given.items() if k != "distance"}
     return given | own
-
-
-def settings_table():
-    """Return rows of key, command-line option, example or default, and meaning."""
-    rows = []
-    for name, facts in OPTIONS.items():
-        default, metavar = facts["default"], facts["metavar"]
-        example = metavar or "" if default is None else json.dumps(default)
-        option = "" if metavar is None else f"``--{name.replace('_', '-')}``"
-        rows.append(
-            [f"``{name}``", option, example and f"``{example}``", facts["help"]]
-        )
-    return rows
 
 
 def read_toml(path):

@@ -2,6 +2,7 @@
 """Configuration of Sphinx."""
 
 import csv
+import json
 import os
 from pathlib import Path
 
@@ -11,7 +12,8 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util import logging
 
 import astro_scc
-from astro_scc.settings import settings_table
+from astro_scc.cli.options import option_name
+from astro_scc.settings import OPTIONS
 
 LOGGER = logging.getLogger(__name__)
 
@@ -96,8 +98,16 @@ def write_settings(app):
     """Write the table of the settings, which a page of the documentation includes."""
     path = Path(app.srcdir, "_build", "settings.csv")
     path.parent.mkdir(exist_ok=True)
+    rows = []
+    for name, facts in OPTIONS.items():
+        default, metavar = facts["default"], facts["metavar"]
+        example = metavar or "" if default is None else json.dumps(default)
+        option = "" if metavar is None else f"``{option_name(name)}``"
+        rows.append(
+            [f"``{name}``", option, example and f"``{example}``", facts["help"]]
+        )
     with open(path, "w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows(settings_table())
+        csv.writer(file).writerows(rows)
 
 
 def resolve_top_level(app, env, node, contnode):

@@ -820,7 +820,7 @@ def check_two_streams(cube, truth):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [1, 3])
 def test_two_streams_of_a_simulated_jet(seed):
     jet = simulate_two_fluid(rng=seed)
     table = jet.truth[jet.truth["visible"] & (jet.truth["epoch"] < 9)]

@@ -5,8 +5,7 @@ Measure the velocities in the images of one jet.
 Measure the velocity components in images of one object at many dates.
 
 examples:
-  astro-scc measure 3c273/*.fits -o out --align core --max-speed "2 mas/yr" \\
-      --redshift 0.158
+  astro-scc measure 3c273/*.fits --redshift 0.158
   astro-scc measure *.fits -o out --align cores.ecsv --region jet.reg \\
       --position-angle "-112 deg" --baseline "0.1 yr 0.6 yr" --redshift 0.033
   astro-scc measure m87/*.fits -o out --scales "0.2 mas, 0.4 mas" \\

@@ -31,7 +31,7 @@ from astro_scc.cli.inputs import (
     workers_of,
 )
 from astro_scc.cli.options import OF_OBJECT, add_output, add_settings
-from astro_scc.cli.summary import profile_lines, scale_lines
+from astro_scc.cli.summary import profile_lines
 
 PRODUCTS = (
     "profile.ecsv scales.ecsv profile.png velocity_maps.png position_angles.png "
@@ -80,6 +80,7 @@ def _measure(cube, settings, folder, reporter, n_workers):
     from astro_scc.flow.groups import compare_scales
     from astro_scc.flow.profile import measure_profile, write_profile
     from astro_scc.measurement import select_ssps, versions
+    from astro_scc.report.tables import scale_lines
 
     scc = StackedCrossCorrelation.from_settings(settings)
     trials = {"n_trials": settings.n_trials, "rng": settings.seed}

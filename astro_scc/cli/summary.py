@@ -103,9 +103,7 @@ def _answer(components, kinds):
         return "No significant motion was found."
     speeds = []
     for row in found:
-        in_c = (
-            f" ({plus_minus(row, 'beta_app')} c)" if "beta_app" in row.colnames else ""
-        )
+        in_c = "".join(f" ({speed} c)" for speed in _in_c(row).values())
         angle = row["pm_pa"].value
         towards = f" towards PA {angle:.0f} deg" if math.isfinite(angle) else ""
         speeds.append(f"{plus_minus(row, 'pm')} {row['pm'].unit}{in_c}{towards}")
@@ -160,32 +158,6 @@ def profile_lines(components):
         return ["No velocity could be tested in any bin."]
     table = table_lines(rows[0], [cells.values() for cells in rows])
     return [*table, *PROFILE_EXPLANATION, *meta_lines(components.meta)]
-
-
-def scale_lines(of_scales):
-    """
-    Return the comparison of speeds of groups of scales as lines.
-
-    Parameters
-    ----------
-    of_scales : `~astropy.table.QTable`
-        See `~astro_scc.flow.compare_speeds`.
-
-    Returns
-    -------
-    list of str
-    """
-    lines = []
-    for row in of_scales:
-        speeds = [
-            f"{plus_minus(row, f'{k}_speed')} ({row[f'{k}_n_features']} features)"
-            for k in ("first", "second")
-        ]
-        lines.append(
-            f"speeds of the {row['first']} and {row['second']} scales: {speeds[0]} and "
-            f"{speeds[1]} mas/yr, p {row['p_value']:.2g}"
-        )
-    return lines
 
 
 def misalignment_text(scatter):

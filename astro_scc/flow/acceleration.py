@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from astro_scc.measurement.axes import projection_of
+from astro_scc.quantities import with_error
 from astro_scc.stacking.search import DEFAULT
 from astro_scc.stacking.streams import feature_speeds, scattered_fit
 
@@ -59,10 +60,11 @@ class FlowAcceleration:
                 f"acceleration: unknown, {self.n_features} features are seen beyond "
                 "two beams, of which four are needed, or two over five epochs"
             )
+        value, error = self.acceleration.value, self.acceleration_err.value
         return (
-            f"acceleration: {self.acceleration.value:.3g} +- "
-            f"{self.acceleration_err.value:.2g} mas/yr^2 at {self.centre.value:.3g} "
-            f"mas, p {self.p_value:.2g}, {self.n_features} features"
+            f"acceleration: {with_error(value, error, '+-')} mas/yr^2 at "
+            f"{self.centre.value:.3g} mas, p {self.p_value:.2g}, {self.n_features} "
+            "features"
         )
 
 

@@ -14,12 +14,11 @@ from astropy.wcs import WCS
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement.axes import projection_of
+from astro_scc.measurement.feature_tables import feature_positions, feature_table
 from astro_scc.measurement.match_files import MatchedEpochs
 from astro_scc.measurement.tables import (
     component_row,
     component_table,
-    feature_positions,
-    feature_table,
     ssp_table,
 )
 from astro_scc.stacking import (

@@ -243,19 +243,8 @@ def flow_lines(result):
     """
     moving = [k for k, s in enumerate(result.search.streams) if s.kind == "moving"]
     lines = [f"{k + 1}: {measure_acceleration(result, row=k)}" for k in moving]
-    scales = compare_scales(result) if moving else None
-    for row in () if scales is None else scales:
-        if np.isfinite(row["p_value"]):
-            unit = row["first_speed"].unit
-            speeds = [
-                with_error(row[f"{k}_speed"].value, row[f"{k}_speed_err"].value)
-                for k in ("first", "second")
-            ]
-            lines.append(
-                f"speeds of all features on the {row['first']} and the "
-                f"{row['second']} scales: "
-                f"{speeds[0]} and {speeds[1]} {unit_text(unit)}, p {row['p_value']:.2g}"
-            )
+    if moving and (of_scales := compare_scales(result)) is not None:
+        lines += tables.scale_lines(of_scales)
     return lines
 
 

@@ -135,10 +135,40 @@ def _cell(components, row, name, digits):
     value = plain_value(row[name])
     if isinstance(value, str):
         return value
+    if not np.isfinite(value):
+        return "-"
     if f"{name}_err" in components.colnames:
         return with_error(value, plain_value(row[f"{name}_err"]))
     # A small p-value must not be rounded to zero.
     return f"{value:.2g}" if name.startswith("p_") else f"{value:.{digits}f}"
+
+
+def scale_lines(of_scales):
+    """
+    Return the comparison of the speeds of groups of scales as lines.
+
+    Parameters
+    ----------
+    of_scales : `~astropy.table.QTable`
+        See `~astro_scc.flow.compare_speeds`.
+
+    Returns
+    -------
+    list of str
+        Without the pairs of which fewer than two features leave one unknown.
+    """
+    lines = []
+    for row in of_scales[np.isfinite(of_scales["p_value"])]:
+        speeds = [
+            f"{with_error(row[f'{k}_speed'].value, row[f'{k}_speed_err'].value, '+-')} "
+            f"({row[f'{k}_n_features']} features)"
+            for k in ("first", "second")
+        ]
+        lines.append(
+            f"speeds of the {row['first']} and {row['second']} scales: {speeds[0]} and "
+            f"{speeds[1]} {unit_text(row['first_speed'].unit)}, p {row['p_value']:.2g}"
+        )
+    return lines
 
 
 def feature_rows(components, features):
@@ -150,7 +180,7 @@ def feature_rows(components, features):
     components : `~astropy.table.QTable`
         Components, whose unit of speed is used.
     features : `~astropy.table.QTable`
-        See `~astro_scc.measurement.tables.feature_table`.
+        See `~astro_scc.measurement.SCCResult.features`.
 
     Returns
     -------

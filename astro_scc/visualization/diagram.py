@@ -19,7 +19,7 @@ FEWEST_INTERVALS = 4
 #: Fraction of the diagram that is within the range of the colours.
 UNSATURATED = 0.995
 #: Size in inches, at which letters can be read in one column of a journal.
-SIZE = (4.8, 4.0)
+SIZE = (6.0, 4.2)
 
 
 def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):

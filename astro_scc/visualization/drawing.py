@@ -141,18 +141,13 @@ def brightness_label(unit):
 def draw_image(ax, view, image, beam=None):
     """Draw an image, and the beam in the lower left corner; set the limits."""
     import matplotlib
-    from matplotlib.transforms import Affine2D
 
     cube, unit = view.cube, view.unit
-    matrix = cube.pixel_matrix.to_value(unit)
-    to_offset = np.eye(3)
-    to_offset[:2, :2] = matrix
-    to_offset[:2, 2] = -matrix @ cube.reference_pixel
     greys = matplotlib.colormaps["Greys"].with_extremes(bad=MASKED)
-    place = Affine2D(to_offset) + ax.transData
     drawn = ax.imshow(
-        image, origin="lower", norm=view.norm, cmap=greys, transform=place
-    )
+        image, origin="lower", norm=view.norm, cmap=greys,
+        transform=_to_offsets(view) + ax.transData,
+    )  # fmt: skip
     (east0, east1), (north0, north1) = (view.limits * u.mas).to_value(unit)
     _, _, to_the_left = axis_words(cube)
     ax.set_xlim((east1, east0) if to_the_left else (east0, east1))
@@ -160,6 +155,17 @@ def draw_image(ax, view, image, beam=None):
     ax.set_aspect("equal")
     draw_beam(ax, view, beam)
     return drawn
+
+
+def _to_offsets(view):
+    """Return the transform of pixels to offsets in the unit of the view."""
+    from matplotlib.transforms import Affine2D
+
+    matrix = view.cube.pixel_matrix.to_value(view.unit)
+    to_offset = np.eye(3)
+    to_offset[:2, :2] = matrix
+    to_offset[:2, 2] = -matrix @ view.cube.reference_pixel
+    return Affine2D(to_offset)
 
 
 def draw_beam(ax, view, beam):
@@ -235,24 +241,18 @@ def mean_image_panels(cube, ssps, n, *, figure, unit):
 
 
 def draw_contours(ax, view, image):
-    """Draw contours of a mean image; return the lowest in noises, and their ratio."""
-    from matplotlib.transforms import Affine2D
-
-    cube, unit = view.cube, view.unit
+    """Draw contours of a mean image, from five times its noise on."""
+    cube = view.cube
     noise = np.median(u.Quantity(cube.noise_rms()).value) / np.sqrt(len(cube))
     peak = float(image.max()) / (LOWEST * noise) if noise > 0 else 0.0
     if not peak > 1:
-        return None
+        return
     ratio = 2.0 if np.log2(peak) < MOST_CONTOURS else 4.0
     levels = LOWEST * noise * ratio ** np.arange(np.log(peak) / np.log(ratio))
-    matrix = cube.pixel_matrix.to_value(unit)
-    to_offset = np.eye(3)
-    to_offset[:2, :2], to_offset[:2, 2] = matrix, -matrix @ cube.reference_pixel
     ax.contour(
         np.ma.filled(image, np.nan), levels=levels, colors=style.GREY, linewidths=0.6,
-        transform=Affine2D(to_offset) + ax.transData,
+        transform=_to_offsets(view) + ax.transData,
     )  # fmt: skip
-    return LOWEST, ratio
 
 
 def panel_text(ax, text, x=0.02, y=0.95, color=style.BLACK):

@@ -54,10 +54,10 @@ def plot_streams(result, *, figure=None, unit=None):
     table, years = result.feature_positions, result.cube.years.to_value(u.yr)
     place = np.stack([view.points["east"], view.points["north"]]) * view.factor
     rows = []
-    for feature in np.unique(table["feature"]):
+    for feature in range(len(result.features)):
         own = table[table["feature"] == feature]
         time, here = years[own["epoch"]], place[:, own["ssp"]]
-        velocity = here @ (time - time.mean()) / ((time - time.mean()) ** 2).sum()
+        velocity = np.polyfit(time - time.mean(), here.T, 1)[0]
         rows.append((int(own["component"][0]), *here.mean(axis=1), *velocity))
     rows = np.reshape(rows, (-1, 5))
     fastest = np.hypot(rows[:, 3], rows[:, 4]).max(initial=0.0)
@@ -66,7 +66,7 @@ def plot_streams(result, *, figure=None, unit=None):
     scale = fastest / (LONGEST * span) if fastest else 1.0
     for number, stream in enumerate(result.search.streams, 1):
         _, east, north, *motion = rows[rows[:, 0] == number].T
-        color = style.SCALE_COLORS[(number - 1) % len(style.SCALE_COLORS)]
+        color = style.component_color(number)
         label = f"{number}: {stream.kind}"
         if stream.kind == "stationary":
             ax.plot(east, north, "s", ms=5, color=color, mfc="none", label=label)
@@ -77,33 +77,32 @@ def plot_streams(result, *, figure=None, unit=None):
             zorder=3,
         )  # fmt: skip
         ax.plot([], [], color=color, label=label)
-    _key(ax, view, fastest, scale)
+    _draw_key(ax, view, fastest, scale)
     if len(rows):
-        ax.legend(fontsize="small", frameon=False, loc="lower left", ncols=3,
-                  bbox_to_anchor=(0, 1), borderaxespad=0)  # fmt: skip
+        style.legend_above(ax)
     return figure
 
 
-def _key(ax, view, fastest, scale):
-    """Draw an arrow of a round speed and its value in the upper right corner."""
+def _draw_key(ax, view, fastest, scale):
+    """Draw an arrow of a round speed above the axes, on the right, with its value."""
     if not fastest:
         return
-    speed = (fastest / view.factor) * PM_UNIT
-    unit = style.speed_unit(speed.value)
-    size = 10.0 ** np.floor(np.log10(speed.to_value(unit)))
-    round_speed = size * max(k for k in (1, 2, 5) if k * size <= speed.to_value(unit))
-    length = (round_speed * unit).to_value(PM_UNIT) * view.factor / scale
-    low, high = ax.get_xlim()
-    x = high - 0.03 * (high - low) - np.sign(high - low) * length
-    y = ax.get_ylim()[1] - 0.06 * np.ptp(ax.get_ylim())
+    unit = style.speed_unit(fastest / view.factor)
+    speed = ((fastest / view.factor) * PM_UNIT).to_value(unit)
+    size = 10.0 ** np.floor(np.log10(speed))
+    speed = size * max(k for k in (1, 2, 5) if k * size <= speed)
+    length = (speed * unit).to_value(PM_UNIT) * view.factor / scale
+    share = length / np.abs(np.diff(ax.get_xlim()))[0]
     ax.annotate(
-        "", (x + np.sign(high - low) * length, y), (x, y),
+        "", (1, 1.04), (1 - share, 1.04), xycoords="axes fraction",
         arrowprops={"arrowstyle": "-|>", "color": BLACK, "lw": 1.2, "shrinkA": 0,
                     "shrinkB": 0},
     )  # fmt: skip
-    text = f"{round_speed:g} {unit_name(unit)} "
-    ax.text(x, y, text, ha="right", va="center", fontsize="small",
-            path_effects=style.outline())  # fmt: skip
+    text = f"{speed:g} {unit_name(unit)}  "
+    ax.text(
+        1 - share, 1.04, text, transform=ax.transAxes, ha="right", va="center",
+        fontsize="small",
+    )  # fmt: skip
 
 
 def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None):
@@ -156,7 +155,7 @@ def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None):
             ax.errorbar(
                 distance[own] * u.mas.to(unit), speed[own], length[own], ms=4, lw=0.8,
                 fmt=style.KINDS[stream.kind].on_profile, zorder=2,
-                color=style.SCALE_COLORS[(number - 1) % len(style.SCALE_COLORS)],
+                color=style.component_color(number),
                 mfc="white" if stream.kind == "not significant" else None,
                 label=f"{number}: {stream.kind}",
             )  # fmt: skip
@@ -176,8 +175,7 @@ def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None):
     ax.set_xlabel(f"Distance ({unit_name(unit)})")
     ax.set_ylabel(f"Proper motion ({unit_name(PM_UNIT)})")
     if len(table):
-        ax.legend(fontsize="small", frameon=False, loc="lower left", ncols=3,
-                  bbox_to_anchor=(0, 1), borderaxespad=0)  # fmt: skip
+        style.legend_above(ax)
     style.add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
     return figure
 
@@ -225,7 +223,7 @@ def plot_feature_distances(result, *, unit=None, ax=None):
         own = np.flatnonzero(table["feature"] == feature)
         number = int(table["component"][own[0]])
         kind = kinds[number - 1]
-        color = style.SCALE_COLORS[(number - 1) % len(style.SCALE_COLORS)]
+        color = style.component_color(number)
         time, place = years[table["epoch"][own]], distance[own]
         # Outward is positive, also along a component that points to the core.
         factor = u.mas.to(unit) * (-1.0 if place.mean() < 0 else 1.0)
@@ -245,6 +243,5 @@ def plot_feature_distances(result, *, unit=None, ax=None):
     ax.set_xlabel("Year")
     ax.set_ylabel(f"Distance ({unit_name(unit)})")
     if named:
-        ax.legend(fontsize="small", frameon=False, loc="lower left", ncols=3,
-                  bbox_to_anchor=(0, 1), borderaxespad=0)  # fmt: skip
+        style.legend_above(ax)
     return figure

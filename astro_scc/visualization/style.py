@@ -105,6 +105,19 @@ def scale_colors(scales):
     return {n: SCALE_COLORS[k % len(SCALE_COLORS)] for k, n in enumerate(numbers)}
 
 
+def component_color(number):
+    """Return the colour of the component with a number, from 1."""
+    return SCALE_COLORS[(number - 1) % len(SCALE_COLORS)]
+
+
+def legend_above(ax):
+    """Add the legend of axes above them, on the left."""
+    ax.legend(
+        fontsize="small", frameon=False, loc="lower left", ncols=3,
+        bbox_to_anchor=(0, 1), borderaxespad=0,
+    )  # fmt: skip
+
+
 def component_kinds(components):
     """Return the column ``kind`` of a table as text, or "moving" if it has none."""
     if "kind" not in components.colnames:

@@ -80,7 +80,7 @@ def _draw_members(ax, view, result, number, kind):
     strong = kind != "not significant"
     ax.quiver(
         east * view.factor, north * view.factor, *motion, angles="xy",
-        scale_units="xy", scale=1, color=style.VERMILLION if strong else style.BLUE,
+        scale_units="xy", scale=1, color=style.component_color(number),
         width=0.0035, headwidth=4, headlength=5, minlength=0.5, alpha=0.75,
     )  # fmt: skip
     speed = result.components["pm"][number - 1]

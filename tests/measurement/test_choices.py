@@ -7,21 +7,21 @@ import pytest
 
 from astro_scc import Beam, EpochCube
 from astro_scc.measurement.choices import choose_alignment, choose_direction
-from astro_scc.simulation import simulate_jet, simulate_static
+from astro_scc.simulation import simulate_jet, simulate_shell, simulate_static
 
 BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 
 
 def spots(*places, beams=BEAM, bright=0.1):
     """Two epochs of a core and of fainter spots, (east, north) in mas."""
-    y, x = np.mgrid[:81, :81]
+    y, x = np.mgrid[:121, :121]
     image = np.zeros(x.shape)
     for east, north, flux in [(0, 0, 1.0), *((*place, bright) for place in places)]:
-        r2 = (x - 40 + east / 0.1) ** 2 + (y - 40 - north / 0.1) ** 2
+        r2 = (x - 60 + east / 0.1) ** 2 + (y - 60 - north / 0.1) ** 2
         image += flux * np.exp(-4 * np.log(2) * r2 / 8**2)
     return EpochCube.from_arrays(
         np.stack([image] * 2), ["2000-01-01", "2001-01-01"], pixel_scale=0.1 * u.mas,
-        reference_pixel=(40, 40), beams=beams, noise=1e-3 * u.one,
+        reference_pixel=(60, 60), beams=beams, noise=1e-3 * u.one,
     )  # fmt: skip
 
 
@@ -38,7 +38,7 @@ def test_the_direction_is_that_of_the_jet(angle):
     [
         (lambda: spots((2, 0), beams=None), "without a beam"),
         (lambda: spots(), "not on one side"),
-        (lambda: spots((0, 3.2), bright=5.0), "does not begin"),
+        (lambda: spots((0, 4.8)), "does not begin"),
         (lambda: spots((2, 0), (-2, 0.2)), "not on one side"),
         (lambda: spots((2, 0), (0, 2), (-1.5, -1.5)), "not on one side"),
     ],
@@ -54,6 +54,19 @@ def test_no_direction_has_a_reason(cube, reason):
 def test_simulated_jets_have_a_direction(seed):
     angle, _ = choose_direction(simulate_jet(n_epochs=5, rng=seed).cube)
     assert abs(angle.value - 270) < 5
+
+
+def test_shells_have_no_direction():
+    """Images with a beam, so that it is the shell that tells."""
+    shell = simulate_shell(n_epochs=3, rng=1).cube
+    beam = Beam(4 * u.arcsec, 4 * u.arcsec)
+    cube = EpochCube.from_arrays(
+        shell.data, shell.times, pixel_scale=shell.pixel_scale, beams=beam,
+        reference_pixel=shell.reference_pixel,
+    )  # fmt: skip
+    found, reason = choose_direction(cube)
+    assert found is None
+    assert reason == "the structure is not on one side of the reference pixel"
 
 
 def test_aligned_epochs_are_left_alone():
