@@ -94,8 +94,8 @@ class SearchSettings:
         Relative error of a feature's speed from the remaining pull of the
         core, on simulated jets.
     lone_dispersion : float
-        Dispersion, relative to the speed, that is assumed for a stream with
-        a single feature: that of the flows of blazars is 10 to 30%.
+        Dispersion, relative to the speed, that counts as one more feature in
+        the error of a stream: that of the flows of blazars is 10 to 30%.
     fewest_of_two : int
         Fewest features with which two streams can be distinguished.
     one_dispersions, two_dispersions : tuple of float

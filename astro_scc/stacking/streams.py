@@ -8,6 +8,9 @@ from scipy.special import stdtrit
 
 from astro_scc.stacking.search import DEFAULT
 
+#: Distributions of the speeds of one stream.
+FAMILIES = ("log-normal", "normal", "uniform")
+
 
 @dataclass(frozen=True)
 class Population:
@@ -39,11 +42,10 @@ def random_effects(values, errors, settings=DEFAULT):
     Return the mean and dispersion of values that differ by more than their errors.
 
     The dispersion solves ``sum (x - m)^2 / (tau^2 + e^2) = n - 1`` (Paule &
-    Mandel 1982, J. Res. NBS 87, 377).  The error of the mean is that of
-    Hartung & Knapp (2001, Stat. Med. 20, 3875) with Student's t of n - 1
-    degrees of freedom, at 68%; values that agree by chance count as if they
-    scattered by half their errors.  The error of a single value includes a
-    dispersion of 15%.
+    Mandel 1982, J. Res. NBS 87, 377).  The error of the mean is that of a
+    weighted mean with Student's t at 68%.  Few values can agree by chance:
+    for the error, a dispersion of 15% counts as one more value, so the
+    variance is ``((n - 1) tau^2 + (0.15 m)^2) / n`` with n degrees of freedom.
 
     Parameters
     ----------
@@ -64,10 +66,11 @@ def random_effects(values, errors, settings=DEFAULT):
     x, e = np.asarray(values, dtype=float), np.asarray(errors, dtype=float)
     n = len(x)
     if n == 1:
-        error = np.hypot(e[0], settings.lone_dispersion * abs(x[0]))
+        error = np.hypot(e[0], settings.lone_dispersion * x[0])
         return Population(float(x[0]), float(error), np.nan, np.nan)
-    (m,), covariance, tau, w = scattered_fit(np.ones((n, 1)), x, e)
-    error = np.sqrt(covariance[0, 0]) * stdtrit(n - 1, 0.8413)
+    (m,), _, tau, w = scattered_fit(np.ones((n, 1)), x, e)
+    variance = ((n - 1) * tau**2 + (settings.lone_dispersion * m) ** 2) / n
+    error = np.sqrt((w**2 * (e**2 + variance)).sum()) / w.sum() * stdtrit(n, 0.8413)
     # The sum of squares is distributed as chi-square with n - 1 degrees of freedom.
     total = 1 / w.mean()
     tau_error = total / np.sqrt(2 * (n - 1)) / max(tau, np.sqrt(total) / 2)
@@ -139,7 +142,7 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
 
     The statistic is the ratio of the largest likelihood of a mixture of two
     log-normal distributions, with a common dispersion of at most 25%, to that
-    of one normal or log-normal distribution of any dispersion.  Its
+    of one normal, log-normal or uniform distribution of any dispersion.  Its
     distribution for one stream is simulated by drawing as many features, with
     the same errors, from the one stream that fits (parametric bootstrap;
     McLachlan 1987, Appl. Stat. 36, 318).
@@ -178,13 +181,9 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
         return 1.0, np.zeros(len(speed), dtype=bool)
     order = np.argsort(np.abs(speed))
     y, e = np.log(np.abs(speed))[order], (error / np.abs(speed))[order]
-    one, mean, tau, linear = (v[0] for v in _one(y[None], e[None], one_of))
+    one, mean, tau, family = (v[0] for v in _one(y[None], e[None], one_of))
     two, split = (v[0] for v in _two(y[None], e[None], two_of))
-    width = np.sqrt(tau**2 * len(y) / (len(y) - 1) + e**2)
-    trials = width * rng.normal(size=(n_trials, len(y)))
-    # The speeds of a stream have one direction.
-    trials = np.log(np.abs(1 + trials)) if linear else trials
-    trials += mean
+    trials = mean + _draw(FAMILIES[int(family)], tau, e, (n_trials, len(y)), rng)
     sort = np.argsort(trials, axis=1)
     trials = np.take_along_axis(trials, sort, axis=1)
     errors = np.take_along_axis(np.broadcast_to(e, trials.shape), sort, axis=1)
@@ -202,13 +201,16 @@ def _log_normal(y, e, m, tau):
 
 def _one(y, e, dispersions):
     """
-    Return the largest log-likelihood of one stream, normal or log-normal, per trial.
+    Return the largest log-likelihood of one stream of any family, per trial.
 
-    The logarithm of its mean, its relative dispersion and whether it is normal
-    are returned as well.
+    The logarithm of its mean, its relative dispersion (of a uniform
+    distribution the half-width) and the index of its family are returned as
+    well.
     """
+    n = y.shape[1]
     best = np.full((4, len(y)), -np.inf)
-    v, size = np.exp(y), np.exp(y).mean(axis=1, keepdims=True)
+    v = np.exp(y)
+    size = v.mean(axis=1, keepdims=True)
     for tau in dispersions:
         w = 1 / (e**2 + tau**2)
         m = (w * y).sum(axis=1) / w.sum(axis=1)
@@ -219,7 +221,24 @@ def _one(y, e, dispersions):
         m = (w * v).sum(axis=1, keepdims=True) / w.sum(axis=1, keepdims=True)
         value = y - 0.5 * (w * (v - m) ** 2 - np.log(w))
         _keep_better(best, value.sum(axis=1), np.log(m[:, 0]), tau, 1)
+    low, high = v.min(axis=1), v.max(axis=1)
+    width = np.maximum(high - low, 1e-9 * high)
+    value = y.sum(axis=1) + n * (0.5 * np.log(2 * np.pi) - np.log(width))
+    middle = 0.5 * (low + high)
+    _keep_better(best, value, np.log(middle), 0.5 * width / middle, 2)
     return best
+
+
+def _draw(family, tau, e, shape, rng):
+    """Return logarithms of speeds of one stream, divided by its mean."""
+    n = shape[1]
+    if family == "uniform":
+        # n values span (n - 1) / (n + 1) of the width of their distribution.
+        true = 1 + tau * (n + 1) / (n - 1) * rng.uniform(-1, 1, shape)
+        return np.log(np.abs(true * (1 + e * rng.normal(size=shape))))
+    scatter = np.sqrt(tau**2 * n / (n - 1) + e**2) * rng.normal(size=shape)
+    # The speeds of a stream have one direction.
+    return np.log(np.abs(1 + scatter)) if family == "normal" else scatter
 
 
 def _keep_better(best, value, *what):
