@@ -19,7 +19,7 @@ from common import Sampler, write_table
 from distributed import Client, LocalCluster
 
 from astro_scc.cli.sources import read_survey
-from astro_scc.cli.survey_run import run_survey
+from astro_scc.cli.survey import run_survey
 from astro_scc.simulation import simulate_two_fluid
 
 HEAD = """\
@@ -58,7 +58,7 @@ def tables(folder):
 
 def ready(source):
     """Measure a source in a worker, so that it imports everything it needs."""
-    from astro_scc.cli.survey_run import measure_source
+    from astro_scc.cli.survey import measure_source
 
     with tempfile.TemporaryDirectory() as folder:
         measure_source(source, folder)

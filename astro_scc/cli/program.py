@@ -7,18 +7,10 @@ import re
 import signal
 import sys
 from contextlib import ExitStack, contextmanager, suppress
+from textwrap import dedent
 
 from astro_scc import __version__
-from astro_scc.cli import (
-    demo,
-    inspect,
-    measure,
-    profile,
-    restore,
-    simulate,
-    survey,
-    track,
-)
+from astro_scc.cli import inspect, measure, profile, restore, simulate, survey, track
 from astro_scc.cli.options import add_switch
 from astro_scc.cli.reporter import Reporter
 
@@ -28,7 +20,7 @@ USER_ERRORS = (ValueError, TypeError, OSError, MemoryError, ImportError)
 # Signals handled like an interrupt: from `kill` and batch systems, and from a terminal
 # that is closed.
 SIGNALS = ("SIGTERM", "SIGHUP")
-COMMANDS = (demo, simulate, restore, inspect, measure, profile, track, survey)
+COMMANDS = (simulate.Demo, simulate, restore, inspect, measure, profile, track, survey)
 
 
 class Parser(argparse.ArgumentParser):
@@ -39,6 +31,13 @@ class Parser(argparse.ArgumentParser):
         super().__init__(allow_abbrev=False, **options)
         # "-112deg" must be a value, not an option, as "-112" already is to argparse.
         self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def parse_known_args(self, args=None, namespace=None):
+        """Refuse unknown arguments in the name of the command that got them."""
+        known, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return known, unknown
 
     def error(self, message):
         """Print the error as one line and exit with status 2."""
@@ -89,10 +88,10 @@ def build_parser():
     )
     for module in COMMANDS:
         # The docstring of a command is its help; python -OO has no docstrings.
-        doc = (module.__doc__ or "").strip()
+        doc = dedent(module.__doc__ or "").strip()
         brief, text, more = [*doc.split("\n\n", 2), "", "", ""][:3]
         command = commands.add_parser(
-            module.__name__.rpartition(".")[2],
+            module.__name__.rpartition(".")[2].lower(),
             help=brief[:1].lower() + brief[1:].rstrip("."),
             description=text,
             epilog=more,

@@ -18,16 +18,23 @@ examples:
   astro-scc simulate jet jet --motion 0.4 --dispersion 0.2 --vlba
 """
 
+import math
+import re
+from dataclasses import replace
 from pathlib import Path
 
-from astro_scc.cli.inputs import draw_seed, option_of
+from astro_scc.cli.inputs import draw_seed, option_of, read_epochs
+from astro_scc.cli.measure import STALE, measure, write_measurement
 from astro_scc.cli.options import (
     add_option,
+    add_output,
     add_overwrite,
     add_setting,
     add_switch,
     option_name,
 )
+from astro_scc.cli.summary import component_lines, table_lines
+from astro_scc.settings import Settings
 
 JETS = ("two-fluid", "random-velocity", "ballistic", "static", "unrelated", "jet")
 # Type and help of each option; `PARAMETERS` has their names in simulate_jet.
@@ -42,6 +49,10 @@ FLOW = {
     "alignment_error": (float, "shift of each image, rms in beams; default 0"),
 }
 PARAMETERS = {"motion": "speed", "features": "n_features", "epochs": "n_epochs"}
+#: Seed and trials of the demonstration.
+SEED, N_TRIALS = 1, 1000
+# Columns of the jet that are measured, from 0 (Mertens & Lobanov 2016, Sect. 2.4).
+FIRST, LAST = 60, 160
 
 
 def add_arguments(parser):
@@ -93,7 +104,10 @@ def run(args, reporter):
     seed = draw_seed(option_of(args, "seed"))
     folder = Path(args.output)
     with product_folder(folder, overwrite=args.overwrite) as part:
-        jet = simulated(args.jet, seed=seed, **given)
+        try:
+            jet = simulated(args.jet, seed=seed, **given)
+        except ValueError as error:
+            raise ValueError(_of_option(str(error))) from None
         if vlba:
             jet = observe(jet, rng=seed)
         *images, _ = write_simulation(jet, part)
@@ -101,3 +115,86 @@ def run(args, reporter):
         f"{len(images)} epochs and truth.ecsv in {folder} (seed {seed}); next:\n"
         f"  astro-scc measure {folder}/*.fits -o {folder}-measured"
     )
+
+
+def _of_option(message):
+    """Return a message on a parameter of a jet with the option that sets it."""
+    found = re.fullmatch(r"(?:flow '(\w+)': )?(\w+)(.*)", message)
+    flow, name, text = found.groups() if found else (None, "", "")
+    options = {parameter: option for option, parameter in PARAMETERS.items()}
+    name = "standing" if flow == "standing" else options.get(name, name)
+    return f"{option_name(name)}{text}" if name in FLOW else message
+
+
+class Demo:
+    """
+    Simulate the two-fluid jet of the paper and measure it.
+
+    Simulate the two-fluid jet of Mertens & Lobanov (2016), a slow sheath around a
+    fast spine, measure it and write the report.  No input is needed.
+
+    The folder gets the products of astro-scc measure, the images in epochs/ and
+    the region in region.reg.
+    """
+
+    @staticmethod
+    def add_arguments(parser):
+        """Add the arguments of the command."""
+        add_output(parser, "images and report", default="astro_scc_demo")
+
+    @staticmethod
+    def run(args, reporter):
+        """Simulate a jet, measure it, and print both results."""
+        from astro_scc.measurement import product_folder
+        from astro_scc.simulation import write_simulation
+
+        output = Path(args.output)
+        jet = simulated("two-fluid", seed=SEED)
+        with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:
+            *files, _ = write_simulation(jet, folder / "epochs")
+            _write_region(folder / "region.reg", jet.cube.shape[1:])
+            settings = Settings(
+                epochs=[str(output / "epochs" / path.name) for path in files],
+                scales="1,2,3",
+                max_speed="36 mas/yr",
+                position_angle="270 deg",
+                n_trials=N_TRIALS,
+                seed=SEED,
+            )
+            cube, settings, _ = read_epochs(settings, files=files, note=reporter.note)
+            settings = replace(settings, region=str(output / "region.reg"))
+            result = measure(cube, settings, reporter, region=folder / "region.reg")
+            components = write_measurement(
+                result, settings, folder, output=output, warnings=reporter.warnings
+            )
+        for line in (
+            *_truth_lines(jet),
+            "",
+            "Measured:",
+            *component_lines(components, result.features),
+        ):
+            reporter.say(line)
+        reporter.say(f"\nReport: {output / 'report.html'}")
+
+
+def _write_region(path, shape):
+    """Write the jet between ``FIRST`` and ``LAST`` as a DS9 region."""
+    from regions import PixCoord, RectanglePixelRegion, Regions
+
+    centre = PixCoord((FIRST + LAST) / 2, (shape[0] - 1) / 2)
+    box = RectanglePixelRegion(centre, LAST - FIRST + 1, shape[0])
+    Regions([box]).write(path, format="ds9", precision=12)
+
+
+def _truth_lines(jet):
+    """Return the simulated velocities as lines."""
+    head = ["stream", "proper motion (mas / yr)", "PA (deg)"]
+    rows = []
+    for name in dict.fromkeys(jet.truth["group"]):
+        own = jet.truth[jet.truth["group"] == name]
+        east, north = (
+            own[f"pm_{axis}"].mean().to_value("mas / yr") for axis in ("east", "north")
+        )
+        angle = math.degrees(math.atan2(east, north)) % 360
+        rows.append([str(name), f"{math.hypot(east, north):.2f}", f"{angle:.0f}"])
+    return ["Simulated:", *table_lines(head, rows)]

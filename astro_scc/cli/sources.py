@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Read the sources of a survey from a file."""
+"""Sources of a survey: read from a file, and their components in one table."""
 
 import glob
 import hashlib
@@ -11,8 +11,9 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+from astropy.table import Column, QTable, vstack
 
-from astro_scc.measurement import versions
+from astro_scc.measurement import component_table, false_discovery_rate, versions
 from astro_scc.settings import OPTIONS, Settings, check_setting, override, read_toml
 
 __all__ = ["read_survey"]
@@ -27,6 +28,14 @@ LONGEST = 60
 SUM = re.compile(r"-[0-9a-f]{6}$", re.IGNORECASE)
 #: Names that Windows reserves for devices.
 RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+#: Columns that identify a row of the table, and their descriptions.
+HEAD = {
+    "source": "name of the source",
+    "region": "name of the region, all without one",
+    "scale_group": "name of the scale group, all without one",
+    "status": "measured, empty (searched, nothing to test) or failed",
+    "message": "why there is no component",
+}
 
 
 @dataclass(frozen=True)
@@ -244,3 +253,66 @@ def folder_names(names):
             code = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()
             plain[name] = f"{text}-{code[:6]}"
     return plain
+
+
+# -- the table -------------------------------------------------------------------
+
+
+def survey_table(outcomes, output):
+    """
+    Return the components of all sources as one table.
+
+    Parameters
+    ----------
+    outcomes : sequence of `~astro_scc.cli.survey.Outcome`
+    output : path
+        Folder of the survey.
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        See `~astro_scc.cli.survey.run_survey`.
+    """
+    tables = {
+        outcome: QTable.read(
+            Path(output, outcome.folder, "components.ecsv"), format="ascii.ecsv"
+        )
+        for outcome in outcomes
+        if outcome.folder
+    }
+    adjusted = false_discovery_rate(tables)
+    empty, *_ = false_discovery_rate([component_table([])])
+    if any("beta_app" in table.colnames for table in adjusted.values()):
+        for name in ("beta_app", "beta_app_err"):
+            empty[name] = [] * u.one
+    rows = [_with_head(empty, None)]
+    for outcome in outcomes:
+        own = adjusted.get(outcome, ())
+        rows.append(_with_head(own if len(own) else None, outcome))
+    table = vstack(rows, metadata_conflicts="silent")
+    table.meta.clear()
+    table.meta["versions"] = versions()
+    searched = sum(max(len(own), 1) for own in adjusted.values())
+    table.meta["false_discovery"] = {"method": "bh", "n_tests": searched}
+    # A source has one redshift and cosmology, or one distance, in all its parts.
+    how = ("redshift", "cosmology", "distance")
+    table.meta["speeds_in_c"] = {
+        outcome.source: {name: own.meta[name] for name in how if name in own.meta}
+        for outcome, own in tables.items()
+        if "beta_app" in own.colnames
+    }
+    return table
+
+
+def _with_head(components, outcome):
+    """Return components, or one row without any, after the columns of ``HEAD``."""
+    n = 1 if components is None else len(components)
+    table = QTable()
+    for name, description in HEAD.items():
+        values = [] if outcome is None else [getattr(outcome, name)] * n
+        table[name] = Column(
+            values, dtype=None if values else "U1", description=description
+        )
+    for name in () if components is None else components.colnames:
+        table[name] = components[name]
+    return table

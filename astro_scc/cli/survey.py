@@ -30,12 +30,41 @@ over all of them, or the reason why there is no component; and in sources/ a fol
 for each source with the products of astro-scc measure, including a report.
 """
 
+import json
+import os
+import shutil
+import traceback
+import warnings
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
-from astro_scc.cli.inputs import workers_of
+from astro_scc.cli.inputs import read_epochs, with_direction, workers_of
+from astro_scc.cli.measure import WORK, write_measurement
 from astro_scc.cli.options import add_no_report, add_output, add_workers
+from astro_scc.cli.reporter import one_line
 from astro_scc.cli.summary import table_lines
+from astro_scc.partial import hold, partial_folder, remove_left, replace_when_complete
+from astro_scc.progress import progress
+
+__all__ = ["run_survey"]
+
+SOURCES, STATE, TABLE, PLAN = "sources", "source.json", "survey.ecsv", "survey.toml"
+#: Prefix of the folder of a source until it is complete.
+PARTIAL = "partial-"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of a region and scale group; ``folder`` has its products."""
+
+    source: str
+    region: str
+    scale_group: str
+    status: str
+    message: str = ""
+    folder: str = ""
 
 
 def add_arguments(parser):
@@ -50,7 +79,6 @@ def add_arguments(parser):
 def run(args, reporter):
     """Run a survey according to the arguments."""
     from astro_scc.cli.sources import read_survey
-    from astro_scc.cli.survey_run import TABLE, run_survey
 
     n_workers = workers_of(args) or 1
     survey = read_survey(args.survey)
@@ -126,3 +154,303 @@ def _summary(table):
     )
     for text, n in Counter(how).items():
         yield f"speeds in c: {text}, sources {n}"
+
+
+# -- the run ---------------------------------------------------------------------
+
+
+def run_survey(
+    survey, output, *, n_workers=1, report=False, done=None, progress_bar=False
+):
+    """
+    Measure all sources of a survey and write one table.
+
+    Parameters
+    ----------
+    survey : Survey
+        See `read_survey`.
+    output : path
+        Folder of the products; on a cluster, all workers must see it.  Sources
+        that an earlier run in this folder finished are not measured again.
+    n_workers : int, str or `dask.distributed.Client`, optional
+        Number of processes, or a Dask scheduler, given by its address or a
+        client; the unit of work is a source.  The results do not depend on it.
+    report : bool, optional
+        Write a report for each region and scale group.
+    done : callable, optional
+        Called for each source that is done, with its name, the list of outcomes
+        of its regions and scale groups, and whether it was finished before.
+    progress_bar : bool, optional
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        A row for each source, region, scale group and component, with the
+        columns of `~astro_scc.measurement.SCCResult.components` and ``p_fdr``
+        over all that was searched, see
+        `~astro_scc.measurement.false_discovery_rate`; a region and scale group
+        without a component has a row with masked numbers.  The table is written
+        to ``survey.ecsv``.
+
+    Raises
+    ------
+    OSError
+        If the folder has other files, another run writes there, or it cannot
+        be written to.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from astro_scc.cli.sources import read_survey
+    >>> from astro_scc.cli.survey import run_survey
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> simulate_two_fluid(n_epochs=5, rng=1).cube.write("jet.fits")
+    >>> text = '''[sources.Jet]
+    ... epochs = "jet.fits"
+    ... scales = [2]
+    ... max_speed = "30 mas/yr"
+    ... n_trials = 20
+    ... '''
+    >>> _ = Path("survey.toml").write_text(text)
+    >>> table = run_survey(read_survey("survey.toml"), "out")
+    >>> set(table["source"].tolist()), set(table["status"].tolist())
+    ({'Jet'}, {'measured'})
+    """
+    from astro_scc.cli.sources import survey_table
+
+    output = Path(output).absolute()
+    work = output / WORK
+    if output.is_dir() and any(output.iterdir()) and not (output / PLAN).is_file():
+        raise OSError(f"{output}: exists and is not of a survey; choose another folder")
+    try:
+        (output / SOURCES).mkdir(parents=True, exist_ok=True)
+        work.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OSError(f"{output}: cannot be made or used: {error.strerror}") from None
+    try:
+        with hold(work):
+            with replace_when_complete(output / PLAN, overwrite=True) as part:
+                part.write_text(survey.text, encoding="utf-8")
+            measure = partial(measure_source, output=output, report=report)
+            try:
+                found = _outcomes(
+                    survey.sources, measure, n_workers, done, progress_bar
+                )
+            finally:
+                # Delete what terminated workers left.
+                remove_left(work, PARTIAL)
+            table = survey_table(found, output)
+            with replace_when_complete(output / TABLE, overwrite=True) as part:
+                table.write(part, format="ascii.ecsv")
+    except BlockingIOError:
+        raise OSError(
+            f"{output}: another run measures a survey here; wait for it, or choose "
+            "another folder"
+        ) from None
+    return table
+
+
+def _outcomes(sources, measure, n_workers, done, progress_bar):
+    """Return the outcomes of the sources, in their order."""
+    from astro_scc.correlation.parallel import as_done
+    from astro_scc.correlation.parallel import workers_of as opened
+
+    found = {}
+    with (
+        opened(n_workers) as workers,
+        progress(len(sources), "Sources", show=progress_bar) as step,
+    ):
+
+        def finish(k, outcomes, before):
+            found[k] = outcomes
+            step(1)
+            if done is not None:
+                done(sources[k].name, outcomes, before)
+
+        for k, source in enumerate(sources):
+            outcomes = finished_outcomes(source, **measure.keywords)
+            if outcomes is not None:
+                finish(k, outcomes, True)
+        left = [k for k in range(len(sources)) if k not in found]
+        for i, outcomes in as_done(measure, (sources[k] for k in left), workers):
+            if isinstance(outcomes, Exception):
+                # The worker failed, not the measurement: it died, or its disk is full.
+                outcomes = _failed(sources[left[i]], outcomes)
+            finish(left[i], outcomes, False)
+    return [outcome for k in range(len(sources)) for outcome in found[k]]
+
+
+def finished_outcomes(source, output, report):
+    """Return the outcomes of a source whose products are complete, else None."""
+    path = Path(output, SOURCES, source.folder, STATE)
+    try:
+        state = json.loads(path.read_text(encoding="utf-8"))
+        if state["key"] != source.key():
+            return None
+        found = [Outcome(**outcome) for outcome in state["outcomes"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    needed = ["components.ecsv", "report.html"][: 1 + report]
+    there = all(
+        outcome.status != "failed" and Path(output, outcome.folder, name).is_file()
+        for outcome in found
+        for name in needed
+    )
+    return found if there else None
+
+
+# -- one source ------------------------------------------------------------------
+
+
+def measure_source(source, output, report=False):
+    """
+    Measure a source in all its regions and scale groups, without raising errors.
+
+    SSPs are correlated once, in all regions and on all scales together; each region and
+    scale group is a stack of its own.  The folder of the source is replaced as a whole
+    when everything is written.  An error becomes the message of an outcome; its
+    traceback is in ``error.txt`` of the folder.
+
+    Parameters
+    ----------
+    source : Source
+    output : path
+        Folder of the survey.
+    report : bool, optional
+
+    Returns
+    -------
+    list of Outcome
+        One for each region and scale group.
+    """
+    output, key = Path(output), source.key()
+    (output / WORK).mkdir(exist_ok=True)
+    with (
+        partial_folder(output / WORK, PARTIAL) as part,
+        warnings.catch_warnings(record=True) as said,
+    ):
+        warnings.simplefilter("always")
+        try:
+            outcomes = _measure(source, output, part, report, said)
+        except Exception as error:
+            _note_error(part)
+            outcomes = _failed(source, error)
+        state = {
+            "key": key,
+            "source": source.name,
+            "outcomes": [asdict(outcome) for outcome in outcomes],
+            "warnings": _lines(said),
+        }
+        (part / STATE).write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
+        final = output / SOURCES / source.folder
+        final.parent.mkdir(exist_ok=True)
+        with partial_folder(output / WORK, PARTIAL) as old:
+            if final.exists():
+                os.replace(final, old / "old")
+            os.replace(part, final)
+    return outcomes
+
+
+def _measure(source, output, part, report, said):
+    """Match a source and measure its parts."""
+    import numpy as np
+
+    from astro_scc.cli.sources import WHOLE, folder_names
+    from astro_scc.epochs.cutout import refuse_pixels
+    from astro_scc.scc import StackedCrossCorrelation
+
+    cube, settings, left_out = read_epochs(source.settings)
+    settings = with_direction(cube, settings)
+    scc = StackedCrossCorrelation.from_settings(settings)
+    masks, failed = {}, {}
+    for name, path in source.regions.items():
+        try:
+            if path is not None and settings.crop is not None:
+                refuse_pixels(path)
+            masks[name] = None if path is None else cube.region_mask(path)
+        except (ValueError, OSError) as error:
+            failed[name] = _reason(error)
+    if masks:
+        inside = list(masks.values())
+        matched = scc.match(
+            cube,
+            region=None if inside[0] is None else np.any(inside, axis=0),
+            cache=output / WORK / f"{source.folder}.fits",
+        )
+    regions = folder_names(list(source.regions))
+    groups = folder_names(list(source.scale_groups))
+    of_all, outcomes = len(said), []
+    for region, group in source.parts:
+        outcome = Outcome(source.name, region, group, "failed", failed.get(region, ""))
+        if region in masks:
+            where = Path(SOURCES, source.folder, regions[region], groups[group])
+            folder = part / regions[region] / groups[group]
+            own = {"region": source.regions[region]}
+            own = replace(settings, scales=source.scale_groups[group], **own)
+            folder.mkdir(parents=True)
+            before = len(said)
+            names = [name for name in (region, group) if name != WHOLE]
+            try:
+                result = _stack(matched, masks[region], own)
+                components = write_measurement(
+                    result,
+                    own,
+                    folder,
+                    output=output / where,
+                    report=report,
+                    title=", ".join([source.name, *names]),
+                    warnings=_lines([*said[:of_all], *said[before:]]),
+                    left_out=left_out,
+                )
+            except Exception as error:
+                shutil.rmtree(folder)
+                _note_error(part, f"{region}, {group}:\n")
+                outcome = replace(outcome, message=_reason(error))
+            else:
+                found = _found(result, components)
+                outcome = replace(outcome, folder=where.as_posix(), **found)
+        outcomes.append(outcome)
+    return outcomes
+
+
+def _stack(matched, inside, settings):
+    """Measure one region and scale group."""
+    from astro_scc.measurement import select_ssps
+    from astro_scc.scc import StackedCrossCorrelation
+
+    scc = StackedCrossCorrelation.from_settings(settings)
+    part = select_ssps(matched, region=inside, scales=scc.scales)
+    return scc.stack(part, n_trials=settings.n_trials, rng=settings.seed)
+
+
+def _found(result, components):
+    """Return the status of a measurement, and the reason if it is empty."""
+    if len(components):
+        return {"status": "measured", "message": ""}
+    searched = result.matched.select.any()
+    message = "match that could be tested"
+    if not searched:
+        message = "significant pattern here on these scales"
+    return {"status": "empty", "message": f"no {message}"}
+
+
+def _failed(source, error):
+    """Return the outcomes of a source that failed as a whole."""
+    reason = _reason(error)
+    return [Outcome(source.name, *names, "failed", reason) for names in source.parts]
+
+
+def _reason(error):
+    """Return an error as one line, with its class unless the text is for users."""
+    known = isinstance(error, ValueError | OSError | Warning) and str(error)
+    return one_line(error) if known else f"{type(error).__name__}: {one_line(error)}"
+
+
+def _note_error(folder, head=""):
+    with open(folder / "error.txt", "a", encoding="utf-8") as file:
+        file.write(f"{head}{traceback.format_exc()}\n")
+
+
+def _lines(said):
+    """Return the recorded warnings as lines, each once."""
+    return sorted({one_line(warning.message) for warning in said})

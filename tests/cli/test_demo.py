@@ -16,7 +16,7 @@ from astro_scc.cli.measure import PRODUCTS
 @pytest.fixture
 def quick(no_figures, monkeypatch):
     """A demo of few trials and no figures."""
-    monkeypatch.setattr("astro_scc.cli.demo.N_TRIALS", 30)
+    monkeypatch.setattr("astro_scc.cli.simulate.N_TRIALS", 30)
 
 
 @pytest.mark.slow

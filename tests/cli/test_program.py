@@ -64,7 +64,8 @@ def test_angles_below_zero_are_no_options(angle):
         ([], "astro-scc: error: the following arguments are required: COMMAND"),
         (["fly"], "astro-scc: error: argument COMMAND: invalid choice: 'fly'"),
         (["restore", "a.ecsv"], "astro-scc restore: error: the following arguments"),
-        (["measure", "--bins", "3", "-o", "x"], "astro-scc: error: unrecognized arg"),
+        (["--foo", "inspect"], "astro-scc: error: unrecognized arguments: --foo"),
+        (["measure", "--bins", "3"], "astro-scc measure: error: unrecognized arg"),
         (["simulate", "jets", "x"], "astro-scc simulate: error: argument JET: invalid"),
         (["simulate", "static", "x", "--epochs", "b"], "astro-scc simulate: error: "),
     ],
@@ -77,7 +78,9 @@ def test_arguments_that_are_not_understood(capsys, argv, line):
     assert out == ""
     assert err.startswith(line)
     assert len(err.splitlines()) == 1
-    assert err.rstrip().endswith("--help")
+    # The help of the command, if there is one.
+    program = line.partition(":")[0]
+    assert err.endswith(f"; see {program} --help\n")
 
 
 def test_an_interrupt_is_one_line(astro_scc, here, monkeypatch):

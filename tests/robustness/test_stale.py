@@ -11,7 +11,7 @@ import pytest
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli.sources import read_survey
-from astro_scc.cli.survey_run import run_survey
+from astro_scc.cli.survey import run_survey
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 

@@ -15,7 +15,7 @@ from astropy.table import QTable
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import main
 from astro_scc.cli.sources import folder_names, read_survey
-from astro_scc.cli.survey_run import measure_source, run_survey
+from astro_scc.cli.survey import measure_source, run_survey
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.choices import choose_direction
@@ -211,7 +211,7 @@ def test_interrupted_and_started_again(serial, folder, tmp_path, capsys, monkeyp
         return measure_source(source, output, report)
 
     with monkeypatch.context() as patch:
-        patch.setattr("astro_scc.cli.survey_run.measure_source", interrupted)
+        patch.setattr("astro_scc.cli.survey.measure_source", interrupted)
         argv = (folder / "survey.toml", "-o", out, "--no-report")
         assert run_main(*argv, "--quiet") == 130
     assert "the same command goes on" in capsys.readouterr().err
@@ -461,7 +461,7 @@ def test_a_mistake_of_the_program_is_a_failed_source(folder, tmp_path, monkeypat
     def wrong(*args, **kwargs):
         raise AssertionError("odd")
 
-    monkeypatch.setattr("astro_scc.cli.survey_run.write_measurement", wrong)
+    monkeypatch.setattr("astro_scc.cli.survey.write_measurement", wrong)
     source = read_survey(folder / "survey.toml").sources[1]
     outcomes = measure_source(source, tmp_path)
     assert {(o.status, o.message) for o in outcomes} == {
