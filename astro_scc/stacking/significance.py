@@ -17,6 +17,8 @@ from astro_scc.stacking.streams import (
 )
 from astro_scc.stacking.velocities import VelocitySamples
 
+#: What needs more than so many times the epochs is out of reach.
+MOST_EPOCHS = 10
 
 @dataclass(frozen=True, eq=False)
 class Stream:
@@ -225,14 +227,19 @@ def find_streams(
     )
 
 
-def classify(along, p_global, features, permutations, alpha, settings):
+def classify(along, z, p_global, features, permutations, alpha, settings):
     """
-    Return the kind of a stream, and the reason if it is not significant.
+    Return the kind of a stream; if it is not significant, why and what is needed.
+
+    The matches of a stream grow in proportion to the number of epochs, and their
+    scatter under permutations as its square root, so ``(z_alpha / z)^2`` times as
+    many epochs give a significance ``z_alpha``.
 
     Parameters
     ----------
     along : `~astro_scc.stacking.streams.Population`
-    p_global : float
+    z, p_global : float
+        Significance of the mean speed, and its probability.
     features : sequence of `~astro_scc.stacking.Feature`
     permutations : `~astro_scc.stacking.EpochPermutations`
     alpha : float
@@ -248,6 +255,9 @@ def classify(along, p_global, features, permutations, alpha, settings):
         )
     elif p_global > alpha:
         reason = "permuted epochs give as strong a peak (p_global above alpha)"
+        more = (np.quantile(permutations.maxima, 1 - alpha) / max(z, 1e-9)) ** 2
+        if 1 < more <= MOST_EPOCHS:
+            reason += f"; if it is real, {more:.1f} times as many epochs should show it"
     elif not features:
         reason = "no single feature is seen to move at this speed"
     elif (
@@ -255,7 +265,9 @@ def classify(along, p_global, features, permutations, alpha, settings):
     ) < settings.least_motion:
         reason = (
             f"its features move {moved:.1f} beams, added in squares, less than "
-            f"{settings.least_motion:g}: blends of standing features drift as far"
+            f"{settings.least_motion:g}: blends of standing features drift as far; "
+            f"followed {settings.least_motion / moved:.1f} times as long, they would "
+            "move enough"
         )
     elif abs(along.mean) <= settings.rest_errors * along.error:
         reason = f"rest is within {settings.rest_errors:g} errors of the speed (95%)"
@@ -378,8 +390,9 @@ def _population(features, settings):
 def _stream(axis, along, across, features, alpha, p_distinct=None):
     """Return a stream, tested at its mean speed."""
     p_local, p_global = axis.p_values(along.mean)
+    z = float(axis.z(along.mean))
     kind, reason = classify(
-        along, p_global, features, axis.permutations, alpha, axis.settings
+        along, z, p_global, features, axis.permutations, alpha, axis.settings
     )
     return Stream(
         kind=kind,
@@ -387,7 +400,7 @@ def _stream(axis, along, across, features, alpha, p_distinct=None):
         angle=axis.angle,
         along=along,
         across=across,
-        z=float(axis.z(along.mean)),
+        z=z,
         p_local=p_local,
         p_global=p_global,
         p_distinct=p_global if p_distinct is None else p_distinct,
