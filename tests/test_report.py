@@ -270,7 +270,7 @@ def test_what_does_not_move_is_no_discovery(result, tmp_path, quick):
     table = result.components.copy()
     table["kind"] = "stationary"
     words = words_of(result, table, tmp_path)
-    assert "No significant motion: features are stationary within their err" in words
+    assert "No significant motion: all features are stationary within their" in words
     assert "Components 1 and 2: stationary, no motion within the errors." in words
     assert "2: not significant" not in words
 

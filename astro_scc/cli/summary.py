@@ -100,7 +100,13 @@ def _answer(components, kinds):
     """Return the result of a measurement as a sentence."""
     found = [row for row, k in zip(components, kinds, strict=True) if k == "moving"]
     if not found:
-        return "No significant motion was found."
+        text = "No significant motion was found"
+        for row, kind in zip(components, kinds, strict=True):
+            if kind == "not significant":
+                speed = f"{plus_minus(row, 'pm')} {row['pm'].unit}"
+                p_value = f"{row['p_global']:.2g}"
+                return f"{text}: {speed}, the strongest, has p_global {p_value}."
+        return f"{text}: all features are stationary within their errors."
     speeds = []
     for row in found:
         in_c = "".join(f" ({speed} c)" for speed in _in_c(row).values())

@@ -20,6 +20,7 @@ from astro_scc.stacking.velocities import VelocitySamples
 #: What needs more than so many times the epochs is out of reach.
 MOST_EPOCHS = 10
 
+
 @dataclass(frozen=True, eq=False)
 class Stream:
     """

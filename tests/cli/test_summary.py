@@ -47,9 +47,20 @@ def test_summary(radial):
 
 
 def test_summary_of_chance(radial):
-    table = radial[1:2]
+    table = radial[1:2].copy()
     lines = component_lines(table)
-    assert lines[0] == "No significant motion was found."
+    speed = plus_minus(table[0], "pm")
+    p = f"{table['p_global'][0]:.2g}"
+    assert lines[0] == (
+        f"No significant motion was found: {speed} mas / yr, the strongest, has "
+        f"p_global {p}."
+    )
+    table["kind"] = "stationary"
+    assert component_lines(table)[0] == (
+        "No significant motion was found: all features are stationary within their "
+        "errors."
+    )
+    table["kind"] = "not significant"
     assert lines[-1].endswith(" is not significant: permuted")
     nothing = component_lines(table[:0])
     assert nothing[0].startswith("No pattern has a match in another epoch")

@@ -58,9 +58,7 @@ def feature(speed, motion=2.0):
 class TestClassify:
     """Of what is significant in every respect, one thing after the other is not."""
 
-    def kind(
-        self, mean=0.5, z=2.0, p_global=0.01, motions=(1.2, 1.3), smallest_p=0.01
-    ):
+    def kind(self, mean=0.5, z=2.0, p_global=0.01, motions=(1.2, 1.3), smallest_p=0.01):
         along = Population(mean, 0.1, 0.05, 0.02)
         features = [feature(mean, motion) for motion in motions]
         permutations = SimpleNamespace(smallest_p=smallest_p, maxima=np.full(99, 4.0))

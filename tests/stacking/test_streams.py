@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
-from scipy.stats import norm, uniform, t
+from scipy.stats import norm, t, uniform
 
 from astro_scc.stacking import Feature, SearchSettings, Stream, random_effects
 from astro_scc.stacking.errors import alignment_response
