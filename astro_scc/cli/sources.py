@@ -14,6 +14,7 @@ import numpy as np
 from astropy.table import Column, QTable, vstack
 
 from astro_scc.measurement import component_table, false_discovery_rate, versions
+from astro_scc.quantities import finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, check_setting, override, read_toml
 
 __all__ = ["read_survey"]
@@ -47,6 +48,7 @@ class Source:
     settings: Settings = field(hash=False)
     regions: dict = field(hash=False)
     scale_groups: dict = field(hash=False)
+    published: u.Quantity | None = field(default=None, hash=False)
 
     @property
     def parts(self):
@@ -104,9 +106,9 @@ def read_survey(path):
     path : path
         A TOML file with a table ``[sources.NAME]`` for each source, with its
         ``epochs``, ``regions`` (a table of region files), ``scale_groups`` (a
-        table of scales) and any setting of a measurement; and a table
-        ``[defaults]`` for what a source does not set.  Paths are relative to
-        the file.
+        table of scales), ``published_pm`` to compare with, and any setting of a
+        measurement; and a table ``[defaults]`` for what a source does not set.
+        Paths are relative to the file.
 
     Returns
     -------
@@ -152,9 +154,14 @@ def read_survey(path):
     found = []
     for name, values in sources.items():
         where = f"{path}: sources.{name}"
+        values = dict(_table(values, where))
+        published = values.pop("published_pm", None)
         given = override(defaults, _known(values, where))
         try:
-            found.append(_source(name, folders[name], given, path.absolute().parent))
+            if published is not None:
+                published = named("published_pm", _published_pm, published)
+            source = _source(name, folders[name], given, path.absolute().parent)
+            found.append(replace(source, published=published))
         except ValueError as error:
             setting = getattr(error, "setting", None)
             if setting is not None and setting not in values:
@@ -179,9 +186,19 @@ def _known(values, where):
         ):
             raise ValueError(
                 f"{where}: {name} is no setting of a survey; they are regions, "
-                "scale_groups and those of astro-scc measure but region"
+                "scale_groups, published_pm of a source, and those of astro-scc "
+                "measure but region"
             )
     return values
+
+
+def _published_pm(value):
+    """Return a published speed, or a speed and its error."""
+    wanted = 'must be a speed, or one and its error, such as "0.9 0.1 mas/yr"'
+    found = finite_quantities(value, u.mas / u.yr, wanted)
+    if found.size > 2 or np.any(found < 0):
+        raise ValueError(wanted)
+    return found
 
 
 def _source(name, folder, given, base):

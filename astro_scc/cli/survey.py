@@ -24,10 +24,12 @@ survey.toml:
 [defaults] and each source may hold any setting of a configuration of astro-scc measure
 except region.  Paths are relative to the file.  A source that fails does not stop the
 others.  Run again with the same folder, the command resumes: sources that are finished
-with the same settings, files and versions are not measured again.  The folder gets
-survey.ecsv, with a row for each source, region, scale group and component, and p_fdr
-over all of them, or the reason why there is no component; and in sources/ a folder
-for each source with the products of astro-scc measure, including a report.
+with the same settings, files and versions are not measured again.  published_pm of a
+source, "0.9 0.1 mas/yr", is shown beside the measured speed.  The folder gets
+overview.html, with a row for each source; survey.ecsv, with a row for each source,
+region, scale group and component, and p_fdr over all of them, or the reason why there
+is no component; and in sources/ a folder for each source with the products of
+astro-scc measure, including a report.
 """
 
 import json
@@ -65,6 +67,9 @@ class Outcome:
     status: str
     message: str = ""
     folder: str = ""
+    n_epochs: int = 0
+    first: str = ""
+    last: str = ""
 
 
 def add_arguments(parser):
@@ -108,7 +113,7 @@ def run(args, reporter):
     path = Path(args.output) / TABLE
     if statuses == {"failed"}:
         raise ValueError(f"no source could be measured; {path} says why")
-    reporter.say(f"\nTable: {path}")
+    reporter.say(f"\nTable: {path}\nOverview: {path.with_name('overview.html')}")
     if not args.no_report:
         reporter.say(f"Reports: {Path(args.output) / 'sources'}")
 
@@ -190,7 +195,7 @@ def run_survey(
         over all that was searched, see
         `~astro_scc.measurement.false_discovery_rate`; a region and scale group
         without a component has a row with masked numbers.  The table is written
-        to ``survey.ecsv``.
+        to ``survey.ecsv``, and its overview to ``overview.html``.
 
     Raises
     ------
@@ -217,6 +222,7 @@ def run_survey(
     ({'Jet'}, {'measured'})
     """
     from astro_scc.cli.sources import survey_table
+    from astro_scc.report.page import write_overview
 
     output = Path(output).absolute()
     work = output / WORK
@@ -242,6 +248,8 @@ def run_survey(
             table = survey_table(found, output)
             with replace_when_complete(output / TABLE, overwrite=True) as part:
                 table.write(part, format="ascii.ecsv")
+            published = {source.name: source.published for source in survey.sources}
+            write_overview(table, found, output, published=published)
     except BlockingIOError:
         raise OSError(
             f"{output}: another run measures a survey here; wait for it, or choose "
@@ -380,8 +388,15 @@ def _measure(source, output, part, report, said):
     regions = folder_names(list(source.regions))
     groups = folder_names(list(source.scale_groups))
     of_all, outcomes = len(said), []
+    seen = {
+        "n_epochs": len(cube),
+        "first": cube.times[0].isot,
+        "last": cube.times[-1].isot,
+    }
     for region, group in source.parts:
-        outcome = Outcome(source.name, region, group, "failed", failed.get(region, ""))
+        outcome = Outcome(
+            source.name, region, group, "failed", failed.get(region, ""), **seen
+        )
         if region in masks:
             where = Path(SOURCES, source.folder, regions[region], groups[group])
             folder = part / regions[region] / groups[group]

@@ -1,10 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Write a measurement as one page; its sentences are in the template."""
+"""Write a measurement, or a survey, as one page; the templates have the sentences."""
 
 import base64
 import io
 import math
-from importlib import resources
 from pathlib import Path
 
 import astropy.units as u
@@ -97,7 +96,7 @@ def write_report(
     except FileExistsError:
         raise OSError(f"{directory}: is a file; choose another folder") from None
     figures = draw_figures(result, components)
-    page = _template().render(
+    page = _template("page.html").render(
         **_findings(result, components),
         title=str(title),
         warnings=[str(warning) for warning in warnings],
@@ -120,10 +119,11 @@ def write_report(
     return directory / "report.html"
 
 
-def _template():
+def _template(name):
     import jinja2
 
     environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("astro_scc", "report"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -136,8 +136,40 @@ def _template():
         "with_error": with_error,
         "word": lambda n: NUMBERS[n] if n < len(NUMBERS) else str(n),
     }
-    text = resources.files("astro_scc.report").joinpath("page.html")
-    return environment.from_string(text.read_text(encoding="utf-8"))
+    return environment.get_template(name)
+
+
+def write_overview(table, parts, folder, *, published):
+    """
+    Write ``overview.html``, a page with a row for each source of a survey.
+
+    Parameters
+    ----------
+    table : `~astropy.table.QTable`
+        Of `~astro_scc.cli.survey.run_survey`, which is in this folder too.
+    parts : sequence of `~astro_scc.cli.survey.Outcome`
+        The regions and scale groups of the sources; their products are read.
+    folder : path
+        Folder of the survey.
+    published : dict of str to `~astropy.units.Quantity` or None
+        Published speed of each source, with its error if there are two numbers.
+
+    Returns
+    -------
+    `~pathlib.Path`
+        Path of the page.
+    """
+    path = Path(folder) / "overview.html"
+    found = tables.overview(table, parts, path.parent, published)
+    page = _template(path.name).render(
+        **found,
+        title="Survey of proper motions",
+        products=["survey.ecsv", "survey.toml"],
+        versions=table.meta.get("versions", {}),
+    )
+    with replace_when_complete(path, overwrite=True) as part:
+        part.write_text(page, encoding="utf-8")
+    return path
 
 
 def _listed(words):

@@ -1,11 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Components, epochs and settings as rows of text."""
+"""Components, epochs, settings and sources of a survey as rows of text."""
 
 import re
+from collections import defaultdict
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+from astropy.table import QTable
+from astropy.time import Time
 
+from astro_scc.flow.binned import LEAST, MOST_BINS
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.quantities import with_error
@@ -38,6 +43,24 @@ COLUMNS = (
     ("p_smallest", "smallest p_global", 3),
     ("note", "note", 0),
 )
+#: Columns of the page of a survey.
+OVERVIEW = {
+    "source": "source",
+    "n_epochs": "epochs",
+    "span": "span",
+    "pm": "speed ({unit})",
+    "beta_app": "speed (c)",
+    "published": "published ({unit})",
+    "kind": "kind",
+    "p_global": "p_global",
+    "p_fdr": "p_fdr",
+    "n_features": "features",
+    "profile": "profile",
+}
+#: Kinds of a source that has components of several, the first of those there are.
+OF_SOURCE = ("moving", "not significant", "stationary", "empty", "failed")
+#: Width and height of a small profile.
+SPARK = (144, 34)
 #: Entries of a table's meta that are elsewhere on the page.
 NO_SETTINGS = ("versions", "history", "configuration")
 
@@ -256,3 +279,161 @@ def _text(value):
     if isinstance(value, dict) and "cosmology" in value:
         return cosmology_text(value)
     return " ".join(str(value).split())
+
+
+# -- surveys ---------------------------------------------------------------------
+
+
+def overview(table, parts, folder, published):
+    """
+    Return what the page of a survey shows.
+
+    Parameters
+    ----------
+    table, parts, folder, published
+        See `~astro_scc.report.page.write_overview`.
+
+    Returns
+    -------
+    dict
+        ``rows``, one for each part, with text for each of ``columns``; ``kinds``
+        of the sources; ``speeds``, the range of those that move; ``compared``,
+        their differences from published speeds in standard errors.
+    """
+    from astro_scc.visualization.style import speed_unit
+
+    every = np.ma.filled(np.ma.asarray(table["pm"].to_value(PM_UNIT)), np.nan)
+    unit = speed_unit(np.nanmax(every, initial=0.0))
+    first, kinds = {}, defaultdict(set)
+    for row in table:
+        first.setdefault(tuple(row["source", "region", "scale_group"]), row)
+        measured = row["status"] == "measured"
+        kinds[row["source"]].add(str(row["kind" if measured else "status"]))
+    rows, moving, compared = [], [], []
+    for part in parts:
+        row = first[part.source, part.region, part.scale_group]
+        known = published[part.source]
+        if known is not None:
+            known = _value_and_error(known, unit)
+        cells = _part_cells(part, row, unit, known)
+        if cells["kind"] == "moving":
+            moving.append(row["pm"].to_value(unit))
+            if known is not None:
+                compared.append(abs(_difference(row, known, unit)))
+        if row["status"] == "measured":
+            report = f"{part.folder}/report.html"
+            cells["link"] = report if Path(folder, report).is_file() else ""
+            path = Path(folder, part.folder, "features.ecsv")
+            cells["profile"] = _small_profile(path, unit)
+        rows.append(cells)
+    seen = {name for cells in rows for name, text in cells.items() if text}
+    columns = [
+        (name, label.format(unit=unit_text(unit)))
+        for name, label in OVERVIEW.items()
+        if name in seen
+    ]
+    speeds = ""
+    if moving:
+        middle, *ends = (f"{f(moving):.2g}" for f in (np.median, np.min, np.max))
+        speeds = f"{' to '.join(ends)} {unit_text(unit)}, median {middle}"
+    kinds = {
+        source: next(kind for kind in OF_SOURCE if kind in own)
+        for source, own in kinds.items()
+    }
+    return {"rows": rows, "columns": columns, "kinds": kinds, "speeds": speeds,
+            "compared": compared}  # fmt: skip
+
+
+def _part_cells(part, row, unit, published):
+    """Return the text of a region and scale group, without its profile."""
+    names = (part.region, part.scale_group)
+    more = defaultdict(str)
+    cells = dict.fromkeys(OVERVIEW, "") | {"link": "", "source": part.source}
+    cells["part"] = ", ".join(name for name in names if name != "all")
+    cells["more"] = more
+    cells["kind"], more["kind"] = part.status, part.message
+    if part.n_epochs:
+        cells["n_epochs"] = str(part.n_epochs)
+        cells["span"], more["span"] = _span(*Time([part.first, part.last]))
+    if published is not None:
+        known = np.isfinite(published[1])
+        cells["published"] = with_error(*published) if known else f"{published[0]:g}"
+    if part.status != "measured":
+        return cells
+    cells["kind"] = str(row["kind"])
+    more["kind"] = "" if row["note"] == "-" else str(row["note"])
+    cells["pm"] = with_error(*(float(row[k].to_value(unit)) for k in ("pm", "pm_err")))
+    if published is not None:
+        difference = _difference(row, published, unit)
+        more["published"] = f"{difference:+.1f} standard errors"
+    if "beta_app" in row.colnames and not np.any(getattr(row["beta_app"], "mask", 0)):
+        beta = (row[k].to_value(u.one) for k in ("beta_app", "beta_app_err"))
+        cells["beta_app"] = with_error(*map(float, beta))
+    cells["n_features"] = str(row["n_features"])
+    for name in ("p_global", "p_fdr"):
+        tested = cells["kind"] != "stationary"
+        cells[name] = f"{row[name]:.2g}" if tested else "-"
+    return cells
+
+
+def _value_and_error(speed, unit):
+    """Return a published speed and its error, which is NaN if there is none."""
+    value, error, *_ = [*np.atleast_1d(speed.to_value(unit)), np.nan]
+    return float(value), float(error)
+
+
+def _difference(row, published, unit):
+    """Return a speed less a published one, in standard errors of both."""
+    value, error = (row[name].to_value(unit) for name in ("pm", "pm_err"))
+    return (value - published[0]) / np.hypot(error, np.nan_to_num(published[1]))
+
+
+def _span(first, last):
+    """Return the time between two dates in a unit that is easy to read, and both."""
+    span = last - first
+    unit = next((k for k in (u.yr, u.d, u.h) if span >= 1 * k), u.min)
+    form = "%Y-%m" if unit is u.yr else "%Y-%m-%d"
+    days = dict.fromkeys(time.strftime(form) for time in (first, last))
+    return f"{span.to_value(unit):.3g} {unit}", " to ".join(days)
+
+
+def _small_profile(path, unit):
+    """Return the speeds of features against their distances as parts of an SVG."""
+    from astro_scc.visualization.features import LARGE_ERROR
+    from astro_scc.visualization.style import offset_unit
+
+    features = QTable.read(path, format="ascii.ecsv")
+    error = features["pm_err"].value
+    if len(features) == 0:
+        return None
+    features = features[error <= LARGE_ERROR * np.median(error)]
+    distance, component = features["distance"].to_value(u.mas), features["component"]
+    # Outward is positive, also along a component that points to the core.
+    speed = np.where(distance < 0, -1, 1) * features["pm"].to_value(unit)
+    distance = np.abs(distance)
+    low, high = min(speed.min(), 0.0), max(speed.max(), 0.0)
+    far = distance.max()
+
+    def place(x, y):
+        x = SPARK[0] * x / (far or 1.0)
+        return np.round(x, 1), np.round(SPARK[1] * (high - y) / (high - low or 1.0), 1)
+
+    of_first = np.flatnonzero(component == 1)
+    of_first = of_first[np.argsort(distance[of_first])]
+    bins = np.array_split(of_first, max(min(len(of_first) // LEAST, MOST_BINS), 1))
+    line = [
+        place(np.median(distance[own]), np.median(speed[own]))
+        for own in bins
+        if len(own)
+    ]
+    lengths = offset_unit(far)
+    return {
+        "points": [
+            (*place(x, y), int(k))
+            for x, y, k in zip(distance, speed, component, strict=True)
+        ],
+        "line": " ".join(f"{x},{y}" for x, y in line) if len(line) > 1 else "",
+        "zero": place(0, 0.0)[1],
+        "range": f"{far * u.mas.to(lengths):.2g} {unit_text(lengths)}, "
+        f"{high if high > -low else low:.2g} {unit_text(unit)}",
+    }

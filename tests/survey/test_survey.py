@@ -3,6 +3,7 @@
 
 import json
 import os
+import re
 import signal
 import warnings
 from dataclasses import replace
@@ -11,15 +12,19 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.table import QTable
+from astropy.time import Time
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import main
 from astro_scc.cli.sources import folder_names, read_survey
-from astro_scc.cli.survey import measure_source, run_survey
+from astro_scc.cli.survey import Outcome, measure_source, run_survey
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.choices import choose_direction
 from astro_scc.partial import _machine
+from astro_scc.quantities import with_error
+from astro_scc.report.page import write_overview
+from astro_scc.report.tables import _small_profile, _span
 from astro_scc.simulation import simulate_two_fluid
 
 TEXT = """
@@ -35,6 +40,7 @@ regions = {left = "left.reg", right = "right.reg"}
 
 [sources.Two]
 epochs = "two.fits"
+published_pm = "18 2 mas/yr"
 scales = [1, 2]
 scale_groups = {fine = [1], coarse = [2]}
 
@@ -143,6 +149,122 @@ def test_false_discoveries_are_those_of_all(serial):
     np.testing.assert_allclose(np.sort(own[np.isfinite(own)]), every)
 
 
+# -- the overview ------------------------------------------------------------------
+
+
+def test_the_overview_has_a_row_for_every_part(serial):
+    table, out = serial
+    page = (out / "overview.html").read_text(encoding="utf-8")
+    assert re.search(r"Of 3 sources, .* and 1 failed\.</p>", page)
+    body = page.partition("<tbody>")[2].partition("</tbody>")[0]
+    rows = body.split("</tr>")[:-1]
+    assert len(rows) == len(ROWS)
+    for row, names in zip(rows, ROWS, strict=True):
+        assert f">{names[0]}<" in row
+        parts = ", ".join(name for name in names[1:] if name != "all")
+        assert f'<span class="more">{parts}</span>' in row or not parts
+    fine, gone = rows[2], rows[-1]
+    first = table[table["scale_group"] == "fine"][0]
+    speed = with_error(first["pm"].value, first["pm_err"].value)
+    assert f'<span class="pm">{speed}</span>' in fine
+    apart = (first["pm"].value - 18) / np.hypot(first["pm_err"].value, 2)
+    assert f'"published">18.0 ± 2.0</span><span class="more">{apart:+.1f} st' in fine
+    assert '<span class="n_epochs">4</span>' in fine
+    assert "2000-01-01 to 2000-03-31</span>" in fine
+    assert "gone/*.fits" in gone
+    assert '<span class="kind">failed</span>' in gone
+    # No reports were wanted.
+    assert "report.html" not in body
+
+
+def small_table(rows):
+    """Table and outcomes of a survey: source, scale group, status, kind."""
+    names = ("source", "scale_group", "status", "kind")
+    table = QTable(rows=rows, names=names)
+    table["region"], table["note"] = "all", "-"
+    table["pm"] = np.full(len(rows), 2.0) * u.mas / u.yr
+    table["pm_err"] = np.full(len(rows), 0.1) * u.mas / u.yr
+    table["p_global"], table["p_fdr"], table["n_features"] = 0.01, 0.02, 3
+    parts = [Outcome(row[0], "all", row[1], row[2]) for row in rows]
+    return table, parts
+
+
+def test_the_overview_counts_sources(tmp_path):
+    features(tmp_path, 1.0, [1], [2.0], [0.1])
+    rows = [
+        ("A", "fine", "measured", "moving"),
+        ("A", "coarse", "measured", "not significant"),
+        ("B", "all", "measured", "not significant"),
+        ("B", "all", "measured", "stationary"),
+        ("C", "all", "measured", "stationary"),
+        ("D", "all", "empty", ""),
+        ("E", "all", "failed", ""),
+        ("F", "all", "failed", ""),
+    ]
+    table, parts = small_table(rows)
+    known = dict.fromkeys("BCDEF") | {"A": [1.9] * u.mas / u.yr}
+    path = write_overview(table, parts, tmp_path, published=known)
+    page = path.read_text(encoding="utf-8")
+    assert (
+        "Of 6 sources, 1 moves, 1 shows no significant motion, 1 is stationary, "
+        "1 has nothing to test and 2 failed." in page
+    )
+    assert "those that move: 2 to 2 mas/yr, median 2." in page
+    assert "of the published one: 1 of 1." in page
+    assert '"published">1.9</span><span class="more">+1.0 standard errors' in page
+
+
+def features(folder, sign, component, pm, pm_err):
+    """Write a table of features at 1, 2, ... mas."""
+    table = QTable({"component": component})
+    table["distance"] = sign * np.arange(1.0, len(pm) + 1) * u.mas
+    for name, values in (("pm", pm), ("pm_err", pm_err)):
+        table[name] = np.asarray(values, float) * u.mas / u.yr
+    path = folder / "features.ecsv"
+    table.write(path, format="ascii.ecsv", overwrite=True)
+    return path
+
+
+def test_profiles_of_the_overview(tmp_path):
+    # The last one is too uncertain to set the scale.
+    pm, error = [*range(1, 11), -2, 99], [0.1] * 11 + [5]
+    path = features(tmp_path, 1.0, [1] * 10 + [2, 1], pm, error)
+    found = _small_profile(path, u.mas / u.yr)
+    points = np.array(found["points"])
+    width, height = 144, 34
+    np.testing.assert_allclose(points[:, 0], np.arange(1, 12) * width / 11, atol=0.06)
+    np.testing.assert_allclose(
+        points[:, 1], (10 - np.array(pm[:11])) * height / 12, atol=0.06
+    )
+    assert points[:, 2].tolist() == [1] * 10 + [2]
+    assert found["zero"] == pytest.approx(10 * height / 12, abs=0.06)
+    assert found["range"] == "11 mas, 10 mas/yr"
+    # Medians of twice five features.
+    line = [tuple(map(float, point.split(","))) for point in found["line"].split()]
+    expected = [(r * width / 11, (10 - r) * height / 12) for r in (3, 8)]
+    np.testing.assert_allclose(line, expected, atol=0.06)
+    # In a counter-jet, outward is positive.
+    features(tmp_path, -1.0, [1, 1], [-3, -4], [0.1, 0.1])
+    assert _small_profile(path, u.mas / u.yr)["range"] == "2 mas, 4 mas/yr"
+    features(tmp_path, 1.0, [1], [0], [0.1])
+    assert _small_profile(path, u.mas / u.yr)["points"] == [(144.0, 0.0, 1)]
+    features(tmp_path, 1.0, np.zeros(0, int), [], [])
+    assert _small_profile(path, u.mas / u.yr) is None
+
+
+@pytest.mark.parametrize(
+    ("last", "span"),
+    [
+        ("2003-07-02T12:00", ("3.5 yr", "2000-01 to 2003-07")),
+        ("2000-01-11", ("10 d", "2000-01-01 to 2000-01-11")),
+        ("2000-01-01T03:00", ("3 h", "2000-01-01")),
+        ("2000-01-01T00:30", ("30 min", "2000-01-01")),
+    ],
+)
+def test_spans_of_the_overview(last, span):
+    assert _span(*Time(["2000-01-01", last])) == span
+
+
 # -- names -------------------------------------------------------------------------
 
 
@@ -184,7 +306,7 @@ def test_folder_names_differ():
 
 def test_finished_sources_are_not_measured_again(serial, folder, monkeypatch):
     table, out = serial
-    before = written(out)
+    before, overview = written(out), (out / "overview.html").read_bytes()
     told = []
     survey = read_survey(folder / "survey.toml")
     again = run_survey(survey, out, done=lambda *args: told.append(args))
@@ -194,6 +316,7 @@ def test_finished_sources_are_not_measured_again(serial, folder, monkeypatch):
         "Gone": False,
     }
     assert written(out) == before
+    assert (out / "overview.html").read_bytes() == overview
     assert len(again) == len(table)
     # The source itself says what it is finished for.
     (state,) = (out / "sources" / "Two").glob("source.json")
@@ -295,6 +418,8 @@ def test_the_command_writes_reports(folder, tmp_path, capsys):
     assert last == f"Reports: {tmp_path / 'out' / 'sources'}"
     page = tmp_path / "out" / "sources" / "Two" / "all" / "all" / "report.html"
     assert "<h1>Two</h1>" in page.read_text(encoding="utf-8")
+    overview = (tmp_path / "out" / "overview.html").read_text(encoding="utf-8")
+    assert '<a href="sources/Two/all/all/report.html">Two</a>' in overview
     assert (page.parent / "velocity_map.png").is_file()
 
 
@@ -381,6 +506,12 @@ def test_a_cluster_of_which_a_worker_dies_gives_the_same(serial, folder, tmp_pat
         ("[sources.A]\nepochs = 'a'\nregions = {b = 3}", "regions.b must be the path"),
         ("[sources.A]\nepochs = 'a'\nregions = 'b'", "regions must be a table"),
         ("[sources.A]\nepochs = 'a'\nscale_groups = {b = 'c'}", "scale_groups.b = 'c'"),
+        ("[defaults]\npublished_pm = '1 mas/yr'\n[sources.A]", "published_pm is no"),
+        (
+            "[sources.A]\nepochs = 'a'\npublished_pm = '-1 mas/yr'",
+            "sources.A: published_pm = '-1 mas/yr' must be a speed, or one and its",
+        ),
+        ("[sources.A]\nepochs = 'a'\npublished_pm = 3", "published_pm = 3 must be a"),
         ("[sources.A]\nepochs = 'a'\nmax_speed = '2 mas'", "max_speed = '2 mas' must"),
         (
             "[sources.A]\nepochs = 'a'\nscale_groups = {b = [1], c = '0.2 mas'}",
@@ -452,6 +583,8 @@ def test_when_nothing_could_be_measured(tmp_path, capsys):
     assert "no source could be measured" in capsys.readouterr().err
     table = QTable.read(tmp_path / "out" / "survey.ecsv")
     assert table["status"].tolist() == ["failed"]
+    page = (tmp_path / "out" / "overview.html").read_text(encoding="utf-8")
+    assert "Of 1 source, 1 failed." in page
     assert "p_fdr" in table.colnames
     assert "beta_app" not in table.colnames
 
