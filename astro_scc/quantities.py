@@ -10,6 +10,9 @@ from datetime import date
 #: Regular expression of a number.
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 
+#: Formats of numbers without errors in tables that are printed.
+FORMATS = {"coefficient": ".3f", "z_score": ".1f", "pm_limit": ".2g"}
+
 
 def parse_quantities(text):
     """
@@ -273,11 +276,49 @@ def with_error(value, error, sign="\N{PLUS-MINUS SIGN}"):
     if not math.isfinite(value):
         return "-"
     if not math.isfinite(error):
-        return f"{value:.3g} {sign} ?"
+        return f"{value:.3g} (error unknown)"
     if error <= 0:
         return f"{value:.3g}"
-    digits = max(0, 1 - math.floor(math.log10(error)))
+    digits = decimals(error)
     return f"{value:.{digits}f} {sign} {error:.{digits}f}"
+
+
+def decimals(error):
+    """Return the decimals that show a positive error to two significant digits."""
+    return max(0, 1 - math.floor(math.log10(error)))
+
+
+def round_to_errors(table):
+    """
+    Set formats that round columns to their errors when a table is printed, in place.
+
+    Parameters
+    ----------
+    table : `~astropy.table.Table`
+        A column and its error, of which the name ends with ``_err``, show the smallest
+        error to two significant digits.  Other numbers show four, p-values two.
+
+    Returns
+    -------
+    `~astropy.table.Table`
+        The same, with the same numbers.
+    """
+    import numpy as np
+
+    for name in table.colnames:
+        column = table[name]
+        if getattr(getattr(column, "dtype", None), "kind", "") != "f":
+            continue
+        error = f"{name.removesuffix('_err')}_err"
+        short = name.startswith("p_") or "_err" in name
+        form = FORMATS.get(name, ".2g" if short else ".4g")
+        if error in table.colnames:
+            errors = np.asarray(getattr(table[error], "unmasked", table[error]))
+            known = errors[np.isfinite(errors) & (errors > 0)]
+            form = f".{decimals(known.min())}f" if known.size else form
+        # Years have more digits before the point.
+        column.info.format = None if column.unit == "yr" and form[-1] == "g" else form
+    return table
 
 
 # -- checks of values ------------------------------------------------------------

@@ -129,7 +129,7 @@ def members(result, numbers):
     scale = cube.pixel_scale.to_value(u.mas)
     parts = []
     for number in numbers:
-        for k in result.members(int(number)):
+        for k in result.members(int(number))["match"]:
             if d.target[k] == d.reference[k] + 1:
                 x, y = ssps.x_centroid[d.ssp[k]], ssps.y_centroid[d.ssp[k]]
                 # Along the jet is west, which is +x, so that across is north.

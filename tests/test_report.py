@@ -87,7 +87,7 @@ def folder(result, components, tmp_path_factory):
     folder.mkdir(parents=True)
     (folder / "components.ecsv").touch()
     path = write_report(
-        result, components, folder, title=f"3C {HOSTILE}",
+        result, folder, components=components, title=f"3C {HOSTILE}",
         warnings=[f"beware of {HOSTILE}"],
         left_out=[("late.fits", f"no date, {HOSTILE}"), f"bad.fits {HOSTILE}"],
         rerun=f"astro-scc measure {HOSTILE}", config_text=f"# {HOSTILE}",
@@ -231,13 +231,14 @@ def test_the_same_measurement_gives_the_same_page(
     result, components, tmp_path, quick, folder
 ):
     paths = [
-        write_report(result, components, tmp_path / name, title="M87") for name in "ab"
+        write_report(result, tmp_path / name, components=components, title="M87")
+        for name in "ab"
     ]
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 def words_of(result, components, folder, **kwargs):
-    path = write_report(result, components, folder, title="M87", **kwargs)
+    path = write_report(result, folder, components=components, title="M87", **kwargs)
     return Page(path.read_text(encoding="utf-8")).words
 
 
@@ -439,7 +440,7 @@ def test_epochs_have_their_names_only_where_these_are_not_their_dates(
 def test_a_file_is_no_folder(result, components, tmp_path, quick):
     (tmp_path / "out").touch()
     with pytest.raises(OSError, match="out: is a file; choose another folder"):
-        write_report(result, components, tmp_path / "out", title="M87")
+        write_report(result, tmp_path / "out", components=components, title="M87")
 
 
 def test_what_cannot_be_completed_leaves_what_was_there(
@@ -452,7 +453,7 @@ def test_what_cannot_be_completed_leaves_what_was_there(
 
     monkeypatch.setattr(os, "replace", fail)
     with pytest.raises(OSError, match="No space left"):
-        write_report(result, components, tmp_path, title="M87")
+        write_report(result, tmp_path, components=components, title="M87")
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
     assert (tmp_path / "report.html").read_text() == "old"
 
@@ -463,8 +464,8 @@ def test_what_cannot_be_completed_leaves_what_was_there(
         (5.5687, 0.4323, "5.57 ± 0.43"),
         (117.3, 12.2, "117 ± 12"),
         (0.01234, 0.00098, "0.01234 ± 0.00098"),
-        (5.5687, np.nan, "5.57 ± ?"),
-        (5.5687, np.inf, "5.57 ± ?"),
+        (5.5687, np.nan, "5.57 (error unknown)"),
+        (5.5687, np.inf, "5.57 (error unknown)"),
         (5.5687, 0.0, "5.57"),
         (np.nan, 0.1, "-"),
     ],

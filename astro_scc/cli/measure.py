@@ -12,11 +12,11 @@ examples:
       --distance "16.7 Mpc"
   astro-scc measure --config out/config.toml -o again
 
-The folder gets components.ecsv, features.ecsv, ssps.ecsv, scc.fits, report.html with
-its figures, and config.toml, which reproduces the tables bit by bit from the same
-images.  A configuration file may hold every option of a measurement, with _ for -,
-and some settings that have no option (see the documentation).  The command line takes
-precedence over the file.
+The folder gets components.ecsv and, for a paper, components.tex; features.ecsv,
+ssps.ecsv, scc.fits, report.html with its figures, and config.toml, which reproduces
+the tables bit by bit from the same images.  A configuration file may hold every option
+of a measurement, with _ for -, and some settings that have no option (see the
+documentation).  The command line takes precedence over the file.
 """
 
 from contextlib import contextmanager, suppress
@@ -42,7 +42,8 @@ from astro_scc.cli.options import (
 from astro_scc.cli.summary import component_lines
 
 PRODUCTS = (
-    "components.ecsv features.ecsv ssps.ecsv scc.fits config.toml report.html "
+    "components.ecsv features.ecsv ssps.ecsv components.tex scc.fits config.toml "
+    "report.html "
     "streams.png diagram.png speeds.png distances.png members.png velocity_map.png "
     "significance.png epochs.png intervals.png"
 ).split()
@@ -177,8 +178,7 @@ def write_measurement(result, settings, folder, *, output, report=True, **page):
         Final path of the folder.
     report : bool, optional
     **page
-        Arguments of `~astro_scc.report.write_report`; the title is the name of
-        the object by default.
+        Arguments of `~astro_scc.report.write_report`.
 
     Returns
     -------
@@ -196,11 +196,9 @@ def write_measurement(result, settings, folder, *, output, report=True, **page):
     if report:
         from astro_scc.report import write_report
 
-        page.setdefault(
-            "title", result.cube.meta.get("object") or "Velocity components"
-        )
         rerun = f"astro-scc measure --config {Path(output) / 'config.toml'} -o FOLDER"
-        write_report(result, components, folder, rerun=rerun, config_text=text, **page)
+        page |= {"components": components, "rerun": rerun, "config_text": text}
+        write_report(result, folder, **page)
     return components
 
 

@@ -134,7 +134,8 @@ class Demo:
     fast spine, measure it and write the report.  No input is needed.
 
     The folder gets the products of astro-scc measure, the images in epochs/ and
-    the region in region.reg.
+    the region in region.reg.  To run it again, give --overwrite or another
+    folder.
     """
 
     @staticmethod

@@ -32,7 +32,7 @@ from astro_scc.cli.options import (
     add_settings,
     add_switch,
 )
-from astro_scc.cli.summary import speed_lines, table_lines
+from astro_scc.cli.summary import plus_minus, speed_lines, table_lines
 
 # Files of an earlier run that must not remain beside new ones.
 PRODUCTS = (
@@ -207,3 +207,10 @@ def _summary(tracking):
         )
     yield from table_lines(["scale", "tracks", "SSPs", "linked", "if permuted"], rows)
     yield f"{len(tracks)} tracks, {ejected} with an ejection epoch"
+    if len(tracks):
+        speed, unit = tracks["pm"], tracks["pm"].unit
+        fastest = tracks[np.argmax(speed)]
+        yield (
+            f"speeds: median {np.median(speed).value:.3g} {unit}, fastest "
+            f"{plus_minus(fastest, 'pm')} {unit} ({fastest['track']})"
+        )

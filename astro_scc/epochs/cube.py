@@ -475,12 +475,12 @@ class EpochCube:
 
     def plot(self, epoch=None, ssps=None, **kwargs):
         """
-        Draw one epoch, or all of them.
+        Draw one epoch, or up to twelve that are evenly selected.
 
         Parameters
         ----------
         epoch : int, optional
-            Index of the epoch; by default all epochs, one panel each.
+            Index of the epoch; by default several epochs, one panel each.
         ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
             SSPs to draw on the images.
         **kwargs

@@ -1,8 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Writing a cube to one FITS file that keeps everything, or to an image per epoch."""
+"""Writing a cube or any result to one FITS file, or a cube to an image per epoch."""
 
 import re
 import warnings
+from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -25,6 +26,14 @@ VERSION = 1
 # Axes and angle of a beam, their units in files, and their keywords in FITS.
 BEAM = {"major": u.mas, "minor": u.mas, "pa": u.deg}
 CARDS = "BMAJ", "BMIN", "BPA"
+#: Layout of the files of `write_object`.
+LAYOUT = 2
+#: Arrays of more elements are extensions of their own, others are in the text.
+SHORT = 100
+#: Types of arrays that FITS images hold as they are; of others they hold the bytes.
+FITS_TYPES = "u1", "i2", "i4", "i8", "f4", "f8"
+#: Key of the name of its class in a packed object.
+CLASS = "!class"
 
 
 def write_cube(cube, path, *, overwrite=False):
@@ -231,6 +240,163 @@ def _plain(value):
     except Exception:
         return str(value)
     return value
+
+
+def write_object(value, path, classes, *, creator, overwrite=False):
+    """
+    Write a dataclass, or a dictionary, and all that it holds to one FITS file.
+
+    Parameters
+    ----------
+    value : object
+        It may hold dataclasses, WCS, arrays of numbers, what YAML can hold, and
+        containers of these.  Other values become text.
+    path : path
+    classes : sequence of type
+        The dataclasses that it may hold.
+    creator : str
+        What the file is, which `read_object` checks.
+    overwrite : bool, optional
+
+    Raises
+    ------
+    ValueError
+        If there is another dataclass in it.
+    OSError
+        If the file exists and ``overwrite`` is False, or cannot be written.
+
+    Notes
+    -----
+    ``META`` holds YAML; long arrays follow, each in an extension with the name of
+    its attribute, bit by bit.
+    """
+    arrays, names = [], {cls: cls.__name__ for cls in classes}
+    facts = _pack(value, "value", names, arrays, {})
+    text = yaml.dump(facts, allow_unicode=False, sort_keys=False)
+    primary = fits.PrimaryHDU()
+    primary.header["CREATOR"] = creator
+    primary.header["SCCVERS"] = LAYOUT, "version of this layout"
+    hdus = [primary, fits.ImageHDU(np.frombuffer(text.encode(), np.uint8), name="META")]
+    for name, array in arrays:
+        flat = np.ascontiguousarray(array).reshape(-1)
+        flat = flat if flat.dtype.str[1:] in FITS_TYPES else flat.view(np.uint8)
+        hdus.append(fits.ImageHDU(flat, name=name))
+    with replace_when_complete(path, overwrite=overwrite) as part:
+        fits.HDUList(hdus).writeto(part, checksum=True)
+
+
+def read_object(path, classes, *, creator):
+    """
+    Read what `write_object` wrote.
+
+    Parameters
+    ----------
+    path : path
+    classes : sequence of type
+    creator : str
+
+    Returns
+    -------
+    object
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read, is incomplete or something else, or was written
+        by a version whose classes are others.
+    """
+    with open(path, "rb") as file:
+        try:
+            # astropy only warns of a wrong checksum.
+            with (
+                warnings.catch_warnings(action="error"),
+                open_fits(file, memmap=False, checksum=True) as hdus,
+            ):
+                if hdus[0].header.get("CREATOR") != creator:
+                    raise ValueError("it was not written as one")
+                if (layout := hdus[0].header["SCCVERS"]) == LAYOUT:
+                    facts = yaml.load(hdus["META"].data.tobytes().decode())
+                    return _unpack_object(facts, {c.__name__: c for c in classes}, hdus)
+        except _VersionError as error:
+            raise OSError(f"{path}: {error}") from None
+        except Exception as error:
+            what = f"is no complete {creator} file: {first_line(error)}"
+            raise OSError(f"{path}: {what}") from None
+    raise OSError(f"{path}: of layout {layout}; read it with the version that wrote it")
+
+
+class _VersionError(Exception):
+    """The file is in order, but of another version."""
+
+
+def _pack(value, name, classes, arrays, memo, *, in_meta=False):
+    """Return what YAML can hold; append long arrays with their names to ``arrays``."""
+    kind = type(value)
+    if id(value) in memo:
+        return memo[id(value)][0]
+
+    def inner(item, name=name, in_meta=in_meta):
+        return _pack(item, name, classes, arrays, memo, in_meta=in_meta)
+
+    if kind is dict:
+        return {str(key): inner(item, str(key), True) for key, item in value.items()}
+    if kind in (list, tuple):
+        return kind(inner(item) for item in value)
+    if kind in classes:
+        packed = {f.name: inner(getattr(value, f.name), f.name) for f in fields(value)}
+        packed[CLASS] = classes[kind]
+    elif isinstance(value, WCS):
+        packed = {CLASS: "WCS", **pack_wcs(value)}
+    elif kind is np.ndarray and value.size > SHORT:
+        arrays.append((name, value))
+        packed = {CLASS: "array", "hdu": len(arrays) + 1, "shape": list(value.shape)}
+        packed["dtype"] = value.dtype.newbyteorder("=").str
+    else:
+        # astropy's YAML transposes arrays in Fortran's order.
+        plain = _plain(np.array(value, order="C") if kind is np.ndarray else value)
+        if isinstance(plain, str) and not (in_meta or isinstance(value, str)):
+            raise ValueError(f"{name}: an object {kind.__name__} cannot be written")
+        return plain
+    # What is shared is written once; keeping the value keeps its id its own.
+    memo[id(value)] = packed, value
+    return packed
+
+
+def _unpack_object(value, classes, hdus, memo=None):
+    """Return what `_pack` packed."""
+    memo = {} if memo is None else memo
+
+    def inner(item):
+        return _unpack_object(item, classes, hdus, memo)
+
+    if isinstance(value, list | tuple):
+        return type(value)(inner(item) for item in value)
+    if not isinstance(value, dict):
+        return value
+    if id(value) in memo:
+        return memo[id(value)]
+    name = value.get(CLASS)
+    if name is None:
+        return {key: inner(item) for key, item in value.items()}
+    if name == "WCS":
+        made = unpack_wcs(value)
+    elif name == "array":
+        made = hdus[value["hdu"]].data
+        made = np.array(made, dtype=made.dtype.newbyteorder("="))
+        made = made.view(value["dtype"]).reshape(value["shape"])
+    else:
+        own = classes.get(name)
+        if own is None or {f.name for f in fields(own)} | {CLASS} != value.keys():
+            raise _VersionError(
+                f"its {name} is of another version of astro_scc; read it with the "
+                "version that wrote it"
+            )
+        # Checks and conversions were made when it was first made.
+        made = object.__new__(own)
+        for key in value.keys() - {CLASS}:
+            object.__setattr__(made, key, inner(value[key]))
+    memo[id(value)] = made
+    return made
 
 
 def write_epochs(cube, directory, *, prefix=None, overwrite=False):

@@ -7,7 +7,13 @@ import astropy.units as u
 import numpy as np
 from astropy import constants
 
-from astro_scc.quantities import NUMBER, named, parse_quantities, to_quantity
+from astro_scc.quantities import (
+    NUMBER,
+    named,
+    parse_quantities,
+    round_to_errors,
+    to_quantity,
+)
 
 #: Redshift of the microwave background, beyond which nothing can be seen.
 LAST_SCATTERING = 1090
@@ -224,7 +230,7 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
             k: v for k, v in plain.items() if k != "meta" and v is not None
         }
     table.meta.update(how)
-    return table
+    return round_to_errors(table)
 
 
 def _how(redshift, cosmology, distance):

@@ -3,12 +3,15 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from astro_scc.correlation.correlate import STACK_BYTES
 from astro_scc.correlation.parallel import in_order
+from astro_scc.decomposition import Decomposer
+from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning
 
 #: Bytes of this package and its libraries in each process.
@@ -176,6 +179,7 @@ def decompose_epochs(cube, decomposer, *, n_workers=1):
     return tuple(in_order(_decompose, work, n_workers))
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class LazyDecompositions(Sequence):
     """
     Decompositions of epochs, each computed when it is accessed.
@@ -189,9 +193,12 @@ class LazyDecompositions(Sequence):
     decomposer : `~astro_scc.decomposition.Decomposer`
     """
 
-    def __init__(self, cube, decomposer):
-        self.cube, self.decomposer = cube, decomposer
-        self._made = {}
+    cube: EpochCube
+    decomposer: Decomposer
+
+    @cached_property
+    def _made(self):
+        return {}
 
     @property
     def scales(self):

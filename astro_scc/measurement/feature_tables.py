@@ -1,12 +1,77 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The features of a measurement as tables: one row each, and one row per epoch."""
+"""The SSPs of a measurement, their matches and their features as tables."""
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
+from astro_scc.decomposition import scale_size
+from astro_scc.epochs.positions import (
+    beam_fwhm,
+    name_by_frame,
+    position_errors,
+    ssp_offsets,
+)
 from astro_scc.measurement.axes import projection_of
+from astro_scc.quantities import round_to_errors
+from astro_scc.stacking.stack import sample_velocities
+
+#: A match within this many of its standard errors belongs to a component.
+MEMBER_SIGMA = 2.0
+
+
+def ssp_table(ssps, cube, *, select=None):
+    """
+    Return the catalogue of SSPs with sky positions and errors.
+
+    Parameters
+    ----------
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+    cube : `~astro_scc.epochs.EpochCube`
+    select : array_like of bool, shape (n_ssps,), optional
+        Which SSPs were used, for the column ``in_region``.
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        One row per SSP; ``date`` is a `~astropy.time.Time`.  ``east`` and
+        ``north`` are offsets of the maximum from the reference pixel, with
+        thermal errors ``beam / (sqrt(2) SNR)``.  In frames without right
+        ascension, `~astro_scc.epochs.name_by_frame` gives the column names.
+    """
+    n = len(ssps)
+    select = np.ones(n, bool) if select is None else np.asarray(select, bool)
+    east, north = ssp_offsets(ssps, cube)
+    east_centroid, north_centroid = ssp_offsets(ssps, cube, centroid=True)
+    fwhm = beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
+    error = position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
+    size = np.array([scale_size(s) for s in ssps.scale], dtype=float)
+    table = QTable(
+        {
+            "ssp": np.arange(n),
+            "epoch": ssps.epoch,
+            "date": Time(cube.times[ssps.epoch], format="isot"),
+            "scale": ssps.scale,
+            "scale_size": size * cube.pixel_scale,
+            "x": ssps.x * u.pix,
+            "y": ssps.y * u.pix,
+            "east": east * u.mas,
+            "north": north * u.mas,
+            "east_err": error[:, 0] * u.mas,
+            "north_err": error[:, 1] * u.mas,
+            "east_centroid": east_centroid * u.mas,
+            "north_centroid": north_centroid * u.mas,
+            "peak": ssps.peak * cube.unit,
+            "flux": ssps.flux * cube.unit,
+            "snr": ssps.snr,
+            "n_pixels": ssps.n_pixels,
+            "in_region": select,
+        }
+    )
+    table["flux"].info.description = "sum of the wavelet coefficients of the pixels"
+    return name_by_frame(round_to_errors(table), cube)
 
 
 def feature_table(result):
@@ -64,7 +129,7 @@ def feature_table(result):
         table[name] = (values * beam[axis] * unit).to(unit * u.mas)
     table["pm"].info.description = "along the first component"
     table["pm_transverse"].info.description = "across the first component"
-    return table
+    return round_to_errors(table)
 
 
 def _sense(result):
@@ -105,4 +170,69 @@ def feature_positions(result):
     table["epoch"] = ssps.epoch[ssp]
     table["date"] = Time(cube.times[ssps.epoch[ssp]], format="isot")
     table["distance"] = _sense(result) * distance * u.mas
-    return table
+    return round_to_errors(table)
+
+
+def member_table(result, number):
+    """
+    Return the matches that belong to a component, see `SCCResult.members`.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    number : int
+        From 1.
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+
+    Raises
+    ------
+    ValueError
+        If there is no such component.
+    """
+    if not 1 <= number <= len(result.maxima):
+        raise ValueError(f"no component {number}: there are {len(result.maxima)}")
+    d, cube, ssps = result.displacements, result.cube, result.matched.ssps
+    match = _matches_of(result, number)
+    ssp, start, end = d.ssp[match], d.reference[match], d.target[match]
+    table = QTable(
+        {
+            "match": match,
+            "ssp": ssp,
+            "target_ssp": d.target_ssp[match],
+            "scale": ssps.scale[ssp],
+            "epoch": start,
+            "target_epoch": end,
+            "date": Time(cube.times[start], format="isot"),
+            "target_date": Time(cube.times[end], format="isot"),
+            "interval": (cube.years[end] - cube.years[start]).to(u.yr),
+            "east": d.position[ssp, 0] * u.mas,
+            "north": d.position[ssp, 1] * u.mas,
+        }
+    )
+    axes = (d.d1, d.s1), (d.d2, d.s2)
+    for name, (values, errors) in zip(result.frame.axis_names, axes, strict=True):
+        table[f"displacement_{name}"] = values[match] * u.mas
+        table[f"displacement_{name}_err"] = errors[match] * u.mas
+    table["weight"] = d.weight[match]
+    table["weight"].info.description = "correlation coefficient"
+    return name_by_frame(round_to_errors(table), cube)
+
+
+def _matches_of(result, number):
+    """Return the indices of the matches of a component."""
+    d, features = result.displacements, result.search.streams[number - 1].features
+    if features:
+        label = np.full(len(result.matched.ssps), -1)
+        for k, feature in enumerate(features):
+            label[feature.ssp] = k
+        there = np.where(d.target_ssp >= 0, label[d.target_ssp], -1)
+        return np.flatnonzero((there >= 0) & (label[d.ssp] == there))
+    v = result.velocities[number - 1].value
+    index, v1, v2, s1, s2, _ = sample_velocities(d, result.pairs)
+    near = (np.abs(v1 - v[0]) <= MEMBER_SIGMA * s1) & (
+        np.abs(v2 - v[1]) <= MEMBER_SIGMA * s2
+    )
+    return index[near]

@@ -1,21 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Matches on disk: a complete FITS file, or the blocks of an unfinished one."""
+"""Matches and results on disk: complete FITS files, or blocks of unfinished matches."""
 
-import json
 import shutil
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from astropy.io import fits
-from astropy.table import Table
+from astropy.io import registry
 
+from astro_scc import kinematics, stacking
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import Decomposer, SSPs
-from astro_scc.epochs import EpochCube
+from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.decomposing import LazyDecompositions
 from astro_scc.measurement.provenance import (
@@ -26,16 +26,17 @@ from astro_scc.measurement.provenance import (
 )
 from astro_scc.measurement.tables import versions
 from astro_scc.partial import replace_when_complete
+from astro_scc.stacking.diagram import Diagram
+from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
+from astro_scc.stacking.permutations import PermutedStacks
+from astro_scc.stacking.streams import Population
 
-CREATOR = "astro_scc matches"
-LAYOUT = 1
-#: Columns of the table of SSPs; their pixels have an extension of their own.
-SSP_COLUMNS = tuple(f.name for f in fields(SSPs) if f.name not in ("starts", "pixels"))
-MATCH_COLUMNS = (
-    "ssp", "target", "dy", "dx", "coefficient", "overlap", "target_snr",
-)  # fmt: skip
+#: What the files are, in their headers and in messages.
+MATCHES, RESULT = "astro_scc matches", "astro_scc result"
+#: What a file of matches holds.
+PARTS = "ssps", "select", "matches", "provenance"
 #: Columns that `astro_scc.correlation.match_block` returns.
-N_COLUMNS = len(MATCH_COLUMNS)
+N_COLUMNS = 7
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,10 +114,8 @@ class MatchedEpochs:
 
         Notes
         -----
-        ``SSPS`` and ``MATCHES`` are tables, ``PIXELS`` holds the pixels of the
-        SSPs, ``PAIRS`` the pairs of epochs, ``PROVENANCE`` JSON.  The file
-        holds neither the images nor their wavelet planes, which are quickly
-        computed again.
+        The file holds neither the images nor their wavelet planes, which are
+        quickly computed again.
         """
         if not self.provenance:
             raise ValueError(
@@ -127,26 +126,9 @@ class MatchedEpochs:
         if provenance.pop("selected") != selection_digest(self.select):
             # No region that can be requested gives SSPs that were selected later.
             provenance["region"] = "chosen SSPs"
-        ssps, matches = self.ssps, self.matches
-        columns = {name: getattr(ssps, name) for name in SSP_COLUMNS}
-        columns |= {"n_pixels": ssps.n_pixels, "selected": self.select}
-        of_matches = {name: getattr(matches, name) for name in MATCH_COLUMNS}
-        text = np.frombuffer(json.dumps(provenance).encode("ascii"), dtype=np.uint8)
-        primary = fits.PrimaryHDU()
-        primary.header["CREATOR"] = CREATOR
-        primary.header["SCCVERS"] = LAYOUT, "version of this layout"
-        primary.header["KAPPA"] = matches.kappa, "smallest coefficient"
-        primary.header["REACHY"], primary.header["REACHX"] = matches.search_radius
-        hdus = [
-            primary,
-            fits.BinTableHDU(Table(columns), name="SSPS"),
-            fits.ImageHDU(np.asarray(ssps.pixels, np.int32), name="PIXELS"),
-            fits.BinTableHDU(Table(of_matches), name="MATCHES"),
-            fits.ImageHDU(np.asarray(matches.pairs, np.int32), name="PAIRS"),
-            fits.ImageHDU(text, name="PROVENANCE"),
-        ]
-        with replace_when_complete(path, overwrite=overwrite) as part:
-            fits.HDUList(hdus).writeto(part, checksum=True)
+        parts = {name: getattr(self, name) for name in PARTS}
+        parts["provenance"] = provenance
+        write_object(parts, path, CLASSES, creator=MATCHES, overwrite=overwrite)
 
     @classmethod
     def read(cls, path, cube):
@@ -197,60 +179,17 @@ def read_matches(path, cube, *, wanted=None):
     ValueError
         If it was made from other images, or by other settings or versions.
     """
-    with open(path, "rb") as file:
-        try:
-            layout, found, parts = _parts(file)
-        except Exception as error:
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
-            raise OSError(f"{path}: is no complete file of matches: {reason}") from None
-    if layout != LAYOUT:
-        raise OSError(f"{path}: of layout {layout}, read it with a newer astro_scc")
+    parts = read_object(path, CLASSES, creator=MATCHES)
+    found = parts["provenance"]
     if wanted is None:
         wanted = {**image_provenance(cube), "versions": versions()}
     if stale := stale_parts(found, wanted):
         raise ValueError(f"{path}: is of other {stale}; match the epochs again")
-    ssps, select, matches = parts
     options = found["decomposition"]
     decomposer = Decomposer(**{**options, "scales": tuple(options["scales"])})
-    provenance = {**found, "selected": selection_digest(select)}
-    return MatchedEpochs(
-        cube, LazyDecompositions(cube, decomposer), ssps, select, matches, provenance
-    )
-
-
-def _parts(file):
-    """Return layout, provenance, and the SSPs, selection and matches of a file."""
-    with warnings.catch_warnings():
-        # astropy only warns of a wrong checksum.
-        warnings.simplefilter("error")
-        with fits.open(file, memmap=False, checksum=True) as hdus:
-            primary = hdus[0].header
-            if primary.get("CREATOR") != CREATOR:
-                raise ValueError("it was not written as one")
-            if primary["SCCVERS"] != LAYOUT:
-                return primary["SCCVERS"], None, None
-            found = json.loads(hdus["PROVENANCE"].data.tobytes())
-            rows = hdus["SSPS"].data
-            starts = np.concatenate([[0], np.cumsum(rows["n_pixels"])]).astype(int)
-            columns = {name: _native(rows[name]) for name in SSP_COLUMNS}
-            pixels = hdus["PIXELS"].data
-            pixels = np.empty(0, np.int32) if pixels is None else _native(pixels)
-            ssps = SSPs(**columns, starts=starts, pixels=pixels)
-            select = np.array(rows["selected"], dtype=bool)
-            rows = hdus["MATCHES"].data
-            pairs = hdus["PAIRS"].data
-            matches = Matches.from_columns(
-                [tuple(_native(rows[name]) for name in MATCH_COLUMNS)],
-                np.empty((0, 2)) if pairs is None else pairs,
-                (primary["REACHY"], primary["REACHX"]),
-                primary["KAPPA"],
-            )
-    return LAYOUT, found, (ssps, select, matches)
-
-
-def _native(array):
-    array = np.asarray(array)
-    return np.array(array, dtype=array.dtype.newbyteorder("="))
+    parts["provenance"] = {**found, "selected": selection_digest(parts["select"])}
+    lazy = LazyDecompositions(cube, decomposer)
+    return MatchedEpochs(cube=cube, decompositions=lazy, **parts)
 
 
 class MatchCache:
@@ -364,3 +303,85 @@ class BlockFiles:
         """Delete the folder."""
         with suppress(FileNotFoundError):
             shutil.rmtree(self.folder)
+
+
+#: Dataclasses that files of matches and results may hold.
+CLASSES = (
+    *(Beam, Decomposer, EpochCube, LazyDecompositions, MatchedEpochs, Matches, SSPs),
+    *(kinematics.ExpansionFrame, kinematics.PositionAngleFrame, kinematics.RadialFrame),
+    *(kinematics.RidgeLine, kinematics.SkyFrame, Diagram, JitteredVelocity),
+    *(PermutedStacks, Population, StreamVelocity, stacking.DatePairs),
+    *(stacking.EpochPermutations, stacking.Feature, stacking.Search, stacking.Stream),
+    *(stacking.VelocityGrid, stacking.VelocityPeak, stacking.VelocitySamples),
+)
+
+
+class ResultRead(registry.UnifiedReadWrite):
+    """
+    Read a result that `SCCResult.write` wrote.
+
+    Parameters
+    ----------
+    path : path
+    format : str, optional
+        By default "fits", see ``SCCResult.read.list_formats()``.
+
+    Returns
+    -------
+    `SCCResult`
+        The same to the bit, with its epochs, matches and permutations.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read, is incomplete or no result, or was written by a
+        version of this package whose results hold something else.
+    """
+
+    def __init__(self, instance, cls):
+        super().__init__(instance, cls, "read")
+
+    def __call__(self, path, *, format="fits", **kwargs):
+        return self.registry.read(self._cls, path, format=format, **kwargs)
+
+
+class ResultWrite(registry.UnifiedReadWrite):
+    """
+    Write the whole result to one FITS file, which `SCCResult.read` reads.
+
+    Parameters
+    ----------
+    path : path
+    format : str, optional
+        By default "fits", see ``SCCResult.write.list_formats()``.
+    overwrite : bool, optional
+        Replace an existing file, once the new one is complete.
+
+    Raises
+    ------
+    OSError
+        If the file exists and ``overwrite`` is False, or cannot be written.
+    ValueError
+        If the result holds an object of a class that is not of this package.
+    """
+
+    def __init__(self, instance, cls):
+        super().__init__(instance, cls, "write")
+
+    def __call__(self, path, *, format="fits", **kwargs):
+        self.registry.write(self._instance, path, format=format, **kwargs)
+
+
+def register(cls):
+    """Register the readers and writers of results in astropy's registry."""
+    classes = (*CLASSES, cls)
+
+    def read(path):
+        return read_object(path, classes, creator=RESULT)
+
+    def write(result, path, *, overwrite=False):
+        write_object(result, path, classes, creator=RESULT, overwrite=overwrite)
+
+    registry.register_reader("fits", cls, read)
+    registry.register_writer("fits", cls, write)
+    return cls

@@ -15,6 +15,7 @@ from astropy.table import Column, MaskedColumn, QTable, Table
 from astropy.time import Time
 
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.measurement.tables import latex_text, paper_table
 from astro_scc.partial import (
     is_held,
     partial_folder,
@@ -182,8 +183,9 @@ def write_products(result, components, directory, *, configuration=None, text=No
     Returns
     -------
     list of `~pathlib.Path`
-        ``components.ecsv``, ``features.ecsv``, ``ssps.ecsv``, ``scc.fits``
-        and, if ``text`` is given, ``config.toml``.
+        ``components.ecsv``, ``features.ecsv``, ``ssps.ecsv``,
+        ``components.tex``, a deluxetable for a paper, ``scc.fits`` and, if
+        ``text`` is given, ``config.toml``.
 
     Raises
     ------
@@ -206,8 +208,8 @@ def write_products(result, components, directory, *, configuration=None, text=No
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
     >>> result = scc(cube, n_trials=20, rng=1)
     >>> Path("out").mkdir()
-    >>> [path.name for path in write_products(result, result.components, "out")]
-    ['components.ecsv', 'features.ecsv', 'ssps.ecsv', 'scc.fits']
+    >>> [path.suffix for path in write_products(result, result.components, "out")]
+    ['.ecsv', '.ecsv', '.ecsv', '.tex', '.fits']
     """
     directory = Path(directory)
     tables = {
@@ -215,17 +217,35 @@ def write_products(result, components, directory, *, configuration=None, text=No
         "features.ecsv": result.features,
         "ssps.ecsv": result.ssps,
     }
-    paths = [directory / name for name in (*tables, "scc.fits")]
+    paths = [directory / name for name in (*tables, "components.tex", "scc.fits")]
     meta = with_configuration({**result.meta, **components.meta}, configuration)
     meta["history"] = list(result.cube.meta.get("history", ()))
     for table, path in zip(tables.values(), paths, strict=False):
         table = table.copy(copy_data=False)
         table.meta = plain_meta(meta)
         table.write(path, format="ascii.ecsv", overwrite=True)
+    paper_table(components).write(
+        paths[-2], format="ascii.aastex", latexdict=_paper_texts(result), overwrite=True
+    )
     velocity_hdus(result, text=text).writeto(
         paths[-1], output_verify="exception", overwrite=True
     )
     return paths + write_configuration(directory, text)
+
+
+def _paper_texts(result):
+    """Return the caption and the comments of a table in a paper."""
+    name = latex_text(_ascii(result.cube.meta.get("object", "")))
+    first, last = result.cube.times[[0, -1]].strftime("%Y-%m-%d")
+    return {
+        "caption": f"Velocity components{name and f' of {name}'}",
+        "tablefoot": (
+            rf"\tablecomments{{{len(result.cube)} epochs from {first} to {last}. "
+            r"$\sigma_\mu$: dispersion of the features' speeds without their errors. "
+            r"$p_\mathrm{global}$: probability that epochs in permuted order would "
+            "give an equally strong peak at any velocity.}"
+        ),
+    }
 
 
 def with_configuration(meta, configuration):

@@ -7,19 +7,30 @@ from html import escape
 
 import astropy.units as u
 import numpy as np
+from astropy.io.registry import UnifiedReadWriteMethod
 from astropy.nddata import NDData
-from astropy.table import Table
 from astropy.wcs import WCS
 
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.feature_tables import feature_positions, feature_table
-from astro_scc.measurement.match_files import MatchedEpochs
+from astro_scc.measurement.feature_tables import (
+    feature_positions,
+    feature_table,
+    member_table,
+    ssp_table,
+)
+from astro_scc.measurement.match_files import (
+    MatchedEpochs,
+    ResultRead,
+    ResultWrite,
+    register,
+)
 from astro_scc.measurement.tables import (
+    cell_text,
     component_row,
     component_table,
-    ssp_table,
+    paper_table,
 )
 from astro_scc.stacking import (
     DatePairs,
@@ -31,24 +42,9 @@ from astro_scc.stacking import (
 )
 from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
 from astro_scc.stacking.permutations import PermutedStacks
-from astro_scc.stacking.stack import sample_velocities
-
-#: A match within this many of its standard errors belongs to a component.
-MEMBER_SIGMA = 2.0
-#: Columns of the components that fit on a screen, and their formats.
-COLUMNS = {
-    "component": "d",
-    "kind": None,
-    "pm": ".3g",
-    "pm_err": ".2g",
-    "pm_pa": ".1f",
-    "coefficient": ".3f",
-    "p_global": ".2g",
-    "n_ssp": "d",
-    "n_pairs": "d",
-}
 
 
+@register
 @dataclass(frozen=True, eq=False, repr=False)
 class SCCResult:
     """
@@ -109,8 +105,21 @@ class SCCResult:
     jitters: tuple[JitteredVelocity, ...]
     meta: dict = field(default_factory=dict)
 
+    read = UnifiedReadWriteMethod(ResultRead)
+    write = UnifiedReadWriteMethod(ResultWrite)
+
     def __repr__(self):
-        return f"<SCCResult: {len(self.maxima)} components of {self.matched.cube!r}>"
+        table = self.components
+        unit = str(table["pm"].unit).replace(" ", "")
+        speeds = [
+            f"{cell_text(table, 'pm', k, '+-')} {unit} {kind}"
+            for k, kind in enumerate(table["kind"])
+        ]
+        found = ", ".join(speeds) or "no component"
+        name = str(self.cube.meta.get("object", "")).strip()
+        return f"<SCCResult {name}: {found}, {len(self.cube)} epochs>".replace(
+            " :", ":"
+        )
 
     def _repr_html_(self):
         return result_html(self)
@@ -249,32 +258,22 @@ class SCCResult:
 
         Returns
         -------
-        `~numpy.ndarray` of int
-            Indices into ``displacements`` of the matches between two SSPs of
-            the same feature of the stream.  If no feature was followed, they
-            are the matches between dates of the map that agree with the
-            velocity within two standard errors on both axes.
+        `~astropy.table.QTable`
+            The matches between two SSPs of the same feature of the stream.  If no
+            feature was followed, they are the matches between dates of the map
+            that agree with the velocity within two standard errors on both axes.
+            A row has the ``match``, its index in ``displacements``; the ``ssp`` and
+            the ``target_ssp`` (-1 if the match lies on none) with their epochs and
+            dates; the ``interval``; the position of the SSP, an offset from the
+            reference pixel; and the displacement along both axes of the frame
+            with its errors.
 
         Raises
         ------
         ValueError
             If there is no such component.
         """
-        if not 1 <= number <= len(self.maxima):
-            raise ValueError(f"no component {number}: there are {len(self.maxima)}")
-        d, features = self.displacements, self.search.streams[number - 1].features
-        if features:
-            label = np.full(len(self.matched.ssps), -1)
-            for k, feature in enumerate(features):
-                label[feature.ssp] = k
-            there = np.where(d.target_ssp >= 0, label[d.target_ssp], -1)
-            return np.flatnonzero((there >= 0) & (label[d.ssp] == there))
-        v = self.velocities[number - 1].value
-        index, v1, v2, s1, s2, _ = sample_velocities(d, self.pairs)
-        near = (np.abs(v1 - v[0]) <= MEMBER_SIGMA * s1) & (
-            np.abs(v2 - v[1]) <= MEMBER_SIGMA * s2
-        )
-        return index[near]
+        return member_table(self, number)
 
     def plot(self, **kwargs):
         """
@@ -386,10 +385,5 @@ def result_html(result):
     text = f"<p>{'<br>'.join(escape(line) for line in lines)}</p>"
     if not kinds:
         return text
-    shown = Table()
-    for name, form in COLUMNS.items():
-        unit = getattr(table[name], "unit", None)
-        heading = f"{name} ({unit})" if unit else name
-        shown[heading] = getattr(table[name], "value", table[name])
-        shown[heading].format = form
+    shown = paper_table(table, latex=False)
     return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Results as tables: components, features, SSPs, and adjusted p-values."""
+"""Velocity components as a table, tables for papers, and adjusted p-values."""
 
+import re
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 
@@ -10,18 +11,37 @@ from astropy.table import Column, QTable, Table, vstack
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
-from astro_scc.decomposition import scale_size
-from astro_scc.epochs.positions import (
-    beam_fwhm,
-    name_by_frame,
-    position_errors,
-    ssp_offsets,
-)
+from astro_scc.quantities import round_to_errors, with_error
 
 #: Unit of proper motions.
 PM_UNIT = u.mas / u.yr
 #: Standard errors above the mean at the one-sided 95% limit of a normal distribution.
 LIMIT = 1.645
+#: Columns of a table in a paper, and their headings in LaTeX.
+PAPER = {
+    "track": "Track",
+    "feature": "Feature",
+    "component": "Component",
+    "r_min": r"$r_\mathrm{min}$",
+    "r_max": r"$r_\mathrm{max}$",
+    "kind": "Kind",
+    "scale": "Scale",
+    "n_epochs": "Epochs",
+    "first": "First",
+    "last": "Last",
+    "distance": "Distance",
+    "r": "$r$",
+    "pa": "PA",
+    "pm": r"$\mu$",
+    "beta_app": r"$\beta_\mathrm{app}$",
+    "pm_pa": r"PA of $\mu$",
+    "dispersion": r"$\sigma_\mu$",
+    "t_ej": r"$t_\mathrm{ej}$",
+    "p_global": r"$p_\mathrm{global}$",
+    "p_fdr": r"$p_\mathrm{FDR}$",
+    "n_features": "Features",
+    "n_pairs": "Pairs",
+}
 P_FDR = "p_global adjusted for all searches: share of false discoveries up to it"
 
 #: Every column of the velocity components: unit or type, and meaning.
@@ -91,59 +111,6 @@ def versions():
     return found
 
 
-def ssp_table(ssps, cube, *, select=None):
-    """
-    Return the catalogue of SSPs with sky positions and errors.
-
-    Parameters
-    ----------
-    ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs.
-    cube : `~astro_scc.epochs.EpochCube`
-    select : array_like of bool, shape (n_ssps,), optional
-        Which SSPs were used, for the column ``in_region``.
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        One row per SSP; ``date`` is a `~astropy.time.Time`.  ``east`` and
-        ``north`` are offsets of the maximum from the reference pixel, with
-        thermal errors ``beam / (sqrt(2) SNR)``.  In frames without right
-        ascension, `~astro_scc.epochs.name_by_frame` gives the column names.
-    """
-    n = len(ssps)
-    select = np.ones(n, bool) if select is None else np.asarray(select, bool)
-    east, north = ssp_offsets(ssps, cube)
-    east_centroid, north_centroid = ssp_offsets(ssps, cube, centroid=True)
-    fwhm = beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
-    error = position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
-    size = np.array([scale_size(s) for s in ssps.scale], dtype=float)
-    table = QTable(
-        {
-            "ssp": np.arange(n),
-            "epoch": ssps.epoch,
-            "date": Time(cube.times[ssps.epoch], format="isot"),
-            "scale": ssps.scale,
-            "scale_size": size * cube.pixel_scale,
-            "x": ssps.x * u.pix,
-            "y": ssps.y * u.pix,
-            "east": east * u.mas,
-            "north": north * u.mas,
-            "east_err": error[:, 0] * u.mas,
-            "north_err": error[:, 1] * u.mas,
-            "east_centroid": east_centroid * u.mas,
-            "north_centroid": north_centroid * u.mas,
-            "peak": ssps.peak * cube.unit,
-            "flux": ssps.flux * cube.unit,
-            "snr": ssps.snr,
-            "n_pixels": ssps.n_pixels,
-            "in_region": select,
-        }
-    )
-    table["flux"].info.description = "sum of the wavelet coefficients of the pixels"
-    return name_by_frame(table, cube)
-
-
 def component_table(rows, *, meta=None):
     """
     Return velocity components as a table.
@@ -169,16 +136,99 @@ def component_table(rows, *, meta=None):
     """
     table = build_table(rows, COLUMNS)
     table.meta.update(meta or {})
-    return table
+    return round_to_errors(table)
+
+
+def paper_table(table, *, latex=True):
+    """
+    Return the main columns of a table as text, values with their errors.
+
+    Parameters
+    ----------
+    table : `~astropy.table.Table`
+        Components, features, tracks or a profile.
+    latex : bool, optional
+        Write for ``format="ascii.aastex"`` and ``format="ascii.latex"``, otherwise
+        for a screen.
+
+    Returns
+    -------
+    `~astropy.table.Table`
+        Of the columns in `PAPER` those that the table has.  Values are rounded to
+        two significant digits of their own errors.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> from astro_scc.measurement.tables import paper_table
+    >>> table = QTable({"pm": [2.1279], "pm_err": [0.072]}, units=[u.mas / u.yr] * 2)
+    >>> paper_table(table).write("speeds.tex", format="ascii.aastex")
+    >>> print(paper_table(table, latex=False)["pm"][0])
+    2.128 ± 0.072
+    """
+    rounded, paper = round_to_errors(table.copy(copy_data=False)), Table()
+    if "p_global_err" in rounded.colnames:
+        rounded.remove_column("p_global_err")
+    sign = r"\pm" if latex else "±"
+    for name, heading in PAPER.items():
+        if name not in table.colnames:
+            continue
+        column = rounded[name]
+        cells = [cell_text(rounded, name, k, sign) for k in range(len(rounded))]
+        if name.startswith("p_"):
+            # What stands still is not tested.
+            still = ["-" if kind == "stationary" else "" for kind in table["kind"]]
+            cells = [mark or cell for mark, cell in zip(still, cells, strict=True)]
+        if latex:
+            is_number = getattr(getattr(column, "dtype", None), "kind", "") in "if"
+            cells = list(map(_latex_number if is_number else latex_text, cells))
+        unit = getattr(column, "unit", None)
+        unit = None if unit == u.one else unit
+        heading = heading if latex else name
+        paper[heading] = Column(np.array(cells, dtype=str), unit=unit)
+    return paper
+
+
+def cell_text(table, name, k, sign="±"):
+    """Return an entry of a table as text, rounded to its error; "-" if it has none."""
+    value = table[name][k]
+    if isinstance(value, Time):
+        return value.strftime("%Y-%m-%d")
+    if np.any(getattr(value, "mask", False)):
+        return "-"
+    value = _plain(value)
+    if np.asarray(value).dtype.kind != "f":
+        return str(value)
+    if not np.isfinite(value):
+        return "-"
+    if f"{name}_err" in table.colnames:
+        return with_error(value, _plain(table[f"{name}_err"][k]), sign)
+    return f"{value:{table[name].info.format or ''}}"
+
+
+def _plain(value):
+    """Return an entry without unit and mask."""
+    value = getattr(value, "unmasked", value)
+    return getattr(value, "value", value)
+
+
+def latex_text(text):
+    """Return text in which what LaTeX reads as commands is escaped."""
+    return re.sub(r"([&%#_${}])", r"\\\1", text.replace("\\", "/"))
+
+
+def _latex_number(text):
+    text = r"\ldots" if text == "-" else text.replace("(error unknown)", r"\pm \ldots")
+    return f"${text}$" if "\\" in text or text[0] == "-" else text
 
 
 def component_row(result, number):
     """Return the columns of one component as plain numbers."""
     peak, stream = result.maxima[number - 1], result.search.streams[number - 1]
     velocity, jitter = result.velocities[number - 1], result.jitters[number - 1]
-    member = result.members(number)
-    d = result.displacements
-    pairs = np.stack([d.reference[member], d.target[member]])
+    member, n_epochs = result.members(number), len(result.cube)
+    pairs = np.stack([member["epoch"], member["target_epoch"]])
     p, n = stream.p_global, len(result.search.permutations.permuted)
     row = {
         "component": number,
@@ -192,8 +242,8 @@ def component_row(result, number):
         "p_global_err": np.sqrt(p * (1 - p) / n),
         "p_distinct": stream.p_distinct,
         "p_smallest": result.search.permutations.smallest_p,
-        "n_ssp": len(np.unique(d.ssp[member])),
-        "n_pairs": len(np.unique(pairs.min(axis=0) * d.n_epochs + pairs.max(axis=0))),
+        "n_ssp": len(np.unique(member["ssp"])),
+        "n_pairs": len(np.unique(pairs.min(axis=0) * n_epochs + pairs.max(axis=0))),
         "n_features": len(stream.features),
         # ECSV reads empty text as a missing value.
         "note": stream.reason or "-",
@@ -287,7 +337,7 @@ def stack_tables(tables, meta):
     stacked = vstack(filled, metadata_conflicts="silent")
     stacked.meta.clear()
     stacked.meta.update(meta)
-    return stacked
+    return round_to_errors(stacked)
 
 
 def false_discovery_rate(tables, *, method="bh"):

@@ -267,7 +267,7 @@ def _nearest(velocities, velocity, tolerance):
 def _share_of_features(result, number, paths, fwhm):
     """Return the share of a component's SSPs that lie on injected features."""
     ssps = result.matched.ssps
-    member = np.unique(result.displacements.ssp[result.members(number)])
+    member = np.unique(result.members(number)["ssp"])
     if len(member) == 0:
         return 0.0
     epoch = ssps.epoch[member]

@@ -18,8 +18,8 @@ from astro_scc.report.tables import plain_value, unit_text
 
 #: Other products that the folder may hold, in the order of the page.
 PRODUCTS = (
-    "components.ecsv features.ecsv components.vot ssps.ecsv ssps.vot scc.fits "
-    "config.toml region.reg"
+    "components.ecsv components.tex features.ecsv components.vot ssps.ecsv ssps.vot "
+    "scc.fits config.toml region.reg"
 ).split()
 #: Dots per inch of the figures, which are at most six inches wide.
 DPI = 150
@@ -30,10 +30,10 @@ NUMBERS = "no one two three four five six seven eight nine".split()
 
 def write_report(
     result,
-    components,
     directory,
     *,
-    title,
+    components=None,
+    title=None,
     warnings=(),
     left_out=(),
     chosen=(),
@@ -46,17 +46,17 @@ def write_report(
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
-    components : `~astropy.table.QTable`
-        ``result.components``, or the table with apparent speeds of
-        ``result.components_in_c``.
     directory : path
         Folder for ``report.html``, and for ``streams.png``, ``diagram.png``,
         ``speeds.png``, ``distances.png``, ``members.png``, ``velocity_map.png``,
         ``significance.png``, ``epochs.png`` and ``intervals.png``, which the page
         holds too.  It is made if need be; files of these names are replaced, each
         when the new one is complete.
-    title : str
-        Heading of the page, the name of the object.
+    components : `~astropy.table.QTable`, optional
+        By default ``result.components``; the table of ``result.components_in_c``
+        has apparent speeds too.
+    title : str, optional
+        Heading of the page, by default the name of the object.
     warnings : sequence of str, optional
         What the reader must know, in plain words.
     left_out : sequence of str or of (str, str), optional
@@ -86,11 +86,13 @@ def write_report(
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
     >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
-    >>> path = write_report(result, result.components, "out", title="Two fluids")
+    >>> path = write_report(result, "out", title="Two fluids")
     >>> path.name
     'report.html'
     """
     directory = Path(directory)
+    components = result.components if components is None else components
+    title = title or result.cube.meta.get("object") or "Velocity components"
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except FileExistsError:

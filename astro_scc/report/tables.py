@@ -12,36 +12,36 @@ from astropy.time import Time
 
 from astro_scc.flow.binned import LEAST, MOST_BINS
 from astro_scc.kinematics.cosmology import cosmology_text
-from astro_scc.measurement.tables import PM_UNIT
-from astro_scc.quantities import with_error
+from astro_scc.measurement.tables import PM_UNIT, cell_text
+from astro_scc.quantities import round_to_errors, with_error
 
-#: Columns of the page: name, heading with {unit}, decimals of values without errors.
+#: Columns of the page: name, heading with {unit}.
 COLUMNS = (
-    ("component", "No.", 0),
-    ("kind", "kind", 0),
-    ("pm", "speed ({unit})", 3),
-    ("beta_app", "speed (c)", 3),
-    ("pm_pa", "PA ({unit})", 0),
-    ("dispersion", "dispersion ({unit})", 3),
-    ("p_global", "p_global", 3),
-    ("n_features", "features", 0),
-    ("n_ssp", "SSPs", 0),
-    ("n_pairs", "pairs", 0),
-    ("pm_parallel", "along ({unit})", 3),
-    ("pm_transverse", "across ({unit})", 3),
-    ("pm_ra_cosdec", "east ({unit})", 3),
-    ("pm_dec", "north ({unit})", 3),
-    ("pm_lon_coslat", "longitude ({unit})", 3),
-    ("pm_lat", "latitude ({unit})", 3),
-    ("coefficient", "coefficient", 3),
-    ("z_score", "z", 1),
-    ("pm_limit", "upper limit, 95% ({unit})", 3),
-    ("pm_err_jitter", "paper's error of the speed ({unit})", 3),
-    ("pm_err_alignment", "error by alignment ({unit})", 3),
-    ("p_local", "p_local", 3),
-    ("p_distinct", "p_distinct", 3),
-    ("p_smallest", "smallest p_global", 3),
-    ("note", "note", 0),
+    ("component", "No."),
+    ("kind", "kind"),
+    ("pm", "speed ({unit})"),
+    ("beta_app", "speed (c)"),
+    ("pm_pa", "PA ({unit})"),
+    ("dispersion", "dispersion ({unit})"),
+    ("p_global", "p_global"),
+    ("n_features", "features"),
+    ("n_ssp", "SSPs"),
+    ("n_pairs", "pairs"),
+    ("pm_parallel", "along ({unit})"),
+    ("pm_transverse", "across ({unit})"),
+    ("pm_ra_cosdec", "east ({unit})"),
+    ("pm_dec", "north ({unit})"),
+    ("pm_lon_coslat", "longitude ({unit})"),
+    ("pm_lat", "latitude ({unit})"),
+    ("coefficient", "coefficient"),
+    ("z_score", "z"),
+    ("pm_limit", "upper limit, 95% ({unit})"),
+    ("pm_err_jitter", "paper's error of the speed ({unit})"),
+    ("pm_err_alignment", "error by alignment ({unit})"),
+    ("p_local", "p_local"),
+    ("p_distinct", "p_distinct"),
+    ("p_smallest", "smallest p_global"),
+    ("note", "note"),
 )
 #: Columns of the page of a survey.
 OVERVIEW = {
@@ -123,27 +123,28 @@ def component_rows(components, kinds):
     notes : list of (str, str)
         Headings and what the columns mean.
     """
+    components = round_to_errors(components.copy(copy_data=False))
     known = [column for column in COLUMNS if column[0] in components.colnames]
-    taken = {name for name, *_ in COLUMNS}
+    taken = {name for name, _ in COLUMNS}
     taken |= {f"{name}_err" for name in taken}
     known += [
-        (name, name, 3)
+        (name, name)
         for name in components.colnames
         if name not in taken and components[name].ndim == 1
     ]
-    names = [name for name, *_ in known]
+    names = [name for name, _ in known]
     first = names.index("pm_parallel") if "pm_parallel" in names else len(known)
     tables, notes = [], []
     for part in (known[:first], [*known[:1], *known[first:]]):
         head, rows = [], [(kind, []) for kind in kinds]
-        for name, heading, digits in part:
+        for name, heading in part:
             unit = unit_text(getattr(components[name], "unit", None))
             head.append(heading.format(unit=unit))
             note = _note(components[name].info.description or "")
             if note and (head[-1], note) not in notes:
                 notes.append((head[-1], note))
-            for (_, cells), row in zip(rows, components, strict=True):
-                cells.append(_cell(components, row, name, digits))
+            for k, (_, cells) in enumerate(rows):
+                cells.append(cell_text(components, name, k))
         tables.append((head, rows))
     return tables, notes
 
@@ -152,18 +153,6 @@ def _note(description):
     """Return the description of a column in the words of the page."""
     description = re.sub(r"\bpm_err\b", "the error of the speed", description)
     return re.sub(r"\bpm\b", "the speed", description)
-
-
-def _cell(components, row, name, digits):
-    value = plain_value(row[name])
-    if isinstance(value, str):
-        return value
-    if not np.isfinite(value):
-        return "-"
-    if f"{name}_err" in components.colnames:
-        return with_error(value, plain_value(row[f"{name}_err"]))
-    # A small p-value must not be rounded to zero.
-    return f"{value:.2g}" if name.startswith("p_") else f"{value:.{digits}f}"
 
 
 def scale_lines(of_scales):

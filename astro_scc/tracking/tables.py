@@ -8,6 +8,7 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from astro_scc.epochs.positions import axis_words, name_by_frame
+from astro_scc.quantities import round_to_errors
 from astro_scc.tracking.motion import SIGNIFICANT, ejection_epoch, turn_between
 
 PM_UNIT = u.mas / u.yr
@@ -76,7 +77,7 @@ def track_table(tracking):
         else:
             table[name] = Column(np.array(values, dtype=kind))
         table[name].info.description = description
-    return name_by_frame(table, cube)
+    return name_by_frame(round_to_errors(table), cube)
 
 
 def _motion_row(tracking, number):
@@ -173,6 +174,7 @@ def feature_table(tracking):
         }
     )
     table["flux"].info.description = "sum of the wavelet coefficients of the pixels"
+    round_to_errors(table)
     velocity = np.array([fit.coefficients[:, 1] for fit in tracking.fits], dtype=float)
     vx, vy = velocity.reshape(-1, 2)[track].T * PM_UNIT
     if axis_words(cube)[0] == "east":

@@ -105,7 +105,7 @@ def plot_epochs(
     **view,
 ):
     """
-    Draw all epochs, or an even selection of them, with the same colours.
+    Draw up to ``max_panels`` epochs, evenly selected, with the same colours.
 
     Parameters
     ----------

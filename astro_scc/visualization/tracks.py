@@ -66,7 +66,7 @@ def plot_members(result, *, figure=None, components=None, max_panels=4, unit=Non
 
 
 def _draw_members(ax, view, result, number, kind):
-    member, d = result.members(number), result.displacements
+    member, d = result.members(number)["match"], result.displacements
     n_ssp = len(np.unique(d.ssp[member]))
     member = member[d.target[member] > d.reference[member]]
     member = member[np.argsort(d.target[member], kind="stable")]

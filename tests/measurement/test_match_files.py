@@ -127,7 +127,7 @@ def test_files_that_are_no_matches(made, cube, tmp_path):
     with pytest.raises(FileNotFoundError):
         MatchedEpochs.read(path, cube)
     path.write_text("nothing")
-    with pytest.raises(OSError, match="is no complete file of matches"):
+    with pytest.raises(OSError, match="is no complete astro_scc matches file"):
         MatchedEpochs.read(path, cube)
     fits.PrimaryHDU(np.ones((3, 3))).writeto(path, overwrite=True)
     with pytest.raises(OSError, match="it was not written as one"):
@@ -135,7 +135,7 @@ def test_files_that_are_no_matches(made, cube, tmp_path):
     made.write(path, overwrite=True)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(OSError, match="is no complete file"):
+    with pytest.raises(OSError, match="is no complete"):
         MatchedEpochs.read(path, cube)
     # One bit, in the values of the matches.
     spot = len(whole) * 3 // 4
@@ -188,7 +188,9 @@ def test_a_stale_cache_is_made_again(scc, cube, made, counted, tmp_path):
         part = other.match(cube, region=inside, cache=path)
     assert 0 < part.select.sum() < found.select.sum()
     path.write_text("nothing")
-    with pytest.warns(MeasurementWarning, match="is no complete file of matches"):
+    with pytest.warns(
+        MeasurementWarning, match="is no complete astro_scc matches file"
+    ):
         same(part, other.match(cube, region=inside, cache=path))
 
 

@@ -4,7 +4,9 @@
 from dataclasses import replace
 from html.parser import HTMLParser
 
-from astro_scc.measurement.result import COLUMNS
+import numpy as np
+
+from astro_scc.measurement.tables import paper_table
 
 
 class Page(HTMLParser):
@@ -33,12 +35,24 @@ def test_components(sky_result):
     html = sky_result._repr_html_()
     page = Page(html)
     assert not page.open
-    assert len(page.cells) == len(COLUMNS) * len(sky_result.components)
+    table = paper_table(sky_result.components, latex=False)
+    assert len(page.cells) == len(table.colnames) * len(table)
     assert page.cells[0] == "1"
-    assert f"{sky_result.components['pm'][0].value:.3g}" in page.cells
-    assert "pm (mas / yr)" in html
+    assert table["pm"][0] in page.cells
+    assert "mas / yr" in html
     assert "40 trials, seed 1" in html
     assert len(html) < 5000
+
+
+def test_the_representation_says_the_speeds(sky_result):
+    first = sky_result.components[0]
+    digits = max(0, 1 - int(np.floor(np.log10(first["pm_err"].value))))
+    speed, error = (f"{first[name].value:.{digits}f}" for name in ("pm", "pm_err"))
+    text = repr(sky_result)
+    assert text.startswith("<SCCResult")
+    assert f": {speed} +- {error} mas/yr {first['kind']}" in text
+    assert text.endswith("8 epochs>")
+    assert "\n" not in text
 
 
 def test_text_is_escaped(sky_result):
@@ -53,6 +67,7 @@ def test_text_is_escaped(sky_result):
 
 def test_without_components(sky_result):
     empty = replace(sky_result, maxima=(), velocities=(), jitters=())
+    assert "no component, 8 epochs>" in repr(empty)
     html = empty._repr_html_()
     assert "no component" in html
     assert "<table" not in html

@@ -292,6 +292,7 @@ def test_a_table_without_components_keeps_its_columns(cube, tmp_path):
         "components.ecsv",
         "features.ecsv",
         "ssps.ecsv",
+        "components.tex",
         "scc.fits",
     ]
     table = QTable.read(paths[0])

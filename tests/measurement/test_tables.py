@@ -13,8 +13,7 @@ from astropy.time import Time
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.measurement import component_table, versions
-from astro_scc.measurement.feature_tables import feature_table
-from astro_scc.measurement.tables import ssp_table
+from astro_scc.measurement.feature_tables import feature_table, ssp_table
 
 PM = u.mas / u.yr
 PROPER_MOTIONS = ["pm_ra_cosdec", "pm_dec", "pm", "pm_parallel", "pm_transverse"]

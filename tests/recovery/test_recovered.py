@@ -39,8 +39,7 @@ def result(*components):
         velocities=[
             SimpleNamespace(value=np.array(v)) for v in zip(v1, v2, strict=True)
         ],
-        members=lambda number: np.arange(10 * (number - 1), 10 * number),
-        displacements=SimpleNamespace(ssp=np.arange(10 * n)),
+        members=lambda number: {"ssp": np.arange(10 * (number - 1), 10 * number)},
         matched=SimpleNamespace(
             ssps=SimpleNamespace(
                 x=np.array(x), y=np.full(10 * n, 20.0), epoch=np.arange(10 * n) % 2
@@ -95,7 +94,7 @@ def test_the_nearest_of_the_features_counts():
 
 def test_a_component_without_ssps_is_not_of_the_features():
     bare = result(("moving", 0.01, 5.0, 0.0, 1.0))
-    bare.members = lambda number: np.empty(0, dtype=int)
+    bare.members = lambda number: {"ssp": np.empty(0, dtype=int)}
     assert recovered(bare, [], (5, 0), **RULE) is None
 
 

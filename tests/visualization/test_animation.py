@@ -66,7 +66,7 @@ def test_equal_steps_of_time(animate, small):
 
 
 def test_ssps_move_and_leave_a_trail(animate, matched):
-    from astro_scc.measurement.tables import ssp_table
+    from astro_scc.measurement.feature_tables import ssp_table
 
     cube = matched.cube
     table = ssp_table(matched.ssps, cube, select=matched.select)

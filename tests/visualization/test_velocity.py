@@ -227,7 +227,7 @@ def test_members_are_arrows_from_ssps_to_their_matches(results):
             for feature in result.search.streams[0].features
             for pair in itertools.pairwise(feature.ssp)
         ]
-        member, d = result.members(1), result.displacements
+        member, d = result.members(1)["match"], result.displacements
         known = {(d.ssp[k], d.target_ssp[k]): k for k in member}
         member = [known[pair] for pair in sorted(steps)]
         assert len(arrows.U) == len(member)
@@ -246,7 +246,9 @@ def test_arrows_are_the_same_on_all_axes(results):
     def motions(result):
         everything = replace(result)
         d = result.displacements
-        object.__setattr__(everything, "members", lambda n: np.arange(len(d)))
+        columns = {"match": np.arange(len(d)), "ssp": d.ssp, "epoch": d.reference}
+        table = QTable({**columns, "target_epoch": d.target})
+        object.__setattr__(everything, "members", lambda n: table)
         arrows = arrows_of(plot_members(everything, max_panels=1).axes[0])
         return np.stack([arrows.U, arrows.V])
 

@@ -1,0 +1,264 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Results as files: what is written comes back to the bit, in another session too."""
+
+import io
+import subprocess
+import sys
+from dataclasses import fields, is_dataclass, replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import QTable
+from astropy.time import Time
+from astropy.utils.masked import Masked
+from astropy.wcs import WCS
+
+from astro_scc import EpochCube
+from astro_scc.epochs import serialize
+from astro_scc.kinematics import RidgeLine
+from astro_scc.measurement import SCCResult
+from astro_scc.measurement.tables import PAPER, paper_table
+from astro_scc.quantities import decimals
+
+FRAMES = {
+    "sky": None,
+    "jet": 270 * u.deg,
+    "radial": "radial",
+    "ridge": RidgeLine([0, -5, -12] * u.mas, [0, 0.1, 0.3] * u.mas),
+}
+
+
+def same(one, other, name="result"):
+    """Return whether two objects are alike down to the bits of their arrays."""
+    assert type(one) is type(other) or isinstance(one, np.generic), name
+    if is_dataclass(one):
+        for own in fields(one):
+            same(getattr(one, own.name), getattr(other, own.name), own.name)
+    elif isinstance(one, np.ndarray):
+        assert one.dtype == other.dtype, name
+        assert one.shape == other.shape, name
+        assert getattr(one, "unit", None) == getattr(other, "unit", None), name
+        assert np.asarray(one).tobytes() == np.asarray(other).tobytes(), name
+    elif isinstance(one, dict):
+        assert list(one) == list(other), name
+        for key in one:
+            same(one[key], other[key], f"{name}.{key}")
+    elif isinstance(one, list | tuple):
+        assert len(one) == len(other), name
+        for k, (a, b) in enumerate(zip(one, other, strict=True)):
+            same(a, b, f"{name}[{k}]")
+    elif isinstance(one, WCS):
+        for key in ("crval", "crpix", "cdelt", "pc"):
+            assert np.array_equal(getattr(one.wcs, key), getattr(other.wcs, key)), name
+    elif isinstance(one, Time):
+        assert np.array_equal(one.jd1, other.jd1), name
+        assert np.array_equal(one.jd2, other.jd2), name
+    else:
+        assert one == other or (np.isnan(one) and np.isnan(other)), name
+
+
+def tables(result):
+    return {
+        "components": result.components,
+        "features": result.features,
+        "feature_positions": result.feature_positions,
+        "ssps": result.ssps,
+        "members": result.members(1),
+    }
+
+
+def text_of(table):
+    text = io.StringIO()
+    table.write(text, format="ascii.ecsv")
+    return text.getvalue()
+
+
+@pytest.fixture(scope="module")
+def path(sky_result, tmp_path_factory):
+    path = tmp_path_factory.mktemp("result") / "jet.fits"
+    sky_result.write(path)
+    return path
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_everything_comes_back_to_the_bit(name, stacked, tmp_path):
+    result = stacked(FRAMES[name])
+    result.write(tmp_path / "jet.fits")
+    again = SCCResult.read(tmp_path / "jet.fits")
+    same(result, again)
+    for kind, table in tables(again).items():
+        assert text_of(table) == text_of(tables(result)[kind])
+    for which in ("coefficient", "z_score"):
+        one, other = (r.velocity_map(which).data for r in (result, again))
+        assert one.tobytes() == other.tobytes()
+    assert result.diagram().data.tobytes() == again.diagram().data.tobytes()
+    assert repr(result) == repr(again)
+    # What is shared stays shared, and can be computed from.
+    assert again.matched.decompositions.cube is again.cube
+    planes = (r.matched.decompositions[0].planes for r in (result, again))
+    np.testing.assert_array_equal(*planes)
+
+
+@pytest.mark.slow
+def test_another_session_gives_the_same(path, sky_result, tmp_path):
+    code = (
+        "import sys; from astro_scc.measurement import SCCResult\n"
+        "result = SCCResult.read(sys.argv[1])\n"
+        "result.components.write(sys.argv[2], format='ascii.ecsv')\n"
+        "result.plot().savefig(sys.argv[3], metadata={'Software': None})\n"
+    )
+    out, png = tmp_path / "components.ecsv", tmp_path / "map.png"
+    subprocess.run([sys.executable, "-c", code, path, out, png], check=True)
+    assert out.read_text() == text_of(sky_result.components)
+    sky_result.plot().savefig(tmp_path / "here.png", metadata={"Software": None})
+    assert png.read_bytes() == (tmp_path / "here.png").read_bytes()
+
+
+def test_astropy_knows_the_format(path):
+    for method in (SCCResult.read, SCCResult.write):
+        text = io.StringIO()
+        method.list_formats(out=text)
+        assert "fits" in text.getvalue()
+    text = io.StringIO()
+    SCCResult.read.help(out=text)
+    assert "Read a result" in text.getvalue()
+    assert repr(SCCResult.read(path, format="fits")) == repr(SCCResult.read(path))
+
+
+def test_files_are_not_replaced_unasked(path, sky_result):
+    with pytest.raises(OSError, match=r"jet.fits: exists; pass overwrite=True"):
+        sky_result.write(path)
+    sky_result.write(path, overwrite=True)
+
+
+def refused(path, match):
+    with pytest.raises(OSError, match=match) as caught:
+        SCCResult.read(path)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_what_is_no_result_is_refused_in_one_line(path, sky_result, tmp_path):
+    refused(tmp_path / "none.fits", "No such file")
+    other = tmp_path / "other.fits"
+    other.write_text("nothing")
+    refused(other, "other.fits: is no complete astro_scc result file")
+    sky_result.cube.write(other, overwrite=True)
+    refused(other, "other.fits: is no complete astro_scc result.*not written as one")
+    sky_result.matched.write(other, overwrite=True)
+    refused(other, "not written as one")
+    whole = path.read_bytes()
+    other.write_bytes(whole[: len(whole) // 2])
+    refused(other, "other.fits: is no complete astro_scc result file")
+    spot = len(whole) // 2
+    other.write_bytes(whole[:spot] + bytes([whole[spot] ^ 1]) + whole[spot + 1 :])
+    refused(other, "hecksum")
+    with pytest.raises(OSError, match=r"jet.fits: "):
+        EpochCube.read(path)
+
+
+def test_results_of_other_versions_are_refused(path, sky_result, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(serialize, "LAYOUT", 99)
+        sky_result.write(tmp_path / "new.fits")
+    refused(tmp_path / "new.fits", "new.fits: of layout 99; read it with the version")
+    with fits.open(path) as hdus:
+        text = hdus["META"].data.tobytes().replace(b"jitters:", b"tremors:")
+        hdus["META"].data = np.frombuffer(text, np.uint8)
+        hdus.writeto(tmp_path / "old.fits", checksum=True)
+    refused(tmp_path / "old.fits", "its SCCResult is of another version of astro_scc")
+
+
+class Axes:
+    """A frame of a user, without fields that could be written."""
+
+
+def test_what_cannot_be_written(sky_result, tmp_path):
+    matched = replace(
+        sky_result.matched, decompositions=tuple(sky_result.matched.decompositions[:1])
+    )
+    with pytest.raises(ValueError, match="decompositions: an object Decomposition"):
+        replace(sky_result, matched=matched).write(tmp_path / "jet.fits")
+    with pytest.raises(ValueError, match="frame: an object Axes cannot be"):
+        replace(sky_result, frame=Axes()).write(tmp_path / "jet.fits")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(6.0).reshape(2, 3).T,
+        np.arange(600, dtype=">i4").reshape(20, 30).T,
+        np.arange(200, dtype=np.uint16),
+        np.arange(200) % 3 == 0,
+        np.array(2.5, dtype=np.float32),
+        np.empty((0, 4)),
+        np.full(200, np.nan),
+        np.array(["a", "bc"] * 100),
+    ],
+)
+def test_arrays_of_all_kinds(array, tmp_path):
+    write = {"creator": "test", "overwrite": True}
+    serialize.write_object({"a": [array]}, tmp_path / "a.fits", (), **write)
+    (again,) = serialize.read_object(tmp_path / "a.fits", (), creator="test")["a"]
+    assert again.dtype == array.dtype.newbyteorder("=")
+    np.testing.assert_array_equal(again, array)
+
+
+# Tables for papers ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["ascii.aastex", "ascii.latex"])
+def test_a_table_for_a_paper(form, sky_result):
+    in_c = sky_result.components_in_c(redshift=0.1)
+    text = io.StringIO()
+    paper_table(in_c).write(text, format=form)
+    lines = [line for line in text.getvalue().splitlines() if line[:1].isdigit()]
+    assert len(lines) == len(in_c) == 2
+    for line, row in zip(lines, in_c, strict=True):
+        cells = [cell.strip(" $\\") for cell in line.split("&")]
+        assert cells[:2] == [str(row["component"]), row["kind"]]
+        for cell, name in ((cells[2], "pm"), (cells[3], "beta_app")):
+            value, error = map(float, cell.split(r"\pm"))
+            exact, known = (u.Quantity(row[k]).value for k in (name, f"{name}_err"))
+            assert abs(value - exact) <= 0.05 * known
+            assert error == pytest.approx(known, rel=0.05)
+    # What stands still is not tested.
+    assert [row["kind"] for row in in_c] == ["moving", "stationary"]
+    assert cells[6] == "ldots"
+
+
+def test_what_a_paper_table_cannot_know():
+    table = QTable(
+        {
+            "track": ["2001_s2", "50% & more"],
+            "first": Time(["2001-01-01", "2002-05-01"]),
+            "pm": [2.128, np.nan] * u.mas / u.yr,
+            "pm_err": [np.nan, np.nan] * u.mas / u.yr,
+            "t_ej": Masked([2000.12, 0.0] * u.yr, mask=[False, True]),
+            "t_ej_err": Masked([0.1, 0.0] * u.yr, mask=[False, True]),
+            "r": [-3.14159, 20.0] * u.mas,
+        }
+    )
+    paper = paper_table(table)
+    assert list(paper["Track"]) == [r"2001\_s2", r"50\% \& more"]
+    assert list(paper["First"]) == ["2001-01-01", "2002-05-01"]
+    assert list(paper[PAPER["pm"]]) == [r"$2.13 \pm \ldots$", r"$\ldots$"]
+    assert list(paper[PAPER["t_ej"]]) == [r"$2000.12 \pm 0.10$", r"$\ldots$"]
+    assert list(paper[PAPER["r"]]) == ["$-3.142$", "20"]
+    plain = paper_table(table, latex=False)
+    assert plain.colnames == ["track", "first", "r", "pm", "t_ej"]
+    assert list(plain["pm"]) == ["2.13 (error unknown)", "-"]
+
+
+def test_printed_columns_are_rounded_to_their_errors(sky_result):
+    table = sky_result.components
+    least = table["pm_err"].value.min()
+    digits = decimals(least)
+    assert table["pm"].info.format == table["pm_err"].info.format == f".{digits}f"
+    assert f"{least:.{digits}f}" in "".join(table["pm", "pm_err"].pformat())
+    # The numbers are whole, in files too.
+    assert table["pm"][0].value != round(table["pm"][0].value, digits)
+    again = QTable.read(text_of(table), format="ascii.ecsv")
+    np.testing.assert_array_equal(again["pm"], table["pm"])
