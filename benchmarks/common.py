@@ -5,9 +5,11 @@
 import csv
 import os
 import resource
+import subprocess
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 # Use one core per process; libraries read this when they are loaded.
@@ -175,3 +177,17 @@ def memory_of(pid, kind="Pss"):
     except (OSError, IndexError):
         return 0.0
     return own / 1e6 + sum(memory_of(child, kind) for child in below)
+
+
+def watch(words):
+    """Return the peak memory of a command in GB, and its seconds."""
+    start = time.monotonic()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "astro_scc", *map(str, words)],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    with Sampler(partial(memory_of, process.pid, "Rss"), 0.02) as memory:
+        said, _ = process.communicate()
+    if process.returncode:
+        raise RuntimeError(f"{words[0]} ended with {process.returncode}: {said}")
+    return max(memory.values), time.monotonic() - start

@@ -13,11 +13,7 @@ Peak memory is that of the process and its children, including mapped files.
 
 import argparse
 import shutil
-import subprocess
-import sys
 import tempfile
-import time
-from functools import partial
 from pathlib import Path
 
 import astropy.units as u
@@ -25,7 +21,7 @@ import numpy as np
 from astropy.io import fits
 from astropy.table import QTable
 from astropy.time import Time
-from common import Sampler, memory_of, write_table
+from common import watch, write_table
 
 MAS = 1 / 3.6e6
 #: Side of the part that is measured and motion of its features per epoch, in pixels.
@@ -87,20 +83,6 @@ def write(folder, size, n):
     middle = first + PART / 2 + 0.5
     region.write_text(f"image\nbox({middle},{middle},{PART},{PART},0)\n")
     return paths, region
-
-
-def watch(words):
-    """Return the peak memory of a command in GB, and its seconds."""
-    start = time.monotonic()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "astro_scc.cli", *map(str, words)],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
-    with Sampler(partial(memory_of, process.pid, "Rss"), 0.02) as memory:
-        said, _ = process.communicate()
-    if process.returncode:
-        raise RuntimeError(f"{words[0]} ended with {process.returncode}: {said}")
-    return max(memory.values), time.monotonic() - start
 
 
 def measured(folder):

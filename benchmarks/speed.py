@@ -32,7 +32,7 @@ from astro_scc.simulation import simulate_two_fluid
 
 #: Columns of the paper's region.
 REGION = slice(60, 160)
-HELP = [sys.executable, "-m", "astro_scc.cli", "--help"]
+HELP = [sys.executable, "-m", "astro_scc", "--help"]
 
 
 def main():

@@ -29,6 +29,7 @@ extensions = [
     "numpydoc",
     "pytest_doctestplus.sphinx.doctestplus",
     "matplotlib.sphinxext.plot_directive",
+    "sphinx_design",
 ]
 exclude_patterns = ["_build"]
 default_role = "obj"
@@ -81,7 +82,7 @@ html_title = f"astro_scc {version}"
 html_static_path = ["_static"]
 html_css_files = ["astro_scc.css"]
 # All pages are in the sidebar, so none are in the header.
-html_sidebars = {"**": ["globaltoc.html"], "index": []}
+html_sidebars = {"**": ["globaltoc.html"]}
 html_theme_options = {
     "navbar_center": [],
     "show_prev_next": False,

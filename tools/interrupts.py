@@ -49,7 +49,7 @@ def launch(words, log):
     int
         Number of the process.
     """
-    argv = [sys.executable, "-m", "astro_scc.cli", *map(str, words)]
+    argv = [sys.executable, "-m", "astro_scc", *map(str, words)]
     how = os.O_WRONLY | os.O_CREAT | os.O_APPEND
     actions = [
         (os.POSIX_SPAWN_OPEN, 1, str(log), how, 0o644),

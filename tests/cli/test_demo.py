@@ -34,7 +34,7 @@ def test_demo_in_short(quick, astro_scc, here):
 
 @pytest.mark.slow
 def test_demo(tmp_path, monkeypatch):
-    command = [sys.executable, "-m", "astro_scc.cli"]
+    command = [sys.executable, "-m", "astro_scc"]
     done = subprocess.run(
         [*command, "demo", "-o", "out"],
         cwd=tmp_path,

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The program as ``python -m astro_scc.cli``."""
+"""The program as ``python -m astro_scc``."""
 
 import sys
 
