@@ -8,9 +8,6 @@ from scipy.special import stdtrit
 
 from astro_scc.stacking.search import DEFAULT
 
-#: Distributions of the speeds of one stream.
-FAMILIES = ("log-normal", "normal", "uniform")
-
 
 @dataclass(frozen=True)
 class Population:
@@ -42,10 +39,12 @@ def random_effects(values, errors, settings=DEFAULT):
     Return the mean and dispersion of values that differ by more than their errors.
 
     The dispersion solves ``sum (x - m)^2 / (tau^2 + e^2) = n - 1`` (Paule &
-    Mandel 1982, J. Res. NBS 87, 377).  The error of the mean is that of a
-    weighted mean with Student's t at 68%.  Few values can agree by chance:
-    for the error, a dispersion of 15% counts as one more value, so the
-    variance is ``((n - 1) tau^2 + (0.15 m)^2) / n`` with n degrees of freedom.
+    Mandel 1982, J. Res. NBS 87, 377).  The error is that of the mean of the
+    features in the images, of which most are followed: half of the variance of
+    the dispersion counts (as for a sample of a finite population; Cochran 1977,
+    Sampling Techniques, Sect. 2.6), with Student's t at 68%.  Few values can
+    agree by chance: a dispersion of 15% counts as one more value, so this
+    variance is ``((n - 1) tau^2 + (0.15 m)^2) / n``, with n degrees of freedom.
 
     Parameters
     ----------
@@ -70,7 +69,8 @@ def random_effects(values, errors, settings=DEFAULT):
         return Population(float(x[0]), float(error), np.nan, np.nan)
     (m,), _, tau, w = scattered_fit(np.ones((n, 1)), x, e)
     variance = ((n - 1) * tau**2 + (settings.lone_dispersion * m) ** 2) / n
-    error = np.sqrt((w**2 * (e**2 + variance)).sum()) / w.sum() * stdtrit(n, 0.8413)
+    variance = e**2 + settings.not_followed * variance
+    error = np.sqrt((w**2 * variance).sum()) / w.sum() * stdtrit(n, 0.8413)
     # The sum of squares is distributed as chi-square with n - 1 degrees of freedom.
     total = 1 / w.mean()
     tau_error = total / np.sqrt(2 * (n - 1)) / max(tau, np.sqrt(total) / 2)
@@ -142,7 +142,7 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
 
     The statistic is the ratio of the largest likelihood of a mixture of two
     log-normal distributions, with a common dispersion of at most 25%, to that
-    of one normal, log-normal or uniform distribution of any dispersion.  Its
+    of one normal or log-normal distribution of any dispersion.  Its
     distribution for one stream is simulated by drawing as many features, with
     the same errors, from the one stream that fits (parametric bootstrap;
     McLachlan 1987, Appl. Stat. 36, 318).
@@ -181,9 +181,13 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
         return 1.0, np.zeros(len(speed), dtype=bool)
     order = np.argsort(np.abs(speed))
     y, e = np.log(np.abs(speed))[order], (error / np.abs(speed))[order]
-    one, mean, tau, family = (v[0] for v in _one(y[None], e[None], one_of))
+    one, mean, tau, linear = (v[0] for v in _one(y[None], e[None], one_of))
     two, split = (v[0] for v in _two(y[None], e[None], two_of))
-    trials = mean + _draw(FAMILIES[int(family)], tau, e, (n_trials, len(y)), rng)
+    width = np.sqrt(tau**2 * len(y) / (len(y) - 1) + e**2)
+    trials = width * rng.normal(size=(n_trials, len(y)))
+    # The speeds of a stream have one direction.
+    trials = np.log(np.abs(1 + trials)) if linear else trials
+    trials += mean
     sort = np.argsort(trials, axis=1)
     trials = np.take_along_axis(trials, sort, axis=1)
     errors = np.take_along_axis(np.broadcast_to(e, trials.shape), sort, axis=1)
@@ -201,16 +205,13 @@ def _log_normal(y, e, m, tau):
 
 def _one(y, e, dispersions):
     """
-    Return the largest log-likelihood of one stream of any family, per trial.
+    Return the largest log-likelihood of one stream, normal or log-normal, per trial.
 
-    The logarithm of its mean, its relative dispersion (of a uniform
-    distribution the half-width) and the index of its family are returned as
-    well.
+    The logarithm of its mean, its relative dispersion and whether it is normal
+    are returned as well.
     """
-    n = y.shape[1]
     best = np.full((4, len(y)), -np.inf)
-    v = np.exp(y)
-    size = v.mean(axis=1, keepdims=True)
+    v, size = np.exp(y), np.exp(y).mean(axis=1, keepdims=True)
     for tau in dispersions:
         w = 1 / (e**2 + tau**2)
         m = (w * y).sum(axis=1) / w.sum(axis=1)
@@ -221,24 +222,7 @@ def _one(y, e, dispersions):
         m = (w * v).sum(axis=1, keepdims=True) / w.sum(axis=1, keepdims=True)
         value = y - 0.5 * (w * (v - m) ** 2 - np.log(w))
         _keep_better(best, value.sum(axis=1), np.log(m[:, 0]), tau, 1)
-    low, high = v.min(axis=1), v.max(axis=1)
-    width = np.maximum(high - low, 1e-9 * high)
-    value = y.sum(axis=1) + n * (0.5 * np.log(2 * np.pi) - np.log(width))
-    middle = 0.5 * (low + high)
-    _keep_better(best, value, np.log(middle), 0.5 * width / middle, 2)
     return best
-
-
-def _draw(family, tau, e, shape, rng):
-    """Return logarithms of speeds of one stream, divided by its mean."""
-    n = shape[1]
-    if family == "uniform":
-        # n values span (n - 1) / (n + 1) of the width of their distribution.
-        true = 1 + tau * (n + 1) / (n - 1) * rng.uniform(-1, 1, shape)
-        return np.log(np.abs(true * (1 + e * rng.normal(size=shape))))
-    scatter = np.sqrt(tau**2 * n / (n - 1) + e**2) * rng.normal(size=shape)
-    # The speeds of a stream have one direction.
-    return np.log(np.abs(1 + scatter)) if family == "normal" else scatter
 
 
 def _keep_better(best, value, *what):

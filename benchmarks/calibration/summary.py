@@ -72,7 +72,7 @@ def speeds_row(kind, jets):
         share(right, len(jets)),
         f"{np.mean(error / [r['true_mean'] for r in found]):+.3f}",
         f"{pull.mean():+.2f}",
-        share(int((np.abs(pull) <= 1).sum()), len(found)),
+        *(share(int((np.abs(pull) <= k).sum()), len(found)) for k in (1, 2)),
         f"{np.median(dispersion):.3f}",
         f"{np.median([jet[0]['true_dispersion'] for jet in jets]):.3f}",
         share(sum(map(distinct, jets)), len(jets)),
@@ -206,7 +206,7 @@ def main():
     write(
         "speeds_table",
         ["jets", "n", "moving", "within 20%", "bias", "mean pull", "68% interval",
-         "dispersion", "true", "second distinct"],
+         "two errors", "dispersion", "true", "second distinct"],
         [speeds_row(k, have[k]) for k in have if k.startswith((*SINGLE, *BROAD))],
     )  # fmt: skip
     write(
