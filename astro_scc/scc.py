@@ -314,7 +314,9 @@ class StackedCrossCorrelation(MeasurementSettings):
             blocks = cache.blocks()
         with workers_of(n_workers) as workers:
             refuse_too_much(cube, decomposer, workers)
-            decompositions = decompose_epochs(cube, decomposer, n_workers=workers)
+            decompositions = decompose_epochs(
+                cube, decomposer, n_workers=workers, progress_bar=progress_bar
+            )
             ssps, select = ssps_inside(decompositions, cube, inside)
             windows = int(select.sum()) * (len(cube) - 1)
             refuse_too_much(cube, decomposer, workers, n_windows=windows)

@@ -13,6 +13,14 @@ from astro_scc.settings import OPTIONS, Settings, check_setting, override, read_
 #: Pixels of all epochs from which on more processes save more time than they take to
 #: start: some ten seconds of one.
 WORTH_PROCESSES = 3e6
+#: Seconds of a run from which on it says beforehand how long it will take.
+LONG = 300.0
+#: More processes are advised if a run takes less than this part of the time with them.
+WORTH_IT = 0.8
+#: What shortens the matching, on any number of processes.
+LESS = "a --region, a --crop or fewer --scales shorten it"
+#: Seconds of one core for the figures of a report, and to read an image.
+REPORT, READ = 7.0, 0.03
 
 
 def draw_seed(seed=None):
@@ -31,11 +39,115 @@ def workers_for(cube, workers=None):
     """Return the workers that were named, or one process per core for a large cube."""
     if workers is not None:
         return workers
-    if cube.data.size < WORTH_PROCESSES:
-        return 1
+    return 1 if cube.data.size < WORTH_PROCESSES else _n_cores()
+
+
+def _n_cores():
+    """Return the number of cores that this process may use."""
     with suppress(AttributeError):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def measuring_time(cube, settings, *, n_bins=0):
+    """
+    Estimate how long a measurement takes on one core, within a factor of two.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.EpochCube`
+    settings : `~astro_scc.settings.Settings`
+    n_bins : int, optional
+        Bins of distance that are stacked besides the whole.
+
+    Returns
+    -------
+    shared, alone : float
+        Seconds of what several processes share, and of the rest.
+    n_ssps : float
+        Estimated number of SSPs.
+    """
+    from astro_scc import StackedCrossCorrelation
+    from astro_scc.measurement.decomposing import matching_time
+    from astro_scc.measurement.plan import mean_fwhm, search_radius, search_reach
+    from astro_scc.measurement.stacking import stacking_time
+    from astro_scc.measurement.tables import PM_UNIT
+    from astro_scc.stacking import SearchSettings
+
+    scc = StackedCrossCorrelation.from_settings(settings)
+    fwhm = mean_fwhm(cube, max(scc.scale_numbers(cube)))
+    speed = None if scc.max_speed is None else scc.max_speed.to_value(PM_UNIT)
+    radius = search_radius(cube, speed, fwhm)
+    reach = search_reach(cube, scc.date_pairs(cube), radius, fwhm, speed)
+    region = settings.region
+    shared, n_ssps = matching_time(cube, scc.decomposer(cube), reach, region=region)
+    known = settings.position_angle not in (None, "any")
+    n_axes = 1 if known else SearchSettings().n_axes
+    # A bin has a part of the matches.
+    stacks = 1 + n_bins / 2
+    alone = stacks * stacking_time(len(cube), settings.n_trials, n_axes)
+    return shared, alone + REPORT + READ * len(cube), n_ssps
+
+
+def tell_time(reporter, cube, settings, n_workers, *, n_bins=0):
+    """
+    Say how long a measurement will take, if that is over five minutes.
+
+    Parameters
+    ----------
+    reporter : `~astro_scc.cli.reporter.Reporter`
+    cube, settings, n_bins
+        See `measuring_time`.
+    n_workers : int or object
+        On a cluster, whose processes are not known, nothing is said.
+    """
+    if reporter.quiet or not isinstance(n_workers, int):
+        return
+    shared, alone, n_ssps = measuring_time(cube, settings, n_bins=n_bins)
+    n, ny, nx = cube.shape
+    what = f"{n} epochs of {nx} x {ny} pixels with about {rounded(n_ssps)} patterns"
+    say_time(reporter, n_workers, shared, alone, what)
+
+
+def say_time(reporter, n_workers, shared, alone, what, *, less=LESS, most=None):
+    """
+    Say that a run will take long, and what shortens it.
+
+    Parameters
+    ----------
+    reporter : `~astro_scc.cli.reporter.Reporter`
+    n_workers : int
+    shared, alone : float
+        Seconds of what several processes share, and of the rest, on one core.
+    what : str
+        What takes so long.
+    less : str, optional
+        What shortens the shared part besides processes.
+    most : int, optional
+        Most processes that can share it.
+    """
+    n_cores = min(_n_cores(), most or _n_cores())
+    seconds = shared / min(n_workers, n_cores) + alone
+    if seconds <= LONG:
+        return
+    least = shared / n_cores + alone
+    advice = less if shared / n_cores > alone else "fewer --n-trials shorten it"
+    if n_workers < n_cores and least < WORTH_IT * seconds:
+        advice = f"--workers {n_cores} shortens it to {_duration(least)}"
+    reporter.note(f"this will take about {_duration(seconds)} ({what}); {advice}")
+
+
+def rounded(number):
+    """Return a number rounded to two digits, as text."""
+    return f"{float(f'{number:.2g}'):.0f}"
+
+
+def _duration(seconds):
+    """Return a time with two digits."""
+    for unit, size in (("d", 86400), ("h", 3600)):
+        if seconds >= 1.5 * size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds / 60:.2g} min"
 
 
 def option_of(args, name):

@@ -28,6 +28,7 @@ from astro_scc.cli.inputs import (
     output_of,
     read_epochs,
     settings_of,
+    tell_time,
     with_direction,
     workers_for,
     workers_of,
@@ -51,7 +52,7 @@ PRODUCTS = (
 STALE = (*PRODUCTS, "components.vot", "ssps.vot", "ssp_regions")
 #: Folder, within the folder of the products, for what --resume keeps.
 WORK = ".astro_scc-work"
-SEED = "seed.txt"
+SEED, MATCHES = "seed.txt", "matches.fits"
 
 
 def add_arguments(parser):
@@ -101,6 +102,8 @@ def run(args, reporter):
         )
         settings = with_direction(cube, settings, chosen=chosen.append)
         n_workers = workers_for(cube, n_workers)
+        if not (work and (work / MATCHES).exists()):
+            tell_time(reporter, cube, settings, n_workers)
         result = measure(cube, settings, reporter, n_workers=n_workers, work=work)
         components = write_measurement(
             result,
@@ -159,7 +162,7 @@ def measure(cube, settings, reporter, *, region=None, n_workers=1, work=None):
         n_trials=settings.n_trials,
         rng=settings.seed,
         n_workers=n_workers,
-        cache=None if work is None else work / "matches.fits",
+        cache=None if work is None else work / MATCHES,
         progress_bar=reporter.progress,
     )
 

@@ -26,6 +26,7 @@ from astro_scc.cli.inputs import (
     output_of,
     read_epochs,
     settings_of,
+    tell_time,
     with_direction,
     workers_for,
     workers_of,
@@ -64,6 +65,8 @@ def run(args, reporter):
         )
         settings = with_direction(cube, settings, chosen=chosen.append)
         n_workers = workers_for(cube, n_workers)
+        n_bins = len(bins_of(settings.bins, window=settings.window))
+        tell_time(reporter, cube, settings, n_workers, n_bins=n_bins)
         components, lines = _measure(cube, settings, folder, reporter, n_workers)
         if args.votable:
             write_votable(components, folder / "profile.vot")
@@ -103,7 +106,8 @@ def _measure(cube, settings, folder, reporter, n_workers):
     how = settings.in_c
     components = profile.components_in_c(**how) if how else profile.components
     r_min, r_max = profile.bins.min(), profile.bins.max()
-    whole = scc.stack(select_ssps(matched, r_min=r_min, r_max=r_max), **trials)
+    inside = select_ssps(matched, r_min=r_min, r_max=r_max)
+    whole = scc.stack(inside, progress_bar=reporter.progress, **trials)
     acceleration = measure_acceleration(whole)
     components.meta["acceleration"] = asdict(acceleration)
     lines = [str(acceleration)]

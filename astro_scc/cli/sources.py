@@ -5,7 +5,9 @@ import glob
 import hashlib
 import json
 import re
+import warnings
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,6 +15,12 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Column, QTable, vstack
 
+from astro_scc.cli.inputs import (
+    measuring_time,
+    read_epochs,
+    say_time,
+    with_direction,
+)
 from astro_scc.measurement import component_table, false_discovery_rate, versions
 from astro_scc.quantities import finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, check_setting, override, read_toml
@@ -68,6 +76,13 @@ class Source:
             "files": [_facts(path) for path in sorted(self._files())],
         }
         return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
+
+    def size(self):
+        """Return the size of the epochs in bytes, at least 1."""
+        found = (
+            path for pattern in self.settings.epochs for path in glob.glob(pattern)
+        )
+        return max(sum(Path(path).stat().st_size for path in found), 1)
 
     def _files(self):
         others = [*self.regions.values(), self.settings.crop]
@@ -245,6 +260,44 @@ def _all_scales(groups):
     if hasattr(groups[0], "unit"):
         return np.unique(u.Quantity([angle for group in groups for angle in group]))
     return tuple(sorted({number for group in groups for number in group}))
+
+
+def tell_time_of(sources, reporter, n_workers):
+    """
+    Say how long sources will take, if that is over five minutes.
+
+    The time of the first that can be read is estimated, and those of the others
+    from their sizes.
+
+    Parameters
+    ----------
+    sources : list of Source
+    reporter : `~astro_scc.cli.reporter.Reporter`
+    n_workers : int or object
+        On a cluster, whose processes are not known, nothing is said.
+    """
+    if reporter.quiet or not isinstance(n_workers, int):
+        return
+    for first in sources:
+        with suppress(Exception), warnings.catch_warnings():
+            # Whatever is wrong is told when the source is measured.
+            warnings.simplefilter("ignore")
+            cube, settings, _ = read_epochs(first.settings)
+            settings = with_direction(cube, settings)
+            shared, alone, _ = measuring_time(cube, settings)
+            break
+    else:
+        return
+    seconds = 0.0
+    for source in sources:
+        # The time grows with the square of the number of epochs.
+        more = (source.size() / first.size()) ** 2
+        seconds += more * (shared + len(source.parts) * alone)
+    n = len(sources)
+    what = f"{n} {'source' if n == 1 else 'sources'}"
+    less = "fewer scales or n_trials shorten it"
+    # A source is measured by one process.
+    say_time(reporter, n_workers, seconds, 0.0, what, less=less, most=n)
 
 
 def folder_names(names):

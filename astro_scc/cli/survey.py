@@ -83,7 +83,7 @@ def add_arguments(parser):
 
 def run(args, reporter):
     """Run a survey according to the arguments."""
-    from astro_scc.cli.sources import read_survey
+    from astro_scc.cli.sources import read_survey, tell_time_of
 
     n_workers = workers_of(args) or 1
     survey = read_survey(args.survey)
@@ -106,6 +106,7 @@ def run(args, reporter):
             n_workers=workers,
             report=not args.no_report,
             done=done,
+            begin=lambda left: tell_time_of(left, reporter, workers),
             progress_bar=reporter.progress,
         )
     for line in _summary(table):
@@ -165,7 +166,14 @@ def _summary(table):
 
 
 def run_survey(
-    survey, output, *, n_workers=1, report=False, done=None, progress_bar=False
+    survey,
+    output,
+    *,
+    n_workers=1,
+    report=False,
+    done=None,
+    begin=None,
+    progress_bar=False,
 ):
     """
     Measure all sources of a survey and write one table.
@@ -185,6 +193,8 @@ def run_survey(
     done : callable, optional
         Called for each source that is done, with its name, the list of outcomes
         of its regions and scale groups, and whether it was finished before.
+    begin : callable, optional
+        Called with the sources that are left to measure.
     progress_bar : bool, optional
 
     Returns
@@ -240,7 +250,7 @@ def run_survey(
             measure = partial(measure_source, output=output, report=report)
             try:
                 found = _outcomes(
-                    survey.sources, measure, n_workers, done, progress_bar
+                    survey.sources, measure, n_workers, done, begin, progress_bar
                 )
             finally:
                 # Delete what terminated workers left.
@@ -258,7 +268,7 @@ def run_survey(
     return table
 
 
-def _outcomes(sources, measure, n_workers, done, progress_bar):
+def _outcomes(sources, measure, n_workers, done, begin, progress_bar):
     """Return the outcomes of the sources, in their order."""
     from astro_scc.correlation.parallel import as_done
     from astro_scc.correlation.parallel import workers_of as opened
@@ -280,6 +290,8 @@ def _outcomes(sources, measure, n_workers, done, progress_bar):
             if outcomes is not None:
                 finish(k, outcomes, True)
         left = [k for k in range(len(sources)) if k not in found]
+        if begin is not None:
+            begin([sources[k] for k in left])
         for i, outcomes in as_done(measure, (sources[k] for k in left), workers):
             if isinstance(outcomes, Exception):
                 # The worker failed, not the measurement: it died, or its disk is full.

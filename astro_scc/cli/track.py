@@ -19,8 +19,12 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 from astro_scc.cli.inputs import (
+    READ,
+    REPORT,
     output_of,
     read_epochs,
+    rounded,
+    say_time,
     settings_of,
     workers_for,
     workers_of,
@@ -42,6 +46,11 @@ PRODUCTS = (
 KAPPA, N_TRIALS = 0.5, 20
 #: Dots per inch of the figures.
 DPI = 130
+#: Processor seconds to link an SSP in one order of the epochs
+#: (``benchmarks/scaling.py estimate``).
+LINK = 2e-4
+#: Quantile of the intervals of which the time is estimated.
+LONG_GAP = 0.9
 #: Number of points of the profile.
 N_RADII = 20
 
@@ -75,6 +84,7 @@ def run(args, reporter):
     with made as folder:
         cube, settings, _ = read_epochs(settings, note=reporter.note)
         n_workers = workers_for(cube, n_workers)
+        _tell_time(cube, tracker, settings, reporter, n_workers)
         tracking = _track(cube, tracker, settings, reporter, n_workers)
         profile = _write(tracking, settings, folder, votable=args.votable)
         if not args.no_figures:
@@ -110,6 +120,45 @@ def _stack_profile(path):
     return table
 
 
+def _tell_time(cube, tracker, settings, reporter, n_workers):
+    """Say how long tracking will take, if that is over five minutes."""
+    import numpy as np
+
+    from astro_scc import StackedCrossCorrelation
+    from astro_scc.measurement.decomposing import matching_time
+    from astro_scc.measurement.plan import mean_fwhm
+
+    if reporter.quiet or not isinstance(n_workers, int):
+        return
+    decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
+    speeds = [s for s in (tracker.along, tracker.across) if s is not None]
+    speeds = speeds or [tracker.speed_limit(cube, decomposer.scales)]
+    steps, years = tracker.max_gap + 1, cube.years
+    intervals = years[steps:] - years[:-steps] if len(cube) > steps else np.ptp(years)
+    farthest = max(np.abs(s).max() for s in speeds) * np.quantile(intervals, LONG_GAP)
+    reach = (farthest / cube.pixel_scale).to_value("")
+    reach += (
+        tracker.tolerance
+        * mean_fwhm(cube, max(decomposer.scales))
+        / (cube.pixel_scale.to_value("mas"))
+    )
+    orders = settings.n_trials + 1
+    shared, n_ssps = matching_time(
+        cube,
+        decomposer,
+        np.minimum(reach, np.array(cube.shape[1:]) - 1),
+        region=settings.region,
+        n_targets=steps * orders,
+    )
+    say_time(
+        reporter,
+        n_workers,
+        shared,
+        LINK * orders * n_ssps + REPORT + READ * len(cube),
+        f"{len(cube)} epochs with about {rounded(n_ssps)} patterns",
+    )
+
+
 def _track(cube, tracker, settings, reporter, n_workers):
     """Decompose the epochs and link their features."""
     from astro_scc import StackedCrossCorrelation
@@ -119,7 +168,9 @@ def _track(cube, tracker, settings, reporter, n_workers):
     region = settings.region
     inside = None if region is None else cube.region_mask(region)
     decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
-    decompositions = decompose_epochs(cube, decomposer)
+    decompositions = decompose_epochs(
+        cube, decomposer, n_workers=n_workers, progress_bar=reporter.progress
+    )
     ssps, select = ssps_inside(decompositions, cube, inside)
     warn_of_none_inside(ssps, select, region)
     return tracker(

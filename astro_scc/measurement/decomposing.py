@@ -5,14 +5,16 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib.util import find_spec
 
 import numpy as np
 
-from astro_scc.correlation.correlate import STACK_BYTES
+from astro_scc.correlation.correlate import COMPILE_FROM, STACK_BYTES
 from astro_scc.correlation.parallel import in_order
-from astro_scc.decomposition import Decomposer
+from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.progress import progress
 
 #: Bytes of this package and its libraries in each process.
 LIBRARIES = 250e6
@@ -24,6 +26,11 @@ WINDOW = 500.0
 BLOCKS = 3
 #: Images in double precision that a decomposition needs besides the planes.
 IMAGES = 8
+#: Processor seconds for each pixel of a plane that is made, and of a window that is
+#: correlated by transforms or compiled loops (``benchmarks/scaling.py estimate``).
+PLANE_PIXEL, WINDOW_PIXEL, COMPILED_PIXEL = 4e-7, 1.1e-7, 0.7e-7
+#: Epochs from which the number of SSPs of all is estimated.
+SAMPLE = 3
 #: Apparent noise is structure if more than this share of it is in other epochs too...
 SHARED = 0.5
 #: ... and more than this many times the share by chance.  The largest correlation of
@@ -119,6 +126,62 @@ def working_memory(cube, decomposer, n_workers, *, n_windows=0):
     return LIBRARIES + images + WINDOW * n_windows + max(work, STACK)
 
 
+def matching_time(cube, decomposer, reach, *, region=None, n_targets=None):
+    """
+    Estimate the time that decomposing and correlating take on one core.
+
+    The SSPs of all epochs are estimated from those of three.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+    reach : sequence of int
+        Largest displacement in pixels along (y, x).
+    region : optional
+        Anything that ``cube.region_mask`` takes.
+    n_targets : int, optional
+        Epochs that each is correlated with, by default all others.
+
+    Returns
+    -------
+    seconds : float
+    n_ssps : float
+        SSPs of all epochs in the region.
+    """
+    from astro_scc.measurement.plan import centroids_inside
+
+    n = len(cube)
+    n_targets = n - 1 if n_targets is None else min(n_targets, n - 1)
+    sample = np.unique(np.linspace(0, n - 1, SAMPLE).astype(int))
+    epochs = LazyDecompositions(cube, decomposer)
+    ssps = SSPs.of_epochs([epochs[k] for k in sample])
+    inside = centroids_inside(ssps, cube, region)
+    pixels = sum(
+        _window_pixels(
+            ssps.bbox[ssps.scale == scale], inside[ssps.scale == scale], reach
+        )
+        for scale in decomposer.scales
+    )
+    of_all = n / len(sample)
+    compiled = find_spec("numba") and of_all * inside.sum() * n_targets > COMPILE_FROM
+    each = COMPILED_PIXEL if compiled else WINDOW_PIXEL
+    seconds = of_all * n_targets * pixels * each
+    planes = float(cube.data.size) * len(decomposer.scales)
+    return seconds + PLANE_PIXEL * planes, of_all * float(inside.sum())
+
+
+def _window_pixels(boxes, inside, reach):
+    """Return the pixels of the windows of the SSPs of one scale that are inside."""
+    if len(boxes) == 0:
+        return 0.0
+    low, high, reach = boxes[:, :2], boxes[:, 2:], np.asarray(reach) + 1
+    # A window ends where no SSP of the scale can be reached.
+    start = np.maximum(low - reach, low.min(axis=0) - (high - low))
+    end = np.minimum(high + reach, high.max(axis=0) + (high - low))
+    return float(np.prod(end - start, axis=1, dtype=float)[inside].sum())
+
+
 def refuse_too_much(cube, decomposer, n_workers, *, n_windows=0):
     """
     Refuse a measurement that this machine cannot hold in memory.
@@ -156,7 +219,7 @@ def refuse_too_much(cube, decomposer, n_workers, *, n_windows=0):
     )
 
 
-def decompose_epochs(cube, decomposer, *, n_workers=1):
+def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
     """
     Decompose every epoch of a cube.
 
@@ -166,6 +229,7 @@ def decompose_epochs(cube, decomposer, *, n_workers=1):
     decomposer : `~astro_scc.decomposition.Decomposer`
     n_workers : int, str or `dask.distributed.Client`, optional
         See `~astro_scc.correlation.Correlator`; the unit of work is an epoch.
+    progress_bar : bool, optional
 
     Returns
     -------
@@ -176,7 +240,12 @@ def decompose_epochs(cube, decomposer, *, n_workers=1):
         (decomposer, image, cube.mask[k], *own)
         for k, (image, own) in enumerate(zip(cube.data, facts, strict=True))
     )
-    return tuple(in_order(_decompose, work, n_workers))
+    found = []
+    with progress(len(cube), "Decomposing", show=progress_bar) as done:
+        for decomposition in in_order(_decompose, work, n_workers):
+            found.append(decomposition)
+            done(1)
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,6 +12,9 @@ from astropy.table import QTable
 from astro_scc.cli import main
 from astro_scc.cli.measure import PRODUCTS
 
+#: What a measurement without a report writes.
+TABLES = PRODUCTS[: PRODUCTS.index("report.html")]
+
 
 @pytest.fixture
 def quick(no_figures, monkeypatch):
@@ -62,5 +65,5 @@ def test_demo(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     again = ["measure", "--config", "out/config.toml", "-o", "again", "--no-report"]
     assert main(again) == 0
-    for name in PRODUCTS[:5]:
+    for name in TABLES:
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
