@@ -285,7 +285,7 @@ def with_error(value, error, sign="\N{PLUS-MINUS SIGN}"):
 
 def decimals(error):
     """Return the decimals that show a positive error to two significant digits."""
-    return max(0, 1 - math.floor(math.log10(error)))
+    return max(0, 1 - math.floor(math.log10(float(f"{error:.1e}"))))
 
 
 def round_to_errors(table):
@@ -310,9 +310,9 @@ def round_to_errors(table):
         if getattr(getattr(column, "dtype", None), "kind", "") != "f":
             continue
         error = f"{name.removesuffix('_err')}_err"
-        short = name.startswith("p_") or "_err" in name
-        form = FORMATS.get(name, ".2g" if short else ".4g")
-        if error in table.colnames:
+        is_p = name.startswith("p_")
+        form = FORMATS.get(name, ".2g" if is_p or "_err" in name else ".4g")
+        if error in table.colnames and not is_p:
             errors = np.asarray(getattr(table[error], "unmasked", table[error]))
             known = errors[np.isfinite(errors) & (errors > 0)]
             form = f".{decimals(known.min())}f" if known.size else form
