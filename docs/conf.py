@@ -75,7 +75,11 @@ numpydoc_validation_checks = {
     "YD01",  # no Yields section
 }
 # The fields of a result, which nobody constructs by hand, stand under Attributes.
-numpydoc_validation_overrides = {"PR01": [r"Attributes\n *-{10}\n"]}
+# Methods of astropy's registry of readers and writers look like properties.
+numpydoc_validation_overrides = {
+    "PR01": [r"Attributes\n *-{10}\n"],
+    "PR02": [r"\.list_formats\(\)"],
+}
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"astro_scc {version}"
