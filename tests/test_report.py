@@ -21,7 +21,7 @@ from astro_scc.report.tables import epoch_rows, in_easy_units
 CHANCE = "permuted epochs give as strong a peak (p_global above alpha)"
 HOSTILE = "<script>alert('1')</script> & \"more\""
 FIGURES = ("streams", "diagram", "speeds", "distances", "members", "velocity_map",
-           "significance", "epochs", "intervals")  # fmt: skip
+           "significance", "epochs", "intervals", "sensitivity")  # fmt: skip
 VOID = {"meta", "img", "br", "link", "hr"}
 
 
@@ -145,7 +145,7 @@ def test_it_fits_narrow_screens_and_paper(page, folder):
     assert "figure img { display: block; width: 100%;" in screen
     assert ".wide { overflow: visible; }" in paper
     assert "break-inside: avoid" in paper
-    assert page.all("div").count({"class": "wide"}) == len(page.all("table")) == 5
+    assert page.all("div").count({"class": "wide"}) == len(page.all("table")) == 6
 
 
 def test_the_figures_are_beside_it(page, folder):
@@ -188,6 +188,10 @@ def test_the_answer_comes_first(page, components):
         "here it cannot be below 0.024.",
         "Component 2: stationary, no motion within the errors.",
         f"Component 1: not significant, {CHANCE}.",
+        "Sensitivity to the settings",
+        "No choice changes the main speed significantly and by more than its error.",
+        "Main speed with other choices.",
+        "intervals shorter than",
         "Moving components come first",
         "epoch3.fits",
         "late.fits : no date".replace(" :", ":"),
@@ -284,6 +288,25 @@ def test_each_feature_has_its_own_speed(result, folder):
         assert row["first"].strftime("%Y-%m-%d") in part
 
 
+def test_choices_that_change_the_speed_are_in_the_answer(result, tmp_path, quick):
+    assert "by more than its error:" not in words_of(
+        result, result.components, tmp_path
+    )
+    table = result.sensitivity.copy()
+    table["significant"][1] = True
+    other = replace(result)
+    object.__setattr__(other, "sensitivity", table)
+    answer = words_of(other, result.components, tmp_path).split("Figures")[0]
+    row = table[1]
+    speed = with_error(row["pm"].value, row["pm_err"].value)
+    assert (
+        f"The main speed changes by more than its error: {speed} mas/yr "
+        f"({row['choice']})." in answer
+    )
+    object.__setattr__(other, "sensitivity", table[:0])
+    assert "Sensitivity to" not in words_of(other, result.components, tmp_path)
+
+
 def test_what_does_not_move_has_a_limit(result, tmp_path, quick):
     table = result.components.copy()
     limit = table["pm_limit"][1]
@@ -309,6 +332,7 @@ def test_too_few_epochs_are_named(result, tmp_path, quick, monkeypatch):
     ssps = result.ssps[result.ssps["epoch"] < 4]
     object.__setattr__(few, "ssps", ssps)
     object.__setattr__(few, "features", result.features)
+    object.__setattr__(few, "sensitivity", result.sensitivity)
     assert line in words_of(few, table, tmp_path)
     # What stands still is told without an order of the epochs.
     assert "with so few" not in words_of(few, table[1:], tmp_path)

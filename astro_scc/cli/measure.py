@@ -13,10 +13,10 @@ examples:
   astro-scc measure --config out/config.toml -o again
 
 The folder gets components.ecsv and, for a paper, components.tex; features.ecsv,
-ssps.ecsv, scc.fits, report.html with its figures, and config.toml, which reproduces
-the tables bit by bit from the same images.  A configuration file may hold every option
-of a measurement, with _ for -, and some settings that have no option (see the
-documentation).  The command line takes precedence over the file.
+sensitivity.ecsv, ssps.ecsv, scc.fits, report.html with its figures, and config.toml,
+which reproduces the tables bit by bit from the same images.  A configuration file may
+hold every option of a measurement, with _ for -, and some settings that have no option
+(see the documentation).  The command line takes precedence over the file.
 """
 
 from contextlib import contextmanager, suppress
@@ -43,10 +43,10 @@ from astro_scc.cli.options import (
 from astro_scc.cli.summary import component_lines
 
 PRODUCTS = (
-    "components.ecsv features.ecsv ssps.ecsv components.tex scc.fits config.toml "
-    "report.html "
-    "streams.png diagram.png speeds.png distances.png members.png velocity_map.png "
-    "significance.png epochs.png intervals.png"
+    "components.ecsv features.ecsv sensitivity.ecsv ssps.ecsv components.tex scc.fits "
+    "config.toml report.html streams.png diagram.png speeds.png distances.png "
+    "members.png velocity_map.png significance.png epochs.png intervals.png "
+    "sensitivity.png"
 ).split()
 #: Products of an earlier measurement that must not remain beside new ones.
 STALE = (*PRODUCTS, "components.vot", "ssps.vot", "ssp_regions")
@@ -119,7 +119,7 @@ def run(args, reporter):
             write_votables(result, components, folder)
         if args.ds9_regions:
             write_epoch_regions(result.matched.ssps, cube, folder)
-    for line in component_lines(components, result.features):
+    for line in component_lines(components, result.features, result.sensitivity):
         reporter.say(line)
     found = [f"Found in the images: {line}" for line in chosen]
     for line in (*flow_lines(result), *found):

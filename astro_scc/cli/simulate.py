@@ -172,7 +172,7 @@ class Demo:
             *_truth_lines(jet),
             "",
             "Measured:",
-            *component_lines(components, result.features),
+            *component_lines(components, result.features, result.sensitivity),
         ):
             reporter.say(line)
         reporter.say(f"\nReport: {output / 'report.html'}")

@@ -59,7 +59,7 @@ def plus_minus(row, name, unit=None):
     return with_error(float(value), float(error), "+-")
 
 
-def component_lines(components, features=None):
+def component_lines(components, features=None, sensitivity=None):
     """
     Return what was found in one sentence, and the components as a table.
 
@@ -70,18 +70,24 @@ def component_lines(components, features=None):
     features : `~astropy.table.QTable`, optional
         See `~astro_scc.measurement.SCCResult.features`; they are shown where the
         components other than stationary ones have fewer than five.
+    sensitivity : `~astropy.table.QTable`, optional
+        See `~astro_scc.measurement.SCCResult.sensitivity`; choices that change the
+        main speed by more than its error are named.
 
     Returns
     -------
     list of str
     """
+    from astro_scc.measurement.sensitivity import sensitivity_line
     from astro_scc.visualization.style import component_kinds
 
     if len(components) == 0:
         return [*NOTHING, *meta_lines(components.meta)]
     kinds = component_kinds(components)
-    lines = [_answer(components, kinds), "", *_component_table(components, kinds)]
-    lines += EXPLANATION
+    lines = [_answer(components, kinds)]
+    if sensitivity is not None and (depends := sensitivity_line(sensitivity)):
+        lines.append(f"{depends}.")
+    lines += ["", *_component_table(components, kinds), *EXPLANATION]
     for row, kind in zip(components, kinds, strict=True):
         limit, number = row["pm_limit"], row["component"]
         if kind == "not significant":

@@ -183,9 +183,9 @@ def write_products(result, components, directory, *, configuration=None, text=No
     Returns
     -------
     list of `~pathlib.Path`
-        ``components.ecsv``, ``features.ecsv``, ``ssps.ecsv``,
-        ``components.tex``, a deluxetable for a paper, ``scc.fits`` and, if
-        ``text`` is given, ``config.toml``.
+        ``components.ecsv``, ``features.ecsv``, ``sensitivity.ecsv``,
+        ``ssps.ecsv``, ``components.tex``, a deluxetable for a paper, ``scc.fits``
+        and, if ``text`` is given, ``config.toml``.
 
     Raises
     ------
@@ -209,12 +209,13 @@ def write_products(result, components, directory, *, configuration=None, text=No
     >>> result = scc(cube, n_trials=20, rng=1)
     >>> Path("out").mkdir()
     >>> [path.suffix for path in write_products(result, result.components, "out")]
-    ['.ecsv', '.ecsv', '.ecsv', '.tex', '.fits']
+    ['.ecsv', '.ecsv', '.ecsv', '.ecsv', '.tex', '.fits']
     """
     directory = Path(directory)
     tables = {
         "components.ecsv": components,
         "features.ecsv": result.features,
+        "sensitivity.ecsv": result.sensitivity,
         "ssps.ecsv": result.ssps,
     }
     paths = [directory / name for name in (*tables, "components.tex", "scc.fits")]
@@ -222,7 +223,8 @@ def write_products(result, components, directory, *, configuration=None, text=No
     meta["history"] = list(result.cube.meta.get("history", ()))
     for table, path in zip(tables.values(), paths, strict=False):
         table = table.copy(copy_data=False)
-        table.meta = plain_meta(meta)
+        note = {key: table.meta[key] for key in ("note",) if key in table.meta}
+        table.meta = plain_meta(meta | note)
         table.write(path, format="ascii.ecsv", overwrite=True)
     paper_table(components).write(
         paths[-2], format="ascii.aastex", latexdict=_paper_texts(result), overwrite=True

@@ -26,6 +26,7 @@ from astro_scc.measurement.match_files import (
     ResultWrite,
     register,
 )
+from astro_scc.measurement.sensitivity import sensitivity_table
 from astro_scc.measurement.tables import (
     cell_text,
     component_row,
@@ -148,6 +149,24 @@ class SCCResult:
     def feature_positions(self):
         """The features by epoch, with SSP and distance, a `~astropy.table.QTable`."""
         return feature_positions(self)
+
+    @cached_property
+    def sensitivity(self):
+        """
+        The main speed with other choices of the data, a `~astropy.table.QTable`.
+
+        The first row is the speed of the first component, along itself.  The
+        others have its speed from short and from long intervals, from the first
+        and the second half of the epochs, from fine and coarse scales, from the
+        inner and the outer half and the brighter and the fainter half of its
+        features, and without the epoch that changes it most.  The straight lines
+        of its features are fitted again to the SSPs that are left; nothing is
+        searched again.  ``change_err`` is the error of the change, less than
+        that of either speed, as they share data, and ``p_value`` its p-value for
+        all rows and epochs together.  Without significant motion the table is
+        empty, and the ``note`` in its meta says so.
+        """
+        return sensitivity_table(self)
 
     @cached_property
     def components(self):

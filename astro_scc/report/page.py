@@ -11,6 +11,7 @@ import numpy as np
 
 from astro_scc.flow import feature_profile, measure_acceleration
 from astro_scc.flow.groups import compare_scales
+from astro_scc.measurement.sensitivity import sensitivity_line
 from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
 from astro_scc.report import tables
@@ -18,7 +19,8 @@ from astro_scc.report.tables import plain_value, unit_text
 
 #: Other products that the folder may hold, in the order of the page.
 PRODUCTS = (
-    "components.ecsv components.tex features.ecsv components.vot ssps.ecsv ssps.vot "
+    "components.ecsv components.tex features.ecsv sensitivity.ecsv components.vot "
+    "ssps.ecsv ssps.vot "
     "scc.fits config.toml region.reg"
 ).split()
 #: Dots per inch of the figures, which are at most six inches wide.
@@ -49,9 +51,9 @@ def write_report(
     directory : path
         Folder for ``report.html``, and for ``streams.png``, ``diagram.png``,
         ``speeds.png``, ``distances.png``, ``members.png``, ``velocity_map.png``,
-        ``significance.png``, ``epochs.png`` and ``intervals.png``, which the page
-        holds too.  It is made if need be; files of these names are replaced, each
-        when the new one is complete.
+        ``significance.png``, ``epochs.png``, ``intervals.png`` and
+        ``sensitivity.png``, which the page holds too.  It is made if need be; files
+        of these names are replaced, each when the new one is complete.
     components : `~astropy.table.QTable`, optional
         By default ``result.components``; the table of ``result.components_in_c``
         has apparent speeds too.
@@ -188,6 +190,7 @@ def _address(png):
 def draw_figures(result, components):
     """Return the figures as PNG, without those that would be empty."""
     from astro_scc import visualization as show
+    from astro_scc.visualization.features import plot_sensitivity
 
     per_pm = _beta_per_pm(components)
     shared = {"components": components, "beta_per_pm": per_pm}
@@ -208,6 +211,10 @@ def draw_figures(result, components):
         del figures["members"]
     if len(result.features) == 0:
         del figures["streams"], figures["speeds"], figures["distances"]
+    if len(result.sensitivity):
+        figures["sensitivity"] = plot_sensitivity(
+            result.sensitivity, beta_per_pm=per_pm
+        )
     found = {}
     for name, figure in figures.items():
         buffer = io.BytesIO()
@@ -249,6 +256,8 @@ def _findings(result, components):
         "features": tables.feature_rows(easy, result.features),
         "fast": fast,
         "flow": flow_lines(result),
+        "depends": sensitivity_line(result.sensitivity),
+        "sensitivity": tables.sensitivity_rows(easy, result.sensitivity),
         "dates": result.cube.times.strftime("%Y-%m-%d"),
         "n_pairs": int(result.search.diagram.n_pairs.sum()),
         "n_map_pairs": len(result.pairs),

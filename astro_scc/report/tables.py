@@ -215,6 +215,38 @@ def feature_rows(components, features):
     return head, rows
 
 
+def sensitivity_rows(components, sensitivity):
+    """
+    Return the table of the main speed with other choices of the data.
+
+    Parameters
+    ----------
+    components : `~astropy.table.QTable`
+        Components, whose unit of speed is used.
+    sensitivity : `~astropy.table.QTable`
+        See `~astro_scc.measurement.SCCResult.sensitivity`.
+
+    Returns
+    -------
+    head : list of str
+    rows : list of list of str
+    """
+    unit = components["pm"].unit
+    head = ["Measured from", "features", f"speed ({unit_text(unit)})",
+            f"change ({unit_text(unit)})", "change / error", "p"]  # fmt: skip
+    rows = []
+    for row in sensitivity:
+        cells = [
+            with_error(row[name].to_value(unit), row[f"{name}_err"].to_value(unit))
+            for name in ("pm", "change")
+        ]
+        cells += [f"{row['change_sigma']:+.1f}", f"{row['p_value']:.2g}"]
+        rows.append([str(row["choice"]), str(row["n_features"]), *cells])
+    if rows:
+        rows[0][3:] = ["-"] * 3
+    return head, rows
+
+
 def epoch_rows(result):
     """Return head and rows of the table of the epochs."""
     table = result.cube.epochs

@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The features of a measurement: their speeds and their distances."""
 
+from textwrap import fill
+
 import astropy.units as u
 import numpy as np
 
@@ -11,6 +13,8 @@ from astro_scc.visualization.style import BLACK, PM_UNIT, unit_name
 LONGEST = 0.1
 #: Errors beyond so many times the median one are of features that say little.
 LARGE_ERROR = 4.0
+#: Most letters of a label beside a figure in one line.
+LABEL = 30
 
 
 def plot_streams(result, *, figure=None, unit=None):
@@ -244,4 +248,63 @@ def plot_feature_distances(result, *, unit=None, ax=None):
     ax.set_ylabel(f"Distance ({unit_name(unit)})")
     if named:
         style.legend_above(ax)
+    return figure
+
+
+def plot_sensitivity(table, *, beta_per_pm=None, ax=None):
+    """
+    Draw the main speed with other choices of the data, beside that as measured.
+
+    Parameters
+    ----------
+    table : `~astropy.table.QTable`
+        See `~astro_scc.measurement.SCCResult.sensitivity`.
+    beta_per_pm : float, optional
+        Apparent speed in units of c of 1 mas/yr, for a second axis.
+    ax : `matplotlib.axes.Axes`, optional
+        Drawn on these instead of a new figure.
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Raises
+    ------
+    ValueError
+        If the table has no rows, or ``beta_per_pm`` is not positive.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_jet
+    >>> from astro_scc.visualization.features import plot_sensitivity
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
+    >>> result = scc(simulate_jet(rng=1).cube, n_trials=50, rng=1)
+    >>> figure = plot_sensitivity(result.sensitivity)
+    """
+    if len(table) == 0:
+        raise ValueError("the table has no rows: nothing moves significantly")
+    height = 0.8 + 0.36 * len(table)
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
+    unit = style.speed_unit(np.abs(table["pm"].to_value(PM_UNIT)).max())
+    speed, error = (table[name].to_value(unit) for name in ("pm", "pm_err"))
+    low, high = speed[0] - error[0], speed[0] + error[0]
+    ax.axvspan(low, high, color=style.GREY, alpha=0.2, lw=0)
+    ax.axvline(speed[0], color=style.GREY, lw=0.8)
+    row, large = np.arange(len(table)), np.asarray(table["significant"])
+    for own, color, marker in (
+        (~large, style.BLUE, "o"),
+        (large, style.VERMILLION, "s"),
+    ):
+        if own.any():
+            ax.errorbar(
+                speed[own], row[own], xerr=error[own], fmt=marker, color=color, ms=4,
+                lw=1,
+            )  # fmt: skip
+    ax.set_yticks(row, [fill(str(text), LABEL) for text in table["choice"]])
+    ax.tick_params(axis="y", labelsize="small", length=0)
+    ax.set_ylim(len(table) - 0.5, -0.5)
+    ax.set_xlabel(f"Proper motion ({unit_name(unit)})")
+    style.add_speed_axis(ax, unit, beta_per_pm)
     return figure

@@ -6,7 +6,8 @@ Measure simulated jets, to check whether p-values, speeds and errors are right.
     python benchmarks/calibration/run.py KIND [KIND ...] [--jets 100] [--trials 199]
 
 ``all`` stands for every kind except those of ``power``, in which one option varies (30
-jets of each show how the power grows).  Each jet of each kind has its own seed.
+jets of each show how the power grows), and ``sensitivity`` for those whose main speed
+is compared with that of parts of the data.  Each jet of each kind has its own seed.
 Measured jets are kept in ``results/KIND.csv`` and not measured again, so a run can be
 stopped and resumed.  ``python benchmarks/calibration/summary.py`` makes the tables and
 the figures of the documentation from these files.
@@ -124,6 +125,14 @@ POWER = {
 }
 KINDS |= {kind: varied(*which) for kind, which in POWER.items()}
 FLOW = ("accelerated", "steady", "layers", "one-layer")
+#: Jets whose main speed is compared with that of parts of the data.
+SENSITIVITY = {
+    f"sensitivity-{kind}": kind
+    for kind in ("single-20", "epochs8-20", "features4-20", "steady", "accelerated")
+}
+KINDS |= {name: KINDS[kind] for name, kind in SENSITIVITY.items()}
+SENSITIVITY_COLUMNS = ("seed", "kind", "n_features", "change_sigma", "p_value",
+                       "large", "significant")  # fmt: skip
 FLOW_COLUMNS = ("seed", "rows", "gradient", "gradient_err", "p_acceleration", "fine",
                 "coarse", "p_scales")  # fmt: skip
 
@@ -147,10 +156,27 @@ def measure_flow(kind, seed, n_trials):
     return [[seed, n, *(f"{x:.4g}" for x in numbers)]]
 
 
+def measure_sensitivity(kind, seed, n_trials):
+    """Return the changes of a jet's main speed with parts of the data."""
+    scc = StackedCrossCorrelation(scales=[1, 2, 3], position_angle=270 * u.deg)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MeasurementWarning)
+        table = scc(KINDS[kind](seed).cube, n_trials=n_trials, rng=seed).sensitivity
+    large = np.abs(table["change"]) > table["pm_err"][:1].sum()
+    rows = [
+        [seed, row["choice"], row["n_features"], f"{row['change_sigma']:.2f}",
+         f"{row['p_value']:.4g}", int(own), int(row["significant"])]
+        for row, own in zip(table, large, strict=True)
+    ]  # fmt: skip
+    return rows or [[seed, "nothing moves", 0, "nan", "nan", 0, 0]]
+
+
 def measure(kind, seed, n_trials):
     """Return the rows of one jet, with speeds in beams per median interval."""
     if kind in FLOW:
         return measure_flow(kind, seed, n_trials)
+    if kind in SENSITIVITY:
+        return measure_sensitivity(kind, seed, n_trials)
     jet = KINDS[kind](seed)
     cube = jet.cube.to_common_beam() if kind == "vlba" else jet.cube
     paper = kind in ("two-fluid-dense", "unrelated")
@@ -192,13 +218,16 @@ def features(truth, unit):
 def main():
     """Measure the jets that have not been measured."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument("kinds", nargs="+", choices=[*KINDS, "all", "power"])
+    parser.add_argument(
+        "kinds", nargs="+", choices=[*KINDS, "all", "power", "sensitivity"]
+    )
     parser.add_argument("--jets", type=int, default=100)
     parser.add_argument("--trials", type=int, default=199)
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder")
     args = parser.parse_args()
     groups = {"all": [k for k in KINDS if k not in POWER], "power": list(POWER)}
+    groups["sensitivity"] = list(SENSITIVITY)
     kinds = [kind for name in args.kinds for kind in groups.get(name, [name])]
     args.results.mkdir(exist_ok=True)
     for seed in range(args.first, args.first + args.jets):
@@ -214,7 +243,10 @@ def main():
             with open(path, "a", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file, lineterminator="\n")
                 if not done:
-                    writer.writerow(FLOW_COLUMNS if kind in FLOW else COLUMNS)
+                    columns = FLOW_COLUMNS if kind in FLOW else COLUMNS
+                    writer.writerow(
+                        SENSITIVITY_COLUMNS if kind in SENSITIVITY else columns
+                    )
                 writer.writerows(rows)
 
 

@@ -6,8 +6,8 @@ Summarise the calibration in the tables and figures of the documentation.
 
 Reads ``results/*.csv``, which ``run.py`` writes, and writes in the same folder the
 tables ``speeds_table.csv``, ``streams_table.csv``, ``static_table.csv``,
-``flow_table.csv`` and ``power_table.csv``, and the figures ``calibration.png`` and
-``power.png``.
+``flow_table.csv``, ``sensitivity_table.csv`` and ``power_table.csv``, and the figures
+``calibration.png`` and ``power.png``.
 """
 
 import csv
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from astropy.stats import binom_conf_interval
 from matplotlib.figure import Figure
-from run import FLOW, KINDS, POWER, VARIED
+from run import FLOW, KINDS, POWER, SENSITIVITY, VARIED
 
 RESULTS = Path(__file__).parent / "results"
 ALPHA = 0.05
@@ -115,6 +115,17 @@ def flow_row(kind, jets):
     ]
     two = sum(jet[0]["rows"] > 1 for jet in jets)
     return [kind, n, *(share(number, n) for number in (*found, two))]
+
+
+def sensitivity_row(kind, jets):
+    """Return how often, and by how much, the main speed changes with the data."""
+    jets = [jet[1:] for jet in jets if len(jet) > 1]
+    n = len(jets)
+    large = [sum(any(row[k] for row in jet) for jet in jets)
+             for k in ("significant", "large")]  # fmt: skip
+    change = np.concatenate([[row["change_sigma"] for row in jet] for jet in jets])
+    return [kind.removeprefix("sensitivity-"), n, *(share(k, n) for k in large),
+            f"{np.sqrt(np.mean(change**2)):.2f}"]  # fmt: skip
 
 
 def power_row(kind, jets):
@@ -223,6 +234,11 @@ def main():
         "flow_table",
         ["jets", "n", "acceleration", "scales differ", "two streams"],
         [flow_row(k, have[k]) for k in have if k in FLOW],
+    )
+    write(
+        "sensitivity_table",
+        ["jets", "n", "depends", "by more than its error", "change / error"],
+        [sensitivity_row(k, have[k]) for k in have if k in SENSITIVITY],
     )
     power = [power_row(k, have[k]) for k in have if k in POWER]
     draw(single)

@@ -20,7 +20,7 @@ from astro_scc.simulation import simulate_jet, write_simulation
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
 #: What a measurement without a report writes.
 WITHOUT_REPORT = PRODUCTS[: PRODUCTS.index("report.html")]
-TABLES = ("components.ecsv", "features.ecsv", "ssps.ecsv")
+TABLES = ("components.ecsv", "features.ecsv", "sensitivity.ecsv", "ssps.ecsv")
 
 
 def epochs(folder):

@@ -66,6 +66,21 @@ def test_summary_of_chance(radial):
     assert nothing[0].startswith("No pattern has a match in another epoch")
 
 
+def test_choices_that_change_the_speed_follow_the_answer(jet_results):
+    result = jet_results["radial"]
+    table = result.sensitivity.copy()
+    lines = component_lines(result.components, sensitivity=table)
+    assert lines == component_lines(result.components)
+    table["significant"][1] = True
+    lines = component_lines(result.components, sensitivity=table)
+    speed = plus_minus(table[1], "pm")
+    assert lines[1:3] == [
+        f"The main speed changes by more than its error: {speed} mas / yr "
+        f"({table['choice'][1]}).",
+        "",
+    ]
+
+
 def test_few_features_are_shown_with_their_speeds(jet_results):
     result = jet_results["radial"]
     table = result.components[:1]
