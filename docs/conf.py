@@ -83,7 +83,7 @@ numpydoc_validation_overrides = {
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"astro_scc {version}"
-html_static_path = ["_static"]
+html_static_path = ["_static", "_build/explore"]
 html_css_files = ["astro_scc.css"]
 # All pages are in the sidebar, so none are in the header.
 html_sidebars = {"**": ["globaltoc.html"]}
@@ -115,6 +115,21 @@ def write_settings(app):
         csv.writer(file).writerows(rows)
 
 
+def write_explore(app):
+    """Write the page with linked panels that the documentation embeds."""
+    import astropy.units as u
+
+    from astro_scc.simulation import simulate_two_fluid
+
+    path = Path(app.srcdir, "_build", "explore", "two_fluid.html")
+    if path.exists():
+        return
+    scc = astro_scc.StackedCrossCorrelation(
+        scales=[1, 2, 3], max_speed=36 * u.mas / u.yr, position_angle=270 * u.deg
+    )
+    scc(simulate_two_fluid(rng=1).cube, n_trials=100, rng=1).explore(path)
+
+
 def resolve_top_level(app, env, node, contnode):
     """What is imported from the top, such as ``astro_scc.EpochCube``, where it is."""
     package, _, rest = node.get("reftarget", "").partition(".")
@@ -138,6 +153,9 @@ def visit_math(translator, node):
 
 
 def setup(app):
+    # Sphinx checks that static folders are there before it builds anything.
+    Path(app.srcdir, "_build", "explore").mkdir(parents=True, exist_ok=True)
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math, None))
     app.connect("builder-inited", write_settings)
+    app.connect("builder-inited", write_explore)
     app.connect("missing-reference", resolve_top_level)

@@ -49,7 +49,7 @@ PRODUCTS = (
     "sensitivity.png"
 ).split()
 #: Products of an earlier measurement that must not remain beside new ones.
-STALE = (*PRODUCTS, "components.vot", "ssps.vot", "ssp_regions")
+STALE = (*PRODUCTS, "components.vot", "ssps.vot", "ssp_regions", "explore.html")
 #: Folder, within the folder of the products, for what --resume keeps.
 WORK = ".astro_scc-work"
 SEED, MATCHES = "seed.txt", "matches.fits"
@@ -201,6 +201,7 @@ def write_measurement(result, settings, folder, *, output, report=True, **page):
 
         rerun = f"astro-scc measure --config {Path(output) / 'config.toml'} -o FOLDER"
         page |= {"components": components, "rerun": rerun, "config_text": text}
+        page["explore"] = f"astro-scc explore {output}"
         write_report(result, folder, **page)
     return components
 

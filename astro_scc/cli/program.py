@@ -10,7 +10,16 @@ from contextlib import ExitStack, contextmanager, suppress
 from textwrap import dedent
 
 from astro_scc import __version__
-from astro_scc.cli import inspect, measure, profile, restore, simulate, survey, track
+from astro_scc.cli import (
+    explore,
+    inspect,
+    measure,
+    profile,
+    restore,
+    simulate,
+    survey,
+    track,
+)
 from astro_scc.cli.options import add_switch
 from astro_scc.cli.reporter import Reporter
 
@@ -20,7 +29,9 @@ USER_ERRORS = (ValueError, TypeError, OSError, MemoryError, ImportError)
 # Signals handled like an interrupt: from `kill` and batch systems, and from a terminal
 # that is closed.
 SIGNALS = ("SIGTERM", "SIGHUP")
-COMMANDS = (simulate.Demo, simulate, restore, inspect, measure, profile, track, survey)
+COMMANDS = (
+    simulate.Demo, simulate, restore, inspect, measure, explore, profile, track, survey,
+)  # fmt: skip
 
 
 class Parser(argparse.ArgumentParser):

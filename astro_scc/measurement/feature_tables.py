@@ -89,7 +89,8 @@ def feature_table(result):
         number of epochs, its ``first`` and ``last`` date and its ``motion``
         between them, its mean ``distance`` from the reference pixel along the
         first component, its speed ``pm`` along and ``pm_transverse`` across it
-        with errors, and its ``acceleration``.
+        with errors, its ``acceleration``, and its velocity on the two axes of
+        the velocity map, ``pm_axis1`` and ``pm_axis2``.
     """
     ssps, cube = result.matched.ssps, result.cube
     project = projection_of(result)
@@ -127,6 +128,18 @@ def feature_table(result):
         if name != "motion" and not name.endswith("_err"):
             values *= _sense(result)
         table[name] = (values * beam[axis] * unit).to(unit * u.mas)
+    angle = [result.search.streams[n - 1].angle for n in table["component"]]
+    along, across = (
+        [getattr(f, name) for f in features] * width
+        for name, width in zip(("speed", "across"), beam / u.yr, strict=True)
+    )
+    on_map = {
+        "pm_axis1": np.cos(angle) * along - np.sin(angle) * across,
+        "pm_axis2": np.sin(angle) * along + np.cos(angle) * across,
+    }
+    for name, speed in on_map.items():
+        table[name] = speed.to(u.mas / u.yr)
+        table[name].info.description = f"along axis {name[-1]} of the velocity map"
     table["pm"].info.description = "along the first component"
     table["pm_transverse"].info.description = "across the first component"
     return round_to_errors(table)

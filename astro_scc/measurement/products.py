@@ -293,8 +293,9 @@ def velocity_hdus(result, *, text=None):
     `~astropy.io.fits.HDUList`
         The stacked correlation coefficients, and the extension ``ZSCORE``,
         with a linear WCS in mas/yr along the velocity axes; the image
-        ``DIAGRAM`` of `SCCResult.diagram`, and the table ``INTERVALS``, which
-        describes the columns of that image.
+        ``DIAGRAM`` of `SCCResult.diagram`; the table ``INTERVALS``, which
+        describes the columns of that image; and the table ``FEATURES`` of
+        `SCCResult.feature_positions`.
     """
     hdus = []
     for which, name in MAPS:
@@ -310,7 +311,12 @@ def velocity_hdus(result, *, text=None):
         primary.add_history(_ascii(line))
     for line in (text or "").splitlines():
         primary.add_comment(_ascii(line) or " ")
-    return fits.HDUList([*hdus, *_diagram_hdus(result)])
+    features = result.feature_positions.copy()
+    # Readers of FITS know dates as text.
+    features["date"] = features["date"].isot
+    table = fits.table_to_hdu(features)
+    table.name = "FEATURES"
+    return fits.HDUList([*hdus, *_diagram_hdus(result), table])
 
 
 def _diagram_hdus(result):

@@ -311,6 +311,32 @@ class SCCResult:
 
         return plot_velocity_map(self, **kwargs)
 
+    def explore(self, path):
+        """
+        Write a page with linked panels that shows which features make a velocity.
+
+        Parameters
+        ----------
+        path : path
+            The HTML file, which is replaced if it exists.  It needs no network.
+
+        Returns
+        -------
+        `~pathlib.Path`
+
+        Raises
+        ------
+        ImportError
+            If bokeh is not installed.
+        OSError
+            If the file cannot be written.
+        """
+        from astro_scc.measurement.products import velocity_hdus
+        from astro_scc.visualization.explore import write_explore
+
+        tables = self.components, self.features, self.ssps
+        return write_explore(path, *tables, velocity_hdus(self), cube=self.cube)
+
 
 def diagram_image(result):
     """

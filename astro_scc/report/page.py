@@ -40,6 +40,7 @@ def write_report(
     left_out=(),
     chosen=(),
     rerun=None,
+    explore=None,
     config_text=None,
 ):
     """
@@ -67,6 +68,9 @@ def write_report(
         Settings that the images have determined, each with its reason.
     rerun : str, optional
         The command that repeats the measurement.
+    explore : str, optional
+        The command that writes ``explore.html`` beside the page; the page links to it
+        if it is there.
     config_text : str, optional
         The configuration as text.
 
@@ -110,6 +114,8 @@ def write_report(
         chosen=chosen,
         settings=tables.setting_rows(result, components),
         rerun=rerun,
+        explore=explore,
+        has_explore=(directory / "explore.html").is_file(),
         config_text=config_text,
         history=[str(line) for line in result.cube.meta.get("history", ())],
         versions=result.meta.get("versions", {}),

@@ -78,13 +78,13 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     unit = style.offset_unit(displacement[-1], unit)
     seen = image.meta["n_pairs"] > 0
     years, excess = image.meta["interval"].to_value(u.yr)[seen], image.data[:, seen]
-    longest = _longest(years, slopes, kinds, displacement[-1])
-    time = next((v for v in (u.yr, u.day, u.h) if longest >= 0.3 * v.to(u.yr)), u.min)
+    longest = longest_interval(years, slopes, kinds, displacement[-1])
+    time = time_unit(longest)
     highest = np.quantile(np.abs(excess[:, years <= longest]), UNSATURATED) or 1.0
     figure, ax = style.figure_and_axes(ax, SIZE)
     drawn = ax.pcolormesh(
-        (_edges(years) * u.yr).to_value(time),
-        (_edges(displacement) * u.mas).to_value(unit), excess, cmap="RdBu_r",
+        (edges(years) * u.yr).to_value(time),
+        (edges(displacement) * u.mas).to_value(unit), excess, cmap="RdBu_r",
         vmin=-highest, vmax=highest, rasterized=True, gid="excess",
     )  # fmt: skip
     ax.axhline(0, color=style.GREY, linewidth=0.6)
@@ -129,25 +129,43 @@ def _texts(components, kinds):
     return texts
 
 
-def _longest(years, slopes, kinds, reach):
+def longest_interval(years, slopes, kinds, reach):
     """Return the longest interval that is shown, in years."""
-    last = _edges(years)[-1]
+    last = edges(years)[-1]
     for shown in ("moving", "not significant"):
         own = [abs(v) for v, kind in zip(slopes, kinds, strict=True) if kind == shown]
         if any(own):
             longest = BEYOND * reach / min(v for v in own if v > 0)
             # A fast stream alone would leave a single column.
-            return min(max(longest, _edges(years)[: FEWEST_INTERVALS + 1][-1]), last)
+            return min(max(longest, edges(years)[: FEWEST_INTERVALS + 1][-1]), last)
     return last
 
 
-def _edges(middle):
+def time_unit(years):
+    """Return a unit that is easy to read for intervals up to one in years."""
+    return next((v for v in (u.yr, u.day, u.h) if years >= 0.3 * v.to(u.yr)), u.min)
+
+
+def edges(middle):
     """Return the edges of cells, halfway between their middles."""
     if len(middle) == 1:
         return middle[0] * np.array([0.9, 1.1])
     half = np.diff(middle) / 2
     first, last = middle[0] - half[0], middle[-1] + half[-1]
     return np.concatenate([[first], middle[:-1] + half, [last]])
+
+
+def diagram_levels(years, excess, longest, n):
+    """
+    Return a diagram as levels from -127 to 127 at n equal intervals up to the longest.
+
+    The shortest intervals, which no two epochs have, are zero.
+    """
+    column = np.searchsorted(edges(years), (np.arange(n) + 0.5) / n * longest) - 1
+    highest = np.quantile(np.abs(excess[:, years <= longest]), UNSATURATED) or 1.0
+    level = np.round(127 * np.clip(excess / highest, -1, 1)).astype(np.int8)
+    level = level[:, column.clip(0, len(years) - 1)]
+    return np.where(column < 0, np.int8(0), level)
 
 
 def _draw_ray(ax, slope, spread, line, number, text):

@@ -263,6 +263,63 @@ def panel_text(ax, text, x=0.02, y=0.95, color=style.BLACK):
     )  # fmt: skip
 
 
+def image_planes(cube, limits, most):
+    """
+    Return all epochs as grey levels on one grid with axes east and north.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.EpochCube`
+    limits : `~numpy.ndarray`, shape (2, 2)
+        Offsets in mas: east, then north.
+    most : int
+        Largest number of pixels of all epochs; images are binned for it.
+
+    Returns
+    -------
+    planes : `~numpy.ndarray` of uint8, shape (n_epochs, ny, nx)
+        From 1 (faint) to 255; 0 where an image is masked.
+    sides : `~numpy.ndarray`, shape (2, 2)
+        The limits of the planes.
+    n_bins : int
+        Side of a pixel of the planes, in pixels of the images.
+    """
+    from scipy.ndimage import affine_transform, uniform_filter
+
+    step = cube.pixel_scale.value
+    n_bins = np.sqrt(len(cube) * np.prod(lengths(limits) / step) / most)
+    n_bins = max(1, int(np.ceil(n_bins)))
+    step *= n_bins
+    n = np.maximum(lengths(limits) // step, 1).astype(int)
+    to_pixel = np.linalg.inv(cube.pixel_matrix.value)
+    first = to_pixel @ (limits[:, 0] + step / 2) + cube.reference_pixel
+    # Axes are (y, x) here, and (x, y) in the matrix.
+    grid = {
+        "matrix": step * to_pixel[::-1, ::-1], "offset": first[::-1],
+        "output_shape": tuple(n[::-1]), "order": 0,
+    }  # fmt: skip
+    mask = ~np.isfinite(cube.data)
+    if cube.mask is not None:
+        mask |= cube.mask
+    norm = plotting_norm(cube, np.ma.masked_array(cube.data, mask))
+    planes = np.zeros((len(cube), *grid["output_shape"]), np.uint8)
+    for plane, image, hidden in zip(planes, cube.data, mask, strict=True):
+        image = uniform_filter(np.where(hidden, 0.0, image), n_bins)
+        level = norm(affine_transform(image, **grid))
+        known = affine_transform((~hidden).astype(np.uint8), **grid)
+        plane[:] = known * np.clip(np.round(1 + 254 * level), 1, 255)
+    return planes, limits[:, :1] + step * n[:, None] * [0, 1], n_bins
+
+
+def epoch_names(times):
+    """Return the shortest dates of epochs that differ from each other."""
+    for length in (10, 16, 19, 23):
+        names = [date[:length].replace("T", " ") for date in times.isot]
+        if len(set(names)) == len(names):
+            return names
+    return [f"{name} ({k})" for k, name in enumerate(names)]
+
+
 # -- SSPs --------------------------------------------------------------------------
 
 

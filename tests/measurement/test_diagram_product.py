@@ -142,7 +142,13 @@ def test_the_fits_file_holds_the_diagram(name, results, tmp_path):
         with fits.open(tmp_path / "scc.fits") as hdus:
             hdus.verify("exception")
             names = [hdu.name for hdu in hdus]
-            assert names == ["COEFFICIENT", "ZSCORE", "DIAGRAM", "INTERVALS"]
+            assert names == [
+                "COEFFICIENT",
+                "ZSCORE",
+                "DIAGRAM",
+                "INTERVALS",
+                "FEATURES",
+            ]
             header = hdus["DIAGRAM"].header
             np.testing.assert_array_equal(hdus["DIAGRAM"].data, image.data)
             wcs = WCS(header)

@@ -314,7 +314,7 @@ def test_maps_satisfy_the_standard(written, result):
         warnings.simplefilter("error")
         with fits.open(written / "scc.fits") as hdus:
             hdus.verify("exception")
-            names = ["COEFFICIENT", "ZSCORE", "DIAGRAM", "INTERVALS"]
+            names = "COEFFICIENT ZSCORE DIAGRAM INTERVALS FEATURES".split()
             assert [hdu.name for hdu in hdus] == names
             for hdu, values in zip(
                 hdus[:2], (result.coefficient, result.z_score), strict=True

@@ -1,0 +1,84 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+See which features, in which epochs, make a speed.
+
+Write explore.html into the folder of a measurement: the velocity map, the images, the
+distances against time and a table of the features in linked panels.  Selecting a
+component or features in one panel selects them in all.  The page is one file that needs
+no network.
+
+examples:
+  astro-scc measure 3c273/*.fits -o out
+  astro-scc explore out
+
+The images are those that config.toml names, aligned as they were measured; start the
+command where the measurement was started.  It needs bokeh: pip install
+'astro_scc[explore]'
+"""
+
+from pathlib import Path
+
+PAGE = "explore.html"
+
+
+def add_arguments(parser):
+    """Add the arguments of the command."""
+    parser.add_argument("folder", metavar="OUT", help="folder that measure has written")
+
+
+def run(args, reporter):
+    """Write the page of a measurement according to the arguments."""
+    from astropy.io import fits
+
+    from astro_scc.visualization.explore import load_bokeh, write_explore
+
+    load_bokeh()
+    folder = Path(args.folder)
+    tables = [_table(folder / f"{n}.ecsv") for n in ("components", "features", "ssps")]
+    try:
+        hdus = fits.open(folder / "scc.fits")
+    except OSError as error:
+        what = "does not exist" if error.filename else "is no FITS file"
+        raise OSError(f"{folder / 'scc.fits'}: {what}; measure again") from None
+    with hdus:
+        if "FEATURES" not in hdus or "pm_axis1" not in tables[1].colnames:
+            raise ValueError(
+                f"{folder}: is of an earlier version, without the positions of the "
+                "features; measure again"
+            )
+        cube, notes = _images(folder / "config.toml", hdus[0].header, reporter)
+        path = write_explore(folder / PAGE, *tables, hdus, cube=cube, notes=notes)
+    reporter.say(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
+
+
+def _table(path):
+    from astropy.table import QTable
+
+    try:
+        return QTable.read(path, format="ascii.ecsv")
+    except FileNotFoundError:
+        what = "does not exist; name a folder that astro-scc measure has written"
+        raise OSError(f"{path}: {what}") from None
+    except Exception as error:
+        first = [*str(error).strip().splitlines(), ""][0]
+        raise ValueError(f"{path}: is no ECSV table: {first}") from None
+
+
+def _images(config, header, reporter):
+    """Return the epochs of a measurement, or None and a note on why there are none."""
+    from astro_scc.cli.inputs import read_epochs
+    from astro_scc.settings import Settings, read_config
+
+    try:
+        settings = Settings(**read_config(config)[0])
+        cube, _, _ = read_epochs(settings)
+        dates = cube.times.utc.isot[[0, -1]].tolist()
+        if [len(cube), *dates] != [
+            header[k] for k in ("NEPOCHS", "DATE-BEG", "DATE-END")
+        ]:
+            raise ValueError(f"{config}: names other epochs than those measured")
+    except (OSError, ValueError) as error:
+        note = f"without images: {' '.join(str(error).split())}"
+        reporter.note(note)
+        return None, [note]
+    return cube, []

@@ -1,0 +1,99 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The page with linked panels of a measurement that is on the disk."""
+
+import re
+import shutil
+import sys
+
+import pytest
+from astropy.io import fits
+from astropy.table import QTable
+
+from astro_scc.cli import main
+
+
+@pytest.fixture(scope="module")
+def measured(jet, tmp_path_factory):
+    """A folder with images, and one with their measurement."""
+    folder = tmp_path_factory.mktemp("explore")
+    shutil.copytree(jet, folder / "jet")
+    options = ["--scales", "2", "--n-trials", "20", "--seed", "1", "--quiet"]
+    files = sorted(map(str, (folder / "jet").glob("*.fits")))
+    assert main(["measure", *files, "-o", str(folder / "out"), *options]) == 0
+    return folder
+
+
+@pytest.fixture
+def out(measured, here):
+    shutil.copytree(measured / "out", here / "out")
+    return here / "out"
+
+
+def test_the_page_of_a_folder(out, astro_scc):
+    report = (out / "report.html").read_text(encoding="utf-8")
+    assert '<a href="explore.html">explore.html</a>, which <code>astro-scc' in report
+    status, said, notes = astro_scc("explore", "out")
+    assert (status, notes) == (0, "")
+    assert re.fullmatch(r"out/explore.html: 2\.\d MB\n", said)
+    text = (out / "explore.html").read_text(encoding="utf-8")
+    assert "two-fluid: features and velocities" in text
+    assert "CategoricalSlider" in text.rpartition('"application/json"')[2]
+    # It is replaced by the next one.
+    assert astro_scc("explore", "out")[0] == 0
+
+
+@pytest.mark.parametrize("change", ["moved", "fewer", "no config"])
+def test_without_its_images(change, measured, out, astro_scc):
+    config = out / "config.toml"
+    text = config.read_text(encoding="utf-8")
+    if change == "moved":
+        config.write_text(text.replace("two-fluid_00", "moved_00"), encoding="utf-8")
+    elif change == "fewer":
+        line = next(line for line in text.splitlines(True) if "two-fluid_00" in line)
+        config.write_text(text.replace(line, ""), encoding="utf-8")
+    else:
+        config.unlink()
+    status, _, notes = astro_scc("explore", out)
+    assert status == 0
+    assert notes.startswith("note: without images: ")
+    assert notes.count("\n") == 1
+    text = (out / "explore.html").read_text(encoding="utf-8")
+    assert "Note: without images: " in text
+    assert "CategoricalSlider" not in text.rpartition('"application/json"')[2]
+
+
+def test_a_folder_of_something_else(refused, here):
+    (here / "other").mkdir()
+    line = refused("explore", "other")
+    assert "components.ecsv: does not exist; name a folder that astro-scc" in line
+
+
+def test_a_measurement_without_its_map(out, refused):
+    (out / "scc.fits").unlink()
+    assert "scc.fits: does not exist; measure again" in refused("explore", "out")
+    (out / "scc.fits").write_text("nothing")
+    assert "scc.fits: is no FITS file; measure again" in refused("explore", "out")
+
+
+def test_a_table_that_is_none(out, refused):
+    (out / "features.ecsv").write_text("nothing\n")
+    assert "out/features.ecsv: is no ECSV table: " in refused("explore", "out")
+
+
+@pytest.mark.parametrize("what", ["table", "column"])
+def test_a_measurement_of_an_earlier_version(what, out, refused):
+    if what == "table":
+        with fits.open(out / "scc.fits") as hdus:
+            del hdus["FEATURES"]
+            hdus.writeto(out / "new.fits")
+        (out / "new.fits").replace(out / "scc.fits")
+    else:
+        table = QTable.read(out / "features.ecsv")
+        table.remove_column("pm_axis1")
+        table.write(out / "features.ecsv", overwrite=True)
+    assert "out: is of an earlier version" in refused("explore", "out")
+
+
+def test_without_bokeh(out, refused, monkeypatch):
+    monkeypatch.setitem(sys.modules, "bokeh.models", None)
+    assert "pip install 'astro_scc[explore]'" in refused("explore", "out")

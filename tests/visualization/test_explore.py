@@ -1,0 +1,288 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The page with linked panels: what it holds, and what a reader does with it."""
+
+import re
+import shutil
+import sys
+from contextlib import contextmanager
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.time import Time
+
+from astro_scc.measurement.products import velocity_hdus
+from astro_scc.visualization import drawing, explore
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
+READY = "window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].is_idle"
+#: Pixel on the screen of a point of the data of a plot.
+PLACE = """([name, x, y]) => {
+  let plot = Bokeh.documents[0].get_model_by_name(name)
+  plot = plot.children ? plot.children[0] : plot
+  const view = Bokeh.index.find_one_by_id(plot.id)
+  const box = view.canvas_view.el.getBoundingClientRect()
+  return [box.x + view.frame.x_scale.compute(x), box.y + view.frame.y_scale.compute(y)]
+}"""
+
+
+def parts(result):
+    return result.components, result.features, result.ssps, velocity_hdus(result)
+
+
+@pytest.fixture(scope="module")
+def page(result):
+    return explore.Page(*parts(result), result.cube)
+
+
+@pytest.fixture(scope="module")
+def path(result, tmp_path_factory):
+    return result.explore(tmp_path_factory.mktemp("explore") / "explore.html")
+
+
+@contextmanager
+def browser(path, width=1280):
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("there is no chromium or chrome")
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox"]
+        )
+        tab = chromium.new_page(viewport={"width": width, "height": 900})
+        tab.problems = []
+        tab.on("pageerror", lambda error: tab.problems.append(str(error)))
+        tab.on(
+            "request",
+            lambda request: (
+                request.url.startswith(("file:", "data:", "blob:"))
+                or tab.problems.append(request.url)
+            ),
+        )
+        tab.goto(path.as_uri())
+        tab.wait_for_function(READY)
+        yield tab
+        assert tab.problems == []
+        chromium.close()
+
+
+def data_of(tab, what):
+    source = "Bokeh.documents[0].get_model_by_name('table').source"
+    return tab.evaluate(f"() => [...{source}.{what}]")
+
+
+def drag(tab, name, start, end):
+    start, end = (tab.evaluate(PLACE, [name, *map(float, at)]) for at in (start, end))
+    tab.mouse.move(*start)
+    tab.mouse.down()
+    tab.mouse.move(*end, steps=4)
+    tab.mouse.up()
+
+
+@pytest.mark.slow
+def test_a_reader_selects_and_looks(path, page, result):
+    component = result.components[0]
+    own = result.features["component"]
+    rows = np.flatnonzero(own == 1).tolist()
+    with browser(path) as tab:
+        status = tab.get_by_role("status")
+        assert status.inner_text().startswith(f"All {len(own)} features")
+        # A click on the first component selects its features in all panels.
+        names = "pm_parallel", "pm_transverse"
+        at = [float(component[name].to_value(page.pm_unit)) for name in names]
+        tab.mouse.click(*tab.evaluate(PLACE, ["velocity", *at]))
+        tab.wait_for_timeout(500)
+        assert data_of(tab, "selected.indices") == rows
+        words = status.inner_text().split()
+        assert words[:2] == [str(component["n_features"]), "selected"]
+        assert tab.locator("input:checked").count() == component["n_features"]
+        # Their mean and dispersion are those of the table of components.
+        mean, spread = (
+            float(words[words.index(w) + 1]) for w in ("motion", "dispersion")
+        )
+        assert mean == pytest.approx(component["pm"].value, rel=0.01)
+        assert spread == pytest.approx(component["dispersion"].value, rel=0.05)
+        # A button does it too, by the keyboard.
+        tab.get_by_role("button", name="2: stationary").press("Enter")
+        assert data_of(tab, "selected.indices") == np.flatnonzero(own == 2).tolist()
+        tab.get_by_role("button", name="all features").press("Enter")
+        assert data_of(tab, "selected.indices") == []
+        # A box around one feature on the map, and one on the sky.
+        speeds = np.array([page.features.data[f"pm_axis{k}"] for k in (1, 2)])
+        corners = speeds[:, 4] - 0.2, speeds[:, 4] + 0.2
+        drag(tab, "velocity", *corners)
+        inside = np.all(np.abs(speeds - speeds[:, 4:5]) < 0.2, axis=0)
+        assert data_of(tab, "selected.indices") == np.flatnonzero(inside).tolist()
+        assert inside.sum() == 1
+        x, y, row = (page.points.data[name] for name in ("x", "y", "row"))
+        inside = (x > -4.5) & (x < -2.5) & (np.abs(y) < 1)
+        drag(tab, "sky", (-4.5, -1), (-2.5, 1))
+        assert data_of(tab, "selected.indices") == np.unique(row[inside]).tolist()
+        assert 0 < len(np.unique(row[inside])) < len(own)
+
+
+@pytest.mark.slow
+def test_a_reader_steps_through_epochs_by_keyboard(path, page):
+    view = "Bokeh.documents[0].get_model_by_name('sky').children[0].renderers[0].view"
+    shown = f"() => [...{view}.indices]"
+    with browser(path, width=800) as tab:
+        assert tab.evaluate(shown) == [0]
+        first, second = tab.get_by_role("slider").all()
+        first.press("ArrowRight")
+        assert tab.evaluate(shown) == [1]
+        tab.get_by_role("button", name="blink").press("Enter")
+        tab.wait_for_timeout(1.5 * explore.BLINK)
+        assert tab.evaluate(shown) == [len(page.dates) - 1]
+        tab.wait_for_timeout(explore.BLINK)
+        assert tab.evaluate(shown) == [1]
+        # Nothing is wider than the window.
+        assert tab.evaluate("() => document.documentElement.scrollWidth") == 800
+        # Features are ticked in the table with arrows and space.
+        table = tab.locator(".slick-viewport").first
+        table.click(position={"x": 200, "y": 10})
+        for key in ("Home", "Space", "ArrowDown", "Space"):
+            tab.keyboard.press(key)
+        assert data_of(tab, "selected.indices") == [0, 1]
+
+
+# -- the content -------------------------------------------------------------------
+
+
+def test_one_small_file_that_loads_nothing(path):
+    text = path.read_text(encoding="utf-8")
+    assert len(text) < 2.6e6
+    assert not re.search(r"""<(script|link|img)[^>]*(src|href)=["'](http|//)""", text)
+    assert "simulated jet: features and velocities" in text
+
+
+def test_features_are_those_of_the_tables(page, result):
+    features, points = page.features.data, page.points.data
+    table = result.features
+    assert list(features["feature"]) == list(table["feature"])
+    np.testing.assert_allclose(features["pm"], table["pm"].value)
+    for k, positions in enumerate(result.feature_positions.group_by("feature").groups):
+        own = points["row"] == k
+        ssps = result.ssps[positions["ssp"]]
+        np.testing.assert_allclose(points["x"][own], ssps["east"].value)
+        np.testing.assert_allclose(points["y"][own], ssps["north"].value)
+        assert [str(d) for d in np.array(points["date"])[own]] == [
+            date[:10] for date in positions["date"].isot
+        ]
+        # The straight line passes through the middle of the sightings.
+        line = np.interp(points["t"][own], features["lt"][k], features["ld"][k])
+        assert np.median(line - points["d"][own]) == pytest.approx(0, abs=0.02)
+
+
+@pytest.mark.parametrize("name", ["jet", "sky", "radial"])
+def test_features_lie_around_their_component(name, results):
+    result = results[name]
+    page = explore.Page(*parts(result), result.cube)
+    columns, own = page.features.data, np.asarray(result.features["component"]) == 1
+    first = result.components[0]
+    axes = {"sky": ("pm_ra_cosdec", "pm_dec")}
+    for k, axis in enumerate(axes.get(name, ("pm_parallel", "pm_transverse")), 1):
+        speeds = columns[f"pm_axis{k}"][own]
+        assert speeds.min() - 0.1 <= first[axis].to_value(page.pm_unit)
+        assert speeds.max() + 0.1 >= first[axis].to_value(page.pm_unit)
+    # Their rays lie on the side of the diagram on which the component's is.
+    ends = np.array([y[-1] for y in columns["ry"]])[own]
+    assert np.all(np.sign(ends) == np.sign(page._slopes()[0]))
+    document = page.document()
+    assert [root.name for root in document.roots][1:] == [
+        "velocity", "sky", "diagram", "time", "table",
+    ]  # fmt: skip
+    flipped = {root.name: root for root in document.roots}["velocity"].x_range.flipped
+    assert flipped == (name == "sky")
+
+
+def test_long_lists_and_large_images_are_cut_and_said(result, monkeypatch, tmp_path):
+    monkeypatch.setattr(explore, "FEATURES", 2)
+    monkeypatch.setattr(explore, "PIXELS", 20_000)
+    text = result.explore(tmp_path / "page.html").read_text(encoding="utf-8")
+    n = len(result.features)
+    assert f"Note: the 2 of {n} features that were seen in most epochs." in text
+    assert "Note: the images are binned by " in text
+
+
+def test_without_images_there_is_no_slider(result, tmp_path):
+    path = explore.write_explore(
+        tmp_path / "page.html", *parts(result), notes=["without images"]
+    )
+    text = path.read_text(encoding="utf-8")
+    assert "Note: without images." in text
+    assert "CategoricalSlider" not in text.rpartition('"application/json"')[2]
+    assert "at the epoch that is shown" not in text
+
+
+def test_names_from_headers_are_text(result, tmp_path):
+    hdus = velocity_hdus(result)
+    hdus[0].header["OBJECT"] = "<script>alert(1)</script>"
+    tables = result.components, result.features, result.ssps
+    path = explore.write_explore(tmp_path / "page.html", *tables, hdus)
+    assert "<script>alert" not in path.read_text(encoding="utf-8")
+
+
+def test_a_result_without_features(bare, tmp_path):
+    text = bare.explore(tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "CategoricalSlider" in text
+
+
+def test_without_bokeh(result, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "bokeh.models", None)
+    with pytest.raises(ImportError, match=r"pip install 'astro_scc\[explore\]'"):
+        result.explore(tmp_path / "page.html")
+
+
+# -- images and dates --------------------------------------------------------------
+
+
+def test_planes_are_the_images(cube):
+    half = cube.pixel_scale.value / 2
+    limits = drawing.image_limits(cube) + half * np.array([1, -1]) * 0.01
+    planes, sides, n_bins = drawing.image_planes(cube, limits, 1e9)
+    assert n_bins == 1
+    assert planes.shape[0] == len(cube)
+    np.testing.assert_allclose(sides, limits, atol=2.1 * half)
+    # East increases from left to right in the planes, to the left in the images.
+    image = cube.data[2][:, ::-1][: planes.shape[1], : planes.shape[2]]
+    order = np.argsort(image, axis=None)
+    assert np.all(np.diff(planes[2].ravel()[order].astype(int)) >= 0)
+    assert planes.min() >= 1
+
+
+def test_planes_are_binned_and_masked(cube):
+    mask = np.zeros(cube.shape, bool)
+    mask[1, :, :60] = True
+    limits = drawing.image_limits(cube)
+    planes, _, n_bins = drawing.image_planes(replace(cube, mask=mask), limits, 20_000)
+    assert planes.size <= 20_000
+    assert n_bins == np.ceil(np.sqrt(cube.data.size / 20_000))
+    assert np.all(planes[0] > 0)
+    assert np.mean(planes[1] == 0) == pytest.approx(60 / cube.shape[2], abs=0.05)
+
+
+def test_planes_of_images_that_are_turned(cube):
+    wcs = cube.wcs.deepcopy()
+    wcs.wcs.pc = [[0, -1], [1, 0]]
+    turned = replace(cube, wcs=wcs)
+    planes, sides, _ = drawing.image_planes(turned, drawing.image_limits(turned), 1e9)
+    row, column = np.unravel_index(planes[0].argmax(), planes[0].shape)
+    y, x = np.unravel_index(np.argmax(cube.data[0]), cube.data[0].shape)
+    expected = [axis.value for axis in turned.pixel_to_offset(x, y)]
+    step = cube.pixel_scale.value
+    found = sides[:, 0] + step * (np.array([column, row]) + 0.5)
+    np.testing.assert_allclose(found, expected, atol=step)
+
+
+@pytest.mark.parametrize(
+    ("days", "names"),
+    [
+        ([0, 1], ["2000-01-01", "2000-01-02"]),
+        ([0, 0.25], ["2000-01-01 00:00", "2000-01-01 06:00"]),
+        ([0, 0], ["2000-01-01 00:00:00.000 (0)", "2000-01-01 00:00:00.000 (1)"]),
+    ],
+)
+def test_dates_differ(days, names):
+    times = Time("2000-01-01", scale="utc") + days * u.day
+    assert drawing.epoch_names(times) == names
