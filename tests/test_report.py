@@ -518,3 +518,23 @@ def test_fast_motion_has_a_unit_that_can_be_read(components):
     assert easy["pm"][0] == fast["pm"][0]
     assert easy["pm"].info.description == components["pm"].info.description
     assert str(fast["pm"].unit) == "mas / yr"
+
+
+def test_the_page_with_linked_panels_is_linked(result, tmp_path, monkeypatch):
+    monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_: {})
+    command = {"explore": "astro-scc explore out"}
+
+    def written(**page):
+        path = write_report(result, tmp_path, title="Jet", **page)
+        return Page(path.read_text(encoding="utf-8"))
+
+    def linked(page):
+        return {"href": "explore.html"} in page.all("a")
+
+    assert not linked(written())
+    page = written(**command)
+    assert linked(page)
+    assert "explore.html , which astro-scc explore out writes," in page.words
+    (tmp_path / "explore.html").write_text("here")
+    assert linked(written())
+    assert "astro-scc explore" not in written(**command).words

@@ -196,36 +196,39 @@ def test_features_lie_around_their_component(name, results):
     assert flipped == (name == "sky")
 
 
-def test_long_lists_and_large_images_are_cut_and_said(result, monkeypatch, tmp_path):
+def test_long_lists_and_large_images_are_cut_and_said(result, monkeypatch):
     monkeypatch.setattr(explore, "FEATURES", 2)
     monkeypatch.setattr(explore, "PIXELS", 20_000)
-    text = result.explore(tmp_path / "page.html").read_text(encoding="utf-8")
-    n = len(result.features)
-    assert f"Note: the 2 of {n} features that were seen in most epochs." in text
-    assert "Note: the images are binned by " in text
+    page = explore.Page(*parts(result), result.cube)
+    page.document()
+    seen, binned = page.notes
+    assert (
+        seen
+        == f"the 2 of {len(result.features)} features that were seen in most epochs"
+    )
+    assert binned.startswith("the images are binned by ")
+    assert len(page.features.data["pm"]) == 2
+    assert set(page.points.data["row"]) == {0, 1}
 
 
 def test_without_images_there_is_no_slider(result, tmp_path):
-    path = explore.write_explore(
-        tmp_path / "page.html", *parts(result), notes=["without images"]
-    )
+    components, features, ssps, hdus = parts(result)
+    # Names from headers are text.
+    hdus[0].header["OBJECT"] = "<script>alert(1)</script>"
+    tables = components, features, ssps
+    notes = ["without <images>"]
+    path = explore.write_explore(tmp_path / "page.html", *tables, hdus, notes=notes)
     text = path.read_text(encoding="utf-8")
-    assert "Note: without images." in text
+    assert "Note: without &lt;images&gt;." in text
     assert "CategoricalSlider" not in text.rpartition('"application/json"')[2]
     assert "at the epoch that is shown" not in text
+    assert "<script>alert" not in text
 
 
-def test_names_from_headers_are_text(result, tmp_path):
-    hdus = velocity_hdus(result)
-    hdus[0].header["OBJECT"] = "<script>alert(1)</script>"
-    tables = result.components, result.features, result.ssps
-    path = explore.write_explore(tmp_path / "page.html", *tables, hdus)
-    assert "<script>alert" not in path.read_text(encoding="utf-8")
-
-
-def test_a_result_without_features(bare, tmp_path):
-    text = bare.explore(tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "CategoricalSlider" in text
+def test_a_result_without_features(bare):
+    page = explore.Page(*parts(bare), bare.cube)
+    assert len(page.document().roots) == 6
+    assert len(page.features.data["pm"]) == 0
 
 
 def test_without_bokeh(result, monkeypatch, tmp_path):
