@@ -11,6 +11,8 @@ from astropy.table import QTable
 
 from astro_scc.cli import main
 
+pytest.importorskip("bokeh", reason="bokeh is in the extra explore")
+
 
 @pytest.fixture(scope="module")
 def measured(jet, tmp_path_factory):

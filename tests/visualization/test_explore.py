@@ -15,6 +15,8 @@ from astropy.time import Time
 from astro_scc.measurement.products import velocity_hdus
 from astro_scc.visualization import drawing, explore
 
+pytest.importorskip("bokeh", reason="bokeh is in the extra explore")
+
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 READY = "window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].is_idle"
 #: Pixel on the screen of a point of the data of a plot.
