@@ -210,7 +210,8 @@ def test_steady_flows_rarely_depend_on_a_choice():
     # With 5% of false alarms more than 4 of 30 have a probability of 2%.
     assert sum(np.any(table["significant"]) for table in tables) <= 4
     changes = np.concatenate([table["change_sigma"][1:-1] for table in tables])
-    assert 0.8 < np.std(changes) < 1.2
+    # Errors are up to 1.3 times too large here, as positions are not blended.
+    assert 1 / 1.3 - 0.1 < np.std(changes) < 1.1
 
 
 def test_one_feature_has_intervals_and_epochs_only():
