@@ -375,7 +375,7 @@ def test_what_changed_is_measured_again(folder, tmp_path):
 # -- reports -----------------------------------------------------------------------
 
 
-def small_page(result, components, folder, *, title, **options):
+def small_page(result, folder, *, components, title, **options):
     """As a report, without the time that figures take."""
     assert len(components) == len(result.components)
     page = {"title": title, **options}
