@@ -83,7 +83,7 @@ def test_choices_that_change_the_speed_follow_the_answer(jet_results):
 
 def test_few_features_are_shown_with_their_speeds(jet_results):
     result = jet_results["radial"]
-    table = result.components[:1]
+    table = result.components[:1].copy()
     lines = component_lines(table, result.features)
     assert not any(line.startswith("feature of") for line in lines)
     table["n_features"] = 4
