@@ -170,7 +170,7 @@ def test_a_reader_that_goes_away_is_no_error(tmp_path):
         [
             sys.executable,
             "-m",
-            "astro_scc.cli",
+            "astro_scc",
             "simulate",
             "static",
             "x",

@@ -190,10 +190,7 @@ def test_jets_without_common_speeds_do_not_move(seed):
     cube = simulate_unrelated(n_epochs=6, rng=seed).cube
     table = scc()(cube, n_trials=50, rng=1).components
     assert table["kind"][0] == "not significant"
-    assert (
-        table["note"][0]
-        == "permuted epochs give as strong a peak (p_global above alpha)"
-    )
+    assert table["note"][0].startswith("permuted epochs give as strong a peak")
     assert "moving" not in list(table["kind"])
 
 
