@@ -100,7 +100,7 @@ class SearchSettings:
         Share of the variance of the dispersion that counts in the error of a
         stream, because some of the features in the images are not followed; on
         simulated jets the 68% intervals then hold the mean of all features in
-        75%, and twice the errors in 95%.
+        75%, and twice the errors in 94%.
     fewest_of_two : int
         Fewest features with which two streams can be distinguished.
     one_dispersions, two_dispersions : tuple of float
