@@ -12,7 +12,11 @@ from astro_scc.quantities import round_to_errors, with_error
 from astro_scc.stacking import Feature, Stream
 from astro_scc.stacking.errors import alignment_response, velocity_of
 from astro_scc.stacking.search import DEFAULT
-from astro_scc.stacking.streams import feature_speeds, random_effects
+from astro_scc.stacking.streams import (
+    feature_speeds,
+    random_effects,
+    variance_with_prior,
+)
 
 #: Share of a distribution below one standard deviation above its mean.
 ONE_SIGMA = 0.8413
@@ -248,17 +252,14 @@ class _Main:
         n, settings, main = len(new), DEFAULT, self.stream.along
         before, after = _weights(self.stream), iter(_weights(stream))
         of_speeds, of_places, degrees = 0.0, 0.0, 0
-        dispersion = (
-            (n - 1) * np.nan_to_num(main.dispersion) ** 2
-            + (settings.lone_dispersion * main.mean) ** 2
-        ) / n
+        scatter = variance_with_prior(n, main.mean, main.dispersion)
         for line, feature, old in zip(self.lines, new, before, strict=True):
             weight = 0.0 if feature is None else next(after)
             response = -old * line.feature.response
             if feature is not None:
                 response = response + weight * feature.response
             core = settings.core_bias * line.feature.speed
-            of_speeds += (weight - old) ** 2 * (dispersion + core**2)
+            of_speeds += (weight - old) ** 2 * (scatter + core**2)
             error = settings.error_inflation * line.sigma * np.linalg.norm(response)
             of_places += error**2
             degrees += max(line.used.sum() - 2, 0) + settings.prior_freedom

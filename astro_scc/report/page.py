@@ -20,8 +20,7 @@ from astro_scc.report.tables import plain_value, unit_text
 #: Other products that the folder may hold, in the order of the page.
 PRODUCTS = (
     "components.ecsv components.tex features.ecsv sensitivity.ecsv components.vot "
-    "ssps.ecsv ssps.vot "
-    "scc.fits config.toml region.reg"
+    "ssps.ecsv ssps.vot scc.fits config.toml region.reg"
 ).split()
 #: Dots per inch of the figures, which are at most six inches wide.
 DPI = 150

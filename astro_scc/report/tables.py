@@ -177,7 +177,7 @@ def scale_lines(of_scales):
             for k in ("first", "second")
         ]
         lines.append(
-            f"speeds of the {row['first']} and {row['second']} scales: {speeds[0]} and "
+            f"Speeds of the {row['first']} and {row['second']} scales: {speeds[0]} and "
             f"{speeds[1]} {unit_text(row['first_speed'].unit)}, p {row['p_value']:.2g}"
         )
     return lines

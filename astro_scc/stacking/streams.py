@@ -68,8 +68,8 @@ def random_effects(values, errors, settings=DEFAULT):
         error = np.hypot(e[0], settings.lone_dispersion * x[0])
         return Population(float(x[0]), float(error), np.nan, np.nan)
     (m,), _, tau, w = scattered_fit(np.ones((n, 1)), x, e)
-    variance = ((n - 1) * tau**2 + (settings.lone_dispersion * m) ** 2) / n
-    variance = e**2 + settings.not_followed * variance
+    scatter = variance_with_prior(n, m, tau, settings)
+    variance = e**2 + settings.not_followed * scatter
     error = np.sqrt((w**2 * variance).sum()) / w.sum() * stdtrit(n, 0.8413)
     # The sum of squares is distributed as chi-square with n - 1 degrees of freedom.
     total = 1 / w.mean()
@@ -131,9 +131,18 @@ def feature_speeds(features, settings=DEFAULT):
     """Return speeds of features, with errors that include blends and the core."""
     speed = np.array([f.speed for f in features])
     error = np.array([f.error for f in features])
-    return speed, np.hypot(
-        settings.error_inflation * error, settings.core_bias * np.abs(speed)
-    )
+    return speed, error_of_speed(speed, error, settings)
+
+
+def error_of_speed(speed, error, settings=DEFAULT):
+    """Return errors of features' speeds from those of their straight lines."""
+    return np.hypot(settings.error_inflation * error, settings.core_bias * speed)
+
+
+def variance_with_prior(n, mean, dispersion, settings=DEFAULT):
+    """Return the variance of n speeds to which ``lone_dispersion`` is added as one."""
+    lone = settings.lone_dispersion * mean
+    return ((n - 1) * np.nan_to_num(dispersion) ** 2 + lone**2) / n
 
 
 def separate_streams(features, n_trials, rng, settings=DEFAULT):

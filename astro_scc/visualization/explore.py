@@ -13,7 +13,7 @@ from astropy.wcs import WCS
 from astro_scc.epochs.positions import sky_columns
 from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
-from astro_scc.stacking import SearchSettings
+from astro_scc.stacking.streams import error_of_speed
 from astro_scc.visualization import diagram, drawing, style
 from astro_scc.visualization.style import PM_UNIT, unit_name
 from astro_scc.visualization.velocity import AXIS_LABELS, MAP_LABELS
@@ -116,7 +116,7 @@ class Page:
             features = features[np.sort(longest)]
             seen = seen[np.isin(seen["feature"], features["feature"])]
         self.table, self.seen = features, seen
-        #: Row in the table of each sighting.
+        #: Row in the table of each point.
         self.row = np.searchsorted(features["feature"], seen["feature"])
         speeds = [t["pm"].to_value(PM_UNIT) for t in (components, features)]
         self.pm_unit = style.speed_unit(np.abs(np.concatenate(speeds)).max(initial=0.0))
@@ -167,14 +167,9 @@ class Page:
             parts = x, y, t, d, t[[0, -1]], line, ray
             for name, values in zip(columns, parts, strict=True):
                 columns[name].append(np.round(values, 5).tolist())
-        settings = SearchSettings()
         for name in ("pm", "pm_err", "pm_transverse", "pm_axis1", "pm_axis2"):
             columns[name] = table[name].to_value(self.pm_unit)
-        # The error of `astro_scc.stacking.streams.feature_speeds`.
-        columns["error"] = np.hypot(
-            settings.error_inflation * columns["pm_err"],
-            settings.core_bias * columns["pm"],
-        )
+        columns["error"] = error_of_speed(columns["pm"], columns["pm_err"])
         for name in ("feature", "component", "scale", "n_epochs"):
             columns[name] = np.asarray(table[name])
         longest = max((t[-1] - t[0] for t in columns["ts"]), default=0.0)

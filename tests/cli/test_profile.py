@@ -31,7 +31,7 @@ def test_the_whole_stretch(cube_file, tmp_path, capsys):
     assert main(command) == 0
     text = capsys.readouterr().out
     assert "acceleration: " in text
-    assert "speeds of the finest and coarser scales: " in text
+    assert "Speeds of the finest and coarser scales: " in text
     table = QTable.read(out / "profile.ecsv", format="ascii.ecsv")
     found = table.meta["acceleration"]
     assert found["acceleration"].unit == u.mas / u.yr**2

@@ -88,7 +88,15 @@ def test_sources_are_shared_by_no_more_processes_than_sources(cores, capsys):
     assert capsys.readouterr()[1].endswith("10 min (2 sources); less\n")
 
 
-@pytest.mark.parametrize("name", ["measure", "profile", "track", "survey"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "measure",
+        pytest.param("profile", marks=pytest.mark.slow),
+        pytest.param("track", marks=pytest.mark.slow),
+        pytest.param("survey", marks=pytest.mark.slow),
+    ],
+)
 def test_a_long_run_says_so_before_it_begins(
     name, command, astro_scc, cores, monkeypatch
 ):

@@ -382,6 +382,7 @@ def small_page(result, folder, *, components, title, **options):
     (folder / "report.html").write_text(json.dumps(page), encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_every_region_and_group_has_a_report(folder, tmp_path, monkeypatch):
     monkeypatch.setattr("astro_scc.report.write_report", small_page)
     survey = read_survey(folder / "survey.toml")

@@ -171,7 +171,7 @@ def test_features_are_those_of_the_tables(page, result):
         assert [str(d) for d in np.array(points["date"])[own]] == [
             date[:10] for date in positions["date"].isot
         ]
-        # The straight line passes through the middle of the sightings.
+        # The straight line passes through the middle of the points.
         line = np.interp(points["t"][own], features["lt"][k], features["ld"][k])
         assert np.median(line - points["d"][own]) == pytest.approx(0, abs=0.02)
 
