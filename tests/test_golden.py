@@ -56,7 +56,7 @@ def real(name, shared_data):
             pixel_scale=0.1 * u.mas,
             noise=0.3 * u.mJy / u.beam,
             rng=1,
-        )
+        )[::3]
     elif name == "paper_test":
         cube = EpochCube.read(str(shared_data / name / "two_fluid" / "*.fits"))
     else:

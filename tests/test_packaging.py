@@ -2,6 +2,7 @@
 """What the package promises before it computes anything."""
 
 import importlib.metadata
+import json
 import re
 import subprocess
 import sys
@@ -55,6 +56,20 @@ def test_version():
     # An editable install keeps the metadata of the day it was made.
     release = re.match(r"\d+(\.\d+)+", importlib.metadata.version("astro_scc"))
     assert astro_scc.__version__.startswith(release.group())
+
+
+def test_the_files_for_citation_agree_with_the_changes():
+    changes = (REPOSITORY / "CHANGES.rst").read_text(encoding="utf-8")
+    version, date = re.match(r"(\S+) \((\S+)\)\n-", changes).groups()
+    meta = json.loads((REPOSITORY / "codemeta.json").read_text(encoding="utf-8"))
+    cff = (REPOSITORY / "CITATION.cff").read_text(encoding="utf-8")
+    assert (meta["version"], meta["dateModified"]) == (version, date)
+    assert f"version: '{version}'\ndate-released: '{date}'\n" in cff
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))
+    assert meta["description"] == project["project"]["description"]
+    assert meta["softwareRequirements"] == project["project"]["dependencies"]
+    page = (REPOSITORY / "docs" / "citation.rst").read_text(encoding="utf-8")
+    assert f"version = {{{version}}}" in page
 
 
 def test_version_of_a_tree_that_was_never_built():

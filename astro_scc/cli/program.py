@@ -63,6 +63,18 @@ def _end(number, frame):
     raise Ended(number)
 
 
+class Completion(argparse.Action):
+    """Print what a shell needs to complete commands, options and files, and end."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        try:
+            import shtab
+        except ImportError:
+            parser.error(f"{option_string} needs shtab: pip install shtab")
+        print(shtab.complete(parser, values))
+        parser.exit()
+
+
 @contextmanager
 def _ended_by_signals():
     """Clean up after `SIGNALS`, unless other code handles or ignores them."""
@@ -94,6 +106,10 @@ def build_parser():
     parser.add_argument(
         "--version", action="version", version=f"%(prog)s {__version__}"
     )
+    parser.add_argument(
+        "--print-completion", action=Completion, choices=("bash", "zsh", "tcsh"),
+        help="print the completion of commands and options for a shell (needs shtab)",
+    )  # fmt: skip
     commands = parser.add_subparsers(
         title="commands", metavar="COMMAND", dest="command", required=True
     )

@@ -36,9 +36,23 @@ def test_help_imports_nothing_that_takes_time():
         assert done.stdout.startswith("usage: astro-scc")
 
 
+def test_completion_of_a_shell(capsys, monkeypatch):
+    pytest.importorskip("shtab")
+    with pytest.raises(SystemExit) as leave:
+        main(["--print-completion", "bash"])
+    assert leave.value.code in (0, None)
+    script = capsys.readouterr().out
+    assert "survey" in script and "--position-angle" in script
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    with pytest.raises(SystemExit) as leave:
+        main(["--print-completion", "bash"])
+    assert leave.value.code == 2
+    assert "--print-completion needs shtab: pip install shtab" in capsys.readouterr().err
+
+
 def test_an_option_of_several_commands_is_explained_alike():
     parser = build_parser()
-    (commands,) = (a for a in parser._actions if hasattr(a, "choices") and a.choices)
+    (commands,) = (a for a in parser._actions if a.dest == "command")
     # What differs by what a command makes or takes.
     own = {"--output", "--votable", "--epochs"}
     said = {}
