@@ -10,8 +10,8 @@ from scipy.special import stdtr
 
 from astro_scc.measurement.axes import projection_of
 from astro_scc.quantities import with_error
-from astro_scc.stacking.search import DEFAULT
-from astro_scc.stacking.streams import feature_speeds, scattered_fit
+from astro_scc.stacking.dispersion import feature_speeds, scattered_fit
+from astro_scc.stacking.search_settings import DEFAULT
 
 #: Distance in beams below which the core shifts features.
 CORE = 2.0

@@ -6,7 +6,7 @@ import numpy as np
 from astropy.table import QTable
 
 from astro_scc.measurement.axes import projection_of
-from astro_scc.stacking.streams import feature_speeds, random_effects
+from astro_scc.stacking.dispersion import feature_speeds, random_effects
 
 #: Features of a bin: with fewer a dispersion has an error of half its size.
 LEAST = 5

@@ -16,8 +16,8 @@ from astro_scc.measurement import select_ssps
 from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.stacking import velocity_frame
 from astro_scc.measurement.tables import PM_UNIT
-from astro_scc.stacking.search import DEFAULT
-from astro_scc.stacking.streams import feature_speeds, scattered_fit
+from astro_scc.stacking.dispersion import feature_speeds, scattered_fit
+from astro_scc.stacking.search_settings import DEFAULT
 
 #: SSPs ejected within this length of the flow, in beams, count as one feature.
 FEATURE_BEAMS = 2.0

@@ -27,9 +27,9 @@ from astro_scc.measurement.provenance import (
 from astro_scc.measurement.tables import versions
 from astro_scc.partial import replace_when_complete
 from astro_scc.stacking.diagram import Diagram
+from astro_scc.stacking.dispersion import Population
 from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
 from astro_scc.stacking.permutations import PermutedStacks
-from astro_scc.stacking.streams import Population
 
 #: What the files are, in their headers and in messages.
 MATCHES, RESULT = "astro_scc matches", "astro_scc result"

@@ -10,13 +10,13 @@ from astro_scc.measurement.axes import alignment_errors, projection_of
 from astro_scc.measurement.tables import PM_UNIT, build_table
 from astro_scc.quantities import round_to_errors, with_error
 from astro_scc.stacking import Feature, Stream
-from astro_scc.stacking.errors import alignment_response, velocity_of
-from astro_scc.stacking.search import DEFAULT
-from astro_scc.stacking.streams import (
+from astro_scc.stacking.dispersion import (
     feature_speeds,
     random_effects,
     variance_with_prior,
 )
+from astro_scc.stacking.errors import alignment_response, velocity_of
+from astro_scc.stacking.search_settings import DEFAULT
 
 #: Share of a distribution below one standard deviation above its mean.
 ONE_SIGMA = 0.8413

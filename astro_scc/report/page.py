@@ -103,7 +103,7 @@ def write_report(
     except FileExistsError:
         raise OSError(f"{directory}: is a file; choose another folder") from None
     figures = draw_figures(result, components)
-    page = _template("page.html").render(
+    page = _template("report.html").render(
         **_findings(result, components),
         title=str(title),
         warnings=[str(warning) for warning in warnings],
@@ -132,7 +132,7 @@ def _template(name):
     import jinja2
 
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("astro_scc", "report"),
+        loader=jinja2.PackageLoader("astro_scc", "report/templates"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -170,7 +170,7 @@ def write_overview(table, parts, folder, *, published):
     """
     path = Path(folder) / "overview.html"
     found = tables.overview(table, parts, path.parent, published)
-    page = _template(path.name).render(
+    page = _template("survey.html").render(
         **found,
         title="Survey of proper motions",
         products=["survey.ecsv", "survey.toml"],

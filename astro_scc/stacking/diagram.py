@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from astro_scc.stacking.search import SearchSettings
+from astro_scc.stacking.search_settings import SearchSettings
 
 #: Grid points of the displacement in one blur.
 POINTS = 4

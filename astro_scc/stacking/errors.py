@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from astro_scc.decomposition.segmentation import quadratic_peak
+from astro_scc.stacking.dispersion import feature_speeds
 from astro_scc.stacking.stack import gaussian_sum, sample_velocities
-from astro_scc.stacking.streams import feature_speeds
 
 #: Grid points of a box on each axis.
 POINTS = 25

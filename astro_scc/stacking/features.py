@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from astro_scc.stacking.search import DEFAULT
+from astro_scc.stacking.search_settings import DEFAULT
 
 
 @dataclass(frozen=True, eq=False)

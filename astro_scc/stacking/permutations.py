@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from astro_scc.stacking.diagram import PairDensity
-from astro_scc.stacking.search import DEFAULT
+from astro_scc.stacking.search_settings import DEFAULT
 
 #: Standard deviations of stacks are at least this fraction of the largest one.
 STD_FLOOR = 0.01

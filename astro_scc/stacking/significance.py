@@ -1,20 +1,30 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The search for streams, and the significance of their speeds."""
+"""
+The search for streams, and the significance of their speeds.
+
+What is searched are significant structural patterns (SSPs, `find_ssps`), which the
+correlation has matched with the images of other epochs.  The displacement of each match
+against the interval between its epochs is the displacement-interval diagram.  A speed
+is a straight line through its origin, a ray; its excess is the number of matches along
+the ray minus the mean of permuted epochs.  Features are chains of matched SSPs on one
+straight line in time, and a stream is a group of features whose speeds scatter about
+one mean.
+"""
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from astro_scc.stacking.diagram import Diagram, Rays
-from astro_scc.stacking.features import clear_of, find_features, standing_features
-from astro_scc.stacking.permutations import EpochPermutations
-from astro_scc.stacking.search import SearchSettings
-from astro_scc.stacking.streams import (
+from astro_scc.stacking.dispersion import (
     Population,
     feature_speeds,
     random_effects,
     separate_streams,
 )
+from astro_scc.stacking.features import clear_of, find_features, standing_features
+from astro_scc.stacking.permutations import EpochPermutations
+from astro_scc.stacking.search_settings import SearchSettings
 from astro_scc.stacking.velocities import VelocitySamples
 
 #: What needs more than so many times the epochs is out of reach.
@@ -33,7 +43,7 @@ class Stream:
         Why it is not significant, or ''.
     angle : float
         Direction of the axis from the first axis of the frame, in radians.
-    along, across : `~astro_scc.stacking.streams.Population`
+    along, across : `~astro_scc.stacking.dispersion.Population`
         Mean and dispersion of the speeds of its features, in beams/yr.
     z : float
         Excess along its ray in standard deviations of the permutations.
@@ -238,7 +248,7 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
 
     Parameters
     ----------
-    along : `~astro_scc.stacking.streams.Population`
+    along : `~astro_scc.stacking.dispersion.Population`
     z, p_global : float
         Significance of the mean speed, and its probability.
     features : sequence of `~astro_scc.stacking.Feature`

@@ -13,7 +13,7 @@ from astropy.wcs import WCS
 from astro_scc.epochs.positions import sky_columns
 from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
-from astro_scc.stacking.streams import error_of_speed
+from astro_scc.stacking.dispersion import error_of_speed
 from astro_scc.visualization import diagram, drawing, style
 from astro_scc.visualization.style import PM_UNIT, unit_name
 from astro_scc.visualization.velocity import AXIS_LABELS, MAP_LABELS

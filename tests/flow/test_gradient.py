@@ -8,7 +8,7 @@ from scipy.stats import kstest
 
 from astro_scc.flow.acceleration import BLENDS, fit_gradient
 from astro_scc.stacking import Feature, SearchSettings
-from astro_scc.stacking.streams import scattered_fit
+from astro_scc.stacking.dispersion import scattered_fit
 
 YEARS = np.arange(8.0)
 

@@ -16,7 +16,7 @@ from astro_scc.measurement.sensitivity import (
     sensitivity_table,
 )
 from astro_scc.stacking import Feature, SearchSettings, Stream, random_effects
-from astro_scc.stacking.streams import feature_speeds
+from astro_scc.stacking.dispersion import feature_speeds
 from astro_scc.visualization.features import plot_sensitivity
 
 SETTINGS = SearchSettings()

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.stacking import Feature, Stream
+from astro_scc.stacking.dispersion import Population
 from astro_scc.stacking.errors import StreamVelocity, velocity_of
-from astro_scc.stacking.streams import Population
 
 DAYS, PIXEL = 30.0, 0.1
 

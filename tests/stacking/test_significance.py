@@ -18,8 +18,8 @@ from astro_scc.stacking import (
     random_effects,
 )
 from astro_scc.stacking.diagram import Diagram
+from astro_scc.stacking.dispersion import Population, feature_speeds, separate_streams
 from astro_scc.stacking.significance import classify
-from astro_scc.stacking.streams import Population, feature_speeds, separate_streams
 
 SEARCH = SearchSettings()
 #: Ten uneven dates.

@@ -9,8 +9,8 @@ from scipy.optimize import brentq
 from scipy.stats import norm, t
 
 from astro_scc.stacking import Feature, SearchSettings, Stream, random_effects
+from astro_scc.stacking.dispersion import feature_speeds, separate_streams
 from astro_scc.stacking.errors import alignment_response
-from astro_scc.stacking.streams import feature_speeds, separate_streams
 
 SEARCH = SearchSettings()
 
@@ -243,7 +243,7 @@ class TestSeparateStreams:
 
     def test_the_likelihoods_by_a_loop(self):
         """The ratio of the largest of two components and of one."""
-        from astro_scc.stacking.streams import _one, _two
+        from astro_scc.stacking.dispersion import _one, _two
 
         rng = np.random.default_rng(4)
         y, e = (

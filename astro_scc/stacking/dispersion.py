@@ -1,12 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Streams of features: their mean speed, dispersion and number."""
+"""Mean and dispersion of the speeds of features, and the number of their streams."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import stdtrit
 
-from astro_scc.stacking.search import DEFAULT
+from astro_scc.stacking.search_settings import DEFAULT
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def scattered_fit(design, values, errors):
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking.streams import scattered_fit
+    >>> from astro_scc.stacking.dispersion import scattered_fit
     >>> x = np.arange(4.0)
     >>> design = np.stack([np.ones(4), x], axis=1)
     >>> scattered_fit(design, 1 + 2 * x, np.full(4, 0.1))[0].round(6).tolist()
@@ -175,7 +175,7 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     --------
     >>> import numpy as np
     >>> from astro_scc.stacking import Feature
-    >>> from astro_scc.stacking.streams import separate_streams
+    >>> from astro_scc.stacking.dispersion import separate_streams
     >>> epoch = np.arange(4)
     >>> features = [
     ...     Feature.through(epoch, epoch, np.outer(epoch, [speed, 0]))
