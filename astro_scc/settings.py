@@ -1,10 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-The settings of a measurement, each declared once.
+The settings of a measurement, each declared once, with default, check, unit and help.
 
-Each field of `Settings` has its default, its check, its unit and its help.  The command
-line, TOML files, Python and the table in the documentation all use these fields.
-Quantities may be text with a unit, ``"2 mas / yr"``.
+The command line, TOML files, Python and the table in the documentation use the fields
+of `Settings`.  Quantities may be text with a unit, ``"2 mas / yr"``.
 """
 
 import tomllib
@@ -52,11 +51,6 @@ REMARKS = """\
 # the path of this file: astro-scc {} --config FILE -o FOLDER
 
 """
-# FITS and TOML keep integers of 64 bits.
-_LARGEST_SEED = 2**63 - 1
-
-
-# -- checks of single settings ---------------------------------------------------
 
 
 def _single(name):
@@ -87,14 +81,11 @@ _times = quantity_range("a shortest and a longest time", "0.2 yr 1.0 yr", 0, equ
 _beams = fraction(5, "a part of the beam ")
 
 
-# -- the settings ----------------------------------------------------------------
-
-
 def _setting(group, check, text, metavar=None, default=None, *, unit=None, only=None):
     """
     Declare a setting.
 
-    Without ``metavar`` it is not a command-line option.  ``unit`` is for calculations.
+    One without ``metavar`` is not on the command line; ``unit`` is for calculations.
     """
     facts = {"group": group, "check": check, "help": text, "metavar": metavar}
     facts |= {"unit": unit, "commands": only or GROUPS[group]}
@@ -315,7 +306,7 @@ class Settings(MeasurementSettings):
         "1000",
     )
     seed: int | None = _trial(
-        integer(0, _LARGEST_SEED),
+        integer(0, 2**63 - 1),  # FITS and TOML keep integers of 64 bits
         "of the random numbers; drawn and written down by default",
         "N",
     )
@@ -337,9 +328,8 @@ class Settings(MeasurementSettings):
             object.__setattr__(self, name, check_setting(name, getattr(self, name)))
         by_redshift = self.redshift is not None or self.cosmology is not None
         if self.distance is not None and by_redshift:
-            raise ValueError(
-                "distance needs neither redshift nor cosmology; leave one out"
-            )
+            text = "distance needs neither redshift nor cosmology; leave one out"
+            raise ValueError(text)
         if self.redshift is not None and self.cosmology is None:
             object.__setattr__(self, "cosmology", PAPER_COSMOLOGY)
         if self.cosmology is not None and self.redshift is None:
