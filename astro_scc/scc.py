@@ -38,12 +38,6 @@ from astro_scc.settings import MeasurementSettings, require
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
-#: Settings that are passed unchanged to `stack_matches`.
-OF_STACKS = (
-    "position_angle min_error_beams alpha outward alignment_error "
-    "small_displacement_correction"
-).split()
-
 
 @dataclass(frozen=True, kw_only=True)
 class StackedCrossCorrelation(MeasurementSettings):
@@ -364,21 +358,16 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         from threadpoolctl import threadpool_limits
 
-        baseline = None if self.baseline is None else self.baseline.to_value(u.yr)
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1):
             return stack_matches(
                 matched,
-                self.date_pairs(matched.cube),
+                self,
                 radius=self._radius(matched.cube),
                 fwhm=self._fwhm(matched.cube),
-                max_speed=self._given_speed,
-                baseline=baseline,
-                **{name: getattr(self, name) for name in OF_STACKS},
                 n_trials=n_trials,
                 rng=rng,
                 progress_bar=progress_bar,
-                settings=self.to_dict(),
             )
 
     def displacements(self, matched):

@@ -17,14 +17,14 @@ from astro_scc.epochs import positions
 from astro_scc.epochs.alignment import align
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.cutout import crop, region_mask
-from astro_scc.epochs.fits import find_files, is_hdf5
+from astro_scc.epochs.fits import CUBE_CREATOR, find_files, is_hdf5
 from astro_scc.epochs.grid import reproject_cube
 from astro_scc.epochs.headers import epoch_header
 from astro_scc.epochs.inspection import epoch_table, noise_of_images, noise_rms
 from astro_scc.epochs.misalignment import misalignment
 from astro_scc.epochs.positions import offset_wcs, readable_angle
 from astro_scc.epochs.reading import read_files, read_images
-from astro_scc.epochs.serialize import is_cube_file, read_cube, write_cube
+from astro_scc.epochs.serialize import is_cube_file, read_object, write_cube
 from astro_scc.epochs.smoothing import common_beam
 from astro_scc.epochs.validation import (
     as_beams,
@@ -207,7 +207,9 @@ class EpochCube:
         if len(files) == 1 and is_cube_file(first):
             if any(value is not None for value in (times, beams, hdu)):
                 raise ValueError(f"{first}: an EpochCube; it has its dates and beams")
-            return cls(**read_cube(first, **window))
+            lazy = region is not None
+            cube = read_object(first, creator=CUBE_CREATOR, lazy=lazy)
+            return cube.crop(**window) if lazy else cube
         if len(files) == 1 and is_hdf5(first):
             if times is not None or hdu is not None:
                 raise ValueError(

@@ -287,8 +287,10 @@ def _content(file):
 
 
 def _plane(hdus, which, path, *, window=None, pixels=True):
-    if hdus[0].header.get("CREATOR") == CUBE_CREATOR:
-        raise _ContentError("is a whole EpochCube; give it alone to EpochCube.read")
+    if "SCCVERS" in hdus[0].header:
+        what = hdus[0].header["CREATOR"].removeprefix("astro_scc ")
+        reader = what if what == "EpochCube" else "SCCResult"
+        raise _ContentError(f"is a whole {what}; give it alone to {reader}.read")
     hdu = _find(hdus, which)
     header = hdu.header.copy()
     if hdu is not hdus[0]:

@@ -3,37 +3,36 @@
 
 import re
 import warnings
-from dataclasses import fields
+from contextlib import suppress
+from dataclasses import fields, is_dataclass
+from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
 from astropy.io.misc import yaml
 from astropy.table import Table
-from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam
-from astro_scc.epochs.cutout import box, crop_line
 from astro_scc.epochs.fits import CUBE_CREATOR, open_fits
-from astro_scc.epochs.grid import cut_wcs
 from astro_scc.epochs.headers import epoch_header, first_line
 from astro_scc.partial import replace_when_complete
 
-VERSION = 1
 # Axes and angle of a beam, their units in files, and their keywords in FITS.
 BEAM = {"major": u.mas, "minor": u.mas, "pa": u.deg}
 CARDS = "BMAJ", "BMIN", "BPA"
-#: Layout of the files of `write_object`.
-LAYOUT = 2
-#: Arrays of more elements are extensions of their own, others are in the text.
+#: Layout of the files.
+LAYOUT = 3
+#: Images, and arrays of more elements, are extensions, other arrays are in the text.
 SHORT = 100
 #: Types of arrays that FITS images hold as they are; of others they hold the bytes.
 FITS_TYPES = "u1", "i2", "i4", "i8", "f4", "f8"
 #: Key of the name of its class in a packed object.
 CLASS = "!class"
+#: Start of the modules whose dataclasses may be written and read.
+PACKAGE = "astro_scc."
 
 
 def write_cube(cube, path, *, overwrite=False):
@@ -57,9 +56,9 @@ def write_cube(cube, path, *, overwrite=False):
     -----
     The extension ``DATA`` has the images with the celestial WCS, ``MASK`` the
     bad pixels; ``EPOCHS`` has a row per epoch with the date (also as the two
-    parts of the Julian date), beam and noise; ``META`` holds the rest as YAML,
-    in which astropy's objects keep their types.  Values that YAML cannot hold
-    become text.
+    parts of the Julian date), beam and noise; ``META`` holds all that is not an
+    image as YAML, in which astropy's objects keep their types.  Values that YAML
+    cannot hold become text.
 
     Examples
     --------
@@ -78,31 +77,11 @@ def write_cube(cube, path, *, overwrite=False):
         table[name] = values * unit
     if cube.noise is not None:
         table["NOISE"] = cube.noise.value
-    rest = {
-        "unit": cube.unit.to_string(),
-        "time_scale": cube.times.scale,
-        "time_format": cube.times.format,
-        "labels": list(cube.labels),
-        "wcs": pack_wcs(cube.wcs),
-        "epoch_wcs": cube.epoch_wcs and [pack_wcs(w) for w in cube.epoch_wcs],
-        "epoch_meta": list(cube.epoch_meta),
-        "meta": cube.meta,
-    }
     header = cube.wcs.to_header(relax=True)
-    header["BUNIT"] = rest["unit"]
-    primary = fits.PrimaryHDU()
-    primary.header["CREATOR"] = CUBE_CREATOR
-    primary.header["SCCVERS"] = VERSION, "version of this layout"
-    text = np.frombuffer(pack_facts(rest).encode("ascii"), dtype=np.uint8)
-    hdus = [
-        primary,
-        fits.ImageHDU(cube.data, header, name="DATA"),
-        fits.ImageHDU(cube.mask.astype(np.uint8), cube.wcs.to_header(), "MASK"),
-        fits.BinTableHDU(table, name="EPOCHS"),
-        fits.ImageHDU(text, name="META"),
-    ]
-    with replace_when_complete(path, overwrite=overwrite) as part:
-        fits.HDUList(hdus).writeto(part)
+    header["BUNIT"] = cube.unit.to_string()
+    images = {"data": header, "mask": cube.wcs.to_header(relax=True)}
+    options = {"creator": CUBE_CREATOR, "overwrite": overwrite}
+    write_object(cube, path, headers=images, tables={"EPOCHS": table}, **options)
 
 
 def beam_columns(cube):
@@ -127,64 +106,6 @@ def is_cube_file(path):
         except Exception:
             # Reading it as an image will give the reason.
             return False
-
-
-def read_cube(path, *, region=None, pad=0):
-    """
-    Return the fields of the cube in a file of `write_cube`.
-
-    With a ``region`` only its bounding box is read, see `EpochCube.crop`.  A file that
-    is damaged or of a later version raises an OSError.
-    """
-    with warnings.catch_warnings(action="ignore"):
-        try:
-            with open(path, "rb") as file, open_fits(file) as hdus:
-                version = hdus[0].header["SCCVERS"]
-                if version == VERSION:
-                    return _unpack(hdus, region, pad)
-        except _RegionError as error:
-            raise error.__cause__ from None
-        except Exception as error:
-            reason = first_line(error)
-            raise OSError(f"{path}: is a damaged EpochCube file: {reason}") from None
-    raise OSError(f"{path}: of layout {version}, read it with a newer astro_scc")
-
-
-class _RegionError(Exception):
-    """The region, not the file, is at fault."""
-
-
-def _unpack(hdus, region, pad):
-    rest = unpack_facts(hdus["META"].data.tobytes().decode("ascii"))
-    table = hdus["EPOCHS"].data
-    names = {name.upper() for name in table.names}
-    jd1, jd2 = (table[name].astype(float) for name in ("JD1", "JD2"))
-    times = Time(jd1, jd2, format="jd", scale=rest.pop("time_scale"))
-    times.format = rest.pop("time_format")
-    unit = u.Unit(rest.pop("unit"))
-    wcs = unpack_wcs(rest.pop("wcs"))
-    epoch_wcs = [unpack_wcs(w) for w in rest.pop("epoch_wcs") or ()]
-    window = slice(None), slice(None)
-    if region is not None:
-        shape = hdus["DATA"].shape
-        try:
-            window = box(SimpleNamespace(shape=shape, wcs=wcs), region, pad)
-        except Exception as error:
-            raise _RegionError from error
-        wcs, *epoch_wcs = (cut_wcs(w, window, shape[1:]) for w in (wcs, *epoch_wcs))
-        history = [*rest["meta"].get("history", ()), crop_line(window)]
-        rest["meta"] = {**rest["meta"], "history": history}
-    return {
-        **rest,
-        "data": hdus["DATA"].data[:, *window].astype(np.float64),
-        "times": times,
-        "wcs": wcs,
-        "unit": unit,
-        "mask": hdus["MASK"].data[:, *window].astype(bool),
-        "beams": beams_of(*(table[k] for k in CARDS)) if "BMAJ" in names else None,
-        "noise": table["NOISE"].astype(float) * unit if "NOISE" in names else None,
-        "epoch_wcs": epoch_wcs or None,
-    }
 
 
 def pack_wcs(wcs):
@@ -242,21 +163,23 @@ def _plain(value):
     return value
 
 
-def write_object(value, path, classes, *, creator, overwrite=False):
+def write_object(value, path, *, creator, overwrite=False, headers=None, tables=None):
     """
     Write a dataclass, or a dictionary, and all that it holds to one FITS file.
 
     Parameters
     ----------
     value : object
-        It may hold dataclasses, WCS, arrays of numbers, what YAML can hold, and
-        containers of these.  Other values become text.
+        It may hold dataclasses of this package, WCS, arrays of numbers, what YAML
+        can hold, and containers of these.  Other values become text.
     path : path
-    classes : sequence of type
-        The dataclasses that it may hold.
     creator : str
         What the file is, which `read_object` checks.
     overwrite : bool, optional
+    headers : dict of `~astropy.io.fits.Header`, optional
+        Headers of the arrays in the attributes of these names.
+    tables : dict of `~astropy.table.Table`, optional
+        Tables for other readers, which `read_object` does not read.
 
     Raises
     ------
@@ -270,30 +193,33 @@ def write_object(value, path, classes, *, creator, overwrite=False):
     ``META`` holds YAML; long arrays follow, each in an extension with the name of
     its attribute, bit by bit.
     """
-    arrays, names = [], {cls: cls.__name__ for cls in classes}
-    facts = _pack(value, "value", names, arrays, {})
-    text = yaml.dump(facts, allow_unicode=False, sort_keys=False)
+    arrays = []
+    text = yaml.dump(_pack(value, "value", arrays, {}), sort_keys=False)
     primary = fits.PrimaryHDU()
     primary.header["CREATOR"] = creator
     primary.header["SCCVERS"] = LAYOUT, "version of this layout"
     hdus = [primary, fits.ImageHDU(np.frombuffer(text.encode(), np.uint8), name="META")]
     for name, array in arrays:
-        flat = np.ascontiguousarray(array).reshape(-1)
-        flat = flat if flat.dtype.str[1:] in FITS_TYPES else flat.view(np.uint8)
-        hdus.append(fits.ImageHDU(flat, name=name))
+        own = np.ascontiguousarray(array)
+        own = own if own.dtype.str[1:] in FITS_TYPES else own.view(np.uint8)
+        hdus.append(fits.ImageHDU(own, (headers or {}).get(name), name=name))
+    for name, table in (tables or {}).items():
+        hdus.append(fits.BinTableHDU(table, name=name))
     with replace_when_complete(path, overwrite=overwrite) as part:
         fits.HDUList(hdus).writeto(part, checksum=True)
 
 
-def read_object(path, classes, *, creator):
+def read_object(path, *, creator, lazy=False):
     """
     Read what `write_object` wrote.
 
     Parameters
     ----------
     path : path
-    classes : sequence of type
     creator : str
+    lazy : bool, optional
+        Leave long arrays in the file until their elements are used, and do not
+        verify its checksums.
 
     Returns
     -------
@@ -310,13 +236,13 @@ def read_object(path, classes, *, creator):
             # astropy only warns of a wrong checksum.
             with (
                 warnings.catch_warnings(action="error"),
-                open_fits(file, memmap=False, checksum=True) as hdus,
+                open_fits(file, memmap=lazy, checksum=not lazy) as hdus,
             ):
                 if hdus[0].header.get("CREATOR") != creator:
                     raise ValueError("it was not written as one")
                 if (layout := hdus[0].header["SCCVERS"]) == LAYOUT:
                     facts = yaml.load(hdus["META"].data.tobytes().decode())
-                    return _unpack_object(facts, {c.__name__: c for c in classes}, hdus)
+                    return _unpack(facts, hdus, {})
         except _VersionError as error:
             raise OSError(f"{path}: {error}") from None
         except Exception as error:
@@ -329,25 +255,25 @@ class _VersionError(Exception):
     """The file is in order, but of another version."""
 
 
-def _pack(value, name, classes, arrays, memo, *, in_meta=False):
+def _pack(value, name, arrays, memo, *, in_meta=False):
     """Return what YAML can hold; append long arrays with their names to ``arrays``."""
     kind = type(value)
     if id(value) in memo:
         return memo[id(value)][0]
 
     def inner(item, name=name, in_meta=in_meta):
-        return _pack(item, name, classes, arrays, memo, in_meta=in_meta)
+        return _pack(item, name, arrays, memo, in_meta=in_meta)
 
     if kind is dict:
         return {str(key): inner(item, str(key), True) for key, item in value.items()}
     if kind in (list, tuple):
         return kind(inner(item) for item in value)
-    if kind in classes:
+    if is_dataclass(kind) and kind.__module__.startswith(PACKAGE):
         packed = {f.name: inner(getattr(value, f.name), f.name) for f in fields(value)}
-        packed[CLASS] = classes[kind]
+        packed[CLASS] = f"{kind.__module__}.{kind.__name__}"
     elif isinstance(value, WCS):
         packed = {CLASS: "WCS", **pack_wcs(value)}
-    elif kind is np.ndarray and value.size > SHORT:
+    elif kind is np.ndarray and value.size > (0 if value.ndim > 2 else SHORT):
         arrays.append((name, value))
         packed = {CLASS: "array", "hdu": len(arrays) + 1, "shape": list(value.shape)}
         packed["dtype"] = value.dtype.newbyteorder("=").str
@@ -362,12 +288,11 @@ def _pack(value, name, classes, arrays, memo, *, in_meta=False):
     return packed
 
 
-def _unpack_object(value, classes, hdus, memo=None):
+def _unpack(value, hdus, memo):
     """Return what `_pack` packed."""
-    memo = {} if memo is None else memo
 
     def inner(item):
-        return _unpack_object(item, classes, hdus, memo)
+        return _unpack(item, hdus, memo)
 
     if isinstance(value, list | tuple):
         return type(value)(inner(item) for item in value)
@@ -382,21 +307,33 @@ def _unpack_object(value, classes, hdus, memo=None):
         made = unpack_wcs(value)
     elif name == "array":
         made = hdus[value["hdu"]].data
-        made = np.array(made, dtype=made.dtype.newbyteorder("="))
-        made = made.view(value["dtype"]).reshape(value["shape"])
+        if made.dtype.str[1:] != value["dtype"][1:]:
+            made = made.view(value["dtype"])
+        elif not isinstance(made.base, np.memmap):
+            made = made.astype(value["dtype"])
+        made = made.reshape(value["shape"])
     else:
-        own = classes.get(name)
-        if own is None or {f.name for f in fields(own)} | {CLASS} != value.keys():
-            raise _VersionError(
-                f"its {name} is of another version of astro_scc; read it with the "
-                "version that wrote it"
-            )
-        # Checks and conversions were made when it was first made.
-        made = object.__new__(own)
+        made = _made(name, value.keys() - {CLASS})
         for key in value.keys() - {CLASS}:
             object.__setattr__(made, key, inner(value[key]))
     memo[id(value)] = made
     return made
+
+
+def _made(name, keys):
+    """Return an object of a dataclass of this package, without its fields."""
+    module, _, name = name.rpartition(".")
+    own = None
+    if module.startswith(PACKAGE):
+        with suppress(ImportError):
+            own = getattr(import_module(module), name, None)
+    if not is_dataclass(own) or {f.name for f in fields(own)} != keys:
+        raise _VersionError(
+            f"its {name} is of another version of astro_scc; read it with the "
+            "version that wrote it"
+        )
+    # Checks and conversions were made when it was first made.
+    return object.__new__(own)
 
 
 def write_epochs(cube, directory, *, prefix=None, overwrite=False):

@@ -6,15 +6,15 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from astropy.io import registry
 
-from astro_scc import kinematics, stacking
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import Decomposer, SSPs
-from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.decomposing import LazyDecompositions
@@ -26,10 +26,6 @@ from astro_scc.measurement.provenance import (
 )
 from astro_scc.measurement.tables import versions
 from astro_scc.partial import replace_when_complete
-from astro_scc.stacking.diagram import Diagram
-from astro_scc.stacking.dispersion import Population
-from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
-from astro_scc.stacking.permutations import PermutedStacks
 
 #: What the files are, in their headers and in messages.
 MATCHES, RESULT = "astro_scc matches", "astro_scc result"
@@ -128,7 +124,7 @@ class MatchedEpochs:
             provenance["region"] = "chosen SSPs"
         parts = {name: getattr(self, name) for name in PARTS}
         parts["provenance"] = provenance
-        write_object(parts, path, CLASSES, creator=MATCHES, overwrite=overwrite)
+        write_object(parts, path, creator=MATCHES, overwrite=overwrite)
 
     @classmethod
     def read(cls, path, cube):
@@ -179,7 +175,7 @@ def read_matches(path, cube, *, wanted=None):
     ValueError
         If it was made from other images, or by other settings or versions.
     """
-    parts = read_object(path, CLASSES, creator=MATCHES)
+    parts = read_object(path, creator=MATCHES)
     found = parts["provenance"]
     if wanted is None:
         wanted = {**image_provenance(cube), "versions": versions()}
@@ -305,17 +301,6 @@ class BlockFiles:
             shutil.rmtree(self.folder)
 
 
-#: Dataclasses that files of matches and results may hold.
-CLASSES = (
-    *(Beam, Decomposer, EpochCube, LazyDecompositions, MatchedEpochs, Matches, SSPs),
-    *(kinematics.ExpansionFrame, kinematics.PositionAngleFrame, kinematics.RadialFrame),
-    *(kinematics.RidgeLine, kinematics.SkyFrame, Diagram, JitteredVelocity),
-    *(PermutedStacks, Population, StreamVelocity, stacking.DatePairs),
-    *(stacking.EpochPermutations, stacking.Feature, stacking.Search, stacking.Stream),
-    *(stacking.VelocityGrid, stacking.VelocityPeak, stacking.VelocitySamples),
-)
-
-
 class ResultRead(registry.UnifiedReadWrite):
     """
     Read a result that `SCCResult.write` wrote.
@@ -373,15 +358,7 @@ class ResultWrite(registry.UnifiedReadWrite):
 
 
 def register(cls):
-    """Register the readers and writers of results in astropy's registry."""
-    classes = (*CLASSES, cls)
-
-    def read(path):
-        return read_object(path, classes, creator=RESULT)
-
-    def write(result, path, *, overwrite=False):
-        write_object(result, path, classes, creator=RESULT, overwrite=overwrite)
-
-    registry.register_reader("fits", cls, read)
-    registry.register_writer("fits", cls, write)
+    """Register the reader and the writer of results in astropy's registry."""
+    registry.register_reader("fits", cls, partial(read_object, creator=RESULT))
+    registry.register_writer("fits", cls, partial(write_object, creator=RESULT))
     return cls

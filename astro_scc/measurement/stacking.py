@@ -19,9 +19,9 @@ from astro_scc.measurement.axes import (
     alignment_errors,
     angular_displacements,
 )
-from astro_scc.measurement.plan import flow_direction, map_grid
+from astro_scc.measurement.plan import flow_direction, map_grid, pairs_of_dates
 from astro_scc.measurement.result import SCCResult
-from astro_scc.measurement.tables import versions
+from astro_scc.measurement.tables import PM_UNIT, versions
 from astro_scc.progress import progress
 from astro_scc.settings import require
 from astro_scc.stacking import SearchSettings, baseline_pairs, find_streams, stack
@@ -45,60 +45,26 @@ FEWEST_PAIRS = 3
 
 
 def stack_matches(
-    matched,
-    pairs,
-    *,
-    radius,
-    fwhm,
-    max_speed=None,
-    baseline=None,
-    position_angle=None,
-    min_error_beams=0.2,
-    alpha=0.05,
-    outward=False,
-    alignment_error=None,
-    small_displacement_correction=False,
-    n_trials=1000,
-    rng=None,
-    progress_bar=False,
-    settings=None,
+    matched, settings, *, radius, fwhm, n_trials=1000, rng=None, progress_bar=False
 ):
     """
     Search the matches of epochs for streams, and stack them.
 
+    Without a baseline in the settings, if the first stream moves, the paper's stack is
+    of the pairs of dates in which it moves 0.2 to 1 beam.
+
     Parameters
     ----------
     matched : `~astro_scc.measurement.MatchedEpochs`
-    pairs : `~astro_scc.stacking.DatePairs`
-        Pairs of the paper's stack.  Without a ``baseline``, if the first stream
-        moves, they are replaced by those in which it moves 0.2 to 1 beam.
+    settings : `~astro_scc.StackedCrossCorrelation`
     radius : float
         Largest displacement that was matched, in beams.
     fwhm : float
         Resolution in mas.
-    max_speed : float, optional
-        Largest velocity along either axis, in mas/yr.
-    baseline : tuple of float, optional
-        Shortest and longest interval that is used, in years.
-    position_angle : `~astropy.units.Quantity`, str, frame or None
-        Direction of the velocity axes, see
-        `~astro_scc.StackedCrossCorrelation`.
-    min_error_beams : float
-        Smallest standard error of a displacement, in beams.
-    alpha : float
-        Largest ``p_global`` of a significant component.
-    outward : bool
-        Search only positive speeds along the first axis.
-    alignment_error : `~astropy.units.Quantity`, optional
-        See `alignment_errors`.
-    small_displacement_correction : bool
-        Shift the permuted images of the z-score by a fifth of the beam.
     n_trials : int
         The paper's z-score and error take at most 200.
     rng : None, int or `~numpy.random.Generator`
     progress_bar : bool
-    settings : dict, optional
-        Kept in the meta of the result.
 
     Returns
     -------
@@ -118,14 +84,18 @@ def stack_matches(
     n_trials = require("n_trials", n_trials)
     rng, seed = seeded(rng)
     paper_rng, search_rng, error_rng = np.random.default_rng(rng).spawn(3)
-    cube = matched.cube
-    frame, angle = velocity_frame(matched, position_angle)
+    cube, baseline, alpha = matched.cube, settings.baseline, settings.alpha
+    pairs = pairs_of_dates(cube, baseline)
+    max_speed = None
+    if settings.max_speed is not None:
+        max_speed = settings.max_speed.to_value(PM_UNIT)
+    frame, angle = velocity_frame(matched, settings.position_angle)
     samples = angular_displacements(
         matched.matches,
         matched.ssps,
         cube,
         frame,
-        min_error_beams,
+        settings.min_error_beams,
         select=matched.select,
     )
     project = AxisProjection(samples, matched.ssps, cube, frame)
@@ -139,12 +109,12 @@ def stack_matches(
             alpha=alpha,
             n_trials=n_trials,
             rng=search_rng,
-            outward=outward and known,
+            outward=settings.outward and known,
             fastest=np.inf if max_speed is None else max_speed / project.beam(0.0)[0],
-            intervals=(0.0, np.inf) if baseline is None else baseline,
+            intervals=(0.0, np.inf) if baseline is None else baseline.to_value(u.yr),
         )
     _warn_of_limits(search.permutations.smallest_p, len(cube), n_trials, alpha)
-    misaligned = alignment_errors(cube, alignment_error)
+    misaligned = alignment_errors(cube, settings.alignment_error)
     velocities = tuple(
         velocity_of(stream, project.beam(stream.angle), misaligned, matched.ssps.epoch)
         for stream in search.streams
@@ -157,19 +127,20 @@ def stack_matches(
         limit = max_speed
     elif fastest > 0:
         limit = min(limit, MAP_SPEEDS * fastest)
+    small = SMALL_SHIFT * settings.small_displacement_correction
     paper = _stack_of_paper(
         samples,
         pairs,
         velocities,
         max(limit, 1.2 * fastest),
         fwhm,
-        shift=(SMALL_SHIFT * fwhm,) * 2 if small_displacement_correction else None,
+        shift=(small * fwhm,) * 2 if small else None,
         n_trials=min(n_trials, PAPER_TRIALS),
         rngs=(paper_rng, error_rng),
         progress_bar=progress_bar,
     )
     meta = {
-        "settings": {**(settings or {}), "alpha": alpha},
+        "settings": settings.to_dict(),
         "n_trials": int(n_trials),
         "seed": seed,
         "versions": versions(),

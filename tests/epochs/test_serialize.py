@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs import Beam, EpochCube, serialize
 from astro_scc.epochs.serialize import is_cube_file, replace_when_complete
 
 DATES = ["2001-01-01T01:02:03.456789", "2000-01-01", "2000-06-01"]
@@ -144,7 +144,7 @@ def test_meta_keeps_types_and_what_it_cannot_hold_becomes_text(tmp_path):
     assert again["position"].separation(meta["position"]) == 0
     assert np.array_equal(again["shifts"], meta["shifts"])
     assert again["nested"] == {"deep": [1, "two", None, 3.0], "ünï": "çödé"}
-    assert again["pair"] == [1, 2]
+    assert again["pair"] == (1, 2)
     assert again["thing"] == str(object)
 
 
@@ -184,7 +184,7 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch):
     path = tmp_path / "cube.fits"
     path.write_text("precious")
 
-    def fail(self, part):
+    def fail(self, part, checksum):
         part.write_text("half")
         raise OSError("disk full")
 
@@ -225,14 +225,30 @@ def test_damaged_files(tmp_path):
     content = path.read_bytes()
     for keep in (3000, 9000, len(content) // 2, len(content) - 3000):
         path.write_bytes(content[:keep])
-        with pytest.raises(OSError, match=r"cube.fits: .*damaged EpochCube") as caught:
+        with pytest.raises(
+            OSError, match=r"cube.fits: is no complete.*EpochCube"
+        ) as caught:
             EpochCube.read(path)
         assert "\n" not in str(caught.value)
 
 
-def test_files_of_later_versions(tmp_path):
+def test_files_of_later_versions(tmp_path, monkeypatch):
     path = tmp_path / "cube.fits"
-    make_cube().write(path)
-    fits.setval(path, "SCCVERS", value=99)
-    with pytest.raises(OSError, match="of layout 99, read it with a newer astro_scc"):
+    with monkeypatch.context() as patch:
+        patch.setattr(serialize, "LAYOUT", 99)
+        make_cube().write(path)
+    with pytest.raises(OSError, match="of layout 99; read it with the version that"):
         EpochCube.read(path)
+
+
+def test_other_programs_see_images_and_dates(tmp_path):
+    cube = make_cube()
+    cube.write(tmp_path / "cube.fits")
+    with fits.open(tmp_path / "cube.fits") as hdus:
+        np.testing.assert_array_equal(hdus["DATA"].data, cube.data)
+        np.testing.assert_array_equal(hdus["MASK"].data, cube.mask)
+        assert hdus["DATA"].header["BUNIT"] == "Jy / beam"
+        assert hdus["DATA"].header["CTYPE1"] == "RA---SIN"
+        assert list(hdus["EPOCHS"].data["JD1"]) == list(cube.times.jd1)
+        majors = [beam.major.value for beam in cube.beams]
+        assert list(hdus["EPOCHS"].data["BMAJ"]) == majors

@@ -154,7 +154,7 @@ def test_what_is_no_result_is_refused_in_one_line(path, sky_result, tmp_path):
     spot = len(whole) // 2
     other.write_bytes(whole[:spot] + bytes([whole[spot] ^ 1]) + whole[spot + 1 :])
     refused(other, "hecksum")
-    with pytest.raises(OSError, match=r"jet.fits: "):
+    with pytest.raises(ValueError, match=r"is a whole result; give .*SCCResult"):
         EpochCube.read(path)
 
 
@@ -175,11 +175,6 @@ class Axes:
 
 
 def test_what_cannot_be_written(sky_result, tmp_path):
-    matched = replace(
-        sky_result.matched, decompositions=tuple(sky_result.matched.decompositions[:1])
-    )
-    with pytest.raises(ValueError, match="decompositions: an object Decomposition"):
-        replace(sky_result, matched=matched).write(tmp_path / "jet.fits")
     with pytest.raises(ValueError, match="frame: an object Axes cannot be"):
         replace(sky_result, frame=Axes()).write(tmp_path / "jet.fits")
     assert not list(tmp_path.iterdir())
@@ -200,8 +195,8 @@ def test_what_cannot_be_written(sky_result, tmp_path):
 )
 def test_arrays_of_all_kinds(array, tmp_path):
     write = {"creator": "test", "overwrite": True}
-    serialize.write_object({"a": [array]}, tmp_path / "a.fits", (), **write)
-    (again,) = serialize.read_object(tmp_path / "a.fits", (), creator="test")["a"]
+    serialize.write_object({"a": [array]}, tmp_path / "a.fits", **write)
+    (again,) = serialize.read_object(tmp_path / "a.fits", creator="test")["a"]
     assert again.dtype == array.dtype.newbyteorder("=")
     np.testing.assert_array_equal(again, array)
 
