@@ -10,7 +10,7 @@ from astro_scc.correlation.parallel import workers_of
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs.beam import require_common_beam
-from astro_scc.epochs.misalignment import warn_of_misalignment
+from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.measurement import MatchedEpochs
 from astro_scc.measurement.axes import angular_displacements
 from astro_scc.measurement.decomposing import (
@@ -19,7 +19,11 @@ from astro_scc.measurement.decomposing import (
     decompose_epochs,
     refuse_too_much,
 )
-from astro_scc.measurement.match_files import MatchCache
+from astro_scc.measurement.match_files import (
+    MatchCache,
+    match_provenance,
+    selection_digest,
+)
 from astro_scc.measurement.plan import (
     largest_speed,
     mean_fwhm,
@@ -30,7 +34,6 @@ from astro_scc.measurement.plan import (
     ssps_inside,
     warn_of_none_inside,
 )
-from astro_scc.measurement.provenance import match_provenance, selection_digest
 from astro_scc.measurement.stacking import stack_matches, velocity_frame
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress

@@ -117,13 +117,13 @@ def _cores(cube):
 
 def _alignment(cube, of_core):
     """Return how well the epochs are aligned, and what to do about it."""
-    from astro_scc.epochs.misalignment import LARGEST
+    from astro_scc.epochs.registration import MISALIGNED
 
     scatter = cube.misalignment
     lines = ["", misalignment_text(scatter)]
-    if max(scatter or 0, of_core) < LARGEST:
+    if max(scatter or 0, of_core) < MISALIGNED:
         return lines
-    if of_core >= LARGEST:
+    if of_core >= MISALIGNED:
         lines.append(
             f"The core as it is fitted scatters by {of_core:.2f} beams: either the "
             "epochs are not aligned,"

@@ -2,7 +2,7 @@
 """Epochs: the images, how they are read, aligned and brought to one grid and beam."""
 
 from astro_scc.epochs.alignment import align
-from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.beam import Beam, common_beam, smallest_common_beam
 from astro_scc.epochs.components import ComponentList, read_components
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.cutout import distance_mask
@@ -16,7 +16,6 @@ from astro_scc.epochs.inspection import (
 from astro_scc.epochs.registration import core_positions
 from astro_scc.epochs.restoring import correlated_noise, restore
 from astro_scc.epochs.serialize import write_epochs
-from astro_scc.epochs.smoothing import common_beam, smallest_common_beam
 
 __all__ = [
     "Beam",

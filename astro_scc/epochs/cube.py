@@ -15,17 +15,16 @@ from astropy.wcs import WCS
 
 from astro_scc.epochs import positions
 from astro_scc.epochs.alignment import align
-from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.beam import Beam, common_beam
 from astro_scc.epochs.cutout import crop, region_mask
 from astro_scc.epochs.fits import CUBE_CREATOR, find_files, is_hdf5
 from astro_scc.epochs.grid import reproject_cube
 from astro_scc.epochs.headers import epoch_header
 from astro_scc.epochs.inspection import epoch_table, noise_of_images, noise_rms
-from astro_scc.epochs.misalignment import misalignment
 from astro_scc.epochs.positions import offset_wcs, readable_angle
 from astro_scc.epochs.reading import read_files, read_images
+from astro_scc.epochs.registration import misalignment
 from astro_scc.epochs.serialize import is_cube_file, read_object, write_cube
-from astro_scc.epochs.smoothing import common_beam
 from astro_scc.epochs.validation import (
     as_beams,
     as_celestial,

@@ -9,9 +9,9 @@ from astropy.io import fits
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 from scipy import ndimage
 
+from astro_scc.epochs.beam import is_per
 from astro_scc.epochs.headers import celestial_wcs
 from astro_scc.epochs.positions import readable_angle
-from astro_scc.epochs.smoothing import is_per
 from astro_scc.epochs.validation import as_celestial
 from astro_scc.exceptions import EpochWarning
 

@@ -7,10 +7,9 @@ import astropy.units as u
 import numpy as np
 from scipy import fft
 
-from astro_scc.epochs.beam import FWHM_TO_SIGMA
+from astro_scc.epochs.beam import FWHM_TO_SIGMA, gaussian_transfer
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.positions import offset_wcs, pixel_side
-from astro_scc.epochs.smoothing import gaussian_transfer
 from astro_scc.epochs.validation import as_beams, as_noise
 from astro_scc.exceptions import EpochWarning
 

@@ -133,8 +133,8 @@ def unpack_wcs(packed):
 
 def without_dates(header):
     """Return a header without the dates that wcslib adds to the header of a WCS."""
-    for keyword in ("DATE-OBS", "MJD-OBS", "MJDREF", "DATEREF", "TIMESYS"):
-        header.remove(keyword, ignore_missing=True)
+    for keyword in [k for k in header if k.startswith(("DATE", "MJD", "TIMESYS"))]:
+        header.remove(keyword)
     return header
 
 

@@ -16,7 +16,7 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 from astropy.wcs import WCS
 
-from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.beam import as_beam
 from astro_scc.epochs.headers import parse_date
 
 #: Power that turns an uncertainty into a standard deviation.
@@ -104,18 +104,6 @@ def as_times(times, n):
         atomic = times.tai
     # In UTC every use of older dates, such as of photographic plates, would warn.
     return atomic if dubious else times
-
-
-def as_beam(beam):
-    """Return a `Beam`, also from an object with major, minor and pa."""
-    if isinstance(beam, Beam):
-        return beam
-    try:
-        return Beam(beam.major, beam.minor, beam.pa)
-    except AttributeError:
-        raise TypeError(
-            f"a beam has major, minor and pa, got {type(beam).__name__} {beam!r}"
-        ) from None
 
 
 def as_beams(beams, n):

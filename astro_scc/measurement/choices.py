@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from astro_scc.epochs.misalignment import LARGEST
+from astro_scc.epochs.registration import MISALIGNED
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.kinematics import fit_position_angle
 from astro_scc.kinematics.ridge_search import mean_width
@@ -52,7 +52,7 @@ def choose_alignment(cube):
     scatter = cube.misalignment
     if scatter is None:
         return "none", "the images do not show how well they are aligned"
-    if scatter < LARGEST:
+    if scatter < MISALIGNED:
         return "none", f"the epochs are aligned to {scatter:.2f} beams"
     try:
         with warnings.catch_warnings():

@@ -1,11 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Matches and results on disk: complete FITS files, or blocks of unfinished matches."""
 
+import hashlib
+import json
 import shutil
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -15,15 +17,9 @@ from astropy.io import registry
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.serialize import read_object, write_object
+from astro_scc.epochs.serialize import read_object, without_dates, write_object
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.decomposing import LazyDecompositions
-from astro_scc.measurement.provenance import (
-    digest_of,
-    image_provenance,
-    selection_digest,
-    stale_parts,
-)
+from astro_scc.measurement.decomposing import LazyDecompositions, noise_facts
 from astro_scc.measurement.tables import versions
 from astro_scc.partial import replace_when_complete
 
@@ -33,6 +29,19 @@ MATCHES, RESULT = "astro_scc matches", "astro_scc result"
 PARTS = "ssps", "select", "matches", "provenance"
 #: Columns that `astro_scc.correlation.match_block` returns.
 N_COLUMNS = 7
+#: What each part is called in messages.
+NAMES = {
+    "data": "images",
+    "mask": "masks",
+    "wcs": "coordinates",
+    "beams": "beams",
+    "decomposition": "settings of the decomposition",
+    "correlation": "settings of the correlation",
+    "noise": "noise",
+    "reach": "largest displacement",
+    "region": "region",
+    "versions": "versions",
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -362,3 +371,95 @@ def register(cls):
     registry.register_reader("fits", cls, partial(read_object, creator=RESULT))
     registry.register_writer("fits", cls, partial(write_object, creator=RESULT))
     return cls
+
+
+def image_provenance(cube):
+    """
+    Return the images of a cube as digests: SHA-256 of values, masks, grid and beams.
+
+    Dates are left out because matches do not depend on them.
+    """
+    # The dates are of the first epoch, and the pixel coordinates do not need them.
+    wcs = without_dates(cube.wcs.to_header(relax=True))
+    cards = [f"{card.keyword}={card.value!r}" for card in wcs.cards]
+    beams = [
+        tuple(float(axis.value) for axis in (beam.major, beam.minor, beam.pa))
+        for beam in cube.beams or ()
+    ]
+    return {
+        "data": _of_array(cube.data),
+        "mask": _of_array(np.packbits(cube.mask)),
+        "wcs": _of_text(cards, cube.pixel_matrix.value.tolist()),
+        "beams": _of_text(beams),
+    }
+
+
+def match_provenance(cube, decomposer, correlator, reach, inside):
+    """
+    Return all that determines the matches of a cube.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+    correlator : `~astro_scc.correlation.Correlator`
+    reach : tuple of int
+        Largest displacement in pixels.
+    inside : `~numpy.ndarray` of bool, shape (ny, nx), or None
+        The region, or None for everything.
+
+    Returns
+    -------
+    dict
+        Text, numbers and lists, which JSON can hold.  The dates of the epochs
+        enter only through their order and through ``reach``.
+    """
+    facts = [
+        (rms, None if beam is None else np.asarray(beam).tolist())
+        for rms, beam in noise_facts(cube, decomposer)
+    ]
+    made = {
+        **image_provenance(cube),
+        "decomposition": asdict(decomposer),
+        "correlation": asdict(correlator),
+        "noise": _of_text(facts),
+        "reach": list(reach),
+        "region": "everything" if inside is None else _of_array(np.packbits(inside)),
+        "versions": versions(),
+    }
+    # Give it the types that it will have when it is read.
+    return json.loads(json.dumps(made))
+
+
+def digest_of(provenance):
+    """Return a short digest of a provenance, 16 hexadecimal digits."""
+    return _of_text(json.dumps(provenance, sort_keys=True))[:16]
+
+
+def selection_digest(select):
+    """Return a short digest of a selection of SSPs."""
+    return _of_array(np.asarray(select, dtype=bool))[:16]
+
+
+def stale_parts(found, wanted):
+    """
+    Name the parts of a provenance that are not the wanted ones.
+
+    For example ``"images, versions"``; empty if all parts in ``wanted`` agree.
+    """
+    return ", ".join(
+        NAMES.get(name, name)
+        for name, value in wanted.items()
+        if found.get(name) != value
+    )
+
+
+def _of_array(array):
+    array = np.ascontiguousarray(array)
+    sum_ = hashlib.sha256(f"{array.dtype.str}{array.shape}".encode())
+    sum_.update(array.data)
+    return sum_.hexdigest()
+
+
+def _of_text(*parts):
+    return hashlib.sha256(repr(parts).encode()).hexdigest()

@@ -11,7 +11,7 @@ from astro_scc.correlation.matches import COLUMNS
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs.beam import require_common_beam
-from astro_scc.epochs.misalignment import warn_of_misalignment
+from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.progress import progress
 from astro_scc.settings import require

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.smoothing import (
+from astro_scc.epochs.beam import (
     common_beam,
     gaussian_smooth,
     is_per,

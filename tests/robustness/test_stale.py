@@ -113,7 +113,7 @@ def test_of_other_versions(scc, cube, kept, monkeypatch, name):
     now = versions()
     assert name in now
     monkeypatch.setattr(
-        "astro_scc.measurement.provenance.versions", lambda: {**now, name: "0"}
+        "astro_scc.measurement.match_files.versions", lambda: {**now, name: "0"}
     )
     check_stale("versions", scc, cube, kept)
 
