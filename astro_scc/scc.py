@@ -14,7 +14,6 @@ from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.measurement import MatchedEpochs
 from astro_scc.measurement.axes import angular_displacements
 from astro_scc.measurement.decomposing import (
-    LazyDecompositions,
     allow_for_structure,
     decompose_epochs,
     refuse_too_much,
@@ -302,13 +301,11 @@ class StackedCrossCorrelation(MeasurementSettings):
         decomposer = self.decomposer(cube)
         correlator = self._correlator()
         provenance = match_provenance(cube, decomposer, correlator, reach, inside)
-        blocks = None
         if cache is not None:
             cache = MatchCache(cache, provenance)
             if (matched := cache.load(cube)) is not None:
                 warn_of_none_inside(matched.ssps, matched.select, region)
                 return matched
-            blocks = cache.blocks()
         with workers_of(n_workers) as workers:
             refuse_too_much(cube, decomposer, workers)
             decompositions = decompose_epochs(
@@ -325,12 +322,11 @@ class StackedCrossCorrelation(MeasurementSettings):
                     select=select,
                     n_workers=workers,
                     progress=done,
-                    done=blocks,
+                    done=cache,
                 )
         provenance["selected"] = selection_digest(select)
         # Stacks need no planes, which are larger than everything else.
-        lazy = LazyDecompositions(cube, decomposer)
-        matched = MatchedEpochs(cube, lazy, ssps, select, matches, provenance)
+        matched = MatchedEpochs(cube, decomposer, ssps, select, matches, provenance)
         if cache is not None:
             cache.store(matched)
         warn_of_none_inside(matched.ssps, matched.select, region)

@@ -2,17 +2,14 @@
 """The decomposition of all epochs of a cube."""
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
 
 from astro_scc.correlation.correlate import COMPILE_FROM, STACK_BYTES
 from astro_scc.correlation.parallel import in_order
-from astro_scc.decomposition import Decomposer, SSPs
-from astro_scc.epochs import EpochCube
+from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.progress import progress
 
@@ -154,8 +151,7 @@ def matching_time(cube, decomposer, reach, *, region=None, n_targets=None):
     n = len(cube)
     n_targets = n - 1 if n_targets is None else min(n_targets, n - 1)
     sample = np.unique(np.linspace(0, n - 1, SAMPLE).astype(int))
-    epochs = LazyDecompositions(cube, decomposer)
-    ssps = SSPs.of_epochs([epochs[k] for k in sample])
+    ssps = SSPs.of_epochs(decompose_epochs(cube[sample], decomposer))
     inside = centroids_inside(ssps, cube, region)
     pixels = sum(
         _window_pixels(
@@ -246,47 +242,6 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
             found.append(decomposition)
             done(1)
     return tuple(found)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class LazyDecompositions(Sequence):
-    """
-    Decompositions of epochs, each computed when it is accessed.
-
-    The planes of a hundred large images take more memory than matches, stacks
-    and errors together, and none of these needs the planes.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    decomposer : `~astro_scc.decomposition.Decomposer`
-    """
-
-    cube: EpochCube
-    decomposer: Decomposer
-
-    @cached_property
-    def _made(self):
-        return {}
-
-    @property
-    def scales(self):
-        """Numbers of the scales."""
-        return self.decomposer.scales
-
-    def __len__(self):
-        return len(self.cube)
-
-    def __getitem__(self, index):
-        if isinstance(index, slice):
-            return tuple(self[k] for k in range(*index.indices(len(self))))
-        k = range(len(self))[index]
-        if k not in self._made:
-            facts = noise_facts(self.cube, self.decomposer)[k]
-            self._made[k] = _decompose(
-                (self.decomposer, self.cube.data[k], self.cube.mask[k], *facts)
-            )
-        return self._made[k]
 
 
 def noise_facts(cube, decomposer):

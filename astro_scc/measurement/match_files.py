@@ -5,7 +5,6 @@ import hashlib
 import json
 import shutil
 import warnings
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -19,14 +18,14 @@ from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, without_dates, write_object
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.decomposing import LazyDecompositions, noise_facts
+from astro_scc.measurement.decomposing import decompose_epochs, noise_facts
 from astro_scc.measurement.tables import versions
 from astro_scc.partial import replace_when_complete
 
 #: What the files are, in their headers and in messages.
 MATCHES, RESULT = "astro_scc matches", "astro_scc result"
 #: What a file of matches holds.
-PARTS = "ssps", "select", "matches", "provenance"
+PARTS = "decomposer", "ssps", "select", "matches", "provenance"
 #: Columns that `astro_scc.correlation.match_block` returns.
 N_COLUMNS = 7
 #: What each part is called in messages.
@@ -52,8 +51,8 @@ class MatchedEpochs:
     Attributes
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    decompositions : sequence of `~astro_scc.decomposition.Decomposition`
-        Computed again when they are accessed.
+    decomposer : `~astro_scc.decomposition.Decomposer`
+        That of every epoch.
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
     select : `~numpy.ndarray` of bool, shape (n_ssps,)
@@ -80,7 +79,7 @@ class MatchedEpochs:
     """
 
     cube: EpochCube
-    decompositions: Sequence
+    decomposer: Decomposer
     ssps: SSPs
     select: np.ndarray
     matches: Matches
@@ -95,9 +94,12 @@ class MatchedEpochs:
     @property
     def scales(self):
         """Numbers of the scales that were decomposed."""
-        return tuple(getattr(self.decompositions, "scales", ())) or tuple(
-            self.decompositions[0].scales
-        )
+        return tuple(self.decomposer.scales)
+
+    @property
+    def decompositions(self):
+        """Decompositions of all epochs, which are computed again at each access."""
+        return decompose_epochs(self.cube, self.decomposer)
 
     def write(self, path, *, overwrite=False):
         """
@@ -136,7 +138,7 @@ class MatchedEpochs:
         write_object(parts, path, creator=MATCHES, overwrite=overwrite)
 
     @classmethod
-    def read(cls, path, cube):
+    def read(cls, path, cube, *, wanted=None):
         """
         Read what `write` wrote.
 
@@ -145,61 +147,38 @@ class MatchedEpochs:
         path : path
         cube : `~astro_scc.epochs.EpochCube`
             The cube that was matched; its dates may differ.
+        wanted : dict, optional
+            Provenance that the matches must have; by default the images and
+            versions must be the present ones.
 
         Returns
         -------
         `MatchedEpochs`
+            With the dates of ``cube``.
 
         Raises
         ------
         OSError
             If the file cannot be read, or is not a file of matches.
         ValueError
-            If it was made from other images or by other versions.
+            If it was made from other images, or by other settings or versions.
         """
-        return read_matches(path, cube)
-
-
-def read_matches(path, cube, *, wanted=None):
-    """
-    Read the SSPs and matches of a cube.
-
-    Parameters
-    ----------
-    path : path
-    cube : `~astro_scc.epochs.EpochCube`
-    wanted : dict, optional
-        Provenance that the matches must have, see `match_provenance`; by
-        default the images and versions must be the present ones.
-
-    Returns
-    -------
-    `MatchedEpochs`
-        With the dates of ``cube``.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read, or is not a file of matches.
-    ValueError
-        If it was made from other images, or by other settings or versions.
-    """
-    parts = read_object(path, creator=MATCHES)
-    found = parts["provenance"]
-    if wanted is None:
-        wanted = {**image_provenance(cube), "versions": versions()}
-    if stale := stale_parts(found, wanted):
-        raise ValueError(f"{path}: is of other {stale}; match the epochs again")
-    options = found["decomposition"]
-    decomposer = Decomposer(**{**options, "scales": tuple(options["scales"])})
-    parts["provenance"] = {**found, "selected": selection_digest(parts["select"])}
-    lazy = LazyDecompositions(cube, decomposer)
-    return MatchedEpochs(cube=cube, decompositions=lazy, **parts)
+        parts = read_object(path, creator=MATCHES)
+        found = parts["provenance"]
+        if wanted is None:
+            wanted = {**image_provenance(cube), "versions": versions()}
+        if stale := stale_parts(found, wanted):
+            raise ValueError(f"{path}: is of other {stale}; match the epochs again")
+        parts["provenance"] = {**found, "selected": selection_digest(parts["select"])}
+        return cls(cube=cube, **parts)
 
 
 class MatchCache:
     """
     Store of the matches of one provenance, complete or unfinished.
+
+    It maps the numbers of blocks of epoch pairs to their matches, as far as they are
+    computed, one file per block.  Adding a block deletes those of another provenance.
 
     Parameters
     ----------
@@ -214,6 +193,7 @@ class MatchCache:
         if path.suffix.lower() != ".fits":
             path = path / f"matches-{digest_of(provenance)}.fits"
         self.path, self.provenance = path, provenance
+        self.blocks = path.with_name(path.name + ".blocks")
 
     def load(self, cube):
         """
@@ -235,7 +215,7 @@ class MatchCache:
         if not self.path.exists():
             return None
         try:
-            return read_matches(self.path, cube, wanted=self.provenance)
+            return MatchedEpochs.read(self.path, cube, wanted=self.provenance)
         except (OSError, ValueError) as error:
             reason = str(error).removesuffix("; match the epochs again")
             warnings.warn(
@@ -245,48 +225,16 @@ class MatchCache:
             )
         return None
 
-    def blocks(self):
-        """
-        Return the blocks of matches that are computed so far.
-
-        Returns
-        -------
-        `BlockFiles`
-        """
-        return BlockFiles(self.path.with_name(self.path.name + ".blocks"), self)
-
     def store(self, matched):
-        """
-        Write the matches and delete their blocks.
-
-        Parameters
-        ----------
-        matched : `MatchedEpochs`
-        """
+        """Write the matches, and delete their blocks."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         matched.write(self.path, overwrite=True)
-        self.blocks().clear()
-
-
-class BlockFiles:
-    """
-    Matches of blocks of epoch pairs, one numbered file per block.
-
-    Adding a block deletes the blocks of another provenance.
-
-    Parameters
-    ----------
-    folder : path
-    cache : `MatchCache`
-    """
-
-    def __init__(self, folder, cache):
-        self.folder = Path(folder)
-        # The versions in the provenance cover how blocks are cut.
-        self.digest = digest_of(cache.provenance)
+        with suppress(FileNotFoundError):
+            shutil.rmtree(self.blocks)
 
     def _file(self, number):
-        return self.folder / f"{self.digest}-{number}.npz"
+        # The versions in the provenance cover how blocks are cut.
+        return self.blocks / f"{digest_of(self.provenance)}-{number}.npz"
 
     def __contains__(self, number):
         return self._file(number).exists()
@@ -296,18 +244,12 @@ class BlockFiles:
             return tuple(arrays[f"arr_{k}"] for k in range(N_COLUMNS))
 
     def __setitem__(self, number, columns):
-        if not self.folder.is_dir():
-            self.folder.mkdir(parents=True)
-        for path in self.folder.glob("*.npz"):
-            if not path.name.startswith(self.digest):
+        self.blocks.mkdir(parents=True, exist_ok=True)
+        for path in self.blocks.glob("*.npz"):
+            if not path.name.startswith(digest_of(self.provenance)):
                 path.unlink(missing_ok=True)
         with replace_when_complete(self._file(number), overwrite=True) as part:
             np.savez(part, *columns)
-
-    def clear(self):
-        """Delete the folder."""
-        with suppress(FileNotFoundError):
-            shutil.rmtree(self.folder)
 
 
 class ResultRead(registry.UnifiedReadWrite):

@@ -19,41 +19,10 @@ from astro_scc.epochs import Beam, read_components, restore
 from astro_scc.epochs.restoring import correlated_noise
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.decomposing import (
-    LazyDecompositions,
     allow_for_structure,
     decompose_epochs,
 )
 from astro_scc.simulation import simulate_static, simulate_two_fluid
-
-
-@pytest.mark.parametrize("noise", ["plane", "propagated"])
-def test_lazy_decompositions_are_those_of_the_epochs(noise):
-    cube = simulate_static(n_epochs=3, rng=1).cube
-    decomposer = Decomposer(scales=[1, 2], noise=noise)
-    lazy = LazyDecompositions(cube, decomposer)
-    whole = decompose_epochs(cube, decomposer)
-    assert len(lazy) == 3
-    assert lazy.scales == (1.0, 2.0)
-    for one, other in zip(lazy, whole, strict=True):
-        np.testing.assert_array_equal(one.planes, other.planes)
-        np.testing.assert_array_equal(one.ssps.y, other.ssps.y)
-
-
-def test_lazy_decompositions_are_made_once_and_when_asked_for(monkeypatch):
-    cube = simulate_static(n_epochs=3, rng=1).cube
-    lazy = LazyDecompositions(cube, Decomposer(scales=[1]))
-    made = []
-    call = Decomposer.__call__
-    monkeypatch.setattr(
-        Decomposer, "__call__", lambda *a, **k: made.append(1) or call(*a, **k)
-    )
-    assert lazy[-1] is lazy[2]
-    assert len(made) == 1
-    assert lazy[1:] == (lazy[1], lazy[2])
-    assert len(made) == 2
-    with pytest.raises(IndexError):
-        lazy[3]
-
 
 # -- images without empty sky ------------------------------------------------------
 
@@ -208,7 +177,7 @@ def test_a_texture_is_measured_and_said(kind, tmp_path):
         with pytest.warns(MeasurementWarning, match="full of structure on scale 2: "):
             matched = scc.match(cube, cache=tmp_path / "m.fits")
     assert len(matched.ssps) > 80
-    again = decompose_epochs(cube, matched.decompositions.decomposer)[0]
+    again = decompose_epochs(cube, matched.decomposer)[0]
     assert matched.decompositions[0].noise == again.noise
     assert np.sum(matched.ssps.epoch == 0) == len(again.ssps)
     row = scc.stack(matched, n_trials=40, rng=1).components[0]
