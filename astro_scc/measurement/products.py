@@ -11,7 +11,7 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
-from astropy.table import Column, MaskedColumn, QTable, Table
+from astropy.table import Column, QTable, Table
 from astropy.time import Time
 
 from astro_scc.exceptions import MeasurementWarning
@@ -443,9 +443,16 @@ def write_votable(table, path, *, overwrite=False):
     from astropy.io.votable import from_table
     from astropy.io.votable.tree import Param
 
-    plain = Table()
+    plain = Table(table)
     for name in table.colnames:
-        plain[name] = _plain_column(table[name])
+        values = plain[name]
+        if isinstance(values, Time):
+            # An empty array of dates does not have the type of text.
+            dates = np.asarray(values.isot, dtype=str if len(values) else "U23")
+            plain[name] = Column(dates, description=values.info.description)
+        elif values.dtype == np.int8:
+            # VOTable has no type for signed 8-bit integers.
+            plain[name] = values.astype(np.int16)
     votable = from_table(plain)
     first = votable.get_first_table()
     for key, value in table.meta.items():
@@ -458,22 +465,3 @@ def write_votable(table, path, *, overwrite=False):
             )
     with replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
         votable.to_xml(str(part))
-
-
-def _plain_column(values):
-    if isinstance(values, Time):
-        # An empty array of dates does not have the type of text.
-        dates = np.asarray(values.isot, dtype=str if len(values) else "U23")
-        return Column(dates, description=values.info.description)
-    plain = getattr(values, "value", values)
-    masked = {"mask": values.mask} if hasattr(values, "mask") else {}
-    column = (MaskedColumn if masked else Column)(
-        getattr(plain, "unmasked", plain),
-        unit=getattr(values, "unit", None),
-        description=values.info.description,
-        **masked,
-    )
-    # VOTable has no type for signed 8-bit integers.
-    if column.dtype == np.int8:
-        column = column.astype(np.int16)
-    return column
