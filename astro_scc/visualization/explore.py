@@ -472,7 +472,7 @@ class Page:
         shown = (
             ("feature", "feature", "0", 55),
             ("component", "component", "0", 80),
-            ("scale", "scale", "0.0", 45),
+            ("scale", "scale", "0.[0]", 45),
             ("n_epochs", "epochs", "0", 55),
             ("first", "first", None, 95),
             ("last", "last", None, 95),
