@@ -44,9 +44,9 @@ def commands(text):
     for line in text.splitlines():
         for match in COMMAND.finditer(line):
             words = match[1] or match[2]
-            # COMMAND and dots stand for what a reader chooses.
-            if not re.search(r"\bCOMMAND\b|\.\.\.", words):
-                yield words
+            # COMMAND, SHELL and dots stand for what a reader chooses.
+            if not re.search(r"\bCOMMAND\b|\bSHELL\b|\.\.\.", words):
+                yield words.partition(" > ")[0]
 
 
 SHOWN = [(page.name, words) for page in PAGES for words in commands(unfolded(page))]
@@ -67,7 +67,7 @@ def test_every_command_of_the_documentation_is_understood(page, words):
         # The name of a command, not a line to type.
         assert argv[0] in {module.__name__.split(".")[-1] for module in COMMANDS}
         return
-    if argv[-1] in ("--help", "--version"):
+    if argv[-1] in ("--help", "--version") or argv[0] == "--print-completion":
         with pytest.raises(SystemExit) as stop:
             build_parser().parse_args(argv)
         assert stop.value.code == 0
