@@ -11,7 +11,7 @@ from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.epochs.registration import warn_of_misalignment
-from astro_scc.measurement import MatchedEpochs
+from astro_scc.measurement import MatchedEpochs, plan
 from astro_scc.measurement.axes import angular_displacements
 from astro_scc.measurement.decomposing import (
     allow_for_structure,
@@ -22,16 +22,6 @@ from astro_scc.measurement.match_files import (
     MatchCache,
     match_provenance,
     selection_digest,
-)
-from astro_scc.measurement.plan import (
-    largest_speed,
-    mean_fwhm,
-    pairs_of_dates,
-    scales_of_pixels,
-    search_radius,
-    search_reach,
-    ssps_inside,
-    warn_of_none_inside,
 )
 from astro_scc.measurement.stacking import stack_matches, velocity_frame
 from astro_scc.measurement.tables import PM_UNIT
@@ -179,7 +169,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             If an angle is not within 20% of a scale's size, or two angles mean
             the same scale.
         """
-        return require("scales", scales_of_pixels(self.scales, cube.pixel_scale))
+        return require("scales", plan.scales_of_pixels(self.scales, cube.pixel_scale))
 
     def decomposer(self, cube):
         """
@@ -212,7 +202,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         ValueError
             If no two epochs make a pair.
         """
-        return pairs_of_dates(cube, self.baseline)
+        return plan.pairs_of_dates(cube, self.baseline)
 
     def speed_limit(self, cube):
         """
@@ -229,7 +219,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         if self.max_speed is not None:
             return self.max_speed
-        beams = largest_speed(cube, self._radius(cube), self.baseline)
+        beams = plan.largest_speed(cube, self._radius(cube), self.baseline)
         return beams * self._fwhm(cube) * PM_UNIT
 
     @property
@@ -237,10 +227,10 @@ class StackedCrossCorrelation(MeasurementSettings):
         return None if self.max_speed is None else self.max_speed.to_value(PM_UNIT)
 
     def _radius(self, cube):
-        return search_radius(cube, self._given_speed, self._fwhm(cube))
+        return plan.search_radius(cube, self._given_speed, self._fwhm(cube))
 
     def _fwhm(self, cube):
-        return mean_fwhm(cube, max(self.scale_numbers(cube)))
+        return plan.mean_fwhm(cube, max(self.scale_numbers(cube)))
 
     def match(self, cube, *, region=None, n_workers=1, cache=None, progress_bar=False):
         """
@@ -294,7 +284,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             require_common_beam(cube)
         warn_of_misalignment(cube)
         pairs = self.date_pairs(cube)
-        reach = search_reach(
+        reach = plan.search_reach(
             cube, pairs, self._radius(cube), self._fwhm(cube), self._given_speed
         )
         inside = None if region is None else cube.region_mask(region)
@@ -304,14 +294,14 @@ class StackedCrossCorrelation(MeasurementSettings):
         if cache is not None:
             cache = MatchCache(cache, provenance)
             if (matched := cache.load(cube)) is not None:
-                warn_of_none_inside(matched.ssps, matched.select, region)
+                plan.warn_of_none_inside(matched.ssps, matched.select, region)
                 return matched
         with workers_of(n_workers) as workers:
             refuse_too_much(cube, decomposer, workers)
             decompositions = decompose_epochs(
                 cube, decomposer, n_workers=workers, progress_bar=progress_bar
             )
-            ssps, select = ssps_inside(decompositions, cube, inside)
+            ssps, select = plan.ssps_inside(decompositions, cube, inside)
             windows = int(select.sum()) * (len(cube) - 1)
             refuse_too_much(cube, decomposer, workers, n_windows=windows)
             with progress(len(cube), "Correlating", show=progress_bar) as done:
@@ -329,7 +319,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         matched = MatchedEpochs(cube, decomposer, ssps, select, matches, provenance)
         if cache is not None:
             cache.store(matched)
-        warn_of_none_inside(matched.ssps, matched.select, region)
+        plan.warn_of_none_inside(matched.ssps, matched.select, region)
         return matched
 
     def stack(self, matched, *, n_trials=1000, rng=None, progress_bar=False):

@@ -18,18 +18,8 @@ from astropy.io import fits, registry
 from astropy.nddata import CCDData, NDUncertainty, StdDevUncertainty
 from astropy.wcs import WCS
 
+from astro_scc.epochs import headers
 from astro_scc.epochs.grid import cut_wcs
-from astro_scc.epochs.headers import (
-    HeaderRecord,
-    axis_kind,
-    axis_numbers,
-    beam_cards,
-    celestial_wcs,
-    first_line,
-    get,
-    parse_unit,
-    read_header,
-)
 from astro_scc.epochs.validation import POWERS
 from astro_scc.exceptions import EpochWarning
 
@@ -64,7 +54,7 @@ class Plane:
     name: str
     wcs: WCS
     shape: tuple[int, int]
-    record: HeaderRecord
+    record: headers.HeaderRecord
     header: object
     data: np.ndarray | None = None
     mask: np.ndarray | None = None
@@ -143,7 +133,7 @@ def read_vlbi_fits(path, hdu=None):
         if fact in facts:
             meta[keyword] = facts[fact]
     if beam is not None:
-        meta.update(beam_cards(beam))
+        meta.update(headers.beam_cards(beam))
     return CCDData(
         plane.data,
         unit=plane.unit,
@@ -247,7 +237,7 @@ def read_plane(path, hdu=None, *, window=None, pixels=True):
         except Exception as error:
             # A damaged file can fail anywhere inside astropy.io.fits.  The first
             # sentence gives the reason; the rest is advice for callers of astropy.
-            reason = re.split(r"[.,;:] ", first_line(error))[0]
+            reason = re.split(r"[.,;:] ", headers.first_line(error))[0]
             raise OSError(
                 f"{path}: cannot be read as FITS, it is broken or no FITS: {reason}"
             ) from None
@@ -299,13 +289,13 @@ def _plane(hdus, which, path, *, window=None, pixels=True):
     index = _plane_index(header)
     shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     try:
-        wcs = celestial_wcs(header, fobj=hdus)
+        wcs = headers.celestial_wcs(header, fobj=hdus)
     except ValueError as error:
         raise _ContentError(error) from None
     if wcs.has_distortion:
         raise _ContentError("its coordinates are distorted (SIP); resample it first")
     tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))
-    plane = Plane(str(path), wcs, shape, read_header(header, tables), header)
+    plane = Plane(str(path), wcs, shape, headers.read_header(header, tables), header)
     if pixels:
         _load(plane, hdus, hdu, index, window)
         _note(plane)
@@ -331,8 +321,10 @@ def _load(plane, hdus, hdu, index, window):
             )
     errors, header = _beside(hdus, hdu, "UNCERT", plane.shape, window)
     if errors is not None:
-        unit = parse_unit(header["BUNIT"]) if "BUNIT" in header else None
-        kind = UNCERTAINTIES.get(get(header, "UTYPE", kind=str), StdDevUncertainty)
+        unit = headers.parse_unit(header["BUNIT"]) if "BUNIT" in header else None
+        kind = UNCERTAINTIES.get(
+            headers.get(header, "UTYPE", kind=str), StdDevUncertainty
+        )
         plane.uncertainty = kind(np.array(errors, dtype=float), unit=unit, copy=False)
     if where:
         plane.wcs = cut_wcs(plane.wcs, window, plane.shape)
@@ -340,8 +332,8 @@ def _load(plane, hdus, hdu, index, window):
 
 def _note(plane):
     """Add the unit, and notes on a unit or beam that is not understood."""
-    text = get(plane.header, "BUNIT", kind=str)
-    plane.unit = parse_unit(text)
+    text = headers.get(plane.header, "BUNIT", kind=str)
+    plane.unit = headers.parse_unit(text)
     if plane.unit is None:
         plane.unit = u.dimensionless_unscaled
         plane.notes.append(
@@ -411,7 +403,7 @@ def _plane_index(header):
     """Return the index of the image plane, in numpy's order of axes."""
     naxis = header["NAXIS"]
     types = [str(header.get(f"CTYPE{k + 1}", "")).upper().strip() for k in range(naxis)]
-    celestial = [k for k, t in enumerate(types) if axis_kind(t)]
+    celestial = [k for k, t in enumerate(types) if headers.axis_kind(t)]
     if len(celestial) != 2:
         # celestial_wcs refuses these with a better reason.
         celestial = [0, 1]
@@ -433,7 +425,7 @@ def _plane_index(header):
 
 
 def _stokes_i(header, axis, length):
-    start, pixel, step = axis_numbers(header, axis)
+    start, pixel, step = headers.axis_numbers(header, axis)
     if start is not None:
         position = (1 - start) / (step or 1) + pixel - 1
         if abs(position - round(position)) < 1e-6 and 0 <= round(position) < length:

@@ -15,6 +15,7 @@ from astropy.time import Time
 from astropy.wcs.utils import pixel_to_pixel
 
 from astro_scc.correlation.parallel import machine_memory
+from astro_scc.epochs import inspection, validation
 from astro_scc.epochs.cutout import box, crop_line
 from astro_scc.epochs.fits import (
     CORRECT_BEAM,
@@ -25,20 +26,7 @@ from astro_scc.epochs.fits import (
 )
 from astro_scc.epochs.grid import ONE_SHIFT, pixel_area, regrid, shared_grid
 from astro_scc.epochs.headers import get, read_header, some
-from astro_scc.epochs.inspection import (
-    find_odd,
-    find_same_dates,
-    looks_like_mask,
-    separation,
-)
 from astro_scc.epochs.positions import readable_angle
-from astro_scc.epochs.validation import (
-    UNEVEN,
-    as_beams,
-    as_celestial,
-    as_times,
-    uncertainty_noise,
-)
 from astro_scc.exceptions import EpochWarning
 
 FRAMES = ("offset", "absolute")
@@ -63,7 +51,7 @@ def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
     windows = [None] * len(files)
     if region is not None:
         planes = [read_plane(path, hdu=hdu, pixels=False) for path in files]
-        dates = as_times(list(map(_observed, planes, times)), len(files))
+        dates = validation.as_times(list(map(_observed, planes, times)), len(files))
         first = planes[int(np.argmin((dates - dates[0]).jd))]
         part, windows = windows_of(planes, first, frame, region, pad)
     remarks, epochs = {}, []
@@ -74,7 +62,7 @@ def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
         for note in plane.notes:
             if beam is None or not note.startswith("its beam"):
                 remarks.setdefault(note, []).append(name)
-        if check and looks_like_mask(plane.data):
+        if check and inspection.looks_like_mask(plane.data):
             where = "" if window is None else " in this region"
             raise ValueError(
                 f"{path}: has no more than two different values{where}, it seems to be "
@@ -149,7 +137,7 @@ def _plane_of_nddata(image, name):
     if image.wcs is None:
         raise ValueError(f"{name}: it has no WCS; use EpochCube.from_arrays")
     try:
-        wcs = as_celestial(image.wcs)
+        wcs = validation.as_celestial(image.wcs)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: {error}") from None
     shape, record = data.shape[-2:], read_header(image.meta)
@@ -172,10 +160,10 @@ def _given(times, beams, n, frame):
         times = [None] * n
     elif isinstance(times, str) or (isinstance(times, Time) and times.isscalar):
         times = [times]
-    times = [t if t is None else as_times(t, 1)[0] for t in times]
+    times = [t if t is None else validation.as_times(t, 1)[0] for t in times]
     if len(times) != n:
         raise ValueError(f"{n} images need {n} times, got {len(times)}")
-    return times, as_beams(beams, n) or [None] * n
+    return times, validation.as_beams(beams, n) or [None] * n
 
 
 def _observed(plane, time):
@@ -196,7 +184,7 @@ def _epoch(plane, time, beam, label):
     plane.label = label
     if plane.uncertainty is not None:
         try:
-            plane.noise, bad, plane.even = uncertainty_noise(
+            plane.noise, bad, plane.even = validation.uncertainty_noise(
                 plane.uncertainty, plane.unit, plane.mask
             )
         except ValueError as error:
@@ -208,15 +196,15 @@ def _epoch(plane, time, beam, label):
 
 def _assemble(planes, frame, check, source):
     """Return the fields of a cube from images on their own grids."""
-    times = as_times([plane.record.time for plane in planes], len(planes))
+    times = validation.as_times([plane.record.time for plane in planes], len(planes))
     order = np.argsort((times - times[0]).jd, kind="stable")
     planes, times = [planes[i] for i in order], times[order]
-    for i, k in find_same_dates(times):
+    for i, k in inspection.find_same_dates(times):
         _warn(
             f"{planes[i].name} and {planes[k].name} are both of {times[i].isot[:10]}; "
             "leave one out if it is a stack or another image of the same data"
         )
-    for i, what, fatal in find_odd(planes) if check else ():
+    for i, what, fatal in inspection.find_odd(planes) if check else ():
         what = f"{planes[i].name}: {what}; leave it out"
         if fatal:
             raise ValueError(f"{what} (in Python, check=False reads it)")
@@ -271,7 +259,7 @@ def _convert(planes):
 
 def _warn_of_distances(planes):
     first = planes[0]
-    distance = [separation(plane.wcs, first.wcs) for plane in planes]
+    distance = [inspection.separation(plane.wcs, first.wcs) for plane in planes]
     k = int(np.argmax(distance))
     if distance[k] > FAR * max(first.extent, planes[k].extent):
         _warn(
@@ -300,7 +288,7 @@ def _all_noise(planes):
     noise = _all_or_none(planes, "noise", noise, otherwise)
     uneven = [plane.name for plane in planes if not plane.even]
     if uneven and noise:
-        _warn(f"{some(uneven)}: {UNEVEN}")
+        _warn(f"{some(uneven)}: {validation.UNEVEN}")
     return None if noise is None else u.Quantity(noise)
 
 

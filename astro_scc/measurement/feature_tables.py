@@ -7,12 +7,7 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.decomposition import scale_size
-from astro_scc.epochs.positions import (
-    beam_fwhm,
-    name_by_frame,
-    position_errors,
-    ssp_offsets,
-)
+from astro_scc.epochs import positions
 from astro_scc.measurement.axes import projection_of
 from astro_scc.quantities import round_to_errors
 from astro_scc.stacking.stack import sample_velocities
@@ -43,10 +38,10 @@ def ssp_table(ssps, cube, *, select=None):
     """
     n = len(ssps)
     select = np.ones(n, bool) if select is None else np.asarray(select, bool)
-    east, north = ssp_offsets(ssps, cube)
-    east_centroid, north_centroid = ssp_offsets(ssps, cube, centroid=True)
-    fwhm = beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
-    error = position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
+    east, north = positions.ssp_offsets(ssps, cube)
+    east_centroid, north_centroid = positions.ssp_offsets(ssps, cube, centroid=True)
+    fwhm = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
+    error = positions.position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
     size = np.array([scale_size(s) for s in ssps.scale], dtype=float)
     table = QTable(
         {
@@ -71,7 +66,7 @@ def ssp_table(ssps, cube, *, select=None):
         }
     )
     table["flux"].info.description = "sum of the wavelet coefficients of the pixels"
-    return name_by_frame(round_to_errors(table), cube)
+    return positions.name_by_frame(round_to_errors(table), cube)
 
 
 def feature_table(result):
@@ -231,7 +226,7 @@ def member_table(result, number):
         table[f"displacement_{name}_err"] = errors[match] * u.mas
     table["weight"] = d.weight[match]
     table["weight"].info.description = "correlation coefficient"
-    return name_by_frame(round_to_errors(table), cube)
+    return positions.name_by_frame(round_to_errors(table), cube)
 
 
 def _matches_of(result, number):

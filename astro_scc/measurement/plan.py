@@ -8,17 +8,11 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 
+from astro_scc import stacking
 from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.settings import require
-from astro_scc.stacking import (
-    Rays,
-    SearchSettings,
-    VelocityGrid,
-    baseline_pairs,
-    consecutive_pairs,
-)
 
 #: Largest relative difference between an angle and the size of the scale it names.
 SCALE_TOLERANCE = 0.2
@@ -97,7 +91,7 @@ def pairs_of_dates(cube, baseline):
     if len(years) < 2:
         raise ValueError("velocities need at least two epochs, the cube has one")
     if baseline is None:
-        pairs = consecutive_pairs(years)
+        pairs = stacking.consecutive_pairs(years)
         if len(pairs) == 0:
             raise ValueError(
                 f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
@@ -105,7 +99,7 @@ def pairs_of_dates(cube, baseline):
             )
         return pairs
     shortest, longest = baseline.to_value(u.yr)
-    pairs = baseline_pairs(years, shortest, longest)
+    pairs = stacking.baseline_pairs(years, shortest, longest)
     if len(pairs) == 0:
         raise ValueError(
             f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
@@ -156,7 +150,7 @@ def search_radius(cube, max_speed, fwhm):
     """
     gaps = np.diff(cube.years.to_value(u.yr))
     gaps = gaps[gaps > 0]
-    settings = SearchSettings()
+    settings = stacking.SearchSettings()
     if len(gaps) == 0:
         return settings.radius
     short, far = np.quantile(gaps, 0.25), 0.0
@@ -191,7 +185,9 @@ def largest_speed(cube, radius, baseline=None):
     pairs_of_dates(cube, baseline)
     intervals = (0.0, np.inf) if baseline is None else baseline.to_value(u.yr)
     years = cube.years.to_value(u.yr)
-    rays = Rays.of(years, radius, SearchSettings(), intervals=intervals)
+    rays = stacking.Rays.of(
+        years, radius, stacking.SearchSettings(), intervals=intervals
+    )
     return float(rays.speed.max())
 
 
@@ -278,7 +274,7 @@ def map_grid(displacements, pairs, limit):
         for s in (displacements.s1, displacements.s2)
     ]
     steps = [step if np.isfinite(step) else limit / 20 for step in steps]
-    return VelocityGrid.covering(limit, steps)
+    return stacking.VelocityGrid.covering(limit, steps)
 
 
 def ssps_inside(decompositions, cube, region):

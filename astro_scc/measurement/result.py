@@ -11,15 +11,11 @@ from astropy.io.registry import UnifiedReadWriteMethod
 from astropy.nddata import NDData
 from astropy.wcs import WCS
 
+from astro_scc import stacking
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.kinematics.cosmology import table_in_c
+from astro_scc.measurement import feature_tables
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.feature_tables import (
-    feature_positions,
-    feature_table,
-    member_table,
-    ssp_table,
-)
 from astro_scc.measurement.match_files import (
     MatchedEpochs,
     ResultRead,
@@ -32,14 +28,6 @@ from astro_scc.measurement.tables import (
     component_row,
     component_table,
     paper_table,
-)
-from astro_scc.stacking import (
-    DatePairs,
-    Search,
-    SearchSettings,
-    VelocityGrid,
-    VelocityPeak,
-    VelocitySamples,
 )
 from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
 from astro_scc.stacking.permutations import PermutedStacks
@@ -94,15 +82,15 @@ class SCCResult:
     matched: MatchedEpochs
     frame: object
     position_angle: u.Quantity
-    pairs: DatePairs
-    displacements: VelocitySamples
-    grid: VelocityGrid
+    pairs: stacking.DatePairs
+    displacements: stacking.VelocitySamples
+    grid: stacking.VelocityGrid
     coefficient: np.ndarray
     z_score: np.ndarray
     permuted: PermutedStacks
-    search: Search
+    search: stacking.Search
     velocities: tuple[StreamVelocity, ...]
-    maxima: tuple[VelocityPeak, ...]
+    maxima: tuple[stacking.VelocityPeak, ...]
     jitters: tuple[JitteredVelocity, ...]
     meta: dict = field(default_factory=dict)
 
@@ -138,17 +126,19 @@ class SCCResult:
     @cached_property
     def ssps(self):
         """The SSPs of all epochs as a `~astropy.table.QTable`."""
-        return ssp_table(self.matched.ssps, self.cube, select=self.matched.select)
+        return feature_tables.ssp_table(
+            self.matched.ssps, self.cube, select=self.matched.select
+        )
 
     @cached_property
     def features(self):
         """The features that were followed, a `~astropy.table.QTable`."""
-        return feature_table(self)
+        return feature_tables.feature_table(self)
 
     @cached_property
     def feature_positions(self):
         """The features by epoch, with SSP and distance, a `~astropy.table.QTable`."""
-        return feature_positions(self)
+        return feature_tables.feature_positions(self)
 
     @cached_property
     def sensitivity(self):
@@ -292,7 +282,7 @@ class SCCResult:
         ValueError
             If there is no such component.
         """
-        return member_table(self, number)
+        return feature_tables.member_table(self, number)
 
     def plot(self, **kwargs):
         """
@@ -362,7 +352,7 @@ def diagram_image(result):
             direction, excess = -direction, excess[::-1]
             position_angle += 180 * u.deg
         position_angle %= 360 * u.deg
-    step = SearchSettings().interval_step
+    step = stacking.SearchSettings().interval_step
     shortest = _shortest(result.cube.years.to_value(u.yr), diagram)
     bins = np.floor(np.log(diagram.interval / shortest) / step + 1e-9).astype(int)
     data = np.full((len(excess), bins[-1] + 1), np.nan)

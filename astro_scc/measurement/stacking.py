@@ -6,14 +6,8 @@ import warnings
 import astropy.units as u
 import numpy as np
 
+from astro_scc import kinematics
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.kinematics import (
-    PositionAngleFrame,
-    RadialFrame,
-    SkyFrame,
-    find_ridge_line,
-    fit_position_angle,
-)
 from astro_scc.measurement.axes import (
     AxisProjection,
     alignment_errors,
@@ -99,7 +93,7 @@ def stack_matches(
         select=matched.select,
     )
     project = AxisProjection(samples, matched.ssps, cube, frame)
-    known = not isinstance(frame, SkyFrame)
+    known = not isinstance(frame, kinematics.SkyFrame)
     n_axes = 1 if known else SearchSettings().n_axes
     with progress(None, "Searching", show=progress_bar):
         search = find_streams(
@@ -258,18 +252,18 @@ def velocity_frame(matched, position_angle):
         Direction of the jet.
     """
     if isinstance(position_angle, str) and position_angle == "fit":
-        position_angle, _ = fit_position_angle(matched.cube)
+        position_angle, _ = kinematics.fit_position_angle(matched.cube)
     if isinstance(position_angle, u.Quantity):
-        return PositionAngleFrame(position_angle), position_angle
-    if isinstance(position_angle, PositionAngleFrame):
+        return kinematics.PositionAngleFrame(position_angle), position_angle
+    if isinstance(position_angle, kinematics.PositionAngleFrame):
         return position_angle, position_angle.pa
     angle = flow_direction(matched)
     if position_angle is None or (
         isinstance(position_angle, str) and position_angle == "any"
     ):
-        return SkyFrame(), angle
+        return kinematics.SkyFrame(), angle
     if not isinstance(position_angle, str):
         return position_angle, angle
     if position_angle == "ridge":
-        return find_ridge_line(matched.cube), angle
-    return RadialFrame(), angle
+        return kinematics.find_ridge_line(matched.cube), angle
+    return kinematics.RadialFrame(), angle
