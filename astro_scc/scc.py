@@ -219,18 +219,57 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         if self.max_speed is not None:
             return self.max_speed
-        beams = plan.largest_speed(cube, self._radius(cube), self.baseline)
-        return beams * self._fwhm(cube) * PM_UNIT
+        beams = plan.largest_speed(cube, self.search_radius(cube), self.baseline)
+        return beams * self.resolution(cube) * PM_UNIT
 
     @property
-    def _given_speed(self):
+    def largest_speed(self):
+        """The largest speed in mas/yr, or None if none is given."""
         return None if self.max_speed is None else self.max_speed.to_value(PM_UNIT)
 
-    def _radius(self, cube):
-        return plan.search_radius(cube, self._given_speed, self._fwhm(cube))
+    def resolution(self, cube):
+        """
+        Return the resolution of a cube in mas, see `mean_fwhm` of the plan.
 
-    def _fwhm(self, cube):
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+
+        Returns
+        -------
+        float
+        """
         return plan.mean_fwhm(cube, max(self.scale_numbers(cube)))
+
+    def search_radius(self, cube):
+        """
+        Return the largest displacement at which streams are searched for, in beams.
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+
+        Returns
+        -------
+        float
+        """
+        return plan.search_radius(cube, self.largest_speed, self.resolution(cube))
+
+    def reach(self, cube):
+        """
+        Return the largest displacement that is matched, in pixels.
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+
+        Returns
+        -------
+        tuple of int
+            Along (y, x).
+        """
+        of = self.search_radius(cube), self.resolution(cube), self.largest_speed
+        return plan.search_reach(cube, self.date_pairs(cube), *of)
 
     def match(self, cube, *, region=None, n_workers=1, cache=None, progress_bar=False):
         """
@@ -283,10 +322,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         if self.common_beam is not False:
             require_common_beam(cube)
         warn_of_misalignment(cube)
-        pairs = self.date_pairs(cube)
-        reach = plan.search_reach(
-            cube, pairs, self._radius(cube), self._fwhm(cube), self._given_speed
-        )
+        reach = self.reach(cube)
         inside = None if region is None else cube.region_mask(region)
         decomposer = self.decomposer(cube)
         correlator = self._correlator()
@@ -350,13 +386,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1):
             return stack_matches(
-                matched,
-                self,
-                radius=self._radius(matched.cube),
-                fwhm=self._fwhm(matched.cube),
-                n_trials=n_trials,
-                rng=rng,
-                progress_bar=progress_bar,
+                matched, self, n_trials=n_trials, rng=rng, progress_bar=progress_bar
             )
 
     def displacements(self, matched):

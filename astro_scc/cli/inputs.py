@@ -69,18 +69,12 @@ def measuring_time(cube, settings, *, n_bins=0):
     """
     from astro_scc import StackedCrossCorrelation
     from astro_scc.measurement.decomposing import matching_time
-    from astro_scc.measurement.plan import mean_fwhm, search_radius, search_reach
     from astro_scc.measurement.stacking import stacking_time
-    from astro_scc.measurement.tables import PM_UNIT
     from astro_scc.stacking import SearchSettings
 
     scc = StackedCrossCorrelation.from_settings(settings)
-    fwhm = mean_fwhm(cube, max(scc.scale_numbers(cube)))
-    speed = None if scc.max_speed is None else scc.max_speed.to_value(PM_UNIT)
-    radius = search_radius(cube, speed, fwhm)
-    reach = search_reach(cube, scc.date_pairs(cube), radius, fwhm, speed)
-    region = settings.region
-    shared, n_ssps = matching_time(cube, scc.decomposer(cube), reach, region=region)
+    decomposer, region = scc.decomposer(cube), settings.region
+    shared, n_ssps = matching_time(cube, decomposer, scc.reach(cube), region=region)
     known = settings.position_angle not in (None, "any")
     n_axes = 1 if known else SearchSettings().n_axes
     # A bin has a part of the matches.

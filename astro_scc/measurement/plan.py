@@ -248,7 +248,7 @@ def _check_speed(speed, pairs, side, shape, limit):
             f"interval ({longest:.3g} yr), more than half the image: give a smaller "
             "max_speed, or a baseline that leaves out long intervals",
             MeasurementWarning,
-            stacklevel=6,
+            stacklevel=7,
         )
 
 

@@ -13,9 +13,9 @@ from astro_scc.measurement.axes import (
     alignment_errors,
     angular_displacements,
 )
-from astro_scc.measurement.plan import flow_direction, map_grid, pairs_of_dates
+from astro_scc.measurement.plan import flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
-from astro_scc.measurement.tables import PM_UNIT, versions
+from astro_scc.measurement.tables import versions
 from astro_scc.progress import progress
 from astro_scc.settings import require
 from astro_scc.stacking import SearchSettings, baseline_pairs, find_streams, stack
@@ -38,9 +38,7 @@ SEARCH, DIRECTION, PERMUTED = 3.5e-7, 1.2e-7, 4.6e-6
 FEWEST_PAIRS = 3
 
 
-def stack_matches(
-    matched, settings, *, radius, fwhm, n_trials=1000, rng=None, progress_bar=False
-):
+def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=False):
     """
     Search the matches of epochs for streams, and stack them.
 
@@ -51,10 +49,6 @@ def stack_matches(
     ----------
     matched : `~astro_scc.measurement.MatchedEpochs`
     settings : `~astro_scc.StackedCrossCorrelation`
-    radius : float
-        Largest displacement that was matched, in beams.
-    fwhm : float
-        Resolution in mas.
     n_trials : int
         The paper's z-score and error take at most 200.
     rng : None, int or `~numpy.random.Generator`
@@ -79,10 +73,8 @@ def stack_matches(
     rng, seed = seeded(rng)
     paper_rng, search_rng, error_rng = np.random.default_rng(rng).spawn(3)
     cube, baseline, alpha = matched.cube, settings.baseline, settings.alpha
-    pairs = pairs_of_dates(cube, baseline)
-    max_speed = None
-    if settings.max_speed is not None:
-        max_speed = settings.max_speed.to_value(PM_UNIT)
+    pairs, max_speed = settings.date_pairs(cube), settings.largest_speed
+    radius, fwhm = settings.search_radius(cube), settings.resolution(cube)
     frame, angle = velocity_frame(matched, settings.position_angle)
     samples = angular_displacements(
         matched.matches,

@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import versions
-from astro_scc.measurement.plan import mean_fwhm
 from astro_scc.measurement.stacking import seeded
 from astro_scc.measurement.tables import PM_UNIT, build_table
 from astro_scc.progress import progress
@@ -301,7 +300,7 @@ def _width(cube, scc, fwhm):
         raise ValueError(
             "the cube has no beams: give fwhm, the full width of features, as an angle"
         )
-    return mean_fwhm(cube, max(scc.scale_numbers(cube)))
+    return scc.resolution(cube)
 
 
 def _tolerance(cube, scc, width, tolerance):
