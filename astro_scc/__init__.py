@@ -2,6 +2,11 @@
 """Stacked cross-correlation of multi-epoch astronomical images."""
 
 from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from astro_scc.epochs import Beam, EpochCube
+    from astro_scc.scc import StackedCrossCorrelation, measure_velocities
 
 try:
     from astro_scc._version import version as __version__

@@ -1,17 +1,24 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Stacked cross-correlation: the call that runs all stages of a measurement."""
 
+from __future__ import annotations
+
 from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
+import numpy as np
+from astropy.table import QTable
 
 from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.correlation.parallel import workers_of
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.segmentation import require_ssps
+from astro_scc.epochs import EpochCube
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.epochs.registration import warn_of_misalignment
-from astro_scc.measurement import MatchedEpochs, plan
+from astro_scc.measurement import MatchedEpochs, SCCResult, plan
 from astro_scc.measurement.axes import angular_displacements
 from astro_scc.measurement.decomposing import (
     allow_for_structure,
@@ -26,7 +33,11 @@ from astro_scc.measurement.match_files import (
 from astro_scc.measurement.stacking import stack_matches, velocity_frame
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
-from astro_scc.settings import MeasurementSettings, require
+from astro_scc.settings import MeasurementSettings, Settings, require
+from astro_scc.stacking import DatePairs, VelocitySamples
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
@@ -108,13 +119,13 @@ class StackedCrossCorrelation(MeasurementSettings):
         self._decomposer((1,) if isinstance(self.scales, u.Quantity) else self.scales)
         self._correlator()
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         """Return whether all settings are equal, quantities in any unit."""
         if other.__class__ is not self.__class__:
             return NotImplemented
         return self._key() == other._key()
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         """Return a hash of all settings."""
         return hash(self._key())
 
@@ -122,7 +133,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         return tuple(_comparable(getattr(self, field.name)) for field in fields(self))
 
     @classmethod
-    def from_settings(cls, settings):
+    def from_settings(cls, settings: Settings) -> StackedCrossCorrelation:
         """
         Return the measurement that settings describe.
 
@@ -151,7 +162,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             kappa=self.kappa, target=self.target, min_overlap=self.min_overlap
         )
 
-    def scale_numbers(self, cube):
+    def scale_numbers(self, cube: EpochCube) -> tuple[float, ...]:
         """
         Return the scales as numbers, for the pixels of a cube.
 
@@ -171,7 +182,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         return require("scales", plan.scales_of_pixels(self.scales, cube.pixel_scale))
 
-    def decomposer(self, cube):
+    def decomposer(self, cube: EpochCube) -> Decomposer:
         """
         Return the decomposer for the epochs of a cube.
 
@@ -185,7 +196,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         return allow_for_structure(cube, self._decomposer(self.scale_numbers(cube)))
 
-    def date_pairs(self, cube):
+    def date_pairs(self, cube: EpochCube) -> DatePairs:
         """
         Return the pairs of dates that are compared.
 
@@ -204,7 +215,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         return plan.pairs_of_dates(cube, self.baseline)
 
-    def speed_limit(self, cube):
+    def speed_limit(self, cube: EpochCube) -> u.Quantity:
         """
         Return the largest speed that is searched.
 
@@ -218,16 +229,16 @@ class StackedCrossCorrelation(MeasurementSettings):
             In mas/yr.
         """
         if self.max_speed is not None:
-            return self.max_speed
+            return u.Quantity(self.max_speed)
         beams = plan.largest_speed(cube, self.search_radius(cube), self.baseline)
         return beams * self.resolution(cube) * PM_UNIT
 
     @property
-    def largest_speed(self):
+    def largest_speed(self) -> float | None:
         """The largest speed in mas/yr, or None if none is given."""
         return None if self.max_speed is None else self.max_speed.to_value(PM_UNIT)
 
-    def resolution(self, cube):
+    def resolution(self, cube: EpochCube) -> float:
         """
         Return the resolution of a cube in mas, see `mean_fwhm` of the plan.
 
@@ -241,7 +252,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         return plan.mean_fwhm(cube, max(self.scale_numbers(cube)))
 
-    def search_radius(self, cube):
+    def search_radius(self, cube: EpochCube) -> float:
         """
         Return the largest displacement at which streams are searched for, in beams.
 
@@ -255,7 +266,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         return plan.search_radius(cube, self.largest_speed, self.resolution(cube))
 
-    def reach(self, cube):
+    def reach(self, cube: EpochCube) -> tuple[int, int]:
         """
         Return the largest displacement that is matched, in pixels.
 
@@ -271,7 +282,10 @@ class StackedCrossCorrelation(MeasurementSettings):
         of = self.search_radius(cube), self.resolution(cube), self.largest_speed
         return plan.search_reach(cube, self.date_pairs(cube), *of)
 
-    def match(self, cube, *, region=None, n_workers=1, cache=None, progress_bar=False):
+    def match(
+        self, cube: EpochCube, *, region: Any = None, n_workers: int | str | Client = 1,
+        cache: Path | str | None = None, progress_bar: bool = False,
+    ) -> MatchedEpochs:  # fmt: skip
         """
         Decompose the epochs and correlate their SSPs.
 
@@ -341,15 +355,9 @@ class StackedCrossCorrelation(MeasurementSettings):
             windows = int(select.sum()) * (len(cube) - 1)
             refuse_too_much(cube, decomposer, workers, n_windows=windows)
             with progress(len(cube), "Correlating", show=progress_bar) as done:
-                matches = correlator(
-                    decompositions,
-                    all_pairs(len(cube)),
-                    reach,
-                    select=select,
-                    n_workers=workers,
-                    progress=done,
-                    done=cache,
-                )
+                work = decompositions, all_pairs(len(cube)), reach
+                how = {"n_workers": workers, "progress": done, "done": cache}
+                matches = correlator(*work, select=select, **how)
         provenance["selected"] = selection_digest(select)
         # Stacks need no planes, which are larger than everything else.
         matched = MatchedEpochs(cube, decomposer, ssps, select, matches, provenance)
@@ -358,7 +366,10 @@ class StackedCrossCorrelation(MeasurementSettings):
         plan.warn_of_none_inside(matched.ssps, matched.select, region)
         return matched
 
-    def stack(self, matched, *, n_trials=1000, rng=None, progress_bar=False):
+    def stack(
+        self, matched: MatchedEpochs, *, n_trials: int = 1000,
+        rng: np.random.Generator | int | None = None, progress_bar: bool = False,
+    ) -> SCCResult:  # fmt: skip
         """
         Stack matches and measure the velocity components.
 
@@ -389,7 +400,7 @@ class StackedCrossCorrelation(MeasurementSettings):
                 matched, self, n_trials=n_trials, rng=rng, progress_bar=progress_bar
             )
 
-    def displacements(self, matched):
+    def displacements(self, matched: MatchedEpochs) -> tuple[VelocitySamples, Any]:
         """
         Return the matches as displacements along the velocity axes, and the axes.
 
@@ -408,16 +419,10 @@ class StackedCrossCorrelation(MeasurementSettings):
         return angular_displacements(*of, select=matched.select), frame
 
     def __call__(
-        self,
-        cube,
-        *,
-        region=None,
-        n_trials=1000,
-        rng=None,
-        n_workers=1,
-        cache=None,
-        progress_bar=False,
-    ):
+        self, cube: EpochCube, *, region: Any = None, n_trials: int = 1000,
+        rng: np.random.Generator | int | None = None, n_workers: int | str | Client = 1,
+        cache: Path | str | None = None, progress_bar: bool = False,
+    ) -> SCCResult:  # fmt: skip
         """
         Measure the velocity components of a cube.
 
@@ -448,19 +453,14 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         # Refused before the matching, which takes long.
         n_trials = require("n_trials", n_trials)
-        matched = self.match(
-            cube,
-            region=region,
-            n_workers=n_workers,
-            cache=cache,
-            progress_bar=progress_bar,
-        )
+        how = {"n_workers": n_workers, "cache": cache, "progress_bar": progress_bar}
+        matched = self.match(cube, region=region, **how)
         require_ssps(matched.ssps, matched.scales)
         return self.stack(
             matched, n_trials=n_trials, rng=rng, progress_bar=progress_bar
         )
 
-    def to_dict(self):
+    def to_dict(self) -> dict[str, Any]:
         """
         Return the settings as a dictionary that the meta of a table can hold.
 
@@ -481,8 +481,10 @@ def _comparable(value):
 
 
 def measure_velocities(
-    cube, *, region=None, n_trials=1000, rng=None, n_workers=1, **settings
-):
+    cube: EpochCube, *, region: Any = None, n_trials: int = 1000,
+    rng: np.random.Generator | int | None = None, n_workers: int | str | Client = 1,
+    **settings: Any,
+) -> QTable:  # fmt: skip
     """
     Measure the velocity components of a cube in one call.
 

@@ -6,11 +6,15 @@ The command line, TOML files, Python and the table in the documentation use the 
 of `Settings`.  Quantities may be text with a unit, ``"2 mas / yr"``.
 """
 
+from __future__ import annotations
+
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from astro_scc.quantities import (
     check_alignment_error,
@@ -29,6 +33,9 @@ from astro_scc.quantities import (
     quantity,
     quantity_range,
 )
+
+if TYPE_CHECKING:
+    import astropy.units as u
 
 __all__ = ["Settings", "read_config"]
 
@@ -105,21 +112,21 @@ _in_c = partial(_setting, "speeds in units of c")
 class MeasurementSettings:
     """The settings of `~astro_scc.StackedCrossCorrelation`."""
 
-    scales: tuple = _measure(
+    scales: u.Quantity | Sequence[float | str] = _measure(
         check_scales,
         'wavelet scales by number (j is 2^j pixels) or angle, "0.2 mas, 0.4 mas"; '
         "default 1,2,3,4",
         "1,2,3",
         (1, 2, 3, 4),
     )
-    max_speed: object = _measure(
+    max_speed: u.Quantity | str | None = _measure(
         _speed,
         "largest proper motion; default 1.5 beams in the shorter intervals, four of "
         "up to 20 epochs (track: four in the median interval)",
         '"2 mas/yr"',
         unit="mas / yr",
     )
-    position_angle: object = _measure(
+    position_angle: Any = _measure(
         check_position_angle,
         "direction of the jet, north through east: velocities along and across it; fit "
         "for that of the mean image, ridge for along its ridge line (neither for "
@@ -128,7 +135,7 @@ class MeasurementSettings:
         '"65 deg"|fit|ridge|radial|any',
         unit="deg",
     )
-    baseline: object = _stack(
+    baseline: u.Quantity | Sequence[str] | None = _stack(
         _times,
         "compare only epochs whose separation in time is in this range; by default "
         "each speed has the intervals in which it moves 0.2 to 1 beam",
@@ -176,7 +183,7 @@ class MeasurementSettings:
         "true|false",
         False,
     )
-    alignment_error: object = _stack(
+    alignment_error: u.Quantity | Sequence[str] | None = _stack(
         check_alignment_error,
         'error of the alignment, "0.02 mas", or a list with one per epoch; by default '
         "what align found",
@@ -223,7 +230,7 @@ class Settings(MeasurementSettings):
     (<Quantity 2. mas / yr>, 0.6, 'H0=71,Om0=0.27')
     """
 
-    epochs: list | None = _image(
+    epochs: Sequence[str] | None = _image(
         check_paths,
         "one image per date, or a file that EpochCube.write made; in a file also "
         "patterns",
@@ -252,23 +259,23 @@ class Settings(MeasurementSettings):
     region: str | None = _image(
         check_text, "use only patterns inside a DS9 or CRTF region", "FILE.reg"
     )
-    bins: object = _distance_bin(
+    bins: u.Quantity | Sequence[str] | None = _distance_bin(
         check_bins,
         "limits of the bins, distances from the core; needed here or in --config",
         '"0.5 1.5 2.5 mas"',
     )
-    window: object = _distance_bin(
+    window: u.Quantity | str | None = _distance_bin(
         _angle,
         "windows of this width about each of the --bins, instead of bins between",
         '"2 mas"',
     )
-    along: object = _track(
+    along: u.Quantity | Sequence[str] | None = _track(
         _speeds,
         "smallest and largest proper motion along the jet",
         '"-1 4 mas/yr"',
         unit="mas / yr",
     )
-    across: object = _track(
+    across: u.Quantity | Sequence[str] | None = _track(
         _speeds,
         "smallest and largest proper motion across the jet",
         '"-1 4 mas/yr"',
@@ -284,7 +291,7 @@ class Settings(MeasurementSettings):
         "consecutive epochs at which a feature may be missing; default 1",
         "1",
     )
-    max_interval: object = _track(
+    max_interval: u.Quantity | str | None = _track(
         quantity("a time", "1 yr"),
         "longest time between two epochs that are linked",
         '"1 yr"',
@@ -293,7 +300,7 @@ class Settings(MeasurementSettings):
     min_epochs: int | None = _track(
         integer(3), "smallest number of epochs of a track; default 3", "3"
     )
-    half_width: object = _track(
+    half_width: u.Quantity | str | None = _track(
         _angle,
         "features this near a distance make the profile there; default 2 mas "
         "(Mertens & Lobanov 2016), or a fifth of the longest distance if less",
@@ -310,7 +317,7 @@ class Settings(MeasurementSettings):
         "of the random numbers; drawn and written down by default",
         "N",
     )
-    redshift: float | None = _in_c(
+    redshift: float | str | u.Quantity | None = _in_c(
         _single("redshift"), "of the object, also in percent", "Z"
     )
     cosmology: str | None = _in_c(
@@ -319,7 +326,7 @@ class Settings(MeasurementSettings):
         "(Mertens & Lobanov 2016)",
         'NAME|"H0=71,Om0=0.27"',
     )
-    distance: object = _in_c(
+    distance: u.Quantity | str | None = _in_c(
         _single("distance"), "of a near object, without a redshift", '"16.7 Mpc"'
     )
 
@@ -336,7 +343,7 @@ class Settings(MeasurementSettings):
             raise ValueError("--cosmology needs a --redshift")
 
     @property
-    def in_c(self):
+    def in_c(self) -> dict[str, Any]:
         """Options with which `components_in_c` turns proper motions into speeds."""
         if self.distance is not None:
             return {"distance": self.distance}
@@ -344,7 +351,7 @@ class Settings(MeasurementSettings):
             return {"redshift": self.redshift, "cosmology": self.cosmology}
         return {}
 
-    def to_dict(self, command="measure"):
+    def to_dict(self, command: str = "measure") -> dict[str, Any]:
         """
         Return the settings of a command as text, numbers and lists.
 
@@ -365,7 +372,7 @@ class Settings(MeasurementSettings):
             if command in facts["commands"] and getattr(self, name) is not None
         }
 
-    def to_toml(self, command="measure", *, versions=None):
+    def to_toml(self, command: str = "measure", *, versions: dict | None = None) -> str:
         """
         Return the settings of a command as the text of a TOML file.
 
@@ -427,15 +434,6 @@ def require(name, value):
     return found.to(unit) if unit and hasattr(found, "to") else found
 
 
-def override(given, own):
-    """Return settings updated by others; distance and redshift replace each other."""
-    if "distance" in own:
-        given = {k: v for k, v in given.items() if k not in ("redshift", "cosmology")}
-    elif "redshift" in own:
-        given = {k: v for k, v in given.items() if k != "distance"}
-    return given | own
-
-
 def read_toml(path):
     """Return the values of a TOML file, and its text."""
     path = Path(path)
@@ -449,7 +447,7 @@ def read_toml(path):
         raise ValueError(f"{path}: is not a TOML file: {error}") from None
 
 
-def read_config(path):
+def read_config(path: Path | str) -> tuple[dict[str, Any], dict[str, str]]:
     """
     Read the settings of a measurement.
 

@@ -56,6 +56,8 @@ if os.environ.get("READTHEDOCS"):
 automodapi_toctreedirnm = "api"
 automodapi_inheritance_diagram = False
 numpydoc_show_class_members = False
+# The docstrings say them, with shapes and units.
+autodoc_typehints = "none"
 numpydoc_xref_param_type = False
 # What every public docstring must have; a failure is a warning, and so an error.
 numpydoc_validation_checks = {

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from astro_scc.cli.options import option_name
-from astro_scc.settings import OPTIONS, Settings, check_setting, override, read_config
+from astro_scc.settings import OPTIONS, Settings, check_setting, read_config
 
 #: Pixels of all epochs from which on more processes save more time than they take to
 #: start: some ten seconds of one.
@@ -147,6 +147,15 @@ def _duration(seconds):
 def option_of(args, name):
     """Return the value of one option that is a setting, or None."""
     return check_setting(name, getattr(args, name), option_name(name))
+
+
+def override(given, own):
+    """Return settings updated by others; distance and redshift replace each other."""
+    if "distance" in own:
+        given = {k: v for k, v in given.items() if k not in ("redshift", "cosmology")}
+    elif "redshift" in own:
+        given = {k: v for k, v in given.items() if k != "distance"}
+    return given | own
 
 
 def settings_of(args, reporter, *, unused=(), **defaults):

@@ -17,13 +17,14 @@ from astropy.table import Column, QTable, vstack
 
 from astro_scc.cli.inputs import (
     measuring_time,
+    override,
     read_epochs,
     say_time,
     with_direction,
 )
 from astro_scc.measurement import component_table, false_discovery_rate, versions
 from astro_scc.quantities import finite_quantities, named
-from astro_scc.settings import OPTIONS, Settings, check_setting, override, read_toml
+from astro_scc.settings import OPTIONS, Settings, check_setting, read_toml
 
 __all__ = ["read_survey"]
 
@@ -112,7 +113,7 @@ class Survey:
     text: str = ""
 
 
-def read_survey(path):
+def read_survey(path: Path | str) -> Survey:
     """
     Read the file of a survey.
 

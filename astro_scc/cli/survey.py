@@ -32,15 +32,19 @@ is no component; and in sources/ a folder for each source with the products of
 astro-scc measure, including a report.
 """
 
+from __future__ import annotations
+
 import json
 import os
 import shutil
 import traceback
 import warnings
+from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from astro_scc.cli.inputs import read_epochs, with_direction, workers_of
 from astro_scc.cli.measure import WORK, write_measurement
@@ -49,6 +53,12 @@ from astro_scc.cli.reporter import one_line
 from astro_scc.cli.summary import table_lines
 from astro_scc.partial import hold, partial_folder, remove_left, replace_when_complete
 from astro_scc.progress import progress
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from distributed import Client
+
+    from astro_scc.cli.sources import Survey
 
 __all__ = ["run_survey"]
 
@@ -166,15 +176,10 @@ def _summary(table):
 
 
 def run_survey(
-    survey,
-    output,
-    *,
-    n_workers=1,
-    report=False,
-    done=None,
-    begin=None,
-    progress_bar=False,
-):
+    survey: Survey, output: Path | str, *, n_workers: int | str | Client = 1,
+    report: bool = False, done: Callable[..., Any] | None = None,
+    begin: Callable[..., Any] | None = None, progress_bar: bool = False,
+) -> QTable:  # fmt: skip
     """
     Measure all sources of a survey and write one table.
 

@@ -1,11 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Correlation of the SSPs of each epoch with the planes of other epochs."""
 
+from __future__ import annotations
+
 from collections import Counter, deque
+from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from astro_scc.correlation.matches import Matches, join_columns
 from astro_scc.correlation.parallel import in_order
@@ -17,7 +22,10 @@ from astro_scc.correlation.targets import (
     image_part,
 )
 from astro_scc.correlation.zncc import fft_shape, find_peaks
-from astro_scc.decomposition import SSPs
+from astro_scc.decomposition import Decomposition, SSPs
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 #: Pixels of windows that a block correlates, about half a second of work.
 BLOCK_WORK = 2**24
@@ -29,7 +37,7 @@ COMPILE_FROM = 100_000
 FEWEST_PIXELS = 3
 
 
-def all_pairs(n_epochs):
+def all_pairs(n_epochs: int) -> np.ndarray:
     """
     Return every ordered pair of different epochs.
 
@@ -115,16 +123,11 @@ class Correlator:
             )
 
     def __call__(
-        self,
-        decompositions,
-        pairs,
-        search_radius,
-        *,
-        select=None,
-        n_workers=1,
-        progress=None,
-        done=None,
-    ):
+        self, decompositions: Sequence[Decomposition], pairs: ArrayLike,
+        search_radius: int | tuple[int, int], *, select: ArrayLike | None = None,
+        n_workers: int | str | Client = 1, progress: Callable[..., Any] | None = None,
+        done: MutableMapping[int, tuple[np.ndarray, ...]] | None = None,
+    ) -> Matches:  # fmt: skip
         """
         Find the matches of SSPs for ordered pairs of epochs.
 
@@ -204,7 +207,10 @@ class Correlator:
         columns = [columns[number] for number in sorted(columns)]
         return Matches.from_columns(columns, pairs, search_radius, self.kappa).sorted()
 
-    def blocks(self, decompositions, pairs, search_radius, *, select=None):
+    def blocks(
+        self, decompositions: Sequence[Decomposition], pairs: ArrayLike,
+        search_radius: int | tuple[int, int], *, select: ArrayLike | None = None,
+    ) -> Iterator[PairBlock]:  # fmt: skip
         """
         Divide the pairs of epochs into blocks of work, by reference epoch.
 

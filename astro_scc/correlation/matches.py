@@ -1,12 +1,20 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Matches: the correlation peaks of SSPs between pairs of epochs, in pixels."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from astro_scc.decomposition import scale_size
+from astro_scc.decomposition import SSPs, scale_size
+
+if TYPE_CHECKING:
+    from astropy.table import Table
 
 COLUMNS = {
     "ssp": np.int32,
@@ -82,17 +90,20 @@ class Matches:
     overlap: np.ndarray
     target_snr: np.ndarray
     pairs: np.ndarray
-    search_radius: tuple
+    search_radius: tuple[int, int]
     kappa: float
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.ssp)
 
     def __repr__(self):
         return f"<Matches: {len(self)} peaks of {len(self.pairs)} pairs of epochs>"
 
     @classmethod
-    def from_columns(cls, columns, pairs, search_radius, kappa):
+    def from_columns(
+        cls, columns: Sequence[tuple[np.ndarray, ...]], pairs: ArrayLike,
+        search_radius: tuple[int, int], kappa: float,
+    ) -> Matches:  # fmt: skip
         """
         Join tuples of the columns ``ssp`` to ``target_snr``.
 
@@ -115,7 +126,7 @@ class Matches:
             kappa=float(kappa),
         )
 
-    def sorted(self):
+    def sorted(self) -> Matches:
         """
         Return the matches sorted by SSP, then by target.
 
@@ -128,7 +139,7 @@ class Matches:
             return self
         return self.select(np.argsort(key, kind="stable"))
 
-    def select(self, keep):
+    def select(self, keep: ArrayLike) -> Matches:
         """
         Return the matches at some indices, or where ``keep`` is true.
 
@@ -143,7 +154,7 @@ class Matches:
         chosen = {name: getattr(self, name)[keep] for name in COLUMNS}
         return replace(self, **chosen)
 
-    def of_ssps(self, chosen):
+    def of_ssps(self, chosen: ArrayLike) -> Matches:
         """
         Return the matches of SSPs for which ``chosen`` is true.
 
@@ -157,7 +168,7 @@ class Matches:
         """
         return self.select(np.asarray(chosen, dtype=bool)[self.ssp])
 
-    def to_table(self):
+    def to_table(self) -> Table:
         """
         Return the matches as an `~astropy.table.Table` in pixels.
 
@@ -176,7 +187,7 @@ class Matches:
         return table
 
     @classmethod
-    def from_table(cls, table):
+    def from_table(cls, table: Table) -> Matches:
         """
         Return the matches in a table of `to_table`.
 
@@ -205,7 +216,7 @@ class Matches:
             [columns], meta["pairs"], meta["search_radius"], meta["kappa"]
         )
 
-    def same_as(self, other):
+    def same_as(self, other: Matches) -> bool:
         """
         Return whether all fields equal those of other matches.
 
@@ -223,7 +234,7 @@ class Matches:
         )
 
 
-def target_ssps(matches, ssps):
+def target_ssps(matches: Matches, ssps: SSPs) -> np.ndarray:
     """
     Find the SSP of the target epoch that is nearest to each match.
 

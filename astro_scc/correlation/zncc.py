@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import fft
 
 from astro_scc.decomposition.segmentation import quadratic_peak
@@ -17,7 +18,7 @@ VARIANCE_FLOOR = 5e-15
 FLAT = 1e-14
 
 
-def zncc(a, b):
+def zncc(a: ArrayLike, b: ArrayLike) -> float:
     r"""
     Return the zero-mean normalised cross-correlation of two sets of pixels.
 
@@ -179,8 +180,10 @@ class Template:
 
 
 def correlate_windows(
-    values, footprint, windows, search_radius, *, valid=None, min_overlap=0.8
-):
+    values: ArrayLike, footprint: ArrayLike, windows: ArrayLike,
+    search_radius: tuple[int, int], *, valid: ArrayLike | None = None,
+    min_overlap: float = 0.8,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """
     Correlate a masked pattern with windows at every displacement.
 

@@ -1,9 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The segmented wavelet decomposition of an image."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from astro_scc.decomposition.noise import (
     local_noise,
@@ -49,9 +53,9 @@ class Decomposition:
     (128, 256)
     """
 
-    scales: tuple
+    scales: tuple[float, ...]
     planes: np.ndarray
-    noise: tuple
+    noise: tuple[float | np.ndarray, ...]
     ssps: SSPs
     mask: np.ndarray | None = None
 
@@ -59,7 +63,7 @@ class Decomposition:
         ny, nx = self.planes.shape[1:]
         return f"<Decomposition of {nx} x {ny} px: {self.ssps!r}>"
 
-    def plane_index(self, scale):
+    def plane_index(self, scale: float) -> int:
         """
         Return the index of a scale in ``planes``.
 
@@ -73,7 +77,7 @@ class Decomposition:
         """
         return self.scales.index(scale)
 
-    def segmentation(self, scale):
+    def segmentation(self, scale: float) -> np.ndarray:
         """
         Return 1 + index in ``ssps`` of the SSP of each pixel on a scale, or 0.
 
@@ -90,7 +94,7 @@ class Decomposition:
             labels.flat[self.ssps.pixels_of(index)] = index + 1
         return labels
 
-    def segmented_plane(self, scale):
+    def segmented_plane(self, scale: float) -> np.ndarray:
         """
         Return the plane of a scale, zero outside its SSPs.
 
@@ -142,12 +146,12 @@ class Decomposer:
     <Decomposition of 64 x 64 px: <SSPs: 1 on scale 1, 1 on scale 2>>
     """
 
-    scales: tuple = (1, 2, 3, 4)
+    scales: Sequence[float] = (1, 2, 3, 4)
     kernel: str = "b1"
     detection: float = 4.0
     segmentation: float = 3.0
     noise: str = "plane"
-    noise_factors: tuple | None = None
+    noise_factors: Sequence[float] | None = None
 
     def __post_init__(self):
         scales = tuple(sorted({float(scale) for scale in self.scales}))
@@ -170,7 +174,10 @@ class Decomposer:
                 )
             object.__setattr__(self, "noise_factors", factors)
 
-    def __call__(self, image, *, mask=None, rms=None, beam_covariance=None):
+    def __call__(
+        self, image: ArrayLike, *, mask: ArrayLike | None = None,
+        rms: float | None = None, beam_covariance: ArrayLike | None = None,
+    ) -> Decomposition:  # fmt: skip
         """
         Decompose an image.
 
@@ -216,7 +223,10 @@ class Decomposer:
             self.scales, planes.astype(np.float32), noise, ssps, missing
         )
 
-    def shared_variance(self, images, *, masks=(None, None)):
+    def shared_variance(
+        self, images: Sequence[ArrayLike], *,
+        masks: Sequence[ArrayLike | None] = (None, None),
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """
         Return the share of variance that two images have in common on each scale.
 

@@ -2,6 +2,7 @@
 """The noise of wavelet planes."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from astro_scc.decomposition.wavelet import KERNELS, scale_kernel, scale_size
@@ -80,7 +81,9 @@ def _without_source(plane, radius, valid, sigma):
     return free, sigma
 
 
-def plane_noise(plane, scale, *, mask=None):
+def plane_noise(
+    plane: np.ndarray, scale: float, *, mask: ArrayLike | None = None
+) -> float:
     """
     Measure the standard deviation of the noise of a wavelet plane in the plane.
 
@@ -220,7 +223,10 @@ def _response(kernel, level, frequency):
     return before, before * one(2**level)
 
 
-def propagated_noise(rms, scales, *, beam_covariance=None, kernel="b1"):
+def propagated_noise(
+    rms: float, scales: ArrayLike, *, beam_covariance: ArrayLike | None = None,
+    kernel: str = "b1",
+) -> np.ndarray:  # fmt: skip
     """
     Return the noise of wavelet planes for image noise of a given rms and beam.
 

@@ -1,14 +1,22 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Significant structural patterns (SSPs) of wavelet planes, and their catalogue."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 from skimage.feature import peak_local_max
 from skimage.segmentation import watershed
 
 from astro_scc.decomposition.wavelet import scale_size
+
+if TYPE_CHECKING:
+    from astro_scc.decomposition.decompose import Decomposition
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,7 +70,7 @@ class SSPs:
     pixels: np.ndarray
     epoch: np.ndarray
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.scale)
 
     def __repr__(self):
@@ -75,11 +83,11 @@ class SSPs:
         return f"<SSPs: {counts or 'none'}>"
 
     @property
-    def n_pixels(self):
+    def n_pixels(self) -> np.ndarray:
         """Number of pixels of each SSP, shape (n,)."""
         return np.diff(self.starts)
 
-    def pixels_of(self, index):
+    def pixels_of(self, index: int) -> np.ndarray:
         """
         Return the indices into the flattened image of the pixels of one SSP.
 
@@ -93,7 +101,7 @@ class SSPs:
         """
         return self.pixels[self.starts[index] : self.starts[index + 1]]
 
-    def select(self, keep):
+    def select(self, keep: np.ndarray) -> SSPs:
         """
         Return the SSPs for which ``keep``, of shape (n,), is true.
 
@@ -115,7 +123,7 @@ class SSPs:
         return SSPs(**chosen, starts=starts, pixels=pixels)
 
     @classmethod
-    def empty(cls):
+    def empty(cls) -> SSPs:
         """Return a catalogue without SSPs."""
         return cls(
             *(np.empty(0) for _ in range(8)),
@@ -126,7 +134,7 @@ class SSPs:
         )
 
     @classmethod
-    def concatenate(cls, catalogues):
+    def concatenate(cls, catalogues: Sequence[SSPs]) -> SSPs:
         """
         Join catalogues, of several scales or of several epochs.
 
@@ -149,7 +157,7 @@ class SSPs:
         return cls(**joined, starts=np.concatenate([[0], *starts]))
 
     @classmethod
-    def of_epochs(cls, decompositions):
+    def of_epochs(cls, decompositions: Sequence[Decomposition]) -> SSPs:
         """
         Join the SSPs of all decompositions, numbered by ``epoch``.
 
@@ -239,7 +247,10 @@ def _positions(plane, valid, peaks):
     return peaks[:, 0] + dy, peaks[:, 1] + dx
 
 
-def find_ssps(plane, scale, noise, *, mask=None, detection=4.0, segmentation=3.0):
+def find_ssps(
+    plane: np.ndarray, scale: float, noise: float | np.ndarray, *,
+    mask: ArrayLike | None = None, detection: float = 4.0, segmentation: float = 3.0,
+) -> SSPs:  # fmt: skip
     """
     Find the significant structural patterns of a wavelet plane.
 

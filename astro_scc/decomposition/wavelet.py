@@ -2,6 +2,7 @@
 """The isotropic undecimated ("a trous") wavelet transform."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 #: Low-pass filters by name: linear and cubic B-spline.
@@ -11,7 +12,7 @@ KERNELS = {
 }
 
 
-def scale_size(scale):
+def scale_size(scale: float) -> float:
     """
     Return the size of a scale in pixels.
 
@@ -137,7 +138,10 @@ def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
     return planes, smooth
 
 
-def wavelet_planes(image, scales, *, kernel="b1", mask=None):
+def wavelet_planes(
+    image: ArrayLike, scales: ArrayLike, *, kernel: str = "b1",
+    mask: ArrayLike | None = None,
+) -> np.ndarray:  # fmt: skip
     """
     Return the wavelet planes of chosen scales.
 

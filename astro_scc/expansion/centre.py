@@ -1,13 +1,18 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Fit the centre of a shell and the expansion rates of groups of patterns."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
 
+from astro_scc.measurement import MatchedEpochs
 from astro_scc.measurement.axes import alignment_errors
+from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.stacking.errors import jackknife_covariance
 
 #: Most kinds of one scale, by signal-to-noise ratio, and velocity samples per kind.
@@ -32,7 +37,7 @@ AZIMUTHS = 24
 class ShellFit:
     """Expansion rates of groups of SSPs from one centre."""
 
-    groups: tuple
+    groups: tuple[str, ...]
     rate: u.Quantity
     rate_err: u.Quantity
     centre: u.Quantity
@@ -41,7 +46,10 @@ class ShellFit:
     covariance: np.ndarray
 
 
-def fit_shell(scc, matched, groups=None, *, centre=None):
+def fit_shell(
+    scc: StackedCrossCorrelation, matched: MatchedEpochs | Mapping[str, MatchedEpochs],
+    groups: Mapping[str, np.ndarray] | None = None, *, centre: u.Quantity | None = None,
+) -> ShellFit:  # fmt: skip
     r"""
     Fit the centre of a shell and its expansion rates.
 

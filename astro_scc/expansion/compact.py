@@ -10,6 +10,8 @@ from scipy.ndimage import (
     maximum_filter,
 )
 
+from astro_scc.epochs import EpochCube
+
 #: Standard deviation, in widths, of the narrowest of three Gaussian filters, for which
 #: a feature of two widths is half as bright in the finer band.
 NARROWEST = 0.227
@@ -25,7 +27,9 @@ NEAR = 1.0
 POWERS = ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))
 
 
-def remove_compact(cube, width, *, threshold=5.0):
+def remove_compact(
+    cube: EpochCube, width: u.Quantity, *, threshold: float = 5.0
+) -> EpochCube:
     r"""
     Replace compact features by what surrounds them.
 

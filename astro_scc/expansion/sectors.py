@@ -9,15 +9,18 @@ from astropy.table import QTable
 
 from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame
-from astro_scc.measurement import false_discovery_rate
+from astro_scc.measurement import MatchedEpochs, false_discovery_rate
 from astro_scc.measurement.tables import stack_tables
+from astro_scc.scc import StackedCrossCorrelation
 
 #: Columns of the components that the table of sectors keeps.
 KEPT = ("kind", "coefficient", "z_score", "p_local", "p_global", "p_fdr", "n_ssp",
         "n_pairs", "n_features", "note")  # fmt: skip
 
 
-def expansion_speed(rate, radius, distance):
+def expansion_speed(
+    rate: u.Quantity, radius: u.Quantity, distance: u.Quantity
+) -> u.Quantity:
     """
     Return the speed of expansion across the line of sight.
 
@@ -46,16 +49,11 @@ def expansion_speed(rate, radius, distance):
 
 
 def measure_expansion(
-    scc,
-    matched,
-    centre,
-    radius,
-    *,
-    sectors=1,
-    distance=None,
-    n_trials=1000,
-    rng=None,
-):
+    scc: StackedCrossCorrelation, matched: MatchedEpochs, centre: u.Quantity,
+    radius: u.Quantity, *, sectors: int | u.Quantity = 1,
+    distance: u.Quantity | None = None, n_trials: int = 1000,
+    rng: np.random.Generator | int | None = None,
+) -> QTable:  # fmt: skip
     """
     Stack a shell in rates of expansion from, and rotation about, a centre.
 

@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Acceleration of a flow, from the speeds and the accelerations of its features."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -8,6 +10,7 @@ import astropy.units as u
 import numpy as np
 from scipy.special import stdtr
 
+from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import projection_of
 from astro_scc.quantities import with_error
 from astro_scc.stacking.dispersion import feature_speeds, scattered_fit
@@ -68,7 +71,7 @@ class FlowAcceleration:
         )
 
 
-def measure_acceleration(result, row=0):
+def measure_acceleration(result: SCCResult, row: int = 0) -> FlowAcceleration:
     """
     Measure the acceleration of a flow.
 

@@ -5,6 +5,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import projection_of
 from astro_scc.stacking.dispersion import feature_speeds, random_effects
 
@@ -14,7 +15,7 @@ LEAST = 5
 MOST_BINS = 8
 
 
-def feature_profile(result):
+def feature_profile(result: SCCResult) -> QTable:
     """
     Return the mean speeds of moving features in bins of distance.
 

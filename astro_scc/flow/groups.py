@@ -2,20 +2,23 @@
 """Groups of SSPs by scale or by limb, and tests whether they differ."""
 
 import warnings
+from collections.abc import Mapping
 from itertools import combinations
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
+from numpy.typing import ArrayLike
 from scipy.special import stdtr
 
 from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.kinematics import RadialFrame, RidgeLine, SkyFrame
 from astro_scc.kinematics.ridge_search import limb_masks, mean_width
-from astro_scc.measurement import select_ssps
+from astro_scc.measurement import MatchedEpochs, SCCResult, select_ssps
 from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.stacking import velocity_frame
 from astro_scc.measurement.tables import PM_UNIT
+from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.stacking.dispersion import feature_speeds, scattered_fit
 from astro_scc.stacking.search_settings import DEFAULT
 
@@ -27,7 +30,9 @@ FEWEST = 2
 CLEAR = 0.5
 
 
-def scale_groups(matched, groups):
+def scale_groups(
+    matched: MatchedEpochs, groups: Mapping[str, ArrayLike]
+) -> dict[str, np.ndarray]:
     """
     Return groups of SSPs by their scale.
 
@@ -66,7 +71,9 @@ def scale_groups(matched, groups):
     return chosen
 
 
-def limb_groups(matched, ridge, half_width):
+def limb_groups(
+    matched: MatchedEpochs, ridge: RidgeLine, half_width: u.Quantity
+) -> dict[str, np.ndarray]:
     """
     Return groups of SSPs by the position of their centroids across the ridge line.
 
@@ -114,7 +121,7 @@ def _check_groups(groups):
             raise ValueError(f"groups {a!r} and {b!r} share SSPs: they must not")
 
 
-def compare_speeds(result, groups):
+def compare_speeds(result: SCCResult, groups: Mapping[str, np.ndarray]) -> QTable:
     """
     Compare the speeds along the jet of groups of SSPs.
 
@@ -321,16 +328,11 @@ def ssp_places(scc, matched):
 
 
 def compare_positions(
-    scc,
-    matched,
-    groups,
-    *,
-    speed=None,
-    r_min=None,
-    r_max=None,
-    n_trials=999,
-    rng=None,
-):
+    scc: StackedCrossCorrelation, matched: MatchedEpochs,
+    groups: Mapping[str, np.ndarray], *, speed: u.Quantity | None = None,
+    r_min: u.Quantity | None = None, r_max: u.Quantity | None = None,
+    n_trials: int = 999, rng: np.random.Generator | int | None = None,
+) -> QTable:  # fmt: skip
     """
     Compare the positions of groups of SSPs across the jet.
 

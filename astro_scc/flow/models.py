@@ -1,11 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Models of speed against distance, and Lorentz factors from apparent speeds."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
+from numpy.typing import ArrayLike
 from scipy.special import chdtrc
 
 from astro_scc.kinematics import beta_intrinsic, lorentz_factor
@@ -56,15 +59,15 @@ class ProfileFit:
 
     model: str
     r0: u.Quantity
-    parameters: dict
-    errors: dict
+    parameters: dict[str, u.Quantity]
+    errors: dict[str, u.Quantity]
     chi2: float
     n_free: int
     aicc: float
     p_constant: float
     unit: u.UnitBase = field(repr=False)
 
-    def __call__(self, distance):
+    def __call__(self, distance: u.Quantity) -> u.Quantity:
         """
         Return the speed of the model.
 
@@ -81,7 +84,9 @@ class ProfileFit:
         return _model(self.model, r, self.r0.value, values) * self.unit
 
 
-def fit_profile(distance, speed, error, *, model="linear"):
+def fit_profile(
+    distance: u.Quantity, speed: ArrayLike, error: ArrayLike, *, model: str = "linear"
+) -> ProfileFit:
     r"""
     Fit a model to speeds at distances, weighted by their errors.
 
@@ -238,15 +243,10 @@ class LorentzProfile:
 
 
 def lorentz_profile(
-    distance,
-    beta_app,
-    error,
-    viewing_angle,
-    *,
-    angle_error=None,
-    n_trials=10000,
-    rng=None,
-):
+    distance: u.Quantity, beta_app: ArrayLike, error: ArrayLike,
+    viewing_angle: u.Quantity, *, angle_error: u.Quantity | None = None,
+    n_trials: int = 10000, rng: np.random.Generator | int | None = None,
+) -> LorentzProfile:  # fmt: skip
     r"""
     Return Lorentz factors from apparent speeds at a viewing angle.
 

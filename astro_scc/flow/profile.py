@@ -1,23 +1,37 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Velocity profile: components in bins of distance, their table and figures."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
 from astropy.table import Column, QTable
 
+from astro_scc.epochs import EpochCube
 from astro_scc.flow.groups import ssp_angles
 from astro_scc.flow.models import fit_profile
 from astro_scc.kinematics import RidgeLine, apparent_speed
 from astro_scc.kinematics.cosmology import table_in_c
-from astro_scc.measurement import component_table, false_discovery_rate, select_ssps
+from astro_scc.measurement import (
+    MatchedEpochs,
+    SCCResult,
+    component_table,
+    false_discovery_rate,
+    select_ssps,
+)
 from astro_scc.measurement.products import with_configuration, write_configuration
 from astro_scc.measurement.tables import stack_tables
+from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
 from astro_scc.stacking import stack
+
+if TYPE_CHECKING:
+    from astropy.cosmology import FLRW
 
 #: Dots per inch of the figures.
 DPI = 150
@@ -71,10 +85,10 @@ class Profile:
     """
 
     bins: u.Quantity
-    results: tuple
+    results: tuple[SCCResult | None, ...]
     along: str = "radius"
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.bins)
 
     def __repr__(self):
@@ -84,7 +98,7 @@ class Profile:
         )
 
     @cached_property
-    def components(self):
+    def components(self) -> QTable:
         """
         The components of all bins, a `~astropy.table.QTable`.
 
@@ -110,7 +124,11 @@ class Profile:
         bins = [list(map(float, b)) for b in self.bins.to_value(u.mas)]
         return stack_tables(placed, meta | {"bins": bins, "along": self.along})
 
-    def components_in_c(self, *, redshift=None, cosmology=None, distance=None):
+    def components_in_c(
+        self, *, redshift: float | str | u.Quantity | None = None,
+        cosmology: FLRW | str | dict | None = None,
+        distance: u.Quantity | str | None = None,
+    ) -> QTable:  # fmt: skip
         """
         Return the components with apparent speeds in units of c.
 
@@ -129,7 +147,7 @@ class Profile:
         )
 
     @property
-    def main(self):
+    def main(self) -> QTable:
         """The rows of `components` that are ``main`` in their bin."""
         return self.components[self.components["main"]]
 
@@ -165,16 +183,11 @@ def _main(table):
 
 
 def measure_profile(
-    scc,
-    matched,
-    edges,
-    *,
-    window=None,
-    ridge=None,
-    n_trials=1000,
-    rng=None,
-    progress_bar=False,
-):
+    scc: StackedCrossCorrelation, matched: MatchedEpochs | EpochCube,
+    edges: u.Quantity | str, *, window: u.Quantity | str | None = None,
+    ridge: RidgeLine | None = None, n_trials: int = 1000,
+    rng: np.random.Generator | int | None = None, progress_bar: bool = False,
+) -> Profile:  # fmt: skip
     """
     Measure the velocity components in bins of distance.
 
@@ -245,7 +258,10 @@ def measure_profile(
     return Profile(bins, tuple(results), "radius" if ridge is None else "ridge")
 
 
-def write_profile(profile, components, directory, *, configuration=None, text=None):
+def write_profile(
+    profile: Profile, components: QTable, directory: Path | str, *,
+    configuration: dict[str, Any] | None = None, text: str | None = None,
+) -> list[Path]:  # fmt: skip
     """
     Write the table and the figures of a profile.
 

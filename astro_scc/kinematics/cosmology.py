@@ -1,7 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Redshifts, cosmologies and distances, and apparent speeds."""
 
+from __future__ import annotations
+
 import re
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
@@ -15,12 +18,15 @@ from astro_scc.quantities import (
     to_quantity,
 )
 
+if TYPE_CHECKING:
+    from astropy.cosmology import FLRW, FlatLambdaCDM
+
 #: Redshift of the microwave background, beyond which nothing can be seen.
 LAST_SCATTERING = 1090
 _PARAMETER = re.compile(rf"\s*(\w+)\s*=\s*({NUMBER})\s*")
 
 
-def paper_cosmology():
+def paper_cosmology() -> FlatLambdaCDM:
     """
     Return the cosmology of Mertens & Lobanov (2016).
 
@@ -149,7 +155,11 @@ def to_distance(value):
     return distance
 
 
-def apparent_speed(proper_motion, *, redshift=None, cosmology=None, distance=None):
+def apparent_speed(
+    proper_motion: u.Quantity, *, redshift: float | str | u.Quantity | None = None,
+    cosmology: FLRW | str | dict | None = None,
+    distance: u.Quantity | str | None = None,
+) -> u.Quantity:  # fmt: skip
     """
     Return the apparent speed of a proper motion, in units of c.
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
+from numpy.typing import ArrayLike
 
 from astro_scc.quantities import named, one_quantity, to_quantity
 
@@ -50,7 +51,7 @@ class SkyFrame:
     #: Whether the axes are the same everywhere.
     uniform = True
 
-    def matrix(self, east=0.0, north=0.0):
+    def matrix(self, east: ArrayLike = 0.0, north: ArrayLike = 0.0) -> np.ndarray:
         """
         Return matrices that turn (east, north) into the axes of the frame.
 
@@ -109,7 +110,7 @@ class PositionAngleFrame:
         pa = named("pa", one_quantity, self.pa, "an angle", "65 deg", False)
         object.__setattr__(self, "pa", pa.to(u.deg))
 
-    def matrix(self, east=0.0, north=0.0):
+    def matrix(self, east: ArrayLike = 0.0, north: ArrayLike = 0.0) -> np.ndarray:
         """
         Return matrices that turn (east, north) into the axes of the frame.
 
@@ -168,14 +169,14 @@ class RadialFrame:
             raise ValueError(f"origin = {origin} {wanted}")
         object.__setattr__(self, "origin", origin)
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         if not isinstance(other, RadialFrame):
             return NotImplemented
         return bool(np.all(self.origin == other.origin))
 
     __hash__ = None
 
-    def matrix(self, east, north):
+    def matrix(self, east: ArrayLike, north: ArrayLike) -> np.ndarray:
         """
         Return matrices that turn (east, north) into the axes of the frame.
 
@@ -248,7 +249,7 @@ class ExpansionFrame:
         radius = named("radius", one_quantity, self.radius, "an angle", "100 arcsec")
         object.__setattr__(self, "radius", radius.to(u.mas))
 
-    def matrix(self, east, north):
+    def matrix(self, east: ArrayLike, north: ArrayLike) -> np.ndarray:
         """
         Return matrices that turn (east, north) into the axes of the frame.
 
@@ -275,7 +276,7 @@ class ExpansionFrame:
         rotation = RadialFrame(self.centre).matrix(east, north)
         return rotation * (self.radius.value / r)[..., None, None]
 
-    def displacement(self, position, motion):
+    def displacement(self, position: ArrayLike, motion: ArrayLike) -> np.ndarray:
         """
         Return displacements scaled to the radius, along the axes at their middle.
 
@@ -295,7 +296,7 @@ class ExpansionFrame:
         axes = self._scaled(east, north, r)
         return np.einsum("nai,ni->na", axes, motion)
 
-    def rate(self, speed):
+    def rate(self, speed: u.Quantity) -> u.Quantity:
         """
         Return the rate of expansion of a speed at the radius.
 

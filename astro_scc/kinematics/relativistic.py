@@ -1,10 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Speeds, angles and Doppler factors of relativistic flows and two-sided jets."""
 
+from typing import Any
+
 import astropy.units as u
 import numpy as np
 from astropy import constants
 from astropy.table import QTable
+from numpy.typing import ArrayLike
 
 from astro_scc.kinematics.cosmology import to_distance
 from astro_scc.quantities import named, to_quantity
@@ -24,7 +27,7 @@ def in_units_of_c(value):
     return speed.to_value(u.one)
 
 
-def beta_intrinsic(beta_app, viewing_angle):
+def beta_intrinsic(beta_app: ArrayLike, viewing_angle: u.Quantity) -> u.Quantity:
     """
     Return the speed of a flow from its apparent speed, in units of c.
 
@@ -58,7 +61,7 @@ def beta_intrinsic(beta_app, viewing_angle):
     return np.where(possible, beta, np.nan) * u.one
 
 
-def lorentz_factor(beta):
+def lorentz_factor(beta: ArrayLike) -> u.Quantity:
     """
     Return the Lorentz factor ``1 / sqrt(1 - beta^2)`` of a speed.
 
@@ -98,7 +101,7 @@ def minimum_lorentz_factor(beta_app):
     return np.sqrt(1 + in_units_of_c(beta_app) ** 2) * u.one
 
 
-def doppler_factor(beta, viewing_angle):
+def doppler_factor(beta: ArrayLike, viewing_angle: u.Quantity) -> u.Quantity:
     """
     Return the Doppler factor ``1 / (Gamma (1 - beta cos t))`` of a flow.
 
@@ -136,7 +139,7 @@ def maximum_viewing_angle(beta_app):
     return np.degrees(2 * np.arctan2(1, in_units_of_c(beta_app))) * u.deg
 
 
-def viewing_angle(beta_app, doppler):
+def viewing_angle(beta_app: ArrayLike, doppler: ArrayLike) -> u.Quantity:
     """
     Return the angle to the line of sight from apparent speed and Doppler factor.
 
@@ -166,8 +169,10 @@ def viewing_angle(beta_app, doppler):
 
 
 def intrinsic_table(
-    beta_app, error, *, viewing_angle=None, angle_error=None, n_trials=20000, rng=None
-):
+    beta_app: ArrayLike, error: ArrayLike, *, viewing_angle: u.Quantity | None = None,
+    angle_error: u.Quantity | None = None, n_trials: int = 20000,
+    rng: np.random.Generator | int | None = None,
+) -> QTable:  # fmt: skip
     r"""
     Return Lorentz factors, angles and Doppler factors with errors.
 
@@ -253,8 +258,10 @@ def _at_angle(beta_app, angle):
 
 
 def two_sided_jet(
-    approaching, receding, distance=None, *, errors=(0.0, 0.0), n_trials=20000, rng=None
-):
+    approaching: u.Quantity, receding: u.Quantity, distance: u.Quantity | None = None,
+    *, errors: tuple[u.Quantity | float, u.Quantity | float] = (0.0, 0.0),
+    n_trials: int = 20000, rng: np.random.Generator | int | None = None,
+) -> dict[str, Any]:  # fmt: skip
     r"""
     Return the speed and angle of two equal jets in opposite directions.
 

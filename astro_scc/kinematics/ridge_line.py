@@ -1,12 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The ridge line of a jet, with distances along it, offsets from it, and axes."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
+from numpy.typing import ArrayLike
 
 from astro_scc.kinematics.frames import axes_along
 
@@ -106,17 +109,17 @@ class RidgeLine:
         return points, s
 
     @property
-    def distances(self):
+    def distances(self) -> u.Quantity:
         """Distance along the line of each of its points, from 0."""
         points, s = self._curve
         return s[:: FINE if len(self.east) > 3 else 1] * u.mas
 
     @property
-    def length(self):
+    def length(self) -> u.Quantity:
         """Length of the line."""
         return self._curve[1][-1] * u.mas
 
-    def at(self, distance):
+    def at(self, distance: u.Quantity) -> tuple[u.Quantity, u.Quantity]:
         """
         Return the points of the line at some distances along it.
 
@@ -138,7 +141,7 @@ class RidgeLine:
             (p + beyond * direction[..., k]) * u.mas for k, p in enumerate(place)
         )
 
-    def position_angle(self, distance):
+    def position_angle(self, distance: u.Quantity) -> u.Quantity:
         """
         Return the direction of the line, north through east.
 
@@ -156,7 +159,9 @@ class RidgeLine:
         )
         return np.degrees(np.arctan2(east, north)) % 360 * u.deg
 
-    def coordinates(self, east, north):
+    def coordinates(
+        self, east: u.Quantity, north: u.Quantity
+    ) -> tuple[u.Quantity, u.Quantity]:
         """
         Return the distance along the line and the offset from it.
 
@@ -174,7 +179,7 @@ class RidgeLine:
         s, n = self._project(np.stack(np.broadcast_arrays(x, y), axis=-1))
         return s * u.mas, n * u.mas
 
-    def matrix(self, east, north):
+    def matrix(self, east: ArrayLike, north: ArrayLike) -> np.ndarray:
         """
         Return matrices that turn (east, north) into the axes of the frame.
 
@@ -193,7 +198,7 @@ class RidgeLine:
         sin, cos = np.moveaxis(self._direction(s), -1, 0)
         return axes_along(sin, cos)
 
-    def displacement(self, position, motion):
+    def displacement(self, position: ArrayLike, motion: ArrayLike) -> np.ndarray:
         """
         Return displacements as changes of s and n.
 
@@ -250,7 +255,7 @@ class RidgeLine:
             n = np.where(better, np.copysign(np.sqrt(square), side), n)
         return s.reshape(places.shape[:-1]), n.reshape(places.shape[:-1])
 
-    def to_table(self):
+    def to_table(self) -> QTable:
         """
         Return the points of the line as a table.
 
@@ -270,7 +275,7 @@ class RidgeLine:
         return QTable(columns, meta=dict(self.meta))
 
     @classmethod
-    def from_table(cls, table):
+    def from_table(cls, table: QTable) -> RidgeLine:
         """
         Return the ridge line in a table of `to_table`.
 

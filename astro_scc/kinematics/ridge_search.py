@@ -1,12 +1,19 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The ridge line and the position angle of a jet, from its mean image."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import astropy.units as u
 import numpy as np
 
 from astro_scc.kinematics.frames import PositionAngleFrame, RadialFrame
 from astro_scc.kinematics.ridge_line import RidgeLine, lengths_of
 from astro_scc.quantities import named, one_quantity
+
+if TYPE_CHECKING:
+    from astro_scc.epochs import EpochCube
 
 #: Step of the search, in beams.
 STEP = 0.25
@@ -16,7 +23,9 @@ APART = 3.0
 SLICE = 61
 
 
-def fit_position_angle(cube, *, origin=None, threshold=5.0):
+def fit_position_angle(
+    cube: EpochCube, *, origin: u.Quantity | None = None, threshold: float = 5.0
+) -> tuple[u.Quantity, u.Quantity]:
     r"""
     Return the position angle of a jet, from the mean of its images.
 
@@ -84,15 +93,11 @@ def _jackknife(sums, total):
 
 
 def find_ridge_line(
-    cube,
-    *,
-    position_angle=None,
-    origin=None,
-    half_width=None,
-    smoothing=None,
-    threshold=5.0,
-    r_max=None,
-):
+    cube: EpochCube, *, position_angle: u.Quantity | None = None,
+    origin: u.Quantity | None = None, half_width: u.Quantity | None = None,
+    smoothing: u.Quantity | None = None, threshold: float = 5.0,
+    r_max: u.Quantity | None = None,
+) -> RidgeLine:  # fmt: skip
     """
     Follow the brightest line of a jet in the mean of its images.
 

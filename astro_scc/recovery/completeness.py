@@ -5,12 +5,15 @@ import math
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product, repeat
+from typing import Any
 
 import astropy.units as u
 import numpy as np
 from astropy.stats import binom_conf_interval
+from astropy.table import QTable
 from threadpoolctl import threadpool_limits
 
+from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import versions
@@ -26,6 +29,7 @@ from astro_scc.recovery.injection import (
     recovered,
     velocity_along,
 )
+from astro_scc.scc import StackedCrossCorrelation
 
 #: Largest difference of a component's velocity from that of the features, in beams
 #: over the median interval.
@@ -59,23 +63,13 @@ COLUMNS = {
 
 
 def completeness(
-    cube,
-    scc,
-    *,
-    speeds,
-    fluxes,
-    position_angle=None,
-    region=None,
-    n_features=10,
-    n_injections=30,
-    n_trials=200,
-    scatter=0.1,
-    tolerance=None,
-    fwhm=None,
-    rng=None,
-    n_workers=1,
-    progress_bar=False,
-):
+    cube: EpochCube, scc: StackedCrossCorrelation, *, speeds: u.Quantity,
+    fluxes: u.Quantity | float, position_angle: u.Quantity | str | None = None,
+    region: Any = None, n_features: float = 10, n_injections: int = 30,
+    n_trials: int = 200, scatter: float = 0.1, tolerance: u.Quantity | None = None,
+    fwhm: u.Quantity | None = None, rng: np.random.Generator | int | None = None,
+    n_workers: int = 1, progress_bar: bool = False,
+) -> QTable:  # fmt: skip
     """
     Inject moving features into epochs and count how often they are found.
 

@@ -1,11 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Inject moving features into epochs, and find the component that they cause."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
+from numpy.typing import ArrayLike
 
+from astro_scc.epochs import EpochCube
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
 from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.kinematics import RadialFrame
@@ -34,8 +38,10 @@ class FeaturePaths:
 
 
 def draw_paths(
-    cube, area, *, speed, position_angle, n_features=10, scatter=None, rng=None
-):
+    cube: EpochCube, area: ArrayLike, *, speed: u.Quantity,
+    position_angle: u.Quantity | str, n_features: float = 10,
+    scatter: u.Quantity | None = None, rng: np.random.Generator | int | None = None,
+) -> FeaturePaths:  # fmt: skip
     """
     Draw features that flow through an area at one speed.
 
@@ -140,7 +146,10 @@ def _is_inside(line, area):
     return known & area[np.clip(y, 0, ny - 1), np.clip(x, 0, nx - 1)]
 
 
-def inject(cube, paths, peak, *, fwhm=None):
+def inject(
+    cube: EpochCube, paths: FeaturePaths, peak: u.Quantity, *,
+    fwhm: u.Quantity | None = None,
+) -> EpochCube:  # fmt: skip
     """
     Add features with the shape of each epoch's beam to a cube.
 

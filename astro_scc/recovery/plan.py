@@ -1,10 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Plan observations: the number and spacing of epochs that distinguish two speeds."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import astropy.units as u
 import numpy as np
+from astropy.table import QTable, Row
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.measurement import versions
@@ -62,22 +65,13 @@ for _name, _text in FRACTIONS.items():
 
 
 def plan(
-    *,
-    speeds,
-    beam,
-    n_epochs,
-    intervals,
-    position_angle=None,
-    field=None,
-    n_jets=20,
-    n_trials=200,
-    alpha=0.05,
-    wanted=0.9,
-    rng=None,
-    n_workers=1,
-    progress_bar=False,
-    **options,
-):
+    *, speeds: u.Quantity, beam: Beam | u.Quantity, n_epochs: int | Sequence[int],
+    intervals: u.Quantity | Sequence[u.Quantity],
+    position_angle: u.Quantity | None = None, field: u.Quantity | None = None,
+    n_jets: int = 20, n_trials: int = 200, alpha: float = 0.05, wanted: float = 0.9,
+    rng: np.random.Generator | int | None = None, n_workers: int = 1,
+    progress_bar: bool = False, **options: Any,
+) -> QTable:  # fmt: skip
     """
     Find the number and spacing of epochs that distinguish two speeds.
 
@@ -227,7 +221,7 @@ def plan(
     return table
 
 
-def smallest_plan(table, wanted=0.9):
+def smallest_plan(table: QTable, wanted: float = 0.9) -> Row | None:
     """
     Return the smallest row of a plan that reaches a share.
 

@@ -4,13 +4,16 @@
 import base64
 import io
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+from astropy.table import QTable
 
 from astro_scc.flow import feature_profile, measure_acceleration
 from astro_scc.flow.groups import compare_scales
+from astro_scc.measurement import SCCResult
 from astro_scc.measurement.sensitivity import sensitivity_line
 from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
@@ -30,18 +33,12 @@ NUMBERS = "no one two three four five six seven eight nine".split()
 
 
 def write_report(
-    result,
-    directory,
-    *,
-    components=None,
-    title=None,
-    warnings=(),
-    left_out=(),
-    chosen=(),
-    rerun=None,
-    explore=None,
-    config_text=None,
-):
+    result: SCCResult, directory: Path | str, *, components: QTable | None = None,
+    title: str | None = None, warnings: Sequence[str] = (),
+    left_out: Sequence[str | tuple[str, str]] = (), chosen: Sequence[str] = (),
+    rerun: str | None = None, explore: str | None = None,
+    config_text: str | None = None,
+) -> Path:  # fmt: skip
     """
     Write a self-contained HTML page on a measurement, and its figures.
 

@@ -1,6 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Simulate images of a jet whose features move at known velocities."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -8,6 +11,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
+from numpy.typing import ArrayLike
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.epochs.cube import EpochCube
@@ -43,7 +47,7 @@ class SimulatedJet:
 
     cube: EpochCube
     truth: QTable
-    simulation: "JetSimulation"
+    simulation: JetSimulation
 
     def __repr__(self):
         return (
@@ -138,17 +142,17 @@ class JetSimulation:
     (4, 128, 256)
     """
 
-    streams: tuple[Stream | Flow, ...]
+    streams: Sequence[Stream | Flow]
     name: str = "simulated jet"
     n_epochs: int = 10
     interval: u.Quantity = 30 * u.day
     dates: Time | None = None
     shape: tuple[int, int] = (128, 256)
     pixel_scale: u.Quantity = 0.1 * u.mas
-    beams: Beam | tuple[Beam, ...] = field(
+    beams: Beam | Sequence[Beam] = field(
         default_factory=lambda: Beam(1 * u.mas, 1 * u.mas)
     )
-    noise: float | tuple[float, ...] = 0.002
+    noise: float | Sequence[float] = 0.002
     extent: tuple[float, float] = (20.0, 220.0)
     axis: float = 64.0
     taper: float = 10.0
@@ -193,27 +197,30 @@ class JetSimulation:
         object.__setattr__(self, "noise", tuple(float(n) for n in noise))
 
     @property
-    def velocity_unit(self):
+    def velocity_unit(self) -> u.Quantity:
         """Return the proper motion of one pixel per interval."""
         return (self.pixel_scale / self.interval).to(u.mas / u.yr)
 
     @property
-    def beam_length(self):
+    def beam_length(self) -> float:
         """Return the mean full width of the beams, ``sqrt(major minor)``, in pixels."""
         areas = [(b.major * b.minor / self.pixel_scale**2) for b in self.beams]
         return float(np.sqrt(np.mean(u.Quantity(areas).to_value(u.one))))
 
     @property
-    def times(self):
+    def times(self) -> np.ndarray:
         """Return the dates in intervals from the first."""
         return ((self.dates - self.dates[0]).to(u.day) / self.interval).to_value(u.one)
 
     @property
-    def length(self):
+    def length(self) -> float:
         """Return the length of the jet in beams."""
         return (self.extent[1] - self.extent[0]) / self.beam_length
 
-    def place(self, group, along, across, flux, fwhm):
+    def place(
+        self, group: str, along: np.ndarray, across: np.ndarray, flux: np.ndarray,
+        fwhm: np.ndarray,
+    ) -> Features:  # fmt: skip
         """
         Return features whose positions are given in beams from the start of the jet.
 
@@ -230,7 +237,7 @@ class JetSimulation:
         x, y = self.extent[0] + beam * along, self.axis + beam * across
         return Features(np.full(len(x), group), x, y, flux, beam * fwhm)
 
-    def visibility(self, x):
+    def visibility(self, x: ArrayLike) -> np.ndarray:
         """
         Return the fraction of the flux that is seen at x, in pixels from 0.
 
@@ -251,7 +258,7 @@ class JetSimulation:
         ramp = np.clip(np.nan_to_num(inside / self.taper), 0, 1)
         return 0.5 * (1 - np.cos(np.pi * ramp))
 
-    def covariance(self, beam):
+    def covariance(self, beam: Beam) -> np.ndarray:
         """
         Return the covariance of a beam over (x, y) in pixels squared.
 
@@ -267,7 +274,7 @@ class JetSimulation:
         flip = np.diag([-1.0, 1.0])
         return flip @ beam.covariance.to_value(u.mas**2) @ flip / scale**2
 
-    def run(self, *, rng=None):
+    def run(self, *, rng: np.random.Generator | int | None = None) -> SimulatedJet:
         """
         Draw one jet and make its images.
 
@@ -442,7 +449,9 @@ def _plain(value):
     return value
 
 
-def write_simulation(jet, directory, *, overwrite=False):
+def write_simulation(
+    jet: SimulatedJet, directory: Path | str, *, overwrite: bool = False
+) -> list[Path]:
     """
     Write a simulated jet: one FITS image per epoch, and ``truth.ecsv``.
 

@@ -1,7 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Simulate the jets of the paper's tests, realistic jets, and shells."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -11,7 +15,7 @@ from astropy.time import Time
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.restoring import add_gaussians
-from astro_scc.simulation.jets import JetSimulation
+from astro_scc.simulation.jets import JetSimulation, SimulatedJet
 from astro_scc.simulation.streams import Flow, Stream
 
 # About the beam of the VLBA at 15 GHz.
@@ -19,8 +23,10 @@ BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 
 
 def simulate_two_fluid(
-    *, slow=5.0, fast=20.0, densities=None, dense=False, jitter=2.0, rng=None, **options
-):
+    *, slow: float | u.Quantity = 5.0, fast: float | u.Quantity = 20.0,
+    densities: tuple[float, float] | None = None, dense: bool = False,
+    jitter: float = 2.0, rng: np.random.Generator | int | None = None, **options: Any,
+) -> SimulatedJet:  # fmt: skip
     """
     Simulate the paper's two-fluid jet, a slow sheath around a fast spine.
 
@@ -75,8 +81,9 @@ def simulate_two_fluid(
 
 
 def simulate_random_velocity(
-    *, dx=(0.0, 40.0), dy=(-5.0, 5.0), density=1.8, rng=None, **options
-):
+    *, dx: tuple[float, float] = (0.0, 40.0), dy: tuple[float, float] = (-5.0, 5.0),
+    density: float = 1.8, rng: np.random.Generator | int | None = None, **options: Any,
+) -> SimulatedJet:  # fmt: skip
     """
     Simulate features that take a new random velocity at every epoch.
 
@@ -111,8 +118,10 @@ def simulate_random_velocity(
 
 
 def simulate_ballistic(
-    *, dx=(0.0, 40.0), dy=(-5.0, 5.0), density=1.8, jitter=0.0, rng=None, **options
-):
+    *, dx: tuple[float, float] = (0.0, 40.0), dy: tuple[float, float] = (-5.0, 5.0),
+    density: float = 1.8, jitter: float = 0.0,
+    rng: np.random.Generator | int | None = None, **options: Any,
+) -> SimulatedJet:  # fmt: skip
     """
     Simulate features that each keep a random velocity of their own.
 
@@ -148,7 +157,10 @@ def simulate_ballistic(
     return _run("ballistic", (stream,), rng, options)
 
 
-def simulate_static(*, density=1.8, rng=None, **options):
+def simulate_static(
+    *, density: float = 1.8, rng: np.random.Generator | int | None = None,
+    **options: Any,
+) -> SimulatedJet:  # fmt: skip
     """
     Simulate features that stand still, with noise that differs at every epoch.
 
@@ -175,7 +187,10 @@ def simulate_static(*, density=1.8, rng=None, **options):
     return _run("static", (stream,), rng, options)
 
 
-def simulate_unrelated(*, density=1.8, rng=None, **options):
+def simulate_unrelated(
+    *, density: float = 1.8, rng: np.random.Generator | int | None = None,
+    **options: Any,
+) -> SimulatedJet:  # fmt: skip
     """
     Simulate unrelated epochs.
 
@@ -205,29 +220,16 @@ def simulate_unrelated(*, density=1.8, rng=None, **options):
 
 
 def simulate_jet(
-    *,
-    n_epochs=15,
-    interval=0.2 * u.yr,
-    interval_scatter=0.8,
-    dates=None,
-    streams=None,
-    standing=0,
-    core_flux=1.0,
-    flux_variation=0.35,
-    memory=3.0,
-    alignment_error=0.0,
-    ripple=0.0,
-    bowl=0.0,
-    noise=0.0003,
-    noise_scatter=0.3,
-    length=16.0,
-    position_angle=270 * u.deg,
-    beam=BEAM,
-    pixel_scale=0.1 * u.mas,
-    shape=None,
-    rng=None,
-    **flow,
-):
+    *, n_epochs: int = 15, interval: u.Quantity = 0.2 * u.yr,
+    interval_scatter: float = 0.8, dates: Time | None = None,
+    streams: Sequence[Flow] | None = None, standing: int | Sequence[float] = 0,
+    core_flux: float = 1.0, flux_variation: float = 0.35, memory: float = 3.0,
+    alignment_error: float = 0.0, ripple: float = 0.0, bowl: float = 0.0,
+    noise: float = 0.0003, noise_scatter: float = 0.3, length: float = 16.0,
+    position_angle: u.Quantity = 270 * u.deg, beam: Beam | Sequence[Beam] = BEAM,
+    pixel_scale: u.Quantity = 0.1 * u.mas, shape: tuple[int, int] | None = None,
+    rng: np.random.Generator | int | None = None, **flow: Any,
+) -> SimulatedJet:  # fmt: skip
     """
     Simulate a jet as surveys of blazars see it.
 
@@ -370,21 +372,13 @@ class SimulatedShell:
 
 
 def simulate_shell(
-    *,
-    knot_rate=0.11 * u.percent / u.yr,
-    ring_rate=0.07 * u.percent / u.yr,
-    n_epochs=6,
-    interval=5 * u.yr,
-    n_knots=50,
-    n_clumps=24,
-    radius=100 * u.arcsec,
-    pixel_scale=1 * u.arcsec,
-    centre=(6.0, -4.0) * u.arcsec,
-    size=288,
-    counts=400.0,
-    background=20.0,
-    rng=None,
-):
+    *, knot_rate: u.Quantity = 0.11 * u.percent / u.yr,
+    ring_rate: u.Quantity = 0.07 * u.percent / u.yr, n_epochs: int = 6,
+    interval: u.Quantity = 5 * u.yr, n_knots: int = 50, n_clumps: int = 24,
+    radius: u.Quantity = 100 * u.arcsec, pixel_scale: u.Quantity = 1 * u.arcsec,
+    centre: u.Quantity = (6.0, -4.0) * u.arcsec, size: int = 288, counts: float = 400.0,
+    background: float = 20.0, rng: np.random.Generator | int | None = None,
+) -> SimulatedShell:  # fmt: skip
     """
     Simulate a shell of small knots and large clumps that expand at two rates.
 

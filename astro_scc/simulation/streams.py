@@ -1,13 +1,19 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Groups of features that share one law of motion."""
 
-from collections.abc import Callable
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import astropy.units as u
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import ndtri
+
+if TYPE_CHECKING:
+    from astro_scc.simulation.jets import JetSimulation
 
 DISTRIBUTIONS = ("normal", "lognormal", "uniform")
 MOTIONS = ("steady", "random", "unrelated")
@@ -140,7 +146,7 @@ class Stream:
                     f"or a function of (x, y), got {value}"
                 )
 
-    def features(self, jet, rng):
+    def features(self, jet: JetSimulation, rng: np.random.Generator) -> Features:
         """
         Draw the features, and follow the visible ones over the epochs.
 
@@ -284,7 +290,7 @@ class Flow:
     dispersion: float = 0.1
     distribution: str = "normal"
     n_features: float = 8
-    positions: tuple[float, ...] | None = None
+    positions: Sequence[float] | None = None
     acceleration: float = 1.0
     flux: float = 0.2
     flux_scatter: float = 0.5
@@ -318,7 +324,7 @@ class Flow:
         if self.acceleration == 0:
             raise ValueError(f"flow {self.name!r}: acceleration must be positive")
 
-    def speeds(self, quantile):
+    def speeds(self, quantile: ArrayLike) -> np.ndarray:
         """
         Return the speeds in beams per interval at quantiles of the features.
 
@@ -340,7 +346,7 @@ class Flow:
             factor = np.exp(self.dispersion * (ndtri(quantile) - self.dispersion / 2))
         return self.speed * np.maximum(factor, SLOWEST)
 
-    def features(self, jet, rng):
+    def features(self, jet: JetSimulation, rng: np.random.Generator) -> Features:
         """
         Draw the features and follow them over the epochs.
 

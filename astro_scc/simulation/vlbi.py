@@ -11,6 +11,7 @@ from astropy.coordinates import EarthLocation
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.epochs.restoring import add_gaussians
+from astro_scc.simulation.jets import SimulatedJet
 
 # North latitude and west longitude in degrees, elevation in m (Napier 1995).
 STATIONS = {
@@ -33,16 +34,11 @@ LOOP_GAIN, WINDOW, STOP = 0.1, 3.0, 3.0
 
 
 def observe(
-    jet,
-    *,
-    declination=20 * u.deg,
-    frequency=15.4 * u.GHz,
-    n_scans=8,
-    gain_error=0.005,
-    beam=None,
-    n_iterations=2000,
-    rng=None,
-):
+    jet: SimulatedJet, *, declination: u.Quantity = 20 * u.deg,
+    frequency: u.Quantity = 15.4 * u.GHz, n_scans: int = 8, gain_error: float = 0.005,
+    beam: Beam | None = None, n_iterations: int = 2000,
+    rng: np.random.Generator | int | None = None,
+) -> SimulatedJet:  # fmt: skip
     """
     Observe a simulated jet with the VLBA, and image it with CLEAN.
 

@@ -1,9 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The displacement-interval diagram, its rays, and its permutations."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from astro_scc.stacking.search_settings import SearchSettings
@@ -171,14 +174,17 @@ class Rays:
     """
 
     speed: np.ndarray
-    bins: "IntervalBins"
+    bins: IntervalBins
     radius: float
     shortest: float
-    intervals: tuple
+    intervals: tuple[float, float]
     settings: SearchSettings
 
     @classmethod
-    def of(cls, years, radius, settings, fastest=np.inf, intervals=(0.0, np.inf)):
+    def of(
+        cls, years: np.ndarray, radius: float, settings: SearchSettings,
+        fastest: float = np.inf, intervals: tuple[float, float] = (0.0, np.inf),
+    ) -> Rays:  # fmt: skip
         """
         Return the rays for some dates.
 
@@ -222,7 +228,7 @@ class Rays:
             settings=settings,
         )
 
-    def weight(self, motion, interval):
+    def weight(self, motion: ArrayLike, interval: ArrayLike) -> np.ndarray:
         """
         Return the weights of intervals, by the motion of a speed in them.
 
@@ -246,7 +252,7 @@ class Rays:
         used = (interval >= self.intervals[0]) & (interval <= self.intervals[1])
         return near * far * used
 
-    def matrix(self, speed, grid):
+    def matrix(self, speed: np.ndarray, grid: np.ndarray) -> csr_array:
         """
         Return the matrix that sums a diagram over rays.
 

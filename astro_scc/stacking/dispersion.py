@@ -1,12 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Mean and dispersion of the speeds of features, and the number of their streams."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from astro_scc.stacking.search_settings import DEFAULT
+from astro_scc.stacking.search_settings import DEFAULT, SearchSettings
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,9 @@ class Population:
     dispersion_error: float
 
 
-def random_effects(values, errors, settings=DEFAULT):
+def random_effects(
+    values: ArrayLike, errors: ArrayLike, settings: SearchSettings = DEFAULT
+) -> Population:
     """
     Return the mean and dispersion of values that differ by more than their errors.
 

@@ -1,11 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Features: SSPs that follow a straight line through the epochs."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from astro_scc.stacking.search_settings import DEFAULT
+from astro_scc.stacking.search_settings import DEFAULT, SearchSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +54,14 @@ class Feature:
     acceleration: float = np.nan
     acceleration_error: float = np.nan
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.ssp)
 
     @classmethod
-    def through(cls, ssp, years, position, settings=DEFAULT):
+    def through(
+        cls, ssp: np.ndarray, years: np.ndarray, position: np.ndarray,
+        settings: SearchSettings = DEFAULT,
+    ) -> Feature:  # fmt: skip
         """
         Fit a straight line to the positions of SSPs.
 

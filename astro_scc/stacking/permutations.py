@@ -1,15 +1,20 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Permutations of the epochs, along the rays of the diagram and in stacks."""
 
+from __future__ import annotations
+
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from astro_scc.stacking.diagram import PairDensity
-from astro_scc.stacking.search_settings import DEFAULT
+from astro_scc.stacking.diagram import PairDensity, Rays
+from astro_scc.stacking.search_settings import DEFAULT, SearchSettings
+from astro_scc.stacking.velocities import VelocitySamples
 
 #: Standard deviations of stacks are at least this fraction of the largest one.
 STD_FLOOR = 0.01
@@ -104,7 +109,10 @@ class EpochPermutations:
     smallest_p: float
 
     @classmethod
-    def of(cls, axes, rays, n_trials, rng, settings, *, outward=False):
+    def of(
+        cls, axes: Sequence[VelocitySamples], rays: Rays, n_trials: int,
+        rng: np.random.Generator, settings: SearchSettings, *, outward: bool = False,
+    ) -> EpochPermutations:  # fmt: skip
         """
         Permute the epochs.
 
@@ -154,11 +162,11 @@ class EpochPermutations:
         )
 
     @cached_property
-    def maxima(self):
+    def maxima(self) -> np.ndarray:
         """Largest z of each permutation over axes and speeds, ascending."""
         return np.sort(self.permuted.max(axis=(1, 2)))
 
-    def largest(self):
+    def largest(self) -> tuple[int, float]:
         """
         Return the axis and speed with the largest z.
 
@@ -181,7 +189,7 @@ class EpochPermutations:
             speed *= np.exp(shift * np.log(abs(self.speed[k + 1] / speed)))
         return int(axis), float(speed)
 
-    def significance(self, axis, speed):
+    def significance(self, axis: int, speed: ArrayLike) -> np.ndarray:
         """
         Return z at speeds, interpolated between grid points.
 
@@ -199,7 +207,7 @@ class EpochPermutations:
         slow = self.speed[self.speed > 0].min()
         return np.where(np.abs(speed) < slow, -np.inf, found)
 
-    def p_values(self, axis, speed):
+    def p_values(self, axis: int, speed: float) -> tuple[float, float]:
         """
         Return the probabilities of as large a z at this speed, and at any speed.
 

@@ -154,11 +154,11 @@ class SearchSettings:
     lone_dispersion: float = 0.15
     not_followed: float = 0.5
     fewest_of_two: int = 4
-    one_dispersions: tuple = (
+    one_dispersions: tuple[float, ...] = (
         0.01, 0.03, 0.05, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6,
         0.7, 0.8, 1.0,
     )  # fmt: skip
-    two_dispersions: tuple = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25)
+    two_dispersions: tuple[float, ...] = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25)
     least_std: float = 0.3
     all_orders_of: int = 6
 

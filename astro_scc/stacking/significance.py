@@ -11,9 +11,14 @@ straight line in time, and a stream is a group of features whose speeds scatter 
 one mean.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from astro_scc.stacking.diagram import Diagram, Rays
 from astro_scc.stacking.dispersion import (
@@ -22,7 +27,12 @@ from astro_scc.stacking.dispersion import (
     random_effects,
     separate_streams,
 )
-from astro_scc.stacking.features import clear_of, find_features, standing_features
+from astro_scc.stacking.features import (
+    Feature,
+    clear_of,
+    find_features,
+    standing_features,
+)
 from astro_scc.stacking.permutations import EpochPermutations
 from astro_scc.stacking.search_settings import SearchSettings
 from astro_scc.stacking.velocities import VelocitySamples
@@ -72,7 +82,7 @@ class Stream:
     p_local: float = 1.0
     p_global: float = 1.0
     p_distinct: float = 1.0
-    features: tuple = field(default=(), repr=False)
+    features: tuple[Feature, ...] = field(default=(), repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,25 +123,19 @@ class Search:
     (0.0, array([1., 2., 3., 4., 5., 6., 7.]))
     """
 
-    streams: tuple
+    streams: tuple[Stream, ...]
     diagram: Diagram
     angle: float
     permutations: EpochPermutations
 
 
 def find_streams(
-    project,
-    angles,
-    radius,
-    *,
-    alpha=0.05,
-    n_trials=1000,
-    rng,
-    outward=False,
-    fastest=np.inf,
-    intervals=(0.0, np.inf),
-    settings=None,
-):
+    project: Callable[..., Any], angles: ArrayLike, radius: float, *,
+    alpha: float = 0.05, n_trials: int = 1000, rng: np.random.Generator,
+    outward: bool = False, fastest: float = np.inf,
+    intervals: tuple[float, float] = (0.0, np.inf),
+    settings: SearchSettings | None = None,
+) -> Search:  # fmt: skip
     """
     Find the streams whose motion permuted epochs do not show.
 

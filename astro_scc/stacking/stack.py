@@ -1,11 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The stacked cross-correlation on a grid of velocities, and its maxima."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from astro_scc.correlation.zncc import find_peaks
+from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
 
 #: Matches that are summed at once, to limit memory.
 BLOCK = 16384
@@ -101,7 +105,10 @@ def number_of_ssps(samples, pairs, order=None):
     return np.where(number > 0, number, np.inf)
 
 
-def stack(samples, pairs, grid, *, order=None):
+def stack(
+    samples: VelocitySamples, pairs: DatePairs, grid: VelocityGrid, *,
+    order: ArrayLike | None = None,
+) -> np.ndarray:  # fmt: skip
     r"""
     Stack the correlation peaks of all SSPs and pairs of epochs.
 
@@ -235,7 +242,10 @@ def fit_gaussian(values, x, y):
     return tuple(map(float, found))
 
 
-def find_velocity_peaks(scc, grid, box, *, threshold=0.0):
+def find_velocity_peaks(
+    scc: np.ndarray, grid: VelocityGrid, box: tuple[float, float], *,
+    threshold: float = 0.0,
+) -> list[VelocityPeak]:  # fmt: skip
     """
     Find the maxima of a stack and fit a Gaussian to a box around each.
 

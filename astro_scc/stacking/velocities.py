@@ -1,9 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Velocity samples, pairs of dates, and the grid of velocities."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -69,35 +72,35 @@ class VelocitySamples:
     scale: np.ndarray | None = None
     years: np.ndarray | None = None
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.d1)
 
     @property
-    def n_epochs(self):
+    def n_epochs(self) -> int:
         """Number of epochs."""
         return len(self.n_ssps)
 
     @property
-    def interval(self):
+    def interval(self) -> np.ndarray:
         """Time from the SSP's epoch to that of its match, in years, signed."""
         return self.years[self.target] - self.years[self.reference]
 
     @property
-    def velocity(self):
+    def velocity(self) -> np.ndarray:
         """Velocity in the coordinates of the positions, (n, 2)."""
         return self.motion * (1 / self.interval)[:, None]
 
     @property
-    def middle(self):
+    def middle(self) -> np.ndarray:
         """Position of the feature midway between the epochs, (n, 2)."""
         return self.position[self.ssp] + 0.5 * self.motion
 
     @property
-    def sigma(self):
+    def sigma(self) -> np.ndarray:
         """Standard error of the displacement, geometric mean of both axes."""
         return np.sqrt(self.s1 * self.s2)
 
-    def select(self, keep):
+    def select(self, keep: ArrayLike) -> VelocitySamples:
         """
         Return a selection of the samples, with the same SSPs and dates.
 
@@ -114,7 +117,7 @@ class VelocitySamples:
             self, **{k: v[keep] for k, v in columns.items() if v is not None}
         )
 
-    def without_ssps(self, taken):
+    def without_ssps(self, taken: np.ndarray) -> VelocitySamples:
         """
         Return the samples that neither start nor end at the ``taken`` SSPs.
 
@@ -129,7 +132,7 @@ class VelocitySamples:
         there = np.where(self.target_ssp >= 0, taken[self.target_ssp], False)
         return self.select(~(taken[self.ssp] | there))
 
-    def within(self, pairs, limit):
+    def within(self, pairs: DatePairs, limit: tuple[float, float]) -> VelocitySamples:
         """
         Return the samples of pairs of dates, matched in either direction.
 
@@ -184,10 +187,10 @@ class DatePairs:
     weight: np.ndarray
     n_dates: int
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.first)
 
-    def images(self, order):
+    def images(self, order: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """
         Return the ordered pairs of images for an order of the images over the dates.
 
@@ -211,7 +214,7 @@ def _pairs(years, first, second, weight=None):
     return DatePairs(first, second, interval, weight, len(years))
 
 
-def consecutive_pairs(years):
+def consecutive_pairs(years: ArrayLike) -> DatePairs:
     """
     Return the pairs of each date and the next one, as in the paper.
 
@@ -237,7 +240,7 @@ def consecutive_pairs(years):
     return _pairs(years, first, first + 1)
 
 
-def baseline_pairs(years, shortest, longest):
+def baseline_pairs(years: ArrayLike, shortest: float, longest: float) -> DatePairs:
     """
     Return all pairs of dates whose separation lies in a range.
 
@@ -308,22 +311,25 @@ class VelocityGrid:
     v2: np.ndarray
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, int]:
         """Shape of a map, (n2, n1)."""
         return len(self.v2), len(self.v1)
 
     @property
-    def step(self):
+    def step(self) -> tuple[float, float]:
         """Spacing of the velocities along both axes."""
         return self.v1[1] - self.v1[0], self.v2[1] - self.v2[0]
 
     @property
-    def v_max(self):
+    def v_max(self) -> tuple[float, float]:
         """Largest velocity along both axes."""
         return self.v1[-1], self.v2[-1]
 
     @classmethod
-    def covering(cls, v_max, step, *, max_size=601):
+    def covering(
+        cls, v_max: float | tuple[float, float], step: float | tuple[float, float], *,
+        max_size: int = 601,
+    ) -> VelocityGrid:  # fmt: skip
         """
         Return the grid that reaches a velocity in every direction.
 

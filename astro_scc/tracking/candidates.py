@@ -1,10 +1,17 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Candidates for links: pairs of SSPs that may be one feature at two epochs."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from astro_scc.correlation import Matches
+from astro_scc.decomposition import SSPs
 from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 
 #: Distance in beams beyond which features are distinguished from the core.
@@ -51,18 +58,18 @@ class Candidates:
     gap: np.ndarray
     coefficient: np.ndarray
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.source)
 
     def __repr__(self):
         return f"<Candidates: {len(self)} of {len(np.unique(self.source))} SSPs>"
 
     @property
-    def motion(self):
+    def motion(self) -> np.ndarray:
         """Displacements (y, x), shape (n, 2)."""
         return np.stack([self.dy, self.dx], axis=1)
 
-    def select(self, keep):
+    def select(self, keep: ArrayLike) -> Candidates:
         """
         Return some of the candidates.
 
@@ -79,8 +86,10 @@ class Candidates:
 
 
 def find_candidates(
-    matches, target_ssp, ssps, years, *, place=None, max_gap=1, inside=None
-):
+    matches: Matches, target_ssp: ArrayLike, ssps: SSPs, years: ArrayLike, *,
+    place: ArrayLike | None = None, max_gap: int = 1,
+    inside: Callable[..., Any] | None = None,
+) -> Candidates:  # fmt: skip
     """
     Return the candidates among the correlation peaks.
 

@@ -4,10 +4,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from astro_scc.decomposition import scale_size
-from astro_scc.tracking.candidates import equal_pairs, rank_in_group
+from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.tracking.candidates import Candidates, equal_pairs, rank_in_group
 
 #: Largest distance of neighbours, in units of the sum of their radii.
 NEAR = 1.2
@@ -75,7 +76,7 @@ class LinkLikelihood:
         if not self.missing >= 0:
             raise ValueError(f"missing must be 0 or more, got {self.missing}")
 
-    def correlation(self, coefficient):
+    def correlation(self, coefficient: np.ndarray) -> np.ndarray:
         """
         Return the term of the correlation, the log ratio of two exponentials.
 
@@ -92,7 +93,7 @@ class LinkLikelihood:
         a, b = self.decorrelation, self.chance_decorrelation
         return np.log(b / a) - (1 - coefficient) * (1 / a - 1 / b)
 
-    def brightness(self, log_ratio):
+    def brightness(self, log_ratio: ArrayLike) -> np.ndarray:
         """
         Return the log-likelihood of a change of brightness of one feature.
 
@@ -108,7 +109,7 @@ class LinkLikelihood:
         w = self.variability
         return -np.log(np.pi * w * (1 + (log_ratio / w) ** 2))
 
-    def similarity(self, candidates, ssps):
+    def similarity(self, candidates: Candidates, ssps: SSPs) -> np.ndarray:
         """
         Return the terms of correlation and brightness, minus the cost of gaps.
 
@@ -146,7 +147,7 @@ class LinkLikelihood:
         density = np.convolve(pairs, np.exp(width), mode="valid")
         return np.interp(log_ratio / step, shift, density)
 
-    def merged_flux(self, candidates, ssps):
+    def merged_flux(self, candidates: Candidates, ssps: SSPs) -> np.ndarray:
         """
         Return what a candidate gains by a merge or split with its neighbours.
 
@@ -192,7 +193,7 @@ class LinkLikelihood:
                 gain[has] = np.maximum(gain[has], light - alone[has] - MERGE_COST)
         return gain
 
-    def neighbours(self, one, other, ssps):
+    def neighbours(self, one: np.ndarray, other: np.ndarray, ssps: SSPs) -> np.ndarray:
         """
         Return whether two SSPs differ and almost touch.
 
@@ -209,7 +210,7 @@ class LinkLikelihood:
         near = _distance(ssps, one, other) <= NEAR * (radius[one] + radius[other])
         return (one != other) & near
 
-    def moves_alike(self, away):
+    def moves_alike(self, away: np.ndarray) -> np.ndarray:
         """
         Return whether differences of displacements are within three tolerances.
 
@@ -223,7 +224,10 @@ class LinkLikelihood:
         """
         return np.hypot(away[:, 0], away[:, 1]) <= 3 * self.tolerance
 
-    def coarse_to_fine(self, candidates, coarse, parent, width, density):
+    def coarse_to_fine(
+        self, candidates: Candidates, coarse: Candidates, parent: np.ndarray,
+        width: float, density: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
         """
         Return the prior from the links of the coarser scale.
 
@@ -262,7 +266,10 @@ class LinkLikelihood:
             term[own] = np.log(1 - self.follow + self.follow * ratio)
         return term
 
-    def steady_motion(self, motion, interval, velocity, weight, density):
+    def steady_motion(
+        self, motion: np.ndarray, interval: np.ndarray, velocity: np.ndarray,
+        weight: np.ndarray, density: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
         """
         Return the term of displacements, given the mean velocity of their tracks.
 

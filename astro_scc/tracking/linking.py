@@ -1,16 +1,19 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Link candidates, scale by scale from the coarsest, and chain links to tracks."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import (
     connected_components,
     min_weight_full_bipartite_matching,
 )
 
-from astro_scc.decomposition import scale_size
+from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.tracking.candidates import Candidates, equal_pairs, rank_in_group
 from astro_scc.tracking.likelihood import MERGE_COST, LinkLikelihood, chance_density
 
@@ -60,7 +63,10 @@ class Links(Candidates):
         return f"<Links: {', '.join(counts)}>"
 
 
-def link(candidates, ssps, *, parent=None, place=None, likelihood=None):
+def link(
+    candidates: Candidates, ssps: SSPs, *, parent: ArrayLike | None = None,
+    place: ArrayLike | None = None, likelihood: LinkLikelihood | None = None,
+) -> Links:  # fmt: skip
     """
     Choose links among candidates.
 
@@ -330,7 +336,7 @@ def chain(links, n_ssps, *, min_epochs=1, core=None):
 # -- optimal assignment ------------------------------------------------------------
 
 
-def assign(row, column, weight):
+def assign(row: ArrayLike, column: ArrayLike, weight: ArrayLike) -> np.ndarray:
     """
     Choose the pairs of largest total weight that use each row and column once.
 

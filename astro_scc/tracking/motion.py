@@ -1,9 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Fits of motion to the positions of features, ejection epochs and mean speeds."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
 #: Residuals beyond this many standard deviations lose weight (Huber 1981).
@@ -54,11 +57,11 @@ class MotionFit:
     weight: np.ndarray
 
     @property
-    def errors(self):
+    def errors(self) -> np.ndarray:
         """Standard errors of the coefficients, shape (2, degree + 1)."""
         return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
-    def at(self, time):
+    def at(self, time: ArrayLike) -> np.ndarray:
         """
         Return the fitted positions.
 
@@ -75,7 +78,7 @@ class MotionFit:
         )
 
     @property
-    def velocity_errors(self):
+    def velocity_errors(self) -> tuple[float, float]:
         """Standard errors of the speed and of its direction (rad, at most pi)."""
         v, error = self.coefficients[:, 1], self.errors[:, 1]
         speed = np.hypot(*v)
@@ -91,7 +94,9 @@ def _design(time, degree):
     return np.stack([time**k / (1 if k < 2 else 2) for k in range(degree + 1)])
 
 
-def fit_motion(time, position, error, *, degree=1):
+def fit_motion(
+    time: ArrayLike, position: ArrayLike, error: ArrayLike, *, degree: int = 1
+) -> MotionFit:
     r"""
     Fit a straight line or a parabola to positions on two axes.
 
@@ -207,7 +212,9 @@ def _inflation(residual, p):
     return min((1 + r) / (1 - r), LARGEST_INFLATION)
 
 
-def ejection_epoch(fit, beam, *, accelerated=False):
+def ejection_epoch(
+    fit: MotionFit, beam: float, *, accelerated: bool = False
+) -> tuple[float, float] | tuple[None, None]:
     r"""
     Return the date at which a feature that moves radially was at the origin.
 

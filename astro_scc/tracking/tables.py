@@ -188,7 +188,7 @@ def feature_table(tracking):
     return name_by_frame(table, cube)
 
 
-def plain_table(table):
+def plain_table(table: QTable) -> QTable:
     """
     Return a table without objects, which VOTable can hold.
 

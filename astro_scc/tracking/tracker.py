@@ -1,15 +1,18 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Track the features of a cube: settings, search windows, and the call."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 
 import astropy.units as u
 import numpy as np
+from numpy.typing import ArrayLike
 
 from astro_scc.correlation import Correlator, Matches, target_ssps
 from astro_scc.correlation.matches import COLUMNS
-from astro_scc.decomposition import SSPs
+from astro_scc.decomposition import Decomposition, SSPs
 from astro_scc.decomposition.segmentation import require_ssps
+from astro_scc.epochs import EpochCube
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
@@ -88,13 +91,13 @@ class FeatureTracker:
     (True, Unit("mas / yr"))
     """
 
-    max_speed: u.Quantity | None = None
+    max_speed: u.Quantity | str | None = None
     position_angle: u.Quantity | str | None = None
-    along: u.Quantity | None = None
-    across: u.Quantity | None = None
+    along: u.Quantity | Sequence[str] | None = None
+    across: u.Quantity | Sequence[str] | None = None
     tolerance: float = 0.2
     max_gap: int = 1
-    max_interval: u.Quantity | None = None
+    max_interval: u.Quantity | str | None = None
     min_epochs: int = 3
     kappa: float = 0.5
     target: str = "segments"
@@ -119,7 +122,7 @@ class FeatureTracker:
             kappa=self.kappa, target=self.target, min_overlap=self.min_overlap
         )
 
-    def speed_limit(self, cube, scales):
+    def speed_limit(self, cube: EpochCube, scales: ArrayLike) -> u.Quantity:
         """
         Return the largest speed that is searched.
 
@@ -145,7 +148,7 @@ class FeatureTracker:
                 f"of {cube.times[0].isot}"
             )
         if self.max_speed is not None:
-            return self.max_speed
+            return u.Quantity(self.max_speed)
         fwhm = mean_fwhm(cube, scales).value
         return BEAMS_PER_INTERVAL * fwhm / np.median(steps[steps > 0]) * PM_UNIT
 
@@ -170,15 +173,10 @@ class FeatureTracker:
         return np.stack([first[keep], second[keep]], axis=1), longest[keep]
 
     def match(
-        self,
-        cube,
-        decompositions,
-        *,
-        select=None,
-        permutations=(),
-        n_workers=1,
-        progress_bar=False,
-    ):
+        self, cube: EpochCube, decompositions: Sequence[Decomposition], *,
+        select: ArrayLike | None = None, permutations: Sequence[np.ndarray] = (),
+        n_workers: int = 1, progress_bar: bool = False,
+    ) -> Matches:  # fmt: skip
         """
         Correlate the SSPs of each epoch with the next epochs.
 
@@ -281,17 +279,11 @@ class FeatureTracker:
         return inside
 
     def __call__(
-        self,
-        cube,
-        decompositions,
-        matches=None,
-        *,
-        select=None,
-        n_trials=0,
-        rng=None,
-        n_workers=1,
-        progress_bar=False,
-    ):
+        self, cube: EpochCube, decompositions: Sequence[Decomposition],
+        matches: Matches | None = None, *, select: ArrayLike | None = None,
+        n_trials: int = 0, rng: np.random.Generator | int | None = None,
+        n_workers: int = 1, progress_bar: bool = False,
+    ) -> Tracking:  # fmt: skip
         """
         Track the features of a cube.
 

@@ -1,14 +1,17 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The result of tracking: tracks of features and their motion."""
 
+from __future__ import annotations
+
 from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable
+from numpy.typing import ArrayLike
 
 from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs import EpochCube
@@ -17,8 +20,11 @@ from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.quantities import named, to_quantity
 from astro_scc.settings import require
 from astro_scc.tracking.linking import Links
-from astro_scc.tracking.motion import fit_motion, track_profile
+from astro_scc.tracking.motion import MotionFit, fit_motion, track_profile
 from astro_scc.tracking.tables import feature_table, track_table
+
+if TYPE_CHECKING:
+    from astropy.cosmology import FLRW
 
 #: Smallest error of a position, in beams (Lister et al. 2009).
 POSITION_FLOOR = 0.05
@@ -102,11 +108,11 @@ class Tracking:
         )
 
     @property
-    def n_tracks(self):
+    def n_tracks(self) -> int:
         """Number of tracks."""
         return int(self.track.max(initial=-1)) + 1
 
-    def members(self, number):
+    def members(self, number: int) -> np.ndarray:
         """
         Return the SSPs of a track, in time order.
 
@@ -123,7 +129,7 @@ class Tracking:
         return own[np.argsort(self.ssps.epoch[own], kind="stable")]
 
     @cached_property
-    def names(self):
+    def names(self) -> tuple[str, ...]:
         """
         Names of the tracks: the date, scale and position at which each begins.
 
@@ -149,17 +155,17 @@ class Tracking:
         return tuple(names)
 
     @cached_property
-    def fwhm(self):
+    def fwhm(self) -> float:
         """Resolution in mas: the mean beam, or twice the middle scale."""
         return mean_fwhm(self.cube, np.unique(self.ssps.scale))
 
     @cached_property
-    def offsets(self):
+    def offsets(self) -> np.ndarray:
         """Offsets of every SSP to the east and north in mas, shape (2, n_ssps)."""
         return np.stack(ssp_offsets(self.ssps, self.cube))
 
     @cached_property
-    def offset_errors(self):
+    def offset_errors(self) -> np.ndarray:
         """
         Standard errors of the offsets in mas, shape (2, n_ssps).
 
@@ -171,7 +177,7 @@ class Tracking:
         return position_errors(ssps.snr, fwhm, np.sqrt(2) * POSITION_FLOOR).T
 
     @cached_property
-    def fits(self):
+    def fits(self) -> tuple[MotionFit, ...]:
         """
         Fitted motions: for each track, the `MotionFit` of a straight line.
 
@@ -180,7 +186,7 @@ class Tracking:
         return tuple(self._fit(number, 1) for number in range(self.n_tracks))
 
     @cached_property
-    def accelerated_fits(self):
+    def accelerated_fits(self) -> tuple[MotionFit | None, ...]:
         """Fits of a parabola; None for tracks of fewer than ten epochs."""
         return tuple(
             self._fit(number, 2)
@@ -197,7 +203,7 @@ class Tracking:
         )
 
     @cached_property
-    def features(self):
+    def features(self) -> QTable:
         """
         One row per feature and epoch, `~astropy.table.QTable`.
 
@@ -213,7 +219,7 @@ class Tracking:
         return table
 
     @cached_property
-    def tracks(self):
+    def tracks(self) -> QTable:
         """
         One row per track, `~astropy.table.QTable`.
 
@@ -224,7 +230,11 @@ class Tracking:
         table.meta.update(self._meta())
         return table
 
-    def tracks_in_c(self, *, redshift=None, cosmology=None, distance=None):
+    def tracks_in_c(
+        self, *, redshift: float | str | u.Quantity | None = None,
+        cosmology: FLRW | str | dict | None = None,
+        distance: u.Quantity | str | None = None,
+    ) -> QTable:  # fmt: skip
         """
         Return the tracks with apparent speeds in units of c.
 
@@ -244,7 +254,7 @@ class Tracking:
         )
 
     @cached_property
-    def confidence(self):
+    def confidence(self) -> QTable:
         """
         Shares of linked SSPs, observed and permuted, `~astropy.table.QTable`.
 
@@ -262,7 +272,10 @@ class Tracking:
             table[name] = MaskedColumn(np.nan_to_num(values), mask=np.isnan(values))
         return table
 
-    def profile(self, radii, *, half_width=2 * u.mas, scales=None):
+    def profile(
+        self, radii: u.Quantity, *, half_width: u.Quantity = 2 * u.mas,
+        scales: ArrayLike | None = None,
+    ) -> QTable:  # fmt: skip
         """
         Return the mean radial speed of the features near each distance.
 

@@ -1,7 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The displacement-interval diagram, with the rays of the streams."""
 
+from __future__ import annotations
+
 import math
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
@@ -11,6 +14,13 @@ from astro_scc.quantities import with_error
 from astro_scc.visualization import style
 from astro_scc.visualization.style import BLACK, KINDS, PM_UNIT, unit_name
 from astro_scc.visualization.velocity import on_sky
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from astro_scc.measurement import SCCResult
 
 #: Intervals are shown up to this many times the one after which the slowest
 #: moving stream leaves the diagram, and at least this number of intervals.
@@ -22,7 +32,10 @@ UNSATURATED = 0.995
 SIZE = (6.0, 4.2)
 
 
-def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
+def plot_diagram(
+    result: SCCResult, *, ax: Axes | None = None, components: QTable | None = None,
+    unit: u.UnitBase | str | None = None, colorbar: bool = True,
+) -> Figure:  # fmt: skip
     """
     Draw the displacement-interval diagram with the rays of the streams.
 

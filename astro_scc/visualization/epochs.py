@@ -1,15 +1,27 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Figures and animations of the epochs with their SSPs, and a figure of dates."""
 
+from __future__ import annotations
+
 import operator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
 
 from astro_scc.partial import replace_when_complete
-from astro_scc.stacking import consecutive_pairs
+from astro_scc.stacking import DatePairs, consecutive_pairs
 from astro_scc.visualization import drawing, style
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.animation import FuncAnimation
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from astro_scc.decomposition import SSPs
+    from astro_scc.epochs import EpochCube
 
 #: matplotlib's writer for each file suffix.
 WRITERS = {".gif": "pillow", ".mp4": "ffmpeg"}
@@ -18,18 +30,11 @@ LEGEND |= {"handletextpad": 0.3, "borderaxespad": 0.2, "ncols": 9}
 
 
 def plot_epoch(
-    cube,
-    epoch,
-    ssps=None,
-    *,
-    ax=None,
-    unit=None,
-    stretch="asinh",
-    vmin=None,
-    vmax=None,
-    zoom=True,
-    colorbar=True,
-):
+    cube: EpochCube, epoch: int, ssps: QTable | SSPs | None = None, *,
+    ax: Axes | None = None, unit: u.UnitBase | str | None = None,
+    stretch: str = "asinh", vmin: float | None = None, vmax: float | None = None,
+    zoom: bool = True, colorbar: bool = True,
+) -> Figure:  # fmt: skip
     """
     Draw one epoch in offsets from the reference pixel, east to the left.
 
@@ -97,13 +102,9 @@ def plot_epoch(
 
 
 def plot_epochs(
-    cube,
-    ssps=None,
-    *,
-    figure=None,
-    max_panels=12,
-    **view,
-):
+    cube: EpochCube, ssps: QTable | SSPs | None = None, *, figure: Figure | None = None,
+    max_panels: int = 12, **view: Any,
+) -> Figure:  # fmt: skip
     """
     Draw up to ``max_panels`` epochs, evenly selected, with the same colours.
 
@@ -157,7 +158,9 @@ def plot_epochs(
     return figure
 
 
-def plot_intervals(cube, pairs=None, *, ax=None):
+def plot_intervals(
+    cube: EpochCube, pairs: DatePairs | None = None, *, ax: Axes | None = None
+) -> Figure:
     """
     Draw the dates of the epochs, and the pairs of epochs that are compared.
 
@@ -221,15 +224,10 @@ def plot_intervals(cube, pairs=None, *, ax=None):
 
 
 def animate_epochs(
-    cube,
-    ssps=None,
-    *,
-    n_frames=None,
-    trail=3,
-    interval=400 * u.ms,
-    ax=None,
-    **view,
-):
+    cube: EpochCube, ssps: QTable | SSPs | None = None, *, n_frames: int | None = None,
+    trail: int = 3, interval: u.Quantity = 400 * u.ms, ax: Axes | None = None,
+    **view: Any,
+) -> FuncAnimation:  # fmt: skip
     """
     Show the epochs one after the other, with their SSPs.
 
@@ -314,7 +312,10 @@ def animate_epochs(
     )  # fmt: skip
 
 
-def write_animation(animation, path, *, fps=None, dpi=100, overwrite=False):
+def write_animation(
+    animation: FuncAnimation, path: Path | str, *, fps: float | None = None,
+    dpi: float = 100, overwrite: bool = False,
+) -> Path:  # fmt: skip
     """
     Save an animation as GIF or MP4.
 

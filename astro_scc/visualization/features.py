@@ -1,13 +1,23 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The features of a measurement: their speeds and their distances."""
 
+from __future__ import annotations
+
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.style import BLACK, PM_UNIT, unit_name
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from astro_scc.measurement import SCCResult
 
 #: Length of the longest arrow, as a share of the longer side of the figure.
 LONGEST = 0.1
@@ -17,7 +27,10 @@ LARGE_ERROR = 4.0
 LABEL = 30
 
 
-def plot_streams(result, *, figure=None, unit=None):
+def plot_streams(
+    result: SCCResult, *, figure: Figure | None = None,
+    unit: u.UnitBase | str | None = None,
+) -> Figure:  # fmt: skip
     """
     Draw the velocity of each feature on contours of the mean image.
 
@@ -109,7 +122,10 @@ def _draw_key(ax, view, fastest, scale):
     )  # fmt: skip
 
 
-def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None):
+def plot_feature_speeds(
+    result: SCCResult, *, profile: QTable | None = None,
+    beta_per_pm: float | None = None, ax: Axes | None = None,
+) -> Figure:  # fmt: skip
     """
     Draw the speed of each feature against its distance.
 
@@ -184,7 +200,9 @@ def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None):
     return figure
 
 
-def plot_feature_distances(result, *, unit=None, ax=None):
+def plot_feature_distances(
+    result: SCCResult, *, unit: u.UnitBase | str | None = None, ax: Axes | None = None
+) -> Figure:
     """
     Draw the distances of the features against time, with their straight lines.
 

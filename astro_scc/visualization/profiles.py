@@ -1,6 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Figures of speed against distance, velocity maps by scale, and position angles."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import astropy.units as u
 import numpy as np
 
@@ -8,21 +13,25 @@ from astro_scc.visualization import drawing, style
 from astro_scc.visualization.style import BLUE, LINES, PM_UNIT, SCALE_COLORS, unit_name
 from astro_scc.visualization.velocity import draw_map
 
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from astro_scc.epochs import EpochCube
+    from astro_scc.flow import ProfileFit
+    from astro_scc.kinematics import RidgeLine
+
 #: Half the width of the strip of the jet above the profile, in beams.
 STRIP = 3.0
 
 
 def plot_profile(
-    table,
-    *,
-    cube=None,
-    line=None,
-    column="pm_parallel",
-    fits=(),
-    others=(),
-    beta_per_pm=None,
-    figure=None,
-):
+    table: QTable, *, cube: EpochCube | None = None, line: RidgeLine | None = None,
+    column: str = "pm_parallel", fits: Sequence[ProfileFit] = (),
+    others: Sequence[tuple[str, u.Quantity, u.Quantity, u.Quantity]] = (),
+    beta_per_pm: float | None = None, figure: Figure | None = None,
+) -> Figure:  # fmt: skip
     """
     Draw speed against distance, with the jet above it.
 
@@ -274,7 +283,10 @@ def missing_columns(stack):
     return ", ".join(name for name in wanted if name not in stack.colnames)
 
 
-def plot_track_profile(profile, *, stack=None, beta_per_pm=None, ax=None):
+def plot_track_profile(
+    profile: QTable, *, stack: QTable | None = None, beta_per_pm: float | None = None,
+    ax: Axes | None = None,
+) -> Figure:  # fmt: skip
     """
     Draw the speeds of tracks against distance, and those of the stack over them.
 

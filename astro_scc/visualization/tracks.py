@@ -1,6 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Figures of the features of components and tracks, on the mean image and in time."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import astropy.units as u
 import numpy as np
 
@@ -8,8 +12,19 @@ from astro_scc.decomposition import scale_size
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.style import BLACK, PM_UNIT, unit_name
 
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.figure import Figure
 
-def plot_members(result, *, figure=None, components=None, max_panels=4, unit=None):
+    from astro_scc.measurement import SCCResult
+    from astro_scc.tracking import Tracking
+
+
+def plot_members(
+    result: SCCResult, *, figure: Figure | None = None,
+    components: QTable | None = None, max_panels: int = 4,
+    unit: u.UnitBase | str | None = None,
+) -> Figure:  # fmt: skip
     """
     Draw the displacements that belong to each component on the mean image.
 
@@ -89,7 +104,10 @@ def _draw_members(ax, view, result, number, kind):
     drawing.panel_text(ax, text + ("" if strong else ", not significant"))
 
 
-def plot_separation(tracking, *, figure=None, unit=None, min_epochs=None):
+def plot_separation(
+    tracking: Tracking, *, figure: Figure | None = None,
+    unit: u.UnitBase | str | None = None, min_epochs: int | None = None,
+) -> Figure:  # fmt: skip
     """
     Draw the distances of tracked features against time, with their fits.
 
@@ -181,7 +199,10 @@ def _draw_fits(ax, tracking, number, time, start, factor):
             ax.plot(start + before, factor * np.hypot(*fit.at(before)), ":", **line)
 
 
-def plot_tracks(tracking, *, figure=None, unit=None, min_epochs=None):
+def plot_tracks(
+    tracking: Tracking, *, figure: Figure | None = None,
+    unit: u.UnitBase | str | None = None, min_epochs: int | None = None,
+) -> Figure:  # fmt: skip
     """
     Draw the tracks over the mean image, one panel per scale.
 

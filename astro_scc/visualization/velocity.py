@@ -1,12 +1,23 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Velocity maps, and significance along the jet."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.positions import axis_words, sky_columns
 from astro_scc.visualization import style
 from astro_scc.visualization.style import BLACK, GREY, KINDS, PM_UNIT, unit_name
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from astro_scc.measurement import SCCResult
 
 AXIS_LABELS = {
     "east": "Proper motion to the east",
@@ -28,15 +39,10 @@ ARROW_SIZE = (0.22, 0.22)
 
 
 def plot_velocity_map(
-    result,
-    *,
-    ax=None,
-    components=None,
-    which="coefficient",
-    unit=None,
-    beta_per_pm=None,
-    colorbar=True,
-):
+    result: SCCResult, *, ax: Axes | None = None, components: QTable | None = None,
+    which: str = "coefficient", unit: u.UnitBase | str | None = None,
+    beta_per_pm: float | None = None, colorbar: bool = True,
+) -> Figure:  # fmt: skip
     """
     Draw the stacked cross-correlation as a map of velocities.
 
@@ -219,7 +225,10 @@ def _plain(components, name, unit=None):
 # -- significance ------------------------------------------------------------------
 
 
-def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_pm=None):
+def plot_significance(
+    result: SCCResult, *, ax: Axes | None = None, components: QTable | None = None,
+    unit: u.UnitBase | str | None = None, beta_per_pm: float | None = None,
+) -> Figure:  # fmt: skip
     """
     Draw the significance along the jet, at zero speed across it.
 
@@ -283,8 +292,10 @@ def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_p
 
 
 def plot_map_and_significance(
-    result, *, figure=None, components=None, unit=None, beta_per_pm=None
-):
+    result: SCCResult, *, figure: Figure | None = None,
+    components: QTable | None = None, unit: u.UnitBase | str | None = None,
+    beta_per_pm: float | None = None,
+) -> Figure:  # fmt: skip
     """
     Draw the velocity map over its significance along the jet.
 

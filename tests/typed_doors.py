@@ -1,0 +1,203 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+Use of the public names as their signatures promise, for mypy; nothing here runs.
+
+What must be refused has a ``type: ignore``, which mypy reports if it is not needed.
+"""
+
+from pathlib import Path
+from typing import assert_type
+
+import astropy.units as u
+import numpy as np
+from astropy.cosmology import FlatLambdaCDM
+from astropy.table import QTable, Table
+from astropy.time import Time
+from matplotlib.figure import Figure
+
+from astro_scc import (
+    Beam,
+    EpochCube,
+    StackedCrossCorrelation,
+    correlation,
+    decomposition,
+    expansion,
+    flow,
+    kinematics,
+    measure_velocities,
+    recovery,
+    report,
+    settings,
+    simulation,
+    stacking,
+    tracking,
+    visualization,
+)
+from astro_scc.measurement import MatchedEpochs, SCCResult
+
+MAS_PER_YEAR = u.mas / u.yr
+
+
+def measure(cube: EpochCube) -> None:
+    scc = StackedCrossCorrelation(scales=[1, 2, 3], max_speed=2 * MAS_PER_YEAR)
+    StackedCrossCorrelation(scales="0.2 mas, 0.4 mas", max_speed="2 mas/yr")
+    StackedCrossCorrelation(max_speed=2.0)  # type: ignore[arg-type]
+    StackedCrossCorrelation(speed=2 * MAS_PER_YEAR)  # type: ignore[call-arg]
+    assert_type(scc.scale_numbers(cube), tuple[float, ...])
+    assert_type(scc.decomposer(cube), decomposition.Decomposer)
+    assert_type(scc.date_pairs(cube), stacking.DatePairs)
+    assert_type(scc.speed_limit(cube), u.Quantity)
+    matched = scc.match(cube, region="jet.reg", n_workers=2, cache=Path("matches"))
+    assert_type(matched, MatchedEpochs)
+    result = scc.stack(matched, n_trials=100, rng=np.random.default_rng(1))
+    scc.stack(matched, rng="1")  # type: ignore[arg-type]
+    scc.stack(cube)  # type: ignore[arg-type]
+    assert_type(scc(cube, region=None, n_trials=1000, rng=1), SCCResult)
+    assert_type(measure_velocities(cube, scales=[1, 2]), QTable)
+    result.nothing  # type: ignore[attr-defined]  # noqa: B018
+
+
+def configure(path: Path) -> str:
+    given, versions = settings.read_config(path)
+    chosen = settings.Settings(**given, redshift=0.158)
+    StackedCrossCorrelation.from_settings(chosen)
+    return chosen.to_toml("measure", versions=versions)
+
+
+def decompose_and_correlate(image: np.ndarray) -> Table:
+    planes = decomposition.wavelet_planes(image, [1, 2], mask=image > 9)
+    sigma = decomposition.plane_noise(planes[0], 1)
+    ssps = decomposition.find_ssps(planes[0], 1, sigma, detection=4)
+    decomposer = decomposition.Decomposer(scales=[1, 2])
+    decomposer(image, beam=2.0)  # type: ignore[call-arg]
+    assert_type(decomposer(image).ssps, decomposition.SSPs)
+    assert_type(len(ssps.select(ssps.snr > 5)), int)
+    both = [decomposer(image), decomposer(image)]
+    matches = correlation.Correlator(kappa=0.6)(both, correlation.all_pairs(2), 5)
+    correlation.Correlator(kappa="0.6")  # type: ignore[arg-type]
+    assert_type(correlation.zncc([1.0, 2.0], [2.0, 3.0]), float)
+    assert_type(correlation.target_ssps(matches, ssps), np.ndarray)
+    return matches.to_table()
+
+
+def stack(samples: stacking.VelocitySamples) -> list[stacking.VelocityPeak]:
+    grid = stacking.VelocityGrid.covering(2.0, 0.1)
+    pairs = stacking.consecutive_pairs([0.0, 0.5, 1.0])
+    image = stacking.stack(samples, pairs, grid)
+    stacking.stack(samples, grid, pairs)  # type: ignore[arg-type]
+    average = stacking.random_effects([1.0, 1.2], [0.1, 0.1])
+    assert_type(average.dispersion, float)
+    assert_type(grid.shape, tuple[int, int])
+    return stacking.find_velocity_peaks(image, grid, (0.3, 0.3))
+
+
+def speeds_in_c(result: SCCResult) -> u.Quantity:
+    cosmology = FlatLambdaCDM(H0=71, Om0=0.27)  # type: ignore[call-arg]
+    speed = kinematics.apparent_speed(
+        1 * MAS_PER_YEAR, redshift="15.8 %", cosmology=cosmology
+    )
+    kinematics.apparent_speed(1.0, redshift=0.158)  # type: ignore[arg-type]
+    kinematics.viewing_angle(speed, 10)
+    kinematics.intrinsic_table([5.0, 8.0], [0.5, 0.5], rng=1)
+    jet = kinematics.two_sided_jet(17.6 * u.mas / u.day, 9 * u.mas / u.day)
+    assert_type(sorted(jet), list[str])
+    assert_type(kinematics.paper_cosmology(), FlatLambdaCDM)
+    assert_type(kinematics.RadialFrame().matrix(1.0, [2.0, 3.0]), np.ndarray)
+    return kinematics.lorentz_factor(0.9)
+
+
+def follow_the_ridge(cube: EpochCube) -> QTable:
+    ridge = kinematics.find_ridge_line(cube, smoothing=0.5 * u.mas)
+    kinematics.find_ridge_line(cube, smoothing=0.5)  # type: ignore[arg-type]
+    angle, error = kinematics.fit_position_angle(cube)
+    assert_type(error, u.Quantity)
+    east, north = ridge.at(2 * u.mas)
+    assert_type(ridge.coordinates(east, north), tuple[u.Quantity, u.Quantity])
+    return ridge.to_table()
+
+
+def profile(
+    scc: StackedCrossCorrelation, matched: MatchedEpochs, result: SCCResult
+) -> list[Path]:
+    bins = flow.measure_profile(scc, matched, np.arange(4) * u.mas, rng=1)
+    flow.measure_profile(scc, result, "0.5 1.5 2.5 mas")  # type: ignore[arg-type]
+    assert_type(bins.results[0], SCCResult | None)
+    assert_type(flow.feature_profile(result), QTable)
+    fit = flow.fit_profile(bins.main["r_mid"], bins.main["pm"], bins.main["pm_err"])
+    assert_type(fit(2 * u.mas), u.Quantity)
+    flow.measure_acceleration(result).p_value + 1.0
+    groups = flow.scale_groups(matched, {"small": [1], "large": [2, 3]})
+    assert_type(flow.compare_speeds(result, groups), QTable)
+    return flow.write_profile(bins, bins.components_in_c(redshift=0.1), "profile")
+
+
+def track(cube: EpochCube, matched: MatchedEpochs) -> QTable:
+    tracker = tracking.FeatureTracker(max_speed="2 mas/yr", position_angle="radial")
+    found = tracker(cube, matched.decompositions, n_trials=20, rng=1)
+    tracker(matched)  # type: ignore[arg-type, call-arg]
+    assert_type(found.fits, tuple[tracking.MotionFit, ...])
+    found.accelerated_fits[0].errors  # type: ignore[union-attr]  # noqa: B018
+    epoch, error = tracking.ejection_epoch(found.fits[0], 0.5)
+    assert_type(epoch, float | None)
+    assert_type(found.profile(u.Quantity([1, 2], u.mas)), QTable)
+    return tracking.plain_table(found.tracks)
+
+
+def expand(scc: StackedCrossCorrelation, matched: MatchedEpochs) -> QTable:
+    cube = expansion.remove_compact(matched.cube, 2 * u.arcsec)
+    expansion.remove_compact(cube, 2)  # type: ignore[arg-type]
+    fit = expansion.fit_shell(scc, {"ring": matched, "knots": matched})
+    speed = expansion.expansion_speed(fit.rate[0], fit.radius, 3.4 * u.kpc)
+    assert_type(speed, u.Quantity)
+    return expansion.measure_expansion(scc, matched, fit.centre, fit.radius, sectors=4)
+
+
+def recover(cube: EpochCube, scc: StackedCrossCorrelation) -> QTable:
+    area = np.ones(cube.data.shape[1:], bool)
+    speed = 1 * MAS_PER_YEAR
+    paths = recovery.draw_paths(cube, area, speed=speed, position_angle=65 * u.deg)
+    assert_type(recovery.inject(cube, paths, 5 * u.mJy / u.beam), EpochCube)
+    recovery.completeness(cube, scc, speeds=1.0, fluxes=5)  # type: ignore[arg-type]
+    recovery.plan(speeds=speed, n_epochs=8)  # type: ignore[call-arg]
+    table = recovery.plan(
+        speeds=np.array([0.2, 1]) * speed,
+        beam=0.8 * u.mas,
+        n_epochs=[4, 8],
+        intervals=0.5 * u.yr,
+    )
+    if (row := recovery.smallest_plan(table)) is not None:
+        row["n_epochs"]
+    return recovery.completeness(cube, scc, speeds=speed, fluxes=5 * u.mJy / u.beam)
+
+
+def simulate() -> list[Path]:
+    beam = Beam(0.8 * u.mas, 0.6 * u.mas, 10 * u.deg)
+    jet = simulation.simulate_jet(
+        streams=[
+            simulation.Flow(speed=0.5),
+            simulation.Flow(positions=[1, 2], speed=0),
+        ],
+        dates=Time(["2000-01-01", "2000-07-01"]),
+        beam=beam,
+        rng=1,
+    )
+    simulation.simulate_jet(interval=0.2)  # type: ignore[arg-type]
+    assert_type(jet.truth, QTable)
+    assert_type(simulation.simulate_shell().cube, EpochCube)
+    seen = simulation.observe(jet, declination=20 * u.deg)
+    simulation.simulate_two_fluid(slow=5, fast=20 * MAS_PER_YEAR, n_epochs=5)
+    simulation.JetSimulation(streams=[simulation.Stream("a", half_width=4)]).run()
+    return simulation.write_simulation(seen, "jet", overwrite=True)
+
+
+def draw(result: SCCResult, tracks: tracking.Tracking) -> Figure:
+    cube, components = result.cube, result.components
+    visualization.plot_epoch(cube, 0, result.ssps, unit="mas", vmax=1.0)
+    visualization.plot_epoch(result, 0)  # type: ignore[arg-type]
+    visualization.plot_velocity_map(result, components=components, which="z_score")
+    visualization.plot_profile(components, fits=[1.0])  # type: ignore[list-item]
+    animation = visualization.animate_epochs(cube, interval=400 * u.ms)
+    assert_type(visualization.write_animation(animation, "jet.gif"), Path)
+    page = report.write_report(result, "out", left_out=["a.fits", ("b.fits", "date")])
+    assert_type(page, Path)
+    return visualization.plot_tracks(tracks, unit=u.arcsec)
