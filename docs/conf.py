@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Configuration of Sphinx."""
 
+import ast
 import csv
 import json
 import os
@@ -136,6 +137,63 @@ def write_explore(app):
         LOGGER.info("%s: left out: %s", path, error)
 
 
+def notebook_of(script):
+    """Return an example as a notebook: a cell for each group of its statements."""
+    source = script.read_text(encoding="utf-8")
+    lines, (title, *body) = source.splitlines(), ast.parse(source).body
+    common = (script.parent / "common.py").read_text(encoding="utf-8")
+    brief = next(
+        ast.get_source_segment(common, node)
+        for node in ast.parse(common).body
+        if getattr(node, "name", "") == "brief"
+    )
+    groups, start = [], title.end_lineno
+    # The last statement runs the example as a script.
+    for node in body[:-1]:
+        text = "\n".join(lines[start : node.end_lineno])
+        start = node.end_lineno
+        # A function by itself, and imports apart from constants.
+        kind = node if isinstance(node, ast.FunctionDef) else type(node).__name__[:6]
+        if groups and groups[-1][0] == kind:
+            groups[-1][1] += f"\n{text}"
+        else:
+            groups.append([kind, text])
+    cells = [text.strip("\n") for _, text in groups]
+    helper = "from common import brief, run"
+    cells[0] = cells[0].replace(helper, "from astropy.table import QTable")
+    cells.insert(1, brief)
+    needs_data = any(arg.arg == "data" for arg in body[-2].args.args)
+    if needs_data:
+        cells[0] = f"from pathlib import Path\n\n{cells[0]}"
+    folder = 'Path("../shared/data")' if needs_data else ""
+    cells += [f"table, figure = measure({folder})\ntable", "figure"]
+    words = ast.get_docstring(ast.parse(source)).splitlines()[0]
+    code = {"cell_type": "code", "execution_count": None, "metadata": {}, "outputs": []}
+    return {
+        "cells": [
+            {"cell_type": "markdown", "metadata": {}, "source": f"# {words}"},
+            *(code | {"source": cell} for cell in cells),
+        ],
+        "metadata": {
+            "kernelspec": {
+                "display_name": "Python 3", "language": "python", "name": "python3"
+            }
+        },
+        "nbformat": 4,
+        "nbformat_minor": 4,
+    }  # fmt: skip
+
+
+def write_notebooks(app):
+    """Write the notebooks that the gallery offers beside the scripts."""
+    folder = Path(app.srcdir, "_build", "notebooks")
+    folder.mkdir(parents=True, exist_ok=True)
+    for script in Path(app.srcdir).parent.glob("examples/*.py"):
+        if script.stem != "common":
+            text = json.dumps(notebook_of(script), indent=1)
+            (folder / f"{script.stem}.ipynb").write_text(text, encoding="utf-8")
+
+
 def resolve_top_level(app, env, node, contnode):
     """What is imported from the top, such as ``astro_scc.EpochCube``, where it is."""
     package, _, rest = node.get("reftarget", "").partition(".")
@@ -164,4 +222,5 @@ def setup(app):
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math, None))
     app.connect("builder-inited", write_settings)
     app.connect("builder-inited", write_explore)
+    app.connect("builder-inited", write_notebooks)
     app.connect("missing-reference", resolve_top_level)

@@ -3,14 +3,16 @@
 
 import importlib
 import re
+import runpy
 import sys
 from pathlib import Path
 
 import pytest
+from astropy.table import Table
 
 FOLDER = Path(__file__).parents[1] / "examples"
 NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "common")
-SIMULATED = ("hubble", "shell", "sun", "two_fluid")
+SIMULATED = ("hubble", "protostar", "shell", "sun", "texture", "two_fluid")
 #: The dates to which real series are cut here, so that they take seconds.
 EARLY = {
     "quasar_0003": {},
@@ -53,10 +55,30 @@ def test_every_example_is_tested_and_shown():
         assert figure.stat().st_size < 150_000
         command = f"python examples/{name}.py"
         command += "" if name in SIMULATED else " ../shared/data"
-        for shown in (command, f"{name}.txt", f"{name}.png", f"../examples/{name}.py"):
+        files = f"{name}.txt", f"{name}.png", f"<../examples/{name}.py>"
+        for shown in (command, *files, f"_build/notebooks/{name}.ipynb"):
             assert shown in gallery, shown
         source = (FOLDER / f"{name}.py").read_text(encoding="utf-8")
         assert f"    {command}\n" in source
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_notebooks_define_what_the_scripts_do(name):
+    pytest.importorskip("sphinx", reason="it configures the documentation")
+    conf = runpy.run_path(str(FOLDER.parent / "docs" / "conf.py"))
+    title, *cells = conf["notebook_of"](FOLDER / f"{name}.py")["cells"]
+    assert title["source"].startswith("# ")
+    *setting_up, measuring, figure = [cell["source"] for cell in cells]
+    names = {}
+    for cell in setting_up:
+        assert "from common" not in cell
+        exec(cell, names)
+    assert names["brief"](Table({"a": [1.5]}), "a").colnames == ["a"]
+    assert measuring.startswith("table, figure = measure(")
+    if name == "shell":
+        exec(measuring.replace("\ntable", ""), names)
+        assert list(names["table"].colnames) == printed(name).splitlines()[0].split()
+        exec(figure, names)
 
 
 @pytest.mark.slow
