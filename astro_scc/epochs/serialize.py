@@ -405,7 +405,11 @@ def _image_hdu(cube, i):
     if cube.unit == u.Jy / u.beam:
         header["BUNIT"] = "JY/BEAM"
     elif cube.unit != u.dimensionless_unscaled:
-        header["BUNIT"] = cube.unit.to_string("fits")
+        try:
+            header["BUNIT"] = cube.unit.to_string("fits")
+        except ValueError:
+            # The standard does not have DN, which solar images are in.
+            header["BUNIT"] = cube.unit.to_string()
     for line in cube.meta.get("history", ()):
         header.add_history(str(line).encode("ascii", "replace").decode())
     return fits.PrimaryHDU(image, header)

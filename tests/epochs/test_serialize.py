@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from astro_scc.epochs import Beam, EpochCube, serialize
+from astro_scc.epochs import Beam, EpochCube, serialize, write_epochs
 from astro_scc.epochs.serialize import is_cube_file, replace_when_complete
 
 DATES = ["2001-01-01T01:02:03.456789", "2000-01-01", "2000-06-01"]
@@ -252,3 +252,11 @@ def test_other_programs_see_images_and_dates(tmp_path):
         assert list(hdus["EPOCHS"].data["JD1"]) == list(cube.times.jd1)
         majors = [beam.major.value for beam in cube.beams]
         assert list(hdus["EPOCHS"].data["BMAJ"]) == majors
+
+
+def test_units_that_the_fits_standard_does_not_have(tmp_path):
+    cube = EpochCube.from_arrays(
+        np.arange(40.0).reshape(2, 4, 5), DATES[:2], pixel_scale=1 * u.arcsec, unit="DN"
+    )
+    paths = write_epochs(cube, tmp_path)
+    assert EpochCube.read(paths).unit == u.DN
