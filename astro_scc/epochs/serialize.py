@@ -13,7 +13,7 @@ import numpy as np
 from astropy.io import fits
 from astropy.io.misc import yaml
 from astropy.table import Table
-from astropy.wcs import WCS
+from astropy.wcs import WCS, WCSHDO_P17, WCSHDO_all
 
 from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.fits import CUBE_CREATOR, open_fits
@@ -23,6 +23,8 @@ from astro_scc.partial import replace_when_complete
 # Axes and angle of a beam, their units in files, and their keywords in FITS.
 BEAM = {"major": u.mas, "minor": u.mas, "pa": u.deg}
 CARDS = "BMAJ", "BMIN", "BPA"
+#: Headers of a WCS with all digits of its numbers.
+EXACT = WCSHDO_all | WCSHDO_P17
 #: Layout of the files.
 LAYOUT = 3
 #: Images, and arrays of more elements, are extensions, other arrays are in the text.
@@ -109,23 +111,14 @@ def is_cube_file(path):
 
 
 def pack_wcs(wcs):
-    """Return a WCS as header text and the numbers that a header would round."""
-    inner = wcs.wcs
-    numbers = {"cdelt": np.ones(2), "pc": wcs.pixel_scale_matrix}
-    if not inner.has_cd():
-        numbers = {"cdelt": inner.get_cdelt(), "pc": inner.get_pc()}
-    numbers |= {"crval": inner.crval, "crpix": inner.crpix}
-    packed = {"header": wcs.to_header_string(relax=True)}
-    packed["shape"] = list(wcs.array_shape) if wcs.array_shape else None
-    return packed | {name: value.tolist() for name, value in numbers.items()}
+    """Return a WCS as the text of a header, and the shape of its images."""
+    shape = list(wcs.array_shape) if wcs.array_shape else None
+    return {"header": wcs.to_header_string(relax=EXACT), "shape": shape}
 
 
 def unpack_wcs(packed):
     """Return the WCS that `pack_wcs` packed, to the last digit."""
     wcs = WCS(without_dates(fits.Header.fromstring(packed["header"])))
-    for name in ("crval", "crpix", "cdelt", "pc"):
-        setattr(wcs.wcs, name, packed[name])
-    wcs.wcs.set()
     if packed["shape"]:
         wcs.array_shape = packed["shape"]
     return wcs

@@ -9,7 +9,6 @@ import numpy as np
 from astropy.nddata import StdDevUncertainty
 from astropy.time import Time
 from astropy.wcs import WCS
-from scipy.linalg import block_diag
 
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.grid import moved_wcs
@@ -17,6 +16,7 @@ from astro_scc.epochs.headers import read_header
 from astro_scc.epochs.positions import axis_words, offset_wcs
 from astro_scc.epochs.serialize import (
     BEAM,
+    EXACT,
     beam_columns,
     beams_of,
     pack_facts,
@@ -339,16 +339,9 @@ def to_ndcube(cube):
 
 def _with_epochs(celestial):
     """Return a WCS with the index of the epoch, from 0, as third axis."""
-    header = without_dates(celestial.to_header())
-    header.update({"WCSAXES": 3, "CTYPE3": AXIS})
-    wcs = WCS(header)
-    # A header rounds numbers, so they are set directly.
-    wcs.wcs.crval = [*celestial.wcs.crval, 0.0]
-    wcs.wcs.crpix = [*celestial.wcs.crpix, 1.0]
-    wcs.wcs.cdelt = [1.0, 1.0, 1.0]
-    wcs.wcs.pc = block_diag(celestial.pixel_scale_matrix, 1.0)
-    wcs.wcs.set()
-    return wcs
+    header = without_dates(celestial.to_header(relax=EXACT))
+    header.update({"WCSAXES": 3, "CTYPE3": AXIS, "CRPIX3": 1.0})
+    return WCS(header)
 
 
 def from_ndcube(ndcube, *, times=None, beams=None):

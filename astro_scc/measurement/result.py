@@ -114,11 +114,6 @@ class SCCResult:
         return result_html(self)
 
     @property
-    def errors(self):
-        """Covariance of each velocity."""
-        return tuple(velocity.covariance for velocity in self.velocities)
-
-    @property
     def cube(self):
         """The epochs that were measured."""
         return self.matched.cube
