@@ -285,17 +285,7 @@ class EpochCube:
 
     @classmethod
     def from_arrays(
-        cls,
-        data,
-        times,
-        *,
-        pixel_scale,
-        unit=None,
-        beams=None,
-        mask=None,
-        noise=None,
-        reference_pixel=None,
-        position=None,
+        cls, data, times, *, pixel_scale, reference_pixel=None, position=None, **fields
     ):
         """
         Return a cube of arrays with east to the left and north up.
@@ -306,12 +296,13 @@ class EpochCube:
         times : `~astropy.time.Time` or sequence of str, shape (n_epochs,)
         pixel_scale : `~astropy.units.Quantity`
             Side of a pixel, an angle.
-        unit, beams, mask, noise
-            As in `EpochCube`.
         reference_pixel : tuple of float, optional
             (x, y) of the origin of offsets, counted from 0; by default the centre.
         position : `~astropy.coordinates.SkyCoord`, optional
             Celestial position of the reference pixel.
+        **fields
+            ``unit``, ``mask``, ``beams``, ``noise``, ``labels``, ``epoch_meta`` and
+            ``meta`` of an `EpochCube`.
 
         Returns
         -------
@@ -327,16 +318,9 @@ class EpochCube:
             raise ValueError(f"data must have shape (n_epochs, ny, nx), got {shape}")
         if reference_pixel is None:
             reference_pixel = (shape[2] - 1) / 2, (shape[1] - 1) / 2
-        return cls(
-            data=data,
-            times=times,
-            wcs=offset_wcs(pixel_scale, reference_pixel, position),
-            unit=unit,
-            mask=mask,
-            beams=beams,
-            noise=noise,
-            meta={"history": [f"{shape[0]} epochs from arrays"]},
-        )
+        fields = {"meta": {"history": [f"{shape[0]} epochs from arrays"]}, **fields}
+        wcs = offset_wcs(pixel_scale, reference_pixel, position)
+        return cls(data=data, times=times, wcs=wcs, **fields)
 
     # Functions of the subpackage that take a cube are its methods.
     write = write_cube
