@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Matches and results on disk: complete FITS files, or blocks of unfinished matches."""
+"""Matches on disk: complete FITS files, or blocks of unfinished matches."""
 
 import hashlib
 import json
@@ -7,11 +7,9 @@ import shutil
 import warnings
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-from astropy.io import registry
 
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import Decomposer, SSPs
@@ -23,7 +21,7 @@ from astro_scc.measurement.tables import versions
 from astro_scc.partial import replace_when_complete
 
 #: What the files are, in their headers and in messages.
-MATCHES, RESULT = "astro_scc matches", "astro_scc result"
+MATCHES = "astro_scc matches"
 #: What a file of matches holds.
 PARTS = "decomposer", "ssps", "select", "matches", "provenance"
 #: Columns that `astro_scc.correlation.match_block` returns.
@@ -250,69 +248,6 @@ class MatchCache:
                 path.unlink(missing_ok=True)
         with replace_when_complete(self._file(number), overwrite=True) as part:
             np.savez(part, *columns)
-
-
-class ResultRead(registry.UnifiedReadWrite):
-    """
-    Read a result that `SCCResult.write` wrote.
-
-    Parameters
-    ----------
-    path : path
-    format : str, optional
-        By default "fits", see ``SCCResult.read.list_formats()``.
-
-    Returns
-    -------
-    `SCCResult`
-        The same to the bit, with its epochs, matches and permutations.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read, is incomplete or no result, or was written by a
-        version of this package whose results hold something else.
-    """
-
-    def __init__(self, instance, cls):
-        super().__init__(instance, cls, "read")
-
-    def __call__(self, path, *, format="fits", **kwargs):
-        return self.registry.read(self._cls, path, format=format, **kwargs)
-
-
-class ResultWrite(registry.UnifiedReadWrite):
-    """
-    Write the whole result to one FITS file, which `SCCResult.read` reads.
-
-    Parameters
-    ----------
-    path : path
-    format : str, optional
-        By default "fits", see ``SCCResult.write.list_formats()``.
-    overwrite : bool, optional
-        Replace an existing file, once the new one is complete.
-
-    Raises
-    ------
-    OSError
-        If the file exists and ``overwrite`` is False, or cannot be written.
-    ValueError
-        If the result holds an object of a class that is not of this package.
-    """
-
-    def __init__(self, instance, cls):
-        super().__init__(instance, cls, "write")
-
-    def __call__(self, path, *, format="fits", **kwargs):
-        self.registry.write(self._instance, path, format=format, **kwargs)
-
-
-def register(cls):
-    """Register the reader and the writer of results in astropy's registry."""
-    registry.register_reader("fits", cls, partial(read_object, creator=RESULT))
-    registry.register_writer("fits", cls, partial(write_object, creator=RESULT))
-    return cls
 
 
 def image_provenance(cube):

@@ -7,21 +7,16 @@ from html import escape
 
 import astropy.units as u
 import numpy as np
-from astropy.io.registry import UnifiedReadWriteMethod
 from astropy.nddata import NDData
 from astropy.wcs import WCS
 
 from astro_scc import stacking
 from astro_scc.epochs.positions import axis_words, name_by_frame
+from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import feature_tables
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.match_files import (
-    MatchedEpochs,
-    ResultRead,
-    ResultWrite,
-    register,
-)
+from astro_scc.measurement.match_files import MatchedEpochs
 from astro_scc.measurement.sensitivity import sensitivity_table
 from astro_scc.measurement.tables import (
     cell_text,
@@ -32,8 +27,10 @@ from astro_scc.measurement.tables import (
 from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
 from astro_scc.stacking.permutations import PermutedStacks
 
+#: What the files of results are, in their headers and in messages.
+RESULT = "astro_scc result"
 
-@register
+
 @dataclass(frozen=True, eq=False, repr=False)
 class SCCResult:
     """
@@ -94,8 +91,46 @@ class SCCResult:
     jitters: tuple[JitteredVelocity, ...]
     meta: dict = field(default_factory=dict)
 
-    read = UnifiedReadWriteMethod(ResultRead)
-    write = UnifiedReadWriteMethod(ResultWrite)
+    @classmethod
+    def read(cls, path):
+        """
+        Read a result that `write` wrote.
+
+        Parameters
+        ----------
+        path : path
+
+        Returns
+        -------
+        `SCCResult`
+            The same to the bit, with its epochs, matches and permutations.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be read, is incomplete or no result, or was written by
+            a version of this package whose results hold something else.
+        """
+        return read_object(path, creator=RESULT)
+
+    def write(self, path, *, overwrite=False):
+        """
+        Write the whole result to one FITS file, which `read` reads.
+
+        Parameters
+        ----------
+        path : path
+        overwrite : bool, optional
+            Replace an existing file, once the new one is complete.
+
+        Raises
+        ------
+        OSError
+            If the file exists and ``overwrite`` is False, or cannot be written.
+        ValueError
+            If the result holds an object of a class that is not of this package.
+        """
+        write_object(self, path, creator=RESULT, overwrite=overwrite)
 
     def __repr__(self):
         table = self.components

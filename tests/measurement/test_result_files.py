@@ -115,17 +115,6 @@ def test_another_session_gives_the_same(path, sky_result, tmp_path):
     assert png.read_bytes() == (tmp_path / "here.png").read_bytes()
 
 
-def test_astropy_knows_the_format(path):
-    for method in (SCCResult.read, SCCResult.write):
-        text = io.StringIO()
-        method.list_formats(out=text)
-        assert "fits" in text.getvalue()
-    text = io.StringIO()
-    SCCResult.read.help(out=text)
-    assert "Read a result" in text.getvalue()
-    assert repr(SCCResult.read(path, format="fits")) == repr(SCCResult.read(path))
-
-
 def test_files_are_not_replaced_unasked(path, sky_result):
     with pytest.raises(OSError, match=r"jet.fits: exists; pass overwrite=True"):
         sky_result.write(path)
