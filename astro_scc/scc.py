@@ -18,18 +18,14 @@ from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.epochs.registration import warn_of_misalignment
-from astro_scc.measurement import MatchedEpochs, SCCResult, plan
+from astro_scc.measurement import (
+    MatchedEpochs,
+    SCCResult,
+    decomposing,
+    match_files,
+    plan,
+)
 from astro_scc.measurement.axes import angular_displacements
-from astro_scc.measurement.decomposing import (
-    allow_for_structure,
-    decompose_epochs,
-    refuse_too_much,
-)
-from astro_scc.measurement.match_files import (
-    MatchCache,
-    match_provenance,
-    selection_digest,
-)
 from astro_scc.measurement.stacking import stack_matches, velocity_frame
 from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
@@ -194,7 +190,9 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         `~astro_scc.decomposition.Decomposer`
         """
-        return allow_for_structure(cube, self._decomposer(self.scale_numbers(cube)))
+        return decomposing.allow_for_structure(
+            cube, self._decomposer(self.scale_numbers(cube))
+        )
 
     def date_pairs(self, cube: EpochCube) -> DatePairs:
         """
@@ -340,25 +338,27 @@ class StackedCrossCorrelation(MeasurementSettings):
         inside = None if region is None else cube.region_mask(region)
         decomposer = self.decomposer(cube)
         correlator = self._correlator()
-        provenance = match_provenance(cube, decomposer, correlator, reach, inside)
+        provenance = match_files.match_provenance(
+            cube, decomposer, correlator, reach, inside
+        )
         if cache is not None:
-            cache = MatchCache(cache, provenance)
+            cache = match_files.MatchCache(cache, provenance)
             if (matched := cache.load(cube)) is not None:
                 plan.warn_of_none_inside(matched.ssps, matched.select, region)
                 return matched
         with workers_of(n_workers) as workers:
-            refuse_too_much(cube, decomposer, workers)
-            decompositions = decompose_epochs(
+            decomposing.refuse_too_much(cube, decomposer, workers)
+            decompositions = decomposing.decompose_epochs(
                 cube, decomposer, n_workers=workers, progress_bar=progress_bar
             )
             ssps, select = plan.ssps_inside(decompositions, cube, inside)
             windows = int(select.sum()) * (len(cube) - 1)
-            refuse_too_much(cube, decomposer, workers, n_windows=windows)
+            decomposing.refuse_too_much(cube, decomposer, workers, n_windows=windows)
             with progress(len(cube), "Correlating", show=progress_bar) as done:
                 work = decompositions, all_pairs(len(cube)), reach
                 how = {"n_workers": workers, "progress": done, "done": cache}
                 matches = correlator(*work, select=select, **how)
-        provenance["selected"] = selection_digest(select)
+        provenance["selected"] = match_files.selection_digest(select)
         # Stacks need no planes, which are larger than everything else.
         matched = MatchedEpochs(cube, decomposer, ssps, select, matches, provenance)
         if cache is not None:

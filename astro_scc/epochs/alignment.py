@@ -12,15 +12,9 @@ import numpy as np
 from astropy.table import Table
 from astropy.time import Time
 
+from astro_scc.epochs import grid
 from astro_scc.epochs.component_tables import numbers
 from astro_scc.epochs.cutout import region_mask
-from astro_scc.epochs.grid import (
-    WHOLE_PIXEL,
-    grid_step,
-    moved_wcs,
-    resample,
-    shift_image,
-)
 from astro_scc.epochs.headers import first_line
 from astro_scc.epochs.registration import core_positions, displacement
 from astro_scc.epochs.validation import as_times
@@ -195,21 +189,23 @@ def _move(cube, method, offsets):
     for i, shift in enumerate(shifts):
         if turned[i]:
             one, own = slice(i, i + 1), cube.epoch_wcs[i]
-            data[one], mask[one] = resample(
+            data[one], mask[one] = grid.resample(
                 cube.data[one], cube.mask[one], own, cube.wcs, shape=cube.shape[1:]
             )
         else:
-            data[i], mask[i] = shift_image(cube.data[i], cube.mask[i], shift)
+            data[i], mask[i] = grid.shift_image(cube.data[i], cube.mask[i], shift)
         if mask[i].all():
             raise ValueError(
                 f"{cube.labels[i]}: its shift of {shift.round(1).tolist()} pixels "
                 "(x, y) takes it off the grid; leave the epoch out"
             )
     epoch_wcs = cube.epoch_wcs and tuple(
-        cube.wcs.deepcopy() if method == "wcs" else moved_wcs(own, shift)
+        cube.wcs.deepcopy() if method == "wcs" else grid.moved_wcs(own, shift)
         for own, shift in zip(cube.epoch_wcs, shifts, strict=True)
     )
-    whole = np.all(np.abs(shifts - np.rint(shifts)) < WHOLE_PIXEL) and not turned.any()
+    whole = (
+        np.all(np.abs(shifts - np.rint(shifts)) < grid.WHOLE_PIXEL) and not turned.any()
+    )
     records = _records(cube, method, offsets)
     sky = np.array([[r["shift_east_mas"], r["shift_north_mas"]] for r in records])
     east, north = np.sqrt(np.mean(sky**2, axis=0))
@@ -282,7 +278,7 @@ def _by_wcs(cube):
             "the epochs have no absolute coordinates (epoch_wcs); "
             "read them from FITS files, or choose another alignment"
         )
-    found = [grid_step(own, cube.wcs, cube.shape[1:]) for own in cube.epoch_wcs]
+    found = [grid.grid_step(own, cube.wcs, cube.shape[1:]) for own in cube.epoch_wcs]
     steps, pure = map(np.array, zip(*found, strict=True))
     unknown = np.full((len(cube), 2, 2), np.nan)
     return Offsets(-steps, unknown, "absolute coordinates", ~pure)
@@ -344,7 +340,7 @@ def _reference_image(cube, reference):
 def _mean_of_moved(cube, shifts):
     """Return the mean of the shifted epochs, NaN where any of them has no pixel."""
     epochs = zip(cube.data, cube.mask, shifts, strict=True)
-    moved = np.stack([shift_image(*epoch)[0] for epoch in epochs])
+    moved = np.stack([grid.shift_image(*epoch)[0] for epoch in epochs])
     # Pixels that only some epochs have would make steps in the mean.
     return moved.sum(axis=0) / len(moved)
 

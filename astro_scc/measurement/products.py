@@ -14,14 +14,9 @@ from astropy.io import fits
 from astropy.table import Column, QTable, Table
 from astropy.time import Time
 
+from astro_scc import partial
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.tables import latex_text, paper_table
-from astro_scc.partial import (
-    is_held,
-    partial_folder,
-    remove_left,
-    replace_when_complete,
-)
 from astro_scc.stacking import SearchSettings
 
 # Errors of the disk, which do not always name a file.
@@ -97,7 +92,7 @@ def product_folder(path, *, overwrite=False, stale=()):
                 filled = exists and any(target.iterdir())
                 if overwrite or not filled:
                     target.parent.mkdir(parents=True, exist_ok=True)
-                    part = partial_folder(*(inside if exists else outside))
+                    part = partial.partial_folder(*(inside if exists else outside))
                     folder = stack.enter_context(part)
                     _refuse_others(path, outside, inside, own=folder)
             except BlockingIOError:
@@ -130,10 +125,10 @@ def product_folder(path, *, overwrite=False, stale=()):
 
 def _refuse_others(path, *places, own=None):
     """Raise an error if another run writes there; warn if one may do so."""
-    for left in (left for place in places for left in remove_left(*place)):
+    for left in (left for place in places for left in partial.remove_left(*place)):
         if left == own:
             continue
-        if is_held(left):
+        if partial.is_held(left):
             raise BlockingIOError(
                 f"{path}: another run is at work for this folder; wait for it, or "
                 "choose another folder"
@@ -463,5 +458,5 @@ def write_votable(table, path, *, overwrite=False):
             first.params.append(
                 Param(votable, name=key, datatype=kind, value=value, **more)
             )
-    with replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
+    with partial.replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
         votable.to_xml(str(part))

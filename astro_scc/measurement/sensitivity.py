@@ -9,12 +9,7 @@ from scipy.special import stdtr, stdtrit
 from astro_scc.measurement.axes import alignment_errors, projection_of
 from astro_scc.measurement.tables import PM_UNIT, build_table
 from astro_scc.quantities import round_to_errors, with_error
-from astro_scc.stacking import Feature, Stream
-from astro_scc.stacking.dispersion import (
-    feature_speeds,
-    random_effects,
-    variance_with_prior,
-)
+from astro_scc.stacking import Feature, Stream, dispersion
 from astro_scc.stacking.errors import alignment_response, velocity_of
 from astro_scc.stacking.search_settings import DEFAULT
 
@@ -216,7 +211,7 @@ class _Main:
         left = tuple(feature for feature in new if feature is not None)
         if not left:
             return None
-        along = random_effects(*feature_speeds(left))
+        along = dispersion.random_effects(*dispersion.feature_speeds(left))
         stream = replace(self.stream, features=left, along=along)
         (old, _), (speed, error) = map(self._speed, (self.stream, stream))
         deviation, freedom = self._deviation(stream, new)
@@ -252,7 +247,7 @@ class _Main:
         n, settings, main = len(new), DEFAULT, self.stream.along
         before, after = _weights(self.stream), iter(_weights(stream))
         of_speeds, of_places, degrees = 0.0, 0.0, 0
-        scatter = variance_with_prior(n, main.mean, main.dispersion)
+        scatter = dispersion.variance_with_prior(n, main.mean, main.dispersion)
         for line, feature, old in zip(self.lines, new, before, strict=True):
             weight = 0.0 if feature is None else next(after)
             response = -old * line.feature.response
@@ -276,7 +271,7 @@ class _Main:
 
 def _weights(stream):
     """Return the weights of the features of a stream in their mean speed."""
-    _, error = feature_speeds(stream.features)
+    _, error = dispersion.feature_speeds(stream.features)
     weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
     return weight / weight.sum()
 

@@ -8,11 +8,7 @@ import numpy as np
 
 from astro_scc import kinematics
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.axes import (
-    AxisProjection,
-    alignment_errors,
-    angular_displacements,
-)
+from astro_scc.measurement import axes
 from astro_scc.measurement.plan import flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
 from astro_scc.measurement.tables import versions
@@ -76,7 +72,7 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     pairs, max_speed = settings.date_pairs(cube), settings.largest_speed
     radius, fwhm = settings.search_radius(cube), settings.resolution(cube)
     frame, angle = velocity_frame(matched, settings.position_angle)
-    samples = angular_displacements(
+    samples = axes.angular_displacements(
         matched.matches,
         matched.ssps,
         cube,
@@ -84,7 +80,7 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
         settings.min_error_beams,
         select=matched.select,
     )
-    project = AxisProjection(samples, matched.ssps, cube, frame)
+    project = axes.AxisProjection(samples, matched.ssps, cube, frame)
     known = not isinstance(frame, kinematics.SkyFrame)
     n_axes = 1 if known else SearchSettings().n_axes
     with progress(None, "Searching", show=progress_bar):
@@ -100,7 +96,7 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
             intervals=(0.0, np.inf) if baseline is None else baseline.to_value(u.yr),
         )
     _warn_of_limits(search.permutations.smallest_p, len(cube), n_trials, alpha)
-    misaligned = alignment_errors(cube, settings.alignment_error)
+    misaligned = axes.alignment_errors(cube, settings.alignment_error)
     velocities = tuple(
         velocity_of(stream, project.beam(stream.angle), misaligned, matched.ssps.epoch)
         for stream in search.streams
