@@ -195,9 +195,7 @@ def ssp_offsets(ssps, cube, *, centroid=False):
     True
     """
     y, x = (ssps.y_centroid, ssps.x_centroid) if centroid else (ssps.y, ssps.x)
-    x0, y0 = cube.wcs.wcs.crpix - 1
-    east, north = cube.pixel_matrix.value @ np.stack([x - x0, y - y0])
-    return east, north
+    return tuple(offset.value for offset in cube.pixel_to_offset(x, y))
 
 
 def name_by_frame(table, cube):

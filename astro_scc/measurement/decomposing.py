@@ -8,7 +8,7 @@ from importlib.util import find_spec
 import numpy as np
 
 from astro_scc.correlation.correlate import COMPILE_FROM, STACK_BYTES
-from astro_scc.correlation.parallel import in_order
+from astro_scc.correlation.parallel import in_order, machine_memory
 from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.progress import progress
@@ -192,26 +192,19 @@ def refuse_too_much(cube, decomposer, n_workers, *, n_windows=0):
     MemoryError
         If the measurement needs more memory than the machine has.
     """
-    from astro_scc.correlation.parallel import machine_memory
-
     need = working_memory(cube, decomposer, n_workers, n_windows=n_windows)
     have = machine_memory()
     if need <= have:
         return
     ny, nx = cube.shape[1:]
-    what = f"{len(cube)} epochs of {nx} x {ny} pixels"
-    what += f" on {len(decomposer.scales)} scales"
-    less = "a part of the images (--crop), fewer scales"
-    if n_windows:
-        what += f" with {n_windows:.2g} windows of SSPs"
-        less += ", a region"
-    with_workers = ""
-    if isinstance(n_workers, int) and n_workers > 1:
-        with_workers = f" with {n_workers} workers"
-        less += " or fewer workers"
+    windows = f" with {n_windows:.2g} windows of SSPs" if n_windows else ""
+    several = isinstance(n_workers, int) and n_workers > 1
+    workers = f" with {n_workers} workers" if several else ""
     raise MemoryError(
-        f"{what} take about {need / 1e9:.2g} GB{with_workers}, this machine has "
-        f"{have / 1e9:.2g}; {less} take less"
+        f"{len(cube)} epochs of {nx} x {ny} pixels on {len(decomposer.scales)} "
+        f"scales{windows} take about {need / 1e9:.2g} GB{workers}, this machine has "
+        f"{have / 1e9:.2g}; a part of the images (--crop), fewer scales"
+        f"{', a region' * bool(windows)}{' or fewer workers' * several} take less"
     )
 
 

@@ -96,7 +96,7 @@ def test_parts_of_a_survey(epochs, tmp_path):
 
 def test_a_correlation_that_is_more(epochs, measure, tmp_path, monkeypatch):
     """The images fit, what is made of them does not."""
-    memory = "astro_scc.correlation.parallel.machine_memory"
+    memory = "astro_scc.measurement.decomposing.machine_memory"
     monkeypatch.setattr(memory, lambda: 5e8)
     status, err = measure(*epochs, "-o", tmp_path / "out", "--workers", "4")
     assert (status, len(err.splitlines())) == (2, 1)
@@ -113,7 +113,7 @@ def test_matches_that_are_more(monkeypatch):
     cube = simulate_two_fluid(n_epochs=2, rng=1).cube
     decompose = Decomposer(scales=[1, 2])
     known = working_memory(cube, decompose, 1)
-    memory = "astro_scc.correlation.parallel.machine_memory"
+    memory = "astro_scc.measurement.decomposing.machine_memory"
     monkeypatch.setattr(memory, lambda: known + 1e6)
     refuse_too_much(cube, decompose, 1, n_windows=1000)
     with pytest.raises(MemoryError, match="1e[+]04 windows of SSPs.* a region"):
