@@ -132,28 +132,13 @@ def without_dates(header):
 
 
 def pack_facts(facts):
-    """Return a dictionary as text in which astropy's objects keep their types."""
-    return yaml.dump(_plain(facts), allow_unicode=False)
+    """Return a value as text in which dictionaries, WCS and others keep their types."""
+    return yaml.dump(_pack(facts, "facts", None, {}, in_meta=True), allow_unicode=False)
 
 
 def unpack_facts(text):
-    """Return the dictionary that `pack_facts` packed."""
-    return yaml.load(str(text))
-
-
-def _plain(value):
-    """Return a value that YAML can hold; other objects become text."""
-    if isinstance(value, dict):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
-    if isinstance(value, np.generic):
-        return value.item()
-    try:
-        yaml.dump(value, allow_unicode=False)
-    except Exception:
-        return str(value)
-    return value
+    """Return the value that `pack_facts` packed."""
+    return _unpack(yaml.load(str(text)), None, {})
 
 
 def write_object(value, path, *, creator, overwrite=False, headers=None, tables=None):
@@ -249,7 +234,11 @@ class _VersionError(Exception):
 
 
 def _pack(value, name, arrays, memo, *, in_meta=False):
-    """Return what YAML can hold; append long arrays with their names to ``arrays``."""
+    """
+    Return what YAML can hold; append long arrays with their names to ``arrays``.
+
+    Without ``arrays`` they are a part of it.  Other objects in the meta become text.
+    """
     kind = type(value)
     if id(value) in memo:
         return memo[id(value)][0]
@@ -257,28 +246,40 @@ def _pack(value, name, arrays, memo, *, in_meta=False):
     def inner(item, name=name, in_meta=in_meta):
         return _pack(item, name, arrays, memo, in_meta=in_meta)
 
-    if kind is dict:
+    if isinstance(value, dict):
         return {str(key): inner(item, str(key), True) for key, item in value.items()}
-    if kind in (list, tuple):
-        return kind(inner(item) for item in value)
+    if isinstance(value, list | tuple):
+        return (list if isinstance(value, list) else tuple)(map(inner, value))
     if is_dataclass(kind) and kind.__module__.startswith(PACKAGE):
         packed = {f.name: inner(getattr(value, f.name), f.name) for f in fields(value)}
         packed[CLASS] = f"{kind.__module__}.{kind.__name__}"
     elif isinstance(value, WCS):
         packed = {CLASS: "WCS", **pack_wcs(value)}
-    elif kind is np.ndarray and value.size > (0 if value.ndim > 2 else SHORT):
+    elif arrays is not None and _is_long(value):
         arrays.append((name, value))
         packed = {CLASS: "array", "hdu": len(arrays) + 1, "shape": list(value.shape)}
         packed["dtype"] = value.dtype.newbyteorder("=").str
     else:
         # astropy's YAML transposes arrays in Fortran's order.
-        plain = _plain(np.array(value, order="C") if kind is np.ndarray else value)
-        if isinstance(plain, str) and not (in_meta or isinstance(value, str)):
-            raise ValueError(f"{name}: an object {kind.__name__} cannot be written")
+        plain = np.array(value, order="C") if kind is np.ndarray else value
+        plain = value.item() if isinstance(value, np.generic) else plain
+        try:
+            yaml.dump(plain)
+        except Exception:
+            if in_meta:
+                return str(value)
+            what = f"an object {kind.__name__} cannot be written"
+            raise ValueError(f"{name}: {what}") from None
         return plain
     # What is shared is written once; keeping the value keeps its id its own.
     memo[id(value)] = packed, value
     return packed
+
+
+def _is_long(value):
+    """Return whether a value is an array that is not for a text."""
+    is_image = getattr(value, "ndim", 0) > 2
+    return type(value) is np.ndarray and value.size > (0 if is_image else SHORT)
 
 
 def _unpack(value, hdus, memo):

@@ -20,9 +20,7 @@ from astro_scc.epochs.serialize import (
     beam_columns,
     beams_of,
     pack_facts,
-    pack_wcs,
     unpack_facts,
-    unpack_wcs,
     without_dates,
 )
 from astro_scc.epochs.validation import UNEVEN, fits_wcs, uncertainty_noise
@@ -108,13 +106,13 @@ def to_xarray(cube):
         "facts": ("time", [pack_facts(facts) for facts in cube.epoch_meta]),
     }
     if cube.epoch_wcs:
-        own = [pack_facts(pack_wcs(w)) for w in cube.epoch_wcs]
+        own = [pack_facts(w) for w in cube.epoch_wcs]
         coordinates["own_wcs"] = "time", own
     attributes = {
         "title": str(cube.meta.get("object", "")),
         "time_scale": cube.times.scale,
         "time_format": cube.times.format,
-        "wcs": pack_facts(pack_wcs(cube.wcs)),
+        "wcs": pack_facts(cube.wcs),
         "meta": pack_facts(cube.meta),
     }
     return xarray.Dataset(variables, coordinates, attributes)
@@ -221,7 +219,7 @@ def _cube_of(source):
         shift.append(-int(pixels[0]))
 
     def grid(packed):
-        return moved_wcs(unpack_wcs(unpack_facts(packed)), shift)
+        return moved_wcs(unpack_facts(packed), shift)
 
     attributes = source.attrs
     times = getattr(_dates_along(source, "time"), attributes["time_scale"])
