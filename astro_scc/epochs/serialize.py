@@ -110,20 +110,6 @@ def is_cube_file(path):
             return False
 
 
-def pack_wcs(wcs):
-    """Return a WCS as the text of a header, and the shape of its images."""
-    shape = list(wcs.array_shape) if wcs.array_shape else None
-    return {"header": wcs.to_header_string(relax=EXACT), "shape": shape}
-
-
-def unpack_wcs(packed):
-    """Return the WCS that `pack_wcs` packed, to the last digit."""
-    wcs = WCS(without_dates(fits.Header.fromstring(packed["header"])))
-    if packed["shape"]:
-        wcs.array_shape = packed["shape"]
-    return wcs
-
-
 def without_dates(header):
     """Return a header without the dates that wcslib adds to the header of a WCS."""
     for keyword in [k for k in header if k.startswith(("DATE", "MJD", "TIMESYS"))]:
@@ -254,7 +240,9 @@ def _pack(value, name, arrays, memo, *, in_meta=False):
         packed = {f.name: inner(getattr(value, f.name), f.name) for f in fields(value)}
         packed[CLASS] = f"{kind.__module__}.{kind.__name__}"
     elif isinstance(value, WCS):
-        packed = {CLASS: "WCS", **pack_wcs(value)}
+        shape = list(value.array_shape) if value.array_shape else None
+        header = value.to_header_string(relax=EXACT)
+        packed = {CLASS: "WCS", "header": header, "shape": shape}
     elif arrays is not None and _is_long(value):
         arrays.append((name, value))
         packed = {CLASS: "array", "hdu": len(arrays) + 1, "shape": list(value.shape)}
@@ -298,7 +286,9 @@ def _unpack(value, hdus, memo):
     if name is None:
         return {key: inner(item) for key, item in value.items()}
     if name == "WCS":
-        made = unpack_wcs(value)
+        made = WCS(without_dates(fits.Header.fromstring(value["header"])))
+        if value["shape"]:
+            made.array_shape = value["shape"]
     elif name == "array":
         made = hdus[value["hdu"]].data
         if made.dtype.str[1:] != value["dtype"][1:]:

@@ -6,7 +6,7 @@ import json
 import shutil
 import warnings
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +22,6 @@ from astro_scc.partial import replace_when_complete
 
 #: What the files are, in their headers and in messages.
 MATCHES = "astro_scc matches"
-#: What a file of matches holds.
-PARTS = "decomposer", "ssps", "select", "matches", "provenance"
 #: Columns that `astro_scc.correlation.match_block` returns.
 N_COLUMNS = 7
 #: What each part is called in messages.
@@ -131,8 +129,7 @@ class MatchedEpochs:
         if provenance.pop("selected") != selection_digest(self.select):
             # No region that can be requested gives SSPs that were selected later.
             provenance["region"] = "chosen SSPs"
-        parts = {name: getattr(self, name) for name in PARTS}
-        parts["provenance"] = provenance
+        parts = replace(self, cube=None, provenance=provenance)
         write_object(parts, path, creator=MATCHES, overwrite=overwrite)
 
     @classmethod
@@ -162,13 +159,13 @@ class MatchedEpochs:
             If it was made from other images, or by other settings or versions.
         """
         parts = read_object(path, creator=MATCHES)
-        found = parts["provenance"]
+        found = parts.provenance
         if wanted is None:
             wanted = {**image_provenance(cube), "versions": versions()}
         if stale := stale_parts(found, wanted):
             raise ValueError(f"{path}: is of other {stale}; match the epochs again")
-        parts["provenance"] = {**found, "selected": selection_digest(parts["select"])}
-        return cls(cube=cube, **parts)
+        provenance = {**found, "selected": selection_digest(parts.select)}
+        return replace(parts, cube=cube, provenance=provenance)
 
 
 class MatchCache:

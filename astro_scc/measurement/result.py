@@ -146,7 +146,25 @@ class SCCResult:
         )
 
     def _repr_html_(self):
-        return result_html(self)
+        cube, table = self.cube, self.components
+        name = str(cube.meta.get("object", "")).strip()
+        kinds = [str(kind) for kind in table["kind"]]
+        found = ", ".join(
+            f"{kinds.count(kind)} {kind}"
+            for kind in ("moving", "stationary", "not significant")
+            if kind in kinds
+        )
+        lines = [
+            f"SCCResult {name}{': ' if name else ''}{found or 'no component'}",
+            repr(cube)[1:-1],
+            f"{len(self.pairs)} pairs of epochs, {np.sum(self.matched.select)} SSPs, "
+            f"{self.meta.get('n_trials')} trials, seed {self.meta.get('seed')}",
+        ]
+        text = f"<p>{'<br>'.join(escape(line) for line in lines)}</p>"
+        if not kinds:
+            return text
+        shown = paper_table(table, latex=False)
+        return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))
 
     @property
     def cube(self):
@@ -284,7 +302,44 @@ class SCCResult:
             ``direction`` of the displacement on the axes of the frame, and its
             ``position_angle``, or None if that differs from place to place.
         """
-        return diagram_image(self)
+        diagram, angle = self.search.diagram, self.search.angle
+        beam = projection_of(self).beam(angle)[0]
+        direction, position_angle = np.array([np.cos(angle), np.sin(angle)]), None
+        excess = (diagram.excess / diagram.n_pairs[:, None]).T
+        if self.frame.uniform:
+            sky = np.linalg.solve(self.frame.matrix(0.0, 0.0), direction)
+            position_angle = np.degrees(np.arctan2(*sky)) * u.deg
+            if np.cos(position_angle - self.position_angle) < 0:
+                # Displacements down the jet are positive.
+                direction, excess = -direction, excess[::-1]
+                position_angle += 180 * u.deg
+            position_angle %= 360 * u.deg
+        step = stacking.SearchSettings().interval_step
+        shortest = _shortest(self.cube.years.to_value(u.yr), diagram)
+        bins = np.floor(np.log(diagram.interval / shortest) / step + 1e-9).astype(int)
+        data = np.full((len(excess), bins[-1] + 1), np.nan)
+        interval, n_pairs = np.full(bins[-1] + 1, np.nan), np.zeros(bins[-1] + 1, int)
+        data[:, bins], interval[bins], n_pairs[bins] = (
+            excess, diagram.interval, diagram.n_pairs
+        )  # fmt: skip
+        middle = shortest * np.exp(step / 2)
+        wcs = WCS(naxis=2)
+        wcs.wcs.ctype, wcs.wcs.cunit = ["INTV-LOG", "DISPLACE"], ["yr", "mas"]
+        wcs.wcs.crpix = [1.0, (len(data) + 1) / 2]
+        wcs.wcs.crval = [middle, 0.0]
+        wcs.wcs.cdelt = [step * middle, beam * np.diff(diagram.displacement).mean()]
+        return NDData(
+            data,
+            wcs=wcs,
+            meta={
+                "axes": ("interval", "displacement"),
+                "interval": interval * u.yr,
+                "n_pairs": n_pairs,
+                "beam": beam * u.mas,
+                "direction": direction,
+                "position_angle": position_angle,
+            },
+        )
 
     def members(self, number):
         """
@@ -358,58 +413,6 @@ class SCCResult:
         return write_explore(path, *tables, velocity_hdus(self), cube=self.cube)
 
 
-def diagram_image(result):
-    """
-    Return the diagram of a search with a WCS, see `SCCResult.diagram`.
-
-    Parameters
-    ----------
-    result : `SCCResult`
-
-    Returns
-    -------
-    `~astropy.nddata.NDData`
-    """
-    diagram, angle = result.search.diagram, result.search.angle
-    beam = projection_of(result).beam(angle)[0]
-    direction, position_angle = np.array([np.cos(angle), np.sin(angle)]), None
-    excess = (diagram.excess / diagram.n_pairs[:, None]).T
-    if result.frame.uniform:
-        sky = np.linalg.solve(result.frame.matrix(0.0, 0.0), direction)
-        position_angle = np.degrees(np.arctan2(*sky)) * u.deg
-        if np.cos(position_angle - result.position_angle) < 0:
-            # Displacements down the jet are positive.
-            direction, excess = -direction, excess[::-1]
-            position_angle += 180 * u.deg
-        position_angle %= 360 * u.deg
-    step = stacking.SearchSettings().interval_step
-    shortest = _shortest(result.cube.years.to_value(u.yr), diagram)
-    bins = np.floor(np.log(diagram.interval / shortest) / step + 1e-9).astype(int)
-    data = np.full((len(excess), bins[-1] + 1), np.nan)
-    interval, n_pairs = np.full(bins[-1] + 1, np.nan), np.zeros(bins[-1] + 1, int)
-    data[:, bins], interval[bins], n_pairs[bins] = (
-        excess, diagram.interval, diagram.n_pairs
-    )  # fmt: skip
-    middle = shortest * np.exp(step / 2)
-    wcs = WCS(naxis=2)
-    wcs.wcs.ctype, wcs.wcs.cunit = ["INTV-LOG", "DISPLACE"], ["yr", "mas"]
-    wcs.wcs.crpix = [1.0, (len(data) + 1) / 2]
-    wcs.wcs.crval = [middle, 0.0]
-    wcs.wcs.cdelt = [step * middle, beam * np.diff(diagram.displacement).mean()]
-    return NDData(
-        data,
-        wcs=wcs,
-        meta={
-            "axes": ("interval", "displacement"),
-            "interval": interval * u.yr,
-            "n_pairs": n_pairs,
-            "beam": beam * u.mas,
-            "direction": direction,
-            "position_angle": position_angle,
-        },
-    )
-
-
 def _shortest(years, diagram):
     """Return the shortest interval that was used, where the first bin begins."""
     first, second = np.triu_indices(len(years), 1)
@@ -418,37 +421,3 @@ def _shortest(years, diagram):
     total = np.concatenate([[0.0], every.cumsum()])
     mean = (total[n:] - total[:-n]) / n
     return every[np.abs(mean - diagram.interval[0]).argmin()]
-
-
-def result_html(result):
-    """
-    Return a measurement as a few lines and the table of its components.
-
-    Parameters
-    ----------
-    result : `SCCResult`
-
-    Returns
-    -------
-    str
-        HTML without scripts and styles.
-    """
-    cube, table = result.cube, result.components
-    name = str(cube.meta.get("object", "")).strip()
-    kinds = [str(kind) for kind in table["kind"]]
-    found = ", ".join(
-        f"{kinds.count(kind)} {kind}"
-        for kind in ("moving", "stationary", "not significant")
-        if kind in kinds
-    )
-    lines = [
-        f"SCCResult {name}{': ' if name else ''}{found or 'no component'}",
-        repr(cube)[1:-1],
-        f"{len(result.pairs)} pairs of epochs, {np.sum(result.matched.select)} SSPs, "
-        f"{result.meta.get('n_trials')} trials, seed {result.meta.get('seed')}",
-    ]
-    text = f"<p>{'<br>'.join(escape(line) for line in lines)}</p>"
-    if not kinds:
-        return text
-    shown = paper_table(table, latex=False)
-    return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))
