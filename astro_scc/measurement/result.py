@@ -167,6 +167,11 @@ class SCCResult:
         return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))
 
     @property
+    def errors(self):
+        """Covariance of each velocity."""
+        return tuple(velocity.covariance for velocity in self.velocities)
+
+    @property
     def cube(self):
         """The epochs that were measured."""
         return self.matched.cube
