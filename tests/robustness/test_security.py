@@ -94,7 +94,7 @@ def test_yaml_in_files_makes_no_objects(inputs, tmp_path, code):
         text = f"unit: {bad}\n".encode()
         hdus["META"] = fits.ImageHDU(np.frombuffer(text, np.uint8), name="META")
         hdus.writeto(tmp_path / "bad.fits")
-    with pytest.raises(OSError, match=r"bad.fits: is a damaged EpochCube file: "):
+    with pytest.raises(OSError, match=r"bad.fits: is no complete astro_scc Epoch"):
         EpochCube.read(tmp_path / "bad.fits")
     (tmp_path / "t.ecsv").write_text(
         f"# %ECSV 1.0\n# ---\n# datatype:\n# - {{name: epoch, datatype: string}}\n"
@@ -103,6 +103,19 @@ def test_yaml_in_files_makes_no_objects(inputs, tmp_path, code):
     with pytest.raises(ValueError, match=r"t.ecsv: is neither CSV nor ECSV"):
         offsets_from_table(tmp_path / "t.ecsv", None, [])
     assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.parametrize(
+    "name", ["os.PathLike", "astro_scc.cli.main", "astro_scc.epochs.fits.Path", "x"]
+)
+def test_files_make_dataclasses_of_this_package_only(inputs, tmp_path, name):
+    EpochCube.read(inputs.series(tmp_path, n=2)).write(tmp_path / "cube.fits")
+    with fits.open(tmp_path / "cube.fits") as hdus:
+        text = f"'!class': {name}\n".encode()
+        hdus["META"] = fits.ImageHDU(np.frombuffer(text, np.uint8), name="META")
+        hdus.writeto(tmp_path / "bad.fits")
+    with pytest.raises(OSError, match=r"bad.fits: its \w+ is of another version"):
+        EpochCube.read(tmp_path / "bad.fits")
 
 
 def test_codes_for_the_terminal_are_letters(capsys):
