@@ -5,6 +5,7 @@ import re
 import warnings
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -200,13 +201,13 @@ def read_object(path, *, creator, lazy=False):
             # astropy only warns of a wrong checksum.
             with (
                 warnings.catch_warnings(action="error"),
-                open_fits(file, memmap=lazy, checksum=not lazy) as hdus,
+                open_fits(file, memmap=True, checksum=not lazy) as hdus,
             ):
                 if hdus[0].header.get("CREATOR") != creator:
                     raise ValueError("it was not written as one")
                 if (layout := hdus[0].header["SCCVERS"]) == LAYOUT:
                     facts = yaml.load(hdus["META"].data.tobytes().decode())
-                    return _unpack(facts, hdus, {})
+                    return _unpack(facts, partial(_array, hdus, lazy), {})
         except _VersionError as error:
             raise OSError(f"{path}: {error}") from None
         except Exception as error:
@@ -270,11 +271,20 @@ def _is_long(value):
     return type(value) is np.ndarray and value.size > (0 if is_image else SHORT)
 
 
-def _unpack(value, hdus, memo):
-    """Return what `_pack` packed."""
+def _array(hdus, lazy, packed):
+    """Return an array of an extension, in memory unless it is lazy."""
+    made = hdus[packed["hdu"]].data
+    if made.dtype.str[1:] != packed["dtype"][1:]:
+        made = made.view(packed["dtype"])
+    made = made if lazy else made.astype(packed["dtype"])
+    return made.reshape(packed["shape"])
+
+
+def _unpack(value, array, memo):
+    """Return what `_pack` packed, with a function that returns packed arrays."""
 
     def inner(item):
-        return _unpack(item, hdus, memo)
+        return _unpack(item, array, memo)
 
     if isinstance(value, list | tuple):
         return type(value)(inner(item) for item in value)
@@ -290,12 +300,7 @@ def _unpack(value, hdus, memo):
         if value["shape"]:
             made.array_shape = value["shape"]
     elif name == "array":
-        made = hdus[value["hdu"]].data
-        if made.dtype.str[1:] != value["dtype"][1:]:
-            made = made.view(value["dtype"])
-        elif not isinstance(made.base, np.memmap):
-            made = made.astype(value["dtype"])
-        made = made.reshape(value["shape"])
+        made = array(value)
     else:
         made = _made(name, value.keys() - {CLASS})
         for key in value.keys() - {CLASS}:
