@@ -162,14 +162,14 @@ def test_two_runs_that_begin_in_one_moment(tmp_path, monkeypatch):
     """The second looks before the first has made its folder, and looks again."""
     pytest.importorskip("fcntl")
     monkeypatch.setattr("astro_scc.partial.PATIENCE", 0.01)
-    out, real, looked = tmp_path / "out", products.remove_left, []
+    out, real, looked = tmp_path / "out", products.partial.remove_left, []
 
     def look(parent, prefix):
         looked.append(prefix)
         return [] if len(looked) <= 2 else real(parent, prefix)
 
     with product_folder(out):
-        monkeypatch.setattr(products, "remove_left", look)
+        monkeypatch.setattr(products.partial, "remove_left", look)
         with (
             pytest.raises(OSError, match="out: another run is at work for this folder"),
             product_folder(out),
