@@ -108,6 +108,35 @@ def test_every_docstring_is_complete():
     assert problems == []
 
 
+def signatures():
+    """Signatures of public functions, and of what public classes define themselves."""
+    for name, thing in PUBLIC.items():
+        members = vars(thing) if inspect.isclass(thing) else {"": thing}
+        for member, value in members.items():
+            for wrapped in ("__func__", "fget", "func"):
+                value = getattr(value, wrapped, value)
+            own = getattr(value, "__module__", "").startswith("astro_scc")
+            special = member in ("__call__", "__getitem__", "__iter__", "__len__")
+            if own and callable(value) and (special or not member.startswith("_")):
+                yield f"{name}.{member}", inspect.signature(value)
+
+
+def test_every_public_signature_is_annotated():
+    # Mypy checks them, by the step "types" of .ci/run.
+    missing = []
+    for name, signature in signatures():
+        for parameter in signature.parameters.values():
+            kind, optional = str(parameter.annotation), parameter.default is None
+            if parameter.name not in ("self", "cls") and (
+                parameter.annotation is parameter.empty
+                or (optional and not re.search("None|Any", kind))
+            ):
+                missing.append(f"{name}: {parameter}")
+        if signature.return_annotation is signature.empty:
+            missing.append(f"{name}: what it returns")
+    assert missing == []
+
+
 def errors_of(function):
     """Names of the exceptions that the body of a function raises itself."""
     body = ast.parse(textwrap.dedent(inspect.getsource(function)))

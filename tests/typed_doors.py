@@ -6,13 +6,15 @@ What must be refused has a ``type: ignore``, which mypy reports if it is not nee
 """
 
 from pathlib import Path
-from typing import assert_type
+from typing import Any, assert_type
 
 import astropy.units as u
 import numpy as np
 from astropy.cosmology import FlatLambdaCDM
+from astropy.nddata import CCDData, NDData
 from astropy.table import QTable, Table
 from astropy.time import Time
+from astropy.wcs import WCS
 from matplotlib.figure import Figure
 
 from astro_scc import (
@@ -21,10 +23,13 @@ from astro_scc import (
     StackedCrossCorrelation,
     correlation,
     decomposition,
+    epochs,
     expansion,
     flow,
+    interchange,
     kinematics,
     measure_velocities,
+    measurement,
     recovery,
     report,
     settings,
@@ -38,7 +43,7 @@ from astro_scc.measurement import MatchedEpochs, SCCResult
 MAS_PER_YEAR = u.mas / u.yr
 
 
-def measure(cube: EpochCube) -> None:
+def measure(cube: EpochCube) -> QTable:
     scc = StackedCrossCorrelation(scales=[1, 2, 3], max_speed=2 * MAS_PER_YEAR)
     StackedCrossCorrelation(scales="0.2 mas, 0.4 mas", max_speed="2 mas/yr")
     StackedCrossCorrelation(max_speed=2.0)  # type: ignore[arg-type]
@@ -55,6 +60,7 @@ def measure(cube: EpochCube) -> None:
     assert_type(scc(cube, region=None, n_trials=1000, rng=1), SCCResult)
     assert_type(measure_velocities(cube, scales=[1, 2]), QTable)
     result.nothing  # type: ignore[attr-defined]  # noqa: B018
+    return result.components
 
 
 def configure(path: Path) -> str:
@@ -100,7 +106,7 @@ def speeds_in_c(result: SCCResult) -> u.Quantity:
     kinematics.viewing_angle(speed, 10)
     kinematics.intrinsic_table([5.0, 8.0], [0.5, 0.5], rng=1)
     jet = kinematics.two_sided_jet(17.6 * u.mas / u.day, 9 * u.mas / u.day)
-    assert_type(sorted(jet), list[str])
+    jet["beta_cos"]
     assert_type(kinematics.paper_cosmology(), FlatLambdaCDM)
     assert_type(kinematics.RadialFrame().matrix(1.0, [2.0, 3.0]), np.ndarray)
     return kinematics.lorentz_factor(0.9)
@@ -201,3 +207,67 @@ def draw(result: SCCResult, tracks: tracking.Tracking) -> Figure:
     page = report.write_report(result, "out", left_out=["a.fits", ("b.fits", "date")])
     assert_type(page, Path)
     return visualization.plot_tracks(tracks, unit=u.arcsec)
+
+
+def read_and_prepare(paths: list[str], table: Table) -> EpochCube:
+    cube = EpochCube.read(paths, times=["2000-01-01"], beams=None, region="core.reg")
+    EpochCube.read(3)  # type: ignore[arg-type]
+    EpochCube.read(Path("3c273.fits"), frames="absolute")  # type: ignore[call-arg]
+    assert_type(cube.times, Time)
+    assert_type(cube.wcs, WCS)
+    assert_type(cube.mask, np.ndarray)
+    assert_type(cube.epochs, QTable)
+    assert_type(cube.pixel_scale, u.Quantity)
+    assert_type(cube.reference_pixel, tuple[float, float])
+    assert_type(cube.misalignment, float | None)
+    assert_type(cube[0], CCDData)
+    assert_type(cube[1:], EpochCube)
+    assert_type([image.shape for image in cube], list[Any])
+    cube = cube.to_common_beam().align("table", table=table).crop("jet.reg", pad=4)
+    cube.to_common_beam("1 mas")  # type: ignore[arg-type]
+    east, north = cube.pixel_to_offset(3, [4, 5])
+    assert_type(cube.offset_to_pixel(east, north), tuple[np.ndarray, np.ndarray])
+    cube.write("cube.fits", overwrite=True)
+    cube.write("cube.fits", clobber=True)  # type: ignore[call-arg]
+    return EpochCube.from_arrays(np.ones((2, 8, 8)), ["2000", "2001"], pixel_scale=east)
+
+
+def inspect(paths: list[str], cube: EpochCube) -> epochs.ComponentList:
+    assert_type(epochs.inspect_epochs(paths), QTable)
+    assert_type(epochs.measure_noise(cube.data[0]), float)
+    assert_type(epochs.plan_intervals(cube).span, u.Quantity)
+    assert_type(epochs.core_positions(cube, max_shift=2 * u.mas), QTable)
+    assert_type(epochs.distance_mask(cube, 0 * u.mas, 1 * u.mas), np.ndarray)
+    epochs.distance_mask(cube, 0, 1)  # type: ignore[arg-type]
+    wcs, shape = epochs.shared_grid([cube, cube])
+    assert_type(epochs.reproject_cube(cube, wcs, shape), EpochCube)
+    beam = epochs.smallest_common_beam([Beam(2 * u.mas, 1 * u.mas)])
+    models = epochs.read_components("jet.mod", dates=["2000-01-01"])
+    epochs.restore(models, pixel_scale=0.1 * u.mas)  # type: ignore[call-arg]
+    restored = epochs.restore(models, beam=beam, pixel_scale=0.1 * u.mas, rng=1)
+    assert_type(epochs.write_epochs(restored, "epochs"), list[Path])
+    return models.select(after="2001-01-01")
+
+
+def exchange(cube: EpochCube) -> EpochCube:
+    interchange.from_xarray(interchange.to_xarray(cube), unit="Jy / beam")
+    interchange.from_ndcube(interchange.to_ndcube(cube), times=cube.times)
+    return interchange.read_movie("movie.hdf5")
+
+
+def read_results(result: SCCResult, cube: EpochCube) -> dict[str, str]:
+    assert_type(result.components, QTable)
+    assert_type(result.components_in_c(redshift=0.158, cosmology="Planck18"), QTable)
+    result.components_in_c(z=0.158)  # type: ignore[call-arg]
+    assert_type(result.velocity_map("z_score"), NDData)
+    assert_type(result.plot(), Figure)
+    assert_type(result.explore("jet.html"), Path)
+    result.matched.write("matches.fits")
+    matched = MatchedEpochs.read("matches.fits", cube)
+    inner = measurement.select_ssps(matched, r_max=8 * u.mas, scales=[1, 2])
+    measurement.select_ssps(matched, r_max=8)  # type: ignore[arg-type]
+    regions = measurement.ssp_regions(inner.ssps, cube, 0, shape="circle")
+    regions.write("ssps.reg")
+    with measurement.product_folder("out") as folder:
+        measurement.write_products(result, result.components, folder)
+    return measurement.versions()

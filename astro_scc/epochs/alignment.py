@@ -1,16 +1,20 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Alignment of the epochs, by shifts that are measured or given in a table."""
 
+from __future__ import annotations
+
 import os
 import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
 from astropy.table import Table
 from astropy.time import Time
+from numpy.typing import ArrayLike
 
 from astro_scc.epochs import grid
 from astro_scc.epochs.component_tables import numbers
@@ -19,6 +23,9 @@ from astro_scc.epochs.headers import first_line
 from astro_scc.epochs.registration import core_positions, displacement
 from astro_scc.epochs.validation import as_times
 from astro_scc.exceptions import MeasurementWarning
+
+if TYPE_CHECKING:
+    from astro_scc.epochs.cube import EpochCube
 
 # A row of a table belongs to an epoch if their dates agree to this many days.
 TOLERANCE = 1.0
@@ -47,15 +54,10 @@ class Offsets:
 
 
 def align(
-    cube,
-    method="core",
-    *,
-    table=None,
-    reference=None,
-    region=None,
-    jet_pa=None,
-    max_shift=None,
-):
+    cube: EpochCube, method: str = "core", *, table: Path | str | Table | None = None,
+    reference: ArrayLike | None = None, region: Any = None,
+    jet_pa: u.Quantity | None = None, max_shift: u.Quantity | None = None,
+) -> EpochCube:  # fmt: skip
     """
     Return the cube with its epochs shifted into alignment.
 

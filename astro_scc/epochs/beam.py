@@ -1,12 +1,19 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The elliptical Gaussian beam (PSF) of an epoch, and one beam for all epochs."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 from scipy import fft, optimize
+
+if TYPE_CHECKING:
+    from astro_scc.epochs.cube import EpochCube
 
 FWHM_TO_SIGMA = 1 / np.sqrt(8 * np.log(2))
 #: Beams are the same if their widths differ by less in every direction: headers round
@@ -73,12 +80,12 @@ class Beam:
         )
 
     @property
-    def area(self):
+    def area(self) -> u.Quantity:
         """Solid angle, pi major minor / (4 ln 2)."""
         return np.pi * self.major * self.minor / (4 * np.log(2))
 
     @cached_property
-    def covariance(self):
+    def covariance(self) -> u.Quantity:
         """
         Covariance of the Gaussian over (east, north), shape (2, 2).
 
@@ -93,7 +100,7 @@ class Beam:
             + self.minor**2 * np.outer(across, across)
         )
 
-    def fwhm_along(self, position_angle):
+    def fwhm_along(self, position_angle: u.Quantity) -> u.Quantity:
         """
         Return the full width at half maximum of the profile along a direction.
 
@@ -111,7 +118,7 @@ class Beam:
         variance = np.einsum("i...,ij,j...->...", direction, self.covariance, direction)
         return np.sqrt(variance) / FWHM_TO_SIGMA
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         if not isinstance(other, Beam):
             return NotImplemented
         return bool(np.all(np.isclose(self.covariance, other.covariance, rtol=1e-6)))
@@ -239,7 +246,7 @@ def _excess(covariance, others):
     return np.linalg.eigvalsh(root @ np.asarray(others) @ root.T)[..., -1]
 
 
-def smallest_common_beam(beams):
+def smallest_common_beam(beams: Sequence[Beam]) -> Beam:
     """
     Return the smallest beam to which several beams can all be convolved.
 
@@ -300,7 +307,7 @@ def _least_covariance(covariances):
     return np.exp(best.fun) * shape(best.x)
 
 
-def common_beam(cube, beam=None):
+def common_beam(cube: EpochCube, beam: Beam | None = None) -> EpochCube:
     """
     Return the cube with all epochs convolved to the same beam.
 

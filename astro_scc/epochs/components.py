@@ -1,7 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Model components: lists of Gaussians at many dates, and how they are read."""
 
+from __future__ import annotations
+
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -9,6 +12,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
+from numpy.typing import ArrayLike
 
 from astro_scc.epochs.component_tables import (
     CORE,
@@ -134,11 +138,11 @@ class ComponentList:
         for name, values in columns.items():
             object.__setattr__(self, name, values)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return self.epoch.size
 
     @property
-    def n_epochs(self):
+    def n_epochs(self) -> int:
         """Number of epochs."""
         return len(self.times)
 
@@ -149,7 +153,10 @@ class ComponentList:
             f"<ComponentList: {len(self)} components at {self.n_epochs} epochs{span}>"
         )
 
-    def select(self, *, after=None, before=None, features=None, excluded=True):
+    def select(
+        self, *, after: Time | str | None = None, before: Time | str | None = None,
+        features: ArrayLike | None = None, excluded: bool = True,
+    ) -> ComponentList:  # fmt: skip
         """
         Return some of the components; epochs without any are dropped.
 
@@ -196,7 +203,7 @@ class ComponentList:
             **{name: getattr(self, name)[keep] for name in COLUMNS},
         )
 
-    def to_table(self):
+    def to_table(self) -> QTable:
         """
         Return all components as a table, which `read_components` reads from ECSV.
 
@@ -237,7 +244,11 @@ def _concatenate(lists):
     )
 
 
-def read_components(paths, *, format=None, source=None, origin=None, dates=None):
+def read_components(
+    paths: Path | str | Sequence[Path | str], *, format: str | None = None,
+    source: str | None = None, origin: str | None = None,
+    dates: Time | Sequence[Time | str | None] | None = None,
+) -> ComponentList:  # fmt: skip
     """
     Read the model components of one source from files.
 

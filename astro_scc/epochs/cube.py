@@ -1,17 +1,23 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The images of one object at many dates, on one pixel grid."""
 
+from __future__ import annotations
+
 import operator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
 from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import astropy.units as u
 import numpy as np
-from astropy.nddata import CCDData, StdDevUncertainty
+from astropy.nddata import CCDData, NDData, StdDevUncertainty
 from astropy.time import Time
 from astropy.wcs import WCS
+from numpy.typing import ArrayLike
 
 from astro_scc.epochs import positions
 from astro_scc.epochs.alignment import align
@@ -35,6 +41,13 @@ from astro_scc.epochs.validation import (
     as_times,
     date_labels,
 )
+
+if TYPE_CHECKING:
+    from astropy.coordinates import SkyCoord
+    from astropy.table import QTable
+    from matplotlib.figure import Figure
+    from ndcube import NDCube, NDCubeSequence
+    from xarray import DataArray, Dataset
 
 
 def _picked(each, epochs):
@@ -106,12 +119,12 @@ class EpochCube:
     times: Time
     wcs: WCS
     unit: u.UnitBase = u.dimensionless_unscaled
-    mask: np.ndarray | None = None
-    beams: tuple[Beam, ...] | None = None
+    mask: np.ndarray = None
+    beams: Sequence[Beam] | None = None
     noise: u.Quantity | None = None
-    labels: tuple[str, ...] = ()
-    epoch_wcs: tuple[WCS, ...] | None = None
-    epoch_meta: tuple[dict, ...] = ()
+    labels: Sequence[str] = ()
+    epoch_wcs: Sequence[WCS] | None = None
+    epoch_meta: Sequence[dict] = ()
     meta: dict = field(default_factory=dict)
 
     def __post_init__(self):
@@ -140,17 +153,11 @@ class EpochCube:
 
     @classmethod
     def read(
-        cls,
-        paths,
-        *,
-        frame="offset",
-        times=None,
-        beams=None,
-        hdu=None,
-        check=True,
-        region=None,
-        pad=0,
-    ):
+        cls, paths: Path | str | Sequence[Path | str], *, frame: str = "offset",
+        times: Time | Sequence[Any] | None = None,
+        beams: Beam | Sequence[Beam] | None = None, hdu: int | str | None = None,
+        check: bool = True, region: Any = None, pad: int = 0,
+    ) -> EpochCube:  # fmt: skip
         """
         Read FITS images, one per epoch, or a file that `write` made.
 
@@ -221,8 +228,10 @@ class EpochCube:
 
     @classmethod
     def from_ccddata(
-        cls, images, times=None, beams=None, *, frame="offset", check=True
-    ):
+        cls, images: Sequence[NDData], times: Time | Sequence[Any] | None = None,
+        beams: Beam | Sequence[Beam] | None = None, *, frame: str = "offset",
+        check: bool = True,
+    ) -> EpochCube:  # fmt: skip
         """
         Stack CCDData or other NDData with celestial WCS, one per epoch.
 
@@ -247,7 +256,10 @@ class EpochCube:
         return cls(**read_images(images, **options))
 
     @classmethod
-    def from_ndcube(cls, ndcube, times=None, beams=None):
+    def from_ndcube(
+        cls, ndcube: NDCube | NDCubeSequence, times: Time | Sequence[Any] | None = None,
+        beams: Beam | Sequence[Beam] | None = None,
+    ) -> EpochCube:  # fmt: skip
         """
         Return the epochs of an NDCube, see `~astro_scc.interchange.from_ndcube`.
 
@@ -265,7 +277,7 @@ class EpochCube:
         return _above("interchange").from_ndcube(ndcube, times=times, beams=beams)
 
     @classmethod
-    def from_xarray(cls, source, **kwargs):
+    def from_xarray(cls, source: Dataset | DataArray, **kwargs: Any) -> EpochCube:
         """
         Return the epochs of an xarray object.
 
@@ -285,8 +297,10 @@ class EpochCube:
 
     @classmethod
     def from_arrays(
-        cls, data, times, *, pixel_scale, reference_pixel=None, position=None, **fields
-    ):
+        cls, data: ArrayLike, times: Time | Sequence[Any], *, pixel_scale: u.Quantity,
+        reference_pixel: tuple[float, float] | None = None,
+        position: SkyCoord | None = None, **fields: Any,
+    ) -> EpochCube:  # fmt: skip
         """
         Return a cube of arrays with east to the left and north up.
 
@@ -322,9 +336,9 @@ class EpochCube:
         wcs = offset_wcs(pixel_scale, reference_pixel, position)
         return cls(data=data, times=times, wcs=wcs, **fields)
 
-    # Functions of the subpackage that take a cube are its methods.
+    # Functions of the subpackage that take a cube are its methods; ClassVar: no field.
     write = write_cube
-    epochs = property(epoch_table)
+    epochs: ClassVar[QTable] = property(epoch_table)
     noise_rms = noise_rms
     measured_noise = cached_property(noise_of_images)
     to_common_beam = common_beam
@@ -333,20 +347,24 @@ class EpochCube:
     reproject_to = reproject_cube
     crop = crop
     region_mask = region_mask
-    pixel_matrix = property(positions.pixel_matrix)
-    pixel_scale = property(positions.pixel_scale)
-    reference_pixel = property(positions.reference_pixel)
+    pixel_matrix: ClassVar[u.Quantity] = property(positions.pixel_matrix)
+    pixel_scale: ClassVar[u.Quantity] = property(positions.pixel_scale)
+    reference_pixel: ClassVar[tuple[float, float]] = property(positions.reference_pixel)
     pixel_to_offset = positions.pixel_to_offset
     offset_to_pixel = positions.offset_to_pixel
     offsets = positions.offsets
 
-    def __len__(self):
+    def __len__(self) -> int:
         return self.data.shape[0]
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[CCDData]:
         return (self[i] for i in range(len(self)))
 
-    def __getitem__(self, item):
+    @overload
+    def __getitem__(self, item: int) -> CCDData: ...
+    @overload
+    def __getitem__(self, item: slice | Sequence[int] | np.ndarray) -> EpochCube: ...
+    def __getitem__(self, item: Any) -> Any:
         if isinstance(item, tuple):
             raise TypeError("index epochs only, cube[i] or cube[i:j]; crop() cuts out")
         try:
@@ -375,7 +393,7 @@ class EpochCube:
             meta=epoch_header(self, index),
         )
 
-    def with_step(self, line, **changes):
+    def with_step(self, line: str, **changes: Any) -> EpochCube:
         """
         Return a copy with changed fields and one more line of provenance.
 
@@ -395,16 +413,16 @@ class EpochCube:
         return replace(self, meta=meta, **changes)
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, int, int]:
         """Shape of the data, (n_epochs, ny, nx)."""
         return self.data.shape
 
     @property
-    def years(self):
+    def years(self) -> u.Quantity:
         """Dates as years since the first epoch, shape (n_epochs,)."""
         return (self.times - self.times[0]).to(u.yr)
 
-    def mean_image(self):
+    def mean_image(self) -> CCDData:
         """
         Return the mean image, each pixel averaged over the epochs that have it.
 
@@ -438,7 +456,7 @@ class EpochCube:
     def _repr_html_(self):
         return f"<p>{escape(repr(self)[1:-1])}</p>" + self.epochs._repr_html_()
 
-    def to_xarray(self):
+    def to_xarray(self) -> Dataset:
         """
         Return the cube as xarray, see `~astro_scc.interchange.to_xarray`.
 
@@ -448,7 +466,7 @@ class EpochCube:
         """
         return _above("interchange").to_xarray(self)
 
-    def to_ndcube(self):
+    def to_ndcube(self) -> NDCube:
         """
         Return the cube as NDCube, see `~astro_scc.interchange.to_ndcube`.
 
@@ -458,7 +476,7 @@ class EpochCube:
         """
         return _above("interchange").to_ndcube(self)
 
-    def plot(self, epoch=None, ssps=None, **kwargs):
+    def plot(self, epoch: int | None = None, ssps: Any = None, **kwargs: Any) -> Figure:
         """
         Draw one epoch, or up to twelve that are evenly selected.
 

@@ -1,10 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Parts of the images: regions as masks, and cubes cropped to them."""
 
+from __future__ import annotations
+
 import os
 import re
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
@@ -15,13 +18,16 @@ from astro_scc.epochs.headers import first_line
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.exceptions import EpochWarning
 
+if TYPE_CHECKING:
+    from astro_scc.epochs.cube import EpochCube
+
 #: Coordinates in degrees with fewer decimal places were written by hand.
 DECIMALS = 5
 #: Rounding may move a region by this fraction of its size.
 MOVED = 0.02
 
 
-def region_mask(cube, region=None):
+def region_mask(cube: EpochCube, region: Any = None) -> np.ndarray:
     """
     Return the pixels whose centres lie inside a region.
 
@@ -232,7 +238,7 @@ def box(cube, region, pad=0):
     return tuple(map(slice, start.tolist(), stop.tolist()))
 
 
-def crop(cube, region, pad=0):
+def crop(cube: EpochCube, region: Any, pad: int = 0) -> EpochCube:
     """
     Return all epochs cut down to the bounding box of a region.
 
@@ -308,7 +314,10 @@ def refuse_pixels(path):
         )
 
 
-def distance_mask(cube, r_min, r_max, origin=None):
+def distance_mask(
+    cube: EpochCube, r_min: u.Quantity, r_max: u.Quantity,
+    origin: u.Quantity | SkyCoord | None = None,
+) -> np.ndarray:  # fmt: skip
     """
     Return the pixels whose centres lie in a ring around a point.
 

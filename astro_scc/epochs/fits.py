@@ -80,7 +80,7 @@ class _NoImageError(OSError):
     """The file is not FITS, is broken, or holds no image."""
 
 
-def read_vlbi_fits(path, hdu=None):
+def read_vlbi_fits(path: Path | str, hdu: int | str | None = None) -> CCDData:
     """
     Read one FITS image, allowing for the habits of AIPS, difmap, CASA and HST.
 
@@ -434,6 +434,18 @@ def _stokes_i(header, axis, length):
         f"has {length} planes on axis STOKES and none of them is I; write the one "
         "to use to a file of its own"
     )
+
+
+def looks_like_mask(image):
+    """Return whether an image has no more than two values that are finite."""
+    values = np.asarray(image, dtype=float)
+    # A few pixels usually show that there are more values.
+    few = values.flat[:1000]
+    if len(np.unique(few[np.isfinite(few)])) > 2:
+        return False
+    values = values[np.isfinite(values)]
+    extremes = values.min(initial=np.inf), values.max(initial=-np.inf)
+    return bool(values.size and np.all(np.isin(values, extremes)))
 
 
 registry.register_reader("vlbi-fits", CCDData, read_vlbi_fits, force=True)

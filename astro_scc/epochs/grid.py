@@ -1,7 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Pixel grids: shifting and resampling of images, and a shared grid for several."""
 
+from __future__ import annotations
+
 import warnings
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
@@ -14,6 +18,12 @@ from astro_scc.epochs.headers import celestial_wcs
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.epochs.validation import as_celestial
 from astro_scc.exceptions import EpochWarning
+
+if TYPE_CHECKING:
+    from astropy.io.fits import Header
+    from astropy.wcs import WCS
+
+    from astro_scc.epochs.cube import EpochCube
 
 # Pixels are copied if a shift is this near to whole pixels; sky coordinates in
 # degrees resolve pixels of microarcseconds to about 1e-4.
@@ -169,7 +179,11 @@ def regrid(data, bad, wcs, grid, *, shape, unit, method="bicubic", near=WHOLE_PI
     return data, bad, False
 
 
-def reproject_cube(cube, wcs, shape=None, order=None, *, method="interp"):
+def reproject_cube(
+    cube: EpochCube, wcs: WCS | Header | EpochCube,
+    shape: tuple[int, int] | None = None, order: str | None = None, *,
+    method: str = "interp",
+) -> EpochCube:  # fmt: skip
     """
     Return all epochs of a cube resampled to another pixel grid.
 
@@ -321,7 +335,9 @@ def pixel_area(wcs):
     return abs(np.linalg.det(wcs.pixel_scale_matrix))
 
 
-def shared_grid(grids):
+def shared_grid(
+    grids: Sequence[EpochCube | tuple[tuple[int, int], WCS]],
+) -> tuple[WCS, tuple[int, int]]:
     """
     Return the smallest grid that holds several grids at the finest of their pixels.
 

@@ -1,17 +1,27 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Inspection of images and dates: facts, problems, and the speeds they allow."""
 
+from __future__ import annotations
+
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
+from numpy.typing import ArrayLike
 
-from astro_scc.epochs.fits import find_files, read_plane
+from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.fits import find_files, looks_like_mask, read_plane
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.epochs.validation import as_beams
+
+if TYPE_CHECKING:
+    from astro_scc.epochs.cube import EpochCube
 
 MAD_TO_SIGMA = 1.482602218505602
 CLIP = 3.0
@@ -42,7 +52,7 @@ GOOD_SHIFTS = (0.3, 1.5)
 PIXELS_RESOLVED = 3.0
 
 
-def measure_noise(image, *, mask=None):
+def measure_noise(image: ArrayLike, *, mask: ArrayLike | None = None) -> float:
     """
     Return the root mean square of the noise of an image, away from the source.
 
@@ -105,7 +115,7 @@ def _deviation(values, middle):
     return np.abs(apart, out=apart)
 
 
-def epoch_table(cube):
+def epoch_table(cube: EpochCube) -> QTable:
     """
     Facts about the epochs, a `~astropy.table.QTable` with one row per epoch.
 
@@ -124,7 +134,7 @@ def epoch_table(cube):
     return table
 
 
-def noise_rms(cube):
+def noise_rms(cube: EpochCube) -> u.Quantity:
     """
     Return the noise of each epoch, as given or else as measured.
 
@@ -140,22 +150,10 @@ def noise_rms(cube):
     return cube.measured_noise if cube.noise is None else cube.noise
 
 
-def noise_of_images(cube):
+def noise_of_images(cube: EpochCube) -> u.Quantity:
     """Return the noise of each epoch as measured in its image."""
     pairs = zip(cube.data, cube.mask, strict=True)
     return u.Quantity([measure_noise(d, mask=m) for d, m in pairs], cube.unit)
-
-
-def looks_like_mask(image):
-    """Return whether an image has no more than two values that are finite."""
-    values = np.asarray(image, dtype=float)
-    # A few pixels usually show that there are more values.
-    few = values.flat[:1000]
-    if len(np.unique(few[np.isfinite(few)])) > 2:
-        return False
-    values = values[np.isfinite(values)]
-    extremes = values.min(initial=np.inf), values.max(initial=-np.inf)
-    return bool(values.size and np.all(np.isin(values, extremes)))
 
 
 def find_odd(planes):
@@ -215,7 +213,9 @@ def find_same_dates(times):
     return [(int(order[k]), int(order[k + 1])) for k in np.flatnonzero(gaps < 1)]
 
 
-def inspect_epochs(paths, *, hdu=None):
+def inspect_epochs(
+    paths: Path | str | Sequence[Path | str], *, hdu: int | str | None = None
+) -> QTable:
     """
     Return facts about each file and its problems; no file is refused.
 
@@ -415,7 +415,10 @@ class IntervalPlan:
         return "\n".join(self.lines())
 
 
-def plan_intervals(cube, beam=None, *, extent=None):
+def plan_intervals(
+    cube: EpochCube | Time, beam: Beam | Sequence[Beam] | u.Quantity | None = None, *,
+    extent: u.Quantity | None = None,
+) -> IntervalPlan:  # fmt: skip
     """
     Return the speeds that the dates of a series allow to be measured.
 

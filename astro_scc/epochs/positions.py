@@ -1,14 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Positions of pixels and SSPs of a cube on the sky, and their errors."""
 
+from __future__ import annotations
+
 import re
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.wcs import WCS
+from numpy.typing import ArrayLike
 
 from astro_scc.decomposition import scale_size
+
+if TYPE_CHECKING:
+    from astro_scc.epochs.cube import EpochCube
 
 #: Names of celestial frames by the code of their longitude.
 FRAMES = {"GLON": "galactic", "ELON": "ecliptic", "SLON": "supergalactic"}
@@ -70,7 +77,7 @@ def offset_wcs(pixel_scale, reference_pixel, position=None):
     return wcs
 
 
-def pixel_matrix(cube):
+def pixel_matrix(cube: EpochCube) -> u.Quantity:
     """
     Offsets (east, north) of one pixel step in (x, y), shape (2, 2).
 
@@ -80,18 +87,20 @@ def pixel_matrix(cube):
     return (cube.wcs.pixel_scale_matrix * u.deg).to(u.mas)
 
 
-def pixel_scale(cube):
+def pixel_scale(cube: EpochCube) -> u.Quantity:
     """Side of a square pixel with the area of the cube's pixels."""
     return np.sqrt(np.abs(np.linalg.det(cube.pixel_matrix.value))) * u.mas
 
 
-def reference_pixel(cube):
+def reference_pixel(cube: EpochCube) -> tuple[float, float]:
     """(x, y) of the origin of offsets, counted from 0."""
     x, y = cube.wcs.wcs.crpix - 1
     return float(x), float(y)
 
 
-def pixel_to_offset(cube, x, y):
+def pixel_to_offset(
+    cube: EpochCube, x: ArrayLike, y: ArrayLike
+) -> tuple[u.Quantity, u.Quantity]:
     """
     Return the offsets of pixels from the reference pixel, in its tangent plane.
 
@@ -112,7 +121,9 @@ def pixel_to_offset(cube, x, y):
     return east * u.mas, north * u.mas
 
 
-def offset_to_pixel(cube, east, north):
+def offset_to_pixel(
+    cube: EpochCube, east: u.Quantity, north: u.Quantity
+) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the pixels of offsets, the inverse of `pixel_to_offset`.
 
@@ -133,7 +144,7 @@ def offset_to_pixel(cube, east, north):
     return x + x0, y + y0
 
 
-def offsets(cube):
+def offsets(cube: EpochCube) -> tuple[u.Quantity, u.Quantity]:
     """
     Return the offsets of all pixels from the reference pixel.
 

@@ -21,6 +21,7 @@ from astro_scc.epochs.fits import (
     CORRECT_BEAM,
     Plane,
     beam_note,
+    looks_like_mask,
     plane_of_hdu,
     read_plane,
 )
@@ -62,7 +63,7 @@ def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
         for note in plane.notes:
             if beam is None or not note.startswith("its beam"):
                 remarks.setdefault(note, []).append(name)
-        if check and inspection.looks_like_mask(plane.data):
+        if check and looks_like_mask(plane.data):
             where = "" if window is None else " in this region"
             raise ValueError(
                 f"{path}: has no more than two different values{where}, it seems to be "

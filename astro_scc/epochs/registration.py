@@ -1,7 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Registration: the position of the core, displacements, and their scatter."""
 
+from __future__ import annotations
+
 import warnings
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
@@ -12,6 +15,9 @@ from astro_scc.correlation import correlate_windows
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
 from astro_scc.epochs.grid import BAD_WEIGHT, fill_masked
 from astro_scc.exceptions import MeasurementWarning
+
+if TYPE_CHECKING:
+    from astro_scc.epochs.cube import EpochCube
 
 # A local maximum or a blended component must have this fraction of the brightest
 # to be the core.
@@ -43,7 +49,10 @@ SOURCE_SNR = 5.0
 STEPS, CONVERGED = 10, 0.01
 
 
-def core_positions(cube, *, jet_pa=None, max_shift=None):
+def core_positions(
+    cube: EpochCube, *, jet_pa: u.Quantity | None = None,
+    max_shift: u.Quantity | None = None,
+) -> QTable:  # fmt: skip
     """
     Return the position of the core in each epoch.
 
@@ -325,7 +334,7 @@ def _whole_pixels(filled, mask, reference, use, reach):
     return dx[best], dy[best]
 
 
-def misalignment(cube):
+def misalignment(cube: EpochCube) -> float | None:
     r"""
     Return the scatter of the alignment of a cube's epochs, in beams.
 

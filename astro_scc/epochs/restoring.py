@@ -1,17 +1,26 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Images of model components, and noise correlated by a restoring beam."""
 
+from __future__ import annotations
+
 import warnings
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 from scipy import fft
 
-from astro_scc.epochs.beam import FWHM_TO_SIGMA, gaussian_transfer
+from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam, gaussian_transfer
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.positions import offset_wcs, pixel_side
 from astro_scc.epochs.validation import as_beams, as_noise
 from astro_scc.exceptions import EpochWarning
+
+if TYPE_CHECKING:
+    from astropy.coordinates import SkyCoord
+
+    from astro_scc.epochs.components import ComponentList
 
 # East is left and north is up: (x, y) = FLIP (east, north) / pixel.
 FLIP = np.diag([-1.0, 1.0])
@@ -25,18 +34,12 @@ PADDING = 6.0
 
 
 def restore(
-    components,
-    *,
-    beam,
-    pixel_scale,
-    shape=None,
-    reference_pixel=None,
-    noise=None,
-    rng=None,
-    position=None,
-    unit=u.Jy / u.beam,
-    margin=4.0,
-):
+    components: ComponentList, *, beam: Beam | Sequence[Beam], pixel_scale: u.Quantity,
+    shape: tuple[int, int] | None = None,
+    reference_pixel: tuple[float, float] | None = None, noise: u.Quantity | None = None,
+    rng: np.random.Generator | int | None = None, position: SkyCoord | None = None,
+    unit: u.UnitBase | str = u.Jy / u.beam, margin: float = 4.0,
+) -> EpochCube:  # fmt: skip
     """
     Return images of model components, restored with a beam.
 
@@ -235,7 +238,10 @@ def _bounds(centre, reach, length):
     return start, min(int(np.floor(centre + reach)) + 1, length)
 
 
-def correlated_noise(shape, *, rms, beam=None, pixel_scale=None, rng=None):
+def correlated_noise(
+    shape: tuple[int, int], *, rms: float | u.Quantity, beam: Beam | None = None,
+    pixel_scale: u.Quantity | None = None, rng: np.random.Generator | int | None = None,
+) -> np.ndarray:  # fmt: skip
     """
     Return Gaussian noise that is correlated by a beam.
 

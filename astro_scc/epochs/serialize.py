@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Writing a cube or any result to one FITS file, or a cube to an image per epoch."""
 
+from __future__ import annotations
+
 import re
 import warnings
 from contextlib import suppress
@@ -8,6 +10,7 @@ from dataclasses import fields, is_dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
@@ -20,6 +23,9 @@ from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.fits import CUBE_CREATOR, open_fits
 from astro_scc.epochs.headers import epoch_header, first_line
 from astro_scc.partial import replace_when_complete
+
+if TYPE_CHECKING:
+    from astro_scc.epochs.cube import EpochCube
 
 # Axes and angle of a beam, their units in files, and their keywords in FITS.
 BEAM = {"major": u.mas, "minor": u.mas, "pa": u.deg}
@@ -38,7 +44,7 @@ CLASS = "!class"
 PACKAGE = "astro_scc."
 
 
-def write_cube(cube, path, *, overwrite=False):
+def write_cube(cube: EpochCube, path: Path | str, *, overwrite: bool = False) -> None:
     """
     Write the whole cube to one FITS file, which `read` reads back.
 
@@ -325,7 +331,10 @@ def _made(name, keys):
     return object.__new__(own)
 
 
-def write_epochs(cube, directory, *, prefix=None, overwrite=False):
+def write_epochs(
+    cube: EpochCube, directory: Path | str, *, prefix: str | None = None,
+    overwrite: bool = False,
+) -> list[Path]:  # fmt: skip
     """
     Write a cube as one FITS image per epoch, for any program that reads FITS.
 

@@ -1,8 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Conversion between cubes and the containers of xarray and ndcube."""
 
+from __future__ import annotations
+
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
@@ -10,7 +13,7 @@ from astropy.nddata import StdDevUncertainty
 from astropy.time import Time
 from astropy.wcs import WCS
 
-from astro_scc.epochs import EpochCube
+from astro_scc.epochs import Beam, EpochCube
 from astro_scc.epochs.grid import moved_wcs
 from astro_scc.epochs.headers import read_header
 from astro_scc.epochs.positions import axis_words, offset_wcs
@@ -26,6 +29,10 @@ from astro_scc.epochs.serialize import (
 from astro_scc.epochs.validation import UNEVEN, fits_wcs, uncertainty_noise
 from astro_scc.exceptions import EpochWarning
 from astro_scc.interchange.files import optional
+
+if TYPE_CHECKING:
+    from ndcube import NDCube, NDCubeSequence
+    from xarray import DataArray, Dataset
 
 __doctest_requires__ = {
     ("from_ndcube", "to_ndcube"): ["ndcube"],
@@ -46,7 +53,7 @@ AXIS = "EPOCH"
 EACH = ("labels", "beams", "epoch_meta")
 
 
-def to_xarray(cube):
+def to_xarray(cube: EpochCube) -> Dataset:
     """
     Return a cube as `xarray.Dataset`.
 
@@ -118,7 +125,11 @@ def to_xarray(cube):
     return xarray.Dataset(variables, coordinates, attributes)
 
 
-def from_xarray(source, *, times=None, pixel_scale=None, unit=None, beams=None):
+def from_xarray(
+    source: Dataset | DataArray, *, times: Time | Sequence[Any] | None = None,
+    pixel_scale: u.Quantity | None = None, unit: u.UnitBase | str | None = None,
+    beams: Beam | Sequence[Beam] | None = None,
+) -> EpochCube:  # fmt: skip
     """
     Return a cube from `to_xarray`, or from images with dates and offsets.
 
@@ -290,7 +301,7 @@ def _steps(array, axis, pixel_scale):
     return step, float(zero) if -0.5 <= zero <= n - 0.5 else origin
 
 
-def to_ndcube(cube):
+def to_ndcube(cube: EpochCube) -> NDCube:
     """
     Return a cube as NDCube of (epoch, latitude, longitude).
 
@@ -342,7 +353,10 @@ def _with_epochs(celestial):
     return WCS(header)
 
 
-def from_ndcube(ndcube, *, times=None, beams=None):
+def from_ndcube(
+    ndcube: NDCube | NDCubeSequence, *, times: Time | Sequence[Any] | None = None,
+    beams: Beam | Sequence[Beam] | None = None,
+) -> EpochCube:  # fmt: skip
     """
     Return a cube from an NDCube of epochs, which may be sliced or rebinned.
 

@@ -4,6 +4,7 @@
 import os
 import tempfile
 import warnings
+from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,7 +15,7 @@ from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.time import Time
 
-from astro_scc.epochs import EpochCube
+from astro_scc.epochs import Beam, EpochCube
 from astro_scc.epochs.headers import first_line, get
 from astro_scc.epochs.positions import offset_wcs
 
@@ -31,7 +32,9 @@ def optional(package, purpose, extra):
         ) from None
 
 
-def read_movie(path, *, beams=None):
+def read_movie(
+    path: Path | str, *, beams: Beam | Sequence[Beam] | None = None
+) -> EpochCube:
     """
     Read an HDF5 movie of eht-imaging as epochs.
 

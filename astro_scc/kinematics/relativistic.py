@@ -1,8 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Speeds, angles and Doppler factors of relativistic flows and two-sided jets."""
 
-from typing import Any
-
 import astropy.units as u
 import numpy as np
 from astropy import constants
@@ -261,7 +259,7 @@ def two_sided_jet(
     approaching: u.Quantity, receding: u.Quantity, distance: u.Quantity | None = None,
     *, errors: tuple[u.Quantity | float, u.Quantity | float] = (0.0, 0.0),
     n_trials: int = 20000, rng: np.random.Generator | int | None = None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict:  # fmt: skip
     r"""
     Return the speed and angle of two equal jets in opposite directions.
 

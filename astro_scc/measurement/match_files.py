@@ -1,10 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Matches on disk: complete FITS files, or blocks of unfinished matches."""
 
+from __future__ import annotations
+
 import hashlib
 import json
 import shutil
 import warnings
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -12,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from astro_scc.correlation import Matches
-from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.decomposition import Decomposer, Decomposition, SSPs
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, without_dates, write_object
 from astro_scc.exceptions import MeasurementWarning
@@ -88,16 +91,16 @@ class MatchedEpochs:
         )
 
     @property
-    def scales(self):
+    def scales(self) -> tuple[float, ...]:
         """Numbers of the scales that were decomposed."""
         return tuple(self.decomposer.scales)
 
     @property
-    def decompositions(self):
+    def decompositions(self) -> Sequence[Decomposition]:
         """Decompositions of all epochs, which are computed again at each access."""
         return decompose_epochs(self.cube, self.decomposer)
 
-    def write(self, path, *, overwrite=False):
+    def write(self, path: Path | str, *, overwrite: bool = False) -> None:
         """
         Write the SSPs and their matches.
 
@@ -133,7 +136,9 @@ class MatchedEpochs:
         write_object(parts, path, creator=MATCHES, overwrite=overwrite)
 
     @classmethod
-    def read(cls, path, cube, *, wanted=None):
+    def read(
+        cls, path: Path | str, cube: EpochCube, *, wanted: dict | None = None
+    ) -> MatchedEpochs:
         """
         Read what `write` wrote.
 

@@ -4,14 +4,19 @@
 import os
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import astropy.units as u
 import numpy as np
+from astropy.coordinates import SkyCoord
+from numpy.typing import ArrayLike
 
 from astro_scc import stacking
 from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.kinematics import RidgeLine
+from astro_scc.measurement.match_files import MatchedEpochs
 from astro_scc.settings import require
 
 #: Largest relative difference between an angle and the size of the scale it names.
@@ -367,15 +372,10 @@ def ssp_distances(matched, *, origin=None, ridge=None):
 
 
 def select_ssps(
-    matched,
-    *,
-    region=None,
-    r_min=None,
-    r_max=None,
-    scales=None,
-    origin=None,
-    ridge=None,
-):
+    matched: MatchedEpochs, *, region: Any = None, r_min: u.Quantity | None = None,
+    r_max: u.Quantity | None = None, scales: ArrayLike | None = None,
+    origin: u.Quantity | SkyCoord | None = None, ridge: RidgeLine | None = None,
+) -> MatchedEpochs:  # fmt: skip
     """
     Return the matches of the SSPs in a part of the jet and on some scales.
 

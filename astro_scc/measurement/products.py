@@ -1,12 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Write a measurement to files: tables, maps and settings."""
 
+from __future__ import annotations
+
 import errno
 import os
 import shutil
 import warnings
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
@@ -18,6 +22,9 @@ from astro_scc import partial
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.tables import latex_text, paper_table
 from astro_scc.stacking import SearchSettings
+
+if TYPE_CHECKING:
+    from astro_scc.measurement.result import SCCResult
 
 # Errors of the disk, which do not always name a file.
 DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
@@ -36,7 +43,9 @@ DIAGRAM = (
 
 
 @contextmanager
-def product_folder(path, *, overwrite=False, stale=()):
+def product_folder(
+    path: Path | str, *, overwrite: bool = False, stale: Sequence[str] = ()
+) -> Iterator[Path]:
     """
     Make a folder of products that appears only when all of them are complete.
 
@@ -158,7 +167,10 @@ def _move(folder, target, stale=()):
     folder.rmdir()
 
 
-def write_products(result, components, directory, *, configuration=None, text=None):
+def write_products(
+    result: SCCResult, components: QTable, directory: Path | str, *,
+    configuration: dict[str, Any] | None = None, text: str | None = None,
+) -> list[Path]:  # fmt: skip
     """
     Write tables and maps of a measurement.
 
@@ -404,7 +416,7 @@ def write_votables(result, components, directory):
     return paths
 
 
-def write_votable(table, path, *, overwrite=False):
+def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) -> None:
     """
     Write a table as VOTable, which TOPCAT, STILTS and Aladin read.
 

@@ -1,16 +1,25 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """SSPs as regions on the sky and as segmentation images."""
 
+from __future__ import annotations
+
 import operator
 import os
 import re
 from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
+from numpy.typing import ArrayLike
 
-from astro_scc.decomposition import scale_size
+from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.epochs import EpochCube
 from astro_scc.partial import replace_when_complete
+
+if TYPE_CHECKING:
+    from photutils.segmentation import SegmentationImage
+    from regions import Regions
 
 #: Folder of the regions of all epochs.
 REGIONS = "ssp_regions"
@@ -20,7 +29,10 @@ COLORS = ("cyan", "orange", "green", "magenta", "yellow", "red")
 DIGITS = 13
 
 
-def ssp_regions(ssps, cube, epoch, *, scales=None, shape="outline", frame="cube"):
+def ssp_regions(
+    ssps: SSPs, cube: EpochCube, epoch: int, *, scales: ArrayLike | None = None,
+    shape: str = "outline", frame: str = "cube",
+) -> Regions:  # fmt: skip
     """
     Return the SSPs of an epoch as regions on the sky.
 
@@ -83,7 +95,10 @@ def ssp_regions(ssps, cube, epoch, *, scales=None, shape="outline", frame="cube"
     return found
 
 
-def write_ssp_regions(ssps, cube, epoch, path, *, overwrite=False, **options):
+def write_ssp_regions(
+    ssps: SSPs, cube: EpochCube, epoch: int, path: Path | str, *,
+    overwrite: bool = False, **options: Any,
+) -> int:  # fmt: skip
     """
     Write the SSPs of an epoch as regions for DS9, CARTA and others.
 
@@ -137,7 +152,9 @@ def write_ssp_regions(ssps, cube, epoch, path, *, overwrite=False, **options):
     return len(found)
 
 
-def ssp_segmentation(ssps, cube, epoch, scale):
+def ssp_segmentation(
+    ssps: SSPs, cube: EpochCube, epoch: int, scale: float
+) -> SegmentationImage:
     """
     Return the SSPs of one scale of an epoch as a photutils segmentation image.
 
@@ -227,7 +244,9 @@ def _circle(ssps, index, cube, wcs):
     return CircleSkyRegion(centre, (size / 2).to(u.arcsec))
 
 
-def write_epoch_regions(ssps, cube, directory, **options):
+def write_epoch_regions(
+    ssps: SSPs, cube: EpochCube, directory: Path | str, **options: Any
+) -> list[Path]:
     """
     Write the SSPs of every epoch as regions for DS9, one file per epoch.
 

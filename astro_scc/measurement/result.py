@@ -1,16 +1,22 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The result of a measurement."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
 from astropy.nddata import NDData
+from astropy.table import QTable
 from astropy.wcs import WCS
 
 from astro_scc import stacking
+from astro_scc.epochs import EpochCube
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.kinematics.cosmology import table_in_c
@@ -26,6 +32,10 @@ from astro_scc.measurement.tables import (
 )
 from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
 from astro_scc.stacking.permutations import PermutedStacks
+
+if TYPE_CHECKING:
+    from astropy.cosmology import FLRW
+    from matplotlib.figure import Figure
 
 #: What the files of results are, in their headers and in messages.
 RESULT = "astro_scc result"
@@ -77,7 +87,7 @@ class SCCResult:
     """
 
     matched: MatchedEpochs
-    frame: object
+    frame: Any
     position_angle: u.Quantity
     pairs: stacking.DatePairs
     displacements: stacking.VelocitySamples
@@ -92,7 +102,7 @@ class SCCResult:
     meta: dict = field(default_factory=dict)
 
     @classmethod
-    def read(cls, path):
+    def read(cls, path: Path | str) -> SCCResult:
         """
         Read a result that `write` wrote.
 
@@ -113,7 +123,7 @@ class SCCResult:
         """
         return read_object(path, creator=RESULT)
 
-    def write(self, path, *, overwrite=False):
+    def write(self, path: Path | str, *, overwrite: bool = False) -> None:
         """
         Write the whole result to one FITS file, which `read` reads.
 
@@ -167,34 +177,34 @@ class SCCResult:
         return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))
 
     @property
-    def errors(self):
+    def errors(self) -> tuple[np.ndarray, ...]:
         """Covariance of each velocity."""
         return tuple(velocity.covariance for velocity in self.velocities)
 
     @property
-    def cube(self):
+    def cube(self) -> EpochCube:
         """The epochs that were measured."""
         return self.matched.cube
 
     @cached_property
-    def ssps(self):
+    def ssps(self) -> QTable:
         """The SSPs of all epochs as a `~astropy.table.QTable`."""
         return feature_tables.ssp_table(
             self.matched.ssps, self.cube, select=self.matched.select
         )
 
     @cached_property
-    def features(self):
+    def features(self) -> QTable:
         """The features that were followed, a `~astropy.table.QTable`."""
         return feature_tables.feature_table(self)
 
     @cached_property
-    def feature_positions(self):
+    def feature_positions(self) -> QTable:
         """The features by epoch, with SSP and distance, a `~astropy.table.QTable`."""
         return feature_tables.feature_positions(self)
 
     @cached_property
-    def sensitivity(self):
+    def sensitivity(self) -> QTable:
         """
         The main speed with other choices of the data, a `~astropy.table.QTable`.
 
@@ -212,7 +222,7 @@ class SCCResult:
         return sensitivity_table(self)
 
     @cached_property
-    def components(self):
+    def components(self) -> QTable:
         """
         The velocity components, a `~astropy.table.QTable`.
 
@@ -227,7 +237,11 @@ class SCCResult:
         ]
         return name_by_frame(component_table(rows, meta=dict(self.meta)), self.cube)
 
-    def components_in_c(self, *, redshift=None, cosmology=None, distance=None):
+    def components_in_c(
+        self, *, redshift: float | str | u.Quantity | None = None,
+        cosmology: FLRW | str | dict | None = None,
+        distance: u.Quantity | str | None = None,
+    ) -> QTable:  # fmt: skip
         """
         Return the components with apparent speeds in units of c.
 
@@ -257,7 +271,7 @@ class SCCResult:
             self.components, redshift=redshift, cosmology=cosmology, distance=distance
         )
 
-    def velocity_map(self, which="coefficient"):
+    def velocity_map(self, which: str = "coefficient") -> NDData:
         """
         Return the stack as an image with velocity coordinates.
 
@@ -288,7 +302,7 @@ class SCCResult:
         wcs.wcs.cdelt = self.grid.step
         return NDData(getattr(self, which), wcs=wcs, meta={"axes": tuple(names)})
 
-    def diagram(self):
+    def diagram(self) -> NDData:
         """
         Return the displacement-interval diagram along the direction of the streams.
 
@@ -346,7 +360,7 @@ class SCCResult:
             },
         )
 
-    def members(self, number):
+    def members(self, number: int) -> QTable:
         """
         Return the matches that belong to a component.
 
@@ -374,7 +388,7 @@ class SCCResult:
         """
         return feature_tables.member_table(self, number)
 
-    def plot(self, **kwargs):
+    def plot(self, **kwargs: Any) -> Figure:
         """
         Draw the velocity map with its components.
 
@@ -391,7 +405,7 @@ class SCCResult:
 
         return plot_velocity_map(self, **kwargs)
 
-    def explore(self, path):
+    def explore(self, path: Path | str) -> Path:
         """
         Write a page with linked panels that shows which features make a velocity.
 

@@ -2,8 +2,10 @@
 """Velocity components as a table, tables for papers, and adjusted p-values."""
 
 import re
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -85,7 +87,7 @@ COLUMNS = {
 }
 
 
-def versions():
+def versions() -> dict[str, str]:
     """
     Return the versions of this package and of the packages its numbers depend on.
 
@@ -111,7 +113,9 @@ def versions():
     return found
 
 
-def component_table(rows, *, meta=None):
+def component_table(
+    rows: Sequence[dict[str, Any]], *, meta: dict[str, Any] | None = None
+) -> QTable:
     """
     Return velocity components as a table.
 
@@ -340,7 +344,9 @@ def stack_tables(tables, meta):
     return round_to_errors(stacked)
 
 
-def false_discovery_rate(tables, *, method="bh"):
+def false_discovery_rate(
+    tables: Sequence[QTable] | Mapping[Any, QTable], *, method: str = "bh"
+) -> Any:
     """
     Adjust the p-values of components for the number of regions searched.
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -130,7 +129,7 @@ class Search:
 
 
 def find_streams(
-    project: Callable[..., Any], angles: ArrayLike, radius: float, *,
+    project: Callable, angles: ArrayLike, radius: float, *,
     alpha: float = 0.05, n_trials: int = 1000, rng: np.random.Generator,
     outward: bool = False, fastest: float = np.inf,
     intervals: tuple[float, float] = (0.0, np.inf),

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -88,7 +87,7 @@ class Candidates:
 def find_candidates(
     matches: Matches, target_ssp: ArrayLike, ssps: SSPs, years: ArrayLike, *,
     place: ArrayLike | None = None, max_gap: int = 1,
-    inside: Callable[..., Any] | None = None,
+    inside: Callable | None = None,
 ) -> Candidates:  # fmt: skip
     """
     Return the candidates among the correlation peaks.

@@ -15,12 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube, measure_noise
-from astro_scc.epochs.fits import find_files
-from astro_scc.epochs.inspection import (
-    find_odd,
-    find_same_dates,
-    looks_like_mask,
-)
+from astro_scc.epochs.fits import find_files, looks_like_mask
+from astro_scc.epochs.inspection import find_odd, find_same_dates
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.exceptions import EpochWarning
 
