@@ -79,7 +79,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         is given.
     alignment_error : `~astropy.units.Quantity`, optional
         Standard error of the alignment on either axis, one for all epochs or
-        one per epoch.  By default the error that `EpochCube.align` found.
+        one per epoch.  By default the error that `~astro_scc.EpochCube.align` found.
     small_displacement_correction : bool, optional
         Shift the permuted images by a fifth of the beam (paper, Sect. 2.3).
     common_beam : bool, optional

@@ -344,7 +344,7 @@ class Settings(MeasurementSettings):
 
     @property
     def in_c(self) -> dict[str, Any]:
-        """Options with which `components_in_c` turns proper motions into speeds."""
+        """Options with which ``components_in_c`` turns proper motions into speeds."""
         if self.distance is not None:
             return {"distance": self.distance}
         if self.redshift is not None:

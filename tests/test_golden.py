@@ -88,16 +88,8 @@ def golden(request):
     return request.path.parent / "golden"
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "jet",
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("two_fluid", "profile", "tracks")
-        ),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SIMULATED)
 def test_commands_give_the_same_tables(name, tmp_path, golden):
     compare(simulated(name, tmp_path), golden / f"{name}.ecsv")
 

@@ -550,6 +550,7 @@ def test_mirrored(data, result):
     np.testing.assert_allclose(one, other * [-1, 1], atol=0.02)
 
 
+@pytest.mark.slow
 def test_missing_pixels(data):
     mask = np.zeros(data.shape, bool)
     mask[1, 20:40, 30:45] = True

@@ -129,7 +129,7 @@ def read_survey(path: Path | str) -> Survey:
     Returns
     -------
     Survey
-        With ``sources``, for `run_survey`.
+        With ``sources``, for `~astro_scc.cli.survey.run_survey`.
 
     Raises
     ------

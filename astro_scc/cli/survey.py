@@ -186,7 +186,7 @@ def run_survey(
     Parameters
     ----------
     survey : Survey
-        See `read_survey`.
+        See `~astro_scc.cli.sources.read_survey`.
     output : path
         Folder of the products; on a cluster, all workers must see it.  Sources
         that an earlier run in this folder finished are not measured again.

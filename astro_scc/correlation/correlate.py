@@ -228,7 +228,7 @@ class Correlator:
         Yields
         ------
         PairBlock
-            For `match_block`, see `Correlator`.
+            For ``match_block``, see `Correlator`.
 
         Raises
         ------

@@ -161,7 +161,7 @@ def wavelet_planes(
     Raises
     ------
     ValueError
-        If there are no scales, or if `scale_size` or `atrous_transform` raises
+        If there are no scales, or if `scale_size` or ``atrous_transform`` raises
         one.
 
     Examples

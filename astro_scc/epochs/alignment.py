@@ -85,13 +85,13 @@ def align(
     table : path-like or `~astropy.table.Table`, optional
         For "table": CSV or ECSV with dates and the offsets of the core
         from the reference pixel, see
-        `~astro_scc.epochs.alignment.offsets_from_table`.
+        ``offsets_from_table``.
     reference : int or array_like, shape (ny, nx), optional
         For "correlate": the index of an epoch, or an image.  By default the
         mean of the aligned epochs, found by iteration.
     region : optional
         For "correlate": the pixels to compare, in any form that
-        `~astro_scc.epochs.region_mask` takes.
+        `EpochCube.region_mask` takes.
     jet_pa : `~astropy.units.Quantity`, optional
         For "core": position angle of the jet at the core.
     max_shift : `~astropy.units.Quantity`, optional

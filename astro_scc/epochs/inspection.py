@@ -434,7 +434,7 @@ def plan_intervals(
 
     Returns
     -------
-    `IntervalPlan`
+    ``IntervalPlan``
 
     Raises
     ------

@@ -88,7 +88,7 @@ def fit_shell(
     that was searched.  The fit starts at the maximum of a stack with the kernel
     of ``scc``.  Errors combine a jackknife over 24 sectors of azimuth, each with
     all epochs of its features, and the errors of the alignment (see
-    `~astro_scc.measurement.axes.alignment_errors`): epochs that drift by
+    ``alignment_errors`` of the epochs): epochs that drift by
     :math:`\delta` in the time T move the centre by :math:`\delta / (e\, T)`.
 
     Examples

@@ -59,7 +59,7 @@ class MatchedEpochs:
     matches : `~astro_scc.correlation.Matches`
     provenance : dict
         What determined the matches, see
-        `astro_scc.measurement.match_provenance`; `write` needs it.
+        ``match_provenance``; `write` needs it.
 
     Examples
     --------

@@ -393,7 +393,7 @@ def select_ssps(
         Numbers, or angles.
     origin, ridge : optional
         Point from which, or line along which, r is measured, see
-        `ssp_distances`.
+        ``ssp_distances``.
 
     Returns
     -------

@@ -59,15 +59,15 @@ class SCCResult:
         In mas/yr.
     coefficient, z_score : `~numpy.ndarray`, shape ``grid.shape``
         The stack and its significance.
-    permuted : `~astro_scc.stacking.permutations.PermutedStacks`
+    permuted : ``PermutedStacks``
         Mean and standard deviation of the stacks of permuted epochs.
     search : `~astro_scc.stacking.Search`
         The streams, and the displacement-interval diagram that shows them.
-    velocities : tuple of `~astro_scc.stacking.errors.StreamVelocity`
+    velocities : tuple of ``StreamVelocity``
         Velocities of the streams, with their errors.
     maxima : tuple of `~astro_scc.stacking.VelocityPeak`
         The peak of the stack that is nearest to each velocity.
-    jitters : tuple of `~astro_scc.stacking.errors.JitteredVelocity`
+    jitters : tuple of ``JitteredVelocity``
         The velocity-jitter test, the paper's uncertainty.
     meta : dict
         Settings, seed and versions.

@@ -148,7 +148,7 @@ class Rays:
         logarithm.  The slowest moves ``slowest`` beams in the whole time, the
         fastest ``radius`` in the shorter quarter of the intervals between
         epochs.
-    bins : `IntervalBins`
+    bins : ``IntervalBins``
     radius : float
         Largest displacement in beams.
     shortest : float

@@ -58,7 +58,7 @@ def random_effects(
 
     Returns
     -------
-    `Population`
+    ``Population``
 
     Examples
     --------

@@ -52,7 +52,7 @@ class Stream:
         Why it is not significant, or ''.
     angle : float
         Direction of the axis from the first axis of the frame, in radians.
-    along, across : `~astro_scc.stacking.dispersion.Population`
+    along, across : ``Population``
         Mean and dispersion of the speeds of its features, in beams/yr.
     z : float
         Excess along its ray in standard deviations of the permutations.
@@ -95,7 +95,7 @@ class Search:
         Streams of features that move, the one with more features first, or else
         the strongest speed, which is not significant; then the features that
         stand still.  Empty without matches.
-    diagram : `~astro_scc.stacking.diagram.Diagram`
+    diagram : ``Diagram``
         Diagram along the direction of the first stream.
     angle : float
         Angle of that direction from the first axis of the frame, in radians.
@@ -251,7 +251,7 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
 
     Parameters
     ----------
-    along : `~astro_scc.stacking.dispersion.Population`
+    along : ``Population``
     z, p_global : float
         Significance of the mean speed, and its probability.
     features : sequence of `~astro_scc.stacking.Feature`

@@ -242,11 +242,11 @@ class LinkLikelihood:
         coarse : `Candidates`
             The links of the next coarser scale.
         parent : `~numpy.ndarray` of int, shape (n_ssps,)
-            See `coarser_ssps`.
+            See ``coarser_ssps``.
         width : float
             Standard deviation in pixels: about the size of the coarser scale.
         density : `~numpy.ndarray`, shape (n_ssps,)
-            See `chance_density`.
+            See ``chance_density``.
 
         Returns
         -------

@@ -169,7 +169,7 @@ class Tracking:
         """
         Standard errors of the offsets in mas, shape (2, n_ssps).
 
-        See `~astro_scc.epochs.position_errors`; the floor is the smallest error
+        See ``position_errors``; the floor is the smallest error
         of one position, not of a displacement.
         """
         ssps = self.ssps
@@ -247,7 +247,7 @@ class Tracking:
         -------
         `~astropy.table.QTable`
             ``tracks`` with the columns ``beta_app`` and ``beta_app_err``, see
-            `~astro_scc.kinematics.table_in_c`.
+            ``table_in_c``.
         """
         return table_in_c(
             self.tracks, redshift=redshift, cosmology=cosmology, distance=distance

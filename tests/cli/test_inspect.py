@@ -33,6 +33,7 @@ def test_inspect(jet, astro_scc, here):
     assert not list(here.iterdir())
 
 
+@pytest.mark.slow
 def test_inspect_explains_speeds(jet, astro_scc):
     # Six epochs 30 days apart, a beam of 1 mas.
     def rows(*argv):

@@ -112,6 +112,7 @@ def test_the_configuration_gives_the_same_to_the_bit(measured, astro_scc, here):
         assert (here / "again" / name).read_bytes() == (measured / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_defaults_that_follow_from_the_images_are_repeated_to_the_bit(
     jet, astro_scc, here
 ):
@@ -191,6 +192,7 @@ def test_a_region_restricts_the_patterns(jet, astro_scc, here):
     assert np.all(inside[ssps["in_region"]])
 
 
+@pytest.mark.slow
 def test_beams_that_differ_become_one(series, astro_scc, here):
     beams = [Beam(size * u.mas, size * u.mas) for size in (1, 1.2, 1, 1, 1)]
     paths = series(beams)

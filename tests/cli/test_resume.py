@@ -53,6 +53,7 @@ def products(folder):
     return {name: (folder / name).read_bytes() for name in TABLES}
 
 
+@pytest.mark.slow
 def test_goes_on_and_ends_the_same(measure, blocks, tmp_path):
     done, limit = blocks
     limit[0] = 2

@@ -59,6 +59,7 @@ def epochs():
     ]
 
 
+@pytest.mark.slow
 def test_results_come_in_order_and_as_needed(cluster):
     taken = []
 

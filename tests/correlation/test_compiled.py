@@ -19,6 +19,7 @@ def blob(shape, rng):
     return footprint
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=25)
 @given(
     height=st.integers(1, 9),

@@ -180,6 +180,7 @@ LINE = (
 )
 
 
+@pytest.mark.slow
 def test_the_call_says_it_and_what_mends_it(unaligned):
     scc = StackedCrossCorrelation(scales=[2], max_speed=5 * u.mas / u.yr)
     with pytest.warns(MeasurementWarning, match=LINE):

@@ -125,6 +125,7 @@ def parts(scc, shell):
     return {"knots": fine.match(shell.cube), "ring": coarse.match(smooth)}
 
 
+@pytest.mark.slow
 def test_groups_of_several_matches(scc, parts, shell):
     fit = fit_shell(scc, parts)
     assert fit.groups == ("knots", "ring")

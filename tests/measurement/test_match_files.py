@@ -170,6 +170,7 @@ def test_a_cache_is_used_when_only_the_stack_changes(
     assert len(files) == 1
 
 
+@pytest.mark.slow
 def test_a_stale_cache_is_made_again(scc, cube, made, counted, tmp_path):
     path = tmp_path / "m.fits"
     scc.match(cube, cache=path)

@@ -53,6 +53,7 @@ def test_fluxes_are_multiples_of_the_noise_or_have_a_unit(table, sky):
         assert _peaks(flux, sky.unit, 1.0) == pytest.approx([100 * noise.value])
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_table_whatever_the_workers(sky, settings):
     how = {**QUICK, "speeds": FAST, "fluxes": 20.0, "n_trials": 20}
     one, two = (completeness(sky, settings, n_workers=n, **how) for n in (1, 3))

@@ -101,6 +101,7 @@ def test_an_interrupt_leaves_nothing(usual, tmp_path, how, seed):
             assert line == "astro-scc measure: error: interrupted, nothing was written"
 
 
+@pytest.mark.slow
 def test_a_kill_leaves_nothing_that_looks_complete(usual, tmp_path):
     ends, _ = check_interrupts(usual, tmp_path, signal.SIGKILL, 4, 3)
     assert ends <= {0, -signal.SIGKILL}

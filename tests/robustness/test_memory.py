@@ -41,6 +41,7 @@ def test_a_part_is_measured(inputs, epochs, measure, part, tmp_path):
     assert same[0] == same[1]
 
 
+@pytest.mark.slow
 def test_regions_in_pixels_are_those_of_the_part(epochs, measure, part, tmp_path):
     region = tmp_path / "jet.reg"
     region.write_text("image\ncircle(20,20,9)\n")

@@ -52,6 +52,7 @@ def test_sources_of_a_survey_name_folders_of_it_only():
         assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9+._-]{0,80}", name)
 
 
+@pytest.mark.slow
 def test_nothing_is_written_beside_the_products(inputs, tmp_path, capsys):
     """With every name that a header has, and a page that runs nothing of them."""
     paths = inputs.series(

@@ -86,6 +86,7 @@ def kept(scc, cube, tmp_path):
     return tmp_path / "m.fits"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", IMAGES)
 def test_of_other_images(scc, cube, kept, what):
     check_stale(what, scc, replace(cube, **IMAGES[what](cube)), kept)
@@ -219,6 +220,7 @@ def test_a_finished_source_of_other_versions(survey, monkeypatch):
     assert survey() is False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("content", ["", "{}", '{"key": 1}', "[]", "nothing"])
 def test_a_state_that_makes_no_sense(survey, tmp_path, content):
     (state,) = (tmp_path / "out").rglob("source.json")
@@ -226,6 +228,7 @@ def test_a_state_that_makes_no_sense(survey, tmp_path, content):
     assert survey() is False
 
 
+@pytest.mark.slow
 def test_a_finished_source_without_its_products(survey, tmp_path):
     (table,) = (tmp_path / "out" / "sources").rglob("components.ecsv")
     table.unlink()

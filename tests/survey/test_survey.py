@@ -304,6 +304,7 @@ def test_folder_names_differ():
 # -- going on ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_finished_sources_are_not_measured_again(serial, folder, monkeypatch):
     table, out = serial
     before, overview = written(out), (out / "overview.html").read_bytes()
@@ -605,6 +606,7 @@ def test_a_mistake_of_the_program_is_a_failed_source(folder, tmp_path, monkeypat
     assert "AssertionError: odd" in text
 
 
+@pytest.mark.slow
 def test_a_region_that_is_wrong_costs_itself_only(folder, tmp_path):
     source = read_survey(folder / "survey.toml").sources[0]
     regions = {"no": str(folder / "no.reg"), **source.regions}

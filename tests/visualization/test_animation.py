@@ -87,6 +87,7 @@ def test_outlines(animate, matched):
     assert frame.title == matched.cube.labels[2][:10]
 
 
+@pytest.mark.slow
 def test_gif(tmp_path, animate, small):
     path = write_animation(animate(small, n_frames=2), tmp_path / "a.gif", dpi=20)
     with Image.open(path) as image:
