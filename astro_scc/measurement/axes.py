@@ -197,8 +197,7 @@ def alignment_errors(cube, error=None):
     cube : `~astro_scc.epochs.EpochCube`
     error : `~astropy.units.Quantity`, optional
         One error for all epochs, or one per epoch.  The default is the error
-        that the alignment stored in the meta of the epoch
-        (``shift_east_err_mas``, ``shift_north_err_mas``), or zero without it.
+        of each epoch's last alignment, or zero without it.
 
     Returns
     -------
@@ -213,9 +212,11 @@ def alignment_errors(cube, error=None):
     """
     n = len(cube)
     if error is None:
+        last = {record["epoch"]: record for record in cube.meta.get("alignment", ())}
+        names = "shift_east_err_mas", "shift_north_err_mas"
         left = [
-            [meta.get(f"shift_{axis}_err_mas") or 0.0 for axis in ("east", "north")]
-            for meta in cube.epoch_meta
+            [last.get(label, {}).get(name) or 0.0 for name in names]
+            for label in cube.labels
         ]
         each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
     else:

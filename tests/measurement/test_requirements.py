@@ -4,6 +4,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.table import QTable
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.measurement.axes import alignment_errors
@@ -45,3 +46,15 @@ def test_alignment_errors_of_epochs():
     for wrong in (-0.1, np.nan, np.inf):
         with pytest.raises(ValueError, match="must be zero or positive"):
             alignment_errors(cube, wrong * u.mas)
+
+
+def test_the_error_that_the_alignment_found_counts():
+    cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    dates = [time.isot[:10] for time in cube.times]
+    columns = {"east": [0, 0, 0], "north": [0, 0, 0]}
+    columns |= {"east_err": [3, 1, 0], "north_err": [4, 1, 0]}
+    table = QTable({"epoch": dates, **{k: v * u.uas for k, v in columns.items()}})
+    aligned = cube.align("table", table=table)
+    found = alignment_errors(aligned)
+    np.testing.assert_allclose(found[:, 0], [np.sqrt(12.5e-6), 1e-3, 0], atol=1e-9)
+    np.testing.assert_array_equal(alignment_errors(aligned[1:]), found[1:])
