@@ -238,7 +238,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     def resolution(self, cube: EpochCube) -> float:
         """
-        Return the resolution of a cube in mas, see `mean_fwhm` of the plan.
+        Return the resolution of a cube in mas, see ``mean_fwhm`` of the plan.
 
         Parameters
         ----------
