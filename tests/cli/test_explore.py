@@ -12,6 +12,8 @@ from astropy.table import QTable
 from astro_scc.cli import main
 
 pytest.importorskip("bokeh", reason="bokeh is in the extra explore")
+# The measurement that they share takes some seconds.
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +33,6 @@ def out(measured, here):
     return here / "out"
 
 
-@pytest.mark.slow
 def test_the_page_of_a_folder(out, astro_scc):
     report = (out / "report.html").read_text(encoding="utf-8")
     assert '<a href="explore.html">explore.html</a>, which <code>astro-scc' in report
@@ -48,7 +49,6 @@ def test_the_page_of_a_folder(out, astro_scc):
     "change",
     ["moved", "fewer", "none"],
 )
-@pytest.mark.slow
 def test_without_its_images(change, measured, out, astro_scc):
     config = out / "config.toml"
     text = config.read_text(encoding="utf-8")

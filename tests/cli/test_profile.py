@@ -40,6 +40,7 @@ def test_the_whole_stretch(cube_file, tmp_path, capsys):
     assert (row["first"], row["second"]) == ("finest", "coarser")
 
 
+@pytest.mark.slow
 def test_profile(cube_file, tmp_path, capsys):
     out = tmp_path / "out"
     command = ["profile", cube_file, "-o", str(out), "--bins", "0 10 20 mas",

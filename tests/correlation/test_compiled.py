@@ -9,6 +9,8 @@ from astro_scc.correlation.zncc import Template
 from astro_scc.decomposition import Decomposer, SSPs
 
 compiled = pytest.importorskip("astro_scc.correlation.compiled")
+# Compiling takes longer than all of them.
+pytestmark = pytest.mark.slow
 
 
 def blob(shape, rng):
@@ -19,7 +21,6 @@ def blob(shape, rng):
     return footprint
 
 
-@pytest.mark.slow
 @settings(deadline=None, max_examples=25)
 @given(
     height=st.integers(1, 9),
