@@ -238,11 +238,11 @@ def test_a_survey_that_is_stopped_gives_the_same(interrupts, epochs, tmp_path):
 
 
 @pytest.mark.slow
-def test_ten_moments_of_runs_that_go_on(interrupts, inputs, epochs, tmp_path):
+def test_moments_of_runs_that_go_on(interrupts, inputs, epochs, tmp_path):
     words = resumed(inputs, epochs)
-    check_trials(interrupts, words, tmp_path / "measure", number=5, seed=6)
+    check_trials(interrupts, words, tmp_path / "measure", number=2, seed=6)
     words = surveyed(epochs, tmp_path, ("One", "Two"))
-    check_trials(interrupts, words, tmp_path / "survey", number=5, seed=7)
+    check_trials(interrupts, words, tmp_path / "survey", number=2, seed=7)
 
 
 def test_what_a_stopped_run_has_left_is_seen(interrupts, tmp_path):
