@@ -10,6 +10,7 @@ from astro_scc.decomposition import scale_size
 from astro_scc.epochs import positions
 from astro_scc.measurement.axes import projection_of
 from astro_scc.quantities import round_to_errors
+from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.stacking.stack import sample_velocities
 
 #: A match within this many of its standard errors belongs to a component.
@@ -85,7 +86,8 @@ def feature_table(result):
         between them, its mean ``distance`` from the reference pixel along the
         first component, its speed ``pm`` along and ``pm_transverse`` across it
         with errors, its ``acceleration``, and its velocity on the two axes of
-        the velocity map, ``pm_axis1`` and ``pm_axis2``.
+        the velocity map, ``pm_axis1`` and ``pm_axis2``.  Errors of features that
+        are seen only near standing ones hold the pull of these.
     """
     ssps, cube = result.matched.ssps, result.cube
     project = projection_of(result)
@@ -123,6 +125,10 @@ def feature_table(result):
         if name != "motion" and not name.endswith("_err"):
             values *= _sense(result)
         table[name] = (values * beam[axis] * unit).to(unit * u.mas)
+    pulled = np.array([f.pulled for f in features], dtype=float)
+    table["pm_err"] = np.hypot(
+        table["pm_err"], DEFAULT.pulled_error * pulled * table["pm"]
+    )
     angle = [result.search.streams[n - 1].angle for n in table["component"]]
     along, across = (
         [getattr(f, name) for f in features] * width

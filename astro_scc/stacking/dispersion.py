@@ -133,10 +133,11 @@ def scattered_fit(design, values, errors):
 
 
 def feature_speeds(features, settings=DEFAULT):
-    """Return speeds of features, with errors that include blends and the core."""
+    """Return speeds of features, with errors that include the pull of standing ones."""
     speed = np.array([f.speed for f in features])
-    error = np.array([f.error for f in features])
-    return speed, error_of_speed(speed, error, settings)
+    error = error_of_speed(speed, np.array([f.error for f in features]), settings)
+    pulled = np.array([f.pulled for f in features])
+    return speed, np.hypot(error, pulled * settings.pulled_error * speed)
 
 
 def error_of_speed(speed, error, settings=DEFAULT):
@@ -189,7 +190,9 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     >>> p_value < 0.05, second
     (True, array([False,  True, False, False,  True,  True]))
     """
-    speed, error = feature_speeds(features, settings)
+    speed = np.array([f.speed for f in features])
+    # Without the pull of standing features, which does not make two streams one.
+    error = error_of_speed(speed, np.array([f.error for f in features]), settings)
     one_of, two_of = settings.one_dispersions, settings.two_dispersions
     if len(speed) < settings.fewest_of_two:
         return 1.0, np.zeros(len(speed), dtype=bool)

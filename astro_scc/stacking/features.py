@@ -32,6 +32,8 @@ class Feature:
     acceleration, acceleration_error : float
         Acceleration along the axis, in beams/yr^2, from a parabola; NaN with
         fewer than five SSPs.
+    pulled : bool
+        Whether standing features are so close that they affect the speed.
 
     Examples
     --------
@@ -53,6 +55,7 @@ class Feature:
     response: np.ndarray
     acceleration: float = np.nan
     acceleration_error: float = np.nan
+    pulled: bool = False
 
     def __len__(self) -> int:
         return len(self.ssp)
@@ -121,7 +124,9 @@ def find_features(samples, rays, settings, prior):
     with the largest excess begins a feature.  The SSPs to which its matches
     lead along the ray join it, and those to which their matches lead, as long
     as they lie on one line.  Then the next feature begins with the remaining
-    SSPs.
+    SSPs.  Where two epochs are so far apart that the feature moves beyond the
+    search radius, no match leads from one to the other: parts of one line before
+    and after such a gap are joined.
 
     Parameters
     ----------
@@ -148,7 +153,8 @@ def find_features(samples, rays, settings, prior):
     seeds = np.argsort(-best, kind="stable")
     seeds = seeds[best[seeds] >= settings.least_score]
     found = []
-    for chosen in _chains(seeds, fastest, links, d, settings):
+    chains = list(_chains(seeds, fastest, links, d, settings))
+    for chosen in _joined(chains, d, settings):
         first, last = d.epoch[chosen[0]], d.epoch[chosen[-1]]
         least = max(settings.least_epochs, settings.least_share * (last - first + 1))
         if len(chosen) >= least:
@@ -199,8 +205,8 @@ def clear_of(features, standing, samples, settings):
     -------
     list of `Feature`
         With the same SSPs, but those within ``pull`` of a standing feature do not
-        affect the speed.  A feature is unchanged if fewer than ``least_epochs`` other
-        SSPs are left.
+        affect the speed.  A feature with fewer than ``least_epochs`` other SSPs is
+        ``pulled``.
     """
     if not standing:
         return list(features)
@@ -210,8 +216,11 @@ def clear_of(features, standing, samples, settings):
     for f in features:
         away = np.hypot(*(d.position[f.ssp][:, None] - places).T).min(axis=0)
         clear = away > settings.pull
-        if clear.all() or clear.sum() < settings.least_epochs:
+        if clear.all():
             found.append(f)
+            continue
+        if clear.sum() < settings.least_epochs:
+            found.append(replace(f, pulled=True))
             continue
         part = _feature(f.ssp[clear], d, settings)
         response = np.zeros(len(f))
@@ -343,15 +352,55 @@ def _on_line(chosen, d, settings):
     for _ in range(3):
         if len(chosen) <= settings.least_epochs:
             break
-        velocity, middle, when = _line(chosen, d)
-        time = d.years[d.epoch[chosen]] - when
-        off = np.abs(d.position[chosen] - middle - time[:, None] * velocity)[:, 0]
+        off = _off_line(chosen, _line(chosen, d), d)[:, 0]
         limit = max(2.5 * 1.4826 * np.median(off), 2 * settings.position_error)
         good = off <= limit
         if good.all() or good.sum() < settings.least_epochs:
             break
         chosen = chosen[good]
     return chosen
+
+
+def _joined(chains, d, settings):
+    """Yield chains; those of one speed that lie on one line are joined."""
+    chains = sorted((c for c in chains if len(c) > 1), key=len, reverse=True)
+    rest = [(chain, _line(chain, d)[0][0]) for chain in chains]
+    while rest:
+        (chain, speed), joined = rest.pop(0), True
+        while joined:
+            joined, least = None, 1.0
+            for number, (other, own) in enumerate(rest):
+                both = _one_after_another(chain, other, d)
+                if both is None:
+                    continue
+                line = _line(both, d)
+                change = max(abs(own - line[0][0]), abs(speed - line[0][0]))
+                off = _off_line(both, line, d) / (
+                    3 * settings.position_error, settings.across
+                )  # fmt: skip
+                near = change <= settings.same_speed * abs(line[0][0])
+                if near and off.max() <= least:
+                    joined, least = (number, both, line[0][0]), off.max()
+            if joined:
+                del rest[joined[0]]
+                _, chain, speed = joined
+        yield chain
+
+
+def _one_after_another(chain, other, d):
+    """Return the SSPs of two chains of one scale in the order of time, or None."""
+    if d.epoch[other[0]] < d.epoch[chain[0]]:
+        chain, other = other, chain
+    apart = d.epoch[chain[-1]] < d.epoch[other[0]]
+    same = d.scale[chain[0]] == d.scale[other[0]]
+    return np.concatenate([chain, other]) if apart and same else None
+
+
+def _off_line(chosen, line, d):
+    """Return the distances of SSPs from a line along and across the axis."""
+    velocity, middle, when = line
+    time = d.years[d.epoch[chosen]] - when
+    return np.abs(d.position[chosen] - middle - time[:, None] * velocity)
 
 
 def _feature(chosen, d, settings):

@@ -76,7 +76,7 @@ def test_the_difference_is_that_of_welch():
     rng = np.random.default_rng(2)
     samples = rng.normal(1.0, 0.1, 6), rng.normal(1.3, 0.2, 9)
     means = [
-        _mean([SimpleNamespace(speed=v, error=1e-9) for v in sample], 1.0)
+        _mean([SimpleNamespace(speed=v, error=1e-9, pulled=False) for v in sample], 1)
         for sample in samples
     ]
     # Errors of features hold two per cent of their speeds.

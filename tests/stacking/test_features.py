@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.stacking import Feature, Rays, SearchSettings, find_streams
+from astro_scc.stacking.dispersion import feature_speeds, separate_streams
 from astro_scc.stacking.features import (
     _excess,
     _Links,
@@ -289,6 +290,40 @@ class TestFindFeatures:
                 assert found[ssp, k] == pytest.approx(wanted, abs=1e-9)
 
 
+class TestLongIntervals:
+    """A feature moves beyond the search radius between two epochs."""
+
+    @pytest.fixture
+    def gap(self):
+        # Two groups of three epochs; 3.5 beams from one to the other.
+        return np.array([0.0, 0.5, 1.1, 8.0, 8.6, 9.2])
+
+    def test_its_parts_are_joined(self, lines, axis_matches, gap):
+        rng = np.random.default_rng(1)
+        d = axis_matches(*lines([0.5], [1.0], gap, scatter=0.01, rng=rng), gap)
+        (found,) = follow(d)
+        np.testing.assert_array_equal(found.ssp, np.arange(6))
+        assert found.speed == pytest.approx(0.5, rel=0.02)
+
+    def test_parts_of_two_speeds_are_not(self, lines, axis_matches, gap):
+        rng = np.random.default_rng(1)
+        position, epoch = lines([0.5], [1.0], gap, scatter=0.01, rng=rng)
+        # On the line at one date, but moving twice as fast.
+        position[3:, 0] += 0.5 * (gap[3:] - gap[4])
+        assert follow(axis_matches(position, epoch, gap)) == []
+
+    def test_parts_beside_one_line_are_not(self, lines, axis_matches, gap):
+        rng = np.random.default_rng(1)
+        position, epoch = lines([0.5], [1.0], gap, scatter=0.01, rng=rng)
+        position[3:, 0] += 3.0
+        assert follow(axis_matches(position, epoch, gap)) == []
+
+    def test_parts_at_the_same_dates_are_not(self, lines, axis_matches, gap):
+        rng = np.random.default_rng(1)
+        d = axis_matches(*lines([0.5, 0.5], [1, 1.1], gap, scatter=0, rng=rng), gap)
+        assert all(len(set(d.epoch[f.ssp])) == len(f) for f in follow(d))
+
+
 class TestStandingFeatures:
     def test_what_stands_still_is_found(self, lines, axis_matches):
         rng = np.random.default_rng(1)
@@ -464,7 +499,25 @@ class TestClearOf:
 
     def test_they_count_where_too_few_are_left(self, samples, moving, standing):
         search = replace(SEARCH, pull=3.0)
-        assert clear_of([moving], [standing], samples, search) == [moving]
+        (found,) = clear_of([moving], [standing], samples, search)
+        assert (found.speed, found.error) == (moving.speed, moving.error)
+        assert found.pulled
+        assert not moving.pulled
+        _, (error, larger) = feature_speeds([moving, found], search)
+        assert larger == pytest.approx(np.hypot(error, 0.2 * moving.speed))
+
+    def test_they_do_not_keep_two_streams_from_being_found(self):
+        epoch = np.arange(4)
+        speeds = [0.3, 1.05, 0.32, 0.33, 1.0, 0.98]
+        features = [
+            Feature.through(epoch, epoch, np.outer(epoch, [v, 0])) for v in speeds
+        ]
+        pulled = [replace(f, pulled=True) for f in features]
+        found = [
+            separate_streams(group, 99, np.random.default_rng(1))
+            for group in (features, pulled)
+        ]
+        assert found[0][0] == found[1][0] < 0.05
 
     def test_nothing_stands_still(self, samples, moving):
         assert clear_of([moving], [], samples, SEARCH) == [moving]
