@@ -362,28 +362,37 @@ def _on_line(chosen, d, settings):
 
 
 def _joined(chains, d, settings):
-    """Yield chains; those of one speed that lie on one line are joined."""
+    """
+    Yield chains; those of one speed that lie on one line are joined.
+
+    A part that fits several others of the same dates is joined to none of them.
+    """
     chains = sorted((c for c in chains if len(c) > 1), key=len, reverse=True)
     rest = [(chain, _line(chain, d)[0][0]) for chain in chains]
+    limit = np.array([3 * settings.position_error, settings.across])
     while rest:
         (chain, speed), joined = rest.pop(0), True
         while joined:
-            joined, least = None, 1.0
+            fits = []
             for number, (other, own) in enumerate(rest):
                 both = _one_after_another(chain, other, d)
                 if both is None:
                     continue
                 line = _line(both, d)
                 change = max(abs(own - line[0][0]), abs(speed - line[0][0]))
-                off = _off_line(both, line, d) / (
-                    3 * settings.position_error, settings.across
-                )  # fmt: skip
-                near = change <= settings.same_speed * abs(line[0][0])
-                if near and off.max() <= least:
-                    joined, least = (number, both, line[0][0]), off.max()
+                off = (_off_line(both, line, d) / limit).max()
+                if off <= 1 and change <= settings.same_speed * abs(line[0][0]):
+                    dates = d.epoch[other[0]], d.epoch[other[-1]]
+                    fits.append((off, number, both, line[0][0], dates))
+            joined = None
+            for fit in sorted(fits, key=lambda k: k[0]):
+                (first, last), others = fit[-1], (k[-1] for k in fits if k is not fit)
+                if not any(a <= last and b >= first for a, b in others):
+                    joined = fit
+                    break
             if joined:
-                del rest[joined[0]]
-                _, chain, speed = joined
+                _, number, chain, speed, _ = joined
+                del rest[number]
         yield chain
 
 
