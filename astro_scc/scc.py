@@ -228,17 +228,17 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         if self.max_speed is not None:
             return u.Quantity(self.max_speed)
-        beams = plan.largest_speed(cube, self.search_radius(cube), self.baseline)
-        return beams * self.resolution(cube) * PM_UNIT
+        radius, fwhm = self.search_radius(cube)
+        return plan.largest_speed(cube, radius, self.baseline) * fwhm * PM_UNIT
 
     @property
     def largest_speed(self) -> float | None:
         """The largest speed in mas/yr, or None if none is given."""
         return None if self.max_speed is None else self.max_speed.to_value(PM_UNIT)
 
-    def resolution(self, cube: EpochCube) -> float:
+    def search_radius(self, cube: EpochCube) -> tuple[float, float]:
         """
-        Return the resolution of a cube in mas, see ``mean_fwhm`` of the plan.
+        Return the largest displacement at which streams are searched for.
 
         Parameters
         ----------
@@ -246,23 +246,11 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Returns
         -------
-        float
+        radius, fwhm : float
+            In beams, and the beam (or the largest scale without one) in mas.
         """
-        return plan.mean_fwhm(cube, max(self.scale_numbers(cube)))
-
-    def search_radius(self, cube: EpochCube) -> float:
-        """
-        Return the largest displacement at which streams are searched for, in beams.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-
-        Returns
-        -------
-        float
-        """
-        return plan.search_radius(cube, self.largest_speed, self.resolution(cube))
+        fwhm = plan.mean_fwhm(cube, max(self.scale_numbers(cube)))
+        return plan.search_radius(cube, self.largest_speed, fwhm), fwhm
 
     def reach(self, cube: EpochCube) -> tuple[int, int]:
         """
@@ -277,8 +265,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         tuple of int
             Along (y, x).
         """
-        of = self.search_radius(cube), self.resolution(cube), self.largest_speed
-        return plan.search_reach(cube, self.date_pairs(cube), *of)
+        of = self.date_pairs(cube), *self.search_radius(cube), self.largest_speed
+        return plan.search_reach(cube, *of)
 
     def match(
         self, cube: EpochCube, *, region: Any = None, n_workers: int | str | Client = 1,
@@ -432,11 +420,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         region : optional
             A region of `regions`, the path of a region file or a boolean
             image.  Only SSPs whose centroid lies inside are correlated.
-        n_trials : int, optional
-            Number of permutations of the epochs.  The paper's z-score and error take
-            at most 200, which give a standard deviation to 5%.
-        rng : None, int or `~numpy.random.Generator`, optional
-            Seed of the trials.
+        n_trials, rng
+            See `stack`.
         n_workers, cache
             See `match`.
         progress_bar : bool, optional

@@ -70,7 +70,7 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     paper_rng, search_rng, error_rng = np.random.default_rng(rng).spawn(3)
     cube, baseline, alpha = matched.cube, settings.baseline, settings.alpha
     pairs, max_speed = settings.date_pairs(cube), settings.largest_speed
-    radius, fwhm = settings.search_radius(cube), settings.resolution(cube)
+    radius, fwhm = settings.search_radius(cube)
     frame, angle = velocity_frame(matched, settings.position_angle)
     samples = axes.angular_displacements(
         matched.matches,

@@ -294,7 +294,8 @@ def _width(cube, scc, fwhm):
         raise ValueError(
             "the cube has no beams: give fwhm, the full width of features, as an angle"
         )
-    return scc.resolution(cube)
+    _, width = scc.search_radius(cube)
+    return width
 
 
 def _tolerance(cube, scc, width, tolerance):
