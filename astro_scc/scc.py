@@ -453,9 +453,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         dict
         """
-        return {
-            k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()
-        }
+        own = asdict(self).items()
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in own}
 
 
 def _comparable(value):
