@@ -74,7 +74,8 @@ class SearchSettings:
         are fitted through such positions, and 0.1% without them.
     pulled_error : float
         Relative error of the speed of a feature that is seen nowhere else.  On
-        simulated jets such speeds are 15% too small, and scatter by 13%.
+        simulated jets such speeds are 12% too small, and scatter by 12%
+        (``benchmarks/calibration/followed.py``).
     apart : float
         Smallest difference of two streams, in standard deviations of the
         difference that a flow with ``lone_dispersion`` gives.
