@@ -86,8 +86,8 @@ def feature_table(result):
         between them, its mean ``distance`` from the reference pixel along the
         first component, its speed ``pm`` along and ``pm_transverse`` across it
         with errors, its ``acceleration``, and its velocity on the two axes of
-        the velocity map, ``pm_axis1`` and ``pm_axis2``.  Errors of features that
-        are seen only near standing ones hold the pull of these.
+        the velocity map, ``pm_axis1`` and ``pm_axis2``.  ``pm_err`` of features
+        that are seen only near standing ones includes the pull of these.
     """
     ssps, cube = result.matched.ssps, result.cube
     project = projection_of(result)

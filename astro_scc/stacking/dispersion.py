@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -133,7 +133,7 @@ def scattered_fit(design, values, errors):
 
 
 def feature_speeds(features, settings=DEFAULT):
-    """Return speeds of features, with errors that include the pull of standing ones."""
+    """Return speeds of features, with errors that include blends and the core."""
     speed = np.array([f.speed for f in features])
     error = error_of_speed(speed, np.array([f.error for f in features]), settings)
     pulled = np.array([f.pulled for f in features])
@@ -190,9 +190,8 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     >>> p_value < 0.05, second
     (True, array([False,  True, False, False,  True,  True]))
     """
-    speed = np.array([f.speed for f in features])
-    # Without the pull of standing features, which does not make two streams one.
-    error = error_of_speed(speed, np.array([f.error for f in features]), settings)
+    # The pull of standing features does not make two streams one.
+    speed, error = feature_speeds(features, replace(settings, pulled_error=0.0))
     one_of, two_of = settings.one_dispersions, settings.two_dispersions
     if len(speed) < settings.fewest_of_two:
         return 1.0, np.zeros(len(speed), dtype=bool)

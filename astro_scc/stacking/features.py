@@ -362,38 +362,40 @@ def _on_line(chosen, d, settings):
 
 
 def _joined(chains, d, settings):
-    """
-    Yield chains; those of one speed that lie on one line are joined.
-
-    A part that fits several others of the same dates is joined to none of them.
-    """
-    chains = sorted((c for c in chains if len(c) > 1), key=len, reverse=True)
-    rest = [(chain, _line(chain, d)[0][0]) for chain in chains]
-    limit = np.array([3 * settings.position_error, settings.across])
+    """Yield chains; those of one speed that lie on one line are joined."""
+    rest = sorted((c for c in chains if len(c) > 1), key=len, reverse=True)
     while rest:
-        (chain, speed), joined = rest.pop(0), True
-        while joined:
-            fits = []
-            for number, (other, own) in enumerate(rest):
-                both = _one_after_another(chain, other, d)
-                if both is None:
-                    continue
-                line = _line(both, d)
-                change = max(abs(own - line[0][0]), abs(speed - line[0][0]))
-                off = (_off_line(both, line, d) / limit).max()
-                if off <= 1 and change <= settings.same_speed * abs(line[0][0]):
-                    dates = d.epoch[other[0]], d.epoch[other[-1]]
-                    fits.append((off, number, both, line[0][0], dates))
-            joined = None
-            for fit in sorted(fits, key=lambda k: k[0]):
-                (first, last), others = fit[-1], (k[-1] for k in fits if k is not fit)
-                if not any(a <= last and b >= first for a, b in others):
-                    joined = fit
-                    break
-            if joined:
-                _, number, chain, speed, _ = joined
-                del rest[number]
+        chain = rest.pop(0)
+        while (found := _continuation(chain, rest, d, settings)) is not None:
+            number, chain = found
+            del rest[number]
         yield chain
+
+
+def _continuation(chain, rest, d, settings):
+    """
+    Return the number of the chain that lies best on one line with another, and both.
+
+    None if there is none, or if each one that does has another of the same dates
+    beside it that does.
+    """
+    limit = np.array([3 * settings.position_error, settings.across])
+    speed, fits = _line(chain, d)[0][0], []
+    for number, other in enumerate(rest):
+        both = _one_after_another(chain, other, d)
+        if both is None:
+            continue
+        line = _line(both, d)
+        joint = line[0][0]
+        off = (_off_line(both, line, d) / limit).max()
+        change = max(abs(speed - joint), abs(_line(other, d)[0][0] - joint))
+        if off <= 1 and change <= settings.same_speed * abs(joint):
+            fits.append((off, number, both))
+    for _, number, both in sorted(fits, key=lambda fit: fit[0]):
+        others = (rest[k] for _, k, _ in fits if k != number)
+        if all(_one_after_another(rest[number], k, d) is not None for k in others):
+            return number, both
+    return None
 
 
 def _one_after_another(chain, other, d):

@@ -12,6 +12,7 @@ from the core.  The jets are others than those of the calibration.
 
 import argparse
 import os
+from itertools import pairwise
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
@@ -59,7 +60,7 @@ def nearest(feature, d, true):
 
 
 def followed(kind, seed):
-    """Return speeds and whether they are followed, and errors of those that are."""
+    """Return which true features are followed, errors of speeds, and the wrong ones."""
     d, jet = matched_jet(kind, seed)
     found = find_streams(
         lambda angle: d, [0.0], SearchSettings().radius, n_trials=199,
@@ -68,9 +69,7 @@ def followed(kind, seed):
     true = truth(jet)
     features = [f for s in found.streams if s.kind == "moving" for f in s.features]
     numbers = [nearest(f, d, true) for f in features]
-    seen = [
-        number in numbers for number, k in enumerate(true) if len(k[0]) >= SEEN
-    ]  # fmt: skip
+    seen = [number in numbers for number, k in enumerate(true) if len(k[0]) >= SEEN]
     errors = [
         (f.place, f.speed / true[k][2] - 1, f.pulled)
         for f, k in zip(features, numbers, strict=True)
@@ -92,11 +91,11 @@ def main():
         errors += own
         share = wrong / max(len(own) + wrong, 1)
         rows.append([kind, len(seen), f"{seen.mean():.2f}", f"{share:.2f}"])
-    write("followed_table", ["jets", "features", "followed", "of none"], rows)
+    write("followed_table", ["jets", "features", "followed", "wrong"], rows)
     place, error, pulled = np.transpose(errors)
     use = [
         (f"{low} to {high}", (place >= low) & (place < high) & (pulled == 0))
-        for low, high in zip(DISTANCES, DISTANCES[1:], strict=False)
+        for low, high in pairwise(DISTANCES)
     ]
     use.append(("only near a standing one", pulled == 1))
     rows = [

@@ -318,6 +318,13 @@ class TestLongIntervals:
         position[3:, 0] += 3.0
         assert follow(axis_matches(position, epoch, gap)) == []
 
+    def test_of_two_parts_that_both_fit_none_is_joined(self, lines, axis_matches, gap):
+        position, epoch = lines([0.5], [1.0], gap)
+        later = position[3:] + [0.6, 0.0]
+        position, epoch = np.concatenate([position, later]), np.append(epoch, epoch[3:])
+        order = np.argsort(epoch, kind="stable")
+        assert follow(axis_matches(position[order], epoch[order], gap)) == []
+
     def test_parts_at_the_same_dates_are_not(self, lines, axis_matches, gap):
         rng = np.random.default_rng(1)
         d = axis_matches(*lines([0.5, 0.5], [1, 1.1], gap, scatter=0, rng=rng), gap)
