@@ -74,7 +74,7 @@ class SearchSettings:
         are fitted through such positions, and 0.1% without them.
     pulled_error : float
         Relative error of the speed of a feature that is seen nowhere else.  On
-        simulated jets such speeds are 12% too small, and scatter by 12%
+        simulated jets such speeds are 11% too small, and scatter by 11%
         (``benchmarks/calibration/followed.py``).
     apart : float
         Smallest difference of two streams, in standard deviations of the
