@@ -179,14 +179,14 @@ def memory_of(pid, kind="Pss"):
     return own / 1e6 + sum(memory_of(child, kind) for child in below)
 
 
-def watch(words):
-    """Return the peak memory of a command in GB, and its seconds."""
+def watch(words, kind="Rss"):
+    """Return the peak memory of a command in GB, see `memory_of`, and its seconds."""
     start = time.monotonic()
     process = subprocess.Popen(
         [sys.executable, "-m", "astro_scc", *map(str, words)],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
-    with Sampler(partial(memory_of, process.pid, "Rss"), 0.02) as memory:
+    with Sampler(partial(memory_of, process.pid, kind), 0.02) as memory:
         said, _ = process.communicate()
     if process.returncode:
         raise RuntimeError(f"{words[0]} ended with {process.returncode}: {said}")

@@ -50,7 +50,8 @@ def row_of(source, expert, tables):
         files = sorted(images.glob("*.fits"))
         redshift = REDSHIFTS[source.table]
         memory, seconds = watch(
-            ["measure", *files, "--redshift", redshift, "-o", out, "--seed", "1"]
+            ["measure", *files, "--redshift", redshift, "-o", out, "--seed", "1"],
+            kind="Pss",
         )
         components = QTable.read(out / "components.ecsv")
     first = components[components["kind"] != "stationary"][:1]

@@ -251,15 +251,21 @@ def _two(y, e, dispersions):
     """Return the largest log-likelihood of two streams, and where they split."""
     n = y.shape[1]
     best, where = np.full(len(y), -np.inf), np.zeros(len(y), dtype=int)
-    for split in range(1, n):
-        for tau in dispersions:
-            w = 1 / (e**2 + tau**2)
-            parts = []
-            for part in (slice(None, split), slice(split, None)):
-                m = (w[:, part] * y[:, part]).sum(axis=1) / w[:, part].sum(axis=1)
-                share = len(range(n)[part]) / n
-                parts.append(np.log(share) + _log_normal(y, e, m[:, None], tau))
-            value = np.logaddexp(*parts).sum(axis=1)
+    for tau in dispersions:
+        w = 1 / (e**2 + tau**2)
+        total, part = np.cumsum(w, axis=1), np.cumsum(w * y, axis=1)
+        slow = part[:, :-1] / total[:, :-1]
+        fast = (part[:, -1:] - part[:, :-1]) / (total[:, -1:] - total[:, :-1])
+        constant = 0.5 * np.log(w).sum(axis=1)
+        for split, *means in zip(range(1, n), slow.T, fast.T, strict=True):
+            shares = split / n, 1 - split / n
+            a, b = (
+                np.log(share) - 0.5 * w * (y - mean[:, None]) ** 2
+                for share, mean in zip(shares, means, strict=True)
+            )
+            # log(e^a + e^b); numpy's own function is ten times slower.
+            value = np.maximum(a, b) + np.log(1 + np.exp(-np.abs(a - b)))
+            value = value.sum(axis=1) + constant
             better = value > best
             best[better], where[better] = value[better], split
     return best, where

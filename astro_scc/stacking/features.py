@@ -364,15 +364,44 @@ def _on_line(chosen, d, settings):
 def _joined(chains, d, settings):
     """Yield chains; those of one speed that lie on one line are joined."""
     rest = sorted((c for c in chains if len(c) > 1), key=len, reverse=True)
+    sums = np.array([_sums(chain, d) for chain in rest])
     while rest:
-        chain = rest.pop(0)
-        while (found := _continuation(chain, rest, d, settings)) is not None:
+        chain, own, sums = rest.pop(0), sums[0], sums[1:]
+        while rest:
+            same = np.flatnonzero(_of_one_speed(own, sums, settings))
+            found = _continuation(chain, same, rest, d, settings)
+            if found is None:
+                break
             number, chain = found
             del rest[number]
+            own, sums = _sums(chain, d), np.delete(sums, number, axis=0)
         yield chain
 
 
-def _continuation(chain, rest, d, settings):
+def _sums(chain, d):
+    """Return scale, first and last epoch of a chain, and the sums of its slope."""
+    epoch = d.epoch[chain]
+    t, x = d.years[epoch] - d.years[0], d.position[chain, 0]
+    ends = d.scale[chain[0]], epoch[0], epoch[-1]
+    return np.array([*ends, len(t), t.sum(), x.sum(), t @ t, t @ x])
+
+
+def _slopes(sums):
+    n, t, x, tt, tx = np.moveaxis(sums[..., 3:], -1, 0)
+    return (n * tx - t * x) / (n * tt - t * t)
+
+
+def _of_one_speed(one, others, settings):
+    """Return which chains have another's scale, other dates and a similar speed."""
+    apart = (others[:, 1] > one[2]) | (others[:, 2] < one[1])
+    joint = _slopes(one + others)
+    change = np.maximum(abs(_slopes(one) - joint), abs(_slopes(others) - joint))
+    return (
+        apart & (others[:, 0] == one[0]) & (change <= settings.same_speed * abs(joint))
+    )
+
+
+def _continuation(chain, numbers, rest, d, settings):
     """
     Return the number of the chain that lies best on one line with another, and both.
 
@@ -380,31 +409,25 @@ def _continuation(chain, rest, d, settings):
     beside it that does.
     """
     limit = np.array([3 * settings.position_error, settings.across])
-    speed, fits = _line(chain, d)[0][0], []
-    for number, other in enumerate(rest):
-        both = _one_after_another(chain, other, d)
-        if both is None:
-            continue
-        line = _line(both, d)
-        joint = line[0][0]
-        off = (_off_line(both, line, d) / limit).max()
-        change = max(abs(speed - joint), abs(_line(other, d)[0][0] - joint))
-        if off <= 1 and change <= settings.same_speed * abs(joint):
+    fits = []
+    for number in numbers:
+        both = _in_order(chain, rest[number], d)
+        off = (_off_line(both, _line(both, d), d) / limit).max()
+        if off <= 1:
             fits.append((off, number, both))
     for _, number, both in sorted(fits, key=lambda fit: fit[0]):
         others = (rest[k] for _, k, _ in fits if k != number)
-        if all(_one_after_another(rest[number], k, d) is not None for k in others):
+        if all(_in_order(rest[number], k, d) is not None for k in others):
             return number, both
     return None
 
 
-def _one_after_another(chain, other, d):
-    """Return the SSPs of two chains of one scale in the order of time, or None."""
+def _in_order(chain, other, d):
+    """Return the SSPs of two chains in the order of time, None if dates overlap."""
     if d.epoch[other[0]] < d.epoch[chain[0]]:
         chain, other = other, chain
     apart = d.epoch[chain[-1]] < d.epoch[other[0]]
-    same = d.scale[chain[0]] == d.scale[other[0]]
-    return np.concatenate([chain, other]) if apart and same else None
+    return np.concatenate([chain, other]) if apart else None
 
 
 def _off_line(chosen, line, d):
@@ -421,16 +444,20 @@ def _feature(chosen, d, settings):
 
 def _different(features, d, settings):
     """Return the features without those near the line of a longer one, on any scale."""
-    kept = []
+    kept, lines = [], []
     # Of two features of equal length, the one on the finer scale is blended less.
     for feature in sorted(features, key=lambda f: (-len(f), d.scale[f.ssp[0]])):
         years, place = d.years[d.epoch[feature.ssp]], d.position[feature.ssp]
-        for other in kept:
-            time = years - d.years[d.epoch[other.ssp]].mean()
-            velocity = np.array([other.speed, other.across])
-            line = d.position[other.ssp].mean(axis=0) + time[:, None] * velocity
-            if np.median(np.hypot(*(place - line).T)) < settings.same_feature:
-                break
-        else:
-            kept.append(feature)
+        if lines:
+            when, middle, velocity = (
+                np.array(part)[:, None] for part in zip(*lines, strict=True)
+            )
+            line = middle + (years - when)[..., None] * velocity
+            off = np.median(np.linalg.norm(place - line, axis=-1), axis=1)
+            if off.min() < settings.same_feature:
+                continue
+        kept.append(feature)
+        lines.append(
+            (years.mean(), place.mean(axis=0), (feature.speed, feature.across))
+        )
     return kept
