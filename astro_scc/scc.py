@@ -26,11 +26,12 @@ from astro_scc.measurement import (
     plan,
 )
 from astro_scc.measurement.axes import angular_displacements
+from astro_scc.measurement.choices import choose_scales
 from astro_scc.measurement.stacking import stack_matches, velocity_frame
-from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.progress import progress
 from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.stacking import DatePairs, VelocitySamples
+from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -112,7 +113,8 @@ class StackedCrossCorrelation(MeasurementSettings):
             value = require(field.name, getattr(self, field.name))
             object.__setattr__(self, field.name, value)
         # These two check their own settings when they are made.
-        self._decomposer((1,) if isinstance(self.scales, u.Quantity) else self.scales)
+        angles = self.scales is None or isinstance(self.scales, u.Quantity)
+        self._decomposer((1,) if angles else self.scales)
         self._correlator()
 
     def __eq__(self, other: object) -> bool:
@@ -162,6 +164,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         Return the scales as numbers, for the pixels of a cube.
 
+        If none are given, they follow from the beam, or the size of the structures.
+
         Parameters
         ----------
         cube : `~astro_scc.epochs.EpochCube`
@@ -176,6 +180,8 @@ class StackedCrossCorrelation(MeasurementSettings):
             If an angle is not within 20% of a scale's size, or two angles mean
             the same scale.
         """
+        if self.scales is None:
+            return choose_scales(cube)[0]
         return require("scales", plan.scales_of_pixels(self.scales, cube.pixel_scale))
 
     def decomposer(self, cube: EpochCube) -> Decomposer:

@@ -112,12 +112,12 @@ _in_c = partial(_setting, "speeds in units of c")
 class MeasurementSettings:
     """The settings of `~astro_scc.StackedCrossCorrelation`."""
 
-    scales: u.Quantity | Sequence[float | str] = _measure(
+    scales: u.Quantity | Sequence[float | str] | None = _measure(
         check_scales,
         'wavelet scales by number (j is 2^j pixels) or angle, "0.2 mas, 0.4 mas"; '
-        "default 1,2,3,4",
+        "by default from a quarter of the beam to two beams, without a beam up to half "
+        "of the size of the structures",
         "1,2,3",
-        (1, 2, 3, 4),
     )
     max_speed: u.Quantity | str | None = _measure(
         _speed,

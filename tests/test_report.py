@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from astro_scc.kinematics import paper_cosmology
 from astro_scc.quantities import with_error
 from astro_scc.report import write_report
-from astro_scc.report.tables import epoch_rows, in_easy_units
+from astro_scc.report.tables import epoch_rows
+from astro_scc.units import in_easy_units
 
 CHANCE = "permuted epochs give as strong a peak (p_global above alpha)"
 HOSTILE = "<script>alert('1')</script> & \"more\""

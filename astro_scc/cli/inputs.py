@@ -270,8 +270,21 @@ def read_epochs(settings, *, files=None, note=_ignore, chosen=_ignore):
         align, reason = choose_alignment(cube)
         chosen(f"--align {align}: {reason}")
     seed = draw_seed(settings.seed)
+    cube = cube.align(align)
+    settings = with_scales(cube, settings, chosen=chosen)
     settings = replace(settings, align=align, common_beam=common, seed=seed)
-    return cube.align(align), settings, left_out
+    return cube, settings, left_out
+
+
+def with_scales(cube, settings, *, chosen=_ignore):
+    """Return the settings with the scales that suit the images."""
+    if settings.scales is not None:
+        return settings
+    from astro_scc.measurement.choices import choose_scales
+
+    scales, reason = choose_scales(cube)
+    chosen(f"--scales {','.join(map(str, scales))}: {reason}")
+    return replace(settings, scales=scales)
 
 
 def with_direction(cube, settings, *, chosen=_ignore):

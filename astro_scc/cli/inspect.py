@@ -139,13 +139,15 @@ def _alignment(cube, of_core):
 
 def _choices(cube):
     """Return what a measurement without options takes, as lines."""
-    from astro_scc.cli.inputs import with_direction
+    from astro_scc.cli.inputs import with_direction, with_scales
     from astro_scc.measurement.choices import choose_alignment
     from astro_scc.settings import Settings
 
     align, reason = choose_alignment(cube)
     chosen = [f"--align {align}: {reason}"]
-    with_direction(cube.align(align), Settings(), chosen=chosen.append)
+    cube = cube.align(align)
+    for choose in (with_scales, with_direction):
+        choose(cube, Settings(), chosen=chosen.append)
     return [
         "",
         "Without options, astro-scc measure takes:",

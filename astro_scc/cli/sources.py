@@ -70,7 +70,7 @@ class Source:
             "settings": self.settings.to_dict(),
             "regions": self.regions,
             "scale_groups": {
-                name: replace(self.settings, scales=scales).to_dict()["scales"]
+                name: replace(self.settings, scales=scales).to_dict().get("scales")
                 for name, scales in self.scale_groups.items()
             },
             "versions": versions(),

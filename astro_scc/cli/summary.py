@@ -17,6 +17,8 @@ NOTHING = (
 )
 #: Of fewer features the speeds of each are shown.
 FEW = 5
+#: Features seen over fewer days have the times of their epochs.
+SOME_DAYS = 3
 PROFILE_EXPLANATION = (
     "p_fdr: p_global adjusted for all bins, the share of false discoveries up to it",
 )
@@ -79,11 +81,12 @@ def component_lines(components, features=None, sensitivity=None):
     list of str
     """
     from astro_scc.measurement.sensitivity import sensitivity_line
+    from astro_scc.units import in_easy_units
     from astro_scc.visualization.style import component_kinds
 
     if len(components) == 0:
         return [*NOTHING, *meta_lines(components.meta)]
-    kinds = component_kinds(components)
+    components, kinds = in_easy_units(components), component_kinds(components)
     lines = [_answer(components, kinds)]
     if sensitivity is not None and (depends := sensitivity_line(sensitivity)):
         lines.append(f"{depends}.")
@@ -95,10 +98,13 @@ def component_lines(components, features=None, sensitivity=None):
         if math.isfinite(limit.value):
             text = f"{limit.value:.2g} {limit.unit}"
             lines.append(f"{number} is slower than {text} at 95% confidence")
-    tested = [k for k, kind in enumerate(kinds) if kind != "stationary"]
-    if features is not None and sum(components["n_features"][tested]) < FEW:
-        own = [row for row in features if row["component"] - 1 in tested]
-        lines += _feature_lines(own) if own else []
+    tested = [k for k, kind in enumerate(kinds, 1) if kind != "stationary"]
+    if (
+        features is not None
+        and sum(components["n_features"][k - 1] for k in tested) < FEW
+    ):
+        own = features[[row["component"] in tested for row in features]]
+        lines += _feature_lines(own) if len(own) else []
     return [*lines, *meta_lines(components.meta)]
 
 
@@ -124,17 +130,25 @@ def _answer(components, kinds):
 
 def _feature_lines(features):
     """Return the features, each with the speed of its own straight line, as a table."""
+    from astro_scc.units import in_easy_units, offset_unit
+
+    features = in_easy_units(features)
+    far = offset_unit(abs(features["distance"].to_value("mas")).max())
+    # Of less than some days, the times.
+    days = (features["last"] - features["first"]).to_value("day")
+    shown = 10 if days.max() > SOME_DAYS else 16
     rows = [
         [
             str(row["component"]),
-            f"{row['distance'].value:.2g}",
-            f"{row['first'].isot[:10]} to {row['last'].isot[:10]}",
+            f"{row['distance'].to_value(far):.2g}",
+            f"{row['first'].isot[:shown]} to {row['last'].isot[:shown]}",
             str(row["n_epochs"]),
             plus_minus(row, "pm"),
         ]
         for row in features
     ]
-    head = ["feature of", "distance (mas)", "dates", "epochs", "speed (mas / yr)"]
+    speed = f"speed ({features['pm'].unit})"
+    head = ["feature of", f"distance ({far})", "dates", "epochs", speed]
     return ["", *table_lines(head, rows), ""]
 
 
@@ -239,16 +253,14 @@ def _in_c(row):
 
 
 def _component_table(components, kinds):
-    from astro_scc.visualization.style import speed_unit
 
-    unit = speed_unit(components["pm"].value.max())
-    rows = []
+    unit, rows = components["pm"].unit, []
     for row, kind in zip(components, kinds, strict=True):
-        angle, spread = row["pm_pa"].value, row["dispersion"].to_value(unit)
+        angle, spread = row["pm_pa"].value, row["dispersion"].value
         cells = {
             "component": str(row["component"]),
             "kind": kind,
-            f"proper motion ({unit})": plus_minus(row, "pm", unit),
+            f"proper motion ({unit})": plus_minus(row, "pm"),
             "PA (deg)": f"{angle:.0f}" if math.isfinite(angle) else "-",
             **_in_c(row),
             f"dispersion ({unit})": f"{spread:.2g}" if math.isfinite(spread) else "-",

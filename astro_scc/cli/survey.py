@@ -418,7 +418,9 @@ def _measure(source, output, part, report, said):
             where = Path(SOURCES, source.folder, regions[region], groups[group])
             folder = part / regions[region] / groups[group]
             own = {"region": source.regions[region]}
-            own = replace(settings, scales=source.scale_groups[group], **own)
+            if (scales := source.scale_groups[group]) is not None:
+                own["scales"] = scales
+            own = replace(settings, **own)
             folder.mkdir(parents=True)
             before = len(said)
             names = [name for name in (region, group) if name != WHOLE]

@@ -82,14 +82,18 @@ def run(args, reporter):
     stack = None if args.profile is None else _stack_profile(args.profile)
     made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
     with made as folder:
-        cube, settings, _ = read_epochs(settings, note=reporter.note)
+        chosen = []
+        cube, settings, _ = read_epochs(
+            settings, note=reporter.note, chosen=chosen.append
+        )
         n_workers = workers_for(cube, n_workers)
         _tell_time(cube, tracker, settings, reporter, n_workers)
         tracking = _track(cube, tracker, settings, reporter, n_workers)
         profile = _write(tracking, settings, folder, votable=args.votable)
         if not args.no_figures:
             _draw(tracking, profile, settings, folder, stack)
-    for line in (*_summary(tracking), *speed_lines(settings.in_c)):
+    found = [f"Found in the images: {line}" for line in chosen]
+    for line in (*_summary(tracking), *speed_lines(settings.in_c), *found):
         reporter.say(line)
     reporter.say(f"\nTables{'' if args.no_figures else ' and figures'}: {output}")
 

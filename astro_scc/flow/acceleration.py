@@ -15,6 +15,7 @@ from astro_scc.measurement.axes import projection_of
 from astro_scc.quantities import with_error
 from astro_scc.stacking.dispersion import feature_speeds, scattered_fit
 from astro_scc.stacking.search_settings import DEFAULT
+from astro_scc.units import PM_UNIT, offset_unit, speed_unit
 
 #: Distance in beams below which the core shifts features.
 CORE = 2.0
@@ -63,11 +64,14 @@ class FlowAcceleration:
                 f"acceleration: unknown, {self.n_features} features are seen beyond "
                 "two beams, of which four are needed, or two over five epochs"
             )
-        value, error = self.acceleration.value, self.acceleration_err.value
+        length, time = speed_unit(self.speed.to_value(PM_UNIT)).bases
+        both = self.acceleration, self.acceleration_err
+        value = with_error(*(a.to_value(length / time**2) for a in both), "+-")
+        far = offset_unit(self.centre.to_value(u.mas))
         return (
-            f"acceleration: {with_error(value, error, '+-')} mas/yr^2 at "
-            f"{self.centre.value:.3g} mas, p {self.p_value:.2g}, {self.n_features} "
-            "features"
+            f"acceleration: {value} {length}/{time}^2 at "
+            f"{self.centre.to_value(far):.3g} {far}, p {self.p_value:.2g}, "
+            f"{self.n_features} features"
         )
 
 

@@ -17,10 +17,10 @@ from astro_scc.kinematics.ridge_search import limb_masks, mean_width
 from astro_scc.measurement import MatchedEpochs, SCCResult, select_ssps
 from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.stacking import velocity_frame
-from astro_scc.measurement.tables import PM_UNIT
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.stacking.dispersion import feature_speeds, scattered_fit
 from astro_scc.stacking.search_settings import DEFAULT
+from astro_scc.units import PM_UNIT
 
 #: SSPs ejected within this length of the flow, in beams, count as one feature.
 FEATURE_BEAMS = 2.0

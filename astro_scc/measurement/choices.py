@@ -1,17 +1,25 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What the images tell about how to measure them: alignment and direction."""
+"""What the images tell about how to measure them: alignment, scales, direction."""
 
 import warnings
 
 import astropy.units as u
 import numpy as np
-from scipy.ndimage import map_coordinates
+from scipy import fft
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from astro_scc.epochs.registration import MISALIGNED
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.kinematics import fit_position_angle
 from astro_scc.kinematics.ridge_search import mean_width
+from astro_scc.measurement.plan import mean_fwhm
 
+#: Octaves of scales, the finest a quarter of the beam; without a beam, the coarsest
+#: is half of the size of the structures (`structure_size`).
+OCTAVES = 4
+#: Structures much larger than this, in pixels, are background to those that are
+#: measured; epochs in which they are measured.
+BACKGROUND, MOST_EPOCHS = 16.0, 5
 #: Faintest pixels that show a direction, in noises of an epoch.
 SNR = 5.0
 #: Structure is one-sided if the mean of the unit vectors from the core, weighted by
@@ -66,6 +74,90 @@ def choose_alignment(cube):
         "core",
         f"the epochs scatter by {scatter:.2f} beams, {on_core:.2f} on the core",
     )
+
+
+def choose_scales(cube):
+    """
+    Return the scales that suit the resolution of the images.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    scales : tuple of int
+        Four from a quarter of the beam to two beams; without a beam, up to half of
+        the size of the structures.
+    reason : str
+
+    Examples
+    --------
+    >>> from astro_scc import EpochCube
+    >>> from astro_scc.measurement.choices import choose_scales
+    >>> from astro_scc.simulation import simulate_jet
+    >>> cube = simulate_jet(n_epochs=5, rng=1).cube
+    >>> choose_scales(cube)
+    ((1, 2, 3, 4), 'from a quarter of the beam, of 8.0 px, to two beams')
+    >>> images = cube.data, cube.times
+    >>> choose_scales(EpochCube.from_arrays(*images, pixel_scale=cube.pixel_scale))
+    ((1, 2), 'up to half of the size of the structures, 7.3 px')
+    """
+    most = max(1, int(np.log2(min(cube.shape[1:]) / 2)))
+    if cube.beams is None:
+        size = structure_size(cube)
+        last = min(most, max(1, round(np.log2(size / 2))))
+        scales = range(max(1, last - OCTAVES + 1), last + 1)
+        reason = f"up to half of the size of the structures, {size:.1f} px"
+    else:
+        size = mean_fwhm(cube, 1) / cube.pixel_scale.to_value(u.mas)
+        first = round(np.log2(size / 4))
+        scales = range(max(1, first), min(most, max(1, first + OCTAVES - 1)) + 1)
+        reason = f"from a quarter of the beam, of {size:.1f} px, to two beams"
+    return tuple(scales) or (most,), reason
+
+
+def structure_size(cube):
+    """
+    Return the full width at half maximum of the structures in the images.
+
+    It is that of their mean autocorrelation, less what is much larger, over the
+    square root of two, as of a Gaussian; lag zero, which has all of the noise, is
+    that of a Gaussian through the next two.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    float
+        In pixels, at least 2.
+    """
+    some = np.unique(np.linspace(0, len(cube) - 1, MOST_EPOCHS).astype(int))
+    n = int(min(4 * BACKGROUND, *cube.shape[1:]))
+    total = np.zeros((n, n))
+    for epoch in some:
+        image = np.ma.masked_array(cube.data[epoch], cube.mask[epoch], dtype=float)
+        image = np.ma.masked_invalid(image)
+        image = (image - np.ma.median(image)).filled(0.0)
+        image -= gaussian_filter(image, BACKGROUND)
+        # Twice the size, so that the image does not meet itself at its border.
+        shape = [fft.next_fast_len(2 * k, real=True) for k in image.shape]
+        power = np.abs(fft.rfft2(image, shape)) ** 2
+        total += fft.irfft2(power, shape)[:n, :n]
+    lag = np.rint(np.hypot(*np.indices((n, n)))).astype(int).ravel()
+    profile = (np.bincount(lag, total.ravel()) / np.bincount(lag))[:n]
+    if not 0 < profile[2] < profile[1]:
+        return 2.0
+    profile[0] = profile[1] * (profile[1] / profile[2]) ** (1 / 3)
+    below = np.flatnonzero(profile < profile[0] / 2)
+    if len(below) == 0:
+        return float(n)
+    k = below[0]
+    step = profile[k - 1] - profile[k]
+    half = k - 1 + (profile[k - 1] - profile[0] / 2) / step
+    return max(2.0, float(2 * half / np.sqrt(2)))
 
 
 def choose_direction(cube):

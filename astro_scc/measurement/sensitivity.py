@@ -3,15 +3,17 @@
 
 from dataclasses import dataclass, replace
 
+import astropy.units as u
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from astro_scc.measurement.axes import alignment_errors, projection_of
-from astro_scc.measurement.tables import PM_UNIT, build_table
+from astro_scc.measurement.tables import build_table
 from astro_scc.quantities import round_to_errors, with_error
 from astro_scc.stacking import Feature, Stream, dispersion
 from astro_scc.stacking.errors import alignment_response, velocity_of
 from astro_scc.stacking.search_settings import DEFAULT
+from astro_scc.units import PM_UNIT, in_easy_units, offset_unit, time_unit
 
 #: Share of a distribution below one standard deviation above its mean.
 ONE_SIGMA = 0.8413
@@ -83,7 +85,7 @@ def sensitivity_line(table):
     str
         Without a full stop; empty if there are none.
     """
-    own = table[table["significant"]]
+    own = in_easy_units(table)[table["significant"]]
     if len(own) == 0:
         return ""
     parts = [
@@ -284,8 +286,10 @@ def _choices(main):
         a[np.triu(_both(line.used), 1)] for a, line in zip(apart, lines, strict=True)
     ]
     limit = np.median(np.concatenate(used))
-    yield f"intervals shorter than {limit:.2g} yr", [a < limit for a in apart]
-    yield f"intervals of {limit:.2g} yr or more", [a >= limit for a in apart]
+    unit = time_unit(limit)
+    shown = f"{(limit * u.yr).to_value(unit):.2g} {unit}"
+    yield f"intervals shorter than {shown}", [a < limit for a in apart]
+    yield f"intervals of {shown} or more", [a >= limit for a in apart]
     middle = len(main.dates) // 2
     date = main.dates[middle]
     yield f"epochs before {date}", [_both(k.epoch < middle) for k in lines]
@@ -302,7 +306,9 @@ def _choices(main):
             yield f"{name} scales only ({numbers})", of(main.scale, first)
     order = np.argsort(main.place, kind="stable")
     inner = np.isin(np.arange(n), order[: n // 2])
-    border = f"{main.place[order[n // 2 - 1 : n // 2 + 1]].mean():.3g} mas"
+    border = main.place[order[n // 2 - 1 : n // 2 + 1]].mean() * u.mas
+    unit = offset_unit(border.value)
+    border = f"{border.to_value(unit):.3g} {unit}"
     yield f"inner half, up to {border}", inner
     yield f"outer half, from {border}", ~inner
     faint = np.isin(np.arange(n), np.argsort(main.peak, kind="stable")[: n // 2])

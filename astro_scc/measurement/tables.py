@@ -14,9 +14,9 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from astro_scc.quantities import round_to_errors, with_error
+from astro_scc.units import PM_UNIT
 
 #: Unit of proper motions.
-PM_UNIT = u.mas / u.yr
 #: Standard errors above the mean at the one-sided 95% limit of a normal distribution.
 LIMIT = 1.645
 #: Columns of a table in a paper, and their headings in LaTeX.

@@ -18,7 +18,7 @@ from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import versions
 from astro_scc.measurement.stacking import seeded
-from astro_scc.measurement.tables import PM_UNIT, build_table
+from astro_scc.measurement.tables import build_table
 from astro_scc.progress import progress
 from astro_scc.quantities import named, one_quantity, shortened, to_quantity
 from astro_scc.recovery.injection import (
@@ -30,6 +30,7 @@ from astro_scc.recovery.injection import (
     velocity_along,
 )
 from astro_scc.scc import StackedCrossCorrelation
+from astro_scc.units import PM_UNIT
 
 #: Largest difference of a component's velocity from that of the features, in beams
 #: over the median interval.

@@ -13,7 +13,7 @@ from astro_scc.epochs import EpochCube
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
 from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.kinematics import RadialFrame
-from astro_scc.measurement.tables import PM_UNIT
+from astro_scc.units import PM_UNIT
 
 #: An SSP belongs to an injected feature within this distance, in beams.
 NEAR = 0.5

@@ -13,7 +13,7 @@ from astro_scc.epochs.beam import Beam
 from astro_scc.measurement import versions
 from astro_scc.measurement.products import plain_meta
 from astro_scc.measurement.stacking import seeded
-from astro_scc.measurement.tables import PM_UNIT, build_table
+from astro_scc.measurement.tables import build_table
 from astro_scc.quantities import named, one_quantity
 from astro_scc.recovery.completeness import (
     check_trials,
@@ -24,6 +24,7 @@ from astro_scc.recovery.completeness import (
     smallest_p,
 )
 from astro_scc.stacking import SearchSettings
+from astro_scc.units import PM_UNIT
 
 #: Width of a simulated beam in pixels, as in the paper's test, and the scales for it.
 BEAM_PIXELS = 10

@@ -19,6 +19,7 @@ from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
 from astro_scc.report import tables
 from astro_scc.report.tables import plain_value, unit_text
+from astro_scc.units import in_easy_units
 
 #: Other products that the folder may hold, in the order of the page.
 PRODUCTS = (
@@ -240,7 +241,7 @@ def _findings(result, components):
     from astro_scc.visualization.style import component_kinds
 
     kinds = component_kinds(components)
-    easy = tables.in_easy_units(components)
+    easy = in_easy_units(components)
     shown, notes = tables.component_rows(easy, kinds)
     names = [name for name in easy.colnames if easy[name].ndim == 1]
     rows = [

@@ -12,8 +12,9 @@ from astropy.time import Time
 
 from astro_scc.flow.binned import LEAST, MOST_BINS
 from astro_scc.kinematics.cosmology import cosmology_text
-from astro_scc.measurement.tables import PM_UNIT, cell_text
+from astro_scc.measurement.tables import cell_text
 from astro_scc.quantities import round_to_errors, with_error
+from astro_scc.units import PM_UNIT, offset_unit, speed_unit, unit_name
 
 #: Columns of the page: name, heading with {unit}.
 COLUMNS = (
@@ -73,37 +74,8 @@ def plain_value(item):
 
 def unit_text(unit):
     """Return a unit as text without blanks, empty for None."""
-    from astro_scc.visualization.style import unit_name
 
     return "" if unit is None else unit_name(unit)
-
-
-def in_easy_units(components):
-    """
-    Return components with proper motions in a unit that is easy to read.
-
-    Parameters
-    ----------
-    components : `~astropy.table.QTable`
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        The same table if it already has that unit.
-    """
-    from astro_scc.visualization.style import speed_unit
-
-    own = components["pm"].unit
-    unit = speed_unit(components["pm"].to_value(PM_UNIT).max(initial=0))
-    if unit == own:
-        return components
-    easy = components.copy()
-    for name in components.colnames:
-        column = components[name]
-        if getattr(column, "unit", None) == own:
-            easy[name] = column.to(unit)
-            easy[name].info.description = column.info.description
-    return easy
 
 
 def component_rows(components, kinds):
@@ -321,7 +293,6 @@ def overview(table, parts, folder, published):
         of the sources; ``speeds``, the range of those that move; ``compared``,
         their differences from published speeds in standard errors.
     """
-    from astro_scc.visualization.style import speed_unit
 
     every = np.ma.filled(np.ma.asarray(table["pm"].to_value(PM_UNIT)), np.nan)
     unit = speed_unit(np.nanmax(every, initial=0.0))
@@ -421,7 +392,6 @@ def _span(first, last):
 def _small_profile(path, unit):
     """Return the speeds of features against their distances as parts of an SVG."""
     from astro_scc.visualization.features import LARGE_ERROR
-    from astro_scc.visualization.style import offset_unit
 
     features = QTable.read(path, format="ascii.ecsv")
     error = features["pm_err"].value

@@ -10,8 +10,8 @@ from astropy.utils.masked import Masked
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.quantities import round_to_errors
 from astro_scc.tracking.motion import SIGNIFICANT, ejection_epoch, turn_between
+from astro_scc.units import PM_UNIT
 
-PM_UNIT = u.mas / u.yr
 PM_DOT_UNIT = u.mas / u.yr**2
 
 #: Columns of the tracks: name, unit or type, and description.

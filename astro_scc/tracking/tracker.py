@@ -21,8 +21,8 @@ from astro_scc.settings import require
 from astro_scc.tracking.candidates import core_ssps, find_candidates
 from astro_scc.tracking.likelihood import LinkLikelihood, coarser_ssps
 from astro_scc.tracking.linking import chain, link
-from astro_scc.tracking.tables import PM_UNIT
 from astro_scc.tracking.tracks import Tracking, linked_shares, mean_fwhm
+from astro_scc.units import PM_UNIT
 
 #: Without a largest speed, displacements up to this many beams are searched.
 BEAMS_PER_INTERVAL = 4.0

@@ -11,8 +11,9 @@ import numpy as np
 
 from astro_scc.epochs.positions import axis_words
 from astro_scc.quantities import with_error
+from astro_scc.units import PM_UNIT, offset_unit, speed_unit, time_unit, unit_name
 from astro_scc.visualization import style
-from astro_scc.visualization.style import BLACK, KINDS, PM_UNIT, unit_name
+from astro_scc.visualization.style import BLACK, KINDS
 from astro_scc.visualization.velocity import on_sky
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def plot_diagram(
         for kind, velocity in zip(kinds, velocities, strict=True)
     ]
     _, displacement = image.wcs.pixel_to_world_values(0, np.arange(len(image.data)))
-    unit = style.offset_unit(displacement[-1], unit)
+    unit = offset_unit(displacement[-1], unit)
     seen = image.meta["n_pairs"] > 0
     years, excess = image.meta["interval"].to_value(u.yr)[seen], image.data[:, seen]
     longest = longest_interval(years, slopes, kinds, displacement[-1])
@@ -131,7 +132,7 @@ def plot_diagram(
 
 def _texts(components, kinds):
     """Return the number and the speed, or kind, of each component."""
-    unit = style.speed_unit(components["pm"].to_value(PM_UNIT).max(initial=0.0))
+    unit = speed_unit(components["pm"].to_value(PM_UNIT).max(initial=0.0))
     texts = []
     for row, kind in zip(components, kinds, strict=True):
         value, error = row["pm"].to_value(unit), row["pm_err"].to_value(unit)
@@ -152,11 +153,6 @@ def longest_interval(years, slopes, kinds, reach):
             # A fast stream alone would leave a single column.
             return min(max(longest, edges(years)[: FEWEST_INTERVALS + 1][-1]), last)
     return last
-
-
-def time_unit(years):
-    """Return a unit that is easy to read for intervals up to one in years."""
-    return next((v for v in (u.yr, u.day, u.h) if years >= 0.3 * v.to(u.yr)), u.min)
 
 
 def edges(middle):

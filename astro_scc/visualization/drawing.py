@@ -8,8 +8,8 @@ import numpy as np
 
 from astro_scc.decomposition import scale_size
 from astro_scc.epochs.positions import axis_words
+from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import style
-from astro_scc.visualization.style import unit_name
 
 #: Colour of masked pixels, which is not among the greys of the image.
 MASKED = "#BFDFF2"
@@ -45,7 +45,7 @@ class View:
         """Return the view of one or more images and SSPs."""
         points = ssp_points(cube, ssps)
         limits = image_limits(cube, points if zoom else None)
-        unit = style.offset_unit(lengths(limits).max(), unit)
+        unit = offset_unit(lengths(limits).max(), unit)
         return cls(cube, points, limits, unit, plotting_norm(cube, image, **colors))
 
     @property

@@ -14,8 +14,8 @@ from astro_scc.epochs.positions import sky_columns
 from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
 from astro_scc.stacking.dispersion import error_of_speed
+from astro_scc.units import PM_UNIT, offset_unit, speed_unit, time_unit, unit_name
 from astro_scc.visualization import diagram, drawing, style
-from astro_scc.visualization.style import PM_UNIT, unit_name
 from astro_scc.visualization.velocity import AXIS_LABELS, MAP_LABELS
 
 #: Pixels of the images of all epochs, a byte each, and the largest number of features:
@@ -119,18 +119,18 @@ class Page:
         #: Row in the table of each point.
         self.row = np.searchsorted(features["feature"], seen["feature"])
         speeds = [t["pm"].to_value(PM_UNIT) for t in (components, features)]
-        self.pm_unit = style.speed_unit(np.abs(np.concatenate(speeds)).max(initial=0.0))
+        self.pm_unit = speed_unit(np.abs(np.concatenate(speeds)).max(initial=0.0))
         names = "east", "north"
         if "lon_offset" in ssps.colnames:
             names = "lon_offset", "lat_offset"
         #: Offsets in mas, shape (2, n).
         self.place = np.array([ssps[k][seen["ssp"]].to_value(u.mas) for k in names])
-        self.sky_unit = style.offset_unit(np.abs(self.place).max(initial=0.0) or 1.0)
+        self.sky_unit = offset_unit(np.abs(self.place).max(initial=0.0) or 1.0)
         # Outward is positive, as in the figures.
         distance = seen["distance"].to_value(u.mas)
         total = np.bincount(self.row, distance, len(features))
         self.sign = np.where(total < 0, -1.0, 1.0)
-        self.length = style.offset_unit(np.abs(distance).max(initial=0.0) or 1.0)
+        self.length = offset_unit(np.abs(distance).max(initial=0.0) or 1.0)
         self.features = self.models.ColumnDataSource(self._feature_columns())
         self.points = self.models.ColumnDataSource(self._point_columns())
         self.here = None
@@ -423,7 +423,7 @@ class Page:
         years, excess = bins["interval"][used].astype(float), hdu.data[:, used]
         half, slopes = hdu.header["CDELT2"] * len(excess) / 2, self._slopes()
         longest = diagram.longest_interval(years, slopes, self.kinds, half)
-        time = diagram.time_unit(longest)
+        time = time_unit(longest)
         right, top = longest * u.yr.to(time), half * u.mas.to(self.length)
         ranged = self.models.Range1d
         plot = self._figure(

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
+from astro_scc.units import PM_UNIT, offset_unit, speed_unit, unit_name
 from astro_scc.visualization import drawing, style
-from astro_scc.visualization.style import BLACK, PM_UNIT, unit_name
+from astro_scc.visualization.style import BLACK
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -104,7 +105,7 @@ def _draw_key(ax, view, fastest, scale):
     """Draw an arrow of a round speed above the axes, on the right, with its value."""
     if not fastest:
         return
-    unit = style.speed_unit(fastest / view.factor)
+    unit = speed_unit(fastest / view.factor)
     speed = ((fastest / view.factor) * PM_UNIT).to_value(unit)
     size = 10.0 ** np.floor(np.log10(speed))
     speed = size * max(k for k in (1, 2, 5) if k * size <= speed)
@@ -162,7 +163,7 @@ def plot_feature_speeds(
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
     table = result.features
     distance = np.abs(table["distance"].to_value(u.mas))
-    unit = style.offset_unit(distance.max(initial=1.0))
+    unit = offset_unit(distance.max(initial=1.0))
     speed, error = (table[k].to_value(PM_UNIT) for k in ("pm", "pm_err"))
     # Outward is positive, also along a component that points to the core.
     speed = np.where(table["distance"] < 0, -speed, speed)
@@ -239,7 +240,7 @@ def plot_feature_distances(
     start, years = cube.times[0].jyear, cube.years.to_value(u.yr)
     kinds = [stream.kind for stream in result.search.streams]
     distance = table["distance"].to_value(u.mas)
-    unit = style.offset_unit(np.abs(distance).max(initial=1.0), unit)
+    unit = offset_unit(np.abs(distance).max(initial=1.0), unit)
     named = set()
     for feature, slope in enumerate(result.features["pm"].to_value(PM_UNIT)):
         own = np.flatnonzero(table["feature"] == feature)
@@ -305,7 +306,7 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None):
         raise ValueError("the table has no rows: nothing moves significantly")
     height = 0.8 + 0.36 * len(table)
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
-    unit = style.speed_unit(np.abs(table["pm"].to_value(PM_UNIT)).max())
+    unit = speed_unit(np.abs(table["pm"].to_value(PM_UNIT)).max())
     speed, error = (table[name].to_value(unit) for name in ("pm", "pm_err"))
     low, high = speed[0] - error[0], speed[0] + error[0]
     ax.axvspan(low, high, color=style.GREY, alpha=0.2, lw=0)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
+from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import drawing, style
-from astro_scc.visualization.style import BLUE, LINES, PM_UNIT, SCALE_COLORS, unit_name
+from astro_scc.visualization.style import BLUE, LINES, SCALE_COLORS
 from astro_scc.visualization.velocity import draw_map
 
 if TYPE_CHECKING:
@@ -326,7 +327,7 @@ def plot_track_profile(
     'Distance from the core (mas)'
     """
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
-    unit = style.offset_unit(profile["r"].to_value(u.mas).max(initial=1.0))
+    unit = offset_unit(profile["r"].to_value(u.mas).max(initial=1.0))
     r = profile["r"].to_value(unit)
     speed, error = (profile[n].to_value(PM_UNIT) for n in ("speed", "speed_err"))
     ax.fill_between(

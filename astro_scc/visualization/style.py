@@ -3,8 +3,9 @@
 
 from typing import NamedTuple
 
-import astropy.units as u
 import numpy as np
+
+from astro_scc.units import PM_UNIT
 
 # Colours of Okabe & Ito, which colour-blind readers can distinguish.
 BLACK = "#000000"
@@ -17,8 +18,6 @@ PURPLE = "#CC79A7"
 GREY = "#767676"
 SCALE_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY_BLUE)
 LINES = ("-", "--", ":")
-
-PM_UNIT = u.mas / u.yr
 
 #: Width and largest height of a figure in inches, for a page.
 WIDTH = 6.0
@@ -65,38 +64,6 @@ def new_figure(figsize):
     from matplotlib.figure import Figure
 
     return Figure(figsize=figsize, layout="compressed")
-
-
-def offset_unit(span, unit=None):
-    """Return a unit that is easy to read for offsets over a span in mas."""
-    if unit is not None:
-        unit = u.Unit(unit)
-        if not unit.is_equivalent(u.mas):
-            raise ValueError(f"unit must be an angle, such as 'mas', got {unit}")
-        return unit
-    for unit, least in ((u.deg, 3.0), (u.arcmin, 5.0), (u.arcsec, 3.0), (u.mas, 0.3)):
-        if (span * u.mas).to_value(unit) >= least:
-            return unit
-    return u.uas
-
-
-def speed_unit(fastest, unit=None):
-    """Return a unit that is easy to read for proper motions up to one in mas/yr."""
-    if unit is None:
-        if (fastest * PM_UNIT).to_value(u.arcsec / u.h) >= 0.3:
-            return u.arcsec / u.h
-        return u.arcsec / u.yr if fastest >= 3000 else PM_UNIT
-    unit = u.Unit(unit)
-    if not unit.is_equivalent(PM_UNIT):
-        raise ValueError(
-            f"unit must be an angle over a time, such as 'mas/yr', got {unit}"
-        )
-    return unit
-
-
-def unit_name(unit):
-    """Return a unit as text for a label."""
-    return u.Unit(unit).to_string().replace(" / ", "/")
 
 
 def scale_colors(scales):

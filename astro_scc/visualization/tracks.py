@@ -9,8 +9,9 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.decomposition import scale_size
+from astro_scc.units import PM_UNIT, offset_unit, speed_unit, unit_name
 from astro_scc.visualization import drawing, style
-from astro_scc.visualization.style import BLACK, PM_UNIT, unit_name
+from astro_scc.visualization.style import BLACK
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -99,7 +100,7 @@ def _draw_members(ax, view, result, number, kind):
         width=0.0035, headwidth=4, headlength=5, minlength=0.5, alpha=0.75,
     )  # fmt: skip
     speed = result.components["pm"][number - 1]
-    speed = speed.to(style.speed_unit(speed.to_value(PM_UNIT)))
+    speed = speed.to(speed_unit(speed.to_value(PM_UNIT)))
     text = f"{number}: {speed.value:.3g} {unit_name(speed.unit)}, {n_ssp} SSPs"
     drawing.panel_text(ax, text + ("" if strong else ", not significant"))
 
@@ -156,7 +157,7 @@ def plot_separation(
     years = tracking.cube.years.to_value(u.yr)
     distance = np.hypot(*tracking.offsets)
     tracked = distance[tracking.track >= 0]
-    unit = style.offset_unit(tracked.max(initial=1.0), unit)
+    unit = offset_unit(tracked.max(initial=1.0), unit)
     factor = u.mas.to(unit)
     for ax, scale in zip(axes[:, 0], scales, strict=True):
         own = _shown(tracking, scale, min_epochs)

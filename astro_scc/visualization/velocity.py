@@ -9,8 +9,9 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.positions import axis_words, sky_columns
+from astro_scc.units import PM_UNIT, speed_unit, unit_name
 from astro_scc.visualization import style
-from astro_scc.visualization.style import BLACK, GREY, KINDS, PM_UNIT, unit_name
+from astro_scc.visualization.style import BLACK, GREY, KINDS
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -91,7 +92,7 @@ def plot_velocity_map(
     """
     if which not in MAP_LABELS:
         raise ValueError(f"unknown map {which!r}: use 'coefficient' or 'z_score'")
-    unit = style.speed_unit(max(result.grid.v_max), unit)
+    unit = speed_unit(max(result.grid.v_max), unit)
     components = result.components if components is None else components
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 5.2))
     drawn = draw_map(ax, getattr(result, which), result.grid, unit)
@@ -264,7 +265,7 @@ def plot_significance(
     >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
     >>> figure = plot_significance(result)
     """
-    unit = style.speed_unit(max(result.grid.v_max), unit)
+    unit = speed_unit(max(result.grid.v_max), unit)
     components = result.components if components is None else components
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
     speed, axis, highest = _along_jet(result)

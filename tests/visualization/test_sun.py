@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 
 from astro_scc.epochs.positions import axis_words, sky_columns
 from astro_scc.report.tables import component_rows
+from astro_scc.units import speed_unit
 from astro_scc.visualization import (
     plot_epoch,
     plot_epochs,
     plot_members,
     plot_velocity_map,
 )
-from astro_scc.visualization.style import speed_unit
 
 
 def in_frame(result, *ctype):

@@ -1,0 +1,70 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Units of proper motions, and units that are easy to read."""
+
+import astropy.units as u
+
+PM_UNIT = u.mas / u.yr
+
+
+def offset_unit(span, unit=None):
+    """Return a unit that is easy to read for offsets over a span in mas."""
+    if unit is not None:
+        unit = u.Unit(unit)
+        if not unit.is_equivalent(u.mas):
+            raise ValueError(f"unit must be an angle, such as 'mas', got {unit}")
+        return unit
+    for unit, least in ((u.deg, 3.0), (u.arcmin, 5.0), (u.arcsec, 3.0), (u.mas, 0.3)):
+        if (span * u.mas).to_value(unit) >= least:
+            return unit
+    return u.uas
+
+
+def speed_unit(fastest, unit=None):
+    """Return a unit that is easy to read for proper motions up to one in mas/yr."""
+    if unit is None:
+        if (fastest * PM_UNIT).to_value(u.arcsec / u.h) >= 0.3:
+            return u.arcsec / u.h
+        return u.arcsec / u.yr if fastest >= 3000 else PM_UNIT
+    unit = u.Unit(unit)
+    if not unit.is_equivalent(PM_UNIT):
+        raise ValueError(
+            f"unit must be an angle over a time, such as 'mas/yr', got {unit}"
+        )
+    return unit
+
+
+def unit_name(unit):
+    """Return a unit as text for a label."""
+    return u.Unit(unit).to_string().replace(" / ", "/")
+
+
+def time_unit(years):
+    """Return a unit that is easy to read for intervals up to one in years."""
+    return next((v for v in (u.yr, u.day, u.h) if years >= 0.3 * v.to(u.yr)), u.min)
+
+
+def in_easy_units(table):
+    """
+    Return a table with proper motions in a unit that is easy to read.
+
+    Parameters
+    ----------
+    table : `~astropy.table.QTable`
+        With a column ``pm``, whose largest value decides.
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        The same table if it already has that unit.
+    """
+    own = table["pm"].unit
+    unit = speed_unit(table["pm"].to_value(PM_UNIT).max(initial=0))
+    if unit == own:
+        return table
+    easy = table.copy()
+    for name in table.colnames:
+        column = table[name]
+        if getattr(column, "unit", None) == own:
+            easy[name] = column.to(unit)
+            easy[name].info.description = column.info.description
+    return easy
