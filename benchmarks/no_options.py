@@ -1,24 +1,38 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Measure twelve jets of MOJAVE by one command without options, with time and memory.
+Measure jets and other images by one command without options, with time and memory.
 
-``astro-scc restore`` makes the images, and ``astro-scc measure FILES --redshift Z``
-measures them.  The table has the speeds beside those of ``mojave.py``, for which the
-direction is fitted to the patterns::
+``astro-scc restore`` makes images of twelve jets of MOJAVE, and ``astro-scc measure
+FILES --redshift Z`` measures them.  The table has the speeds beside those of
+``mojave.py``, for which the direction is fitted to the patterns.  A second table has
+the speeds of simulated images: jets of two streams, and the knots of HST and the Sun of
+``examples``, which have no beam::
 
     python benchmarks/no_options.py ../shared/data/mojave_xviii
     python benchmarks/no_options.py ../shared/data/mojave_xviii --only 1641+399
+    python benchmarks/no_options.py ../shared/data/mojave_xviii --only simulated
 """
 
 import argparse
 import csv
+import subprocess
+import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
+import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from common import PM_UNIT, RESULTS, measured, plain, watch, write_table
 from mojave import FEATURES, RIGHT, SOURCES
+
+from astro_scc.simulation import (
+    Flow,
+    simulate_jet,
+    simulate_two_fluid,
+    write_simulation,
+)
 
 #: Of NED, as in Lister et al. (2021, ApJ 923, 30), Table 1.
 REDSHIFTS = {
@@ -26,6 +40,7 @@ REDSHIFTS = {
     "0716+714": 0.31, "1226+023": 0.1583, "1228+126": 0.00436, "1253-055": 0.536,
     "1308+326": 0.997, "1510-089": 0.36, "1641+399": 0.593, "2200+420": 0.0686,
 }  # fmt: skip
+SEED = 21
 HEADER = ["jet", "epochs", "features' mean (mas/yr)", "no options (mas/yr)", "kind",
           "chosen settings (mas/yr)", "right", "time (s)", "memory (GB)"]  # fmt: skip
 
@@ -69,6 +84,55 @@ def row_of(source, expert, tables):
             f"{seconds:.0f}", f"{memory:.1f}"]  # fmt: skip
 
 
+def write_example(name, folder):
+    """Write the images of an example."""
+    code = f"import sys; from pathlib import Path; import numpy as np; import {name}\n"
+    code += f"{name}.write_images(Path(sys.argv[1]), np.random.default_rng({SEED}))"
+    here = Path(__file__).parents[1] / "examples"
+    subprocess.run([sys.executable, "-c", code, str(folder)], check=True, cwd=here)
+
+
+def write_jet(jet, folder):
+    """Write a simulated jet, and return the mean speed of each of its streams."""
+    write_simulation(jet, folder)
+    groups = [own for own in jet.truth.group_by("group").groups if own["group"][0]]
+    means = [
+        [np.nanmean(own[f"pm_{axis}"]) for axis in ("east", "north")] for own in groups
+    ]
+    speeds = sorted(np.hypot(*mean).to_value(PM_UNIT) for mean in means)
+    return [speed for speed in speeds if speed > 0]
+
+
+def simulated():
+    """Yield the rows of simulated images: true speeds, and those without options."""
+    flow = {"n_features": 5, "dispersion": 0.1}
+    streams = [Flow("slow", speed=0.3, **flow), Flow("fast", speed=0.9, **flow)]
+    two = simulate_jet(streams=streams, rng=SEED)
+    makers = {
+        "two streams": partial(write_jet, two),
+        "the paper's two fluids": partial(write_jet, simulate_two_fluid(rng=SEED)),
+        "knots, HST": lambda folder: write_example("hubble", folder) or [25.0],
+        "drift on the Sun": lambda folder: write_example("sun", folder) or [24.82],
+    }
+    for name, make in makers.items():
+        with tempfile.TemporaryDirectory() as parent:
+            folder, out = Path(parent, "images"), Path(parent, "out")
+            folder.mkdir()
+            true = make(folder)
+            files = sorted(folder.glob("*.fits"))
+            _, seconds = watch(["measure", *files, "-o", out, "--seed", "1"])
+            found = QTable.read(out / "components.ecsv")
+        unit = u.arcsec / u.h if "Sun" in name else PM_UNIT
+        rows = [row for row in found if row["kind"] == "moving"]
+        yield [
+            name, len(files), str(unit), ", ".join(f"{v:.3g}" for v in true),
+            ", ".join(
+                measured(plain(row["pm"], unit), plain(row["pm_err"], unit), 3)
+                for row in rows
+            ), f"{seconds:.0f}",
+        ]  # fmt: skip
+
+
 def main():
     """Measure the jets, and write their rows beside those there are."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
@@ -79,6 +143,9 @@ def main():
     if path.exists():
         with open(path, newline="", encoding="utf-8") as file:
             rows = {row[0]: row for row in list(csv.reader(file))[1:]}
+    if args.only is None or "simulated" in args.only:
+        head = ["images", "epochs", "unit", "true", "no options", "time (s)"]
+        write_table("no_options_simulated", head, list(simulated()))
     experts = chosen()
     for source in SOURCES:
         if args.only is None or source.table in args.only:

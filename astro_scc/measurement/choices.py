@@ -132,7 +132,7 @@ def structure_size(cube):
     Returns
     -------
     float
-        In pixels, at least 2.
+        In pixels, at least 2; too small by a fifth for structures of 14 px.
     """
     some = np.unique(np.linspace(0, len(cube) - 1, MOST_EPOCHS).astype(int))
     n = int(min(4 * BACKGROUND, *cube.shape[1:]))

@@ -200,6 +200,7 @@ def draw_power(rows):
             axis.errorbar(x, y, (y - low, high - y), fmt=style, ms=4, lw=1,
                           color=color, label=name)  # fmt: skip
         axis.set(xlabel=LABELS[option], ylim=(-0.03, 1.05))
+        axis.tick_params(axis="x", labelsize=8)
         if option in ("epochs", "features", "speed", "noise"):
             axis.set_xscale("log")
             axis.set_xticks(x, [f"{v:g}" for v in x], minor=False)

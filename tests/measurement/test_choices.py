@@ -1,12 +1,17 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Alignment and direction are found in the images."""
+"""Alignment, scales and direction are found in the images."""
 
 import astropy.units as u
 import numpy as np
 import pytest
 
 from astro_scc import Beam, EpochCube
-from astro_scc.measurement.choices import choose_alignment, choose_direction
+from astro_scc.measurement.choices import (
+    choose_alignment,
+    choose_direction,
+    choose_scales,
+    structure_size,
+)
 from astro_scc.simulation import simulate_jet, simulate_shell, simulate_static
 
 BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
@@ -99,3 +104,69 @@ def test_a_core_that_is_not_found_aligns_nothing(monkeypatch):
     assert choose_alignment(cube) == (
         "none", "the epochs scatter by 0.30 beams, no less on the core"
     )  # fmt: skip
+
+
+def field(fwhm, *, noise=0.02, shape=(128, 160), beam=None, gradient=0.0, mask=None):
+    """Two epochs of Gaussians of a width in pixels, on a gradient, with noise."""
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    image = gradient * x / shape[1]
+    for x0, y0 in rng.uniform(0, 1, (30, 2)) * shape[::-1]:
+        r2 = (x - x0) ** 2 + (y - y0) ** 2
+        image = image + np.exp(-4 * np.log(2) * r2 / fwhm**2)
+    images = image + rng.normal(0, noise, (2, *shape))
+    width = None if beam is None else Beam(*(0.1 * beam * u.mas,) * 2)
+    return EpochCube.from_arrays(
+        images, ["2000-01-01", "2001-01-01"], pixel_scale=0.1 * u.mas, beams=width,
+        mask=mask,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("fwhm", [3, 5, 8])
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.3])
+def test_the_size_of_structures(fwhm, noise):
+    assert structure_size(field(fwhm, noise=noise)) == pytest.approx(fwhm, rel=0.2)
+
+
+def test_a_bright_gradient_is_no_structure():
+    assert structure_size(field(5, gradient=2.0)) == pytest.approx(5, rel=0.2)
+
+
+def test_nor_are_missing_pixels():
+    mask = np.zeros((2, 128, 160), dtype=bool)
+    mask[:, :, 100:] = True
+    cube = field(5, mask=mask)
+    cube.data[cube.mask] = 1e6
+    assert structure_size(cube) == pytest.approx(5, rel=0.25)
+
+
+def test_noise_has_no_structure():
+    rng = np.random.default_rng(1)
+    images = rng.normal(size=(3, 64, 64))
+    dates = ["2000-01-01", "2001-01-01", "2002-01-01"]
+    cube = EpochCube.from_arrays(images, dates, pixel_scale=0.1 * u.mas)
+    assert structure_size(cube) < 3
+    assert choose_scales(cube)[0] == (1,)
+
+
+@pytest.mark.parametrize(
+    ("beam", "scales"),
+    [
+        (2, (1, 2)),
+        (4, (1, 2, 3)),
+        (6, (1, 2, 3, 4)),
+        (11, (1, 2, 3, 4)),
+        (16, (2, 3, 4, 5)),
+        # No scale is larger than half of the image.
+        (60, (4, 5, 6)),
+    ],
+)
+def test_scales_from_a_quarter_of_the_beam_to_two_beams(beam, scales):
+    found, reason = choose_scales(field(beam, beam=beam))
+    assert found == scales
+    assert f"of {beam}.0 px" in reason
+
+
+@pytest.mark.parametrize(("fwhm", "scales"), [(3, (1,)), (7, (1, 2)), (24, (1, 2, 3))])
+def test_scales_up_to_half_of_the_structures(fwhm, scales):
+    assert choose_scales(field(fwhm))[0] == scales
