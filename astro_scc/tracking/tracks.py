@@ -19,6 +19,7 @@ from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.quantities import named, to_quantity
 from astro_scc.settings import require
+from astro_scc.tracking.candidates import core_ssps
 from astro_scc.tracking.linking import Links
 from astro_scc.tracking.motion import MotionFit, fit_motion, track_profile
 from astro_scc.tracking.tables import feature_table, track_table
@@ -281,7 +282,7 @@ class Tracking:
 
         At each radius, a straight line is fitted to the distances of every
         track within ``half_width`` of the radius, and the slopes are averaged
-        (Mertens & Lobanov 2016, Sect. 3.3).
+        (Mertens & Lobanov 2016, Sect. 3.3).  The core is left out.
 
         Parameters
         ----------
@@ -299,7 +300,9 @@ class Tracking:
             ``r``, ``speed``, ``speed_err``, ``n_tracks``; radii without a
             track are left out.
         """
-        own = np.flatnonzero(self.track >= 0)
+        # The core stands still because the epochs are aligned on it.
+        moving = core_ssps(self.ssps, self.cube) < 0
+        own = np.flatnonzero((self.track >= 0) & moving)
         if scales is not None:
             own = own[np.isin(self.ssps.scale[own], scales)]
         offset, offset_error = self.offsets[:, own], self.offset_errors[:, own]

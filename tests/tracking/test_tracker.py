@@ -140,6 +140,20 @@ def test_the_profile_is_that_of_the_features(tracking):
     assert one["n_tracks"][0] < profile["n_tracks"][1]
 
 
+def test_the_profile_has_no_core(tracker):
+    cube, decompositions = jet()
+    # The feature at rest is the core of this cube.
+    cube = EpochCube.from_arrays(
+        cube.data, cube.times, pixel_scale=0.1 * u.mas, reference_pixel=(80, 60),
+        beams=cube.beams[0],
+    )  # fmt: skip
+    found = tracker(cube, decompositions)
+    assert np.sum(found.tracks["r"].to_value(u.mas) < 0.1) == 2
+    near = {"half_width": 0.5 * u.mas}
+    assert len(found.profile([0.1] * u.mas, **near)) == 0
+    assert len(found.profile([4.0] * u.mas, **near)) == 1
+
+
 def test_tables_survive_being_written(tracking, tmp_path):
     for name in ("features", "tracks", "confidence"):
         table = getattr(tracking, name)
