@@ -23,7 +23,6 @@ NAMES = ("ridge line", "position angle")
 def bent_jets(args):
     """Measure the speeds along the ridge line and along one position angle."""
     found = {name: [] for name in NAMES}
-    rows = []
     for seed in range(args.seed, args.seed + args.n_jets):
         cube = bent_images(seed)
         scc = StackedCrossCorrelation(scales=[1, 2], max_speed=2.2 * PM_UNIT)
@@ -44,10 +43,7 @@ def bent_jets(args):
             each = [_nearest(moving, speed) for speed in SPEEDS]
             found[name].append(each)
             cells += ["" if np.isnan(v) else measured(v, e) for v, e in each]
-        rows.append(cells)
         print(*cells, sep="  ", flush=True)
-    header = ["seed", *(f"{name}, {v} mas/yr" for name in NAMES for v in SPEEDS)]
-    write_table("profile_bent", header, rows)
     summary(found)
 
 
