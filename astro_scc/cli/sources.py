@@ -16,6 +16,7 @@ import numpy as np
 from astropy.table import Column, QTable, vstack
 
 from astro_scc.cli.inputs import (
+    REPORT,
     measuring_time,
     override,
     read_epochs,
@@ -267,7 +268,7 @@ def tell_time_of(sources, reporter, n_workers):
     """
     Say how long sources will take, if that is over five minutes.
 
-    The time of the first that can be read is estimated, and those of the others
+    The time of the largest that can be read is estimated, and those of the others
     from their sizes.
 
     Parameters
@@ -279,7 +280,7 @@ def tell_time_of(sources, reporter, n_workers):
     """
     if reporter.quiet or not isinstance(n_workers, int):
         return
-    for first in sources:
+    for first in sorted(sources, key=Source.size, reverse=True):
         with suppress(Exception), warnings.catch_warnings():
             # Whatever is wrong is told when the source is measured.
             warnings.simplefilter("ignore")
@@ -292,8 +293,8 @@ def tell_time_of(sources, reporter, n_workers):
     seconds = 0.0
     for source in sources:
         # The time grows with the square of the number of epochs.
-        more = (source.size() / first.size()) ** 2
-        seconds += more * (shared + len(source.parts) * alone)
+        part, n_parts = (source.size() / first.size()) ** 2, len(source.parts)
+        seconds += part * (shared + n_parts * (alone - REPORT)) + n_parts * REPORT
     n = len(sources)
     what = f"{n} {'source' if n == 1 else 'sources'}"
     less = "fewer scales or n_trials shorten it"
