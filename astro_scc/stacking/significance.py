@@ -280,8 +280,8 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
         reason = (
             f"its features move {moved:.1f} beams, added in squares, less than "
             f"{settings.least_motion:g}: blends of standing features drift as far; "
-            f"followed {settings.least_motion / moved:.1f} times as long, they would "
-            "move enough"
+            f"followed {np.ceil(10 * settings.least_motion / moved) / 10:.1f} times as "
+            "long, they would move enough"
         )
     elif abs(along.mean) <= settings.rest_errors * along.error:
         reason = f"rest is within {settings.rest_errors:g} errors of the speed (95%)"

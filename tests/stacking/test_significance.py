@@ -95,7 +95,7 @@ class TestClassify:
             (
                 {"motions": (0.6, 0.8, 1.0)},
                 "its features move 1.4 beams, added in squares, less than 1.75: blends "
-                "of standing features drift as far; followed 1.2 times as long, they "
+                "of standing features drift as far; followed 1.3 times as long, they "
                 "would move enough",
             ),
             ({"mean": -0.16}, "rest is within 1.645 errors of the speed (95%)"),
