@@ -10,9 +10,6 @@ from datetime import date
 #: Regular expression of a number.
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 
-#: Formats of numbers without errors in tables that are printed.
-FORMATS = {"coefficient": ".3f", "z_score": ".1f", "pm_limit": ".2g"}
-
 
 def parse_quantities(text):
     """
@@ -288,37 +285,11 @@ def decimals(error):
     return max(0, 1 - math.floor(math.log10(float(f"{error:.1e}"))))
 
 
-def round_to_errors(table):
-    """
-    Set formats that round columns to their errors when a table is printed, in place.
+def plain_table(columns, meta):
+    """Return columns without units as a table."""
+    from astropy.table import Table
 
-    Parameters
-    ----------
-    table : `~astropy.table.Table`
-        A column and its error, of which the name ends with ``_err``, show the smallest
-        error to two significant digits.  Other numbers show four, p-values two.
-
-    Returns
-    -------
-    `~astropy.table.Table`
-        The same, with the same numbers.
-    """
-    import numpy as np
-
-    for name in table.colnames:
-        column = table[name]
-        if getattr(getattr(column, "dtype", None), "kind", "") != "f":
-            continue
-        error = f"{name.removesuffix('_err')}_err"
-        is_p = name.startswith("p_")
-        form = FORMATS.get(name, ".2g" if is_p or "_err" in name else ".4g")
-        if error in table.colnames and not is_p:
-            errors = np.asarray(getattr(table[error], "unmasked", table[error]))
-            known = errors[np.isfinite(errors) & (errors > 0)]
-            form = f".{decimals(known.min())}f" if known.size else form
-        # Years have more digits before the point.
-        column.info.format = None if column.unit == "yr" and form[-1] == "g" else form
-    return table
+    return Table(columns, meta=meta)
 
 
 # -- checks of values ------------------------------------------------------------

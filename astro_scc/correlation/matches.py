@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.quantities import plain_table
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -178,13 +179,12 @@ class Matches:
         -------
         `~astropy.table.Table`
         """
-        from astropy.table import Table
-
-        table = Table({name: getattr(self, name) for name in COLUMNS})
-        table.meta["pairs"] = self.pairs.tolist()
-        table.meta["search_radius"] = list(self.search_radius)
-        table.meta["kappa"] = self.kappa
-        return table
+        meta = {
+            "pairs": self.pairs.tolist(),
+            "search_radius": list(self.search_radius),
+            "kappa": self.kappa,
+        }
+        return plain_table({name: getattr(self, name) for name in COLUMNS}, meta)
 
     @classmethod
     def from_table(cls, table: Table) -> Matches:

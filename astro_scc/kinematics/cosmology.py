@@ -14,9 +14,9 @@ from astro_scc.quantities import (
     NUMBER,
     named,
     parse_quantities,
-    round_to_errors,
     to_quantity,
 )
+from astro_scc.units import round_to_errors
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW, FlatLambdaCDM

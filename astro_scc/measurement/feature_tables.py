@@ -9,9 +9,9 @@ from astropy.time import Time
 from astro_scc.decomposition import scale_size
 from astro_scc.epochs import positions
 from astro_scc.measurement.axes import projection_of
-from astro_scc.quantities import round_to_errors
 from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.stacking.stack import sample_velocities
+from astro_scc.units import round_to_errors
 
 #: A match within this many of its standard errors belongs to a component.
 MEMBER_SIGMA = 2.0

@@ -9,11 +9,17 @@ from scipy.special import stdtr, stdtrit
 
 from astro_scc.measurement.axes import alignment_errors, projection_of
 from astro_scc.measurement.tables import build_table
-from astro_scc.quantities import round_to_errors, with_error
+from astro_scc.quantities import with_error
 from astro_scc.stacking import Feature, Stream, dispersion
 from astro_scc.stacking.errors import alignment_response, velocity_of
 from astro_scc.stacking.search_settings import DEFAULT
-from astro_scc.units import PM_UNIT, in_easy_units, offset_unit, time_unit
+from astro_scc.units import (
+    PM_UNIT,
+    in_easy_units,
+    offset_unit,
+    round_to_errors,
+    time_unit,
+)
 
 #: Share of a distribution below one standard deviation above its mean.
 ONE_SIGMA = 0.8413

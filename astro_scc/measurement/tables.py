@@ -13,8 +13,8 @@ from astropy.table import Column, QTable, Table, vstack
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
-from astro_scc.quantities import round_to_errors, with_error
-from astro_scc.units import PM_UNIT
+from astro_scc.quantities import with_error
+from astro_scc.units import PM_UNIT, round_to_errors
 
 #: Unit of proper motions.
 #: Standard errors above the mean at the one-sided 95% limit of a normal distribution.

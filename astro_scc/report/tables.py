@@ -13,8 +13,8 @@ from astropy.time import Time
 from astro_scc.flow.binned import LEAST, MOST_BINS
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement.tables import cell_text
-from astro_scc.quantities import round_to_errors, with_error
-from astro_scc.units import PM_UNIT, offset_unit, speed_unit, unit_name
+from astro_scc.quantities import with_error
+from astro_scc.units import PM_UNIT, offset_unit, round_to_errors, speed_unit, unit_name
 
 #: Columns of the page: name, heading with {unit}.
 COLUMNS = (

@@ -8,9 +8,8 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from astro_scc.epochs.positions import axis_words, name_by_frame
-from astro_scc.quantities import round_to_errors
 from astro_scc.tracking.motion import SIGNIFICANT, ejection_epoch, turn_between
-from astro_scc.units import PM_UNIT
+from astro_scc.units import PM_UNIT, round_to_errors
 
 PM_DOT_UNIT = u.mas / u.yr**2
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from astro_scc.correlation import Correlator, all_pairs
@@ -31,6 +31,7 @@ def sparse_epochs(seed, masked):
     reach=st.tuples(st.integers(2, 40), st.integers(2, 40)),
     masked=st.booleans(),
 )
+@example(seed=296373, reach=(3, 32), masked=True)
 def test_only_displacements_that_meet_nothing_are_left_out(seed, reach, masked):
     epochs = sparse_epochs(seed, masked)
     # A few pixels agree equally well with any one pixel: maxima that tie.
@@ -44,10 +45,14 @@ def test_only_displacements_that_meet_nothing_are_left_out(seed, reach, masked):
     assert len(found) == len(whole)
     for name in ("ssp", "target"):
         np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
-    for name in ("dy", "dx", "coefficient", "overlap", "target_snr"):
+    for name in ("dy", "dx", "coefficient", "target_snr"):
         np.testing.assert_allclose(
             getattr(found, name), getattr(whole, name), atol=2e-4, err_msg=name
         )
+    # Of two pixels that tie, either may be the maximum, with an overlap of its own.
+    tie = [np.abs(np.abs(v - np.rint(v)) - 0.5) < 1e-3 for v in (found.dy, found.dx)]
+    limit = np.where(np.any(tie, axis=0), 0.1, 2e-4)
+    assert np.all(np.abs(found.overlap - whole.overlap) <= limit)
 
 
 @pytest.mark.parametrize(("number", "expected"), [(2, 0), (3, 1)])
