@@ -188,8 +188,8 @@ def plot_feature_speeds(
             profile[k].to_value(PM_UNIT) for k in ("pm_parallel", "pm_parallel_err")
         )
         ax.errorbar(
-            middle, mean, error, (middle - low, high - middle), fmt="none", zorder=3,
-            color=BLACK, elinewidth=1.6, label="mean of bin",
+            middle, mean, error, np.array([middle - low, high - middle]), fmt="none",
+            zorder=3, color=BLACK, elinewidth=1.6, label="mean of bin",
         )  # fmt: skip
     ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
     ax.set_xlim(left=0)

@@ -131,8 +131,8 @@ def _draw_components(ax, table, column):
             ax.errorbar(
                 middle, rows[column].to_value(PM_UNIT),
                 np.where(np.isfinite(error), error, 0.0),
-                [middle - rows["r_min"].to_value(u.mas),
-                 rows["r_max"].to_value(u.mas) - middle],
+                np.array([middle - rows["r_min"].to_value(u.mas),
+                          rows["r_max"].to_value(u.mas) - middle]),
                 fmt=sign.on_profile, ms=5, alpha=alpha, lw=1.0, zorder=3,
                 color=style.VERMILLION if kind == "stationary" else BLUE,
                 mfc="white" if kind == "not significant" else None,
