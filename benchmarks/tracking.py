@@ -19,9 +19,10 @@ import numpy as np
 from astropy.table import Table
 from common import PM_UNIT, RESULTS, measured, mojave_images, write_table
 
-from astro_scc import Beam, EpochCube
+from astro_scc import Beam, EpochCube, StackedCrossCorrelation
 from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import read_components
+from astro_scc.flow import measure_profile
 from astro_scc.simulation import simulate_two_fluid
 from astro_scc.tracking import FeatureTracker, assign
 
@@ -280,7 +281,7 @@ def beside(tracking, components, fit):
 
 
 def profile(folder):
-    """Measure the speed of tracks against distance in 3C 120."""
+    """Measure the speed of tracks, and of the stack, against distance in 3C 120."""
     from astro_scc.kinematics import apparent_speed, paper_cosmology
     from astro_scc.visualization import plot_track_profile
 
@@ -301,7 +302,12 @@ def profile(folder):
     write_table(
         "tracking_profile", ["distance (mas)", "tracks", "mas/yr", "in c"], rows
     )
-    figure = plot_track_profile(found, beta_per_pm=per_pm)
+    scc = StackedCrossCorrelation(
+        max_speed=speed * PM_UNIT, position_angle=-112 * u.deg
+    )
+    bins = [0.5, 1.5, 2.5, 3.5, 5.5, 7.5, 10.5] * u.mas
+    stack = measure_profile(scc, scc.match(cube), bins, n_trials=200, rng=1).main
+    figure = plot_track_profile(found, stack=stack, beta_per_pm=per_pm)
     figure.savefig(RESULTS / "tracking_profile.png", dpi=110)
 
 
