@@ -124,10 +124,11 @@ def test_inspect_advises_an_alignment(astro_scc, here):
         status, out, _ = astro_scc("inspect", f"{name}.fits")
         assert status == 0
         said[name], choices = out.split("pairs\n")[-1].split("\n\n")[1:3]
-        head, align, direction = choices.splitlines()
+        head, align, scales, direction = choices.splitlines()
         assert head == "Without options, astro-scc measure takes:"
         taken = "core" if name == "bad" else "none"
         assert align.startswith(f"  --align {taken}: ")
+        assert scales.startswith("  --scales 1,2,3,4: ")
         # Two epochs 0.6 beams apart are as broad as the jet.
         angle = "any" if name == "two" else '"2'
         assert direction.startswith(f"  --position-angle {angle}")

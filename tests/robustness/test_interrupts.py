@@ -216,7 +216,7 @@ def resumed(inputs, epochs):
     return ["measure", *map(str, epochs), *inputs.QUICK, "--no-report", "--resume"]
 
 
-def surveyed(epochs, folder, names=("One",)):
+def surveyed(epochs, folder, names):
     text = '[defaults]\nscales = [1, 2]\nmax_speed = "5 mas/yr"\nn_trials = 2\n'
     for name in names:
         text += f'[sources.{name}]\nepochs = "{epochs[0].parent}/*.fits"\n'
@@ -233,16 +233,8 @@ def test_what_is_kept_gives_the_same(interrupts, inputs, epochs, tmp_path, seed)
 
 @pytest.mark.slow
 def test_a_survey_that_is_stopped_gives_the_same(interrupts, epochs, tmp_path):
-    words = surveyed(epochs, tmp_path)
-    check_trials(interrupts, words, tmp_path / "runs", number=1, seed=5)
-
-
-@pytest.mark.slow
-def test_moments_of_runs_that_go_on(interrupts, inputs, epochs, tmp_path):
-    words = resumed(inputs, epochs)
-    check_trials(interrupts, words, tmp_path / "measure", number=2, seed=6)
     words = surveyed(epochs, tmp_path, ("One", "Two"))
-    check_trials(interrupts, words, tmp_path / "survey", number=2, seed=7)
+    check_trials(interrupts, words, tmp_path / "runs", number=1, seed=5)
 
 
 def test_what_a_stopped_run_has_left_is_seen(interrupts, tmp_path):
