@@ -415,6 +415,9 @@ def check_position_angle(value):
         isinstance(value, str) and value in ("radial", "ridge", "fit", "any")
     ):
         return value
+    unit = str(getattr(value, "unit", value))
+    if re.search(r"(?<![a-z])(?:[mu]?as|arc(?:sec|min))\s*$", unit):
+        raise ValueError("must be in degrees or radians, such as '65 deg'")
     return one_quantity(value, "radial, ridge, fit, any or an angle", "65 deg", False)
 
 

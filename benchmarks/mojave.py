@@ -8,8 +8,8 @@ around the core, are compared with the straight lines that the survey fits to fe
     python benchmarks/mojave.py ../shared/data/mojave_xviii
     python benchmarks/mojave.py ../shared/data/mojave_xviii --only 1641+399
 
-It takes an hour on one processor and 3 GB; the rows of a source are written as soon as
-it is measured.
+It takes some minutes on one processor and 1 GB; the rows of a source are written as
+soon as it is measured.
 """
 
 import argparse

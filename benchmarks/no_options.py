@@ -4,7 +4,7 @@ Measure jets and other images by one command without options, with time and memo
 
 ``astro-scc restore`` makes images of twelve jets of MOJAVE, and ``astro-scc measure
 FILES --redshift Z`` measures them.  The table has the speeds beside those of
-``mojave.py``, for which the direction is fitted to the patterns.  A second table has
+``mojave.py``, for which the direction is fitted to the mean image.  A second table has
 the speeds of simulated images: jets of two streams, and the knots of HST and the Sun of
 ``examples``, which have no beam::
 

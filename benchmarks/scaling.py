@@ -99,7 +99,7 @@ def workers_part(runs, n_epochs, n_trials):
     one, two = np.median(spent, axis=0)
     write_table(
         "scaling_workers",
-        ["one worker, s", "two, s", "ratio", "others at work"],
+        ["one worker, s", "two, s", "ratio", "at work"],
         [[f"{one:.1f}", f"{two:.1f}", f"{one / two:.2f}", f"{os.getloadavg()[0]:.1f}"]],
     )
 

@@ -2,8 +2,8 @@
 """
 Measure the error of a displacement that is the same for all pairs of epochs.
 
-Five epochs show four features that move by the same fraction of a pixel, with hardly
-any noise, for features of several widths::
+Six epochs show four features that move by half of their width and a fraction of a
+pixel from each to the next, with hardly any noise, for features of several widths::
 
     python benchmarks/subpixel.py
 """
@@ -18,17 +18,15 @@ from common import write_table
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
 
-PIXEL, DAYS, N = 0.1, 30.0, 5
-#: Part of ``pm_err`` due to sampling, times the resolution, both in pixels.
-SAMPLING = 0.15
-STEPS = np.arange(1, 11) / 10
+PIXEL, DAYS, N = 0.1, 30.0, 6
+FRACTIONS = np.arange(1, 11) / 10
 #: Width of the features in pixels, and the scales that see them.
 WIDTHS = {3: [1], 4: [1, 2], 5: [1, 2], 7: [2, 3], 10: [2, 3]}
 
 
 def images(step, fwhm, rng):
     """Yield epochs whose features move ``step`` pixels to the right."""
-    size = 16 * fwhm + 20
+    size = 18 * fwhm + 20
     y, x = np.mgrid[:size, : size * 5 // 4]
     phases = rng.uniform(size=(4, 2))
     for i in range(N):
@@ -47,7 +45,7 @@ def measured(fwhm, scales, step):
     times = Time(2451910.5 + DAYS * np.arange(N), format="jd", scale="tai")
     data = np.array(list(images(step, fwhm, np.random.default_rng(1))))
     cube = EpochCube.from_arrays(data, times=times, pixel_scale=PIXEL * u.mas)
-    scc = StackedCrossCorrelation(scales=scales, max_speed=5 * u.mas / u.yr)
+    scc = StackedCrossCorrelation(scales=scales, position_angle=270 * u.deg)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MeasurementWarning)
         row = scc(cube, n_trials=2, rng=1).components[0]
@@ -58,13 +56,14 @@ def measured(fwhm, scales, step):
 
 def main():
     """Print the table and write it."""
-    header = ["width (pixels)", "largest error", "at", "its pm_err", "0.15 / width"]
+    header = ["width (pixels)", "largest error", "over width", "at", "its pm_err"]
     rows = []
     for fwhm, scales in WIDTHS.items():
-        off, error = np.array([measured(fwhm, scales, step) for step in STEPS]).T
+        steps = fwhm // 2 + FRACTIONS
+        off, error = np.array([measured(fwhm, scales, step) for step in steps]).T
         k = np.abs(off).argmax()
-        rows.append([fwhm, f"{off[k]:+.3f}", f"{STEPS[k]:.1f}", f"{error[k]:.3f}",
-                     f"{SAMPLING / fwhm:.3f}"])  # fmt: skip
+        rows.append([fwhm, f"{off[k]:+.3f}", f"{off[k] / fwhm:+.3f}",
+                     f"{steps[k]:.1f}", f"{error[k]:.3f}"])  # fmt: skip
     write_table("subpixel", header, rows)
 
 

@@ -175,7 +175,8 @@ def test_the_answer_comes_first(page, components):
         "One significant velocity component, beside stationary features.",
         f"{speed} mas/yr = {beta} c",
         f"; dispersion {spread}; p_global 0.024; 6 features, ",
-        "stationary: no motion within the errors; 1 feature, ",
+        "stationary: its features do not move by more than two errors of their lines; "
+        "1 feature, ",
         "1: acceleration: ",
         "beware of",
         "Velocities of the features.",
@@ -187,7 +188,8 @@ def test_the_answer_comes_first(page, components):
         "Statistical significance",
         "epochs in permuted order would give an equally strong peak at any velocity; "
         "here it cannot be below 0.024.",
-        "Component 2: stationary, no motion within the errors.",
+        "Component 2: stationary, no feature moves by more than two errors of its "
+        "line.",
         f"Component 1: not significant, {CHANCE}.",
         "Sensitivity to the settings",
         "No choice changes the main speed significantly and by more than its error.",
@@ -216,7 +218,7 @@ def test_the_table_has_a_row_for_each_component(page, components):
         assert name in page.text
     words = page.words
     assert with_error(components["p_global"][2], components["p_global_err"][2]) in words
-    assert "from the scatter of the speeds of features" in words
+    assert "the scatter of the speeds of features" in words
     assert words.count(CHANCE) == 2
     # Descriptions speak of headings, not of names of columns.
     assert "speed (c): apparent speed, in units of c" in words
@@ -277,7 +279,10 @@ def test_what_does_not_move_is_no_discovery(result, tmp_path, quick):
     table["kind"] = "stationary"
     words = words_of(result, table, tmp_path)
     assert "No significant motion: all features are stationary within their" in words
-    assert "Components 1 and 2: stationary, no motion within the errors." in words
+    assert (
+        "Components 1 and 2: stationary, no feature moves by more than two errors of "
+        "its line." in words
+    )
     assert "2: not significant" not in words
 
 

@@ -140,11 +140,16 @@ def _alignment(cube, of_core):
 def _choices(cube):
     """Return what a measurement without options takes, as lines."""
     from astro_scc.cli.inputs import with_direction, with_scales
+    from astro_scc.epochs.beam import different_beam
     from astro_scc.measurement.choices import choose_alignment
     from astro_scc.settings import Settings
 
+    chosen = []
+    if different_beam(cube) is not None:
+        cube = cube.to_common_beam()
+        chosen.append("--common-beam: the beams differ")
     align, reason = choose_alignment(cube)
-    chosen = [f"--align {align}: {reason}"]
+    chosen.append(f"--align {align}: {reason}")
     cube = cube.align(align)
     for choose in (with_scales, with_direction):
         choose(cube, Settings(), chosen=chosen.append)

@@ -95,6 +95,8 @@ def _beam(text):
         major, *rest = parse_quantities(text)
         if len(rest) > 2:
             raise ValueError("has too many numbers")
+        if len(rest) == 1 and rest[0] != major:
+            raise ValueError("has no position angle")
         return Beam(major, *rest) if rest else Beam(major, major)
     except (ValueError, u.UnitConversionError) as error:
         raise ValueError(

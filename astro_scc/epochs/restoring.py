@@ -116,6 +116,12 @@ def restore(
         raise ValueError("restore needs a beam; give one, or one for each epoch")
     noise = as_noise(noise, n_epochs, unit)
     scale = pixel_side(pixel_scale).to_value(u.mas)
+    narrow = min(b.minor.to_value(u.mas) for b in beams)
+    if scale > narrow:
+        raise ValueError(
+            f"a pixel of {scale:g} mas is larger than the beam of {narrow:g} mas; give "
+            "a fifth of the beam or less"
+        )
     x = -components.east.to_value(u.mas) / scale
     y = components.north.to_value(u.mas) / scale
     size = components.major.to_value(u.mas) / scale

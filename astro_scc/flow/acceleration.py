@@ -19,8 +19,8 @@ from astro_scc.units import PM_UNIT, offset_unit, speed_unit
 
 #: Distance in beams below which the core shifts features.
 CORE = 2.0
-#: Relative gradient of the speed, per beam, that blends cause in jets without
-#: acceleration (``benchmarks/calibration/design.py``).
+#: Relative gradient of the speed, per beam, that blends may cause.  Its mean is below
+#: 0.001 in jets without acceleration (``benchmarks/calibration/results/steady.csv``).
 BLENDS = 0.009
 #: Fewest features for a gradient of speeds, and for a mean of accelerations.
 FEWEST_SPEEDS, FEWEST_BENDS = 4, 2

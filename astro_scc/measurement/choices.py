@@ -37,9 +37,8 @@ def choose_alignment(cube):
     """
     Return the alignment that the images need.
 
-    Epochs that agree on their reference pixels to 0.2 beams are left so: beyond it,
-    static jets can appear to move (``docs/calibration.rst``).  Others are aligned on
-    the core, if they agree better afterwards.
+    Epochs that agree on their reference pixels to 0.2 beams are left so.  Others are
+    aligned on the core, if they agree better afterwards.
 
     Parameters
     ----------

@@ -70,8 +70,8 @@ class SearchSettings:
         normal distribution, one-sided.
     pull : float
         Distance within which a standing feature attracts or repels positions.
-        On simulated jets, speeds at 2 to 2.5 beams are 7% too small if lines
-        are fitted through such positions, and 0.1% without them.
+        On simulated jets, speeds at 2 to 3 beams are 4% too small without such
+        positions (``benchmarks/calibration/followed.py``).
     pulled_error : float
         Relative error of the speed of a feature that is seen nowhere else.  On
         simulated jets such speeds are 11% too small, and scatter by 11%
@@ -105,7 +105,7 @@ class SearchSettings:
         Share of the variance of the dispersion that counts in the error of a
         stream, because some of the features in the images are not followed; on
         simulated jets the 68% intervals then hold the mean of all features in
-        75%, and twice the errors in 94%.
+        76%, and twice the errors in 94%.
     fewest_of_two : int
         Fewest features with which two streams can be distinguished.
     one_dispersions, two_dispersions : tuple of float

@@ -5,9 +5,9 @@ Measure simulated jets, to check whether p-values, speeds and errors are right.
 
     python benchmarks/calibration/run.py KIND [KIND ...] [--jets 100] [--trials 199]
 
-``all`` stands for every kind except those of ``power``, in which one option varies (30
-jets of each show how the power grows), and ``sensitivity`` for those whose main speed
-is compared with that of parts of the data.  Each jet of each kind has its own seed.
+``all`` stands for every kind but those of ``power``, in which one option varies (30
+jets of each show how the power grows), and of ``sensitivity``, whose main speed is
+compared with that of parts of the data.  Each jet of each kind has its own seed.
 Measured jets are kept in ``results/KIND.csv`` and not measured again, so a run can be
 stopped and resumed.  ``python benchmarks/calibration/summary.py`` makes the tables and
 the figures of the documentation from these files.
@@ -226,7 +226,8 @@ def main():
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder")
     args = parser.parse_args()
-    groups = {"all": [k for k in KINDS if k not in POWER], "power": list(POWER)}
+    others = {*POWER, *SENSITIVITY}
+    groups = {"all": [k for k in KINDS if k not in others], "power": list(POWER)}
     groups["sensitivity"] = list(SENSITIVITY)
     kinds = [kind for name in args.kinds for kind in groups.get(name, [name])]
     args.results.mkdir(exist_ok=True)

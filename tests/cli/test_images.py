@@ -163,7 +163,12 @@ def test_restore_some_dates_with_a_round_beam(models, astro_scc, here):
     ("options", "reason"),
     [
         (["--beam", "1.0 0.5"], "--beam '1.0 0.5': has no unit at its end; give major"),
-        (["--beam", "1 mas 2 mas"], "--beam '1 mas 2 mas': the beam's minor axis"),
+        (["--beam", "1 mas 2 mas 0 deg"], "2 mas 0 deg': the beam's minor axis"),
+        (["--beam", "1 mas 0.5 mas"], "--beam '1 mas 0.5 mas': has no position angle"),
+        (
+            ["--beam", "1 mas 0.5 mas 3 deg", "--pixel", "0.6 mas"],
+            "a pixel of 0.6 mas is larger than the beam of 0.5 mas; give a fifth",
+        ),
         (["--beam", "1 mas 1 mas 1 Jy"], "--beam '1 mas 1 mas 1 Jy': "),
         (["--beam", "1 1 1 1 mas"], "has too many numbers"),
         (["--pixel", "0.1"], "--pixel '0.1' has no unit at its end; it must be one"),
