@@ -174,8 +174,8 @@ def unaligned():
 
 
 LINE = (
-    r"^the epochs are aligned to 0\.\d\d beams only, where 0\.2 can make a "
-    r"jet that stands still move: align them, with --align core or "
+    r"^the epochs are aligned to 0\.\d\d beams only, where 0\.2 or more "
+    r"adds to every error of a speed: align them, with --align core or "
     r"cube\.align\('core'\), or if they were, in another way$"
 )
 
