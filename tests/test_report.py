@@ -105,8 +105,8 @@ def page(folder):
 @pytest.fixture
 def quick(monkeypatch):
     """Reports without the time that figures take."""
-    figures = {"velocity_map": b"PNG"}
-    monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_: figures)
+    figures = {"velocity_map.png": b"PNG"}
+    monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_, pdf: figures)
 
 
 def test_the_page_stands_alone(page, folder):
@@ -242,6 +242,19 @@ def test_the_same_measurement_gives_the_same_page(
         for name in "ab"
     ]
     assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+@pytest.mark.slow
+def test_figures_as_pdf(result, components, tmp_path):
+    write_report(result, tmp_path / "a", components=components)
+    assert not list((tmp_path / "a").glob("*.pdf"))
+    for name in "bc":
+        write_report(result, tmp_path / name, components=components, pdf=True)
+    written = {path.stem for path in (tmp_path / "b").glob("*.pdf")}
+    assert written == {path.stem for path in (tmp_path / "b").glob("*.png")}
+    for path in (tmp_path / "b").glob("*.pdf"):
+        assert path.read_bytes().startswith(b"%PDF")
+        assert path.read_bytes() == (tmp_path / "c" / path.name).read_bytes()
 
 
 def words_of(result, components, folder, **kwargs):
@@ -527,7 +540,7 @@ def test_fast_motion_has_a_unit_that_can_be_read(components):
 
 
 def test_the_page_with_linked_panels_is_linked(result, tmp_path, monkeypatch):
-    monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_: {})
+    monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_, pdf: {})
     command = {"explore": "astro-scc explore out"}
 
     def written(**page):

@@ -49,7 +49,11 @@ PRODUCTS = (
     "sensitivity.png"
 ).split()
 #: Products of an earlier measurement that must not remain beside new ones.
-STALE = (*PRODUCTS, "components.vot", "ssps.vot", "ssp_regions", "explore.html")
+STALE = (
+    *PRODUCTS,
+    *(name.replace(".png", ".pdf") for name in PRODUCTS if name.endswith(".png")),
+    *("components.vot", "ssps.vot", "ssp_regions", "explore.html"),
+)
 #: Folder, within the folder of the products, for what --resume keeps.
 WORK = ".astro_scc-work"
 SEED, MATCHES = "seed.txt", "matches.fits"
@@ -60,6 +64,7 @@ def add_arguments(parser):
     files = "components.vot and ssps.vot"
     add_output(parser, "tables, maps and report", default=OF_OBJECT, votable=files)
     add_no_report(parser)
+    add_switch(parser, "--pdf", "write the figures of the report as PDF, too")
     text = (
         "write ssp_regions too, a file per epoch that DS9 and CARTA open, with the "
         "outlines of its patterns"
@@ -114,6 +119,7 @@ def run(args, reporter):
             warnings=reporter.warnings,
             left_out=left_out,
             chosen=chosen,
+            pdf=args.pdf,
         )
         if args.votable:
             write_votables(result, components, folder)

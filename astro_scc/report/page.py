@@ -38,7 +38,7 @@ def write_report(
     title: str | None = None, warnings: Sequence[str] = (),
     left_out: Sequence[str | tuple[str, str]] = (), chosen: Sequence[str] = (),
     rerun: str | None = None, explore: str | None = None,
-    config_text: str | None = None,
+    config_text: str | None = None, pdf: bool = False,
 ) -> Path:  # fmt: skip
     """
     Write a self-contained HTML page on a measurement, and its figures.
@@ -70,6 +70,8 @@ def write_report(
         if it is there.
     config_text : str, optional
         The configuration as text.
+    pdf : bool, optional
+        Write each figure as a PDF file, too.
 
     Returns
     -------
@@ -100,12 +102,13 @@ def write_report(
         directory.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
         raise OSError(f"{directory}: is a file; choose another folder") from None
-    figures = draw_figures(result, components)
+    files = draw_figures(result, components, pdf=pdf)
+    pngs = {name: file for name, file in files.items() if name.endswith(".png")}
     page = _template("report.html").render(
         **_findings(result, components),
         title=str(title),
         warnings=[str(warning) for warning in warnings],
-        figures={name: _address(png) for name, png in figures.items()},
+        figures={name[:-4]: _address(png) for name, png in pngs.items()},
         epochs=tables.epoch_rows(result),
         left_out=[(w, "") if isinstance(w, str) else tuple(w) for w in left_out],
         chosen=chosen,
@@ -118,7 +121,6 @@ def write_report(
         versions=result.meta.get("versions", {}),
         products=[name for name in PRODUCTS if (directory / name).is_file()],
     )
-    files = {f"{name}.png": png for name, png in figures.items()}
     files["report.html"] = page.encode("utf-8")
     for name, content in files.items():
         with replace_when_complete(directory / name, overwrite=True) as part:
@@ -190,8 +192,8 @@ def _address(png):
     return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
 
 
-def draw_figures(result, components):
-    """Return the figures as PNG, without those that would be empty."""
+def draw_figures(result, components, *, pdf=False):
+    """Return the figures as PNG files, and as PDF, without those that are empty."""
     from astro_scc import visualization as show
     from astro_scc.visualization.features import plot_sensitivity
 
@@ -219,10 +221,13 @@ def draw_figures(result, components):
             result.sensitivity, beta_per_pm=per_pm
         )
     found = {}
+    kinds = {"png": {}, "pdf": {"metadata": {"CreationDate": None}}}
     for name, figure in figures.items():
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=DPI)
-        found[name] = buffer.getvalue()
+        for kind, options in kinds.items():
+            if kind == "png" or pdf:
+                buffer = io.BytesIO()
+                figure.savefig(buffer, format=kind, dpi=DPI, **options)
+                found[f"{name}.{kind}"] = buffer.getvalue()
     return found
 
 
