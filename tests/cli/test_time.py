@@ -175,7 +175,7 @@ def test_the_estimate_grows_with_directions_and_bins(jet):
 @pytest.mark.parametrize("name", ["measure", "profile", "track", "survey"])
 def test_every_long_command_tells_how_far_it_is(name, command, astro_scc, monkeypatch):
     # As if every half minute, and pytest's standard error is no terminal.
-    monkeypatch.setattr("astro_scc.progress.EVERY", 0.02)
+    monkeypatch.setattr("astro_scc.progress.EVERY", 0.001)
     status, _, err = astro_scc(*command(name))
     assert status == 0
     said = {line.partition(":")[0] for line in err.splitlines()}
