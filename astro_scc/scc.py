@@ -31,7 +31,7 @@ from astro_scc.measurement.stacking import stack_matches, velocity_frame
 from astro_scc.progress import progress
 from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.stacking import DatePairs, VelocitySamples
-from astro_scc.units import PM_UNIT
+from astro_scc.units import PM_UNIT, comparable
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -51,7 +51,8 @@ class StackedCrossCorrelation(MeasurementSettings):
     ----------
     scales : sequence of float or str, optional
         Wavelet scales, by number (j means 2^j pixels, j + 1/2 means
-        1.5 x 2^j) or by size, as angles.
+        1.5 x 2^j) or by size, as angles; by default from a quarter of the beam
+        to two beams or, without a beam, up to half of the size of structures.
     max_speed : `~astropy.units.Quantity`, optional
         Largest proper motion along either axis.  By default the search
         includes motions of up to 1.5 beams in the shorter quarter of the
@@ -113,8 +114,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             value = require(field.name, getattr(self, field.name))
             object.__setattr__(self, field.name, value)
         # These two check their own settings when they are made.
-        angles = self.scales is None or isinstance(self.scales, u.Quantity)
-        self._decomposer((1,) if angles else self.scales)
+        self._decomposer(self.scales if isinstance(self.scales, tuple) else (1,))
         self._correlator()
 
     def __eq__(self, other: object) -> bool:
@@ -128,7 +128,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         return hash(self._key())
 
     def _key(self):
-        return tuple(_comparable(getattr(self, field.name)) for field in fields(self))
+        return tuple(comparable(getattr(self, field.name)) for field in fields(self))
 
     @classmethod
     def from_settings(cls, settings: Settings) -> StackedCrossCorrelation:
@@ -461,13 +461,6 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         own = asdict(self).items()
         return {k: list(v) if isinstance(v, tuple) else v for k, v in own}
-
-
-def _comparable(value):
-    # Quantities compare element by element and cannot be hashed.
-    if isinstance(value, u.Quantity):
-        return value.shape, tuple(value.si.value.flat), str(value.si.unit)
-    return value
 
 
 def measure_velocities(

@@ -48,6 +48,13 @@ def time_unit(years):
     return next((v for v in (u.yr, u.day, u.h) if years >= 0.3 * v.to(u.yr)), u.min)
 
 
+def comparable(value):
+    """Return a value, or for a quantity what can be compared as a whole and hashed."""
+    if isinstance(value, u.Quantity):
+        return value.shape, tuple(value.si.value.flat), str(value.si.unit)
+    return value
+
+
 def in_easy_units(table):
     """
     Return a table with proper motions in a unit that is easy to read.

@@ -52,12 +52,11 @@ def table_lines(head, rows):
     return [shape.format(*row).rstrip() for row in (head, *rows)]
 
 
-def plus_minus(row, name, unit=None):
-    """Return a number of a row with its error in ASCII."""
+def plus_minus(row, name):
+    """Return a number of a row with its error in ASCII, without the unit."""
     value, error = row[name], row[f"{name}_err"]
     if hasattr(value, "unit"):
-        unit = unit or value.unit
-        value, error = value.to_value(unit), error.to_value(unit)
+        value, error = value.value, error.to_value(value.unit)
     return with_error(float(value), float(error), "+-")
 
 

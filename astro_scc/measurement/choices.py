@@ -17,9 +17,11 @@ from astro_scc.measurement.plan import mean_fwhm
 #: Octaves of scales, the finest a quarter of the beam; without a beam, the coarsest
 #: is half of the size of the structures (`structure_size`).
 OCTAVES = 4
-#: Structures much larger than this, in pixels, are background to those that are
-#: measured; epochs in which they are measured.
-BACKGROUND, MOST_EPOCHS = 16.0, 5
+#: What is smooth on this scale, in pixels, is background to the structures: those of 3
+#: to 8 px are then measured to 20% (``tests/measurement/test_choices.py``).
+BACKGROUND = 16.0
+#: They are measured in the middle of so many epochs, so many pixels wide.
+MOST_EPOCHS, MOST_PIXELS = 5, 512
 #: Faintest pixels that show a direction, in noises of an epoch.
 SNR = 5.0
 #: Structure is one-sided if the mean of the unit vectors from the core, weighted by
@@ -136,8 +138,13 @@ def structure_size(cube):
     some = np.unique(np.linspace(0, len(cube) - 1, MOST_EPOCHS).astype(int))
     n = int(min(4 * BACKGROUND, *cube.shape[1:]))
     total = np.zeros((n, n))
+    middle = tuple(
+        slice(max(0, (size - MOST_PIXELS) // 2), (size + MOST_PIXELS) // 2)
+        for size in cube.shape[1:]
+    )
     for epoch in some:
-        image = np.ma.masked_array(cube.data[epoch], cube.mask[epoch], dtype=float)
+        parts = (a[epoch][middle] for a in (cube.data, cube.mask))
+        image = np.ma.masked_array(*parts, dtype=float)
         image = np.ma.masked_invalid(image)
         image = (image - np.ma.median(image)).filled(0.0)
         image -= gaussian_filter(image, BACKGROUND)

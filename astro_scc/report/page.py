@@ -221,13 +221,12 @@ def draw_figures(result, components, *, pdf=False):
             result.sensitivity, beta_per_pm=per_pm
         )
     found = {}
-    kinds = {"png": {}, "pdf": {"metadata": {"CreationDate": None}}}
+    metadata = {"png": None, "pdf": {"CreationDate": None}}
     for name, figure in figures.items():
-        for kind, options in kinds.items():
-            if kind == "png" or pdf:
-                buffer = io.BytesIO()
-                figure.savefig(buffer, format=kind, dpi=DPI, **options)
-                found[f"{name}.{kind}"] = buffer.getvalue()
+        for kind in ("png", "pdf") if pdf else ("png",):
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata[kind])
+            found[f"{name}.{kind}"] = buffer.getvalue()
     return found
 
 
