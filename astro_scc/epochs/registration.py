@@ -32,8 +32,8 @@ MIN_OVERLAP = 0.5
 FLAT = 0.01
 # Smallest number of pixels to compare.
 FEWEST = 10
-#: Scatter in beams from which on the alignment is doubted.  Of 200 static jets at 0.2
-#: and 0.3 none moves; more is not calibrated (``static_table.csv``).
+#: Scatter in beams at which there is a warning.  Of 200 static jets with 0.2 and 0.3,
+#: none seems to move; more is not calibrated (``static_table.csv``).
 MISALIGNED = 0.2
 #: This number of epochs gives the scatter to 15%.
 ENOUGH = 24

@@ -99,22 +99,22 @@ def choose_scales(cube):
     >>> from astro_scc.simulation import simulate_jet
     >>> cube = simulate_jet(n_epochs=5, rng=1).cube
     >>> choose_scales(cube)
-    ((1, 2, 3, 4), 'from a quarter of the beam, of 8.0 px, to two beams')
+    ((1, 2, 3, 4), 'from a quarter of the beam (8.0 px) to two beams')
     >>> images = cube.data, cube.times
     >>> choose_scales(EpochCube.from_arrays(*images, pixel_scale=cube.pixel_scale))
-    ((1, 2), 'up to half of the size of the structures, 7.3 px')
+    ((1, 2), 'up to half of the size of the structures (7.3 px)')
     """
     most = max(1, int(np.log2(min(cube.shape[1:]) / 2)))
     if cube.beams is None:
         size = structure_size(cube)
         last = min(most, max(1, round(np.log2(size / 2))))
         scales = range(max(1, last - OCTAVES + 1), last + 1)
-        reason = f"up to half of the size of the structures, {size:.1f} px"
+        reason = f"up to half of the size of the structures ({size:.1f} px)"
     else:
         size = mean_fwhm(cube, 1) / cube.pixel_scale.to_value(u.mas)
         first = round(np.log2(size / 4))
         scales = range(max(1, first), min(most, max(1, first + OCTAVES - 1)) + 1)
-        reason = f"from a quarter of the beam, of {size:.1f} px, to two beams"
+        reason = f"from a quarter of the beam ({size:.1f} px) to two beams"
     return tuple(scales) or (most,), reason
 
 
@@ -122,9 +122,9 @@ def structure_size(cube):
     """
     Return the full width at half maximum of the structures in the images.
 
-    It is that of their mean autocorrelation, less what is much larger, over the
-    square root of two, as of a Gaussian; lag zero, which has all of the noise, is
-    that of a Gaussian through the next two.
+    It is the width of their mean autocorrelation over the square root of two, as
+    for a Gaussian, after what is much larger has been subtracted.  Lag zero has
+    all of the noise, so it is extrapolated from the next two lags by a Gaussian.
 
     Parameters
     ----------

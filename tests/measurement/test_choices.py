@@ -164,7 +164,7 @@ def test_noise_has_no_structure():
 def test_scales_from_a_quarter_of_the_beam_to_two_beams(beam, scales):
     found, reason = choose_scales(field(beam, beam=beam))
     assert found == scales
-    assert f"of {beam}.0 px" in reason
+    assert f"({beam}.0 px)" in reason
 
 
 @pytest.mark.parametrize(("fwhm", "scales"), [(3, (1,)), (7, (1, 2)), (24, (1, 2, 3))])
