@@ -141,13 +141,12 @@ def find_candidates(
     place = np.arange(len(years)) if place is None else np.asarray(place)
     source, target = matches.ssp.astype(int), np.asarray(target_ssp, dtype=int)
     at, to = place[ssps.epoch[source]], place[matches.target]
-    use = (target >= 0) & (to > at) & (to - at <= max_gap + 1) & (years[to] > years[at])
-    source, target, at, to = source[use], target[use], at[use], to[use]
-    coefficient = matches.coefficient[use].astype(float)
+    use = np.flatnonzero(
+        (target >= 0) & (to > at) & (to - at <= max_gap + 1) & (years[to] > years[at])
+    )
     # Keep the highest peak of each pair of SSPs.
-    order = np.lexsort((-coefficient, target, source))
-    order = order[rank_in_group(source[order], target[order]) == 0]
-    source, target, at, to = source[order], target[order], at[order], to[order]
+    use = use[lowest(-matches.coefficient[use], source[use], target[use])]
+    source, target, at, to = source[use], target[use], at[use], to[use]
     found = Candidates(
         source=source,
         target=target,
@@ -155,13 +154,12 @@ def find_candidates(
         dx=ssps.x[target] - ssps.x[source],
         interval=years[to] - years[at],
         gap=to - at - 1,
-        coefficient=coefficient[order],
+        coefficient=matches.coefficient[use].astype(float),
     )
     if inside is not None:
         found = found.select(inside(found))
-    order = np.lexsort((-found.coefficient, found.gap, found.source))
-    rank = rank_in_group(found.source[order], found.gap[order])
-    return found.select(np.sort(order[rank < MAX_CANDIDATES]))
+    best = lowest(-found.coefficient, found.source, found.gap, n=MAX_CANDIDATES)
+    return found.select(np.sort(best))
 
 
 def core_ssps(ssps, cube):
@@ -178,8 +176,7 @@ def core_ssps(ssps, cube):
     away = np.arctan2(*offset.T)
     axis = np.stack([np.sin(away), np.cos(away)], axis=1)
     distance /= beam_fwhm(cube, ssps.epoch, ssps.scale, axis[:, None])[:, 0]
-    order = np.lexsort((distance, ssps.epoch, ssps.scale))
-    nearest = order[rank_in_group(ssps.scale[order], ssps.epoch[order]) == 0]
+    nearest = lowest(distance, ssps.scale, ssps.epoch)
     nearest = nearest[distance[nearest] <= CORE_RADIUS]
     _, number, count = np.unique(
         ssps.scale[nearest], return_inverse=True, return_counts=True
@@ -196,10 +193,15 @@ def rank_in_group(*keys):
     return np.arange(len(new)) - np.flatnonzero(new)[np.cumsum(new) - 1]
 
 
+def lowest(value, *keys, n=1):
+    """Return the indices of the n lowest values for equal keys, sorted by the keys."""
+    order = np.lexsort((value, *keys[::-1]))
+    return order[rank_in_group(*(key[order] for key in keys)) < n]
+
+
 def equal_pairs(one, other):
     """Return all (i, k) with ``one[i] == other[k]``, by k and then by i."""
     order = np.argsort(one, kind="stable")
-    ends = [np.searchsorted(one[order], other, side=s) for s in ("left", "right")]
-    count = ends[1] - ends[0]
-    k = np.repeat(np.arange(len(other)), count)
-    return order[ends[0][k] + rank_in_group(k)], k
+    first, end = (np.searchsorted(one[order], other, side=s) for s in ("left", "right"))
+    k = np.repeat(np.arange(len(other)), end - first)
+    return order[first[k] + rank_in_group(k)], k

@@ -8,7 +8,12 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from astro_scc.decomposition import SSPs, scale_size
-from astro_scc.tracking.candidates import Candidates, equal_pairs, rank_in_group
+from astro_scc.tracking.candidates import (
+    Candidates,
+    equal_pairs,
+    lowest,
+    rank_in_group,
+)
 
 #: Largest distance of neighbours, in units of the sum of their radii.
 NEAR = 1.2
@@ -180,12 +185,10 @@ class LinkLikelihood:
             near = self.neighbours(own[one], own[other], ssps)
             near &= self.moves_alike(motion[one] - motion[other])
             one, other = one[near], other[near]
-            distance = _distance(ssps, own[one], own[other])
-            order = np.lexsort((distance, one))
-            one, other = one[order], other[order]
-            rank = rank_in_group(one)
+            nearest = lowest(_distance(ssps, own[one], own[other]), one, n=2)
+            one, other = one[nearest], other[nearest]
             flux = np.zeros((2, len(gain)))
-            flux[rank[rank < 2], one[rank < 2]] = ssps.flux[own[other[rank < 2]]]
+            flux[rank_in_group(one), one] = ssps.flux[own[other]]
             for more in (flux[0], flux[1], flux[0] + flux[1]):
                 has = np.flatnonzero(more > 0)
                 total = ssps.flux[own[has]] + more[has]
@@ -240,7 +243,7 @@ class LinkLikelihood:
         candidates : `Candidates`
             Of one scale.
         coarse : `Candidates`
-            The links of the next coarser scale.
+            The links of the next coarser scale, one at most from each SSP.
         parent : `~numpy.ndarray` of int, shape (n_ssps,)
             See ``coarser_ssps``.
         width : float
@@ -253,17 +256,16 @@ class LinkLikelihood:
         `~numpy.ndarray`, shape (n,)
         """
         term = np.zeros(len(candidates))
-        larger, motion = parent[candidates.source], candidates.motion
-        for gap in np.unique(candidates.gap):
-            of_gap = coarse.gap == gap
-            expected = np.full((len(parent), 2), np.nan)
-            expected[coarse.source[of_gap]] = coarse.motion[of_gap]
-            own = np.flatnonzero((candidates.gap == gap) & (larger >= 0))
-            own = own[np.isfinite(expected[larger[own], 0])]
-            away = motion[own] - expected[larger[own]]
-            near = np.exp(-0.5 * np.sum(away**2, axis=1) / width**2)
-            ratio = near / (2 * np.pi * width**2 * density[candidates.target[own]])
-            term[own] = np.log(1 - self.follow + self.follow * ratio)
+        # The link of each SSP; the last entry is for SSPs without a parent.
+        link = np.full(len(parent) + 1, -1)
+        link[coarse.source] = np.arange(len(coarse))
+        link = link[parent[candidates.source]]
+        own = np.flatnonzero(link >= 0)
+        own = own[coarse.gap[link[own]] == candidates.gap[own]]
+        away = candidates.motion[own] - coarse.motion[link[own]]
+        near = np.exp(-0.5 * np.sum(away**2, axis=1) / width**2)
+        ratio = near / (2 * np.pi * width**2 * density[candidates.target[own]])
+        term[own] = np.log(1 - self.follow + self.follow * ratio)
         return term
 
     def steady_motion(
@@ -316,17 +318,15 @@ def chance_density(ssps):
     of ten scales, also for an SSP alone.
     """
     density = np.empty(len(ssps))
-    for scale in np.unique(ssps.scale):
-        alone = 1 / (np.pi * (10 * scale_size(scale)) ** 2)
-        for epoch in np.unique(ssps.epoch[ssps.scale == scale]):
-            own = np.flatnonzero((ssps.scale == scale) & (ssps.epoch == epoch))
-            k = min(3, len(own) - 1)
-            density[own] = alone
-            if k > 0:
-                at = np.stack([ssps.y[own], ssps.x[own]], axis=1)
-                distance = cKDTree(at).query(at, k + 1)[0][:, k]
-                found = k / (np.pi * np.median(distance) ** 2)
-                density[own] = max(found, alone)
+    for scale, epoch in np.unique(np.stack([ssps.scale, ssps.epoch]), axis=1).T:
+        own = np.flatnonzero((ssps.scale == scale) & (ssps.epoch == epoch))
+        density[own] = 1 / (np.pi * (10 * scale_size(scale)) ** 2)
+        k = min(3, len(own) - 1)
+        if k > 0:
+            at = np.stack([ssps.y[own], ssps.x[own]], axis=1)
+            distance = cKDTree(at).query(at, k + 1)[0][:, k]
+            found = k / (np.pi * np.median(distance) ** 2)
+            density[own] = np.maximum(found, density[own])
     return density
 
 
@@ -337,21 +337,15 @@ def coarser_ssps(ssps, width):
     It belongs to the same epoch; -1 means that there is none.  ``width`` is the
     number of pixels in a row of the images.
     """
-    found = np.full(len(ssps), -1)
-    n_pixels = int(ssps.pixels.max(initial=0)) + 1
+    n_pixels, n_epochs = (int(v.max(initial=0)) + 1 for v in (ssps.pixels, ssps.epoch))
     at = np.rint(ssps.y).astype(np.int64) * width + np.rint(ssps.x).astype(np.int64)
+    level = np.unique(ssps.scale, return_inverse=True)[1].astype(np.int64)
+    # Pixels are numbered through all epochs of a scale, then through all scales.
+    image = (level * n_epochs + ssps.epoch) * n_pixels
     owner = np.repeat(np.arange(len(ssps)), ssps.n_pixels)
-    key = ssps.epoch[owner].astype(np.int64) * n_pixels + ssps.pixels
-    scales = np.unique(ssps.scale)
-    for finer, coarser in zip(scales[:-1], scales[1:], strict=True):
-        large = np.flatnonzero(ssps.scale[owner] == coarser)
-        large = large[np.argsort(key[large], kind="stable")]
-        small = np.flatnonzero((ssps.scale == finer) & (at < n_pixels))
-        if len(large) == 0:
-            continue
-        wanted = ssps.epoch[small].astype(np.int64) * n_pixels + at[small]
-        place = np.searchsorted(key[large], wanted)
-        hit = large[np.minimum(place, len(large) - 1)]
-        same = key[hit] == wanted
-        found[small[same]] = owner[hit[same]]
+    key = image[owner] + ssps.pixels
+    wanted = np.where(at < n_pixels, image + n_epochs * n_pixels + at, -1)
+    pixel, ssp = equal_pairs(key, wanted)
+    found = np.full(len(ssps), -1)
+    found[ssp] = owner[pixel]
     return found

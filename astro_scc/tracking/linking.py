@@ -14,7 +14,12 @@ from scipy.sparse.csgraph import (
 )
 
 from astro_scc.decomposition import SSPs, scale_size
-from astro_scc.tracking.candidates import Candidates, equal_pairs, rank_in_group
+from astro_scc.tracking.candidates import (
+    Candidates,
+    equal_pairs,
+    lowest,
+    rank_in_group,
+)
 from astro_scc.tracking.likelihood import MERGE_COST, LinkLikelihood, chance_density
 
 #: Rounds in which candidates are evaluated, given the links of the previous round.
@@ -113,45 +118,36 @@ def link(
     >>> links.source.tolist(), links.target.tolist()
     ([0, 1], [1, 2])
     """
-    likelihood = LinkLikelihood() if likelihood is None else likelihood
-    place = np.arange(ssps.epoch.max(initial=-1) + 1) if place is None else place
-    step = np.asarray(place)[ssps.epoch]
+    likelihood = likelihood or LinkLikelihood()
+    step = ssps.epoch if place is None else np.asarray(place)[ssps.epoch]
     density = chance_density(ssps)
     similarity = likelihood.similarity(candidates, ssps)
-    scale = ssps.scale[candidates.source]
-    chosen, kinds, gains = [], [np.empty(0, "U5")], [np.empty(0)]
+    kind, gain = np.full(len(candidates), "", "U5"), np.zeros(len(candidates))
     coarse = width = None
-    for value in sorted(np.unique(ssps.scale), reverse=True):
-        own = np.flatnonzero(scale == value)
+    for scale in sorted(np.unique(ssps.scale), reverse=True):
+        own = np.flatnonzero(ssps.scale[candidates.source] == scale)
         part = candidates.select(own)
         worth = similarity[own] + likelihood.merged_flux(part, ssps)
         if coarse is not None and parent is not None:
-            worth = worth + likelihood.coarse_to_fine(
-                part, coarse, parent, width, density
-            )
-        best, gain = _link_scale(part, worth, step, density, likelihood)
-        kind, seat_gain = _merges_and_splits(part, best, ssps, likelihood)
-        coarse, width = part.select(best), scale_size(value)
-        chosen.append(own[kind != ""])
-        kinds.append(kind[kind != ""])
-        gains.append(np.where(best, gain, seat_gain)[kind != ""])
-    links = candidates.select(np.concatenate([np.empty(0, int), *chosen]))
-    order = np.lexsort((links.target, links.source))
-    return Links(
-        **vars(links.select(order)),
-        kind=np.concatenate(kinds)[order],
-        gain=np.concatenate(gains)[order],
-    )
+            worth += likelihood.coarse_to_fine(part, coarse, parent, width, density)
+        chosen, gains = _link_scale(part, worth, step, density, likelihood)
+        kind[own] = _merges_and_splits(part, chosen, gains, ssps, likelihood)
+        gain[own] = gains
+        coarse, width = part.select(chosen), scale_size(scale)
+    order = np.lexsort((candidates.target, candidates.source))
+    order = order[kind[order] != ""]
+    links = candidates.select(order)
+    return Links(**vars(links), kind=kind[order], gain=gain[order])
 
 
 def _link_scale(part, worth, step, density, likelihood):
     """Return which candidates of a scale are chosen, and the gains of all."""
     transitions = equal_pairs(part.target, part.source)
-    use, chosen, gain = None, np.zeros(len(part), bool), np.zeros(len(part))
+    use, chosen = np.ones(len(part), bool), np.zeros(len(part), bool)
     for _ in range(ROUNDS):
         between = _steady_motion(part, chosen, transitions, step, density, likelihood)
-        gain = path_gains(part, worth, transitions, between, step, use=use)
-        now = _choose(part, gain, len(step))
+        gain = path_gains(part, worth, transitions, between, step, use)
+        now = _choose(part, gain)
         if np.array_equal(now, chosen):
             break
         use = chosen = now
@@ -160,56 +156,44 @@ def _link_scale(part, worth, step, density, likelihood):
 
 def _steady_motion(part, chosen, transitions, step, density, likelihood):
     """Return the term of each transition, given the track before and the one after."""
-    motion = part.motion
-    weight = part.interval**2
-    total = motion * part.interval[:, None]
+    motion, interval = part.motion, part.interval
     own = np.flatnonzero(chosen)
     # Order the links by track, and by time within each track.
     source = part.source[own]
     track = connected(source, part.target[own], len(step))[source]
     order = np.lexsort((step[source], track))
-    own, track = own[order], track[order]
-    before, after = transitions
     between = []
-    for one, other, end, way in (
-        (before, after, part.target, slice(None)),
-        (after, before, part.source, slice(None, None, -1)),
+    for way, (one, other), end in (
+        (1, transitions, part.target),
+        (-1, transitions[::-1], part.source),
     ):
-        sums = np.column_stack([weight, total])
-        sums[own[way]] = _running_sums(sums[own[way]], track[way])
+        sums = np.column_stack([interval**2, motion * interval[:, None]])
+        links, rank = own[order[::way]], rank_in_group(track[order[::way]])
+        # Running sums within each track.
+        total, first = np.cumsum(sums[links], axis=0), np.arange(len(links)) - rank
+        sums[links] = total - (total[first] - sums[links[first]])
         between.append(
             likelihood.steady_motion(
-                motion[other], part.interval[other],
+                motion[other], interval[other],
                 sums[one, 1:] / sums[one, :1], sums[one, 0], density[end[other]],
             )
         )  # fmt: skip
-    return np.stack(between)
+    return between
 
 
-def _running_sums(values, group):
-    """Return the cumulative sums of rows within each group."""
-    sums = np.cumsum(values, axis=0)
-    first = np.arange(len(group)) - rank_in_group(group)
-    return sums - (sums[first] - values[first])
-
-
-def _choose(part, gain, n_ssps):
+def _choose(part, gain):
     """Return the best links of each pair of epochs, the nearest epochs first."""
-    chosen = np.zeros(len(part), bool)
+    source, target, chosen = part.source, part.target, np.zeros(len(part), bool)
     for gap in np.unique(part.gap):
-        taken = np.zeros((2, n_ssps), bool)
-        taken[0, part.source[chosen]] = True
-        taken[1, part.target[chosen]] = True
+        taken = np.isin(source, source[chosen]) | np.isin(target, target[chosen])
         # Pairs of epochs with the same gap can be solved together, as no SSP is
         # the source, or the target, in two of them.
-        own = np.flatnonzero(
-            (part.gap == gap) & ~taken[0, part.source] & ~taken[1, part.target]
-        )
-        chosen[own[assign(part.source[own], part.target[own], gain[own])]] = True
+        own = np.flatnonzero((part.gap == gap) & ~taken)
+        chosen[own[assign(source[own], target[own], gain[own])]] = True
     return chosen
 
 
-def path_gains(part, worth, transitions, between, step, *, use=None):
+def path_gains(part, worth, transitions, between, step, use):
     """
     Return what each candidate adds to the best paths that it connects.
 
@@ -223,40 +207,36 @@ def path_gains(part, worth, transitions, between, step, *, use=None):
     ``transitions`` are pairs of candidates, the earlier and the later one, that
     meet in an SSP; ``between`` are their values forward and backward in time,
     shape (2, n_transitions); ``step`` is the place in time of each SSP.  Only
-    candidates of ``use``, all by default, come before or after another one.
+    candidates of ``use`` come before or after another one.
     """
-    use = np.ones(len(part), bool) if use is None else use
-    before, after = transitions
-    into, onto = use[before], use[after]
+    source, target = part.source, part.target
     forward, ending = _best_paths(
-        part.source, part.target, worth, before[into], after[into], between[0, into],
-        step, use,
-    )  # fmt: skip
+        source, target, worth, transitions, between[0], step, use
+    )
     back, beginning = _best_paths(
-        part.target, part.source, worth, after[onto], before[onto], between[1, onto],
-        -step, use,
-    )  # fmt: skip
-    return forward + back - worth - ending[part.source] - beginning[part.target]
+        target, source, worth, transitions[::-1], between[1], -step, use
+    )
+    return forward + back - worth - ending[source] - beginning[target]
 
 
-def _best_paths(source, target, worth, before, after, between, step, use):
+def _best_paths(source, target, worth, transitions, between, step, use):
     """Return the value of the best path that ends with each candidate or SSP."""
-    best = worth.astype(float).copy()
-    at = step[source]
-    order = np.lexsort((after, at[after]))
+    best = worth.copy()
+    before, after = transitions
+    order = np.lexsort((after, step[source[after]]))
+    order = order[use[before[order]]]
     before, after, between = before[order], after[order], between[order]
-    first = np.flatnonzero(rank_in_group(at[after]) == 0)
-    for start, stop in zip(first, [*first[1:], len(after)][: len(first)], strict=True):
-        own = slice(start, stop)
+    first = np.flatnonzero(rank_in_group(step[source[after]]) == 0)
+    for own in np.split(np.arange(len(order)), first[1:]):
         head = np.flatnonzero(rank_in_group(after[own]) == 0)
         gain = np.maximum.reduceat(best[before[own]] + between[own], head)
-        best[after[own][head]] += np.maximum(gain, 0.0)
+        best[after[own[head]]] += np.maximum(gain, 0.0)
     ending = np.zeros(len(step))
     np.maximum.at(ending, target[use], best[use])
     return best, ending
 
 
-def _merges_and_splits(part, chosen, ssps, likelihood):
+def _merges_and_splits(part, chosen, gain, ssps, likelihood):
     """
     Link SSPs without a partner to the partner of a neighbour.
 
@@ -265,12 +245,11 @@ def _merges_and_splits(part, chosen, ssps, likelihood):
     three SSPs can share one.  The candidate must have the displacement of the
     neighbour's link, and the sum of fluxes must explain the flux on the other
     side better than the neighbour alone.  The gain is that of the brightness,
-    plus the term of the candidate's correlation if negative, minus one.
-    `assign` chooses, merges first.  Returned are the kind of each candidate, ""
-    if it is no link, and the gains.
+    plus the term of the candidate's correlation if negative, minus one; it
+    replaces the one in ``gain``.  `assign` chooses, merges first.  Returned is the
+    kind of each candidate, "" if it is no link.
     """
     kind = np.where(chosen, "link", "").astype("U5")
-    gain = np.zeros(len(part))
     motion, flux = part.motion, ssps.flux
     for name, free, shared in (
         ("merge", part.source, part.target),
@@ -280,32 +259,26 @@ def _merges_and_splits(part, chosen, ssps, likelihood):
         sitting = np.full(len(ssps), -1)
         sitting[shared[chosen]] = np.flatnonzero(chosen)
         host = sitting[shared]
-        busy = np.zeros(len(ssps), bool)
-        busy[free[kind != ""]] = True
-        own = np.flatnonzero((host >= 0) & ~busy[free])
+        own = np.flatnonzero((host >= 0) & ~np.isin(free, free[kind != ""]))
         own = own[part.gap[own] == part.gap[host[own]]]
         alike = likelihood.moves_alike(motion[own] - motion[host[own]])
         own = own[alike & likelihood.neighbours(free[own], free[host[own]], ssps)]
-        if len(own) == 0:
-            continue
-        beside, other = free[host[own]], shared[own]
-        together = likelihood.brightness(
-            np.log((flux[free[own]] + flux[beside]) / flux[other])
-        )
-        better = together - likelihood.brightness(np.log(flux[beside] / flux[other]))
-        correlation = likelihood.correlation(part.coefficient[own])
-        value = better + np.minimum(correlation, 0.0) - MERGE_COST
+        beside, other = flux[free[host[own]]], flux[shared[own]]
+        value = likelihood.brightness(np.log((flux[free[own]] + beside) / other))
+        value -= likelihood.brightness(np.log(beside / other))
+        value += np.minimum(likelihood.correlation(part.coefficient[own]), 0.0)
+        value -= MERGE_COST
         # Two more SSPs can share each; the first place is always preferred.
-        seats = np.concatenate([other, len(ssps) + other])
+        seats = np.concatenate([shared[own], len(ssps) + shared[own]])
         values = np.concatenate([value, value - 1e-9])
         taken = assign(np.tile(free[own], 2), seats, values)
         taken = taken[: len(own)] | taken[len(own) :]
         kind[own[taken]] = name
         gain[own[taken]] = value[taken]
-    return kind, gain
+    return kind
 
 
-def chain(links, n_ssps, *, min_epochs=1, core=None):
+def chain(links, core, *, min_epochs=1):
     """
     Return the number of each SSP's track, a chain of one-to-one links, or -1.
 
@@ -314,23 +287,16 @@ def chain(links, n_ssps, *, min_epochs=1, core=None):
     if it is not negative, are one feature: all of them that have a link make
     one track, however long the core is not seen.
     """
-    own = links.kind == "link"
+    own, n = links.kind == "link", len(core)
     source, target = links.source[own], links.target[own]
-    n = n_ssps
-    if core is not None:
-        # Each core is an additional node that connects its SSPs.
-        linked = np.union1d(source, target)
-        linked = linked[core[linked] >= 0]
-        source, target = np.r_[source, linked], np.r_[target, n_ssps + core[linked]]
-        n += core.max(initial=-1) + 1
-    label = connected(source, target, n)[:n_ssps]
-    _, first, group, size = np.unique(
-        label, return_index=True, return_inverse=True, return_counts=True
-    )
-    number = np.full(len(first), -1)
-    long = np.flatnonzero(size >= min_epochs)
-    number[long[np.argsort(first[long])]] = np.arange(len(long))
-    return number[group]
+    # Each core is an additional node that connects its SSPs.
+    linked = np.union1d(source, target)
+    linked = linked[core[linked] >= 0]
+    source, target = np.r_[source, linked], np.r_[target, n + core[linked]]
+    # Labels are in the order of the first SSPs.
+    label = connected(source, target, n + core.max(initial=-1) + 1)[:n]
+    long = np.bincount(label) >= min_epochs
+    return np.where(long, np.cumsum(long) - 1, -1)[label]
 
 
 # -- optimal assignment ------------------------------------------------------------
@@ -341,9 +307,8 @@ def assign(row: ArrayLike, column: ArrayLike, weight: ArrayLike) -> np.ndarray:
     Choose the pairs of largest total weight that use each row and column once.
 
     Rows and columns may stay without a partner, so only pairs of positive
-    weight are chosen.  The solution is exact and takes polynomial time: pairs
-    that outweigh the best others of their row and column together are certain;
-    `scipy.sparse.csgraph.min_weight_full_bipartite_matching` solves the rest.
+    weight are chosen.  The solution is exact and takes polynomial time, see
+    `scipy.sparse.csgraph.min_weight_full_bipartite_matching`.
 
     Parameters
     ----------
@@ -366,63 +331,22 @@ def assign(row: ArrayLike, column: ArrayLike, weight: ArrayLike) -> np.ndarray:
     row, column = np.asarray(row, dtype=int), np.asarray(column, dtype=int)
     weight = np.asarray(weight, dtype=float)
     chosen = np.zeros(len(row), bool)
-    left = np.flatnonzero(weight > 0)
-    while len(left):
-        certain = _certain(row[left], column[left], weight[left])
-        if not certain.any():
-            break
-        won = left[certain]
-        chosen[won] = True
-        taken = np.isin(row[left], row[won]) | np.isin(column[left], column[won])
-        left = left[~taken]
-    chosen[left[_solve(row[left], column[left], weight[left])]] = True
-    return chosen
-
-
-def _certain(row, column, weight):
-    """Return the pairs that outweigh the best others of their row and column."""
-    total = weight - _best_other(row, weight) - _best_other(column, weight)
-    certain = np.flatnonzero(total >= 0)
-    # If equal pairs share a row or column, keep the first.
-    keep = np.zeros(len(row), bool)
-    first = np.intersect1d(
-        np.unique(row[certain], return_index=True)[1],
-        np.unique(column[certain], return_index=True)[1],
-    )
-    keep[certain[first]] = True
-    return keep
-
-
-def _best_other(key, weight):
-    """Return the largest weight of the other entries with the same key, or 0."""
-    order = np.lexsort((-weight, key))
-    weight, rank = weight[order], rank_in_group(key[order])
-    best = weight[np.arange(len(order)) - rank]
-    second = np.append(np.where(rank == 1, weight, 0.0), 0.0)[1:]
-    other = np.empty(len(key))
-    other[order] = np.where(rank == 0, second, best)
-    return other
-
-
-def _solve(row, column, weight):
-    """Return the indices of the chosen pairs."""
-    # If a pair is given twice, keep the larger weight.
-    order = np.lexsort((-weight, column, row))
-    order = order[rank_in_group(row[order], column[order]) == 0]
-    rows, r = np.unique(row[order], return_inverse=True)
-    columns, c = np.unique(column[order], return_inverse=True)
+    # If a pair is given twice, the larger weight counts.
+    own = lowest(-weight, row, column)
+    own = own[weight[own] > 0]
+    if len(own) == 0:
+        return chosen
+    rows, r = np.unique(row[own], return_inverse=True)
+    columns, c = np.unique(column[own], return_inverse=True)
     n, m = len(rows), len(columns)
-    if n == 0:
-        return order
     # A column of its own for each row makes a full matching possible.  Weights
     # must not be zero, and shifting all of them alike changes nothing.
-    cost = np.concatenate([-weight[order], np.zeros(n)]) - weight.max() - 1.0
+    cost = np.concatenate([-weight[own], np.zeros(n)]) - weight[own].max() - 1.0
     seats = np.concatenate([r, np.arange(n)]), np.concatenate([c, m + np.arange(n)])
     graph = coo_array((cost, seats), shape=(n, m + n)).tocsr()
-    at, seat = min_weight_full_bipartite_matching(graph)
-    # The pairs are ordered by row and column.
-    place = np.searchsorted(r * (m + n) + c, (at * (m + n) + seat)[seat < m])
-    return order[place]
+    # The rows of the matching are all rows, in order.
+    chosen[own] = min_weight_full_bipartite_matching(graph)[1][r] == c
+    return chosen
 
 
 def connected(one, other, n):

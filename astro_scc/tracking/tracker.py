@@ -380,7 +380,7 @@ class FeatureTracker:
             links = link(
                 candidates, ssps, parent=parent, place=place, likelihood=likelihood
             )
-            track = chain(links, len(ssps), min_epochs=self.min_epochs, core=core)
+            track = chain(links, core, min_epochs=self.min_epochs)
             linked = np.zeros(len(ssps), bool)
             linked[links.source] = True
             linked &= select & (track >= 0)

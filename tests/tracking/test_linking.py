@@ -228,7 +228,7 @@ def test_chains_are_what_links_connect(seed, least):
         for i, k in enumerate(rng.permutation(3))
         if rng.random() < 0.6
     ]
-    track = chain(links_of(pairs), 15, min_epochs=least)
+    track = chain(links_of(pairs), np.full(15, -1), min_epochs=least)
     follower = dict(pairs)
     paths = []
     for start in sorted(set(range(15)) - set(follower.values())):
@@ -246,7 +246,7 @@ def test_merges_and_splits_make_no_chains():
     links = links_of(
         [(0, 2), (1, 2), (2, 3), (2, 4)], ["link", "merge", "link", "split"]
     )
-    assert chain(links, 5).tolist() == [0, 1, 0, 0, 2]
+    assert chain(links, np.full(5, -1)).tolist() == [0, 1, 0, 0, 2]
 
 
 def test_pieces_of_one_feature_make_one_track():
@@ -255,6 +255,6 @@ def test_pieces_of_one_feature_make_one_track():
     core = np.array([0, -1, 0, 0, 0, 1, 1, 1, -1, 1, 0])
     # SSP 10 has no link at all.
     wanted = [0, 1, 0, 0, 0, 2, 2, 2, 1, 2, -1]
-    assert chain(links, 11, min_epochs=2, core=core).tolist() == wanted
+    assert chain(links, core, min_epochs=2).tolist() == wanted
     wanted = [0, -1, 0, 0, 0, 1, 1, 1, -1, 1, -1]
-    assert chain(links, 11, min_epochs=4, core=core).tolist() == wanted
+    assert chain(links, core, min_epochs=4).tolist() == wanted
