@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
+from astro_scc.kinematics.frames import axes_along
+
 #: Residuals beyond this many standard deviations lose weight (Huber 1981).
 HUBER = 1.345
 #: Ratio of standard deviation to median absolute deviation of a normal distribution.
@@ -84,9 +86,13 @@ class MotionFit:
         speed = np.hypot(*v)
         if speed == 0:
             return float(np.hypot(*error)), np.pi
-        along, across = v / speed, np.array([v[1], -v[0]]) / speed
-        length = np.sqrt(np.sum((along * error) ** 2))
-        return float(length), min(np.sqrt(np.sum((across * error) ** 2)) / speed, np.pi)
+        along, across = projected_errors(axes_along(*v / speed), error)
+        return float(along), min(across / speed, np.pi)
+
+
+def projected_errors(axes, error):
+    """Return errors along other axes, which are the rows of a matrix."""
+    return np.sqrt(np.sum((axes * error) ** 2, axis=1))
 
 
 def _design(time, degree):
@@ -142,10 +148,10 @@ def fit_motion(
     """
     time = np.asarray(time, dtype=float)
     position, error = (np.asarray(a, dtype=float) for a in (position, error))
-    if len(np.unique(time)) < degree + 1:
+    if (n_dates := len(np.unique(time))) < degree + 1:
         raise ValueError(
             f"a motion of degree {degree} needs {degree + 1} different dates, "
-            f"got {len(np.unique(time))}"
+            f"got {n_dates}"
         )
     middle = (time.min() + time.max()) / 2
     design = _design(time - middle, degree)
@@ -160,7 +166,6 @@ def _fit_axis(design, x, error):
     # In units of their errors, all positions have the same weight.
     a, y = design / error, x / error
     weight = np.ones(n)
-    scatter = 1.0
     for _ in range(50):
         root = np.sqrt(weight)
         solution = np.linalg.lstsq((a * root).T, y * root, rcond=None)[0]
@@ -192,24 +197,18 @@ def _scatter(residual, free):
         return 1.0
     n = len(residual)
     usual = np.sqrt(np.sum(residual**2) / free)
-    if n < 5:
-        return max(usual, 1e-9)
     robust = MAD * np.median(np.abs(residual)) * np.sqrt(n / free)
-    return max(robust, 0.1 * usual, 1e-9)
+    return max(robust if n >= 5 else usual, 0.1 * usual, 1e-9)
 
 
 def _inflation(residual, p):
     """Return the factor by which correlated residuals inflate the variance."""
-    n = len(residual)
-    energy = np.sum(residual**2)
-    if n < 6 or energy <= 0:
-        return 1.0
-    # The fit of p coefficients anticorrelates residuals, which p / n corrects.
-    r = np.sum(residual[1:] * residual[:-1]) / energy + p / n
-    r = np.clip(r, 0.0, 0.95)
-    if r < 1 / np.sqrt(n):
-        return 1.0
-    return min((1 + r) / (1 - r), LARGEST_INFLATION)
+    n, energy, r = len(residual), np.sum(residual**2), 0.0
+    if n >= 6 and energy > 0:
+        # The fit of p coefficients anticorrelates residuals, which p / n corrects.
+        r = np.sum(residual[1:] * residual[:-1]) / energy + p / n
+        r = np.clip(r, 0.0, 0.95)
+    return min((1 + r) / (1 - r), LARGEST_INFLATION) if r >= 1 / np.sqrt(n) else 1.0
 
 
 def ejection_epoch(
@@ -254,17 +253,14 @@ def ejection_epoch(
     r, v = fit.coefficients[:, 0], fit.coefficients[:, 1]
     speed = np.hypot(*v)
     speed_err, angle_err = fit.velocity_errors
-    if accelerated or speed < SIGNIFICANT * speed_err:
+    if accelerated or speed < SIGNIFICANT * speed_err or not r.any():
         return None, None
-    distance = np.hypot(*r)
     passes = np.abs(r[0] * v[1] - r[1] * v[0]) / speed
-    if distance == 0 or passes > beam:
-        return None, None
     # The direction to the mean position has an error, too.
-    across = np.array([r[1], -r[0]]) / distance**2
+    across = np.array([r[1], -r[0]]) / np.hypot(*r) ** 2
     radius_err = np.sqrt(np.sum(across**2 * fit.covariance[:, 0, 0]))
-    off = turn_between(r, v)
-    if off + 2 * np.degrees(np.hypot(angle_err, radius_err)) > RADIAL:
+    off = turn_between(r, v) + 2 * np.degrees(np.hypot(angle_err, radius_err))
+    if passes > beam or off > RADIAL:
         return None, None
     along = r @ v
     by_r = -v / speed**2
@@ -281,7 +277,7 @@ def turn_between(a, b):
 
 
 def track_profile(
-    time, distance, error, track, radii, *, half_width, min_epochs=3, scale=None
+    time, distance, error, track, radii, *, half_width, min_epochs=3, scale=0
 ):
     """
     Return the mean radial speed of the features near each distance.
@@ -290,33 +286,28 @@ def track_profile(
     within ``half_width`` of the radius, and the slopes are averaged (Mertens &
     Lobanov 2016, Sect. 3.3).  Tracks with fewer than ``min_epochs`` dates there
     are not used.  One feature makes tracks on several scales, which are not
-    independent: if ``scale`` is given, errors grow by the square root of the
-    number of scales used.
+    independent: errors grow by the square root of the number of scales used.
 
     Returned are the speeds and their errors, zero if no track is used, and the
     numbers of tracks, each with the shape of ``radii``.
     """
-    time, distance, error = (np.asarray(a, dtype=float) for a in
-                             (time, distance, error))  # fmt: skip
-    track, radii = np.asarray(track), np.asarray(radii, dtype=float)
+    time, distance, error, track = map(np.asarray, (time, distance, error, track))
+    scale = np.broadcast_to(scale, track.shape)
     speed, speed_err = np.zeros((2, len(radii)))
     n_tracks = np.zeros(len(radii), dtype=int)
     for k, radius in enumerate(radii):
-        slopes, errors, scales = [], [], set()
         near = np.abs(distance - radius) <= half_width
+        found = []
         for number in np.unique(track[near]):
             own = np.flatnonzero(near & (track == number))
-            if len(np.unique(time[own])) < max(min_epochs, 2):
-                continue
-            fit = fit_motion(time[own], distance[None, own], error[None, own])
-            if scale is not None:
-                scales.add(float(scale[own[0]]))
-            slopes.append(fit.coefficients[0, 1])
-            errors.append(fit.errors[0, 1])
-        n_tracks[k] = len(slopes)
-        if slopes:
+            if len(np.unique(time[own])) >= max(min_epochs, 2):
+                fit = fit_motion(time[own], distance[None, own], error[None, own])
+                found.append((fit.coefficients[0, 1], fit.errors[0, 1], scale[own[0]]))
+        n_tracks[k] = len(found)
+        if found:
+            slopes, errors, scales = zip(*found, strict=True)
             speed[k], mean_err = average_with_scatter(slopes, errors)
-            speed_err[k] = mean_err * np.sqrt(len(scales) or 1)
+            speed_err[k] = mean_err * np.sqrt(len(set(scales)))
     return speed, speed_err, n_tracks
 
 

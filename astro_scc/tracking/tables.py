@@ -3,17 +3,25 @@
 
 import astropy.units as u
 import numpy as np
-from astropy.table import Column, QTable
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from astro_scc.epochs.positions import axis_words, name_by_frame
-from astro_scc.tracking.motion import SIGNIFICANT, ejection_epoch, turn_between
+from astro_scc.kinematics.frames import axes_along
+from astro_scc.tracking.motion import (
+    SIGNIFICANT,
+    ejection_epoch,
+    projected_errors,
+    turn_between,
+)
 from astro_scc.units import PM_UNIT, round_to_errors
 
 PM_DOT_UNIT = u.mas / u.yr**2
 
-#: Columns of the tracks: name, unit or type, and description.
+#: Columns of the tracks: name, unit or type, and description.  Dates are given by the
+#: number of the epoch.
 COLUMNS = (
     ("track", "U64", "name: date, scale and place of the first feature"),
     ("scale", float, "wavelet scale number"),
@@ -65,16 +73,15 @@ def track_table(tracking):
     for (name, kind, description), values in zip(COLUMNS, columns, strict=True):
         unit = cube.unit if kind == "brightness" else kind
         if isinstance(unit, u.UnitBase):
-            missing = np.array([value is None for value in values], dtype=bool)
-            numbers = [0.0 if value is None else value for value in values]
-            column = np.array(numbers, dtype=float) * unit
-            masked = name.startswith(PARTIAL)
-            table[name] = Masked(column, mask=missing) if masked else column
+            column = np.array(values, dtype=float)
+            if name.startswith(PARTIAL):
+                column = Masked(np.nan_to_num(column), mask=np.isnan(column))
+            table[name] = column * unit
         elif kind is Time:
             dates = cube.times[np.array(values, dtype=int)]
             table[name] = Time(dates, format="isot")
         else:
-            table[name] = Column(np.array(values, dtype=kind))
+            table[name] = np.array(values, dtype=kind)
         table[name].info.description = description
     return name_by_frame(round_to_errors(table), cube)
 
@@ -89,7 +96,7 @@ def _motion_row(tracking, number):
     start = tracking.cube.times[0].jyear
     (x, vx), (y, vy) = fit.coefficients
     speed_err, angle_err = fit.velocity_errors
-    parallel, transverse, accelerated = _acceleration(tracking, number)
+    *acceleration, accelerated = _acceleration(tracking.accelerated_fits[number])
     epoch, epoch_err = ejection_epoch(fit, tracking.fwhm.value, accelerated=accelerated)
     starts, ends = np.isin(links.source, own), np.isin(links.target, own)
     is_link = (links.kind == "link") & starts & ends
@@ -101,7 +108,7 @@ def _motion_row(tracking, number):
         np.mean(np.hypot(east, north)), _angle(*mean), start + fit.middle, x, y,
         vx, fit.errors[0, 1], vy, fit.errors[1, 1], np.hypot(vx, vy), speed_err,
         _angle(vx, vy), min(np.degrees(angle_err), 180.0),
-        turn_between(mean, (vx, vy)), *fit.scatter, *parallel, *transverse, accelerated,
+        turn_between(mean, (vx, vy)), *fit.scatter, *acceleration, accelerated,
         None if epoch is None else start + epoch, epoch_err,
         links.coefficient[is_link].mean(), links.gain[is_link].mean(),
         int(np.sum(ends & (links.kind == "merge"))),
@@ -121,30 +128,21 @@ def _angle(east, north):
     return float(np.degrees(np.arctan2(east, north)) % 360)
 
 
-def _acceleration(tracking, number):
+def _acceleration(fit):
     """Return the acceleration on both axes with errors, and if it is significant."""
-    fit = tracking.accelerated_fits[number]
     if fit is None:
-        return (None, None), (None, None), False
+        return None, None, None, None, False
     velocity = fit.coefficients[:, 1]
     speed = np.hypot(*velocity)
-    along = velocity / speed if speed > 0 else np.array([0.0, 1.0])
-    # Positive towards larger position angles, as in `PositionAngleFrame`.
-    across = np.array([along[1], -along[0]])
-    pairs = [
-        (
-            float(axis @ fit.coefficients[:, 2]),
-            float(np.sqrt(np.sum((axis * fit.errors[:, 2]) ** 2))),
-        )
-        for axis in (along, across)
-    ]
-    return *pairs, any(abs(a) >= SIGNIFICANT * e for a, e in pairs)
+    axes = axes_along(*velocity / speed) if speed > 0 else np.eye(2)[::-1]
+    a, b = (axis @ fit.coefficients[:, 2] for axis in axes)
+    a_err, b_err = projected_errors(axes, fit.errors[:, 2])
+    significant = abs(a) >= SIGNIFICANT * a_err or abs(b) >= SIGNIFICANT * b_err
+    return a, a_err, b, b_err, significant
 
 
 def feature_table(tracking):
     """Return the features of all tracks, one row per feature and epoch."""
-    from astropy.coordinates import SkyCoord
-
     ssps, cube = tracking.ssps, tracking.cube
     own = np.flatnonzero(tracking.track >= 0)
     own = own[np.lexsort((ssps.epoch[own], tracking.track[own]))]
@@ -176,14 +174,13 @@ def feature_table(tracking):
     round_to_errors(table)
     velocity = np.array([fit.coefficients[:, 1] for fit in tracking.fits], dtype=float)
     vx, vy = velocity.reshape(-1, 2)[track].T * PM_UNIT
+    motion = {"pm_ra_cosdec": vx, "pm_dec": vy}
     if axis_words(cube)[0] == "east":
         place = cube.wcs.pixel_to_world(ssps.x[own], ssps.y[own]).icrs
-        motion = {"pm_ra_cosdec": vx, "pm_dec": vy}
-        table["sky"] = SkyCoord(ra=place.ra, dec=place.dec, frame="icrs", **motion)
+        table["sky"] = SkyCoord(place.ra, place.dec, **motion)
         return table
     lon, lat = cube.wcs.pixel_to_world_values(ssps.x[own], ssps.y[own])
-    table["lon"], table["lat"] = lon * u.deg, lat * u.deg
-    table["pm_ra_cosdec"], table["pm_dec"] = vx, vy
+    table.update({"lon": lon * u.deg, "lat": lat * u.deg, **motion})
     return name_by_frame(table, cube)
 
 
@@ -212,14 +209,11 @@ def plain_table(table: QTable) -> QTable:
     >>> plain_table(QTable({"sky": sky})).colnames
     ['ra', 'dec', 'pm_ra_cosdec', 'pm_dec']
     """
-    from astropy.coordinates import SkyCoord
-
     plain = QTable()
     for name, column in table.items():
         if isinstance(column, SkyCoord):
             plain["ra"], plain["dec"] = column.ra.to(u.deg), column.dec.to(u.deg)
-            plain["pm_ra_cosdec"] = column.pm_ra_cosdec
-            plain["pm_dec"] = column.pm_dec
+            plain["pm_ra_cosdec"], plain["pm_dec"] = column.pm_ra_cosdec, column.pm_dec
         else:
             plain[name] = column.isot if isinstance(column, Time) else column
     return plain

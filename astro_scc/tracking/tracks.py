@@ -17,6 +17,7 @@ from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics.cosmology import table_in_c
+from astro_scc.kinematics.ridge_search import mean_width
 from astro_scc.quantities import named, to_quantity
 from astro_scc.settings import require
 from astro_scc.tracking.candidates import core_ssps
@@ -215,9 +216,7 @@ class Tracking:
         previous one of the track: "first", "link", or "gap" if epochs are
         missing between them.
         """
-        table = feature_table(self)
-        table.meta.update(self._meta())
-        return table
+        return QTable(feature_table(self), meta=self._meta(), copy=False)
 
     @cached_property
     def tracks(self) -> QTable:
@@ -227,9 +226,7 @@ class Tracking:
         The table has all columns even if it has no row.  Accelerations and
         ejection epochs are masked for tracks without them.
         """
-        table = track_table(self)
-        table.meta.update(self._meta())
-        return table
+        return QTable(track_table(self), meta=self._meta(), copy=False)
 
     def tracks_in_c(
         self, *, redshift: float | str | u.Quantity | None = None,
@@ -301,10 +298,10 @@ class Tracking:
             track are left out.
         """
         # The core stands still because the epochs are aligned on it.
-        moving = core_ssps(self.ssps, self.cube) < 0
-        own = np.flatnonzero((self.track >= 0) & moving)
+        use = (self.track >= 0) & (core_ssps(self.ssps, self.cube) < 0)
         if scales is not None:
-            own = own[np.isin(self.ssps.scale[own], scales)]
+            use &= np.isin(self.ssps.scale, scales)
+        own = np.flatnonzero(use)
         offset, offset_error = self.offsets[:, own], self.offset_errors[:, own]
         distance = np.hypot(*offset)
         radial = offset / np.maximum(distance, 1e-30)
@@ -330,13 +327,12 @@ class Tracking:
         )
 
     def _meta(self):
-        names = {"permuted": "share_permuted", "p_value": "p_value"}
         confidence = []
-        for share in self.shares:
-            cells = share._asdict()
-            entry = dict(list(cells.items())[:5], scale=share.scale or "all")
+        for scale, *observed, permuted, _, p_value in self.shares:
+            entry = dict(zip(LinkedShare._fields[1:5], observed, strict=True))
+            entry = {"scale": "all" if scale is None else scale} | entry
             if self.n_trials:
-                entry |= {new: float(cells[old]) for old, new in names.items()}
+                entry |= {"share_permuted": permuted, "p_value": p_value}
             confidence.append(entry)
         return {
             "settings": self.settings,
@@ -352,8 +348,7 @@ def mean_fwhm(cube, scales):
     if cube.beams is None:
         middle = np.exp(np.mean(np.log([scale_size(s) for s in scales])))
         return 2 * middle * cube.pixel_scale
-    areas = [(b.major * b.minor).to_value(u.mas**2) for b in cube.beams]
-    return np.sqrt(np.mean(areas)) * u.mas
+    return mean_width(cube) * u.mas
 
 
 def linked_shares(counts, permuted, scales, *, rng=None):
@@ -369,24 +364,20 @@ def linked_shares(counts, permuted, scales, *, rng=None):
     n = counts.shape[2]
     again = rng.integers(0, max(n, 1), (N_BOOTSTRAP, n))
     found = []
-    for k in (slice(None), *range(len(scales))):
-        linked, total = (np.atleast_2d(c[k]).sum(axis=0) for c in counts)
-        trials = np.array(
-            [_ratio(*(np.sum(c[k]) for c in trial)) for trial in permuted]
-        )
+    for scale, own in (
+        (None, slice(None)),
+        *((float(s), [k]) for k, s in enumerate(scales)),
+    ):
+        linked, total = counts[:, own].sum(axis=1)
         share = _ratio(linked.sum(), total.sum())
-        resampled = _ratio(linked[again].sum(axis=1), total[again].sum(axis=1))
+        error = np.std(_ratio(linked[again].sum(axis=1), total[again].sum(axis=1)))
+        trials = np.array([_ratio(*t[:, own].sum(axis=(1, 2))) for t in permuted])
         chance = np.nan, np.nan, np.nan
         if len(trials):
             p_value = (1 + np.sum(trials >= share)) / (1 + len(trials))
             chance = np.mean(trials), np.std(trials), p_value
-        found.append(
-            LinkedShare(
-                None if isinstance(k, slice) else float(scales[k]),
-                int(total.sum()), int(linked.sum()), float(share),
-                float(np.std(resampled)) if n else 0.0, *map(float, chance),
-            )
-        )  # fmt: skip
+        numbers = int(total.sum()), int(linked.sum())
+        found.append(LinkedShare(scale, *numbers, *map(float, (share, error, *chance))))
     return tuple(found)
 
 
