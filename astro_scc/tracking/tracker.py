@@ -2,7 +2,7 @@
 """Track the features of a cube: settings, search windows, and the call."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 
 import astropy.units as u
 import numpy as np
@@ -14,8 +14,10 @@ from astro_scc.decomposition import Decomposition, SSPs
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.beam import require_common_beam
+from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
+from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.progress import progress
 from astro_scc.settings import require
 from astro_scc.tracking.candidates import core_ssps, find_candidates
@@ -142,15 +144,16 @@ class FeatureTracker:
             If no two epochs have different dates.
         """
         steps = np.diff(cube.years.to_value(u.yr))
-        if not np.any(steps > 0):
+        steps = steps[steps > 0]
+        if len(steps) == 0:
             raise ValueError(
                 f"tracking needs epochs of two different dates, all {len(cube)} are "
                 f"of {cube.times[0].isot}"
             )
         if self.max_speed is not None:
-            return u.Quantity(self.max_speed)
+            return self.max_speed
         fwhm = mean_fwhm(cube, scales).value
-        return BEAMS_PER_INTERVAL * fwhm / np.median(steps[steps > 0]) * PM_UNIT
+        return BEAMS_PER_INTERVAL * fwhm / np.median(steps) * PM_UNIT
 
     def _pairs(self, cube, permutations):
         """
@@ -168,7 +171,7 @@ class FeatureTracker:
             gap = place[second] - place[first]
             interval = years[place[second]] - years[place[first]]
             use = (gap > 0) & (gap <= self.max_gap + 1) & (interval <= limit)
-            longest = np.where(use, np.maximum(longest, interval), longest)
+            longest = np.maximum(longest, np.where(use, interval, 0.0))
         keep = longest > 0
         return np.stack([first[keep], second[keep]], axis=1), longest[keep]
 
@@ -199,8 +202,8 @@ class FeatureTracker:
         pairs, interval = self._pairs(cube, permutations)
         scales = decompositions[0].scales
         margin = (MARGIN + 1) * self.tolerance * mean_fwhm(cube, scales)
-        margin = float(margin / cube.pixel_scale)
-        radius = self._fastest(cube, scales) * interval[:, None] + margin
+        radius = self._fastest(cube, scales) * interval[:, None]
+        radius += float(margin / cube.pixel_scale)
         radius = np.array(WINDOWS)[np.searchsorted(WINDOWS[:-1], radius)]
         radius = np.minimum(radius, np.array(cube.shape[1:]) - 1)
         parts = []
@@ -210,27 +213,20 @@ class FeatureTracker:
                 own = pairs[kind.ravel() == k]
                 parts.append(
                     self._correlator()(
-                        decompositions, own, tuple(int(w) for w in window),
+                        decompositions, own, tuple(window.tolist()),
                         select=select, n_workers=n_workers,
                     )
                 )  # fmt: skip
                 done(len(own))
-        if len(parts) == 1:
-            return replace(parts[0], pairs=pairs)
         columns = [tuple(getattr(part, name) for name in COLUMNS) for part in parts]
-        reach = np.max([(0, 0), *(part.search_radius for part in parts)], axis=0)
-        reach = tuple(int(r) for r in reach)
+        reach = kinds.max(axis=0, initial=0).tolist()
         return Matches.from_columns(columns, pairs, reach, self.kappa).sorted()
 
     def _limits(self, cube, scales):
         """Return the ranges of speed along and across in mas/yr, shape (2, 2)."""
         limit = self.speed_limit(cube, scales).value
-        return np.array(
-            [
-                [-limit, limit] if ends is None else ends.value
-                for ends in (self.along, self.across)
-            ]
-        )
+        given = self.along, self.across
+        return np.array([[-limit, limit] if v is None else v.value for v in given])
 
     @property
     def _any_direction(self):
@@ -252,20 +248,18 @@ class FeatureTracker:
     def _frame(self):
         if self.position_angle is None:
             return SkyFrame()
-        if isinstance(self.position_angle, str):
-            return RadialFrame()
-        return PositionAngleFrame(self.position_angle)
+        radial = isinstance(self.position_angle, str)
+        return RadialFrame() if radial else PositionAngleFrame(self.position_angle)
 
     def _inside(self, candidates, ssps, cube, scales):
         """Return which candidates are within the limits of speed."""
-        matrix = cube.pixel_matrix.value
-        x0, y0 = cube.reference_pixel
-        at = np.stack([ssps.x[candidates.source] - x0, ssps.y[candidates.source] - y0])
-        axes = self._frame().matrix(*(matrix @ at))
+        position = np.stack(ssp_offsets(ssps, cube), axis=1)[candidates.source]
+        sky = (
+            np.stack([candidates.dx, candidates.dy], axis=1) @ cube.pixel_matrix.value.T
+        )
+        moved = frame_displacements(self._frame(), position, sky)
         # A radial frame has no axes at its origin, and any will do there.
-        axes = np.where(np.isfinite(axes), axes, np.eye(2))
-        sky = np.stack([candidates.dx, candidates.dy], axis=1) @ matrix.T
-        moved = np.einsum("nai,ni->na", axes, sky)
+        moved = np.where(np.isfinite(moved), moved, sky)
         low, high = self._limits(cube, scales).T
         spare = MARGIN * self.tolerance * mean_fwhm(cube, scales).value
         time = candidates.interval[:, None]
@@ -324,8 +318,8 @@ class FeatureTracker:
         `~astro_scc.exceptions.MeasurementWarning`
             If the alignment of the epochs is as poor as 0.2 beams or worse.
         """
-        rng = np.random.default_rng(rng)
         ssps, select = self._checked(cube, decompositions, select, n_trials)
+        rng = np.random.default_rng(rng)
         permutations = [rng.permutation(len(cube)) for _ in range(n_trials)]
         if matches is None:
             matches = self.match(
@@ -340,16 +334,8 @@ class FeatureTracker:
             for place in permutations:
                 trials.append(tracks_of(place)[2])
                 done(1)
-        return Tracking(
-            cube=cube,
-            ssps=ssps,
-            select=select,
-            links=links,
-            track=track,
-            shares=linked_shares(counts, trials, scales, rng=rng),
-            n_trials=n_trials,
-            settings=asdict(self),
-        )
+        shares, settings = linked_shares(counts, trials, scales, rng=rng), asdict(self)
+        return Tracking(cube, ssps, select, links, track, shares, n_trials, settings)
 
     def _linker(self, cube, ssps, select, matches, scales):
         """
@@ -381,9 +367,7 @@ class FeatureTracker:
                 candidates, ssps, parent=parent, place=place, likelihood=likelihood
             )
             track = chain(links, core, min_epochs=self.min_epochs)
-            linked = np.zeros(len(ssps), bool)
-            linked[links.source] = True
-            linked &= select & (track >= 0)
+            linked = np.isin(np.arange(len(ssps)), links.source) & select & (track >= 0)
             at = place[ssps.epoch]
             counts = [
                 [np.bincount(at[own & (ssps.scale == scale)], minlength=len(cube))
