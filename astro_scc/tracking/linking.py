@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +25,8 @@ from astro_scc.tracking.likelihood import MERGE_COST, LinkLikelihood, chance_den
 
 #: Rounds in which candidates are evaluated, given the links of the previous round.
 ROUNDS = 5
+#: Number of bootstrap samples of the epochs for the errors of shares.
+N_BOOTSTRAP = 1000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -353,3 +356,65 @@ def connected(one, other, n):
     """Return the number of each node's group, for n nodes connected in pairs."""
     graph = coo_array((np.ones(len(one)), (one, other)), shape=(n, n))
     return connected_components(graph, directed=False)[1]
+
+
+# -- shares of linked SSPs ---------------------------------------------------------
+
+
+class LinkedShare(NamedTuple):
+    """
+    The share of SSPs that tracks link to a later one, and what chance gives.
+
+    The ``scale`` is None for all scales together; ``n_ssps`` counts the SSPs that
+    have a later epoch.  The error of the share is its standard deviation over
+    bootstrap samples of the epochs.  ``permuted`` is the mean of the share over
+    permutations of the epochs, with its standard deviation.  ``p_value`` is the
+    fraction of permutations, including the observed order, that link as many.
+    These are NaN without permutations.
+    """
+
+    scale: float | None
+    n_ssps: int
+    n_linked: int
+    share: float
+    share_err: float
+    permuted: float
+    permuted_err: float
+    p_value: float
+
+
+def linked_shares(counts, permuted, scales, *, rng=None):
+    """
+    Return the `LinkedShare` of all scales together, and of each scale.
+
+    ``counts``, shape (2, n_scales, n), are the numbers of linked SSPs and of all
+    SSPs; ``permuted`` is a sequence of such counts for permuted epochs.  The
+    error is the standard deviation over 1000 bootstrap samples of the epochs
+    (Efron & Tibshirani 1993).
+    """
+    rng, n = np.random.default_rng(rng), counts.shape[2]
+    again = rng.integers(0, max(n, 1), (N_BOOTSTRAP, n))
+    # The sums over all scales come first.
+    counts, *trials = (
+        np.concatenate([c.sum(axis=1, keepdims=True), c], axis=1)
+        for c in (counts, *permuted)
+    )
+    share = _ratio(counts.sum(axis=2))
+    error = _ratio(counts[:, :, again].sum(axis=3)).std(axis=1)
+    chance = np.full((3, len(share)), np.nan)
+    if trials:
+        shares = np.stack([_ratio(c.sum(axis=2)) for c in trials], axis=1)
+        p_value = (1 + (shares >= share[:, None]).sum(axis=1)) / (1 + len(trials))
+        chance = shares.mean(axis=1), shares.std(axis=1), p_value
+    columns = (*counts.sum(axis=2)[::-1], share, error, *chance)
+    cells = zip(*(column.tolist() for column in columns), strict=True)
+    names = None, *map(float, scales)
+    return tuple(
+        LinkedShare(name, *own) for name, own in zip(names, cells, strict=True)
+    )
+
+
+def _ratio(counts):
+    """Return the ratios of the first to the second counts, 0 where these are 0."""
+    part, whole = counts
+    return np.divide(part, whole, out=np.zeros(np.shape(whole)), where=whole != 0)

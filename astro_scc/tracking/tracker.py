@@ -16,14 +16,14 @@ from astro_scc.epochs import EpochCube
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.epochs.registration import warn_of_misalignment
-from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
+from astro_scc.kinematics import PositionAngleFrame, RadialFrame
 from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.progress import progress
 from astro_scc.settings import require
 from astro_scc.tracking.candidates import core_ssps, find_candidates
 from astro_scc.tracking.likelihood import LinkLikelihood, coarser_ssps
-from astro_scc.tracking.linking import chain, link
-from astro_scc.tracking.tracks import Tracking, linked_shares, mean_fwhm
+from astro_scc.tracking.linking import chain, link, linked_shares
+from astro_scc.tracking.tracks import Tracking, mean_fwhm
 from astro_scc.units import PM_UNIT
 
 #: Without a largest speed, displacements up to this many beams are searched.
@@ -229,43 +229,40 @@ class FeatureTracker:
         return np.array([[-limit, limit] if v is None else v.value for v in given])
 
     @property
-    def _any_direction(self):
-        return self.along is None and self.across is None
-
-    def _fastest(self, cube, scales):
-        """Return the largest speeds along (y, x), in pixels per year."""
-        limits = self._limits(cube, scales)
-        matrix = np.linalg.inv(cube.pixel_matrix.value)
-        if self._any_direction or isinstance(self.position_angle, str):
-            ends = np.abs(limits).max(axis=1)
-            fastest = ends[0] if self._any_direction else np.hypot(*ends)
-            return fastest * np.hypot(*matrix.T)[::-1]
-        corners = np.stack(np.meshgrid(*limits)).reshape(2, -1)
-        # The frame's matrix is symmetric and orthogonal, so it is its own inverse.
-        pixels = matrix @ self._frame().matrix() @ corners
-        return np.abs(pixels).max(axis=1)[::-1]
-
     def _frame(self):
-        if self.position_angle is None:
-            return SkyFrame()
+        """Axes of the limits of speed; None if speeds are limited in any direction."""
+        if self.along is None and self.across is None:
+            return None
         radial = isinstance(self.position_angle, str)
         return RadialFrame() if radial else PositionAngleFrame(self.position_angle)
 
+    def _fastest(self, cube, scales):
+        """Return the largest speeds along (y, x), in pixels per year."""
+        limits, frame = self._limits(cube, scales), self._frame
+        matrix = np.linalg.inv(cube.pixel_matrix.value)
+        if isinstance(frame, PositionAngleFrame):
+            corners = np.stack(np.meshgrid(*limits)).reshape(2, -1)
+            # The frame's matrix is symmetric and orthogonal, so it is its own inverse.
+            return np.abs(matrix @ frame.matrix() @ corners).max(axis=1)[::-1]
+        ends = np.abs(limits).max(axis=1)
+        fastest = ends[0] if frame is None else np.hypot(*ends)
+        return fastest * np.hypot(*matrix.T)[::-1]
+
     def _inside(self, candidates, ssps, cube, scales):
         """Return which candidates are within the limits of speed."""
-        position = np.stack(ssp_offsets(ssps, cube), axis=1)[candidates.source]
         sky = (
             np.stack([candidates.dx, candidates.dy], axis=1) @ cube.pixel_matrix.value.T
         )
-        moved = frame_displacements(self._frame(), position, sky)
-        # A radial frame has no axes at its origin, and any will do there.
-        moved = np.where(np.isfinite(moved), moved, sky)
         low, high = self._limits(cube, scales).T
         spare = MARGIN * self.tolerance * mean_fwhm(cube, scales).value
         time = candidates.interval[:, None]
-        if self._any_direction:
-            inside = np.hypot(*moved.T) <= high[0] * candidates.interval + spare
+        if self._frame is None:
+            inside = np.hypot(*sky.T) <= high[0] * candidates.interval + spare
         else:
+            position = np.stack(ssp_offsets(ssps, cube), axis=1)[candidates.source]
+            moved = frame_displacements(self._frame, position, sky)
+            # A radial frame has no axes at its origin, and any will do there.
+            moved = np.where(np.isfinite(moved), moved, sky)
             inside = (moved >= low * time - spare) & (moved <= high * time + spare)
             inside = inside.all(axis=1)
         if self.max_interval is not None:
@@ -367,7 +364,7 @@ class FeatureTracker:
                 candidates, ssps, parent=parent, place=place, likelihood=likelihood
             )
             track = chain(links, core, min_epochs=self.min_epochs)
-            linked = np.isin(np.arange(len(ssps)), links.source) & select & (track >= 0)
+            linked = np.isin(np.arange(len(ssps)), links.source) & (track >= 0)
             at = place[ssps.epoch]
             counts = [
                 [np.bincount(at[own & (ssps.scale == scale)], minlength=len(cube))

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
@@ -21,7 +21,7 @@ from astro_scc.kinematics.ridge_search import mean_width
 from astro_scc.quantities import named, to_quantity
 from astro_scc.settings import require
 from astro_scc.tracking.candidates import core_ssps
-from astro_scc.tracking.linking import Links
+from astro_scc.tracking.linking import LinkedShare, Links
 from astro_scc.tracking.motion import MotionFit, fit_motion, track_profile
 from astro_scc.tracking.tables import feature_table, track_table
 
@@ -32,30 +32,6 @@ if TYPE_CHECKING:
 POSITION_FLOOR = 0.05
 #: Fewest epochs of a track for an accelerated fit.
 ACCELERATED_EPOCHS = 10
-#: Number of bootstrap samples of the epochs for the errors of shares.
-N_BOOTSTRAP = 1000
-
-
-class LinkedShare(NamedTuple):
-    """
-    The share of SSPs that tracks link to a later one, and what chance gives.
-
-    The ``scale`` is None for all scales together; ``n_ssps`` counts the SSPs that
-    have a later epoch.  The error of the share is its standard deviation over
-    bootstrap samples of the epochs.  ``permuted`` is the mean of the share over
-    permutations of the epochs, with its standard deviation.  ``p_value`` is the
-    fraction of permutations, including the observed order, that link as many.
-    These are NaN without permutations.
-    """
-
-    scale: float | None
-    n_ssps: int
-    n_linked: int
-    share: float
-    share_err: float
-    permuted: float
-    permuted_err: float
-    p_value: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -349,38 +325,3 @@ def mean_fwhm(cube, scales):
         middle = np.exp(np.mean(np.log([scale_size(s) for s in scales])))
         return 2 * middle * cube.pixel_scale
     return mean_width(cube) * u.mas
-
-
-def linked_shares(counts, permuted, scales, *, rng=None):
-    """
-    Return the `LinkedShare` of all scales together, and of each scale.
-
-    ``counts``, shape (2, n_scales, n), are the numbers of linked SSPs and of all
-    SSPs; ``permuted`` is a sequence of such counts for permuted epochs.  The
-    error is the standard deviation over 1000 bootstrap samples of the epochs
-    (Efron & Tibshirani 1993).
-    """
-    rng = np.random.default_rng(rng)
-    n = counts.shape[2]
-    again = rng.integers(0, max(n, 1), (N_BOOTSTRAP, n))
-    found = []
-    for scale, own in (
-        (None, slice(None)),
-        *((float(s), [k]) for k, s in enumerate(scales)),
-    ):
-        linked, total = counts[:, own].sum(axis=1)
-        share = _ratio(linked.sum(), total.sum())
-        error = np.std(_ratio(linked[again].sum(axis=1), total[again].sum(axis=1)))
-        trials = np.array([_ratio(*t[:, own].sum(axis=(1, 2))) for t in permuted])
-        chance = np.nan, np.nan, np.nan
-        if len(trials):
-            p_value = (1 + np.sum(trials >= share)) / (1 + len(trials))
-            chance = np.mean(trials), np.std(trials), p_value
-        numbers = int(total.sum()), int(linked.sum())
-        found.append(LinkedShare(scale, *numbers, *map(float, (share, error, *chance))))
-    return tuple(found)
-
-
-def _ratio(part, whole):
-    """Return the ratios, 0 where the denominator is 0."""
-    return np.divide(part, whole, out=np.zeros(np.shape(whole)), where=whole != 0)

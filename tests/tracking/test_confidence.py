@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from astro_scc.tracking.tracks import linked_shares
+from astro_scc.tracking.linking import linked_shares
 
 
 def test_the_error_is_that_of_resampled_epochs():
