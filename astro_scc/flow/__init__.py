@@ -1,8 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Flow: speed profiles of jets, acceleration, and groups of scales or limbs."""
 
-from astro_scc.flow.acceleration import measure_acceleration
-from astro_scc.flow.binned import feature_profile
+from astro_scc.flow.acceleration import feature_profile, measure_acceleration
 from astro_scc.flow.groups import (
     compare_positions,
     compare_speeds,

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Acceleration of a flow, from the speeds and the accelerations of its features."""
+"""Speeds and accelerations of features against distance: bins, and the gradient."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
+from astropy.table import QTable
 from scipy.special import stdtr
 
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import projection_of
 from astro_scc.quantities import with_error
-from astro_scc.stacking.dispersion import feature_speeds, scattered_fit
+from astro_scc.stacking.dispersion import (
+    feature_speeds,
+    random_effects,
+    scattered_fit,
+)
 from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.units import PM_UNIT, offset_unit, speed_unit
 
@@ -24,6 +29,13 @@ CORE = 2.0
 BLENDS = 0.009
 #: Fewest features for a gradient of speeds, and for a mean of accelerations.
 FEWEST_SPEEDS, FEWEST_BENDS = 4, 2
+#: Features of a bin: with fewer a dispersion has an error of half its size.
+LEAST = 5
+#: Most bins.
+MOST_BINS = 8
+#: Columns of the bins: numbers, distances and speeds.
+BINS = ("component", "n_features", "r_min", "r_max", "r_mid", "pm_parallel",
+        "pm_parallel_err", "dispersion", "dispersion_err")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -162,18 +174,12 @@ def fit_gradient(features):
     and the mean ratio of their own accelerations to their speeds.  Features within
     two beams of the origin, where the core shifts them, are not used.
     """
-    ways = np.sign([f.speed for f in features])
-    beyond = [f for f, way in zip(features, ways, strict=True) if f.place * way > CORE]
-    n = len(beyond)
-    unknown = Gradient(*[np.nan] * 5, n)
-    if n < FEWEST_BENDS:
-        return unknown
+    beyond = [f for f in features if f.place * np.sign(f.speed) > CORE]
+    n, found = len(beyond), []
     place = np.array([f.place for f in beyond])
     v, error = feature_speeds(beyond)
-    speed, centre = v.mean(), place.mean()
-    found = []
     if n >= FEWEST_SPEEDS:
-        design = np.stack([np.ones(n), place - centre], axis=1)
+        design = np.stack([np.ones(n), place - place.mean()], axis=1)
         (_, slope), covariance, _, _ = scattered_fit(design, v, error)
         found.append((slope, covariance[1, 1], n - 2))
     bent = [f for f in beyond if np.isfinite(f.acceleration)]
@@ -184,12 +190,62 @@ def fit_gradient(features):
         (mean,), covariance, _, _ = scattered_fit(np.ones((len(bent), 1)), own, error)
         found.append((mean, covariance[0, 0], len(bent) - 1))
     if not found:
-        return unknown
+        return Gradient(*[np.nan] * 5, n)
     values, variances, freedom = np.array(found).T
-    weight = 1 / variances
+    weight, speed = 1 / variances, v.mean()
     gradient = (weight * values).sum() / weight.sum() / abs(speed)
     error = np.hypot(1 / np.sqrt(weight.sum()) / abs(speed), BLENDS)
     p_value = 2 * stdtr(freedom.sum(), -abs(gradient) / error)
-    return Gradient(
-        float(gradient), float(error), float(p_value), float(speed), float(centre), n
-    )
+    return Gradient(*map(float, (gradient, error, p_value, speed, place.mean())), n)
+
+
+def feature_profile(result: SCCResult) -> QTable:
+    """
+    Return the mean speeds of moving features in bins of distance.
+
+    The features of each moving component are sorted by their distance and divided
+    into bins of equal numbers, at least five in each; the mean and the dispersion are
+    those of `~astro_scc.stacking.random_effects`.  Nothing is stacked again.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        One row per component and bin: ``component``, ``n_features``, ``r_min``,
+        ``r_max`` and ``r_mid``, the smallest, the largest and the mean distance,
+        ``pm_parallel`` with ``pm_parallel_err``, and ``dispersion`` with
+        ``dispersion_err``.  Empty if no component has five features.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.flow import feature_profile
+    >>> from astro_scc.simulation import simulate_jet
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
+    >>> profile = feature_profile(scc(simulate_jet(rng=1).cube, n_trials=99, rng=1))
+    >>> profile["n_features"].tolist()
+    [9]
+    """
+    project = projection_of(result)
+    rows = []
+    for number, stream in enumerate(result.search.streams, 1):
+        beam = project.beam(stream.angle)[0]
+        features = sorted(stream.features, key=lambda feature: abs(feature.place))
+        n_bins = min(len(features) // LEAST, MOST_BINS)
+        if stream.kind != "moving" or n_bins == 0:
+            continue
+        for part in np.array_split(np.arange(len(features)), n_bins):
+            own = [features[k] for k in part]
+            place = np.abs([f.place for f in own]) * beam
+            speed, error = feature_speeds(own)
+            mean = random_effects(np.abs(speed) * beam, error * beam)
+            rows.append(
+                (number, len(own), place.min(), place.max(), place.mean(), mean.mean,
+                 mean.error, mean.dispersion, mean.dispersion_error)
+            )  # fmt: skip
+    units = dict.fromkeys(BINS[2:5], u.mas) | dict.fromkeys(BINS[5:], PM_UNIT)
+    return QTable(rows=rows, names=BINS, dtype=[int] * 2 + [float] * 7, units=units)

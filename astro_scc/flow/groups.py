@@ -28,6 +28,11 @@ FEATURE_BEAMS = 2.0
 FEWEST = 2
 #: Logarithms of shares that differ by more from the median do not divide better.
 CLEAR = 0.5
+#: Columns of a comparison of speeds.
+COMPARED = ("first", "first_n_ssp", "first_n_features", "first_speed",
+            "first_speed_err", "second", "second_n_ssp", "second_n_features",
+            "second_speed", "second_speed_err", "difference", "difference_err",
+            "p_value")  # fmt: skip
 
 
 def scale_groups(
@@ -102,14 +107,13 @@ def limb_groups(
     >>> set(groups) <= {"north", "spine", "south"}
     True
     """
-    groups = {}
-    for name, mask in limb_masks(matched.cube, ridge, half_width).items():
+    groups = {
+        name: select_ssps(matched, region=mask).select
+        for name, mask in limb_masks(matched.cube, ridge, half_width).items()
         # ``select_ssps`` refuses a region without pixels.
-        if mask.any():
-            select = select_ssps(matched, region=mask).select
-            if select.any():
-                groups[name] = select
-    return groups
+        if mask.any()
+    }
+    return {name: select for name, select in groups.items() if select.any()}
 
 
 def _check_groups(groups):
@@ -179,31 +183,20 @@ def compare_speeds(result: SCCResult, groups: Mapping[str, np.ndarray]) -> QTabl
     matched, project = result.matched, projection_of(result)
     d = project(result.search.angle)
     beam = float(project.beam(result.search.angle)[0])
-    features = [
-        feature
-        for stream in result.search.streams
-        if stream.kind != "stationary"
-        for feature in stream.features
-    ]
+    streams = [s for s in result.search.streams if s.kind != "stationary"]
+    features = [feature for stream in streams for feature in stream.features]
     belongs = _groups_of(features, d, matched.ssps, list(groups.values()))
     known = {}
     for k, (name, member) in enumerate(groups.items()):
-        found = [f for f, own in zip(features, belongs, strict=True) if own == k]
+        found = [features[i] for i in np.flatnonzero(belongs == k)]
         n_ssp = int((matched.select & member).sum())
         known[name] = n_ssp, len(found), *_mean(found, beam)
     rows = []
-    for pair in combinations(groups, 2):
-        row = {}
-        for which, name in zip(("first", "second"), pair, strict=True):
-            row[which] = name
-            columns = "n_ssp", "n_features", "speed", "speed_err"
-            for column, value in zip(columns, known[name][:4], strict=True):
-                row[f"{which}_{column}"] = value
-        difference = _difference(*(known[name][2:] for name in pair))
-        names = "difference", "difference_err", "p_value"
-        rows.append(row | dict(zip(names, difference, strict=True)))
-    speeds = [name for name in rows[0] if "speed" in name or "difference" in name]
-    return QTable(rows, units=dict.fromkeys(speeds, PM_UNIT))
+    for first, second in combinations(groups, 2):
+        difference = _difference(known[first][2:], known[second][2:])
+        rows.append((first, *known[first][:4], second, *known[second][:4], *difference))
+    speeds = [name for name in COMPARED if "speed" in name or "difference" in name]
+    return QTable(rows=rows, names=COMPARED, units=dict.fromkeys(speeds, PM_UNIT))
 
 
 def compare_scales(result):

@@ -10,7 +10,7 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.flow.binned import LEAST, MOST_BINS
+from astro_scc.flow.acceleration import LEAST, MOST_BINS
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement.tables import cell_text
 from astro_scc.quantities import with_error
