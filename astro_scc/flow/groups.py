@@ -308,8 +308,7 @@ def ssp_places(scc, matched):
             v.to_value(u.mas) for v in frame.coordinates(east * u.mas, north * u.mas)
         )
     elif isinstance(frame, RadialFrame):
-        x0, y0 = frame.origin.value
-        distance = np.hypot(east - x0, north - y0)
+        distance = np.hypot(*np.subtract([east, north], frame.origin.value[:, None]))
         offset = np.radians(angle - jet.to_value(u.deg)) * np.hypot(east, north)
     else:
         p = np.radians(jet.to_value(u.deg))
@@ -389,20 +388,23 @@ def compare_positions(
     """
     _check_groups(groups)
     part = select_ssps(matched, r_min=r_min, r_max=r_max)
+    chosen = {name: part.select & member for name, member in groups.items()}
+    for name, own in chosen.items():
+        if own.sum() < 2:
+            raise ValueError(
+                f"group {name!r} has {own.sum()} SSPs in this part of the jet: a "
+                "comparison needs two or more"
+            )
     angle, offset, distance = ssp_places(scc, part)
-    ejected = _ejections(part, distance, speed)
+    # Number the SSPs by their time of ejection.
+    v = 0.0 if speed is None else u.Quantity(speed).to_value(PM_UNIT)
+    start = distance.value - v * part.cube.years.to_value(u.yr)[part.ssps.epoch]
+    ejected = np.floor(start / (FEATURE_BEAMS * mean_width(part.cube)))
     rows = []
     rngs = np.random.default_rng(rng).spawn(3 * len(groups) ** 2)
     for pair in combinations(groups, 2):
-        chosen = [part.select & groups[name] for name in pair]
-        for name, c in zip(pair, chosen, strict=True):
-            if c.sum() < 2:
-                raise ValueError(
-                    f"group {name!r} has {c.sum()} SSPs in this part of the jet: a "
-                    "comparison needs two or more"
-                )
-        both = chosen[0] | chosen[1]
-        second = chosen[1][both]
+        both = chosen[pair[0]] | chosen[pair[1]]
+        second = chosen[pair[1]][both]
         quantities = {
             "position angle": angle,
             "offset": offset,
@@ -422,15 +424,6 @@ def compare_positions(
     return QTable(rows, meta={"n_trials": n_trials})
 
 
-def _ejections(matched, distance, speed):
-    """Number SSPs by their time of ejection, if they move at ``speed``."""
-    cube = matched.cube
-    v = 0.0 if speed is None else u.Quantity(speed).to_value(PM_UNIT)
-    years = cube.years.to_value(u.yr)[matched.ssps.epoch]
-    start = distance.to_value(u.mas) - v * years
-    return np.floor(start / (FEATURE_BEAMS * mean_width(cube))).astype(int)
-
-
 def _test(values, second, ejected, n_trials, rng):
     """Return the statistic, its p-value and that of the paired permutation test."""
     from scipy.stats import anderson_ksamp
@@ -446,10 +439,9 @@ def _test(values, second, ejected, n_trials, rng):
     beyond = 0
     for swap in rng.random((n_trials, len(numbers))) < 0.5:
         names = second ^ swap[ejected]
-        if 1 < names.sum() < len(names) - 1:
-            beyond += statistic(names).statistic >= found.statistic - 1e-12
-        else:
-            beyond += 1
+        compared = 1 < names.sum() < len(names) - 1
+        least = found.statistic - 1e-12
+        beyond += not compared or statistic(names).statistic >= least
     return {
         "statistic": float(found.statistic),
         "p_ksamp": float(found.pvalue),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
-from astropy.table import Column, QTable
+from astropy.table import QTable
 
 from astro_scc.epochs import EpochCube
 from astro_scc.flow.groups import ssp_angles
@@ -35,6 +35,13 @@ if TYPE_CHECKING:
 
 #: Dots per inch of the figures.
 DPI = 150
+#: Columns that a profile adds to those of the components.
+DESCRIPTIONS = {
+    "r_min": "inner limit of the bin",
+    "r_max": "outer limit of the bin",
+    "r_mid": "middle of the bin",
+    "main": "main component of its bin",
+}
 
 
 def bins_of(edges, *, window=None):
@@ -110,18 +117,14 @@ class Profile:
         the largest coefficient that is not significant.
         """
         tables = [
-            component_table([]) if result is None else result.components
-            for result in self.results
+            component_table([]) if r is None else r.components for r in self.results
         ]
         adjusted = false_discovery_rate(tables)
-        placed = [
-            _in_bin(table, limits)
-            for table, limits in zip(adjusted, self.bins, strict=True)
-        ]
+        placed = list(map(_in_bin, adjusted, self.bins))
         meta = dict(next((table.meta for table in tables if table.meta), {}))
         if tested := adjusted[0].meta.get("false_discovery"):
             meta["false_discovery"] = tested
-        bins = [list(map(float, b)) for b in self.bins.to_value(u.mas)]
+        bins = self.bins.to_value(u.mas).tolist()
         return stack_tables(placed, meta | {"bins": bins, "along": self.along})
 
     def components_in_c(
@@ -155,29 +158,19 @@ class Profile:
 def _in_bin(table, limits):
     """Return a table of components with the limits of their bin in front."""
     low, high = limits.to_value(u.mas)
-    placed = QTable(meta=table.meta)
-    for name, value, text in (
-        ("r_min", low, "inner limit of the bin"),
-        ("r_max", high, "outer limit of the bin"),
-        ("r_mid", (low + high) / 2, "middle of the bin"),
-    ):
-        placed[name] = np.full(len(table), value) * u.mas
-        placed[name].info.description = text
-    for name in table.colnames:
-        placed[name] = table[name]
-    placed["main"] = Column(_main(table), description="main component of its bin")
-    return placed
+    values = {"r_min": low, "r_max": high, "r_mid": (low + high) / 2}
+    columns = {name: np.full(len(table), r) * u.mas for name, r in values.items()}
+    columns |= dict(table.items()) | {"main": _main(table)}
+    return QTable(columns, meta=table.meta, descriptions=DESCRIPTIONS)
 
 
 def _main(table):
     """Return which row, if any, represents the bin."""
-    kind = np.asarray(table["kind"], dtype=str)
     chosen = np.zeros(len(table), dtype=bool)
     for wanted in ("moving", "not significant"):
-        rows = np.flatnonzero((kind == wanted) & (table["pm"] > table["pm_err"]))
-        if len(rows):
-            best = np.asarray(table["coefficient"], dtype=float)[rows].argmax()
-            chosen[rows[best]] = True
+        moves = (table["kind"] == wanted) & (table["pm"] > table["pm_err"])
+        if moves.any():
+            chosen[np.where(moves, table["coefficient"], -np.inf).argmax()] = True
             break
     return chosen
 
@@ -238,18 +231,14 @@ def measure_profile(
     if not hasattr(matched, "matches"):
         matched = scc.match(matched, progress_bar=progress_bar)
     seed = int(rng) if isinstance(rng, int | np.integer) else None
-    results = []
-    for (low, high), own in zip(
-        bins, np.random.default_rng(rng).spawn(len(bins)), strict=True
-    ):
-        part = select_ssps(matched, r_min=low, r_max=high, ridge=ridge)
-        result = None
+    results = [None] * len(bins)
+    for k, own in enumerate(np.random.default_rng(rng).spawn(len(bins))):
+        part = select_ssps(matched, r_min=bins[k, 0], r_max=bins[k, 1], ridge=ridge)
         if part.select.any():
-            result = scc.stack(
+            results[k] = scc.stack(
                 part, n_trials=n_trials, rng=own, progress_bar=progress_bar
             )
-            result.meta["seed"] = seed
-        results.append(result)
+            results[k].meta["seed"] = seed
     if not any(results):
         raise ValueError(
             f"no SSP lies in the bins, {bins.min():g} to {bins.max():g} from the core: "
@@ -323,12 +312,8 @@ def _figures(profile, components):
 
     results = [result for result in profile.results if result is not None]
     first, beta = results[0], None
-    how = {
-        k: components.meta[k]
-        for k in ("redshift", "cosmology", "distance")
-        if components.meta.get(k) is not None
-    }
-    if how:
+    how = {k: components.meta.get(k) for k in ("redshift", "cosmology", "distance")}
+    if any(value is not None for value in how.values()):
         beta = float(apparent_speed(1 * u.mas / u.yr, **how))
     maps, grid = _scale_maps(results)
     return {
@@ -352,12 +337,11 @@ def _scale_maps(results):
     ssps = results[0].matched.ssps
     maps = {}
     for scale in np.unique(ssps.scale):
-        total = np.zeros(grid.shape)
-        for result in results:
-            d = result.displacements
-            own = d.select(ssps.scale[d.ssp] == scale)
-            total += stack(own, result.pairs, grid)
-        maps[f"scale {scale:g}"] = total / len(results)
+        stacks = (
+            stack(d.select(ssps.scale[d.ssp] == scale), r.pairs, grid)
+            for d, r in ((r.displacements, r) for r in results)
+        )
+        maps[f"scale {scale:g}"] = sum(stacks) / len(results)
     return maps, grid
 
 
@@ -376,8 +360,7 @@ def _line_of(result, length):
     """Return the line along which the jet is drawn."""
     if isinstance(result.frame, RidgeLine):
         return result.frame
-    angle = result.position_angle.to_value(u.rad)
-    s = [0.0, length.to_value(u.mas)] * u.mas
+    angle, s = result.position_angle, u.Quantity([0 * u.mas, length])
     return RidgeLine(s * np.sin(angle), s * np.cos(angle))
 
 
