@@ -107,26 +107,17 @@ def fit_shell(
     names, parts = _parts(matched, groups)
     cube = parts[0].cube
     limit = scc.speed_limit(cube).to_value(u.mas / u.yr)
-    samples, first, weight, scale, snr = _samples_of(scc, names, parts, limit)
+    samples, first, weight = _samples_of(scc, names, parts, limit)
     x = samples.x
     given = None if centre is None else u.Quantity(centre).to_value(u.mas)
-    start = kernel_maximum(
-        samples,
-        weight,
-        max_rate=limit / np.median(np.hypot(*(x - x.mean(axis=0)).T)),
-        centre=given,
-    )
-    samples = replace(samples, kind=_kinds(samples.group, scale, snr))
-    fit = fit_mixture(
-        samples, start, (2 * limit * samples.interval) ** 2, fixed=given is not None
-    )
-    covariance = fit.covariance
-    errors = alignment_errors(cube, scc.alignment_error)
+    max_rate = limit / np.median(np.hypot(*(x - x.mean(axis=0)).T))
+    start = kernel_maximum(samples, weight, max_rate=max_rate, centre=given)
+    area = (2 * limit * samples.interval) ** 2
+    fit = fit_mixture(samples, start, area, fixed=given is not None)
+    covariance, errors = fit.covariance, alignment_errors(cube, scc.alignment_error)
     if errors.any():
         years = cube.years.to_value(u.yr)
-        covariance = _with_alignment(
-            covariance, fit.response, first, samples.interval, years, errors
-        )
+        covariance = _with_alignment(fit, first, samples.interval, years, errors)
     error = np.sqrt(np.diag(covariance))
     per_year = 100 * u.percent / u.yr
     return ShellFit(
@@ -150,8 +141,7 @@ def _parts(matched, groups):
         if any(not np.array_equal(dates[0], other) for other in dates[1:]):
             raise ValueError("the matches of a shell must be of the same dates")
         return tuple(matched), parts
-    if groups is None:
-        return ("all",), [matched]
+    groups = {"all": matched.select} if groups is None else groups
     return tuple(groups), [
         replace(matched, select=matched.select & chosen) for chosen in groups.values()
     ]
@@ -181,20 +171,18 @@ class Samples:
 
 
 def _samples_of(scc, names, parts, limit):
-    """Return velocity samples, and their earlier date, weight, scale and SNR."""
+    """Return velocity samples, and the earlier date and the weight of each."""
     # Use east and north, as radial axes need the centre.
     sky = replace(scc, position_angle=None)
     columns = []
     for k, part in enumerate(parts):
         displacements, _ = sky.displacements(part)
         s = displacements.within(scc.date_pairs(part.cube), (limit, limit))
-        # Kinds need the samples of all groups; the group number holds their place.
-        group = np.full(len(s), k)
-        interval = np.abs(s.interval)
-        fitted = s.middle, s.velocity, interval, s.sigma, group, group
-        first = np.minimum(s.reference, s.target)
-        more = first, s.weight, part.ssps.scale[s.ssp], part.ssps.snr[s.ssp]
-        columns.append(fitted + more)
+        columns.append(
+            (s.middle, s.velocity, np.abs(s.interval), s.sigma, np.full(len(s), k),
+             part.ssps.scale[s.ssp], part.ssps.snr[s.ssp],
+             np.minimum(s.reference, s.target), s.weight)
+        )  # fmt: skip
     numbers = [len(column[0]) for column in columns]
     if not any(numbers):
         raise ValueError("no pattern has a match: there is nothing to fit a centre to")
@@ -205,29 +193,29 @@ def _samples_of(scc, names, parts, limit):
                 f"{name} has {n}"
             )
     joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
-    return Samples(*joined[:6]), *joined[6:]
+    return Samples(*joined[:5], _kinds(*joined[4:7])), *joined[7:]
 
 
 def _kinds(group, scale, snr):
     """Number the kinds: samples of one group, scale and range of signal-to-noise."""
     kind = np.zeros(len(group), dtype=int)
     n = 0
-    for g in np.unique(group):
-        for j in np.unique(scale[group == g]):
-            own = np.flatnonzero((group == g) & (scale == j))
-            parts = min(PARTS, max(len(own) // ENOUGH, 1))
-            limits = np.quantile(snr[own], np.arange(1, parts) / parts)
-            kind[own] = n + np.searchsorted(limits, snr[own], side="right")
-            n = kind.max() + 1
+    for g, j in np.unique(np.stack([group, scale]), axis=1).T:
+        own = np.flatnonzero((group == g) & (scale == j))
+        parts = min(PARTS, max(len(own) // ENOUGH, 1))
+        limits = np.quantile(snr[own], np.arange(1, parts) / parts)
+        kind[own] = n + np.searchsorted(limits, snr[own], side="right")
+        n += parts
     return np.unique(kind, return_inverse=True)[1]
 
 
-def _with_alignment(covariance, response, first, interval, years, errors):
-    """Return a covariance plus the one due to shifts of whole epochs."""
+def _with_alignment(fit, first, interval, years, errors):
+    """Return the covariance of a fit, plus the one due to shifts of whole epochs."""
+    covariance = fit.covariance
     second = np.abs(np.subtract.outer(years[first] + interval, years)).argmin(axis=1)
-    for k in range(len(years)):
+    for k in np.flatnonzero(errors.any(axis=1)):
         moved = ((second == k) * 1.0 - (first == k)) / interval
-        change = np.einsum("i,iaj->aj", moved, response) * errors[k][:, None]
+        change = np.einsum("i,iaj->aj", moved, fit.response) * errors[k][:, None]
         covariance = covariance + change.T @ change
     return covariance
 
@@ -308,21 +296,18 @@ def fit_mixture(samples, start, area, *, fixed=False):
     n_groups = len(start) - 2
     kinds = range(int(samples.kind.max()) + 1)
     widest = np.array([np.median(samples.error[samples.kind == k]) for k in kinds])
-    first = 0.5 * widest, np.full(len(widest), 0.5)
-    climbed = _climb(samples, start, *first, area, widest, fixed)
-    place, scatter, share, inverse, p = climbed
-    azimuth = np.arctan2(*(samples.x - place[-2:]).T)
-    part_of = (
-        np.floor((azimuth + np.pi) / (2 * np.pi) * AZIMUTHS).astype(int) % AZIMUTHS
+    share = np.full(len(widest), 0.5)
+    place, scatter, share, inverse, p = _climb(
+        samples, start, 0.5 * widest, share, area, widest, fixed
     )
+    turn = np.arctan2(*(samples.x - place[-2:]).T) + np.pi
+    part_of = np.floor(turn / (2 * np.pi) * AZIMUTHS) % AZIMUTHS
     others = []
     for k in np.unique(part_of):
         keep = part_of != k
         if np.all(np.bincount(samples.group[keep], minlength=n_groups) > 3):
-            part = samples.select(keep)
-            others.append(
-                _climb(part, place, scatter, share, area[keep], widest, fixed)[0]
-            )
+            begin = samples.select(keep), place, scatter, share
+            others.append(_climb(*begin, area[keep], widest, fixed)[0])
     covariance = jackknife_covariance(np.reshape(others, (-1, len(place))))
     weight = p * samples.interval**2 / scatter[samples.kind] ** 2
     response = weight[:, None, None] * _design(samples, place, fixed) @ inverse
@@ -347,7 +332,7 @@ def _climb(samples, place, scatter, share, area, widest, fixed):
         weight = p * square_interval / scatter[kind] ** 2
         normal, right = _equations(samples, place, weight, rest)
         if fixed:
-            normal[-2:, :] = normal[:, -2:] = right[-2:] = 0
+            normal[-2:] = normal[:, -2:] = right[-2:] = 0
         unit, inverse = _scaled_inverse(normal)
         inverse = np.outer(unit, unit) * inverse
         step = inverse @ right

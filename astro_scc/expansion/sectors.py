@@ -122,8 +122,8 @@ def measure_expansion(
         inside = (azimuth - low) % 360 < high - low
         part = replace(matched, select=matched.select & inside)
         if part.select.any():
-            result = stacker.stack(part, n_trials=n_trials, rng=own)
-            tables[low, high] = result.components
+            stacked = stacker.stack(part, n_trials=n_trials, rng=own)
+            tables[low, high] = stacked.components
     if not tables:
         raise ValueError("no SSP lies in any sector: there is nothing to stack")
     rows = [
@@ -155,12 +155,9 @@ def _limits(sectors):
 
 def _in_sector(table, low, high, frame):
     """Return the components of a sector as rates of expansion and rotation."""
-    found = QTable()
-    for name, angle in (("pa_min", low), ("pa_max", high)):
-        found[name] = np.full(len(table), angle) * u.deg
+    limits = {"pa_min": low, "pa_max": high}
+    columns = {name: np.full(len(table), a) * u.deg for name, a in limits.items()}
     for name, of in (("rate", "pm_parallel"), ("rotation", "pm_transverse")):
-        found[name] = frame.rate(table[of])
-        found[f"{name}_err"] = frame.rate(table[f"{of}_err"])
-    for name in KEPT:
-        found[name] = table[name]
-    return found
+        for end in ("", "_err"):
+            columns[name + end] = frame.rate(table[of + end])
+    return QTable(columns | {name: table[name] for name in KEPT})

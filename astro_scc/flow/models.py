@@ -131,36 +131,33 @@ def fit_profile(
     """
     if model not in MODELS:
         raise ValueError(f"unknown model {model!r}: use one of {', '.join(MODELS)}")
-    r = np.atleast_1d(u.Quantity(distance))
-    v = np.atleast_1d(u.Quantity(speed))
-    e = np.atleast_1d(u.Quantity(error)).to(v.unit)
+    r, v, e = (np.atleast_1d(u.Quantity(q)) for q in (distance, speed, error))
+    e = e.to(v.unit)
     good = np.isfinite(v) & np.isfinite(e) & (e > 0)
     x, y, s = r.value[good], v.value[good], e.value[good]
     names = MODELS[model]
-    if len(np.unique(x)) < len(names):
+    n, k = len(x), len(names)
+    if (n_different := len(np.unique(x))) < k:
         raise ValueError(
-            f"a {model} profile needs speeds with errors at {len(names)} distances or "
-            f"more, got {len(np.unique(x))}"
+            f"a {model} profile needs speeds with errors at {k} distances or more, "
+            f"got {n_different}"
         )
     if model == "power-law" and not (np.all(x > 0) and np.all(y > 0)):
         raise ValueError("a power law needs distances and speeds above 0")
-    x0 = float(np.average(x, weights=1 / s**2))
-    if model == "power-law":
-        x0 = float(np.exp(np.average(np.log(x), weights=(y / s) ** 2)))
-    x0, values, covariance, chi2 = _solve(model, x, y, s, x0)
-    flat = np.average(y, weights=1 / s**2)
-    chi2_flat = _chi2(y - flat, s)
-    n, k = len(x), len(names)
-    p = float(chdtrc(k - 1, max(chi2_flat - chi2, 0.0))) if k > 1 else 1.0
-    rate = v.unit / r.unit
+    x0, values, covariance, chi2 = _solve(model, x, y, s)
+    better = _chi2(y - np.average(y, weights=1 / s**2), s) - chi2
+    p = float(chdtrc(k - 1, max(better, 0.0))) if k > 1 else 1.0
     units = {"v0": v.unit, "index": u.one, "r_break": r.unit}
-    units = [units.get(name, rate) for name in names]
-    errors = np.sqrt(np.diag(covariance))
+
+    def named(values):
+        rate = v.unit / r.unit
+        return {m: a * units.get(m, rate) for m, a in zip(names, values, strict=True)}
+
     return ProfileFit(
         model=model,
         r0=x0 * r.unit,
-        parameters={m: a * b for m, a, b in zip(names, values, units, strict=True)},
-        errors={m: a * b for m, a, b in zip(names, errors, units, strict=True)},
+        parameters=named(values),
+        errors=named(np.sqrt(np.diag(covariance))),
         chi2=chi2,
         n_free=n - k,
         aicc=chi2 + 2 * k + (2 * k * (k + 1) / (n - k - 1) if n > k + 1 else np.inf),
@@ -189,11 +186,12 @@ def _chi2(rest, s):
     return float(((rest / s) ** 2).sum())
 
 
-def _solve(model, x, y, s, x0):
+def _solve(model, x, y, s):
     """Return the distance of v0, and the parameters, covariance and chi-square."""
     if model == "power-law":
-        return _solve_power_law(x, y, s, x0)
+        return _solve_power_law(x, y, s)
     if model != "broken":
+        x0 = float(np.average(x, weights=1 / s**2))
         return x0, *_linear(_columns(model, x, x0), y, s)
     place = np.unique(x)
     tried = np.linspace(place[1], place[-2], BREAKS)
@@ -215,7 +213,8 @@ def _linear(columns, y, s):
     return values, covariance, _chi2(y - design @ values, s)
 
 
-def _solve_power_law(x, y, s, x0):
+def _solve_power_law(x, y, s):
+    x0 = float(np.exp(np.average(np.log(x), weights=(y / s) ** 2)))
     log = np.log(x / x0)
     start, _, _ = _linear([np.ones_like(x), log], np.log(y), s / y)
     values = np.array([np.exp(start[0]), start[1]])
@@ -226,8 +225,7 @@ def _solve_power_law(x, y, s, x0):
         values = values + step
         if np.all(np.abs(step) < 1e-10 * np.abs(values) + 1e-14):
             break
-    chi2 = _chi2(y - _model("power-law", x, x0, values), s)
-    return x0, values, covariance, chi2
+    return x0, values, covariance, _chi2(y - _model("power-law", x, x0, values), s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,10 +305,9 @@ def lorentz_profile(
         raise ValueError("the errors of the speeds must be finite")
     rng = np.random.default_rng(rng)
     spread = 0.0 if angle_error is None else u.Quantity(angle_error).to_value(u.deg)
-    angles = rng.normal(angle.value, spread, n_trials) if spread else angle.value
-    angles = np.broadcast_to(angles, n_trials)[:, None] * u.deg
+    turn = rng.normal(angle.value, spread, (n_trials, 1)) if spread else angle.value
     trials = rng.normal(beta, s, (n_trials, len(beta)))
-    gamma = lorentz_factor(beta_intrinsic(trials, angles)).value
+    gamma = lorentz_factor(beta_intrinsic(trials, turn * u.deg)).value
     whole = np.isfinite(gamma).all(axis=1)
     if not whole.any():
         raise ValueError(
