@@ -3,12 +3,7 @@
 
 import astropy.units as u
 import numpy as np
-from scipy.ndimage import (
-    binary_dilation,
-    correlate1d,
-    gaussian_filter,
-    maximum_filter,
-)
+from scipy import ndimage
 
 from astro_scc.epochs import EpochCube
 
@@ -109,35 +104,34 @@ def _features(image, good, w, threshold):
     """Return the pixels of compact features and of their surroundings."""
     share = good.astype(float)
 
-    def smooth(s):
-        weight = np.maximum(gaussian_filter(share, s), 1e-6)
-        return np.where(good, gaussian_filter(image, s) / weight, 0.0)
+    def smooth(values, s):
+        weight = np.maximum(ndimage.gaussian_filter(share, s), 1e-6)
+        return np.where(good, ndimage.gaussian_filter(values, s) / weight, 0.0)
 
     a = NARROWEST * w
-    narrow, middle, wide = (smooth(k * a) for k in (1, 2, 4))
+    narrow, middle, wide = (smooth(image, k * a) for k in (1, 2, 4))
     fine, coarse = narrow - middle, middle - wide
-    least = image - smooth(FINEST)
-    local = gaussian_filter(least**2, 3 * w)
-    local /= np.maximum(gaussian_filter(share, 3 * w), 1e-6)
-    noise = _noise_ratio(a) * np.sqrt(local)
+    least = image - smooth(image, FINEST)
+    noise = _noise_ratio(a) * np.sqrt(smooth(least**2, 3 * w))
     top = (
         good
-        & (maximum_filter(fine, size=3) == fine)
+        & (ndimage.maximum_filter(fine, size=3) == fine)
         & (fine > threshold * noise)
         & (fine > RATIO * np.abs(coarse))
     )
     reach = REACH * w
     k = int(np.ceil(reach))
     y, x = np.mgrid[-k : k + 1, -k : k + 1]
-    return binary_dilation(top, structure=np.hypot(x, y) <= reach)
+    return ndimage.binary_dilation(top, structure=np.hypot(x, y) <= reach)
 
 
 def _noise_ratio(a):
     """Return the ratio of white noise in the finer band to the finest structure."""
     point = np.zeros((2 * int(np.ceil(10 * a)) + 1,) * 2)
     point[len(point) // 2, len(point) // 2] = 1
-    fine = gaussian_filter(point, a) - gaussian_filter(point, 2 * a)
-    least = point - gaussian_filter(point, FINEST)
+    smooth = ndimage.gaussian_filter
+    fine = smooth(point, a) - smooth(point, 2 * a)
+    least = point - smooth(point, FINEST)
     return np.sqrt((fine**2).sum() / (least**2).sum())
 
 
@@ -152,15 +146,13 @@ def _fill(image, known, good, hole, s):
     bell = np.exp(-0.5 * step**2)
 
     def moment(of, p, q):
-        rows = correlate1d(of, bell * step**p, axis=0, mode="constant")
-        return correlate1d(rows, bell * step**q, axis=1, mode="constant")[hole]
+        rows = ndimage.correlate1d(of, bell * step**p, axis=0, mode="constant")
+        return ndimage.correlate1d(rows, bell * step**q, axis=1, mode="constant")[hole]
 
     right = np.stack([moment(values, *power) for power in POWERS], axis=-1)
     moments = {(p, q): moment(weight, p, q) for p in range(5) for q in range(5 - p)}
-    normal = np.empty((len(right), len(POWERS), len(POWERS)))
-    for i, (p, q) in enumerate(POWERS):
-        for j, (r, t) in enumerate(POWERS):
-            normal[:, i, j] = moments[p + r, q + t]
+    normal = [[moments[p + r, q + t] for r, t in POWERS] for p, q in POWERS]
+    normal = np.moveaxis(np.array(normal), -1, 0)
     found = np.linalg.pinv(normal, rcond=1e-6, hermitian=True) @ right[..., None]
     filled = np.array(image, dtype=float)
     filled[hole] = found[:, 0, 0]

@@ -8,12 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from astro_scc.decomposition import SSPs, scale_size
-from astro_scc.tracking.candidates import (
-    Candidates,
-    equal_pairs,
-    lowest,
-    rank_in_group,
-)
+from astro_scc.tracking.candidates import Candidates, equal_pairs, lowest, rank_in_group
 
 #: Largest distance of neighbours, in units of the sum of their radii.
 NEAR = 1.2

@@ -15,12 +15,7 @@ from scipy.sparse.csgraph import (
 )
 
 from astro_scc.decomposition import SSPs, scale_size
-from astro_scc.tracking.candidates import (
-    Candidates,
-    equal_pairs,
-    lowest,
-    rank_in_group,
-)
+from astro_scc.tracking.candidates import Candidates, equal_pairs, lowest, rank_in_group
 from astro_scc.tracking.likelihood import MERGE_COST, LinkLikelihood, chance_density
 
 #: Rounds in which candidates are evaluated, given the links of the previous round.
