@@ -206,19 +206,16 @@ class FeatureTracker:
         radius += float(margin / cube.pixel_scale)
         radius = np.array(WINDOWS)[np.searchsorted(WINDOWS[:-1], radius)]
         radius = np.minimum(radius, np.array(cube.shape[1:]) - 1)
-        parts = []
+        columns, correlator = [], self._correlator()
         kinds, kind = np.unique(radius, axis=0, return_inverse=True)
         with progress(len(pairs), "Correlating", show=progress_bar) as done:
-            for k, window in enumerate(kinds):
+            for k, window in enumerate(kinds.tolist()):
                 own = pairs[kind.ravel() == k]
-                parts.append(
-                    self._correlator()(
-                        decompositions, own, tuple(window.tolist()),
-                        select=select, n_workers=n_workers,
-                    )
-                )  # fmt: skip
+                part = correlator(
+                    decompositions, own, window, select=select, n_workers=n_workers
+                )
+                columns.append(tuple(getattr(part, name) for name in COLUMNS))
                 done(len(own))
-        columns = [tuple(getattr(part, name) for name in COLUMNS) for part in parts]
         reach = kinds.max(axis=0, initial=0).tolist()
         return Matches.from_columns(columns, pairs, reach, self.kappa).sorted()
 

@@ -161,23 +161,21 @@ class Tracking:
 
         Offsets are in mas, times in Julian years since the first epoch.
         """
-        return tuple(self._fit(number, 1) for number in range(self.n_tracks))
+        return self._fits(1, 1)
 
     @cached_property
     def accelerated_fits(self) -> tuple[MotionFit | None, ...]:
         """Fits of a parabola; None for tracks of fewer than ten epochs."""
-        return tuple(
-            self._fit(number, 2)
-            if len(self.members(number)) >= ACCELERATED_EPOCHS
-            else None
-            for number in range(self.n_tracks)
-        )
+        return self._fits(2, ACCELERATED_EPOCHS)
 
-    def _fit(self, number, degree):
-        own = self.members(number)
-        time = self.cube.years.to_value(u.yr)[self.ssps.epoch[own]]
-        return fit_motion(
-            time, self.offsets[:, own], self.offset_errors[:, own], degree=degree
+    def _fits(self, degree, least):
+        years = self.cube.years.to_value(u.yr)[self.ssps.epoch]
+        offsets, errors = self.offsets, self.offset_errors
+        return tuple(
+            fit_motion(years[own], offsets[:, own], errors[:, own], degree=degree)
+            if len(own) >= least
+            else None
+            for own in map(self.members, range(self.n_tracks))
         )
 
     @cached_property
@@ -291,16 +289,12 @@ class Tracking:
             self.track[own], radii.value, half_width=half_width.value,
             min_epochs=self.settings["min_epochs"], scale=self.ssps.scale[own],
         )  # fmt: skip
-        use = n_tracks > 0
-        return QTable(
-            {
-                "r": radii[use],
-                "speed": speed[use] * u.mas / u.yr,
-                "speed_err": speed_err[use] * u.mas / u.yr,
-                "n_tracks": n_tracks[use],
-            },
-            meta={"half_width": half_width},
+        columns = radii, speed * u.mas / u.yr, speed_err * u.mas / u.yr, n_tracks
+        names, meta = (
+            ("r", "speed", "speed_err", "n_tracks"),
+            {"half_width": half_width},
         )
+        return QTable(columns, names=names, meta=meta)[n_tracks > 0]
 
     def _meta(self):
         confidence = []
