@@ -304,9 +304,7 @@ def ssp_places(scc, matched):
     frame, jet = velocity_frame(matched, scc.position_angle)
     angle, east, north = ssp_angles(matched, jet)
     if isinstance(frame, RidgeLine):
-        distance, offset = (
-            v.to_value(u.mas) for v in frame.coordinates(east * u.mas, north * u.mas)
-        )
+        distance, offset = (v.value for v in frame.coordinates(*[east, north] * u.mas))
     elif isinstance(frame, RadialFrame):
         distance = np.hypot(*np.subtract([east, north], frame.origin.value[:, None]))
         offset = np.radians(angle - jet.to_value(u.deg)) * np.hypot(east, north)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -369,8 +370,6 @@ def _fits(main):
     speeds = main["r_mid"], main["pm_parallel"], main["pm_parallel_err"]
     fits = []
     for model in ("linear", "power-law"):
-        try:
+        with suppress(ValueError):
             fits.append(fit_profile(*speeds, model=model))
-        except ValueError:
-            continue
     return tuple(fits)

@@ -213,7 +213,9 @@ def plain_table(table: QTable) -> QTable:
     for name, column in table.items():
         if isinstance(column, SkyCoord):
             plain["ra"], plain["dec"] = column.ra.to(u.deg), column.dec.to(u.deg)
-            plain["pm_ra_cosdec"], plain["pm_dec"] = column.pm_ra_cosdec, column.pm_dec
+            for motion in ("pm_ra_cosdec", "pm_dec"):
+                # Coordinates of nothing have no motion.
+                plain[motion] = getattr(column, motion) if len(column) else [] * PM_UNIT
         else:
             plain[name] = column.isot if isinstance(column, Time) else column
     return plain

@@ -151,7 +151,7 @@ class FeatureTracker:
                 f"of {cube.times[0].isot}"
             )
         if self.max_speed is not None:
-            return self.max_speed
+            return u.Quantity(self.max_speed)
         fwhm = mean_fwhm(cube, scales).value
         return BEAMS_PER_INTERVAL * fwhm / np.median(steps) * PM_UNIT
 

@@ -297,6 +297,7 @@ def test_images_without_beams_and_long_intervals():
     assert tracking.tracks.colnames[0] == "track"
     assert tracking.tracks["pm"].unit == PM
     assert "sky" in tracking.features.colnames
+    assert plain_table(tracking.features)["pm_dec"].unit == PM
     assert len(tracking.profile([1.0] * u.mas)) == 0
 
 
