@@ -362,21 +362,18 @@ def _design(samples, place, fixed):
 def _equations(samples, place, weight, rest):
     """Return the normal equations of the rates and the centre."""
     away, rate = samples.x - place[-2:], place[samples.group]
-    n_groups = len(place) - 2
-    normal = np.zeros((len(place),) * 2)
-    right = np.zeros(len(place))
+    normal, right = np.zeros((len(place),) * 2), np.zeros(len(place))
 
     def sums(values):
-        return np.bincount(samples.group, weight * values, n_groups)
+        return np.bincount(samples.group, weight * values, len(place) - 2)
 
-    for axis in (0, 1):
-        own = slice(0, n_groups), n_groups + axis
-        cross = -sums(rate * away[:, axis])
-        normal[own] = normal[own[::-1]] = cross
-        normal[own[1], own[1]] = (weight * rate**2).sum()
-        right[own[1]] = -(weight * rate * rest[:, axis]).sum()
-    normal[range(n_groups), range(n_groups)] = sums((away**2).sum(axis=1))
-    right[:n_groups] = sums((away * rest).sum(axis=1))
+    np.fill_diagonal(normal[:-2, :-2], sums((away**2).sum(axis=1)))
+    right[:-2] = sums((away * rest).sum(axis=1))
+    # The coordinates of the centre are the last two parameters.
+    for axis in (-2, -1):
+        normal[:-2, axis] = normal[axis, :-2] = -sums(rate * away[:, axis])
+        normal[axis, axis] = (weight * rate**2).sum()
+        right[axis] = -(weight * rate * rest[:, axis]).sum()
     return normal, right
 
 

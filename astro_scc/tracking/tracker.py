@@ -393,5 +393,4 @@ class FeatureTracker:
                 f"select must be one bool for each of the {len(ssps)} SSPs, "
                 f"got {select.dtype} of shape {select.shape}"
             )
-        self.speed_limit(cube, decompositions[0].scales)
         return ssps, select
