@@ -137,7 +137,8 @@ def fit_profile(
     x, y, s = r.value[good], v.value[good], e.value[good]
     names = MODELS[model]
     n, k = len(x), len(names)
-    if (n_different := len(np.unique(x))) < k:
+    n_different = len(np.unique(x))
+    if n_different < k:
         raise ValueError(
             f"a {model} profile needs speeds with errors at {k} distances or more, "
             f"got {n_different}"

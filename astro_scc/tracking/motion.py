@@ -148,7 +148,8 @@ def fit_motion(
     """
     time = np.asarray(time, dtype=float)
     position, error = (np.asarray(a, dtype=float) for a in (position, error))
-    if (n_dates := len(np.unique(time))) < degree + 1:
+    n_dates = len(np.unique(time))
+    if n_dates < degree + 1:
         raise ValueError(
             f"a motion of degree {degree} needs {degree + 1} different dates, "
             f"got {n_dates}"
