@@ -134,12 +134,10 @@ def different_beam(cube):
     """
     if cube.beams is None:
         return None
-    inverse = np.linalg.inv(cube.beams[0].covariance.to_value(u.mas**2))
-    for index, beam in enumerate(cube.beams):
-        ratio = np.linalg.eigvals(inverse @ beam.covariance.to_value(u.mas**2))
-        if np.any(np.abs(np.sqrt(ratio.real) - 1) > SAME_WIDTH):
-            return index
-    return None
+    covariances = np.array([beam.covariance.value for beam in cube.beams])
+    ratios = np.linalg.eigvals(np.linalg.inv(covariances[0]) @ covariances).real
+    differs = np.any(np.abs(np.sqrt(ratios) - 1) > SAME_WIDTH, axis=1)
+    return int(np.argmax(differs)) if differs.any() else None
 
 
 def require_common_beam(cube):
@@ -231,10 +229,6 @@ def gaussian_transfer(covariance, shape):
     return np.exp(-2 * np.pi**2 * form)
 
 
-def _covariance(beam):
-    return beam.covariance.to_value(u.mas**2)
-
-
 def _excess(covariance, others):
     """
     Return the largest ratio of the variances of Gaussians to those of one Gaussian.
@@ -278,20 +272,10 @@ def smallest_common_beam(beams: Sequence[Beam]) -> Beam:
     """
     if len(beams) == 0:
         raise ValueError("a common beam needs at least one beam")
-    covariances = np.array([_covariance(beam) for beam in beams])
+    covariances = np.array([beam.covariance.value for beam in beams])
     largest = int(np.argmax(np.linalg.det(covariances)))
     if np.all(_excess(covariances[largest], covariances) <= 1 + EQUAL):
         return beams[largest]
-    found = _least_covariance(covariances)
-    # Rounding errors must not leave a beam that does not fit.
-    found = found * max(1.0, _excess(found, covariances).max() * (1 + 1e-9))
-    variances, axes = np.linalg.eigh(found)
-    minor, major = np.sqrt(variances) / FWHM_TO_SIGMA * u.mas
-    return Beam(major, minor, np.arctan2(axes[0, 1], axes[1, 1]) * u.rad)
-
-
-def _least_covariance(covariances):
-    """Return the covariance of smallest determinant that contains all others."""
 
     def shape(p):
         r, angle = np.hypot(*p), np.arctan2(p[1], p[0])
@@ -304,7 +288,17 @@ def _least_covariance(covariances):
         method="Nelder-Mead",
         options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 4000},
     )
-    return np.exp(best.fun) * shape(best.x)
+    least = np.exp(best.fun) * shape(best.x)
+    # Rounding errors must not leave a beam that does not fit.
+    least = least * max(1.0, _excess(least, covariances).max() * (1 + 1e-9))
+    return beam_of(least, u.mas)
+
+
+def beam_of(covariance, unit):
+    """Return the beam of a covariance over (east, north) in the square of a unit."""
+    variances, axes = np.linalg.eigh(covariance)
+    minor, major = np.sqrt(variances) / FWHM_TO_SIGMA * unit
+    return Beam(major, minor, np.arctan2(*axes[:, 1]) * u.rad)
 
 
 def common_beam(cube: EpochCube, beam: Beam | None = None) -> EpochCube:
@@ -364,12 +358,12 @@ def common_beam(cube: EpochCube, beam: Beam | None = None) -> EpochCube:
             "EpochCube as beams=[...], or leave this step out"
         )
     target = smallest_common_beam(cube.beams) if beam is None else as_beam(beam)
-    goal = _covariance(target)
+    goal = target.covariance.value
     to_pixels = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
     data = cube.data.copy()
     changed = []
     for i, own in enumerate(cube.beams):
-        covariance = _covariance(own)
+        covariance = own.covariance.value
         if _excess(goal, covariance) > 1 + CONTAINS:
             raise ValueError(
                 f"{cube.labels[i]}: its beam {own} does not fit into {target}; "

@@ -9,59 +9,50 @@ from functools import partial
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import Column, Table
+from astropy.table import Table
 from astropy.time import Time
 
 from astro_scc.epochs.fits import open_fits
 from astro_scc.epochs.headers import first_line, get, header_facts, parse_date, some
+from astro_scc.epochs.validation import as_times
 
 CORE = 0  # feature number of the core
-# Content of a column -> its unit, its labels in tables, and a pattern for its
-# explanation in a machine-readable table, if its label is not among these.
+# Content of a column -> its unit, and its labels in tables.
 COLUMNS = {
-    "source": (None, "name source iau iauname", "source name|IAU name"),
-    "feature": (
-        u.one,
-        "feature id comp component featureid",
-        "(feature|component) (identification|number|ID)",
-    ),
-    "epoch": (
-        None,
-        "epoch date obsdate obs",
-        "(observation|observing) (date|epoch)|date of observation|epoch",
-    ),
-    "year": (None, "obsy year obsyear", None),
-    "month": (None, "obsm month obsmonth", None),
-    "day": (None, "obsd day obsday", None),
-    "flux": (u.Jy, "flux i s fluxdensity", "flux density"),
-    "separation": (
-        u.mas,
-        "separation sep r dist distance radius",
-        "position offset|separation|distance from",
-    ),
-    "east": (u.mas, "east x dra deltax", None),
-    "north": (u.mas, "north y ddec deltay", None),
-    "major": (
-        u.mas,
-        "majorfwhm maj major fwhm majaxis majorax",
-        "FWHM( of)?( the)? major|major axis FWHM",
-    ),
-    "minor": (u.mas, "minorfwhm min minor minaxis minorax", None),
-    "ratio": (u.one, "axialratio ratio axratio", "axial ratio"),
-    "pa": (
-        u.deg,
-        "majorpa majpa pamaj phi posangle",
-        "major axis position angle|position angle of( the)? major",
-    ),
-    "position_angle": (u.deg, "positionangle pa theta", "position angle"),
-    "type": (u.one, "typeobj", None),
-    "excluded": (None, "excludedfromfit excluded fid ffeature", ".*not used in"),
+    "source": (None, "name source iau iauname"),
+    "feature": (u.one, "feature id comp component featureid"),
+    "epoch": (None, "epoch date obsdate obs"),
+    "year": (None, "obsy year obsyear"),
+    "month": (None, "obsm month obsmonth"),
+    "day": (None, "obsd day obsday"),
+    "flux": (u.Jy, "flux i s fluxdensity"),
+    "separation": (u.mas, "separation sep r dist distance radius"),
+    "east": (u.mas, "east x dra deltax"),
+    "north": (u.mas, "north y ddec deltay"),
+    "major": (u.mas, "majorfwhm maj major fwhm majaxis majorax"),
+    "minor": (u.mas, "minorfwhm min minor minaxis minorax"),
+    "ratio": (u.one, "axialratio ratio axratio"),
+    "pa": (u.deg, "majorpa majpa pamaj phi posangle"),
+    "position_angle": (u.deg, "positionangle pa theta"),
+    "type": (u.one, "typeobj"),
+    "excluded": (None, "excludedfromfit excluded fid ffeature"),
+}
+# Content of a column -> a pattern for its explanation in a machine-readable table, if
+# its label is not among those above.
+EXPLANATIONS = {
+    "source": "source name|IAU name",
+    "feature": "(feature|component) (identification|number|ID)",
+    "epoch": "(observation|observing) (date|epoch)|date of observation|epoch",
+    "flux": "flux density",
+    "separation": "position offset|separation|distance from",
+    "major": "FWHM( of)?( the)? major|major axis FWHM",
+    "ratio": "axial ratio",
+    "pa": "major axis position angle|position angle of( the)? major",
+    "position_angle": "position angle",
+    "excluded": ".*not used in",
 }
 # Units of the numbers that describe a component.
-UNITS = {
-    name: COLUMNS[name][0] for name in ("flux", "east", "north", "major", "minor", "pa")
-}
-NEVER_BLANK = ("feature", "flux", "east", "north", "type")
+UNITS = {what: COLUMNS[what][0] for what in "flux east north major minor pa".split()}
 # Advice for files without a date.
 UNDATED = {
     "difmap": "no date in the file's name; rename it like source_2006-03-09.mod, or "
@@ -79,13 +70,11 @@ FILE_DATE = re.compile(
 )
 
 
-def read_columns(path, kind, source, date):
+def read_fields(path, kind, source, origin, date):
     """
-    Return the values of each component in a file, as arrays in `UNITS`, and its meta.
+    Return the fields of the `~astro_scc.epochs.ComponentList` in a file.
 
-    A ``date``, as text, replaces the date of the file or of all rows.  The values
-    include ``date``, the date of each row as ISO text, and ``relative``, whether the
-    positions are relative to the core.
+    A ``date``, as text, replaces the date of the file or of all rows.
     """
     table, own_date = FORMATS[kind][0](path)
     date = date or own_date
@@ -99,28 +88,58 @@ def read_columns(path, kind, source, date):
     needed = {"flux"} | (set() if has_offsets else {"separation", "position_angle"})
     if date is None and not columns.keys() >= {"year", "month", "day"}:
         needed.add("epoch")
-    missing = sorted(needed - columns.keys())
-    if missing:
+    if missing := sorted(needed - columns.keys()):
         raise ValueError(
             f"{path}: no column for {', '.join(missing)}; the table has "
             f"{', '.join(table.colnames)}"
         )
     values = {
-        what: numbers(table[columns[what]], unit, path, blank=what not in NEVER_BLANK)
-        for what, (unit, *_) in COLUMNS.items()
+        what: numbers(table[columns[what]], unit, path)
+        for what, (unit, _) in COLUMNS.items()
         if unit is not None and what in columns
     }
-    values["date"] = _dates(table, columns, date, path)
-    if "feature" in values:
-        values["feature"] = values["feature"].astype(int)
+    dates = _dates(table, columns, date, path)
+    days, epoch = np.unique(dates, return_inverse=True)
     if not has_offsets:
         values |= _offsets(values, path)
+    relative = not has_offsets and "feature" in values
+    if relative or origin == "core":
+        _refer(values, epoch, days, relative, origin, path)
     values |= _sizes(values, path)
+    fields = {name: values[name] * unit for name, unit in UNITS.items()}
     if "excluded" in columns:
         flags = (str(flag).strip().lower() for flag in table[columns["excluded"]])
-        values["excluded"] = np.array([flag not in NO for flag in flags])
-    values["relative"] = not has_offsets and "feature" in values
-    return values, _meta(table, columns)
+        fields["excluded"] = [flag not in NO for flag in flags]
+    return fields | {
+        "times": as_times(list(days), len(days)),
+        "epoch": epoch,
+        "feature": values.get("feature"),
+        "labels": () if len(days) > 1 else (path.name,),
+        "meta": _meta(table, columns),
+    }
+
+
+def _refer(values, epoch, days, relative, origin, path):
+    """Shift the positions of each epoch to the requested origin, in place."""
+    core = values.get("feature", np.full(len(epoch), -1)) == CORE
+    needed = origin == ("map" if relative else "core")
+    for day, n in zip(days, np.bincount(epoch[core], minlength=len(days)), strict=True):
+        if n > 1 or (needed and n == 0):
+            found = f"{n} core components" if n else "no core component"
+            raise ValueError(
+                f"{path}: {found} (feature 0) on {day[:10]}, expected one to refer "
+                "positions to; correct the file, or give another origin"
+            )
+    for offsets in (values["east"], values["north"]):
+        of_core = np.zeros(len(days))
+        of_core[epoch[core]] = offsets[core]
+        if relative:
+            # The row of the core has its own offset from the map's centre.
+            offsets[core] = 0
+        if origin == "map":
+            offsets += of_core[epoch]
+        elif not relative:
+            offsets -= of_core[epoch]
 
 
 def _dates(table, columns, date, path):
@@ -131,15 +150,15 @@ def _dates(table, columns, date, path):
         column = table[columns["epoch"]]
         texts = map(str, column.utc.isot if isinstance(column, Time) else column)
     else:
-        parts = zip(*(table[columns[p]] for p in ("year", "month", "day")), strict=True)
-        texts = ("-".join(str(value).zfill(2) for value in row) for row in parts)
+        rows = table.iterrows(*(columns[part] for part in ("year", "month", "day")))
+        texts = ("-".join(str(value).zfill(2) for value in row) for row in rows)
     known, dates = {}, []
     for i, text in enumerate(texts, start=1):
         if text not in known:
             try:
                 # ERFA warns of years whose leap seconds are unknown.
                 with warnings.catch_warnings(action="ignore"):
-                    known[text] = parse_date(text).utc.isot
+                    known[text] = parse_date(text).isot
             except ValueError as error:
                 where = path if date is not None else f"{path}, row {i}"
                 raise ValueError(f"{where}: {error}") from None
@@ -149,14 +168,13 @@ def _dates(table, columns, date, path):
 
 def _find_columns(table):
     """Return the names of the table's columns, keyed by their content."""
-    plain = {name: re.sub(r"[^a-z]", "", name.lower()) for name in table.colnames}
     found = {}
-    for what, (_, labels, _) in COLUMNS.items():
-        names = [name for name in plain if plain[name] in labels.split()]
-        if names:
-            found[what] = names[0]
-    for what, (*_, pattern) in COLUMNS.items():
-        for name in table.colnames if pattern else ():
+    for what, (_, labels) in COLUMNS.items():
+        for name in table.colnames:
+            if re.sub(r"[^a-z]", "", name.lower()) in labels.split():
+                found.setdefault(what, name)
+    for what, pattern in EXPLANATIONS.items():
+        for name in table.colnames:
             explanation = table[name].info.description or ""
             if name not in found.values() and re.match(pattern, explanation, re.I):
                 found.setdefault(what, name)
@@ -176,7 +194,7 @@ def _select_source(table, columns, source, path):
                 "say which one with --source NAME (source= in Python)"
             )
         if source is not None:
-            mine = np.array([_plain(name) == _plain(source) for name in column])
+            mine = [_plain(name) == _plain(source) for name in column]
     if source is None or _plain(source) in map(_plain, names):
         return table[mine]
     near = get_close_matches(source, names, n=3, cutoff=0.7)
@@ -190,12 +208,12 @@ def _select_source(table, columns, source, path):
 
 
 def _plain(name):
-    return "".join(str(name).split()).casefold()
+    return "".join(name.split()).casefold()
 
 
-def numbers(column, unit, path, *, blank=True, own_unit=None):
+def numbers(column, unit, path, own_unit=None):
     """
-    Return a column as floats in ``unit``, blanks as NaN if they are allowed.
+    Return a column as floats in ``unit``, blanks as NaN.
 
     ``own_unit`` replaces the unit of the column.  If ``unit`` is
     `astropy.units.one`, the numbers are returned as they are.
@@ -205,9 +223,6 @@ def numbers(column, unit, path, *, blank=True, own_unit=None):
         values = np.array(np.ma.filled(np.ma.asarray(column, dtype=float), np.nan))
     except (TypeError, ValueError):
         raise ValueError(f"{path}: column {name!r} is not numeric") from None
-    for i in np.flatnonzero(np.isinf(values) if blank else ~np.isfinite(values)):
-        problem = "infinite" if blank else "blank or not finite"
-        raise ValueError(f"{path}, row {i + 1}: {name} is {problem}")
     if unit == u.one:
         return values
     own_unit = own_unit or column.unit
@@ -231,7 +246,7 @@ def _offsets(values, path):
         blank = (values["feature"] == CORE) & np.isnan(separation)
         separation = np.where(blank, 0.0, separation)
     angle = np.radians(np.where((separation == 0) & np.isnan(angle), 0.0, angle))
-    for i in np.flatnonzero(np.isnan(separation + angle)):
+    for i in np.flatnonzero(~np.isfinite(separation + angle)):
         raise ValueError(
             f"{path}, row {i + 1}: separation or position_angle is blank or not finite"
         )
@@ -243,17 +258,14 @@ def _sizes(values, path):
     zeros = np.zeros(len(values["flux"]))
     major = values.get("major", zeros)
     minor = values.get("minor", major * values.get("ratio", 1.0))
-    types = values.get("type", np.ones(len(zeros)))
+    minor = np.where(np.isnan(minor), major, minor)
+    types = values.get("type", zeros + 1)
     for i in np.flatnonzero(~np.isin(types, (0, 1))):
         raise ValueError(
             f"{path}, row {i + 1}: component type {types[i]:g} is neither a point (0) "
             "nor a Gaussian (1); replace it by one of these"
         )
-    sizes = {
-        "major": major,
-        "minor": np.where(np.isnan(minor), major, minor),
-        "pa": values.get("pa", zeros),
-    }
+    sizes = {"major": major, "minor": minor, "pa": values.get("pa", zeros)}
     return {name: np.where(types == 0, 0.0, size) for name, size in sizes.items()}
 
 
@@ -363,13 +375,12 @@ def _open_aips(path):
     if table is None:
         raise ValueError(f"{path}: no AIPS CC table in the file; it cannot be restored")
     table.meta = header_facts(header)
-    axes = {
-        (get(header, f"CTYPE{i}", kind=str) or "").split("-")[0]: f"CRVAL{i}"
-        for i in range(1, (get(header, "NAXIS") or 0) + 1)
-    }
-    centre = [get(header, axes.get(k, "CRVAL0"), kind=float) for k in ("RA", "DEC")]
-    if None not in centre:
-        table.meta["position"] = SkyCoord(*centre, unit=u.deg)
+    centre = {}
+    for i in range(1, (get(header, "NAXIS") or 0) + 1):
+        axis = (get(header, f"CTYPE{i}", kind=str) or "").split("-")[0]
+        centre[axis] = get(header, f"CRVAL{i}", kind=float)
+    if None not in (where := (centre.get("RA"), centre.get("DEC"))):
+        table.meta["position"] = SkyCoord(*where, unit=u.deg)
     return table, get(header, "DATE-OBS", kind=str) or ""
 
 
@@ -380,8 +391,8 @@ def _aips_table(hdu):
         usual = {"FLUX": "Jy", "TYPE OBJ": ""}.get(name, "deg")
         if not unit or unit.upper().startswith(usual.upper()):
             unit = usual
-        values = np.array(hdu.data[column.name], dtype=float).ravel()
-        table[name] = Column(values, unit=u.Unit(unit, parse_strict="silent"))
+        table[name] = np.array(hdu.data[column.name], dtype=float).ravel()
+        table[name].unit = u.Unit(unit, parse_strict="silent")
     return table
 
 

@@ -14,14 +14,8 @@ from astropy.table import QTable
 from astropy.time import Time
 from numpy.typing import ArrayLike
 
-from astro_scc.epochs.component_tables import (
-    CORE,
-    FORMATS,
-    UNITS,
-    read_columns,
-)
+from astro_scc.epochs.component_tables import FORMATS, UNITS, read_fields
 from astro_scc.epochs.fits import check_ordinary
-from astro_scc.epochs.validation import as_times
 from astro_scc.exceptions import EpochWarning
 
 COLUMNS = (*UNITS, "feature", "excluded")
@@ -106,35 +100,36 @@ class ComponentList:
                 f"components: {len(labels)} labels for {len(times)} epochs"
             )
         order = np.argsort(times.mjd, kind="stable")
-        columns = {
-            "times": times[order],
-            "labels": tuple(str(labels[i]) for i in order),
-            "epoch": np.argsort(order)[epoch],
-            "feature": np.asarray(_or(self.feature, np.full(n, -1)), dtype=int),
-            "excluded": np.asarray(_or(self.excluded, np.zeros(n)), dtype=bool),
-        }
-        points = np.zeros(n) * u.mas
-        round_ = {"major": points, "minor": _or(self.major, points)}
-        round_["pa"] = np.zeros(n) * u.deg
-        for name, unit in UNITS.items():
-            values = u.Quantity(_or(getattr(self, name), round_.get(name))).to(unit)
-            # Blank sizes mean points, and round components have no angle.
-            columns[name] = np.nan_to_num(values, nan=0.0) if name in round_ else values
+        # Components without a size are points, those with one axis are round.
+        default = {"major": np.zeros(n) * u.mas, "pa": np.zeros(n) * u.deg}
+        default |= {"feature": np.full(n, -1.0), "excluded": np.zeros(n)}
+        columns, wrong = {}, {}
         for name in COLUMNS:
-            shape = columns[name].shape
-            if shape != (n,):
+            values = getattr(self, name)
+            if values is None:
+                values = columns["major"] if name == "minor" else default[name]
+            values = u.Quantity(values).to(UNITS.get(name, u.one))
+            if values.shape != (n,):
                 raise ValueError(
-                    f"components: {name} has shape {shape}, epoch has ({n},)"
+                    f"components: {name} has shape {values.shape}, epoch has ({n},)"
                 )
+            if name in ("major", "minor", "pa"):
+                # Blank sizes mean points, and round components have no angle.
+                values[np.isnan(values)] = 0
+            columns[name] = values
+            wrong[f"{name} is blank or not finite"] = ~np.isfinite(values)
         minor, largest = columns["minor"], columns["major"] * (1 + 1e-6)
-        wrong = {
-            f"{name} is blank or not finite": ~np.isfinite(columns[name])
-            for name in UNITS
-        }
         wrong["axes must be 0 <= minor <= major"] = (minor < 0) | (minor > largest)
         for problem, where in wrong.items():
             for row in np.flatnonzero(where):
                 raise ValueError(f"component {row + 1} of {n}: {problem}")
+        columns |= {
+            "times": times[order],
+            "labels": tuple(str(labels[i]) for i in order),
+            "epoch": np.argsort(order)[epoch],
+            "feature": columns["feature"].value.astype(int),
+            "excluded": columns["excluded"].value.astype(bool),
+        }
         for name, values in columns.items():
             object.__setattr__(self, name, values)
 
@@ -178,16 +173,13 @@ class ComponentList:
         ValueError
             If no component is left.
         """
-        dates = np.ones(self.n_epochs, dtype=bool)
+        keep, dates = ~self.excluded | excluded, self.times[self.epoch]
         if after is not None:
-            dates &= self.times >= Time(after)
+            keep &= dates >= Time(after)
         if before is not None:
-            dates &= self.times < Time(before)
-        keep = dates[self.epoch]
+            keep &= dates < Time(before)
         if features is not None:
             keep &= np.isin(self.feature, features)
-        if not excluded:
-            keep &= ~self.excluded
         if not keep.any():
             days = self.times.strftime("%Y-%m-%d")
             raise ValueError(
@@ -218,10 +210,6 @@ class ComponentList:
         for name in ("feature", *UNITS, "excluded"):
             table[names.get(name, name)] = getattr(self, name)
         return table
-
-
-def _or(value, default):
-    return default if value is None else value
 
 
 def _concatenate(lists):
@@ -351,45 +339,8 @@ def _read_file(path, kind, source, origin, date):
         )
     if not path.is_file():
         raise OSError(f"{path}: no such file")
-    columns, meta = read_columns(path, kind, source, date)
-    days, epoch = np.unique(columns["date"], return_inverse=True)
-    _refer(columns, epoch, days, origin, path)
+    fields = read_fields(path, kind, source, origin, date)
     try:
-        return ComponentList(
-            times=as_times(list(days), len(days)),
-            epoch=epoch,
-            feature=columns.get("feature"),
-            excluded=columns.get("excluded"),
-            labels=() if len(days) > 1 else (path.name,),
-            meta=meta,
-            **{name: columns[name] * unit for name, unit in UNITS.items()},
-        )
+        return ComponentList(**fields)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-
-
-def _refer(columns, epoch, days, origin, path):
-    """Shift the positions of each epoch to the requested origin, in place."""
-    relative = columns["relative"]
-    if not relative and origin != "core":
-        return
-    core = columns.get("feature", np.full(len(epoch), -1)) == CORE
-    cores = np.bincount(epoch[core], minlength=len(days))
-    needed = origin == ("map" if relative else "core")
-    for day, n in zip(days, cores, strict=True):
-        if n > 1 or (needed and n == 0):
-            found = f"{n} core components" if n else "no core component"
-            raise ValueError(
-                f"{path}: {found} (feature 0) on {day[:10]}, expected one to refer "
-                "positions to; correct the file, or give another origin"
-            )
-    for offsets in (columns["east"], columns["north"]):
-        of_core = np.zeros(len(days))
-        of_core[epoch[core]] = offsets[core]
-        if relative and origin == "map":
-            # The row of the core has its own offset from the map's centre.
-            offsets[~core] += of_core[epoch[~core]]
-        elif relative:
-            offsets[core] = 0
-        else:
-            offsets -= of_core[epoch]

@@ -9,7 +9,7 @@ import numpy as np
 from astropy.constants import c
 from astropy.coordinates import EarthLocation
 
-from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
+from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam, beam_of
 from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.simulation.jets import SimulatedJet
 
@@ -243,6 +243,4 @@ def _fitted_beam(psf, pixel_scale):
     # East is in the direction of smaller x.
     terms = np.stack([0.5 * x * x, -x * y, 0.5 * y * y], axis=1)
     a, b, d = np.linalg.lstsq(terms, level, rcond=None)[0]
-    variances, axes = np.linalg.eigh(np.linalg.inv([[a, b], [b, d]]))
-    minor, major = np.sqrt(variances) / FWHM_TO_SIGMA * pixel_scale
-    return Beam(major, minor, np.arctan2(*axes[:, 1]) * u.rad)
+    return beam_of(np.linalg.inv([[a, b], [b, d]]), pixel_scale)
