@@ -50,7 +50,7 @@ class Offsets:
     pixels: np.ndarray
     covariance: np.ndarray
     what: str
-    turned: np.ndarray | None = None
+    turned: np.ndarray | bool = False
 
 
 def align(
@@ -184,9 +184,7 @@ def align(
 
 def _move(cube, method, offsets):
     """Return the cube with every epoch shifted by minus its offset."""
-    shifts, turned = -offsets.pixels, np.zeros(len(cube), bool)
-    if offsets.turned is not None:
-        turned = offsets.turned
+    shifts, turned = -offsets.pixels, np.broadcast_to(offsets.turned, len(cube))
     data, mask = np.empty(cube.shape), np.empty(cube.shape, dtype=bool)
     for i, shift in enumerate(shifts):
         if turned[i]:
@@ -205,23 +203,20 @@ def _move(cube, method, offsets):
         cube.wcs.deepcopy() if method == "wcs" else grid.moved_wcs(own, shift)
         for own, shift in zip(cube.epoch_wcs, shifts, strict=True)
     )
-    whole = (
-        np.all(np.abs(shifts - np.rint(shifts)) < grid.WHOLE_PIXEL) and not turned.any()
-    )
+    whole = np.all(np.abs(shifts - np.rint(shifts)) < grid.WHOLE_PIXEL)
     records = _records(cube, method, offsets)
     sky = np.array([[r["shift_east_mas"], r["shift_north_mas"]] for r in records])
     east, north = np.sqrt(np.mean(sky**2, axis=0))
     largest = int(np.argmax(np.hypot(*sky.T)))
-    line = (
-        f"aligned on {offsets.what}: shifts of {east:.3g} mas (east) and {north:.3g} "
-        "mas (north) rms, largest ({:+.3g}, {:+.3g}) mas".format(*sky[largest])
-    )
+    most_east, most_north = sky[largest]
     return cube.with_step(
-        f"{line} for {cube.labels[largest]}",
+        f"aligned on {offsets.what}: shifts of {east:.3g} mas (east) and {north:.3g} "
+        f"mas (north) rms, largest ({most_east:+.3g}, {most_north:+.3g}) mas for "
+        f"{cube.labels[largest]}",
         data=data,
         mask=mask,
         epoch_wcs=epoch_wcs,
-        noise=cube.noise if whole else None,
+        noise=cube.noise if whole and not turned.any() else None,
         meta=cube.meta | {"alignment": [*cube.meta.get("alignment", ()), *records]},
     )
 
@@ -229,19 +224,20 @@ def _move(cube, method, offsets):
 def _records(cube, method, offsets):
     """Return the date, method and shift of each epoch, for ``meta["alignment"]``."""
     matrix = cube.pixel_matrix.to_value(u.mas)
-    shift = (-offsets.pixels @ matrix.T + 0.0).round(9)
-    variance = np.einsum("ij,njk,ik->ni", matrix, offsets.covariance, matrix)
-    records = []
-    for i, error in enumerate(np.sqrt(variance)):
-        record = {"epoch": cube.labels[i], "date": cube.times[i].isot[:10]}
-        record["method"] = method
-        for k, name in enumerate(("shift_east", "shift_north")):
-            record[f"{name}_mas"] = float(shift[i, k])
-        for k, name in enumerate(("shift_east", "shift_north")):
-            known = np.isfinite(error[k])
-            record[f"{name}_err_mas"] = float(error[k]) if known else None
-        records.append(record)
-    return records
+    shifts = (-offsets.pixels @ matrix.T + 0.0).round(9)
+    errors = np.sqrt(np.einsum("ij,njk,ik->ni", matrix, offsets.covariance, matrix))
+    errors = np.where(np.isfinite(errors), errors, None)
+    columns = {
+        "epoch": cube.labels,
+        "date": [date[:10] for date in cube.times.isot],
+        "method": [method] * len(cube),
+        "shift_east_mas": shifts[:, 0].tolist(),
+        "shift_north_mas": shifts[:, 1].tolist(),
+        "shift_east_err_mas": errors[:, 0].tolist(),
+        "shift_north_err_mas": errors[:, 1].tolist(),
+    }
+    rows = zip(*columns.values(), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 def _from_sky(cube, offsets, errors, what):
@@ -263,7 +259,7 @@ def _by_core(cube, *, jet_pa=None, max_shift=None):
             stacklevel=3,
         )
     names = "east", "north", "east_err", "north_err"
-    values = np.stack([found[name].to_value(u.mas) for name in names], axis=1)
+    values = np.stack([found[name].value for name in names], axis=1)
     return _from_sky(cube, values[:, :2], values[:, 2:], "the core")
 
 
@@ -390,12 +386,10 @@ def _read_table(table):
             f"table must be a path or an astropy Table, got {type(table).__name__}"
         )
     path = Path(table)
+    text = path.read_text(encoding="utf-8", errors="replace")
+    kind = "ascii.ecsv" if text.startswith("# %ECSV") else "ascii.csv"
     try:
-        text = path.read_text(encoding="utf-8")
-        kind = "ascii.ecsv" if text.startswith("# %ECSV") else "ascii.csv"
         return str(path), Table.read(text.splitlines(), format=kind)
-    except OSError:
-        raise
     except Exception as error:  # astropy's parsers raise errors of many kinds
         reason = first_line(error)
         raise ValueError(f"{path}: is neither CSV nor ECSV ({reason})") from error

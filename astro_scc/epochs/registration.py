@@ -150,21 +150,21 @@ def core_positions(
     rows = []
     for i, label in enumerate(cube.labels):
         image = fill_masked(cube.data[i], cube.mask[i])
-        good = ~cube.mask[i]
-        start = _candidate(image, good & allowed, shapes[i], direction, noise[i])
+        good, options = ~cube.mask[i], (shapes[i], direction, noise[i])
+        start = _candidate(image, good & allowed, *options)
         if start is None:
             raise ValueError(
                 f"{label}: nothing is bright enough to be the core{within}; give a "
                 "table of positions"
             )
-        rows.append(_fit(image, good, shapes[i], start, direction, noise[i]))
-    position, covariance, blended = zip(*rows, strict=True)
-    sky = matrix @ np.array(covariance) @ matrix.T
+        rows.append(_fit(image, good, start, *options))
+    position, covariance, blended = map(np.array, zip(*rows, strict=True))
+    sky = matrix @ covariance @ matrix.T
     table = QTable({"label": list(cube.labels), "date": cube.times})
-    table["east"], table["north"] = cube.pixel_to_offset(*np.array(position).T)
+    table["east"], table["north"] = cube.pixel_to_offset(*position.T)
     table["east_err"] = np.sqrt(sky[:, 0, 0]) * u.mas
     table["north_err"] = np.sqrt(sky[:, 1, 1]) * u.mas
-    table["blended"] = list(blended)
+    table["blended"] = blended
     return table
 
 
@@ -175,10 +175,9 @@ def _mean_direction(cube, shape, level):
     bright = values > max(0.01 * values.max(), 5 * level)
     if not bright.any():
         return None
-    y, x = np.nonzero(bright)
-    weight = values[bright]
-    peak_y, peak_x = np.unravel_index(np.argmax(values), values.shape)
-    step = np.array([weight @ (x - peak_x), weight @ (y - peak_y)]) / weight.sum()
+    peak = np.unravel_index(np.argmax(values), values.shape)
+    away, weight = (np.argwhere(bright) - peak)[:, ::-1], values[bright]
+    step = np.array([weight @ part for part in away.T]) / weight.sum()
     width = np.linalg.det(shape) ** 0.25 / FWHM_TO_SIGMA
     length = np.hypot(*step)
     return step / length if length > 0.05 * width else None
@@ -199,7 +198,7 @@ def _candidate(image, good, shape, direction, noise):
     return places[np.argmin(order)].astype(float)
 
 
-def _fit(image, good, shape, start, direction, noise):
+def _fit(image, good, start, shape, direction, noise):
     """Return the position in pixels, its covariance and whether it is blended."""
     precision = np.linalg.inv(shape)
     # Only the box around the ellipse, as images may be a hundred times as large.
@@ -207,8 +206,7 @@ def _fit(image, good, shape, start, direction, noise):
     left, top = np.maximum(np.floor(start - reach), 0).astype(int)
     right, bottom = np.ceil(start + reach).astype(int) + 1
     image, good = (array[top:bottom, left:right] for array in (image, good))
-    y, x = np.indices(image.shape)
-    y, x = y + top, x + left
+    y, x = np.mgrid[top : top + image.shape[0], left : left + image.shape[1]]
     used = good & (_distance2(x, y, start, precision) < (RADIUS / FWHM_TO_SIGMA) ** 2)
     x, y, values = x[used], y[used], image[used]
     # In a fit of beams, noise that the beam correlates has one independent value
@@ -216,25 +214,20 @@ def _fit(image, good, shape, start, direction, noise):
     half_area = max(np.pi * np.sqrt(np.linalg.det(shape)), 1.0)
 
     def solve(parameters):
-        basis = np.exp(
-            -0.5
-            * np.stack(
-                [_distance2(x, y, p, precision) for p in parameters.reshape(-1, 2)],
-                axis=1,
-            )
-        )
+        at = (_distance2(x, y, p, precision) for p in parameters.reshape(-1, 2))
+        basis = np.exp(-0.5 * np.stack([*at], axis=1))
         peaks = np.linalg.lstsq(basis, values, rcond=None)[0]
         return peaks, basis @ peaks - values
 
-    def least_squares(guess):
-        return optimize.least_squares(lambda p: solve(p)[1], guess)
+    def residuals(parameters):
+        return solve(parameters)[1]
 
-    one = least_squares(start)
-    fit, core, blended = one, 0, False
+    fit = one = optimize.least_squares(residuals, start)
+    core, blended = 0, False
     if direction is not None:
         width = 1 / np.sqrt(direction @ precision @ direction) / FWHM_TO_SIGMA
         guess = [start - 0.1 * width * direction, start + 0.4 * width * direction]
-        two = least_squares(np.concatenate(guess))
+        two = optimize.least_squares(residuals, np.concatenate(guess))
         positions, peaks = two.x.reshape(2, 2), solve(two.x)[0]
         # A bright feature hides the maximum of a core up to 1.4 beams upstream.
         apart = _distance2(*positions.T, start, precision)
@@ -278,17 +271,14 @@ def displacement(image, mask, reference, use, reach, start=None):
     if start is None:
         start = _whole_pixels(filled, mask, reference, use, reach)
     start = np.asarray(start, dtype=float)
-
     slope = np.hypot(*np.gradient(fill_masked(reference, ~use)))
     use = use & (slope >= FLAT * slope[use].max())
     y, x = np.nonzero(use)
     # The spline spreads the filled values of bad pixels over two pixels, and the
     # fit moves by up to one and a half.
     around = ndimage.binary_dilation(mask, iterations=3).astype(float)
-    far = ndimage.map_coordinates(
-        around, [y + start[1], x + start[0]], order=1, cval=1.0
-    )
-    keep = far <= BAD_WEIGHT
+    at = [y + start[1], x + start[0]]
+    keep = ndimage.map_coordinates(around, at, order=1, cval=1.0) <= BAD_WEIGHT
     if keep.sum() < FEWEST:
         raise ValueError("too few good pixels to compare with the reference")
     y, x, target = y[keep], x[keep], reference[use][keep]
@@ -387,14 +377,23 @@ def misalignment(cube: EpochCube) -> float | None:
     }
     noise = cube.noise_rms().value
 
-    def scatter(epochs, positions=None):
-        shifts = {
-            k: _shift(cube, k, weights[k], SOURCE_SNR * noise[k], width, positions)
-            for k in epochs
-        }
-        return _scatter(shifts, weights, width)
+    def scatter(shifts):
+        # The neighbours, whose weighted mean is the reference, scatter as much.
+        squares = [
+            np.mean(shift**2) / (1 + np.sum(np.square(weights[k])))
+            for k, shift in shifts.items()
+            if shift is not None
+        ]
+        if 2 * len(squares) <= len(shifts):
+            return None
+        return float(np.sqrt(np.mean(squares)) / width)
 
-    found = scatter(_spread(middle, ENOUGH))
+    def measured(epochs, positions=None):
+        options = {"width": width, "positions": positions}
+        shifts = {k: _shift(cube, k, weights[k], noise[k], **options) for k in epochs}
+        return scatter(shifts)
+
+    found = measured(_spread(middle, ENOUGH))
     if found is not None:
         return found
     some = _spread(middle, CORES)
@@ -403,16 +402,13 @@ def misalignment(cube: EpochCube) -> float | None:
         cores = core_positions(cube[every])
     except ValueError:
         return None
-    cores = np.stack([cores[k].to_value(u.mas) for k in ("east", "north")], axis=1)
-    cores = dict(zip(every, cores, strict=True))
-    certain = scatter(some, cores)
+    places = np.stack([cores["east"].value, cores["north"].value], axis=1)
+    at = dict(zip(every, places, strict=True))
+    certain = measured(some, at)
     if certain is None or certain > AGREE:
         return None
-    shifts = {}
-    for k in some:
-        before, after = weights[k]
-        shifts[k] = cores[k] - (before * cores[k - 1] + after * cores[k + 1])
-    return _scatter(shifts, weights, width)
+    means = {k: weights[k][0] * at[k - 1] + weights[k][1] * at[k + 1] for k in some}
+    return scatter({k: at[k] - mean for k, mean in means.items()})
 
 
 def _spread(values, most):
@@ -421,23 +417,7 @@ def _spread(values, most):
     return values[np.unique(places)]
 
 
-def _scatter(shifts, weights, width):
-    """
-    Return the scatter of one epoch, in beams, or None if most shifts are None.
-
-    The neighbours, whose weighted mean is the reference, scatter as much.
-    """
-    squares = [
-        np.mean(shift**2) / (1 + np.sum(np.square(weights[k])))
-        for k, shift in shifts.items()
-        if shift is not None
-    ]
-    if 2 * len(squares) <= len(shifts):
-        return None
-    return float(np.sqrt(np.mean(squares)) / width)
-
-
-def _shift(cube, k, weights, threshold, width, positions):
+def _shift(cube, k, weights, noise, *, width, positions):
     """Return the shift of an epoch from its neighbours in mas, None if unknown."""
     matrix = cube.pixel_matrix.to_value(u.mas)
     three = slice(k - 1, k + 2)
@@ -447,7 +427,7 @@ def _shift(cube, k, weights, threshold, width, positions):
             x, y = np.linalg.solve(matrix, positions[k - 1 + i])
             images[i] = ndimage.shift(image, (-y, -x), order=3)
     reference = weights[0] * images[0] + weights[1] * images[2]
-    source = ~cube.mask[three].any(axis=0) & (reference > threshold)
+    source = ~cube.mask[three].any(axis=0) & (reference > SOURCE_SNR * noise)
     reach = width / np.sqrt(abs(np.linalg.det(matrix)))
     shift = _small_displacement(images[1], reference, source, reach)
     return None if shift is None else matrix @ shift
