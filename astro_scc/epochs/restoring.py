@@ -142,7 +142,7 @@ def restore(
     data = np.zeros((n_epochs, *shape))
     for i, noise_rng in enumerate(np.random.default_rng(rng).spawn(n_epochs)):
         here = components.epoch == i
-        blur = _in_pixels(beams[i], scale)
+        blur = in_pixels(beams[i], pixel_scale)
         total = own[here] + blur
         peak = flux[here] * np.sqrt(np.linalg.det(blur) / np.linalg.det(total))
         add_gaussians(data[i], x[here], y[here], peak, total)
@@ -169,9 +169,10 @@ def restore(
     )
 
 
-def _in_pixels(beam, scale):
-    """Return the covariance of a beam over (x, y) in pixels of ``scale`` mas."""
-    return FLIP @ beam.covariance.to_value(u.mas**2) @ FLIP / scale**2
+def in_pixels(beam, pixel_scale):
+    """Return the covariance of a beam over (x, y) in square pixels."""
+    scale = pixel_side(pixel_scale).to_value(u.mas)
+    return FLIP @ beam.covariance.value @ FLIP / scale**2
 
 
 def _grid(x, y, border, shape, reference_pixel):
@@ -302,7 +303,7 @@ def correlated_noise(
         raise ValueError("noise with a beam needs pixel_scale, the side of a pixel")
 
     ny, nx = shape
-    covariance = _in_pixels(beam, pixel_side(pixel_scale).to_value(u.mas))
+    covariance = in_pixels(beam, pixel_scale)
     padding = int(np.ceil(PADDING * np.sqrt(np.trace(covariance))))
     padded = tuple(fft.next_fast_len(n + padding, real=True) for n in (ny, nx))
 

@@ -100,9 +100,8 @@ def to_xarray(cube: EpochCube) -> Dataset:
     matrix = np.abs(cube.pixel_matrix.value)
     if matrix[~np.eye(2, dtype=bool)].max() <= 1e-9 * matrix.max():
         axes, east, north = ("x", "y"), east[0], north[:, 0]
-    names = "east", "north"
-    if axis_words(cube)[:2] != names:
-        names = "lon_offset", "lat_offset"
+    is_east = axis_words(cube)[0] == "east"
+    names = ("east", "north") if is_east else ("lon_offset", "lat_offset")
     coordinates = {
         "time": cube.times.utc.to_value("datetime64").astype("datetime64[ns]"),
         "label": ("time", list(cube.labels)),
@@ -113,8 +112,7 @@ def to_xarray(cube: EpochCube) -> Dataset:
         "facts": ("time", [pack_facts(facts) for facts in cube.epoch_meta]),
     }
     if cube.epoch_wcs:
-        own = [pack_facts(w) for w in cube.epoch_wcs]
-        coordinates["own_wcs"] = "time", own
+        coordinates["own_wcs"] = "time", [pack_facts(w) for w in cube.epoch_wcs]
     attributes = {
         "title": str(cube.meta.get("object", "")),
         "time_scale": cube.times.scale,
@@ -179,8 +177,7 @@ def from_xarray(
             f"from_xarray takes a Dataset or a DataArray, got {type(source).__name__}"
         )
     if NAME in getattr(source, "data_vars", ()) and source.attrs.keys() >= OWN:
-        given = times, pixel_scale, unit, beams
-        if any(value is not None for value in given):
+        if not all(value is None for value in (times, pixel_scale, unit, beams)):
             raise ValueError("what to_xarray made has its dates, pixels, unit, beams")
         return _cube_of(source)
     arrays = source.data_vars.values() if hasattr(source, "data_vars") else [source]
@@ -190,13 +187,10 @@ def from_xarray(
             f"one array of three axes is needed, there are {len(arrays)}; select it "
             "by its name"
         )
-    array = arrays[0]
-    date, north, east = _axes(array)
-    array = array.transpose(date, north, east)
-    if times is None:
-        times = _dates_along(array, date)
-    if unit is None:
-        unit = u.Unit(array.attrs.get("units", ""))
+    date, north, east = _axes(arrays[0])
+    array = arrays[0].transpose(date, north, east)
+    times = _dates_along(array, date) if times is None else times
+    unit = _unit_of(array) if unit is None else unit
     (dx, x0), (dy, y0) = (_steps(array, axis, pixel_scale) for axis in (east, north))
     if not np.isclose(abs(dx), abs(dy), rtol=1e-6):
         raise ValueError(
@@ -238,7 +232,7 @@ def _cube_of(source):
     beams = None
     if "beam_major" in source:
         beams = beams_of(*(source[f"beam_{name}"].values for name in BEAM))
-    unit = u.Unit(source[NAME].attrs.get("units", ""))
+    unit = _unit_of(source[NAME])
     own = source["own_wcs"].values if "own_wcs" in source.coords else ()
     data, mask = (source[k].transpose(*IMAGES).values for k in (NAME, "mask"))
     return EpochCube(
@@ -254,6 +248,10 @@ def _cube_of(source):
         epoch_meta=[unpack_facts(facts) for facts in source["facts"].values],
         meta=unpack_facts(attributes["meta"]),
     )
+
+
+def _unit_of(array):
+    return u.Unit(array.attrs.get("units", ""))
 
 
 def _axes(array):
@@ -334,9 +332,12 @@ def to_ndcube(cube: EpochCube) -> NDCube:
     if noise is not None:
         every = np.broadcast_to(noise.value[:, None, None], cube.shape)
         noise = StdDevUncertainty(every, unit=cube.unit, copy=False)
+    header = without_dates(cube.wcs.to_header(relax=EXACT))
+    # The third axis is the index of the epoch, from 0.
+    header.update({"WCSAXES": 3, "CTYPE3": AXIS, "CRPIX3": 1.0})
     made = ndcube.NDCube(
         cube.data.copy(),
-        wcs=_with_epochs(cube.wcs),
+        wcs=WCS(header),
         uncertainty=noise,
         unit=cube.unit,
         mask=cube.mask.copy(),
@@ -344,13 +345,6 @@ def to_ndcube(cube: EpochCube) -> NDCube:
     )
     made.extra_coords.add("time", (0,), cube.times)
     return made
-
-
-def _with_epochs(celestial):
-    """Return a WCS with the index of the epoch, from 0, as third axis."""
-    header = without_dates(celestial.to_header(relax=EXACT))
-    header.update({"WCSAXES": 3, "CTYPE3": AXIS, "CRPIX3": 1.0})
-    return WCS(header)
 
 
 def from_ndcube(
@@ -442,17 +436,16 @@ def from_ndcube(
 def _noise(ndcube, planes, mask):
     """Return the noise of every epoch; mask pixels without uncertainty, in place."""
     given, unit = ndcube.uncertainty, ndcube.unit or u.dimensionless_unscaled
-    noise, uneven = [], False
+    found = []
     for values, bad in zip(planes(np.asarray(given.array)), mask, strict=True):
         uncertainty = type(given)(values, unit=given.unit, copy=False)
         try:
-            level, without, even = uncertainty_noise(uncertainty, unit, bad)
+            found.append(uncertainty_noise(uncertainty, unit, bad))
         except ValueError as error:
             raise ValueError(f"the NDCube: {error}") from None
-        bad |= without
-        noise.append(level)
-        uneven |= not even
-    if uneven:
+    noise, without, even = zip(*found, strict=True)
+    mask |= without
+    if not all(even):
         warnings.warn(f"the NDCube: {UNEVEN}", EpochWarning, stacklevel=4)
     return u.Quantity(noise)
 
@@ -482,15 +475,14 @@ def _times_of(ndcube, meta, axis, averaged):
             return found[0]
     for coordinates in (ndcube.wcs, ndcube.extra_coords) if axis is not None else ():
         try:
-            found = ndcube.axis_world_coords(axis, wcs=coordinates)
+            values = ndcube.axis_world_coords(axis, wcs=coordinates)
         except (AttributeError, TypeError, ValueError):
             continue
-        found = [values for values in found if isinstance(values, Time)]
-        if found and averaged and coordinates is ndcube.extra_coords:
-            raise ValueError(
-                "epochs of the NDCube were averaged, of which ndcube keeps the first "
-                "date only; give times="
-            )
-        if found:
-            return found[0]
+        for found in (v for v in values if isinstance(v, Time)):
+            if averaged and coordinates is ndcube.extra_coords:
+                raise ValueError(
+                    "epochs of the NDCube were averaged, of which ndcube keeps the "
+                    "first date only; give times="
+                )
+            return found
     raise ValueError("the NDCube has no coordinate of type Time; give times=")

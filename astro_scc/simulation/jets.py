@@ -16,13 +16,15 @@ from numpy.typing import ArrayLike
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.positions import offset_wcs
-from astro_scc.epochs.restoring import add_gaussians, correlated_noise
+from astro_scc.epochs.restoring import add_gaussians, correlated_noise, in_pixels
 from astro_scc.epochs.serialize import write_epochs
+from astro_scc.epochs.validation import as_beams, as_epoch_tuple
 from astro_scc.partial import replace_when_complete
 from astro_scc.simulation.streams import Features, Flow, Stream, check_not_negative
 
 # Width of the negative bowl around a feature, in widths of its image.
 BOWL = 6.0
+BEAM = Beam(1 * u.mas, 1 * u.mas)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -149,9 +151,7 @@ class JetSimulation:
     dates: Time | None = None
     shape: tuple[int, int] = (128, 256)
     pixel_scale: u.Quantity = 0.1 * u.mas
-    beams: Beam | Sequence[Beam] = field(
-        default_factory=lambda: Beam(1 * u.mas, 1 * u.mas)
-    )
+    beams: Beam | Sequence[Beam] = field(default_factory=lambda: BEAM)
     noise: float | Sequence[float] = 0.002
     extent: tuple[float, float] = (20.0, 220.0)
     axis: float = 64.0
@@ -176,25 +176,21 @@ class JetSimulation:
             dates = Time("2000-01-01") + np.arange(self.n_epochs) * self.interval
         if dates.isscalar or not np.all(np.diff(dates.mjd) > 0):
             raise ValueError("dates must be an array of increasing times")
-        beams = self.beams
-        beams = (beams,) * len(dates) if isinstance(beams, Beam) else tuple(beams)
-        noise = (self.noise,) * len(dates) if np.ndim(self.noise) == 0 else self.noise
-        for name, values in {"beams": beams, "noise levels": noise}.items():
-            if len(values) != len(dates):
-                raise ValueError(
-                    f"{len(values)} {name} for {len(dates)} epochs; give one, "
-                    "or one for each epoch"
-                )
         if not self.extent[0] < self.extent[1]:
             raise ValueError(f"extent must be (start, end), got {self.extent}")
         check_not_negative(
             self, "noise taper core flux_variation memory alignment_error ripple bowl"
         )
-        object.__setattr__(self, "streams", tuple(self.streams))
-        object.__setattr__(self, "dates", dates)
-        object.__setattr__(self, "n_epochs", len(dates))
-        object.__setattr__(self, "beams", beams)
-        object.__setattr__(self, "noise", tuple(float(n) for n in noise))
+        n = len(dates)
+        noise = (self.noise,) * n if np.ndim(self.noise) == 0 else self.noise
+        for name, value in {
+            "streams": tuple(self.streams),
+            "dates": dates,
+            "n_epochs": n,
+            "beams": as_beams(self.beams, n),
+            "noise": as_epoch_tuple(noise, n, "noise levels", float),
+        }.items():
+            object.__setattr__(self, name, value)
 
     @property
     def velocity_unit(self) -> u.Quantity:
@@ -270,9 +266,7 @@ class JetSimulation:
         -------
         `~numpy.ndarray`, shape (2, 2)
         """
-        scale = self.pixel_scale.to_value(u.mas)
-        flip = np.diag([-1.0, 1.0])
-        return flip @ beam.covariance.to_value(u.mas**2) @ flip / scale**2
+        return in_pixels(beam, self.pixel_scale)
 
     def run(self, *, rng: np.random.Generator | int | None = None) -> SimulatedJet:
         """
@@ -312,19 +306,16 @@ class JetSimulation:
 
     def _features(self, rngs, flux_rng):
         """Return all features, turned to the jet's direction, with the core last."""
-        parts = [
-            stream.features(self, rng)
-            for stream, rng in zip(self.streams, rngs, strict=True)
-        ]
+        pairs = zip(self.streams, rngs, strict=True)
+        parts = [stream.features(self, rng) for stream, rng in pairs]
         if self.core:
             at = np.zeros((1, self.n_epochs))
             parts.append(self.place("core", at, at, at + self.core, at))
         features = Features(*map(np.concatenate, zip(*parts, strict=True)))
         if self.flux_variation:
-            factor = np.exp(
-                self.flux_variation * self._series(len(features.x), flux_rng)
-            )
-            features = features._replace(flux=features.flux * factor)
+            series = self._series(len(features.x), flux_rng)
+            flux = features.flux * np.exp(self.flux_variation * series)
+            features = features._replace(flux=flux)
         turn = (self.position_angle - 270 * u.deg).to_value(u.rad)
         if turn:
             x0, y0 = self.extent[0], self.axis
@@ -345,27 +336,24 @@ class JetSimulation:
     def _images(self, features, rng, ripple_rng):
         images = np.zeros((self.n_epochs, *self.shape))
         own = (FWHM_TO_SIGMA * features.fwhm)[..., None, None] ** 2 * np.eye(2)
-        for i, (beam, noise_rng) in enumerate(
-            zip(self.beams, rng.spawn(self.n_epochs), strict=True)
-        ):
+        rngs = rng.spawn(self.n_epochs)
+        epochs = zip(images, self.beams, self.noise, rngs, strict=True)
+        for i, (image, beam, noise, noise_rng) in enumerate(epochs):
             covariance = self.covariance(beam)
             beam_area = np.sqrt(np.linalg.det(covariance))
-            total = own[:, i] + covariance
             there = features.flux[:, i] > 0
-            x, y, total = features.x[there, i], features.y[there, i], total[there]
-            peak = features.flux[there, i] * beam_area / np.sqrt(np.linalg.det(total))
-            add_gaussians(images[i], x, y, peak, total)
+            x, y, flux = (values[there, i] for values in features[1:4])
+            total = own[there, i] + covariance
+            peak = flux * beam_area / np.sqrt(np.linalg.det(total))
+            add_gaussians(image, x, y, peak, total)
             if self.bowl:
-                add_gaussians(images[i], x, y, -self.bowl * peak, BOWL**2 * total)
+                add_gaussians(image, x, y, -self.bowl * peak, BOWL**2 * total)
             if self.ripple:
-                images[i] += self._ripple(images[i].max(), ripple_rng)
-            if self.noise[i]:
-                images[i] += correlated_noise(
-                    self.shape,
-                    rms=self.noise[i],
-                    beam=beam,
-                    pixel_scale=self.pixel_scale,
-                    rng=noise_rng,
+                image += self._ripple(image.max(), ripple_rng)
+            if noise:
+                options = {"beam": beam, "pixel_scale": self.pixel_scale}
+                image += correlated_noise(
+                    self.shape, rms=noise, rng=noise_rng, **options
                 )
         return images
 
@@ -385,68 +373,57 @@ class JetSimulation:
         scale = self.pixel_scale.to_value(u.mas)
         east = -(features.x - self.extent[0]) * scale
         north = (features.y - self.axis) * scale
-        n, n_epochs = east.shape
-        pm = np.full((2, n, n_epochs), np.nan)
+        pm = np.full((2, *east.shape), np.nan)
         pm[..., :-1] = np.diff([east, north], axis=-1) / np.diff(years)
         # The motion is to the next epoch, or from the previous one for the last.
         before = np.concatenate([pm[..., :1], pm[..., :-1]], axis=-1)
         pm = np.where(np.isnan(pm), before, pm)
         visible = features.flux > 0
-        feature, epoch = np.mgrid[:n, :n_epochs]
-        exists = np.isfinite(east)
-        group = np.broadcast_to(features.group[:, None], east.shape)
-        rows = {
-            "feature": feature[exists],
-            "group": group[exists].astype(str),
-            "epoch": epoch[exists],
-            "date": self.dates[epoch[exists]],
-            "x": seen.x[exists] * u.pix,
-            "y": seen.y[exists] * u.pix,
-            "east": east[exists] * u.mas,
-            "north": north[exists] * u.mas,
-            "flux": features.flux[exists] * u.Jy,
-            "fwhm": features.fwhm[exists] * scale * u.mas,
-            "visible": visible[exists],
-            "pm_east": pm[0][exists] * u.mas / u.yr,
-            "pm_north": pm[1][exists] * u.mas / u.yr,
+        feature, epoch = np.indices(east.shape)
+        columns = {
+            "feature": feature,
+            "group": features.group[feature].astype(str),
+            "epoch": epoch,
+            "date": self.dates[epoch],
+            "x": seen.x * u.pix,
+            "y": seen.y * u.pix,
+            "east": east * u.mas,
+            "north": north * u.mas,
+            "flux": features.flux * u.Jy,
+            "fwhm": features.fwhm * scale * u.mas,
+            "visible": visible,
+            "pm_east": pm[0] * u.mas / u.yr,
+            "pm_north": pm[1] * u.mas / u.yr,
         }
+        facts = "name pixel_scale interval velocity_unit extent axis position_angle"
+        meta = {k: _plain(getattr(self, k)) for k in (*facts.split(), "noise")}
         angle = self.position_angle
         outward = pm[0] * np.sin(angle).value + pm[1] * np.cos(angle).value
         outward = np.where(visible, outward, np.nan)
-        meta = {
-            "name": self.name,
-            "pixel_scale": self.pixel_scale,
-            "interval": self.interval,
-            "velocity_unit": self.velocity_unit,
-            "extent": list(self.extent),
-            "axis": self.axis,
-            "position_angle": self.position_angle,
-            "noise": list(self.noise),
-            "streams": [
-                self._stream_facts(stream, outward[features.group == stream.name])
-                for stream in self.streams
-            ],
-        }
-        return QTable(rows, meta=meta)
+        meta["streams"] = [
+            _stream_facts(stream, outward[features.group == stream.name])
+            for stream in self.streams
+        ]
+        exists = np.isfinite(east)
+        return QTable({k: v[exists] for k, v in columns.items()}, meta=meta)
 
-    def _stream_facts(self, stream, outward):
-        """Return the parameters of a stream and the speeds of its visible features."""
-        own = outward[np.isfinite(outward).sum(axis=1) >= 2]
-        speeds = np.nanmean(own, axis=1) * u.mas / u.yr
-        return {f.name: _plain(getattr(stream, f.name)) for f in fields(stream)} | {
-            "n_seen": len(speeds),
-            "mean_speed": np.mean(speeds) if len(speeds) else None,
-            "std_speed": np.std(speeds, ddof=1) if len(speeds) > 1 else None,
-        }
+
+def _stream_facts(stream, outward):
+    """Return the parameters of a stream and the speeds of its visible features."""
+    own = outward[np.isfinite(outward).sum(axis=1) >= 2]
+    speeds = np.nanmean(own, axis=1) * u.mas / u.yr
+    return {f.name: _plain(getattr(stream, f.name)) for f in fields(stream)} | {
+        "n_seen": len(speeds),
+        "mean_speed": np.mean(speeds) if len(speeds) else None,
+        "std_speed": np.std(speeds, ddof=1) if len(speeds) > 1 else None,
+    }
 
 
 def _plain(value):
-    """Return a parameter of a stream in a form that ECSV can keep."""
+    """Return a parameter in a form that ECSV can keep."""
     if callable(value):
         return "function"
-    if isinstance(value, tuple):
-        return list(value)
-    return value
+    return list(value) if isinstance(value, tuple) else value
 
 
 def write_simulation(

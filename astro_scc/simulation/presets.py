@@ -59,25 +59,12 @@ def simulate_two_fluid(
     >>> jet.cube.shape
     (10, 128, 256)
     """
-    slow_density, fast_density = densities or ((1.0, 1.2) if dense else (1.0, 0.8))
-    streams = (
-        Stream(
-            "slow",
-            dx=slow,
-            density=slow_density,
-            half_width=25.0 if dense else 15.0,
-            jitter=jitter,
-        ),
-        Stream(
-            "fast",
-            dx=fast,
-            density=fast_density,
-            sigma=4.0,
-            peak=(0.8, 1.5) if dense else (0.3, 1.5),
-            jitter=jitter,
-        ),
-    )
-    return _run("two-fluid", streams, rng, options)
+    half_width, least_peak, own = (25.0, 0.8, 1.2) if dense else (15.0, 0.3, 0.8)
+    of_slow, of_fast = densities or (1.0, own)
+    peak = least_peak, 1.5
+    slow = Stream("slow", slow, density=of_slow, half_width=half_width, jitter=jitter)
+    fast = Stream("fast", fast, density=of_fast, sigma=4.0, peak=peak, jitter=jitter)
+    return _run("two-fluid", (slow, fast), rng, options)
 
 
 def simulate_random_velocity(
@@ -111,9 +98,7 @@ def simulate_random_velocity(
     >>> simulate_random_velocity(n_epochs=3, rng=1).cube.shape
     (3, 128, 256)
     """
-    stream = Stream(
-        "random", dx=dx, dy=dy, motion="random", density=density, half_width=12.0
-    )
+    stream = Stream("random", dx, dy, "random", density=density, half_width=12.0)
     return _run("random velocity", (stream,), rng, options)
 
 
@@ -152,7 +137,7 @@ def simulate_ballistic(
     (3, 128, 256)
     """
     stream = Stream(
-        "ballistic", dx=dx, dy=dy, density=density, half_width=12.0, jitter=jitter
+        "ballistic", dx, dy, density=density, half_width=12.0, jitter=jitter
     )
     return _run("ballistic", (stream,), rng, options)
 
@@ -315,6 +300,8 @@ def simulate_jet(
     elif flow:
         raise ValueError(f"{', '.join(flow)}: give them to each of the streams")
     kind = "n_features" if np.ndim(standing) == 0 else "positions"
+    series = {"flux_variation": flux_variation, "memory": memory}
+    faults = {"alignment_error": alignment_error, "ripple": ripple, "bowl": bowl}
     jet = JetSimulation(
         [*streams, Flow("standing", speed=0.0, **{kind: standing})],
         name="jet",
@@ -325,11 +312,8 @@ def simulate_jet(
         noise=noise * np.exp(noise_scatter * noise_rng.standard_normal(len(dates))),
         core=core_flux,
         position_angle=position_angle,
-        flux_variation=flux_variation,
-        memory=memory,
-        alignment_error=alignment_error,
-        ripple=ripple,
-        bowl=bowl,
+        **series,
+        **faults,
     )
     # The jet is centred in the image.
     beam_length, angle = jet.beam_length, u.Quantity(position_angle).to_value(u.rad)
@@ -438,28 +422,22 @@ def simulate_shell(
     angle[~knot] = 2 * np.pi * (np.arange(n_clumps) + rng.uniform(0, 0.7, n_clumps))
     angle[~knot] /= n_clumps
     # Knots are distributed evenly over an area.
-    inner, outer = 0.6**2, 1.05**2
-    distance = np.where(
-        knot, r * np.sqrt(rng.uniform(inner, outer, n)), r * rng.normal(1, 0.03, n)
-    )
+    of_knots = r * np.sqrt(rng.uniform(0.6**2, 1.05**2, n))
+    distance = np.where(knot, of_knots, r * rng.normal(1, 0.03, n))
     east, north = distance * np.sin(angle), distance * np.cos(angle)
     fwhm = np.where(knot, rng.uniform(3, 5, n), rng.uniform(16, 24, n))
     peak = counts * np.where(knot, rng.uniform(0.4, 1.0, n), rng.uniform(0.6, 1.0, n))
-    per_year = 1 / u.yr
-    rates = (u.Quantity(rate).to_value(per_year) for rate in (knot_rate, ring_rate))
+    rates = (u.Quantity(rate).to_value(1 / u.yr) for rate in (knot_rate, ring_rate))
     rate = np.where(knot, *rates)
     times = Time("1980-01-01") + np.arange(n_epochs) * interval
-    years = (times - times[0]).to_value(u.yr)
-    images = np.empty((n_epochs, size, size))
+    images = np.full((n_epochs, size, size), float(background))
     covariance = (FWHM_TO_SIGMA * fwhm)[:, None, None] ** 2 * np.eye(2)
     origin = (size - 1) / 2
-    for image, year in zip(images, years, strict=True):
-        image[:] = background
+    for image, year in zip(images, (times - times[0]).to_value(u.yr), strict=True):
         grown = 1 + rate * year
         x = origin - (middle[0].value + grown * east) / step
         y = origin + (middle[1].value + grown * north) / step
-        add_gaussians(image, x, y, peak, covariance)
-        image[:] = rng.poisson(image)
+        image[:] = rng.poisson(add_gaussians(image, x, y, peak, covariance))
     cube = EpochCube.from_arrays(images, times, pixel_scale=pixel_scale)
     truth = QTable(
         {
@@ -467,7 +445,7 @@ def simulate_shell(
             "east": east * u.mas,
             "north": north * u.mas,
             "fwhm": fwhm * step * u.mas,
-            "rate": (rate * per_year).to(u.percent / u.yr),
+            "rate": (rate / u.yr).to(u.percent / u.yr),
         }
     )
     return SimulatedShell(cube, truth, middle, r * u.mas)

@@ -115,35 +115,33 @@ class Stream:
     jitter: float = 0.0
 
     def __post_init__(self):
+        whose = f"stream {self.name!r}"
         if self.motion not in MOTIONS:
             raise ValueError(
-                f"stream {self.name!r}: motion must be one of "
-                f"{', '.join(MOTIONS)}, got {self.motion!r}"
+                f"{whose}: motion must be one of {', '.join(MOTIONS)}, "
+                f"got {self.motion!r}"
             )
         if (self.half_width is None) == (self.sigma is None):
             raise ValueError(
-                f"stream {self.name!r} needs one of half_width and sigma, "
-                "the width over which features start"
+                f"{whose} needs one of half_width and sigma, the width over which "
+                "features start"
             )
-        check_not_negative(
-            self, "density half_width sigma jitter", f"stream {self.name!r}: "
-        )
+        check_not_negative(self, "density half_width sigma jitter", f"{whose}: ")
         for name in ("fwhm", "peak"):
             low, high = getattr(self, name)
             if not 0 <= low <= high < np.inf:
                 raise ValueError(
-                    f"stream {self.name!r}: {name} must be two limits "
-                    f"0 <= low <= high, got {getattr(self, name)}"
+                    f"{whose}: {name} must be two limits 0 <= low <= high, "
+                    f"got {getattr(self, name)}"
                 )
         for name in ("dx", "dy"):
             value = getattr(self, name)
-            if callable(value):
-                continue
-            limits = np.atleast_1d(getattr(value, "value", value))
-            if limits.size > 2 or not np.all(np.isfinite(limits)):
+            # What a function returns is not known here.
+            limits = 0 if callable(value) else getattr(value, "value", value)
+            if np.size(limits) > 2 or not np.all(np.isfinite(limits)):
                 raise ValueError(
-                    f"stream {self.name!r}: {name} must be a number, two limits "
-                    f"or a function of (x, y), got {value}"
+                    f"{whose}: {name} must be a number, two limits or a function of "
+                    f"(x, y), got {value}"
                 )
 
     def features(self, jet: JetSimulation, rng: np.random.Generator) -> Features:
@@ -165,9 +163,8 @@ class Stream:
         peak = rng.uniform(*self.peak, (len(x), 1))
         flux = peak * (beam**2 + fwhm**2) / beam**2 * jet.visibility(x)
         seen = ((x >= start) & (x <= end)).any(axis=1)
-        group = np.full(seen.sum(), self.name)
-        fwhm = np.broadcast_to(fwhm, x.shape)
-        return Features(group, x[seen], y[seen], flux[seen], fwhm[seen])
+        values = (value[seen] for value in (x, y, flux, fwhm + np.zeros_like(x)))
+        return Features(np.full(seen.sum(), self.name), *values)
 
     def _trajectories(self, jet, rng):
         """
@@ -176,47 +173,43 @@ class Stream:
         Features start anywhere from where they can reach the visible region, so
         that its mean density is constant.
         """
-        dx, dy = (_in_pixels(value, jet) for value in (self.dx, self.dy))
-        start, end = jet.extent
-        steps = np.diff(jet.times)
+        # Motions in pixels per interval.
+        laws = [
+            (v / jet.velocity_unit).to_value(u.one) if isinstance(v, u.Quantity) else v
+            for v in (self.dx, self.dy)
+        ]
+        (start, end), steps = jet.extent, np.diff(jet.times)
         if self.motion != "unrelated":
-            across = np.linspace(start, end, 200)
+            dx, across = laws[0], np.linspace(start, end, 200)
             limits = dx(across, np.zeros(200)) if callable(dx) else dx
             margin = 3 * self.jitter * np.sqrt(steps.size)
             start = start - max(np.max(limits), 0) * steps.sum() - margin
             end = end - min(np.min(limits), 0) * steps.sum() + margin
         n = round(self.density * (end - start) / jet.beam_length)
+
+        def begin():
+            x = rng.uniform(start, end, n)
+            if self.sigma is not None:
+                return x, rng.normal(jet.axis, self.sigma, n)
+            low, high = jet.axis - self.half_width, jet.axis + self.half_width
+            return x, rng.uniform(low, high, n)
+
         if self.motion == "unrelated":
-            x, y = np.full((2, n * jet.n_epochs, jet.n_epochs), np.nan)
+            places = np.full((2, jet.n_epochs, n, jet.n_epochs), np.nan)
             for i in range(jet.n_epochs):
-                rows = slice(i * n, (i + 1) * n)
-                x[rows, i] = rng.uniform(start, end, n)
-                y[rows, i] = self._across(n, jet.axis, rng)
-            return x, y
-        x, y = np.empty((2, n, jet.n_epochs))
-        x[:, 0] = rng.uniform(start, end, n)
-        y[:, 0] = self._across(n, jet.axis, rng)
-        own = [_draw(value, x[:, 0], y[:, 0], rng) for value in (dx, dy)]
+                places[:, i, :, i] = begin()
+            return places.reshape(2, -1, jet.n_epochs)
+        places = np.empty((2, n, jet.n_epochs))
+        places[:, :, 0] = begin()
+        own = [_draw(law, *places[:, :, 0], rng) for law in laws]
         for i, step in enumerate(steps):
-            for k, value in enumerate((dx, dy)):
+            for k, law in enumerate(laws):
                 # Velocities from a function depend on position; drawn ones are kept.
-                if self.motion == "random" or callable(value):
-                    own[k] = _draw(value, x[:, i], y[:, i], rng)
-            for at, speed in zip((x, y), own, strict=True):
+                if self.motion == "random" or callable(law):
+                    own[k] = _draw(law, *places[:, :, i], rng)
+            for at, speed in zip(places, own, strict=True):
                 at[:, i + 1] = at[:, i] + speed * step + rng.normal(0, self.jitter, n)
-        return x, y
-
-    def _across(self, n, axis, rng):
-        if self.sigma is not None:
-            return rng.normal(axis, self.sigma, n)
-        return rng.uniform(axis - self.half_width, axis + self.half_width, n)
-
-
-def _in_pixels(value, jet):
-    """Return a motion in pixels per interval."""
-    if not isinstance(value, u.Quantity):
-        return value
-    return (value / jet.velocity_unit).to_value(u.one)
+        return places
 
 
 def _draw(value, x, y, rng):
@@ -301,28 +294,25 @@ class Flow:
     offset: float = 0.0
 
     def __post_init__(self):
+        whose = f"flow {self.name!r}: "
         if self.distribution not in DISTRIBUTIONS:
             raise ValueError(
-                f"flow {self.name!r}: distribution must be one of "
-                f"{', '.join(DISTRIBUTIONS)}, got {self.distribution!r}"
+                f"{whose}distribution must be one of {', '.join(DISTRIBUTIONS)}, "
+                f"got {self.distribution!r}"
             )
         if self.positions is not None:
             positions = tuple(float(p) for p in self.positions)
             if self.speed != 0 or not all(p >= 0 for p in positions):
                 raise ValueError(
-                    f"flow {self.name!r}: positions must be zero or positive, and "
-                    "the speed zero: they are those of standing features"
+                    f"{whose}positions must be zero or positive, and the speed zero: "
+                    "they are those of standing features"
                 )
             object.__setattr__(self, "positions", positions)
             object.__setattr__(self, "n_features", len(positions))
-        check_not_negative(
-            self,
-            "speed dispersion n_features acceleration flux flux_scatter fading size "
-            "widening width",
-            f"flow {self.name!r}: ",
-        )
+        names = "speed dispersion n_features acceleration flux flux_scatter fading size"
+        check_not_negative(self, f"{names} widening width", whose)
         if self.acceleration == 0:
-            raise ValueError(f"flow {self.name!r}: acceleration must be positive")
+            raise ValueError(f"{whose}acceleration must be positive")
 
     def speeds(self, quantile: ArrayLike) -> np.ndarray:
         """
@@ -360,17 +350,19 @@ class Flow:
         Features
         """
         times, length = jet.times, jet.length
-        if self.speed == 0:
+        if self.speed != 0:
+            s = self._moving(times, length, rng)
+        else:
             s = self.positions
             if s is None:
                 s = rng.uniform(1, length, round(self.n_features))
             s = np.repeat(np.asarray(s, dtype=float)[:, None], times.size, axis=1)
-        else:
-            s = self._moving(times, length, rng)
         n = len(s)
         across = self.offset + self.width * rng.standard_normal((n, 1))
         flux = self.flux * np.exp(self.flux_scatter * rng.standard_normal((n, 1)))
-        flux = np.nan_to_num(flux * (1 + s) ** -self.fading * _end(length - s))
+        # They fade at the end.
+        seen = 0.5 * (1 - np.cos(np.pi * np.clip((length - s) / RAMP, 0, 1)))
+        flux = np.nan_to_num(flux * (1 + s) ** -self.fading * seen)
         fwhm = self.size * (1 + s) ** self.widening
         return jet.place(self.name, s, across * s / (s + RAMP), flux, fwhm)
 
@@ -379,12 +371,10 @@ class Flow:
         start = 2 / (1 + self.acceleration)
         growth = start * (self.acceleration - 1) / length
         # Product of speed and time at which a feature leaves the jet.
-        needed = length / start
-        if growth:
-            needed = np.log(self.acceleration) / growth
-        grid = (np.arange(1000) + 0.5) / 1000
+        needed = np.log(self.acceleration) / growth if growth else length / start
         if self.n_features == 0:
             return np.empty((0, times.size))
+        grid = (np.arange(1000) + 0.5) / 1000
         rate = self.n_features / (needed * np.mean(1 / self.speeds(grid)))
         longest = times[-1] - times[0] + needed / self.speeds(grid[0] / 1000)
         # One ejection in each interval of 1 / rate, at a random time in it.
@@ -395,8 +385,3 @@ class Flow:
         s = start * np.expm1(growth * path) / growth if growth else path
         s = np.where(s < length, s, np.nan)
         return s[np.isfinite(s).any(axis=1)]
-
-
-def _end(left):
-    """Return the fraction of the flux that is seen at a distance from the end."""
-    return 0.5 * (1 - np.cos(np.pi * np.clip(left / RAMP, 0, 1)))

@@ -343,7 +343,7 @@ def test_bad_streams(options, message):
         ({"n_epochs": 0}, "n_epochs must be at least 1"),
         ({"dates": Time("2001-01-01")}, "array of increasing times"),
         ({"dates": Time(["2001-01-02", "2001-01-01"])}, "array of increasing times"),
-        ({"beams": [Beam(1 * u.mas, 1 * u.mas)]}, "1 beams for 10 epochs"),
+        ({"beams": [Beam(1 * u.mas, 1 * u.mas)]}, "10 epochs need 10 beams, got 1"),
         ({"extent": (220.0, 20.0)}, "extent must be"),
         ({"noise": -1.0}, "noise must be zero or positive"),
         ({"taper": -1.0}, "taper must be zero or positive"),

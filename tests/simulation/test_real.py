@@ -211,7 +211,7 @@ def test_beams_and_shape():
     jet = simulate_jet(rng=1, n_epochs=2, beam=beam, shape=(100, 300))
     assert jet.cube.shape == (2, 100, 300)
     assert jet.cube.beams == (beam, beam)
-    with pytest.raises(ValueError, match="3 beams for 2 epochs"):
+    with pytest.raises(ValueError, match="2 epochs need 2 beams, got 3"):
         simulate_jet(n_epochs=2, beam=[beam] * 3)
 
 
