@@ -178,7 +178,7 @@ def is_per(unit, *names):
     )
 
 
-def gaussian_smooth(image, covariance, mask=None):
+def gaussian_smooth(image, covariance, mask=False):
     """
     Return an image convolved with an elliptical Gaussian of unit sum.
 
@@ -190,17 +190,8 @@ def gaussian_smooth(image, covariance, mask=None):
     pixels and 0 for others.  Pixels that are masked or not finite are bad, and
     stay NaN.
     """
-    image = np.asarray(image, dtype=float)
-    covariance = np.asarray(covariance, dtype=float)
     variances = np.linalg.eigvalsh(covariance)
-    if variances[0] < -1e-9 * abs(variances[1]) or variances[1] < 0:
-        raise ValueError(
-            f"covariance={covariance.tolist()} has a negative eigenvalue: "
-            "no Gaussian has it, as a beam cannot be made smaller by convolution"
-        )
-    bad = ~np.isfinite(image)
-    if mask is not None:
-        bad |= np.asarray(mask, dtype=bool)
+    bad = ~np.isfinite(image) | mask
     pad = int(np.ceil(6 * np.sqrt(variances[1]))) + 2
     shape = [fft.next_fast_len(n + pad, real=True) for n in image.shape]
     transfer = gaussian_transfer(covariance, shape)

@@ -13,7 +13,7 @@ from scipy import fft
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam, gaussian_transfer
 from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.positions import offset_wcs, pixel_side
+from astro_scc.epochs.positions import pixel_side
 from astro_scc.epochs.validation import as_beams, as_noise
 from astro_scc.exceptions import EpochWarning
 
@@ -116,17 +116,16 @@ def restore(
         raise ValueError("restore needs a beam; give one, or one for each epoch")
     noise = as_noise(noise, n_epochs, unit)
     scale = pixel_side(pixel_scale).to_value(u.mas)
-    narrow = min(b.minor.to_value(u.mas) for b in beams)
+    narrow = min(b.minor.value for b in beams)
     if scale > narrow:
         raise ValueError(
             f"a pixel of {scale:g} mas is larger than the beam of {narrow:g} mas; give "
             "a fifth of the beam or less"
         )
-    x = -components.east.to_value(u.mas) / scale
-    y = components.north.to_value(u.mas) / scale
-    size = components.major.to_value(u.mas) / scale
-    border = margin * max(b.major.to_value(u.mas) for b in beams) / scale
-    shape, reference_pixel = _grid(x, y, size + border, shape, reference_pixel)
+    x, y = -components.east.value / scale, components.north.value / scale
+    border = margin * max(b.major.value for b in beams) / scale
+    border = components.major.value / scale + border
+    shape, reference_pixel = _grid(x, y, border, shape, reference_pixel)
     x, y = x + reference_pixel[0], y + reference_pixel[1]
     outside = (x < -0.5) | (x > shape[1] - 0.5) | (y < -0.5) | (y > shape[0] - 0.5)
     if outside.any():
@@ -156,10 +155,12 @@ def restore(
     line = f"restored {len(components)} components at {n_epochs} epochs{added}"
     if position is None:
         position = components.meta.get("position")
-    return EpochCube(
-        data=data,
-        times=components.times,
-        wcs=offset_wcs(pixel_scale, reference_pixel, position),
+    return EpochCube.from_arrays(
+        data,
+        components.times,
+        pixel_scale=pixel_scale,
+        reference_pixel=reference_pixel,
+        position=position,
         unit=unit,
         beams=beams,
         noise=noise,
@@ -201,14 +202,10 @@ def _covariances(components):
     pa = components.pa.to_value(u.rad)
     along = np.stack([-np.sin(pa), np.cos(pa)], axis=-1)
     across = np.stack([-np.cos(pa), -np.sin(pa)], axis=-1)
-    major, minor = (
-        (FWHM_TO_SIGMA * axis.to_value(u.mas)[:, None, None]) ** 2
-        for axis in (components.major, components.minor)
-    )
-    return (
-        major * along[:, :, None] * along[:, None, :]
-        + minor * across[:, :, None] * across[:, None, :]
-    )
+    major = (FWHM_TO_SIGMA * components.major.value[:, None, None]) ** 2
+    minor = (FWHM_TO_SIGMA * components.minor.value[:, None, None]) ** 2
+    of_major = major * along[:, :, None] * along[:, None, :]
+    return of_major + minor * across[:, :, None] * across[:, None, :]
 
 
 def add_gaussians(image, x, y, peak, covariance):
@@ -302,11 +299,9 @@ def correlated_noise(
     if pixel_scale is None:
         raise ValueError("noise with a beam needs pixel_scale, the side of a pixel")
 
-    ny, nx = shape
     covariance = in_pixels(beam, pixel_scale)
     padding = int(np.ceil(PADDING * np.sqrt(np.trace(covariance))))
-    padded = tuple(fft.next_fast_len(n + padding, real=True) for n in (ny, nx))
-
+    padded = tuple(fft.next_fast_len(n + padding, real=True) for n in shape)
     transfer = gaussian_transfer(covariance, padded)
     # A kernel h gives unit white noise the variance sum h^2 = mean |H|^2 (Parseval)
     # over the whole plane, of which rfft keeps one half.
@@ -315,7 +310,6 @@ def correlated_noise(
     if padded[1] % 2 == 0:
         weight[-1] = 1.0
     gain = np.sqrt(np.sum(weight * transfer**2) / np.prod(padded))
-
     white = rng.standard_normal(padded)
     noise = fft.irfft2(fft.rfft2(white) * transfer, s=padded)
-    return rms * (noise[:ny, :nx] / gain)
+    return rms * (noise[: shape[0], : shape[1]] / gain)

@@ -17,7 +17,6 @@ from astropy.time import Time
 
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.epochs.headers import first_line, get
-from astro_scc.epochs.positions import offset_wcs
 
 __doctest_requires__ = {"read_movie": ["h5py"]}
 
@@ -94,18 +93,18 @@ def read_movie(
         raise OSError(
             f"{path}: its frames have shape {frames.shape} for {len(hours)} times"
         )
-    n, ny, nx = frames.shape
     name, frequency = get(head, "source", kind=str), get(head, "rf", kind=float)
     facts = {} if frequency is None else {"frequency": frequency}
     meta = {} if name is None else {"object": name}
-    return EpochCube(
-        data=frames[:, ::-1],
-        times=Time(mjd, format="mjd", scale="utc") + hours * u.hour,
-        wcs=offset_wcs((size * u.rad).to(u.mas), ((nx - 1) / 2, (ny - 1) / 2), where),
+    return EpochCube.from_arrays(
+        frames[:, ::-1],
+        Time(mjd, format="mjd", scale="utc") + hours * u.hour,
+        pixel_scale=(size * u.rad).to(u.mas),
+        position=where,
         unit=u.Jy / u.pix,
         beams=beams,
-        epoch_meta=[meta | facts] * n,
-        meta=meta | {"history": [f"{n} frames of the movie {path.name}"]},
+        epoch_meta=[meta | facts] * len(frames),
+        meta=meta | {"history": [f"{len(frames)} frames of the movie {path.name}"]},
     )
 
 

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.epochs.cube import EpochCube
-from astro_scc.epochs.positions import offset_wcs
 from astro_scc.epochs.restoring import add_gaussians, correlated_noise, in_pixels
 from astro_scc.epochs.serialize import write_epochs
 from astro_scc.epochs.validation import as_beams, as_epoch_tuple
@@ -291,15 +290,16 @@ class JetSimulation:
         dx, dy = shift * shift_rng.standard_normal((2, self.n_epochs))
         seen = features._replace(x=features.x + dx, y=features.y + dy)
         unit = u.Jy / u.beam
-        cube = EpochCube(
-            data=self._images(seen, noise_rng, ripple_rng),
-            times=self.dates,
-            wcs=offset_wcs(self.pixel_scale, (self.extent[0], self.axis)),
+        cube = EpochCube.from_arrays(
+            self._images(seen, noise_rng, ripple_rng),
+            self.dates,
+            pixel_scale=self.pixel_scale,
+            reference_pixel=(self.extent[0], self.axis),
             unit=unit,
             beams=self.beams,
             # The noise of images with artefacts must be measured.
             noise=None if self.ripple or self.bowl else self.noise * unit,
-            epoch_meta=tuple({"object": self.name} for _ in self.beams),
+            epoch_meta=[{"object": self.name}] * self.n_epochs,
             meta={"object": self.name, "history": [f"simulated: {self.name}"]},
         )
         return SimulatedJet(cube, self._truth(features, seen), self)
