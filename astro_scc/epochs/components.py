@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from astro_scc.epochs.component_tables import FORMATS, UNITS, read_fields
 from astro_scc.epochs.fits import check_ordinary
+from astro_scc.epochs.validation import as_epoch_tuple
 from astro_scc.exceptions import EpochWarning
 
 COLUMNS = (*UNITS, "feature", "excluded")
@@ -94,11 +95,8 @@ class ComponentList:
         n = epoch.size
         if times.isscalar or (n and not 0 <= epoch.min() <= epoch.max() < len(times)):
             raise ValueError("components: epoch must be indices into an array of times")
-        labels = tuple(self.labels) or tuple(times.strftime("%Y-%m-%d"))
-        if len(labels) != len(times):
-            raise ValueError(
-                f"components: {len(labels)} labels for {len(times)} epochs"
-            )
+        labels = as_epoch_tuple(self.labels, len(times), "labels", str)
+        labels = labels or times.strftime("%Y-%m-%d").tolist()
         order = np.argsort(times.mjd, kind="stable")
         # Components without a size are points, those with one axis are round.
         default = {"major": np.zeros(n) * u.mas, "pa": np.zeros(n) * u.deg}
@@ -125,7 +123,7 @@ class ComponentList:
                 raise ValueError(f"component {row + 1} of {n}: {problem}")
         columns |= {
             "times": times[order],
-            "labels": tuple(str(labels[i]) for i in order),
+            "labels": tuple(labels[i] for i in order),
             "epoch": np.argsort(order)[epoch],
             "feature": columns["feature"].value.astype(int),
             "excluded": columns["excluded"].value.astype(bool),
@@ -217,18 +215,16 @@ def _concatenate(lists):
     starts = np.cumsum([0] + [part.n_epochs for part in lists[:-1]])
     epochs = [part.epoch + start for part, start in zip(lists, starts, strict=True)]
     dates = np.concatenate([part.times.utc.isot for part in lists])
-    meta = {
-        key: value
-        for key, value in lists[0].meta.items()
-        if key == "position" or all(part.meta.get(key) == value for part in lists)
-    }
-    columns = {k: np.concatenate([getattr(p, k) for p in lists]) for k in COLUMNS}
     return ComponentList(
         times=Time(dates, format="isot", scale="utc"),
         epoch=np.concatenate(epochs),
         labels=tuple(label for part in lists for label in part.labels),
-        meta=meta,
-        **columns,
+        meta={
+            key: value
+            for key, value in lists[0].meta.items()
+            if key == "position" or all(part.meta.get(key) == value for part in lists)
+        },
+        **{name: np.concatenate([getattr(p, name) for p in lists]) for name in COLUMNS},
     )
 
 
@@ -313,10 +309,8 @@ def read_components(
     if len(dates) != len(paths):
         raise ValueError(f"{len(dates)} dates for {len(paths)} component files")
     dates = [d.utc.isot if isinstance(d, Time) else d and str(d) for d in dates]
-    lists = [
-        _read_file(path, format, source, origin, date)
-        for path, date in zip(paths, dates, strict=True)
-    ]
+    files = zip(paths, dates, strict=True)
+    lists = [_read_file(path, format, source, origin, date) for path, date in files]
     objects = sorted({part.meta["object"] for part in lists if "object" in part.meta})
     if len(objects) > 1:
         warnings.warn(

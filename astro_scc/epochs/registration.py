@@ -131,10 +131,7 @@ def core_positions(
         )
     matrix = cube.pixel_matrix.to_value(u.mas)
     to_pixels = np.linalg.inv(matrix)
-    shapes = [
-        to_pixels @ beam.covariance.to_value(u.mas**2) @ to_pixels.T
-        for beam in cube.beams
-    ]
+    shapes = [to_pixels @ b.covariance.value @ to_pixels.T for b in cube.beams]
     noise = cube.noise_rms().to_value(cube.unit)
     if jet_pa is None:
         direction = _mean_direction(cube, shapes[0], noise.mean())
@@ -149,8 +146,8 @@ def core_positions(
 
     rows = []
     for i, label in enumerate(cube.labels):
-        image = fill_masked(cube.data[i], cube.mask[i])
-        good, options = ~cube.mask[i], (shapes[i], direction, noise[i])
+        image, good = fill_masked(cube.data[i], cube.mask[i]), ~cube.mask[i]
+        options = shapes[i], direction, noise[i]
         start = _candidate(image, good & allowed, *options)
         if start is None:
             raise ValueError(

@@ -95,7 +95,7 @@ def test_sizes_are_optional():
         ({"minor": [0.3, -1, 0] * u.mas}, "component 2 of 3: axes must be"),
         ({"epoch": [0, 1, 2]}, "indices into an array of times"),
         ({"times": Time("2006-01-01")}, "indices into an array of times"),
-        ({"labels": ("one",)}, "1 labels for 2 epochs"),
+        ({"labels": ("one",)}, "2 epochs need 2 labels, got 1"),
     ],
 )
 def test_bad_lists(changes, message):
