@@ -319,9 +319,8 @@ class JetSimulation:
         turn = (self.position_angle - 270 * u.deg).to_value(u.rad)
         if turn:
             x0, y0 = self.extent[0], self.axis
-            position = (features.x - x0) + 1j * (features.y - y0)
-            position *= np.exp(1j * turn)
-            features = features._replace(x=position.real + x0, y=position.imag + y0)
+            place = ((features.x - x0) + 1j * (features.y - y0)) * np.exp(1j * turn)
+            features = features._replace(x=place.real + x0, y=place.imag + y0)
         return features
 
     def _series(self, n, rng):
@@ -373,11 +372,10 @@ class JetSimulation:
         scale = self.pixel_scale.to_value(u.mas)
         east = -(features.x - self.extent[0]) * scale
         north = (features.y - self.axis) * scale
+        # The motion is to the next epoch, or from the previous one for the last.
         pm = np.full((2, *east.shape), np.nan)
         pm[..., :-1] = np.diff([east, north], axis=-1) / np.diff(years)
-        # The motion is to the next epoch, or from the previous one for the last.
-        before = np.concatenate([pm[..., :1], pm[..., :-1]], axis=-1)
-        pm = np.where(np.isnan(pm), before, pm)
+        pm[..., 1:] = np.where(np.isnan(pm[..., 1:]), pm[..., :-1], pm[..., 1:])
         visible = features.flux > 0
         feature, epoch = np.indices(east.shape)
         columns = {

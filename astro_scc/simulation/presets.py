@@ -326,7 +326,7 @@ def simulate_jet(
 
 
 def _run(name, streams, rng, options):
-    return JetSimulation(**{"name": name, **options, "streams": streams}).run(rng=rng)
+    return JetSimulation(streams, **{"name": name, **options}).run(rng=rng)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -439,13 +439,8 @@ def simulate_shell(
         y = origin + (middle[1].value + grown * north) / step
         image[:] = rng.poisson(add_gaussians(image, x, y, peak, covariance))
     cube = EpochCube.from_arrays(images, times, pixel_scale=pixel_scale)
-    truth = QTable(
-        {
-            "group": np.where(knot, "knots", "ring"),
-            "east": east * u.mas,
-            "north": north * u.mas,
-            "fwhm": fwhm * step * u.mas,
-            "rate": (rate / u.yr).to(u.percent / u.yr),
-        }
-    )
+    truth = QTable({"group": np.where(knot, "knots", "ring")})
+    truth["east"], truth["north"] = east * u.mas, north * u.mas
+    truth["fwhm"] = fwhm * step * u.mas
+    truth["rate"] = (rate / u.yr).to(u.percent / u.yr)
     return SimulatedShell(cube, truth, middle, r * u.mas)

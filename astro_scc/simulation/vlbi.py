@@ -102,31 +102,21 @@ def observe(
     rngs = np.random.default_rng(rng).spawn(len(jet.cube))
     for i, (noise, own_rng) in enumerate(zip(setup.noise, rngs, strict=True)):
         features = jet.truth[jet.truth["epoch"] == i]
-        uv, antennas = _coverage(declination, frequency, n_scans, own_rng)
+        uv, (first, second, scan) = _coverage(declination, frequency, n_scans, own_rng)
         visibility = _visibilities(features, setup, uv)
         gains = 1 + gain_error * _complex_normal(own_rng, (len(STATIONS), n_scans))
-        scan = antennas[2]
-        visibility *= gains[antennas[0], scan] * gains[antennas[1], scan].conj()
+        visibility *= gains[first, scan] * gains[second, scan].conj()
         visibility += noise * np.sqrt(len(uv)) * _complex_normal(own_rng, len(uv))
-        dirty = _transform(visibility, uv, east, north)
+        image = _transform(visibility, uv, east, north)
         psf = _dirty_beam(uv, scale, setup.shape)
-        model = _clean(dirty, psf, window, STOP * noise, n_iterations)
-        restoring = beam or _fitted_beam(psf, setup.pixel_scale)
+        model = _clean(image, psf, window, STOP * noise, n_iterations)
+        beams.append(beam or _fitted_beam(psf, setup.pixel_scale))
         at_y, at_x = np.nonzero(model)
-        covariance = setup.covariance(restoring)
-        add_gaussians(dirty, at_x, at_y, model[at_y, at_x], [covariance] * len(at_x))
-        images.append(dirty)
-        beams.append(restoring)
-    history = [*jet.cube.meta["history"], f"observed with {len(STATIONS)} antennas"]
-    cube = replace(
-        jet.cube,
-        data=np.array(images),
-        mask=None,
-        beams=tuple(beams),
-        noise=None,
-        meta={**jet.cube.meta, "history": history},
-    )
-    return replace(jet, cube=cube)
+        shapes = [setup.covariance(beams[i])] * len(at_x)
+        images.append(add_gaussians(image, at_x, at_y, model[at_y, at_x], shapes))
+    line = f"observed with {len(STATIONS)} antennas"
+    fields = {"data": np.array(images), "mask": None, "noise": None, "beams": beams}
+    return replace(jet, cube=jet.cube.with_step(line, **fields))
 
 
 def _complex_normal(rng, shape):
@@ -152,12 +142,10 @@ def _coverage(declination, frequency, n_scans, rng):
     scans = scans + rng.uniform(-0.5, 0.5, n_scans) * np.radians(150 / n_scans)
     times = (scans[:, None] + np.radians(15 / 12) * np.arange(2)).ravel()
     # Unit vectors towards the source and along u and v (Thompson et al., Eq. 4.1).
-    zero = np.zeros_like(times)
-    sin, cos = np.sin(times), np.cos(times)
+    zero, sin, cos = 0 * times, np.sin(times), np.cos(times)
     source = np.array([np.cos(dec) * cos, -np.cos(dec) * sin, zero + np.sin(dec)])
-    along = np.array(
-        [[sin, cos, zero], [-np.sin(dec) * cos, np.sin(dec) * sin, zero + np.cos(dec)]]
-    )
+    along_v = [-np.sin(dec) * cos, np.sin(dec) * sin, zero + np.cos(dec)]
+    along = np.array([[sin, cos, zero], along_v])
     up = stations / np.linalg.norm(stations, axis=0)
     seen = np.degrees(np.arcsin(up.T @ source)) > LOWEST
     pairs = np.array(list(combinations(range(len(STATIONS)), 2))).T
