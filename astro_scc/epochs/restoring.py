@@ -219,27 +219,24 @@ def add_gaussians(image, x, y, peak, covariance):
     """
     ny, nx = image.shape
     for x0, y0, p, c in zip(x, y, peak, np.asarray(covariance), strict=True):
-        if p == 0:
-            continue
         reach_x, reach_y = REACH * np.sqrt(np.diag(c))
-        left, right = _bounds(x0, reach_x, nx)
-        bottom, top = _bounds(y0, reach_y, ny)
-        if left >= right or bottom >= top:
+        columns, rows = _pixels(x0, reach_x, nx), _pixels(y0, reach_y, ny)
+        if p == 0 or not columns.size or not rows.size:
             continue
-        dx = np.arange(left, right) - x0
-        dy = (np.arange(bottom, top) - y0)[:, None]
+        dx, dy = columns - x0, (rows - y0)[:, None]
         (a, b), (_, d) = np.linalg.inv(c)
         if b == 0:
             box = p * np.exp(-0.5 * d * dy**2) * np.exp(-0.5 * a * dx**2)
         else:
             box = p * np.exp(-0.5 * (a * dx**2 + 2 * b * dx * dy + d * dy**2))
-        image[bottom:top, left:right] += box
+        image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += box
     return image
 
 
-def _bounds(centre, reach, length):
+def _pixels(centre, reach, n):
+    """Return those of n pixels that are within reach of a centre."""
     start = max(int(np.ceil(centre - reach)), 0)
-    return start, min(int(np.floor(centre + reach)) + 1, length)
+    return np.arange(start, min(int(np.floor(centre + reach)) + 1, n))
 
 
 def correlated_noise(

@@ -177,7 +177,7 @@ def from_xarray(
             f"from_xarray takes a Dataset or a DataArray, got {type(source).__name__}"
         )
     if NAME in getattr(source, "data_vars", ()) and source.attrs.keys() >= OWN:
-        if not all(value is None for value in (times, pixel_scale, unit, beams)):
+        if any(value is not None for value in (times, pixel_scale, unit, beams)):
             raise ValueError("what to_xarray made has its dates, pixels, unit, beams")
         return _cube_of(source)
     arrays = source.data_vars.values() if hasattr(source, "data_vars") else [source]

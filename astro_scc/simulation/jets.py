@@ -368,12 +368,12 @@ class JetSimulation:
         return self.ripple * peak * falling * np.cos(wave * along + phase)
 
     def _truth(self, features, seen):
-        years = (self.dates - self.dates[0]).to_value(u.yr)
         scale = self.pixel_scale.to_value(u.mas)
         east = -(features.x - self.extent[0]) * scale
         north = (features.y - self.axis) * scale
         # The motion is to the next epoch, or from the previous one for the last.
         pm = np.full((2, *east.shape), np.nan)
+        years = (self.dates - self.dates[0]).to_value(u.yr)
         pm[..., :-1] = np.diff([east, north], axis=-1) / np.diff(years)
         pm[..., 1:] = np.where(np.isnan(pm[..., 1:]), pm[..., :-1], pm[..., 1:])
         visible = features.flux > 0
