@@ -223,6 +223,8 @@ def numbers(column, unit, path, own_unit=None):
         values = np.array(np.ma.filled(np.ma.asarray(column, dtype=float), np.nan))
     except (TypeError, ValueError):
         raise ValueError(f"{path}: column {name!r} is not numeric") from None
+    for i in np.flatnonzero(np.isinf(values)):
+        raise ValueError(f"{path}, row {i + 1}: {name} is infinite")
     if unit == u.one:
         return values
     own_unit = own_unit or column.unit
@@ -246,7 +248,7 @@ def _offsets(values, path):
         blank = (values["feature"] == CORE) & np.isnan(separation)
         separation = np.where(blank, 0.0, separation)
     angle = np.radians(np.where((separation == 0) & np.isnan(angle), 0.0, angle))
-    for i in np.flatnonzero(~np.isfinite(separation + angle)):
+    for i in np.flatnonzero(np.isnan(separation + angle)):
         raise ValueError(
             f"{path}, row {i + 1}: separation or position_angle is blank or not finite"
         )

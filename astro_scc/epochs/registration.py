@@ -186,12 +186,11 @@ def _candidate(image, good, shape, direction, noise):
     size = np.maximum(np.sqrt(np.diag(shape)[::-1]) / FWHM_TO_SIGMA / 2, 3)
     size = (2 * np.rint((size - 1) / 2) + 1).astype(int)
     maximum = (image == ndimage.maximum_filter(image, size=tuple(size))) & good
-    value = image[maximum]
-    bright = max(FAINTEST * value.max(initial=-np.inf), 5 * noise)
-    places, value = np.argwhere(maximum)[value > bright, ::-1], value[value > bright]
-    if len(value) == 0:
+    maximum &= image > max(FAINTEST * image[maximum].max(initial=-np.inf), 5 * noise)
+    places = np.argwhere(maximum)[:, ::-1]
+    if len(places) == 0:
         return None
-    order = -value if direction is None else places @ direction
+    order = -image[maximum] if direction is None else places @ direction
     return places[np.argmin(order)].astype(float)
 
 
@@ -301,8 +300,7 @@ def displacement(image, mask, reference, use, reach, start=None):
 def _whole_pixels(filled, mask, reference, use, reach):
     """Return the displacement (dx, dy) of the largest correlation."""
     steps = int(np.ceil(reach)) + 1
-    rows, columns = (np.flatnonzero(use.any(axis=k)) for k in (1, 0))
-    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    (box,) = ndimage.find_objects(use.astype(int))
     # Windows reach past the box on all sides, and past the image.
     window = tuple(slice(s.start, s.stop + 2 * steps) for s in box)
     coefficient, _ = correlate_windows(
