@@ -258,9 +258,9 @@ def _by_core(cube, *, jet_pa=None, max_shift=None):
             MeasurementWarning,
             stacklevel=3,
         )
-    names = "east", "north", "east_err", "north_err"
-    values = np.stack([found[name].value for name in names], axis=1)
-    return _from_sky(cube, values[:, :2], values[:, 2:], "the core")
+    offsets = np.stack([found["east"].value, found["north"].value], axis=1)
+    errors = np.stack([found["east_err"].value, found["north_err"].value], axis=1)
+    return _from_sky(cube, offsets, errors, "the core")
 
 
 def _by_table(cube, *, table=None):
@@ -338,9 +338,8 @@ def _reference_image(cube, reference):
 def _mean_of_moved(cube, shifts):
     """Return the mean of the shifted epochs, NaN where any of them has no pixel."""
     epochs = zip(cube.data, cube.mask, shifts, strict=True)
-    moved = np.stack([grid.shift_image(*epoch)[0] for epoch in epochs])
     # Pixels that only some epochs have would make steps in the mean.
-    return moved.sum(axis=0) / len(moved)
+    return np.mean([grid.shift_image(*epoch)[0] for epoch in epochs], axis=0)
 
 
 def offsets_from_table(table, times, labels):

@@ -145,25 +145,24 @@ def _refer(values, epoch, days, relative, origin, path):
 def _dates(table, columns, date, path):
     """Return the date of each row as ISO text; ``date`` applies to all rows."""
     if date is not None:
-        texts = [date]
+        texts = [date] * len(table)
     elif "epoch" in columns:
         column = table[columns["epoch"]]
-        texts = map(str, column.utc.isot if isinstance(column, Time) else column)
+        texts = column.utc.isot if isinstance(column, Time) else column
+        texts = [str(text) for text in texts]
     else:
         rows = table.iterrows(*(columns[part] for part in ("year", "month", "day")))
-        texts = ("-".join(str(value).zfill(2) for value in row) for row in rows)
-    known, dates = {}, []
-    for i, text in enumerate(texts, start=1):
-        if text not in known:
-            try:
-                # ERFA warns of years whose leap seconds are unknown.
-                with warnings.catch_warnings(action="ignore"):
-                    known[text] = parse_date(text).isot
-            except ValueError as error:
-                where = path if date is not None else f"{path}, row {i}"
-                raise ValueError(f"{where}: {error}") from None
-        dates.append(known[text])
-    return np.broadcast_to(dates, len(table))
+        texts = ["-".join(str(value).zfill(2) for value in row) for row in rows]
+    known = {}
+    for text in dict.fromkeys(texts):
+        try:
+            # ERFA warns of years whose leap seconds are unknown.
+            with warnings.catch_warnings(action="ignore"):
+                known[text] = parse_date(text).isot
+        except ValueError as error:
+            where = path if date is not None else f"{path}, row {texts.index(text) + 1}"
+            raise ValueError(f"{where}: {error}") from None
+    return [known[text] for text in texts]
 
 
 def _find_columns(table):
