@@ -229,9 +229,7 @@ def _cube_of(source):
     attributes = source.attrs
     times = getattr(_dates_along(source, "time"), attributes["time_scale"])
     times.format = attributes["time_format"]
-    beams = None
-    if "beam_major" in source:
-        beams = beams_of(*(source[f"beam_{name}"].values for name in BEAM))
+    columns = [source[f"beam_{k}"].values for k in BEAM if f"beam_{k}" in source]
     unit = _unit_of(source[NAME])
     own = source["own_wcs"].values if "own_wcs" in source.coords else ()
     data, mask = (source[k].transpose(*IMAGES).values for k in (NAME, "mask"))
@@ -241,7 +239,7 @@ def _cube_of(source):
         wcs=grid(attributes["wcs"]),
         unit=unit,
         mask=np.array(mask, dtype=bool),
-        beams=beams,
+        beams=beams_of(*columns) if columns else None,
         noise=source["noise"].values * unit if "noise" in source else None,
         labels=[str(label) for label in source["label"].values],
         epoch_wcs=[grid(packed) for packed in own] or None,

@@ -5,6 +5,7 @@ import os
 import tempfile
 import warnings
 from collections.abc import Sequence
+from contextlib import closing
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -142,14 +143,11 @@ def read_casa_image(path):
 def _by_casatools(path):
     from casatools import image
 
-    tool = image()
     with tempfile.TemporaryDirectory() as folder:
         exported = Path(folder) / "image.fits"
-        tool.open(str(path))
-        try:
+        with closing(image()) as tool:
+            tool.open(str(path))
             tool.tofits(str(exported), velocity=False, stokeslast=True)
-        finally:
-            tool.close()
         with fits.open(exported, memmap=False) as hdus:
             return fits.HDUList([hdu.copy() for hdu in hdus])
 
