@@ -438,11 +438,12 @@ def _noise(ndcube, planes, mask):
     for values, bad in zip(planes(np.asarray(given.array)), mask, strict=True):
         uncertainty = type(given)(values, unit=given.unit, copy=False)
         try:
-            found.append(uncertainty_noise(uncertainty, unit, bad))
+            level, without, even = uncertainty_noise(uncertainty, unit, bad)
         except ValueError as error:
             raise ValueError(f"the NDCube: {error}") from None
-    noise, without, even = zip(*found, strict=True)
-    mask |= without
+        bad |= without
+        found.append((level, even))
+    noise, even = zip(*found, strict=True)
     if not all(even):
         warnings.warn(f"the NDCube: {UNEVEN}", EpochWarning, stacklevel=4)
     return u.Quantity(noise)
