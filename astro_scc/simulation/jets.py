@@ -182,12 +182,16 @@ class JetSimulation:
         )
         n = len(dates)
         noise = (self.noise,) * n if np.ndim(self.noise) == 0 else self.noise
+        noise = as_epoch_tuple(noise, n, "noise levels", float)
+        beams = as_beams(self.beams, n)
+        if not (beams and noise):
+            raise ValueError("beams and noise need one value, or one for each epoch")
         for name, value in {
             "streams": tuple(self.streams),
             "dates": dates,
             "n_epochs": n,
-            "beams": as_beams(self.beams, n),
-            "noise": as_epoch_tuple(noise, n, "noise levels", float),
+            "beams": beams,
+            "noise": noise,
         }.items():
             object.__setattr__(self, name, value)
 

@@ -344,6 +344,8 @@ def test_bad_streams(options, message):
         ({"dates": Time("2001-01-01")}, "array of increasing times"),
         ({"dates": Time(["2001-01-02", "2001-01-01"])}, "array of increasing times"),
         ({"beams": [Beam(1 * u.mas, 1 * u.mas)]}, "10 epochs need 10 beams, got 1"),
+        ({"beams": []}, "beams and noise need one value, or one for each epoch"),
+        ({"noise": ()}, "beams and noise need one value, or one for each epoch"),
         ({"extent": (220.0, 20.0)}, "extent must be"),
         ({"noise": -1.0}, "noise must be zero or positive"),
         ({"taper": -1.0}, "taper must be zero or positive"),
