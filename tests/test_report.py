@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from astro_scc.kinematics import paper_cosmology
 from astro_scc.quantities import with_error
 from astro_scc.report import write_report
-from astro_scc.report.tables import epoch_rows
+from astro_scc.report.tables import epoch_columns
 from astro_scc.units import in_easy_units
 
 CHANCE = "permuted epochs give as strong a peak (p_global above alpha)"
@@ -454,14 +454,13 @@ def test_the_epochs_add_up_to_the_number_of_ssps_inside(result, n_inside):
     ssps["in_region"] = np.arange(n) < inside
     other = replace(result)
     object.__setattr__(other, "ssps", ssps)
-    table = epoch_rows(other)
-    column = table["head"].index("SSPs")
-    assert sum(int(row[column]) for row in table["rows"]) == inside
+    columns = epoch_columns(other)
+    assert sum(columns["SSPs"]) == inside
     if n_inside is None:
-        assert table["head"][-1] == "SSPs"
+        assert list(columns)[-1] == "SSPs"
     else:
-        assert table["head"][-1] == "SSPs outside the region"
-        assert sum(int(row[-1]) for row in table["rows"]) == n - inside
+        assert list(columns)[-1] == "SSPs outside the region"
+        assert sum(columns["SSPs outside the region"]) == n - inside
 
 
 def test_epochs_have_their_names_only_where_these_are_not_their_dates(

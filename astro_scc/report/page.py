@@ -1,9 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Write a measurement, or a survey, as one page; the templates have the sentences."""
 
-import base64
 import io
 import math
+from base64 import b64encode
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,8 +18,7 @@ from astro_scc.measurement.sensitivity import sensitivity_line
 from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
 from astro_scc.report import tables
-from astro_scc.report.tables import plain_value, unit_text
-from astro_scc.units import in_easy_units
+from astro_scc.units import PM_UNIT, in_easy_units, unit_name
 
 #: Other products that the folder may hold, in the order of the page.
 PRODUCTS = (
@@ -97,28 +96,31 @@ def write_report(
     """
     directory = Path(directory)
     components = result.components if components is None else components
-    title = title or result.cube.meta.get("object") or "Velocity components"
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
         raise OSError(f"{directory}: is a file; choose another folder") from None
     files = draw_figures(result, components, pdf=pdf)
-    pngs = {name: file for name, file in files.items() if name.endswith(".png")}
+    easy, meta = in_easy_units(components), {**result.meta, **components.meta}
     page = _template("report.html").render(
-        **_findings(result, components),
-        title=str(title),
-        warnings=[str(warning) for warning in warnings],
-        figures={name[:-4]: _address(png) for name, png in pngs.items()},
-        epochs=tables.epoch_rows(result),
-        left_out=[(w, "") if isinstance(w, str) else tuple(w) for w in left_out],
+        result=result,
+        title=title or result.cube.meta.get("object") or "Velocity components",
+        components=easy,
+        tables=tables.component_tables(easy),
+        epochs=tables.epoch_columns(result),
+        settings=meta.pop("settings", {}) | meta,
+        smallest_of_epochs=2 / math.factorial(min(len(result.cube), 20)),
+        fast=fast_components(result, easy),
+        flow=flow_lines(result),
+        depends=sensitivity_line(result.sensitivity),
+        files=files,
+        warnings=warnings,
+        left_out=left_out,
         chosen=chosen,
-        settings=tables.setting_rows(result, components),
         rerun=rerun,
         explore=explore,
         has_explore=(directory / "explore.html").is_file(),
         config_text=config_text,
-        history=[str(line) for line in result.cube.meta.get("history", ())],
-        versions=result.meta.get("versions", {}),
         products=[name for name in PRODUCTS if (directory / name).is_file()],
     )
     files["report.html"] = page.encode("utf-8")
@@ -138,12 +140,15 @@ def _template(name):
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.tests["finite"] = math.isfinite
+    environment.tests["finite"] = np.isfinite
     environment.filters |= {
-        "plural": lambda word, n: word if n == 1 else f"{word}s",
+        "address": lambda png: f"data:image/png;base64,{b64encode(png).decode()}",
         "listed": _listed,
-        "with_error": with_error,
-        "word": lambda n: NUMBERS[n] if n < len(NUMBERS) else str(n),
+        "plural": lambda word, n: word if n == 1 else f"{word}s",
+        "text": tables.setting_text,
+        "unit": unit_name,
+        "with_error": lambda *cells: with_error(*(u.Quantity(v).value for v in cells)),
+        "word": lambda n: NUMBERS[n] if n < len(NUMBERS) else n,
     }
     return environment.get_template(name)
 
@@ -169,9 +174,8 @@ def write_overview(table, parts, folder, *, published):
         Path of the page.
     """
     path = Path(folder) / "overview.html"
-    found = tables.overview(table, parts, path.parent, published)
     page = _template("survey.html").render(
-        **found,
+        **tables.overview(table, parts, path.parent, published),
         title="Survey of proper motions",
         products=["survey.ecsv", "survey.toml"],
         versions=table.meta.get("versions", {}),
@@ -183,13 +187,8 @@ def write_overview(table, parts, folder, *, published):
 
 def _listed(words):
     """Join words with commas, and the last one with "and"."""
-    words = [str(word) for word in words]
-    return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else words[0]
-
-
-def _address(png):
-    """Return a picture as a data URI."""
-    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+    *most, last = map(str, words)
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def draw_figures(result, components, *, pdf=False):
@@ -197,29 +196,24 @@ def draw_figures(result, components, *, pdf=False):
     from astro_scc import visualization as show
     from astro_scc.visualization.features import plot_sensitivity
 
-    per_pm = _beta_per_pm(components)
-    shared = {"components": components, "beta_per_pm": per_pm}
+    per_pm = {"beta_per_pm": _beta_per_pm(components)}
+    shared = {"components": components}
     figures = {
-        "streams": show.plot_streams(result),
-        "diagram": show.plot_diagram(result, components=components),
-        "speeds": show.plot_feature_speeds(
-            result, profile=feature_profile(result), beta_per_pm=per_pm
-        ),
-        "distances": show.plot_feature_distances(result),
-        "members": show.plot_members(result, components=components),
-        "velocity_map": show.plot_velocity_map(result, **shared),
-        "significance": show.plot_significance(result, **shared),
+        "diagram": show.plot_diagram(result, **shared),
+        "velocity_map": show.plot_velocity_map(result, **shared, **per_pm),
+        "significance": show.plot_significance(result, **shared, **per_pm),
         "epochs": show.plot_epochs(result.cube, result.ssps),
         "intervals": show.plot_intervals(result.cube, result.pairs),
     }
-    if len(components) == 0:
-        del figures["members"]
-    if len(result.features) == 0:
-        del figures["streams"], figures["speeds"], figures["distances"]
+    if len(components):
+        figures["members"] = show.plot_members(result, **shared)
+    if len(result.features):
+        profile = feature_profile(result)
+        figures["streams"] = show.plot_streams(result)
+        figures["speeds"] = show.plot_feature_speeds(result, profile=profile, **per_pm)
+        figures["distances"] = show.plot_feature_distances(result)
     if len(result.sensitivity):
-        figures["sensitivity"] = plot_sensitivity(
-            result.sensitivity, beta_per_pm=per_pm
-        )
+        figures["sensitivity"] = plot_sensitivity(result.sensitivity, **per_pm)
     found = {}
     metadata = {"png": None, "pdf": {"CreationDate": None}}
     for name, figure in figures.items():
@@ -234,48 +228,9 @@ def _beta_per_pm(components):
     """Return the apparent speed in units of c of 1 mas/yr, if the table gives it."""
     if "beta_app" not in components.colnames:
         return None
-    speed = u.Quantity(components["pm"]).to_value(u.mas / u.yr)
-    beta = np.asarray(components["beta_app"], dtype=float)
-    usable = (speed > 0) & (beta > 0)
-    return float(beta[usable][0] / speed[usable][0]) if usable.any() else None
-
-
-def _findings(result, components):
-    """Return the values that the template needs for sentences, tables and captions."""
-    from astro_scc.visualization.style import component_kinds
-
-    kinds = component_kinds(components)
-    easy = in_easy_units(components)
-    shown, notes = tables.component_rows(easy, kinds)
-    names = [name for name in easy.colnames if easy[name].ndim == 1]
-    rows = [
-        {name: plain_value(row[name]) for name in names} | {"kind": kind}
-        for row, kind in zip(easy, kinds, strict=True)
-    ]
-    fast = fast_components(result, rows)
-    inside = np.asarray(result.ssps["in_region"], bool)
-    return {
-        "components": rows,
-        "kinds": kinds,
-        "unit": unit_text(easy["pm"].unit),
-        "tables": shown,
-        "notes": notes,
-        "features": tables.feature_rows(easy, result.features),
-        "fast": fast,
-        "flow": flow_lines(result),
-        "depends": sensitivity_line(result.sensitivity),
-        "sensitivity": tables.sensitivity_rows(easy, result.sensitivity),
-        "dates": result.cube.times.strftime("%Y-%m-%d"),
-        "n_pairs": int(result.search.diagram.n_pairs.sum()),
-        "n_map_pairs": len(result.pairs),
-        "n_ssps": len(inside),
-        "n_inside": int(inside.sum()),
-        "n_scales": len(np.unique(np.asarray(result.ssps["scale"], dtype=float))),
-        "axes": result.frame.axis_names,
-        "alpha": result.meta["settings"]["alpha"],
-        "n_trials": result.meta["n_trials"],
-        "smallest_of_epochs": 2 / math.factorial(min(len(result.cube), 20)),
-    }
+    speeds = components["pm"].to_value(PM_UNIT), components["beta_app"].value
+    ratios = [beta / pm for pm, beta in zip(*speeds, strict=True) if min(pm, beta) > 0]
+    return float(ratios[0]) if ratios else None
 
 
 def flow_lines(result):
@@ -300,9 +255,9 @@ def flow_lines(result):
     return lines
 
 
-def fast_components(result, rows):
+def fast_components(result, components):
     """Return the numbers of moving components near the largest speed searched."""
     fastest = result.search.permutations.speed.max()
-    moving = [int(row["component"]) for row in rows if row["kind"] == "moving"]
-    speeds = [abs(result.search.streams[number - 1].along.mean) for number in moving]
-    return [n for n, v in zip(moving, speeds, strict=True) if v > EDGE * fastest]
+    moving = components["component"][components["kind"] == "moving"]
+    streams = result.search.streams
+    return [n for n in moving if abs(streams[n - 1].along.mean) > EDGE * fastest]

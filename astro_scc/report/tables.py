@@ -16,34 +16,34 @@ from astro_scc.measurement.tables import cell_text
 from astro_scc.quantities import with_error
 from astro_scc.units import PM_UNIT, offset_unit, round_to_errors, speed_unit, unit_name
 
-#: Columns of the page: name, heading with {unit}.
-COLUMNS = (
-    ("component", "No."),
-    ("kind", "kind"),
-    ("pm", "speed ({unit})"),
-    ("beta_app", "speed (c)"),
-    ("pm_pa", "PA ({unit})"),
-    ("dispersion", "dispersion ({unit})"),
-    ("p_global", "p_global"),
-    ("n_features", "features"),
-    ("n_ssp", "SSPs"),
-    ("n_pairs", "pairs"),
-    ("pm_parallel", "along ({unit})"),
-    ("pm_transverse", "across ({unit})"),
-    ("pm_ra_cosdec", "east ({unit})"),
-    ("pm_dec", "north ({unit})"),
-    ("pm_lon_coslat", "longitude ({unit})"),
-    ("pm_lat", "latitude ({unit})"),
-    ("coefficient", "coefficient"),
-    ("z_score", "z"),
-    ("pm_limit", "upper limit, 95% ({unit})"),
-    ("pm_err_jitter", "paper's error of the speed ({unit})"),
-    ("pm_err_alignment", "error by alignment ({unit})"),
-    ("p_local", "p_local"),
-    ("p_distinct", "p_distinct"),
-    ("p_smallest", "smallest p_global"),
-    ("note", "note"),
-)
+#: Headings of the columns of components, with {unit}.
+COLUMNS = {
+    "component": "No.",
+    "kind": "kind",
+    "pm": "speed ({unit})",
+    "beta_app": "speed (c)",
+    "pm_pa": "PA ({unit})",
+    "dispersion": "dispersion ({unit})",
+    "p_global": "p_global",
+    "n_features": "features",
+    "n_ssp": "SSPs",
+    "n_pairs": "pairs of epochs",
+    "pm_parallel": "along ({unit})",
+    "pm_transverse": "across ({unit})",
+    "pm_ra_cosdec": "east ({unit})",
+    "pm_dec": "north ({unit})",
+    "pm_lon_coslat": "longitude ({unit})",
+    "pm_lat": "latitude ({unit})",
+    "coefficient": "coefficient",
+    "z_score": "z",
+    "pm_limit": "upper limit, 95% ({unit})",
+    "pm_err_jitter": "paper's error of the speed ({unit})",
+    "pm_err_alignment": "error by alignment ({unit})",
+    "p_local": "p_local",
+    "p_distinct": "p_distinct",
+    "p_smallest": "smallest p_global",
+    "note": "note",
+}
 #: Columns of the page of a survey.
 OVERVIEW = {
     "source": "source",
@@ -62,69 +62,43 @@ OVERVIEW = {
 OF_SOURCE = ("moving", "not significant", "stationary", "empty", "failed")
 #: Width and height of a small profile.
 SPARK = (144, 34)
-#: Entries of a table's meta that are elsewhere on the page.
-NO_SETTINGS = ("versions", "history", "configuration")
 
 
-def plain_value(item):
-    """Return a cell as a plain number or text."""
-    item = getattr(item, "value", item)
-    return item if isinstance(item, str) else float(item)
-
-
-def unit_text(unit):
-    """Return a unit as text without blanks, empty for None."""
-
-    return "" if unit is None else unit_name(unit)
-
-
-def component_rows(components, kinds):
+def component_tables(components):
     """
-    Return heads, rows and explanations of the tables of components.
+    Return the columns of the two tables of components as text.
 
     Parameters
     ----------
     components : `~astropy.table.QTable`
-    kinds : sequence of str
 
     Returns
     -------
-    tables : list of (list of str, list of (str, list of str))
-        Head and rows, each row with its kind.  The first table has the main
+    list of list of (str, str, list of str)
+        Heading, meaning and cells of each column.  The first table has the main
         columns, the second the others; both are narrow enough for paper.
-    notes : list of (str, str)
-        Headings and what the columns mean.
     """
     components = round_to_errors(components.copy(copy_data=False))
-    known = [column for column in COLUMNS if column[0] in components.colnames]
-    taken = {name for name, _ in COLUMNS}
-    taken |= {f"{name}_err" for name in taken}
-    known += [
-        (name, name)
-        for name in components.colnames
-        if name not in taken and components[name].ndim == 1
-    ]
-    names = [name for name, _ in known]
-    first = names.index("pm_parallel") if "pm_parallel" in names else len(known)
-    tables, notes = [], []
-    for part in (known[:first], [*known[:1], *known[first:]]):
-        head, rows = [], [(kind, []) for kind in kinds]
-        for name, heading in part:
-            unit = unit_text(getattr(components[name], "unit", None))
-            head.append(heading.format(unit=unit))
-            note = _note(components[name].info.description or "")
-            if note and (head[-1], note) not in notes:
-                notes.append((head[-1], note))
-            for k, (_, cells) in enumerate(rows):
-                cells.append(cell_text(components, name, k))
-        tables.append((head, rows))
-    return tables, notes
+    columns = {
+        name: _column(components, name)
+        for name in dict.fromkeys([*COLUMNS, *components.colnames])
+        if name in components.colnames and components[name].ndim == 1
+        if name in COLUMNS or name.removesuffix("_err") not in COLUMNS
+    }
+    first = [*columns, "pm_parallel"].index("pm_parallel")
+    columns = list(columns.values())
+    return [columns[:first], columns[:1] + columns[first:]]
 
 
-def _note(description):
-    """Return the description of a column in the words of the page."""
-    description = re.sub(r"\bpm_err\b", "the error of the speed", description)
-    return re.sub(r"\bpm\b", "the speed", description)
+def _column(components, name):
+    """Return the heading, the meaning and the cells of a column."""
+    info = components[name].info
+    heading = COLUMNS.get(name, name).format(unit=unit_name(info.unit or ""))
+    # Headings speak of the speed instead of its column.
+    note = re.sub(r"\bpm_err\b", "the error of the speed", info.description or "")
+    note = re.sub(r"\bpm\b", "the speed", note)
+    cells = [cell_text(components, name, k) for k in range(len(components))]
+    return heading, note, cells
 
 
 def scale_lines(of_scales):
@@ -139,7 +113,7 @@ def scale_lines(of_scales):
     Returns
     -------
     list of str
-        Without the pairs of which fewer than two features leave one unknown.
+        Without pairs of groups of which one has fewer than two features.
     """
     lines = []
     for row in of_scales[np.isfinite(of_scales["p_value"])]:
@@ -150,82 +124,16 @@ def scale_lines(of_scales):
         ]
         lines.append(
             f"Speeds of the {row['first']} and {row['second']} scales: {speeds[0]} and "
-            f"{speeds[1]} {unit_text(row['first_speed'].unit)}, p {row['p_value']:.2g}"
+            f"{speeds[1]} {unit_name(row['first_speed'].unit)}, p {row['p_value']:.2g}"
         )
     return lines
 
 
-def feature_rows(components, features):
-    """
-    Return the table of the features that were followed, each with its own speed.
-
-    Parameters
-    ----------
-    components : `~astropy.table.QTable`
-        Components, whose unit of speed is used.
-    features : `~astropy.table.QTable`
-        See `~astro_scc.measurement.SCCResult.features`.
-
-    Returns
-    -------
-    head : list of str
-    rows : list of list of str
-    """
-    unit = components["pm"].unit
-    head = ["Component", "scale", "epochs", "first", "last",
-            f"distance ({unit_text(u.mas)})", f"motion ({unit_text(u.mas)})",
-            f"speed ({unit_text(unit)})"]  # fmt: skip
-    rows = [
-        [
-            str(row["component"]), f"{row['scale']:g}", str(row["n_epochs"]),
-            *(row[k].strftime("%Y-%m-%d") for k in ("first", "last")),
-            *(f"{row[k].to_value(u.mas):.3g}" for k in ("distance", "motion")),
-            with_error(row["pm"].to_value(unit), row["pm_err"].to_value(unit)),
-        ]
-        for row in features
-    ]  # fmt: skip
-    return head, rows
-
-
-def sensitivity_rows(components, sensitivity):
-    """
-    Return the table of the main speed with other choices of the data.
-
-    Parameters
-    ----------
-    components : `~astropy.table.QTable`
-        Components, whose unit of speed is used.
-    sensitivity : `~astropy.table.QTable`
-        See `~astro_scc.measurement.SCCResult.sensitivity`.
-
-    Returns
-    -------
-    head : list of str
-    rows : list of list of str
-    """
-    unit = components["pm"].unit
-    head = ["Measured from", "features", f"speed ({unit_text(unit)})",
-            f"change ({unit_text(unit)})", "change / error", "p"]  # fmt: skip
-    rows = []
-    for row in sensitivity:
-        cells = [
-            with_error(row[name].to_value(unit), row[f"{name}_err"].to_value(unit))
-            for name in ("pm", "change")
-        ]
-        cells += [f"{row['change_sigma']:+.1f}", f"{row['p_value']:.2g}"]
-        rows.append([str(row["choice"]), str(row["n_features"]), *cells])
-    if rows:
-        rows[0][3:] = ["-"] * 3
-    return head, rows
-
-
-def epoch_rows(result):
-    """Return head and rows of the table of the epochs."""
+def epoch_columns(result):
+    """Return the columns of the table of the epochs as text, by their headings."""
     table = result.cube.epochs
-    epoch = np.asarray(result.ssps["epoch"], dtype=int)
-    inside = np.asarray(result.ssps["in_region"], bool)
-    days = [date.strftime("%Y-%m-%d") for date in table["date"]]
-    times = [date.strftime("%Y-%m-%d %H:%M") for date in table["date"]]
+    days = list(table["date"].strftime("%Y-%m-%d"))
+    times = list(table["date"].strftime("%Y-%m-%d %H:%M"))
     columns = {"Date": days if len(set(days)) == len(days) else times}
     labels = [str(label) for label in table["label"]]
     if labels != days:
@@ -237,40 +145,32 @@ def epoch_rows(result):
             for row in table
         ]
     noise = u.Quantity(table["noise"])
-    unit = unit_text(noise.unit)
+    unit = unit_name(noise.unit)
     columns[f"Noise ({unit})" if unit else "Noise"] = [f"{v:.2g}" for v in noise.value]
-    counted = {"SSPs": inside}
+    epoch, inside = result.ssps["epoch"], result.ssps["in_region"]
+    columns["SSPs"] = np.bincount(epoch[inside], minlength=len(table))
     if not inside.all():
-        counted["SSPs outside the region"] = ~inside
-    for name, some in counted.items():
-        counts = np.bincount(epoch[some], minlength=len(result.cube))
-        columns[name] = [str(count) for count in counts]
-    rows = list(zip(*columns.values(), strict=True))
-    return {"head": list(columns), "rows": rows}
+        outside = np.bincount(epoch[~inside], minlength=len(table))
+        columns["SSPs outside the region"] = outside
+    return columns
 
 
-def setting_rows(result, components):
-    """Return settings as pairs of name and text."""
-    meta = {**result.meta, **components.meta}
-    pairs = meta.pop("settings", {}) | meta
-    left = {k: v for k, v in pairs.items() if k not in NO_SETTINGS}
-    return [(str(name).replace("_", " "), _text(v)) for name, v in left.items()]
-
-
-def _text(value):
-    if value is None:
-        return "not given"
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else "no"
-    if isinstance(value, u.Quantity):
-        unit = unit_text(value.unit)
-        return f"{', '.join(f'{v:.6g}' for v in np.atleast_1d(value.value))} {unit}"
-    if isinstance(value, list | tuple):
-        return ", ".join(_text(v) for v in value)
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, dict) and "cosmology" in value:
-        return cosmology_text(value)
+def setting_text(value):
+    """Return the value of a setting as text."""
+    match value:
+        case None:
+            return "not given"
+        case bool() | np.bool_():
+            return "yes" if value else "no"
+        case u.Quantity():
+            numbers = (f"{v:.6g}" for v in np.atleast_1d(value.value))
+            return f"{', '.join(numbers)} {unit_name(value.unit)}"
+        case list() | tuple():
+            return ", ".join(map(setting_text, value))
+        case float():
+            return f"{value:.6g}"
+        case {"cosmology": _}:
+            return cosmology_text(value)
     return " ".join(str(value).split())
 
 
@@ -293,91 +193,74 @@ def overview(table, parts, folder, published):
         of the sources; ``speeds``, the range of those that move; ``compared``,
         their differences from published speeds in standard errors.
     """
-
     every = np.ma.filled(np.ma.asarray(table["pm"].to_value(PM_UNIT)), np.nan)
     unit = speed_unit(np.nanmax(every, initial=0.0))
-    first, kinds = {}, defaultdict(set)
+    every_kind = defaultdict(set)
     for row in table:
-        first.setdefault(tuple(row["source", "region", "scale_group"]), row)
-        measured = row["status"] == "measured"
-        kinds[row["source"]].add(str(row["kind" if measured else "status"]))
-    rows, moving, compared = [], [], []
-    for part in parts:
-        row = first[part.source, part.region, part.scale_group]
-        known = published[part.source]
-        if known is not None:
-            known = _value_and_error(known, unit)
-        cells = _part_cells(part, row, unit, known)
-        if cells["kind"] == "moving":
-            moving.append(row["pm"].to_value(unit))
-            if known is not None:
-                compared.append(abs(_difference(row, known, unit)))
-        if row["status"] == "measured":
-            report = f"{part.folder}/report.html"
-            cells["link"] = report if Path(folder, report).is_file() else ""
-            path = Path(folder, part.folder, "features.ecsv")
-            cells["profile"] = _small_profile(path, unit)
-        rows.append(cells)
-    seen = {name for cells in rows for name, text in cells.items() if text}
-    columns = [
-        (name, label.format(unit=unit_text(unit)))
-        for name, label in OVERVIEW.items()
-        if name in seen
+        kind = "kind" if row["status"] == "measured" else "status"
+        every_kind[row["source"]].add(row[kind])
+    first = {tuple(row["source", "region", "scale_group"]): row for row in table[::-1]}
+    rows = [
+        _part_cells(
+            part,
+            first[part.source, part.region, part.scale_group],
+            unit,
+            published[part.source],
+            folder,
+        )
+        for part in parts
     ]
-    speeds = ""
-    if moving:
-        middle, *ends = (f"{f(moving):.2g}" for f in (np.median, np.min, np.max))
-        speeds = f"{' to '.join(ends)} {unit_text(unit)}, median {middle}"
-    kinds = {
-        source: next(kind for kind in OF_SOURCE if kind in own)
-        for source, own in kinds.items()
+    moving = [cells for cells in rows if cells["kind"] == "moving"]
+    speeds = [cells["speed"] for cells in moving]
+    if speeds:
+        middle, *ends = (f"{f(speeds):.2g}" for f in (np.median, np.min, np.max))
+        speeds = f"{' to '.join(ends)} {unit_name(unit)}, median {middle}"
+    return {
+        "rows": rows,
+        "columns": {
+            name: label.format(unit=unit_name(unit))
+            for name, label in OVERVIEW.items()
+            if any(cells[name] for cells in rows)
+        },
+        "kinds": {k: min(v, key=OF_SOURCE.index) for k, v in every_kind.items()},
+        "speeds": speeds,
+        "compared": [abs(k["difference"]) for k in moving if "difference" in k],
     }
-    return {"rows": rows, "columns": columns, "kinds": kinds, "speeds": speeds,
-            "compared": compared}  # fmt: skip
 
 
-def _part_cells(part, row, unit, published):
-    """Return the text of a region and scale group, without its profile."""
+def _part_cells(part, row, unit, published, folder):
+    """Return the text of a region and scale group, its profile and its speed."""
+    more = defaultdict(str, kind=part.message)
+    cells = dict.fromkeys(OVERVIEW, "")
+    cells |= {"source": part.source, "kind": part.status, "more": more, "link": ""}
     names = (part.region, part.scale_group)
-    more = defaultdict(str)
-    cells = dict.fromkeys(OVERVIEW, "") | {"link": "", "source": part.source}
     cells["part"] = ", ".join(name for name in names if name != "all")
-    cells["more"] = more
-    cells["kind"], more["kind"] = part.status, part.message
     if part.n_epochs:
         cells["n_epochs"] = str(part.n_epochs)
         cells["span"], more["span"] = _span(*Time([part.first, part.last]))
     if published is not None:
-        known = np.isfinite(published[1])
-        cells["published"] = with_error(*published) if known else f"{published[0]:g}"
+        known, known_error, *_ = *np.atleast_1d(published.to_value(unit)), np.nan
+        exact = np.isnan(known_error)
+        cells["published"] = f"{known:g}" if exact else with_error(known, known_error)
     if part.status != "measured":
         return cells
-    cells["kind"] = str(row["kind"])
-    more["kind"] = "" if row["note"] == "-" else str(row["note"])
-    cells["pm"] = with_error(*(float(row[k].to_value(unit)) for k in ("pm", "pm_err")))
+    cells["kind"], more["kind"] = row["kind"], row["note"].removeprefix("-")
+    speed, error = (float(row[name].to_value(unit)) for name in ("pm", "pm_err"))
+    cells |= {"pm": with_error(speed, error), "speed": speed}
     if published is not None:
-        difference = _difference(row, published, unit)
+        difference = (speed - known) / np.hypot(error, np.nan_to_num(known_error))
+        cells["difference"] = difference
         more["published"] = f"{difference:+.1f} standard errors"
-    if "beta_app" in row.colnames and not np.any(getattr(row["beta_app"], "mask", 0)):
-        beta = (row[k].to_value(u.one) for k in ("beta_app", "beta_app_err"))
-        cells["beta_app"] = with_error(*map(float, beta))
+    if "beta_app" in row.colnames:
+        beta = cell_text(row.table, "beta_app", row.index)
+        cells["beta_app"] = "" if beta == "-" else beta
     cells["n_features"] = str(row["n_features"])
     for name in ("p_global", "p_fdr"):
-        tested = cells["kind"] != "stationary"
-        cells[name] = f"{row[name]:.2g}" if tested else "-"
+        cells[name] = "-" if row["kind"] == "stationary" else f"{row[name]:.2g}"
+    report = f"{part.folder}/report.html"
+    cells["link"] = report if Path(folder, report).is_file() else ""
+    cells["profile"] = _small_profile(Path(folder, part.folder, "features.ecsv"), unit)
     return cells
-
-
-def _value_and_error(speed, unit):
-    """Return a published speed and its error, which is NaN if there is none."""
-    value, error, *_ = [*np.atleast_1d(speed.to_value(unit)), np.nan]
-    return float(value), float(error)
-
-
-def _difference(row, published, unit):
-    """Return a speed less a published one, in standard errors of both."""
-    value, error = (row[name].to_value(unit) for name in ("pm", "pm_err"))
-    return (value - published[0]) / np.hypot(error, np.nan_to_num(published[1]))
 
 
 def _span(first, last):
@@ -394,16 +277,15 @@ def _small_profile(path, unit):
     from astro_scc.visualization.features import LARGE_ERROR
 
     features = QTable.read(path, format="ascii.ecsv")
-    error = features["pm_err"].value
     if len(features) == 0:
         return None
+    error = features["pm_err"].value
     features = features[error <= LARGE_ERROR * np.median(error)]
     distance, component = features["distance"].to_value(u.mas), features["component"]
     # Outward is positive, also along a component that points to the core.
     speed = np.where(distance < 0, -1, 1) * features["pm"].to_value(unit)
     distance = np.abs(distance)
-    low, high = min(speed.min(), 0.0), max(speed.max(), 0.0)
-    far = distance.max()
+    low, high, far = speed.min(initial=0.0), speed.max(initial=0.0), distance.max()
 
     def place(x, y):
         x = SPARK[0] * x / (far or 1.0)
@@ -412,19 +294,12 @@ def _small_profile(path, unit):
     of_first = np.flatnonzero(component == 1)
     of_first = of_first[np.argsort(distance[of_first])]
     bins = np.array_split(of_first, max(min(len(of_first) // LEAST, MOST_BINS), 1))
-    line = [
-        place(np.median(distance[own]), np.median(speed[own]))
-        for own in bins
-        if len(own)
-    ]
+    line = [place(np.median(distance[k]), np.median(speed[k])) for k in bins if len(k)]
     lengths = offset_unit(far)
     return {
-        "points": [
-            (*place(x, y), int(k))
-            for x, y, k in zip(distance, speed, component, strict=True)
-        ],
+        "points": [*zip(*place(distance, speed), component.tolist(), strict=True)],
         "line": " ".join(f"{x},{y}" for x, y in line) if len(line) > 1 else "",
         "zero": place(0, 0.0)[1],
-        "range": f"{far * u.mas.to(lengths):.2g} {unit_text(lengths)}, "
-        f"{high if high > -low else low:.2g} {unit_text(unit)}",
+        "range": f"{far * u.mas.to(lengths):.2g} {unit_name(lengths)}, "
+        f"{high if high > -low else low:.2g} {unit_name(unit)}",
     }
