@@ -13,6 +13,17 @@ from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.stacking.stack import sample_velocities
 from astro_scc.units import round_to_errors
 
+#: Columns of features: the attribute, its axis, and its unit in beams.
+PER_BEAM = {
+    "distance": ("place", 0, u.one),
+    "motion": ("motion", 0, u.one),
+    "pm": ("speed", 0, 1 / u.yr),
+    "pm_err": ("error", 0, 1 / u.yr),
+    "pm_transverse": ("across", 1, 1 / u.yr),
+    "pm_transverse_err": ("across_error", 1, 1 / u.yr),
+    "acceleration": ("acceleration", 0, 1 / u.yr**2),
+    "acceleration_err": ("acceleration_error", 0, 1 / u.yr**2),
+}
 #: A match within this many of its standard errors belongs to a component.
 MEMBER_SIGMA = 2.0
 
@@ -89,38 +100,24 @@ def feature_table(result):
         the velocity map, ``pm_axis1`` and ``pm_axis2``.  ``pm_err`` of features
         that are seen only near standing ones includes the pull of these.
     """
-    ssps, cube = result.matched.ssps, result.cube
-    project = projection_of(result)
-    rows = [
-        (number, feature, project.beam(stream.angle))
-        for number, stream in enumerate(result.search.streams, 1)
-        for feature in stream.features
-    ]
-    features = [feature for _, feature, _ in rows]
-    beam = np.reshape([beam for *_, beam in rows], (-1, 2)).T * u.mas
+    ssps, cube, project = result.matched.ssps, result.cube, projection_of(result)
+    number, features = _numbered(result)
+    angle = np.array([result.search.streams[n - 1].angle for n in number])
+    widths = {a: project.beam(a) for a in set(angle)}
+    beam = np.reshape([widths[a] for a in angle], (-1, 2)).T * u.mas
     ends = np.reshape([ssps.epoch[f.ssp[[0, -1]]] for f in features], (-1, 2))
     first, last = (Time(cube.times[k], format="isot") for k in ends.T.astype(int))
-    per_beam = {
-        "distance": ("place", 0, u.one),
-        "motion": ("motion", 0, u.one),
-        "pm": ("speed", 0, 1 / u.yr),
-        "pm_err": ("error", 0, 1 / u.yr),
-        "pm_transverse": ("across", 1, 1 / u.yr),
-        "pm_transverse_err": ("across_error", 1, 1 / u.yr),
-        "acceleration": ("acceleration", 0, 1 / u.yr**2),
-        "acceleration_err": ("acceleration_error", 0, 1 / u.yr**2),
-    }
     table = QTable(
         {
-            "feature": np.arange(len(rows)),
-            "component": np.array([number for number, *_ in rows], dtype=int),
+            "feature": np.arange(len(features)),
+            "component": number,
             "scale": np.array([ssps.scale[f.ssp[0]] for f in features], dtype=float),
             "n_epochs": np.array([len(f) for f in features], dtype=int),
             "first": first,
             "last": last,
         }
     )
-    for name, (attribute, axis, unit) in per_beam.items():
+    for name, (attribute, axis, unit) in PER_BEAM.items():
         values = np.array([getattr(f, attribute) for f in features], dtype=float)
         if name != "motion" and not name.endswith("_err"):
             values *= _sense(result)
@@ -129,7 +126,6 @@ def feature_table(result):
     table["pm_err"] = np.hypot(
         table["pm_err"], DEFAULT.pulled_error * pulled * table["pm"]
     )
-    angle = [result.search.streams[n - 1].angle for n in table["component"]]
     along, across = (
         [getattr(f, name) for f in features] * width
         for name, width in zip(("speed", "across"), beam / u.yr, strict=True)
@@ -144,6 +140,13 @@ def feature_table(result):
     table["pm"].info.description = "along the first component"
     table["pm_transverse"].info.description = "across the first component"
     return round_to_errors(table)
+
+
+def _numbered(result):
+    """Return the features of all streams, after the numbers of their components."""
+    streams = result.search.streams
+    number = np.repeat(np.arange(len(streams)) + 1, [len(s.features) for s in streams])
+    return number, [feature for stream in streams for feature in stream.features]
 
 
 def _sense(result):
@@ -167,18 +170,17 @@ def feature_positions(result):
         `feature_table`, ``ssp``, ``epoch``, ``date``, and the ``distance`` from the
         reference pixel along the first component.
     """
-    ssps, cube = result.matched.ssps, result.cube
-    project = projection_of(result)
-    parts, n_features = [np.zeros((4, 0))], 0
-    for number, stream in enumerate(result.search.streams, 1):
-        along = project(stream.angle).position[:, 0] * project.beam(stream.angle)[0]
-        for feature in stream.features:
-            same = np.ones(len(feature))
-            parts.append(
-                [number * same, n_features * same, feature.ssp, along[feature.ssp]]
-            )
-            n_features += 1
-    *numbers, distance = np.concatenate(parts, axis=1)
+    ssps, cube, project = result.matched.ssps, result.cube, projection_of(result)
+    along = [
+        project(stream.angle).position[:, 0] * project.beam(stream.angle)[0]
+        for stream in result.search.streams
+    ]
+    rows = [
+        (component, k, ssp, along[component - 1][ssp])
+        for k, (component, feature) in enumerate(zip(*_numbered(result), strict=True))
+        for ssp in feature.ssp
+    ]
+    *numbers, distance = np.reshape(rows, (-1, 4)).T
     component, feature, ssp = np.array(numbers, dtype=int)
     table = QTable({"component": component, "feature": feature, "ssp": ssp})
     table["epoch"] = ssps.epoch[ssp]

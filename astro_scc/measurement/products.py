@@ -8,7 +8,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 # Errors of the disk, which do not always name a file.
 DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
-MAPS = (("coefficient", "COEFFICIENT"), ("z_score", "ZSCORE"))
 MOTION = "direction of the proper motion"
 #: What the header of the diagram says about it.
 DIAGRAM = (
@@ -86,7 +85,7 @@ def product_folder(
     >>> [path.name for path in Path("out").iterdir()]
     ['a.txt']
     """
-    target = Path(path)
+    target, folder = Path(path), None
     exists = target.is_dir()
     if target.exists() and not exists:
         raise OSError(f"{path}: is a file; choose another folder")
@@ -96,22 +95,12 @@ def product_folder(
     inside = target, ".partial-"
     _refuse_others(path, outside, inside)
     try:
-        with ExitStack() as stack:
-            try:
-                filled = exists and any(target.iterdir())
-                if overwrite or not filled:
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                    part = partial.partial_folder(*(inside if exists else outside))
-                    folder = stack.enter_context(part)
-                    _refuse_others(path, outside, inside, own=folder)
-            except BlockingIOError:
-                raise
-            except OSError as error:
-                what = f"cannot be made or used: {error.strerror}"
-                raise OSError(f"{path}: {what}") from None
-            if filled and not overwrite:
-                what = "exists and is not empty; choose another folder, or --overwrite"
-                raise OSError(f"{path}: {what}")
+        if exists and any(target.iterdir()) and not overwrite:
+            what = "exists and is not empty; choose another folder, or --overwrite"
+            raise OSError(f"{path}: {what}")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with partial.partial_folder(*(inside if exists else outside)) as folder:
+            _refuse_others(path, outside, inside, own=folder)
             yield folder
             if exists:
                 _move(folder, target, stale)
@@ -121,15 +110,21 @@ def product_folder(
         for parent in made:
             with suppress(OSError):
                 parent.rmdir()
-        if isinstance(error, OSError) and error.filename2 == str(target):
+        # Errors that are raised here have no number.
+        if not isinstance(error, OSError) or error.errno is None:
+            raise
+        if folder is None:
+            what = f"cannot be made or used: {error.strerror}"
+        elif error.filename2 == str(target):
             what = (
                 "cannot be made: another run has written there; choose another folder"
             )
-            raise OSError(f"{path}: {what}") from None
-        if isinstance(error, OSError) and error.errno in DISK_ERRORS:
-            what = f"{error.strerror}; make room there or choose another folder"
-            raise OSError(f"{path}: cannot be written: {what}") from None
-        raise
+        elif error.errno in DISK_ERRORS:
+            why = f"{error.strerror}; make room there or choose another folder"
+            what = f"cannot be written: {why}"
+        else:
+            raise
+        raise OSError(f"{path}: {what}") from None
 
 
 def _refuse_others(path, *places, own=None):
@@ -225,20 +220,19 @@ def write_products(
         "sensitivity.ecsv": result.sensitivity,
         "ssps.ecsv": result.ssps,
     }
-    paths = [directory / name for name in (*tables, "components.tex", "scc.fits")]
     meta = with_configuration({**result.meta, **components.meta}, configuration)
     meta["history"] = list(result.cube.meta.get("history", ()))
-    for table, path in zip(tables.values(), paths, strict=False):
+    for name, table in tables.items():
         table = table.copy(copy_data=False)
         note = {key: table.meta[key] for key in ("note",) if key in table.meta}
         table.meta = plain_meta(meta | note)
-        table.write(path, format="ascii.ecsv", overwrite=True)
-    paper_table(components).write(
-        paths[-2], format="ascii.aastex", latexdict=_paper_texts(result), overwrite=True
-    )
-    velocity_hdus(result, text=text).writeto(
-        paths[-1], output_verify="exception", overwrite=True
-    )
+        table.write(directory / name, format="ascii.ecsv", overwrite=True)
+    latex, maps = directory / "components.tex", directory / "scc.fits"
+    how = {"format": "ascii.aastex", "latexdict": _paper_texts(result)}
+    paper_table(components).write(latex, overwrite=True, **how)
+    hdus = velocity_hdus(result, text=text)
+    hdus.writeto(maps, output_verify="exception", overwrite=True)
+    paths = [*(directory / name for name in tables), latex, maps]
     return paths + write_configuration(directory, text)
 
 
@@ -305,15 +299,14 @@ def velocity_hdus(result, *, text=None):
         `SCCResult.feature_positions`.
     """
     hdus = []
-    for which, name in MAPS:
+    for which in ("coefficient", "z_score"):
         image = result.velocity_map(which)
         header = _header(image, (MOTION, MOTION))
         kind = fits.ImageHDU if hdus else fits.PrimaryHDU
         hdus.append(kind(np.asarray(image.data, dtype=float), header))
-        hdus[-1].name = name
+        hdus[-1].name = which.replace("_", "").upper()
     primary = hdus[0].header
-    for key, value in _facts(result).items():
-        primary[key] = value
+    primary.update(_facts(result))
     for line in result.cube.meta.get("history", ()):
         primary.add_history(_ascii(line))
     for line in (text or "").splitlines():
@@ -321,8 +314,7 @@ def velocity_hdus(result, *, text=None):
     features = result.feature_positions.copy()
     # Readers of FITS know dates as text.
     features["date"] = features["date"].isot
-    table = fits.table_to_hdu(features)
-    table.name = "FEATURES"
+    table = fits.table_to_hdu(features, name="FEATURES")
     return fits.HDUList([*hdus, *_diagram_hdus(result), table])
 
 
@@ -332,16 +324,12 @@ def _diagram_hdus(result):
     along = "DISPPA" if along == "east" else along
     header = _header(image, ("between two dates", f"of patterns, along {along}"))
     header["BEAM"] = image.meta["beam"].value, "[mas] FWHM along the displacement"
-    if image.meta["position_angle"] is not None:
-        header["DISPPA"] = (
-            image.meta["position_angle"].value,
-            "[deg] position angle of the displacement",
-        )
+    if (angle := image.meta["position_angle"]) is not None:
+        header["DISPPA"] = angle.value, "[deg] position angle of the displacement"
     for line in DIAGRAM:
         header.add_comment(line.format(blur=SearchSettings().blur))
     columns = QTable({name: image.meta[name] for name in ("interval", "n_pairs")})
-    table = fits.table_to_hdu(columns)
-    table.name = "INTERVALS"
+    table = fits.table_to_hdu(columns, name="INTERVALS")
     return fits.ImageHDU(image.data, header, name="DIAGRAM"), table
 
 
@@ -357,7 +345,7 @@ def _header(image, comments):
 
 def _facts(result):
     cube, meta = result.cube, result.meta
-    times = cube.times.utc[[0, -1]]
+    times, angle = cube.times.utc[[0, -1]], result.position_angle.to_value(u.deg)
     versions = meta.get("versions", {})
     creator = f"astro_scc {versions.get('astro_scc', '')}"
     facts = {
@@ -369,10 +357,7 @@ def _facts(result):
         "MJD-BEG": (float(times.mjd[0]), "first epoch"),
         "MJD-END": (float(times.mjd[1]), "last epoch"),
         "NEPOCHS": (len(cube), "number of epochs"),
-        "JETPA": (
-            float(result.position_angle.to_value(u.deg)),
-            "[deg] position angle of the jet",
-        ),
+        "JETPA": (float(angle), "[deg] position angle of the jet"),
         "NTRIALS": (meta.get("n_trials"), "number of trials"),
         "SEED": (meta.get("seed"), "seed of the trials"),
         "CREATOR": (_ascii(creator)[:60], "program"),
@@ -409,9 +394,8 @@ def write_votables(result, components, directory):
     OSError
         If a file cannot be written.
     """
-    tables = {"components": components, "ssps": result.ssps}
-    paths = [Path(directory, f"{name}.vot") for name in tables]
-    for path, table in zip(paths, tables.values(), strict=True):
+    paths = [Path(directory, name) for name in ("components.vot", "ssps.vot")]
+    for path, table in zip(paths, (components, result.ssps), strict=True):
         write_votable(table, path, overwrite=True)
     return paths
 
@@ -461,14 +445,12 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
             # VOTable has no type for signed 8-bit integers.
             plain[name] = values.astype(np.int16)
     votable = from_table(plain)
-    first = votable.get_first_table()
+    params = votable.get_first_table().params
+    datatype = {bool: "boolean", int: "long", float: "double"}
     for key, value in table.meta.items():
         if isinstance(value, bool | int | float | str) and value != "":
-            datatype = {bool: "boolean", int: "long", float: "double"}
             kind = datatype.get(type(value), "unicodeChar")
-            more = {"arraysize": "*"} if kind == "unicodeChar" else {}
-            first.params.append(
-                Param(votable, name=key, datatype=kind, value=value, **more)
-            )
+            size = {"arraysize": "*"} if kind == "unicodeChar" else {}
+            params.append(Param(votable, name=key, datatype=kind, value=value, **size))
     with partial.replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
         votable.to_xml(str(part))

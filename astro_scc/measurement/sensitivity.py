@@ -72,8 +72,8 @@ def _table_of(main, alpha):
         row["p_value"] = min(1.0, n_tests * row["p_value"])
         large = abs(row["change"]) > measured["pm_err"]
         row["significant"] = large and row["p_value"] <= alpha
-    names = "change", "change_err", "change_sigma", "significant"
-    measured |= dict.fromkeys(names, 0.0) | {"p_value": 1.0}
+    measured |= {"change": 0.0, "change_err": 0.0, "change_sigma": 0.0, "p_value": 1.0}
+    measured["significant"] = False
     return round_to_errors(build_table([measured, *rows], COLUMNS))
 
 
@@ -91,15 +91,13 @@ def sensitivity_line(table):
     str
         Without a full stop; empty if there are none.
     """
-    own = in_easy_units(table)[table["significant"]]
-    if len(own) == 0:
-        return ""
     parts = [
         f"{with_error(row['pm'].value, row['pm_err'].value, '+-')} {row['pm'].unit} "
         f"({row['choice']})"
-        for row in own
+        for row in in_easy_units(table)[table["significant"]]
     ]
-    return f"The main speed changes by more than its error: {', '.join(parts)}"
+    what = "The main speed changes by more than its error: "
+    return what + ", ".join(parts) if parts else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +118,12 @@ class _Line:
         used = feature.response != 0
         # At the mean date, an SSP does not affect the speed of the whole line.
         used |= np.isclose(years, years[used].mean(), atol=1e-6)
-        place = samples.position[feature.ssp, 0]
-        return cls(feature, used, years, epoch, place)
+        return cls(feature, used, years, epoch, samples.position[feature.ssp, 0])
+
+    @property
+    def intervals(self):
+        """Time between all pairs of epochs of the feature, shape (n, n)."""
+        return self.years[:, None] - self.years
 
     @property
     def sigma(self):
@@ -138,15 +140,14 @@ class _Line:
         Parameters
         ----------
         use : bool or `~numpy.ndarray` of bool, shape (n, n)
-            The pairs that are used.
+            The pairs of epochs that are used.
 
         Returns
         -------
         `~astro_scc.stacking.Feature` or None
-            None if no pair is left.
+            None if no pair of epochs is left.
         """
-        interval = self.years[:, None] - self.years
-        interval = interval * (use & _both(self.used))
+        interval = self.intervals * (use & _both(self.used))
         total = (interval**2).sum() / 2
         if total == 0:
             return None
@@ -171,7 +172,6 @@ class _Main:
     scale: np.ndarray
     peak: np.ndarray
     dates: list
-    sense: float
 
     @classmethod
     def of(cls, result):
@@ -192,13 +192,12 @@ class _Main:
             scale=np.array([ssps.scale[f.ssp[0]] for f in stream.features]),
             peak=np.array([np.mean(ssps.peak[f.ssp]) for f in stream.features]),
             dates=list(dates),
-            sense=float(np.sign(stream.along.mean)),
         )
 
     @property
-    def place(self):
-        """Distance of each feature from the reference pixel, in mas."""
-        return np.array([abs(f.place) for f in self.stream.features]) * self.beam[0]
+    def axis(self):
+        """Unit vector along the stream on the axes of the frame."""
+        return np.array([np.cos(self.stream.angle), np.sin(self.stream.angle)])
 
     def row(self, choice, use):
         """
@@ -208,7 +207,8 @@ class _Main:
         ----------
         choice : str
         use : sequence of bool or `~numpy.ndarray`
-            For each feature, the pairs that are used, see `_Line.refitted`.
+            For each feature, the pairs of epochs that are used, see
+            `_Line.refitted`.
 
         Returns
         -------
@@ -223,25 +223,26 @@ class _Main:
         stream = replace(self.stream, features=left, along=along)
         (old, _), (speed, error) = map(self._speed, (self.stream, stream))
         deviation, freedom = self._deviation(stream, new)
-        change = speed - old
-        ratio = change / deviation if deviation > 0 else 0.0
+        ratio = (speed - old) / deviation if deviation > 0 else 0.0
+        sense = np.sign(self.stream.along.mean)
+        # Half the width of the 68% interval, as in other errors.
+        one_sigma = stdtrit(freedom, ONE_SIGMA)
         return {
             "choice": choice,
             "n_features": len(left),
-            "pm": self.sense * speed,
+            "pm": sense * speed,
             "pm_err": error,
-            "change": self.sense * change,
-            # Half the width of the 68% interval, as in other errors.
-            "change_err": deviation * stdtrit(freedom, ONE_SIGMA),
-            "change_sigma": self.sense * ratio / stdtrit(freedom, ONE_SIGMA),
+            "change": sense * (speed - old),
+            "change_err": deviation * one_sigma,
+            "change_sigma": sense * ratio / one_sigma,
             "p_value": 2 * stdtr(freedom, -abs(ratio)),
         }
 
     def _speed(self, stream):
         """Return the speed of a stream along itself, and its error, in mas/yr."""
         velocity = velocity_of(stream, self.beam, self.misaligned, self.epoch)
-        along = np.array([np.cos(stream.angle), np.sin(stream.angle)])
-        return along @ velocity.value, np.sqrt(along @ velocity.covariance @ along)
+        variance = self.axis @ velocity.covariance @ self.axis
+        return self.axis @ velocity.value, np.sqrt(variance)
 
     def _deviation(self, stream, new):
         """
@@ -257,9 +258,9 @@ class _Main:
         of_speeds, of_places, degrees = 0.0, 0.0, 0
         scatter = dispersion.variance_with_prior(n, main.mean, main.dispersion)
         for line, feature, old in zip(self.lines, new, before, strict=True):
-            weight = 0.0 if feature is None else next(after)
-            response = -old * line.feature.response
+            weight, response = 0.0, -old * line.feature.response
             if feature is not None:
+                weight = next(after)
                 response = response + weight * feature.response
             core = settings.core_bias * line.feature.speed
             of_speeds += (weight - old) ** 2 * (scatter + core**2)
@@ -270,11 +271,11 @@ class _Main:
             alignment_response(s, self.epoch, len(self.misaligned))
             for s in (stream, self.stream)
         ]
-        along = np.array([np.cos(stream.angle), np.sin(stream.angle)])
-        misaligned = (responses[0] - responses[1]) ** 2 @ self.misaligned**2 @ along**2
+        misaligned = (responses[0] - responses[1]) ** 2 @ self.misaligned**2
         total = of_speeds + of_places
         freedom = total**2 / (of_speeds**2 / n + of_places**2 / degrees or 1.0)
-        return np.sqrt(total * self.beam[0] ** 2 + misaligned), max(freedom, 1.0)
+        variance = total * self.beam[0] ** 2 + misaligned @ self.axis**2
+        return np.sqrt(variance), max(freedom, 1.0)
 
 
 def _weights(stream):
@@ -287,11 +288,9 @@ def _weights(stream):
 def _choices(main):
     """Yield choices in words, with the pairs of epochs of each line that they leave."""
     lines, n = main.lines, len(main.lines)
-    apart = [np.abs(line.years[:, None] - line.years) for line in lines]
-    used = [
-        a[np.triu(_both(line.used), 1)] for a, line in zip(apart, lines, strict=True)
-    ]
-    limit = np.median(np.concatenate(used))
+    apart = [np.abs(line.intervals) for line in lines]
+    used = [np.triu(_both(line.used), 1) for line in lines]
+    limit = np.median(np.concatenate([a[k] for a, k in zip(apart, used, strict=True)]))
     unit = time_unit(limit)
     shown = f"{(limit * u.yr).to_value(unit):.2g} {unit}"
     yield f"intervals shorter than {shown}", [a < limit for a in apart]
@@ -310,32 +309,37 @@ def _choices(main):
         for name, of in (("fine", np.less), ("coarse", np.greater_equal)):
             numbers = ", ".join(f"{s:g}" for s in scales[of(scales, first)])
             yield f"{name} scales only ({numbers})", of(main.scale, first)
-    order = np.argsort(main.place, kind="stable")
-    inner = np.isin(np.arange(n), order[: n // 2])
-    border = main.place[order[n // 2 - 1 : n // 2 + 1]].mean() * u.mas
+    # Distances from the reference pixel, in mas.
+    place = np.abs([f.place for f in main.stream.features]) * main.beam[0]
+    border = np.sort(place)[n // 2 - 1 : n // 2 + 1].mean() * u.mas
     unit = offset_unit(border.value)
     border = f"{border.to_value(unit):.3g} {unit}"
-    yield f"inner half, up to {border}", inner
-    yield f"outer half, from {border}", ~inner
-    faint = np.isin(np.arange(n), np.argsort(main.peak, kind="stable")[: n // 2])
-    yield "without the brighter half of features", faint
-    yield "without the fainter half of features", ~faint
+    yield f"inner half, up to {border}", _lower_half(place)
+    yield f"outer half, from {border}", ~_lower_half(place)
+    yield "without the brighter half of features", _lower_half(main.peak)
+    yield "without the fainter half of features", ~_lower_half(main.peak)
+
+
+def _lower_half(values):
+    """Return which values are in the lower half of all."""
+    half = np.argsort(values, kind="stable")[: len(values) // 2]
+    return np.isin(np.arange(len(values)), half)
 
 
 def _both(chosen):
-    """Return the pairs of which both are chosen."""
+    """Return the pairs of epochs of which both are chosen."""
     return chosen & chosen[:, None]
 
 
 def _worst_epoch(main):
     """Return the row of the epoch without which the speed changes most, or None."""
-    rows = []
-    for k in np.unique(np.concatenate([line.epoch for line in main.lines])):
-        choice = f"without {main.dates[k]}, the epoch that matters most"
-        row = main.row(choice, [_both(line.epoch != k) for line in main.lines])
-        if row is not None:
-            rows.append(row)
-    if not rows:
-        return None
-    worst = max(rows, key=lambda row: abs(row["change"]))
-    return worst | {"p_value": len(rows) * worst["p_value"]}
+    rows = [
+        main.row(
+            f"without {main.dates[k]}, the epoch that matters most",
+            [_both(line.epoch != k) for line in main.lines],
+        )
+        for k in np.unique(np.concatenate([line.epoch for line in main.lines]))
+    ]
+    rows = [row for row in rows if row is not None]
+    worst = max(rows, key=lambda row: abs(row["change"]), default=None)
+    return worst and worst | {"p_value": len(rows) * worst["p_value"]}

@@ -16,7 +16,6 @@ from astropy.utils.masked import Masked
 from astro_scc.quantities import with_error
 from astro_scc.units import PM_UNIT, round_to_errors
 
-#: Unit of proper motions.
 #: Standard errors above the mean at the one-sided 95% limit of a normal distribution.
 LIMIT = 1.645
 #: Columns of a table in a paper, and their headings in LaTeX.
@@ -42,7 +41,7 @@ PAPER = {
     "p_global": r"$p_\mathrm{global}$",
     "p_fdr": r"$p_\mathrm{FDR}$",
     "n_features": "Features",
-    "n_pairs": "Pairs",
+    "n_pairs": "Pairs of epochs",
 }
 P_FDR = "p_global adjusted for all searches: share of false discoveries up to it"
 
@@ -102,14 +101,11 @@ def versions() -> dict[str, str]:
     >>> {"astro_scc", "numpy", "scipy"} <= set(versions())
     True
     """
-    found = {}
-    for name in ("astro_scc", "numpy", "scipy", "astropy", "scikit-image"):
-        try:
+    needed = ("astro_scc", "numpy", "scipy", "astropy", "scikit-image")
+    found = dict.fromkeys(needed, "unknown")
+    for name in (*needed, "numba"):
+        with suppress(PackageNotFoundError):
             found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    with suppress(PackageNotFoundError):
-        found["numba"] = version("numba")
     return found
 
 
@@ -182,15 +178,14 @@ def paper_table(table, *, latex=True):
         cells = [cell_text(rounded, name, k, sign) for k in range(len(rounded))]
         if name.startswith("p_"):
             # What stands still is not tested.
-            still = ["-" if kind == "stationary" else "" for kind in table["kind"]]
-            cells = [mark or cell for mark, cell in zip(still, cells, strict=True)]
+            cells = np.where(table["kind"] == "stationary", "-", cells).tolist()
         if latex:
             is_number = getattr(getattr(column, "dtype", None), "kind", "") in "if"
-            cells = list(map(_latex_number if is_number else latex_text, cells))
+            cells = map(_latex_number if is_number else latex_text, cells)
         unit = getattr(column, "unit", None)
-        unit = None if unit == u.one else unit
-        heading = heading if latex else name
-        paper[heading] = Column(np.array(cells, dtype=str), unit=unit)
+        cells = Column(np.array(list(cells), dtype=str))
+        cells.unit = None if unit == u.one else unit
+        paper[heading if latex else name] = cells
     return paper
 
 
@@ -231,43 +226,37 @@ def component_row(result, number):
     """Return the columns of one component as plain numbers."""
     peak, stream = result.maxima[number - 1], result.search.streams[number - 1]
     velocity, jitter = result.velocities[number - 1], result.jitters[number - 1]
-    member, n_epochs = result.members(number), len(result.cube)
-    pairs = np.stack([member["epoch"], member["target_epoch"]])
-    p, n = stream.p_global, len(result.search.permutations.permuted)
-    row = {
+    member, permutations = result.members(number), result.search.permutations
+    epochs = np.sort([member["epoch"], member["target_epoch"]], axis=0)
+    p, n = stream.p_global, len(permutations.permuted)
+    row, by_jitter, by_alignment = (
+        velocity_columns(
+            velocity.value, covariance, result.frame, result.position_angle
+        )
+        for covariance in (velocity.covariance, jitter.covariance, velocity.alignment)
+    )
+    still = stream.kind != "moving"
+    return row | {
         "component": number,
         "kind": stream.kind,
         "dispersion": velocity.dispersion,
         "dispersion_err": velocity.dispersion_error,
+        "pm_limit": row["pm"] + LIMIT * row["pm_err"] if still else np.nan,
+        "pm_err_jitter": by_jitter["pm_err"],
+        "pm_err_alignment": by_alignment["pm_err"],
         "coefficient": peak.coefficient,
         "z_score": float(result.z_score[peak.row, peak.column]),
         "p_local": stream.p_local,
         "p_global": p,
         "p_global_err": np.sqrt(p * (1 - p) / n),
         "p_distinct": stream.p_distinct,
-        "p_smallest": result.search.permutations.smallest_p,
+        "p_smallest": permutations.smallest_p,
         "n_ssp": len(np.unique(member["ssp"])),
-        "n_pairs": len(np.unique(pairs.min(axis=0) * n_epochs + pairs.max(axis=0))),
+        "n_pairs": len(np.unique(epochs, axis=1).T),
         "n_features": len(stream.features),
         # ECSV reads empty text as a missing value.
         "note": stream.reason or "-",
     }
-
-    def columns(covariance):
-        where = result.frame, result.position_angle
-        return velocity_columns(velocity.value, covariance, *where)
-
-    row |= columns(velocity.covariance)
-    row["pm_err_jitter"] = columns(jitter.covariance)["pm_err"]
-    row["pm_err_alignment"] = columns(velocity.alignment)["pm_err"]
-    still = stream.kind != "moving"
-    row["pm_limit"] = row["pm"] + LIMIT * row["pm_err"] if still else np.nan
-    return row
-
-
-def _root(variance):
-    # Rounding can make a variance negative that should be zero.
-    return np.sqrt(np.maximum(variance, 0.0))
 
 
 def velocity_columns(velocity, covariance, frame, position_angle):
@@ -276,10 +265,8 @@ def velocity_columns(velocity, covariance, frame, position_angle):
 
     Each has an error, which is NaN if the data do not determine it.
     """
-    if not np.all(np.isfinite(covariance)):
-        row = velocity_columns(velocity, np.zeros((2, 2)), frame, position_angle)
-        row.update(dict.fromkeys([n for n in row if n.endswith("_err")], np.nan))
-        return row
+    known = np.all(np.isfinite(covariance))
+    covariance = covariance if known else np.full((2, 2), np.nan)
     if frame.uniform:
         to_sky = np.linalg.inv(frame.matrix(0.0, 0.0))
         sky, sky_covariance = to_sky @ velocity, to_sky @ covariance @ to_sky.T
@@ -293,20 +280,17 @@ def velocity_columns(velocity, covariance, frame, position_angle):
     speed = float(np.hypot(*along))
     unit = along / speed if speed > 0 else np.array([1.0, 0.0])
     across = np.array([-unit[1], unit[0]])
-    speed_err = _root(unit @ along_covariance @ unit)
-    pa_err = np.pi
-    if not frame.uniform:
-        pa_err = np.nan
-    elif speed > 0:
+    names = ("pm_ra_cosdec", "pm_dec", "pm_parallel", "pm_transverse", "pm")
+    variances = [*np.diag(sky_covariance), *np.diag(along_covariance)]
+    variances += [axis @ along_covariance @ axis for axis in (unit, across)]
+    # Rounding can make a variance negative that should be zero.
+    *errors, across_err = np.sqrt(np.maximum(variances, 0.0)).tolist()
+    pa_err = np.pi if known and frame.uniform else np.nan
+    if speed > 0:
         # A direction cannot be wrong by more than half a turn.
-        across_err = _root(across @ along_covariance @ across)
-        pa_err = np.minimum(across_err, np.pi * speed) / speed
-    names = ("pm_ra_cosdec", "pm_dec", "pm_parallel", "pm_transverse")
-    row = dict(zip(names, map(float, (*sky, *along)), strict=True))
-    variances = (*np.diag(sky_covariance), *np.diag(along_covariance))
-    for name, variance in zip(names, variances, strict=True):
-        row[f"{name}_err"] = float(_root(variance))
-    row["pm"], row["pm_err"] = speed, float(speed_err)
+        pa_err = np.minimum(across_err, pa_err * speed) / speed
+    row = dict(zip(names, map(float, (*sky, *along, speed)), strict=True))
+    row |= {f"{name}_err": error for name, error in zip(names, errors, strict=True)}
     row["pm_pa"] = float(np.degrees(np.arctan2(*sky)) % 360)
     row["pm_pa_err"] = float(np.degrees(pa_err))
     return row
@@ -320,10 +304,9 @@ def build_table(rows, columns):
     """
     table = QTable()
     for name, (kind, text) in columns.items():
-        values = [row[name] for row in rows]
-        missing = np.array([value is None for value in values], dtype=bool)
         is_unit = isinstance(kind, u.UnitBase)
-        values = [0.0 if value is None else value for value in values]
+        missing = np.array([row[name] is None for row in rows], dtype=bool)
+        values = [0.0 if row[name] is None else row[name] for row in rows]
         column = np.array(values, dtype=float if is_unit else kind)
         if is_unit:
             column = column * kind
@@ -429,12 +412,18 @@ def false_discovery_rate(
     p = [p[use] if use.any() else np.ones(1) for p, use in tested.values()]
     adjusted = false_discovery_control(np.concatenate(p), method=method) if p else []
     meta = {"false_discovery": {"method": method, "n_tests": len(adjusted)}}
-    done, start = {}, 0
-    for (name, (own, use)), n in zip(tested.items(), map(len, p), strict=True):
-        values = own.copy()
-        values[use] = adjusted[start : start + n][: use.sum()]
-        done[name] = _with_column(tables[name], values, meta)
-        start += n
+    parts = np.split(adjusted, np.cumsum([len(part) for part in p])[:-1])
+    done = {}
+    for (name, (values, use)), part in zip(tested.items(), parts, strict=False):
+        values = values.copy()
+        values[use] = part[: use.sum()]
+        done[name] = table = tables[name].copy()
+        if "p_fdr" in table.colnames:
+            table.remove_column("p_fdr")
+        before = "p_global_err" if "p_global_err" in table.colnames else "p_global"
+        index = table.colnames.index(before) + 1
+        table.add_column(Column(values, description=P_FDR), index, name="p_fdr")
+        table.meta.update(meta)
     return done if is_mapping else list(done.values())
 
 
@@ -451,15 +440,3 @@ def _tested(table, name):
     if "kind" not in table.colnames:
         return p, np.ones(len(p), dtype=bool)
     return p, np.asarray(table["kind"], dtype=str) != "stationary"
-
-
-def _with_column(table, values, meta):
-    """Return a copy of a table with adjusted p-values."""
-    table = table.copy()
-    before = "p_global_err" if "p_global_err" in table.colnames else "p_global"
-    if "p_fdr" in table.colnames:
-        table.remove_column("p_fdr")
-    column = Column(values, description=P_FDR)
-    table.add_column(column, name="p_fdr", index=table.colnames.index(before) + 1)
-    table.meta.update(meta)
-    return table

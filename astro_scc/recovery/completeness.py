@@ -4,7 +4,7 @@
 import math
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from itertools import product, repeat
+from itertools import islice, product
 from typing import Any
 
 import astropy.units as u
@@ -20,15 +20,8 @@ from astro_scc.measurement import versions
 from astro_scc.measurement.stacking import seeded
 from astro_scc.measurement.tables import build_table
 from astro_scc.progress import progress
-from astro_scc.quantities import named, one_quantity, shortened, to_quantity
-from astro_scc.recovery.injection import (
-    area_for_features,
-    draw_paths,
-    inject,
-    moving_components,
-    recovered,
-    velocity_along,
-)
+from astro_scc.quantities import finite_quantities, named, one_quantity
+from astro_scc.recovery import injection
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.units import PM_UNIT
 
@@ -39,8 +32,6 @@ TOLERANCE = 0.2
 CONFIDENCE = 0.95
 #: Beginning of the warning of a region without SSPs.
 NOTHING_THERE = ".*: no significant pattern has its centroid inside"
-
-
 _LIMIT = "limit of the 95% interval of fraction (Jeffreys)"
 #: Columns of the table: unit and description.
 COLUMNS = {
@@ -175,12 +166,35 @@ def completeness(
     -------- --------- ----------
         12.0       2.0          3
     """
-    _check_possible(len(cube), n_trials, scc.alpha)
+    smallest = smallest_p(len(cube))
+    if smallest > scc.alpha:
+        raise ValueError(
+            f"{len(cube)} epochs allow no p_global below {smallest:.2g} (2/N!), so "
+            f"nothing that moves can be found at level {scc.alpha:g}: "
+            f"{epochs_needed(scc.alpha)} epochs or more are needed"
+        )
+    check_trials(n_trials, scc.alpha)
     position_angle, largest_part = _direction(position_angle, scc.position_angle)
-    width = _width(cube, scc, fwhm)
-    tolerance = _tolerance(cube, scc, width, tolerance)
+    if fwhm is not None:
+        width = in_mas("fwhm", fwhm)
+    elif cube.beams is not None:
+        _, width = scc.search_radius(cube)
+    else:
+        raise ValueError(injection.NO_BEAMS)
+    if tolerance is None:
+        tolerance = TOLERANCE * width / np.median(scc.date_pairs(cube).interval)
+    else:
+        how = one_quantity, tolerance, "a proper motion", "2 mas/yr"
+        tolerance = named("tolerance", *how).to_value(PM_UNIT)
     region = None if region is None else cube.region_mask(region)
-    speeds = _speeds(speeds, scc.speed_limit(cube).to_value(PM_UNIT), largest_part)
+    limit = scc.speed_limit(cube).to_value(PM_UNIT)
+    # The component along the axis must be searched.
+    speeds = positive_quantities("speeds", speeds, "2 mas/yr").to_value(PM_UNIT)
+    if np.any(speeds * largest_part > limit):
+        raise ValueError(
+            f"speed {speeds.max():.4g} mas/yr is beyond the largest that is searched, "
+            f"{limit:.4g} mas/yr: give StackedCrossCorrelation a larger max_speed"
+        )
     noise = float(np.median(cube.noise_rms().value))
     peaks = _peaks(fluxes, cube.unit, noise)
     for name, value in (("n_injections", n_injections), ("n_features", n_features)):
@@ -199,22 +213,29 @@ def completeness(
         # Features are injected even if the region has no SSP.
         warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
         bare = measure(cube, own_rng)
-    area = area_for_features(bare.matched, region)
-    numbers = moving_components(bare, scc.alpha)
+    area = injection.area_for_features(bare.matched, region)
+    numbers = injection.moving_components(bare, scc.alpha)
     own = np.reshape([bare.velocities[k - 1].value for k in numbers], (-1, 2))
-    axis = velocity_along(bare.frame, position_angle)
+    axis = injection.velocity_along(bare.frame, position_angle)
+    flow = {"position_angle": position_angle, "n_features": n_features}
+    flow["scatter"] = scatter * width * u.mas
+    rule = {"tolerance": tolerance, "level": scc.alpha, "fwhm": width}
 
     def recover(cell, rng):
         (speed, peak), (path_rng, trial_rng) = cell, rng.spawn(2)
-        flow = {"position_angle": position_angle, "n_features": n_features}
-        flow |= {"speed": speed * PM_UNIT, "scatter": scatter * width * u.mas}
-        paths = draw_paths(cube, area, **flow, rng=path_rng)
-        result = measure(inject(cube, paths, peak * cube.unit, fwhm=fwhm), trial_rng)
-        rule = {"tolerance": tolerance, "level": scc.alpha, "fwhm": width}
-        number = recovered(result, own, speed * axis, paths=paths, **rule)
-        return None if number is None else _offset(result, number, axis, speed)
+        how = {"speed": speed * PM_UNIT, "rng": path_rng}
+        paths = injection.draw_paths(cube, area, **flow, **how)
+        fuller = injection.inject(cube, paths, peak * cube.unit, fwhm=fwhm)
+        result, velocity = measure(fuller, trial_rng), speed * axis
+        number = injection.recovered(result, own, velocity, paths=paths, **rule)
+        if number is None:
+            return None
+        velocity, error = result.velocities[number - 1], np.inf
+        if np.all(np.isfinite(velocity.covariance)):
+            error = np.sqrt(axis @ velocity.covariance @ axis)
+        return axis @ velocity.value - speed, error
 
-    cells = list(product(speeds, peaks))
+    cells = list(product(speeds.tolist(), peaks))
     how = n_workers, "Recovering", progress_bar
     outcomes = run_all(recover, cells, [n_injections] * len(cells), root, *how)
     rows = []
@@ -237,26 +258,6 @@ def completeness(
         "versions": versions(),
     }
     return table
-
-
-def _offset(result, number, axis, speed):
-    """Return the measured minus the true speed along an axis, and its error."""
-    velocity = result.velocities[number - 1]
-    error = np.inf
-    if np.all(np.isfinite(velocity.covariance)):
-        error = np.sqrt(axis @ velocity.covariance @ axis)
-    return axis @ velocity.value - speed, error
-
-
-def _check_possible(n_epochs, n_trials, level):
-    """Refuse too few epochs or trials to find anything."""
-    if smallest_p(n_epochs) > level:
-        raise ValueError(
-            f"{n_epochs} epochs allow no p_global below {smallest_p(n_epochs):.2g} "
-            f"(2/N!), so nothing that moves can be found at level {level:g}: "
-            f"{epochs_needed(level)} epochs or more are needed"
-        )
-    check_trials(n_trials, level)
 
 
 def _direction(position_angle, axis):
@@ -282,40 +283,8 @@ def _direction(position_angle, axis):
         )
     if radial:
         return position_angle, 1.0
-    how = "an angle", "65 deg", False
-    angle = named("position_angle", one_quantity, position_angle, *how).to(u.deg)
+    angle = direction(position_angle).to(u.deg)
     return angle, 1.0 if axis is None else float(abs(np.cos(angle - axis)))
-
-
-def _width(cube, scc, fwhm):
-    """Return the full width of features in mas."""
-    if fwhm is not None:
-        return named("fwhm", one_quantity, fwhm, "an angle", "1 mas").to_value(u.mas)
-    if cube.beams is None:
-        raise ValueError(
-            "the cube has no beams: give fwhm, the full width of features, as an angle"
-        )
-    _, width = scc.search_radius(cube)
-    return width
-
-
-def _tolerance(cube, scc, width, tolerance):
-    """Return the largest distance of a velocity from the true one, in mas/yr."""
-    if tolerance is None:
-        return TOLERANCE * width / np.median(scc.date_pairs(cube).interval)
-    how = "a proper motion", "2 mas/yr"
-    return named("tolerance", one_quantity, tolerance, *how).to_value(PM_UNIT)
-
-
-def _speeds(speeds, limit, largest_part):
-    """Return speeds in mas/yr, whose component along the axis must be searched."""
-    values = positive_quantities("speeds", speeds, "2 mas/yr").to_value(PM_UNIT)
-    if np.any(values * largest_part > limit):
-        raise ValueError(
-            f"speed {values.max():.4g} mas/yr is beyond the largest that is searched, "
-            f"{limit:.4g} mas/yr: give StackedCrossCorrelation a larger max_speed"
-        )
-    return values.tolist()
 
 
 def _peaks(fluxes, unit, noise):
@@ -323,20 +292,19 @@ def _peaks(fluxes, unit, noise):
     if isinstance(fluxes, u.Quantity):
         # The flux density of a feature of the size of the beam equals its peak.
         per_beam = fluxes / u.beam
-        if per_beam.unit.is_equivalent(unit):
-            fluxes = per_beam
-        wanted = f"must be in a unit like {unit}"
-        values = named("fluxes", to_quantity, fluxes, unit, wanted).to_value(unit)
+        fluxes = per_beam if per_beam.unit.is_equivalent(unit) else fluxes
+        how = unit, f"must be one or more numbers from 0 in a unit like {unit}"
+        values = named("fluxes", finite_quantities, fluxes, *how).to_value(unit)
+    elif noise == 0:
+        raise ValueError(
+            "fluxes in multiples of the noise need epochs with noise, theirs is 0: "
+            "give fluxes in the unit of the cube"
+        )
     else:
         values = np.asarray(fluxes, dtype=float) * noise
-        if noise == 0:
-            raise ValueError(
-                "fluxes in multiples of the noise need epochs with noise, theirs is 0: "
-                "give fluxes in the unit of the cube"
-            )
     values = np.atleast_1d(values)
-    good = values.ndim == 1 and values.size > 0
-    if not (good and np.all((values >= 0) & np.isfinite(values))):
+    good = np.all((values >= 0) & np.isfinite(values))
+    if values.ndim != 1 or values.size == 0 or not good:
         raise ValueError(f"fluxes must be one or more numbers from 0, got {fluxes}")
     return values.tolist()
 
@@ -361,15 +329,27 @@ def _counted(outcomes):
     }
 
 
+def in_mas(name, angle):
+    """Return one angle above 0, in mas."""
+    return named(name, one_quantity, angle, "an angle", "1 mas").to_value(u.mas)
+
+
+def direction(angle):
+    """Return a position angle."""
+    return named("position_angle", one_quantity, angle, "an angle", "65 deg", False)
+
+
 def positive_quantities(name, value, example):
     """Return one or more positive quantities in the unit of an example."""
     wanted = f"must be positive and finite, with a unit, such as {example!r}"
-    unit = u.Quantity(example).unit
-    found = np.atleast_1d(named(name, to_quantity, value, unit, wanted))
-    good = found.ndim == 1 and found.size > 0
-    if not (good and np.all((found.value > 0) & np.isfinite(found.value))):
-        raise ValueError(f"{name} = {shortened(value)} {wanted}")
-    return found
+
+    def check(value):
+        found = finite_quantities(value, u.Quantity(example).unit, wanted)
+        if not np.all(found.value > 0):
+            raise ValueError(wanted)
+        return np.atleast_1d(found)
+
+    return named(name, check, value)
 
 
 def check_trials(n_trials, level):
@@ -412,7 +392,11 @@ def run_all(function, cells, numbers, rng, n_workers=1, label="", progress_bar=F
     """
     if n_workers < 1:
         raise ValueError(f"n_workers must be at least 1, got {n_workers}")
-    rngs = [own.spawn(n) for own, n in zip(rng.spawn(len(cells)), numbers, strict=True)]
+    jobs = [
+        (cell, own)
+        for cell, n, root in zip(cells, numbers, rng.spawn(len(cells)), strict=True)
+        for own in root.spawn(n)
+    ]
     with (
         # Each measurement limits the threads of matrix products by itself; limits
         # that overlap in time would be restored in the wrong order.
@@ -423,13 +407,10 @@ def run_all(function, cells, numbers, rng, n_workers=1, label="", progress_bar=F
     ):
         warnings.simplefilter("ignore", MeasurementWarning)
 
-        def work(cell, own):
-            result = function(cell, own)
+        def work(job):
+            result = function(*job)
             done(1)
             return result
 
-        run = map if n_workers == 1 else pool.map
-        found = [
-            run(work, repeat(cell), own) for cell, own in zip(cells, rngs, strict=True)
-        ]
-        return [list(outcomes) for outcomes in found]
+        found = map(work, jobs) if n_workers == 1 else pool.map(work, jobs)
+        return [list(islice(found, n)) for n in numbers]

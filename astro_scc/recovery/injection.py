@@ -17,6 +17,7 @@ from astro_scc.units import PM_UNIT
 
 #: An SSP belongs to an injected feature within this distance, in beams.
 NEAR = 0.5
+NO_BEAMS = "the cube has no beams: give fwhm, the full width of features, as an angle"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,11 +114,10 @@ def draw_paths(
         line = start[:, None] + (to_pixels @ direction)[:, None] * travelled
         line[:, distance + travelled < 0] = np.nan
         inside = _is_inside(line, area)
-        if keep * max(inside.sum(), 1) >= 1:
-            continue
-        lines.append(line)
-        insides.append(inside)
-        number += inside.mean()
+        if keep * max(inside.sum(), 1) < 1:
+            lines.append(line)
+            insides.append(inside)
+            number += inside.mean()
     lines = np.array(lines)
     if scatter is not None:
         sigma = u.Quantity(scatter).to_value(u.mas)
@@ -196,9 +196,7 @@ def inject(
     elif cube.beams is not None:
         covariances = [beam.covariance.to_value(u.mas**2) for beam in cube.beams]
     else:
-        raise ValueError(
-            "the cube has no beams: give fwhm, the full width of features, as an angle"
-        )
+        raise ValueError(NO_BEAMS)
     value = u.Quantity(peak, cube.unit).to_value(cube.unit)
     data = cube.data.copy()
     for epoch, covariance in enumerate(covariances):

@@ -2,7 +2,7 @@
 """Plan observations: the number and spacing of epochs that distinguish two speeds."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import astropy.units as u
@@ -14,15 +14,18 @@ from astro_scc.measurement import versions
 from astro_scc.measurement.products import plain_meta
 from astro_scc.measurement.stacking import seeded
 from astro_scc.measurement.tables import build_table
-from astro_scc.quantities import named, one_quantity
 from astro_scc.recovery.completeness import (
     check_trials,
+    direction,
     epochs_needed,
+    in_mas,
     positive_quantities,
     run_all,
     share,
     smallest_p,
 )
+from astro_scc.scc import StackedCrossCorrelation
+from astro_scc.simulation import simulate_two_fluid
 from astro_scc.stacking import SearchSettings
 from astro_scc.units import PM_UNIT
 
@@ -170,9 +173,12 @@ def plan(
     >>> table.meta["smallest"]["n_epochs"], table.meta["smallest"]["interval"]
     (8, <Quantity 0.5 yr>)
     """
-    slow, fast = _two_speeds(speeds)
+    pair = positive_quantities("speeds", speeds, "2 mas/yr").to_value(PM_UNIT)
+    if len(pair) != 2 or pair[0] == pair[1]:
+        raise ValueError(f"speeds must be two different ones, got {speeds}")
+    slow, fast = sorted(pair.tolist())
     beam, width = _beam(beam, position_angle)
-    length = FIELD * width if field is None else _angle("field", field)
+    length = FIELD * width if field is None else in_mas("field", field)
     numbers = np.atleast_1d(n_epochs)
     if numbers.size == 0 or numbers.dtype.kind not in "iu" or numbers.min() < 2:
         raise ValueError(f"n_epochs must be one or more numbers from 2, got {n_epochs}")
@@ -185,27 +191,40 @@ def plan(
     if n_jets:
         check_trials(n_trials, alpha)
     rng, seed = seeded(rng)
-    campaigns = [
-        _Campaign(int(n), interval, slow, fast, width, length, alpha)
-        for n in numbers
-        for interval in intervals.to_value(u.yr)
-    ]
-
-    def measure(campaign, own):
-        return campaign.measure(beam, n_trials, own, options)
-
-    wanted_jets = [0 if campaign.limit else n_jets for campaign in campaigns]
+    n, times = np.repeat(numbers, len(intervals)), np.tile(intervals, len(numbers))
+    years, smallest = times.to_value(u.yr), np.array([smallest_p(k) for k in n])
+    # Rounding must not decide.
+    total, least = (n - 1) * years, width * (1 - 1e-9)
+    limits = {
+        "epochs": smallest > alpha,
+        "rest": slow * total < SearchSettings().slowest * least,
+        "field": fast * years > CROSSED * length * (1 + 1e-9),
+        "difference": (fast - slow) * total < RESOLVED * least,
+    }
+    limit = np.select(list(limits.values()), list(limits), "")
+    jet = _jet(beam, length) | options
+    how = {"width": width, "alpha": alpha, "n_trials": n_trials, "jet": jet}
+    measure = partial(_find, speeds=(slow, fast), **how)
+    wanted_jets = np.where(limit == "", n_jets, 0).tolist()
+    campaigns = list(zip(n.tolist(), years.tolist(), strict=True))
     how = n_workers, "Planning", progress_bar
     found = run_all(measure, campaigns, wanted_jets, np.random.default_rng(rng), *how)
-    times = np.tile(intervals.value, len(numbers))
+    values = {
+        "n_epochs": n,
+        "interval": times.value,
+        "total_time": times.value * (n - 1),
+        "motion_slow": years / width * slow,
+        "motion_fast": years / width * fast,
+        "p_smallest": smallest,
+        "limit": limit,
+        "n_jets": wanted_jets,
+    }
     rows = [
-        campaign.row(interval, np.array(own, dtype=bool).reshape(-1, 2))
-        for campaign, interval, own in zip(campaigns, times, found, strict=True)
+        dict(zip(values, row, strict=True)) | _fractions(own)
+        for own, row in zip(found, zip(*values.values(), strict=True), strict=True)
     ]
-    columns = dict(COLUMNS)
-    for name in ("interval", "total_time"):
-        columns[name] = intervals.unit, COLUMNS[name][1]
-    table = build_table(rows, columns)
+    of_time = {k: (times.unit, COLUMNS[k][1]) for k in ("interval", "total_time")}
+    table = build_table(rows, COLUMNS | of_time)
     row = smallest_plan(table, wanted)
     table.meta = {
         "speeds": [slow, fast] * PM_UNIT,
@@ -262,92 +281,48 @@ def smallest_plan(table: QTable, wanted: float = 0.9) -> Row | None:
     return table[min(rows, key=lambda k: (table["n_epochs"][k], time[k]))]
 
 
-@dataclass(frozen=True)
-class _Campaign:
-    """Epochs at one spacing; speeds are in mas/yr, times in yr, angles in mas."""
+def _jet(beam, length):
+    """Return the options of a simulated jet with a beam and a length in mas."""
+    pixel = np.sqrt(beam.major * beam.minor) / BEAM_PIXELS
+    start = 2.0 * BEAM_PIXELS
+    end = start + length / pixel.value
+    shape = (128, int(end) + 4 * BEAM_PIXELS)
+    return {"pixel_scale": pixel, "beams": beam, "extent": (start, end), "shape": shape}
 
-    n_epochs: int
-    interval: float
-    slow: float
-    fast: float
-    width: float
-    field: float
-    alpha: float
 
-    @property
-    def total(self):
-        return (self.n_epochs - 1) * self.interval
+def _find(campaign, rng, *, speeds, width, alpha, n_trials, jet):
+    """Return whether the slow and the fast stream of one simulated jet are found."""
+    (n_epochs, interval), (jet_rng, trial_rng) = campaign, rng.spawn(2)
+    slow, fast = speeds * PM_UNIT
+    jet = {"n_epochs": n_epochs, "interval": interval * u.yr} | jet
+    cube = simulate_two_fluid(slow=slow, fast=fast, rng=jet_rng, **jet).cube
+    per_interval = width / interval
+    scc = StackedCrossCorrelation(
+        scales=SCALES,
+        max_speed=fast + MARGIN * per_interval * PM_UNIT,
+        position_angle=JET,
+        alpha=alpha,
+    )
+    table = scc(cube, n_trials=n_trials, rng=trial_rng).components
+    moving = table[table["kind"] == "moving"]
+    along, across = (
+        moving[name].to_value(PM_UNIT) for name in ("pm_parallel", "pm_transverse")
+    )
+    return [
+        np.any(np.hypot(along - v, across) <= TOLERANCE * min(v, per_interval))
+        for v in speeds
+    ]
 
-    @property
-    def limit(self):
-        """The reason why the speeds cannot be distinguished, or an empty string."""
-        if smallest_p(self.n_epochs) > self.alpha:
-            return "epochs"
-        # Rounding must not decide.
-        beam = self.width * (1 - 1e-9)
-        if self.slow * self.total < SearchSettings().slowest * beam:
-            return "rest"
-        if self.fast * self.interval > CROSSED * self.field * (1 + 1e-9):
-            return "field"
-        if (self.fast - self.slow) * self.total < RESOLVED * beam:
-            return "difference"
-        return ""
 
-    def row(self, interval, found):
-        """Return the row of the table, given the streams ``found`` in each jet."""
-        per_beam = self.interval / self.width
-        row = {
-            "n_epochs": self.n_epochs,
-            "interval": interval,
-            "total_time": interval * (self.n_epochs - 1),
-            "motion_slow": per_beam * self.slow,
-            "motion_fast": per_beam * self.fast,
-            "p_smallest": smallest_p(self.n_epochs),
-            "limit": self.limit,
-            "n_jets": len(found),
-        }
-        counts = *found.sum(axis=0), found.all(axis=1).sum()
-        for name, count in zip(FRACTIONS, counts, strict=True):
-            limits = share(count, len(found)) if len(found) else [None] * 3
-            row[name], row[f"{name}_low"], row[f"{name}_high"] = limits
-        return row
-
-    def measure(self, beam, n_trials, rng, options):
-        """Return whether the slow and the fast stream of one jet are found."""
-        from astro_scc.scc import StackedCrossCorrelation
-        from astro_scc.simulation import simulate_two_fluid
-
-        jet_rng, trial_rng = rng.spawn(2)
-        pixel = np.sqrt(beam.major * beam.minor) / BEAM_PIXELS
-        start = 2.0 * BEAM_PIXELS
-        end = start + self.field / pixel.value
-        jet = {
-            "n_epochs": self.n_epochs,
-            "interval": self.interval * u.yr,
-            "pixel_scale": pixel,
-            "beams": beam,
-            "extent": (start, end),
-            "shape": (128, int(end) + 4 * BEAM_PIXELS),
-        }
-        speeds = {"slow": self.slow * PM_UNIT, "fast": self.fast * PM_UNIT}
-        jet = simulate_two_fluid(**speeds, rng=jet_rng, **(jet | options))
-        per_interval = self.width / self.interval
-        scc = StackedCrossCorrelation(
-            scales=SCALES,
-            max_speed=(self.fast + MARGIN * per_interval) * PM_UNIT,
-            position_angle=JET,
-            alpha=self.alpha,
-        )
-        table = scc(jet.cube, n_trials=n_trials, rng=trial_rng).components
-        moving = table[table["kind"] == "moving"]
-        along = moving["pm_parallel"].to_value(PM_UNIT)
-        across = moving["pm_transverse"].to_value(PM_UNIT)
-
-        def found(speed):
-            near = TOLERANCE * min(speed, per_interval)
-            return bool(np.any(np.hypot(along - speed, across) <= near))
-
-        return [found(self.slow), found(self.fast)]
+def _fractions(found):
+    """Return the shares of jets in which the streams are found, with their limits."""
+    found = np.array(found, dtype=bool).reshape(-1, 2)
+    counts = *found.sum(axis=0), found.all(axis=1).sum()
+    row = {}
+    for name, count in zip(FRACTIONS, counts, strict=True):
+        limits = share(count, len(found)) if len(found) else [None] * 3
+        row[name], row[f"{name}_low"], row[f"{name}_high"] = limits
+    return row
 
 
 def _as_dict(row):
@@ -358,28 +333,15 @@ def _as_dict(row):
     return plain_meta(found)
 
 
-def _angle(name, value):
-    return named(name, one_quantity, value, "an angle", "1 mas").to_value(u.mas)
-
-
-def _two_speeds(speeds):
-    """Return the slower and the faster of two speeds, in mas/yr."""
-    values = positive_quantities("speeds", speeds, "2 mas/yr").to_value(PM_UNIT)
-    if len(values) != 2 or values[0] == values[1]:
-        raise ValueError(f"speeds must be two different ones, got {speeds}")
-    return sorted(values.tolist())
-
-
 def _beam(beam, position_angle):
     """Return the beam in the frame of the simulated jet, and its width along it."""
     if not hasattr(beam, "major"):
-        width = _angle("beam", beam) * u.mas
+        width = in_mas("beam", beam) * u.mas
         beam = Beam(width, width)
     if position_angle is None:
         width = np.sqrt(beam.major * beam.minor)
         beam = Beam(width, width)
     else:
-        how = "an angle", "65 deg", False
-        turn = JET - named("position_angle", one_quantity, position_angle, *how)
+        turn = JET - direction(position_angle)
         beam = Beam(beam.major, beam.minor, beam.pa + turn)
     return beam, float(beam.fwhm_along(JET).to_value(u.mas))

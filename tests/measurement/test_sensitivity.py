@@ -47,7 +47,6 @@ def synthetic(rng, *, n=10, dispersion=0.1, growth=0.0, noise=0.06, shift=None):
         scale=np.arange(n) % 3 + 1.0,
         peak=rng.random(n),
         dates=[f"2000-01-{k + 1:02d}" for k in range(20)],
-        sense=1.0,
     )
 
 
