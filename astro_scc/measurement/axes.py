@@ -21,15 +21,13 @@ class AxisProjection:
     ----------
     displacements : `~astro_scc.stacking.VelocitySamples`
         In mas, along the axes of the frame.
-    ssps : `~astro_scc.decomposition.SSPs`
     cube : `~astro_scc.epochs.EpochCube`
     frame : frame of `astro_scc.kinematics`
     """
 
-    def __init__(self, displacements, ssps, cube, frame):
-        self.displacements, self.ssps, self.frame = displacements, ssps, frame
-        self.cube = cube
-        east, north = ssp_offsets(ssps, cube)
+    def __init__(self, displacements, cube, frame):
+        self.displacements, self.cube = displacements, cube
+        east, north = np.ascontiguousarray(displacements.position.T)
         self._position = _positions(frame, east, north)
         self._axes = np.asarray(frame.matrix(east, north))
 
@@ -47,13 +45,13 @@ class AxisProjection:
         `~numpy.ndarray`, shape (2,)
             In mas.
         """
-        axes = _turn(angle) @ self._axes
+        axes, d = _turn(angle) @ self._axes, self.displacements
         known = np.isfinite(axes).all(axis=(-2, -1))
-        keep = np.broadcast_to(known, len(self.ssps))
+        keep = np.broadcast_to(known, len(d.epoch))
         if not keep.any():
             return np.ones(2)
         axes = axes if axes.ndim == 2 else axes[keep]
-        fwhm = beam_fwhm(self.cube, self.ssps.epoch[keep], self.ssps.scale[keep], axes)
+        fwhm = beam_fwhm(self.cube, d.epoch[keep], d.scale[keep], axes)
         return np.mean(fwhm, axis=0)
 
     def __call__(self, angle):
@@ -79,18 +77,12 @@ class AxisProjection:
             s2=None,
             motion=None,
             position=(self._position @ turn.T) / beam,
-            epoch=self.ssps.epoch,
-            scale=self.ssps.scale,
-            years=self.cube.years.to_value(u.yr),
         )
 
 
 def projection_of(result):
     """Return the projection of a result's displacements onto axes of the sky."""
-    matched = result.matched
-    return AxisProjection(
-        result.displacements, matched.ssps, matched.cube, result.frame
-    )
+    return AxisProjection(result.displacements, result.cube, result.frame)
 
 
 def _turn(angle):
@@ -143,12 +135,10 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
         SSPs at which the frame has no axes count as SSPs without a match.
     """
     select = np.ones(len(ssps), bool) if select is None else np.asarray(select, bool)
-    matches = matches.of_ssps(select)
     east, north = ssp_offsets(ssps, cube)
     axes = frame.matrix(east, north)
     # A radial frame has no axes at its origin.
-    known = np.isfinite(axes).all(axis=(-2, -1))
-    matches = matches.of_ssps(np.broadcast_to(known, len(ssps)))
+    matches = matches.of_ssps(select & np.isfinite(axes).all(axis=(-2, -1)))
     owner = matches.ssp
     pixels = np.stack([matches.dx, matches.dy], axis=-1).astype(float)
     sky = pixels @ cube.pixel_matrix.value.T
@@ -207,8 +197,7 @@ def alignment_errors(cube, error=None):
     Raises
     ------
     ValueError
-        If ``error`` has neither one element nor one per epoch, or if an
-        element is negative or not finite.
+        If ``error`` has neither one element nor one per epoch.
     """
     n = len(cube)
     if error is None:
@@ -226,6 +215,4 @@ def alignment_errors(cube, error=None):
                 f"alignment_error must be one angle or {n}, one an epoch, "
                 f"got {each.size}"
             )
-        if not np.all((each >= 0) & np.isfinite(each)):
-            raise ValueError(f"alignment_error must be zero or positive, got {error}")
-    return np.broadcast_to(each[:, None], (n, 2)) + np.zeros((n, 2))
+    return np.broadcast_to(each[:, None], (n, 2)).copy()

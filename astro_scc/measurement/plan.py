@@ -18,6 +18,7 @@ from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import RidgeLine
 from astro_scc.measurement.match_files import MatchedEpochs
 from astro_scc.settings import require
+from astro_scc.stacking.search_settings import DEFAULT
 
 #: Largest relative difference between an angle and the size of the scale it names.
 SCALE_TOLERANCE = 0.2
@@ -61,11 +62,11 @@ def scales_of_pixels(scales, pixel_scale):
     """
     if not isinstance(scales, u.Quantity):
         return scales
-    numbers = np.arange(0, LARGEST_SCALE, 0.5)
+    numbers, scales = np.arange(0, LARGEST_SCALE, 0.5), np.atleast_1d(scales)
     sizes = np.array([scale_size(j) for j in numbers])
-    wanted = (np.atleast_1d(scales) / pixel_scale).to_value(u.one)
+    wanted = (scales / pixel_scale).to_value(u.one)
     nearest = np.abs(np.log(wanted[:, None] / sizes)).argmin(axis=1)
-    for angle, size, k in zip(np.atleast_1d(scales), wanted, nearest, strict=True):
+    for angle, size, k in zip(scales, wanted, nearest, strict=True):
         if abs(size / sizes[k] - 1) > SCALE_TOLERANCE:
             raise ValueError(
                 f"scale {angle} is {size:.2g} px, not near 2^j or 1.5 x 2^j px"
@@ -97,20 +98,20 @@ def pairs_of_dates(cube, baseline):
         raise ValueError("velocities need at least two epochs, the cube has one")
     if baseline is None:
         pairs = stacking.consecutive_pairs(years)
-        if len(pairs) == 0:
-            raise ValueError(
-                f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
-                "velocities need different dates"
-            )
-        return pairs
-    shortest, longest = baseline.to_value(u.yr)
-    pairs = stacking.baseline_pairs(years, shortest, longest)
-    if len(pairs) == 0:
-        raise ValueError(
+        why = (
+            f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
+            "velocities need different dates"
+        )
+    else:
+        shortest, longest = baseline.to_value(u.yr)
+        pairs = stacking.baseline_pairs(years, shortest, longest)
+        why = (
             f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
             f"separations go from {np.diff(years).min():.3g} to "
             f"{np.ptp(years):.3g} yr; choose another baseline"
         )
+    if len(pairs) == 0:
+        raise ValueError(why)
     return pairs
 
 
@@ -155,15 +156,14 @@ def search_radius(cube, max_speed, fwhm):
     """
     gaps = np.diff(cube.years.to_value(u.yr))
     gaps = gaps[gaps > 0]
-    settings = stacking.SearchSettings()
     if len(gaps) == 0:
-        return settings.radius
+        return DEFAULT.radius
     short, far = np.quantile(gaps, 0.25), 0.0
     if max_speed is not None:
         far = max_speed * short / fwhm
     elif len(cube) <= FEW_EPOCHS:
         far = FAR_BEAMS * short / np.median(gaps)
-    return max(settings.radius, far + MARGIN * settings.smoothing)
+    return max(DEFAULT.radius, far + MARGIN * DEFAULT.smoothing)
 
 
 def largest_speed(cube, radius, baseline=None):
@@ -189,11 +189,8 @@ def largest_speed(cube, radius, baseline=None):
     """
     pairs_of_dates(cube, baseline)
     intervals = (0.0, np.inf) if baseline is None else baseline.to_value(u.yr)
-    years = cube.years.to_value(u.yr)
-    rays = stacking.Rays.of(
-        years, radius, stacking.SearchSettings(), intervals=intervals
-    )
-    return float(rays.speed.max())
+    of = cube.years.to_value(u.yr), radius, DEFAULT
+    return float(stacking.Rays.of(*of, intervals=intervals).speed.max())
 
 
 def search_reach(cube, pairs, radius, fwhm, max_speed):
@@ -224,18 +221,17 @@ def search_reach(cube, pairs, radius, fwhm, max_speed):
     """
     farthest = radius * fwhm
     # Pixels may not be square: (x, y) sides.
-    side = np.hypot(*cube.pixel_matrix.value)
-    limit = np.array(cube.shape[1:]) - 1
+    side, shape = np.hypot(*cube.pixel_matrix.value), np.array(cube.shape[1:])
     if max_speed is not None:
-        _check_speed(max_speed, pairs, side, cube.shape, limit)
+        _check_speed(max_speed, pairs.interval, side, shape)
         farthest = max(farthest, max_speed * pairs.interval.max() + BEYOND * fwhm)
     reach = np.ceil(farthest / side).astype(int)[::-1]
-    return tuple(int(r) for r in np.minimum(reach, limit))
+    return tuple(np.minimum(reach, shape - 1).tolist())
 
 
-def _check_speed(speed, pairs, side, shape, limit):
-    longest, shortest = pairs.interval.max(), pairs.interval.min()
-    if speed * shortest > MOST_MOTION * np.hypot(*(side * shape[:0:-1])):
+def _check_speed(speed, intervals, side, shape):
+    shortest, longest = intervals.min(), intervals.max()
+    if speed * shortest > MOST_MOTION * np.hypot(*(side * shape[::-1])):
         raise ValueError(
             f"max_speed moves {speed * shortest:.3g} mas in the shortest interval "
             f"({shortest:.3g} yr), more than {MOST_MOTION} times the image: give a "
@@ -247,7 +243,7 @@ def _check_speed(speed, pairs, side, shape, limit):
             f"({longest:.3g} yr), less than {LEAST_MOTION:g} of a pixel: give a "
             "larger one, or a baseline with longer intervals"
         )
-    if np.any(speed * longest / side > limit.max() // 2):
+    if np.any(speed * longest / side > (shape.max() - 1) // 2):
         warnings.warn(
             f"the largest speed moves {speed * longest:.3g} mas in the longest "
             f"interval ({longest:.3g} yr), more than half the image: give a smaller "
@@ -274,11 +270,8 @@ def map_grid(displacements, pairs, limit):
         Spaced by half the narrowest kernel.
     """
     rate = 1 / pairs.interval.max()
-    steps = [
-        GRID_STEP * rate * (s.min() if len(s) else np.inf)
-        for s in (displacements.s1, displacements.s2)
-    ]
-    steps = [step if np.isfinite(step) else limit / 20 for step in steps]
+    errors = displacements.s1, displacements.s2
+    steps = [GRID_STEP * rate * s.min() if len(s) else limit / 20 for s in errors]
     return stacking.VelocityGrid.covering(limit, steps)
 
 
@@ -319,10 +312,9 @@ def centroids_inside(ssps, cube, region):
     """
     if region is None:
         return np.ones(len(ssps), bool)
-    inside = cube.region_mask(region)
-    row = np.clip(np.rint(ssps.y_centroid).astype(int), 0, inside.shape[0] - 1)
-    column = np.clip(np.rint(ssps.x_centroid).astype(int), 0, inside.shape[1] - 1)
-    return inside[row, column]
+    inside, centroid = cube.region_mask(region), (ssps.y_centroid, ssps.x_centroid)
+    pixel = np.rint(centroid).astype(int).T
+    return inside[tuple(np.clip(pixel, 0, np.array(inside.shape) - 1).T)]
 
 
 def flow_direction(matched):

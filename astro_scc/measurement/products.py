@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
+from astropy.io.votable import from_table
+from astropy.io.votable.tree import Param
 from astropy.table import Column, QTable, Table
 from astropy.time import Time
 
@@ -431,9 +433,6 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
     >>> QTable.read("components.vot")["pm"].unit
     Unit("mas / yr")
     """
-    from astropy.io.votable import from_table
-    from astropy.io.votable.tree import Param
-
     plain = Table(table)
     for name in table.colnames:
         values = plain[name]

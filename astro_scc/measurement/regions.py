@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import astropy.units as u
 import numpy as np
 from numpy.typing import ArrayLike
+from regions import CircleSkyRegion, PolygonSkyRegion, Regions
+from skimage.measure import find_contours
 
 from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs import EpochCube
@@ -19,7 +21,6 @@ from astro_scc.partial import replace_when_complete
 
 if TYPE_CHECKING:
     from photutils.segmentation import SegmentationImage
-    from regions import Regions
 
 #: Folder of the regions of all epochs.
 REGIONS = "ssp_regions"
@@ -79,8 +80,6 @@ def ssp_regions(
     >>> len(found) == (ssps.epoch == 0).sum().item(), found[0].meta["text"]
     (True, '0')
     """
-    from regions import Regions
-
     if shape not in ("outline", "circle"):
         raise ValueError(f"shape must be 'outline' or 'circle', got {shape!r}")
     wcs = _wcs(cube, epoch, frame)
@@ -140,13 +139,11 @@ def write_ssp_regions(
     >>> n == int((matched.ssps.epoch == 0).sum())
     True
     """
-    from regions import Regions
-
     found = ssp_regions(ssps, cube, epoch, **options)
     # For an empty list, regions writes nothing at all.
     text = "# Region file format: DS9 version 4.1\nglobal color=green\nicrs\n"
     if len(found):
-        text = Regions(found).serialize(format="ds9", precision=DIGITS)
+        text = found.serialize(format="ds9", precision=DIGITS)
     with replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
         part.write_text(text, encoding="ascii")
     return len(found)
@@ -222,9 +219,6 @@ def _wcs(cube, epoch, frame):
 
 
 def _outline(ssps, index, cube, wcs):
-    from regions import PolygonSkyRegion
-    from skimage.measure import find_contours
-
     _, _, nx = cube.shape
     y0, x0, y1, x1 = ssps.bbox[index]
     row, column = np.divmod(ssps.pixels_of(index), nx)
@@ -237,8 +231,6 @@ def _outline(ssps, index, cube, wcs):
 
 
 def _circle(ssps, index, cube, wcs):
-    from regions import CircleSkyRegion
-
     size = scale_size(ssps.scale[index]) * cube.pixel_scale
     centre = wcs.pixel_to_world(ssps.x[index], ssps.y[index])
     return CircleSkyRegion(centre, (size / 2).to(u.arcsec))

@@ -150,27 +150,26 @@ class SCCResult:
             for k, kind in enumerate(table["kind"])
         ]
         found = ", ".join(speeds) or "no component"
-        name = str(self.cube.meta.get("object", "")).strip()
-        return f"<SCCResult {name}: {found}, {len(self.cube)} epochs>".replace(
-            " :", ":"
-        )
+        return f"<{self._head()}{found}, {len(self.cube)} epochs>"
+
+    def _head(self):
+        return f"SCCResult {self.cube.meta.get('object', '')}".strip() + ": "
 
     def _repr_html_(self):
-        cube, table = self.cube, self.components
-        name = str(cube.meta.get("object", "")).strip()
-        kinds = [str(kind) for kind in table["kind"]]
+        table = self.components
+        kinds = table["kind"].tolist()
         found = ", ".join(
             f"{kinds.count(kind)} {kind}"
             for kind in ("moving", "stationary", "not significant")
             if kind in kinds
         )
         lines = [
-            f"SCCResult {name}{': ' if name else ''}{found or 'no component'}",
-            repr(cube)[1:-1],
+            self._head() + (found or "no component"),
+            repr(self.cube)[1:-1],
             f"{len(self.pairs)} pairs of epochs, {np.sum(self.matched.select)} SSPs, "
             f"{self.meta.get('n_trials')} trials, seed {self.meta.get('seed')}",
         ]
-        text = f"<p>{'<br>'.join(escape(line) for line in lines)}</p>"
+        text = f"<p>{'<br>'.join(map(escape, lines))}</p>"
         if not kinds:
             return text
         shown = paper_table(table, latex=False)
@@ -334,31 +333,33 @@ class SCCResult:
                 position_angle += 180 * u.deg
             position_angle %= 360 * u.deg
         step = stacking.SearchSettings().interval_step
-        shortest = _shortest(self.cube.years.to_value(u.yr), diagram)
+        # The first bin begins at the shortest interval that was used.
+        baseline, years = self.meta["settings"]["baseline"], self.cube.years
+        first, second = np.triu_indices(len(years), 1)
+        every = (years[second] - years[first]).to_value(u.yr)
+        least = 0.0 if baseline is None else baseline[0].to_value(u.yr)
+        shortest = every[(every > 0) & (every >= least)].min()
         bins = np.floor(np.log(diagram.interval / shortest) / step + 1e-9).astype(int)
-        data = np.full((len(excess), bins[-1] + 1), np.nan)
-        interval, n_pairs = np.full(bins[-1] + 1, np.nan), np.zeros(bins[-1] + 1, int)
-        data[:, bins], interval[bins], n_pairs[bins] = (
-            excess, diagram.interval, diagram.n_pairs
-        )  # fmt: skip
+        n_bins = bins[-1] + 1
+        data = np.full((len(excess), n_bins), np.nan)
+        interval, n_pairs = np.full(n_bins, np.nan), np.zeros(n_bins, int)
+        data[:, bins], interval[bins] = excess, diagram.interval
+        n_pairs[bins] = diagram.n_pairs
         middle = shortest * np.exp(step / 2)
         wcs = WCS(naxis=2)
         wcs.wcs.ctype, wcs.wcs.cunit = ["INTV-LOG", "DISPLACE"], ["yr", "mas"]
         wcs.wcs.crpix = [1.0, (len(data) + 1) / 2]
         wcs.wcs.crval = [middle, 0.0]
         wcs.wcs.cdelt = [step * middle, beam * np.diff(diagram.displacement).mean()]
-        return NDData(
-            data,
-            wcs=wcs,
-            meta={
-                "axes": ("interval", "displacement"),
-                "interval": interval * u.yr,
-                "n_pairs": n_pairs,
-                "beam": beam * u.mas,
-                "direction": direction,
-                "position_angle": position_angle,
-            },
-        )
+        meta = {
+            "axes": ("interval", "displacement"),
+            "interval": interval * u.yr,
+            "n_pairs": n_pairs,
+            "beam": beam * u.mas,
+            "direction": direction,
+            "position_angle": position_angle,
+        }
+        return NDData(data, wcs=wcs, meta=meta)
 
     def members(self, number: int) -> QTable:
         """
@@ -430,13 +431,3 @@ class SCCResult:
 
         tables = self.components, self.features, self.ssps
         return write_explore(path, *tables, velocity_hdus(self), cube=self.cube)
-
-
-def _shortest(years, diagram):
-    """Return the shortest interval that was used, where the first bin begins."""
-    first, second = np.triu_indices(len(years), 1)
-    every, n = np.sort(years[second] - years[first]), diagram.n_pairs[0]
-    every = every[every > 0]
-    total = np.concatenate([[0.0], every.cumsum()])
-    mean = (total[n:] - total[:-n]) / n
-    return every[np.abs(mean - diagram.interval[0]).argmin()]

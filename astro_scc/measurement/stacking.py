@@ -14,10 +14,11 @@ from astro_scc.measurement.result import SCCResult
 from astro_scc.measurement.tables import versions
 from astro_scc.progress import progress
 from astro_scc.settings import require
-from astro_scc.stacking import SearchSettings, baseline_pairs, find_streams, stack
+from astro_scc.stacking import baseline_pairs, find_streams, stack
 from astro_scc.stacking.errors import jitter_positions, velocity_of
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.permutations import number_of_permutations, permute_stacks
+from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.stacking.stack import velocity_peak_near
 
 #: Shift of the paper's correction for small displacements, in beams.
@@ -72,17 +73,11 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     pairs, max_speed = settings.date_pairs(cube), settings.largest_speed
     radius, fwhm = settings.search_radius(cube)
     frame, angle = velocity_frame(matched, settings.position_angle)
-    samples = axes.angular_displacements(
-        matched.matches,
-        matched.ssps,
-        cube,
-        frame,
-        settings.min_error_beams,
-        select=matched.select,
-    )
-    project = axes.AxisProjection(samples, matched.ssps, cube, frame)
+    of = matched.matches, matched.ssps, cube, frame, settings.min_error_beams
+    samples = axes.angular_displacements(*of, select=matched.select)
+    project = axes.AxisProjection(samples, cube, frame)
     known = not isinstance(frame, kinematics.SkyFrame)
-    n_axes = 1 if known else SearchSettings().n_axes
+    n_axes = 1 if known else DEFAULT.n_axes
     with progress(None, "Searching", show=progress_bar):
         search = find_streams(
             project,
@@ -109,64 +104,45 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
         limit = max_speed
     elif fastest > 0:
         limit = min(limit, MAP_SPEEDS * fastest)
-    small = SMALL_SHIFT * settings.small_displacement_correction
-    paper = _stack_of_paper(
-        samples,
-        pairs,
-        velocities,
-        max(limit, 1.2 * fastest),
-        fwhm,
-        shift=(small * fwhm,) * 2 if small else None,
-        n_trials=min(n_trials, PAPER_TRIALS),
-        rngs=(paper_rng, error_rng),
-        progress_bar=progress_bar,
+    # The stack of the paper, its z-score and its peaks.
+    grid = map_grid(samples, pairs, max(limit, 1.2 * fastest))
+    maps = PairMaps.of(samples, grid.v_max, pairs.interval.max())
+    few, shift = min(n_trials, PAPER_TRIALS), None
+    if settings.small_displacement_correction:
+        shift = (SMALL_SHIFT * fwhm,) * 2
+    with progress(few, "Permuting", show=progress_bar) as done:
+        how = {"rng": paper_rng, "shift": shift, "progress": done}
+        permuted = permute_stacks(maps, pairs, grid, few, **how)
+    scc = stack(samples, pairs, grid)
+    box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
+    peaks = tuple(velocity_peak_near(scc, grid, box, *v.value) for v in velocities)
+    jitters = tuple(
+        jitter_positions(samples, pairs, peak, box, few, rng=own)
+        for peak, own in zip(peaks, error_rng.spawn(len(peaks)), strict=True)
     )
-    meta = {
-        "settings": settings.to_dict(),
-        "n_trials": int(n_trials),
-        "seed": seed,
-        "versions": versions(),
-        "jet_position_angle": angle,
-        "misalignment_beams": cube.misalignment,
-    }
     return SCCResult(
         matched=matched,
         frame=frame,
         position_angle=angle,
         pairs=pairs,
         displacements=samples,
+        grid=grid,
+        coefficient=scc,
+        z_score=permuted.z_score(scc),
+        permuted=permuted,
         search=search,
         velocities=velocities,
-        meta=meta,
-        **paper,
+        maxima=peaks,
+        jitters=jitters,
+        meta={
+            "settings": settings.to_dict(),
+            "n_trials": int(n_trials),
+            "seed": seed,
+            "versions": versions(),
+            "jet_position_angle": angle,
+            "misalignment_beams": cube.misalignment,
+        },
     )
-
-
-def _stack_of_paper(
-    samples, pairs, velocities, limit, fwhm, *, shift, n_trials, rngs, progress_bar
-):
-    """Return the paper's stack, its z-score and its peaks as parts of a result."""
-    grid = map_grid(samples, pairs, limit)
-    maps = PairMaps.of(samples, grid.v_max, pairs.interval.max())
-    with progress(n_trials, "Permuting", show=progress_bar) as done:
-        permuted = permute_stacks(
-            maps, pairs, grid, n_trials, rng=rngs[0], shift=shift, progress=done
-        )
-    scc = stack(samples, pairs, grid)
-    box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
-    peaks = tuple(velocity_peak_near(scc, grid, box, *v.value) for v in velocities)
-    jitters = tuple(
-        jitter_positions(samples, pairs, peak, box, n_trials, rng=own)
-        for peak, own in zip(peaks, rngs[1].spawn(len(peaks)), strict=True)
-    )
-    return {
-        "grid": grid,
-        "coefficient": scc,
-        "z_score": permuted.z_score(scc),
-        "permuted": permuted,
-        "maxima": peaks,
-        "jitters": jitters,
-    }
 
 
 def stacking_time(n_epochs, n_trials, n_axes=1):
@@ -196,12 +172,8 @@ def seeded(rng):
 
 def _pairs_of_speed(cube, pairs, years):
     """Return the pairs of dates that suit a motion of one beam in ``years``."""
-    settings = SearchSettings()
-    found = baseline_pairs(
-        cube.years.to_value(u.yr),
-        settings.nearest * years,
-        settings.farthest * years,
-    )
+    limits = DEFAULT.nearest * years, DEFAULT.farthest * years
+    found = baseline_pairs(cube.years.to_value(u.yr), *limits)
     return found if len(found) >= FEWEST_PAIRS else pairs
 
 
@@ -242,16 +214,14 @@ def velocity_frame(matched, position_angle):
     if isinstance(position_angle, str) and position_angle == "fit":
         position_angle, _ = kinematics.fit_position_angle(matched.cube)
     if isinstance(position_angle, u.Quantity):
-        return kinematics.PositionAngleFrame(position_angle), position_angle
+        position_angle = kinematics.PositionAngleFrame(position_angle)
     if isinstance(position_angle, kinematics.PositionAngleFrame):
         return position_angle, position_angle.pa
     angle = flow_direction(matched)
-    if position_angle is None or (
-        isinstance(position_angle, str) and position_angle == "any"
-    ):
-        return kinematics.SkyFrame(), angle
-    if not isinstance(position_angle, str):
+    if position_angle is not None and not isinstance(position_angle, str):
         return position_angle, angle
     if position_angle == "ridge":
         return kinematics.find_ridge_line(matched.cube), angle
-    return kinematics.RadialFrame(), angle
+    if position_angle == "radial":
+        return kinematics.RadialFrame(), angle
+    return kinematics.SkyFrame(), angle

@@ -68,7 +68,7 @@ def matched_jet(kind, seed):
         warnings.simplefilter("ignore", MeasurementWarning)
         matched = scc.match(jet.cube)
     displacements, frame = scc.displacements(matched)
-    d = AxisProjection(displacements, matched.ssps, matched.cube, frame)(0.0)
+    d = AxisProjection(displacements, matched.cube, frame)(0.0)
     return d, jet
 
 

@@ -59,7 +59,7 @@ def matches_of(ssps, pairs):
 def projected(cube, ssps, pairs, frame):
     matches = matches_of(ssps, pairs)
     d = angular_displacements(matches, ssps, cube, frame, 0.2)
-    return AxisProjection(d, ssps, cube, frame)
+    return AxisProjection(d, cube, frame)
 
 
 EAST = np.array([0.5, -1.0, 1.5, 0.7, -0.6, 1.4])
@@ -161,7 +161,7 @@ def test_at_the_point_itself_there_is_no_axis():
     ssps = ssps_of(cube, [0.0, 1.0], [0.0, 0.0], [0, 1])
     matches = matches_of(ssps, [(0, 1), (1, 0)])
     d = angular_displacements(matches, ssps, cube, RadialFrame(), 0.2)
-    project = AxisProjection(d, ssps, cube, RadialFrame())
+    project = AxisProjection(d, cube, RadialFrame())
     np.testing.assert_allclose(project.beam(0.0), 0.5)
     found = project(0.0)
     np.testing.assert_array_equal(found.ssp, [1])
@@ -229,6 +229,6 @@ def test_no_ssps_no_displacements(frame, beams):
     cube = cube_of(beams)
     matches = Matches.from_columns([], [[0, 1]], (3, 3), 0.6)
     d = angular_displacements(matches, SSPs.empty(), cube, frame, 0.2)
-    project = AxisProjection(d, SSPs.empty(), cube, frame)
+    project = AxisProjection(d, cube, frame)
     assert len(project(0.3)) == 0
     np.testing.assert_array_equal(project.beam(0.3), 1.0)
