@@ -71,10 +71,8 @@ def choose_alignment(cube):
         on_core = None
     if on_core is None or on_core >= scatter:
         return "none", f"the epochs scatter by {scatter:.2f} beams, no less on the core"
-    return (
-        "core",
-        f"the epochs scatter by {scatter:.2f} beams, {on_core:.2f} on the core",
-    )
+    reason = f"the epochs scatter by {scatter:.2f} beams, {on_core:.2f} on the core"
+    return "core", reason
 
 
 def choose_scales(cube):

@@ -68,10 +68,8 @@ def allow_for_structure(cube, decomposer):
     most = len(starts) // 2 + 1
     shares = []
     for left, k in zip(range(len(starts))[::-1], starts, strict=True):
-        pair = slice(k, k + 2)
-        share, chance = decomposer.shared_variance(
-            cube.data[pair], masks=cube.mask[pair]
-        )
+        data, masks = cube.data[k : k + 2], cube.mask[k : k + 2]
+        share, chance = decomposer.shared_variance(data, masks=masks)
         real = share > np.maximum(SHARED, BEYOND_CHANCE * chance)
         shares.append(np.where(real, share, 0.0))
         if np.count_nonzero(shares, axis=0).max() + left < most:
@@ -154,10 +152,8 @@ def matching_time(cube, decomposer, reach, *, region=None, n_targets=None):
     ssps = SSPs.of_epochs(decompose_epochs(cube[sample], decomposer))
     inside = centroids_inside(ssps, cube, region)
     pixels = sum(
-        _window_pixels(
-            ssps.bbox[ssps.scale == scale], inside[ssps.scale == scale], reach
-        )
-        for scale in decomposer.scales
+        _window_pixels(ssps.bbox[of_scale], inside[of_scale], reach)
+        for of_scale in (ssps.scale == scale for scale in decomposer.scales)
     )
     of_all = n / len(sample)
     compiled = find_spec("numba") and of_all * inside.sum() * n_targets > COMPILE_FROM

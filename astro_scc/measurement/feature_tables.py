@@ -213,6 +213,7 @@ def member_table(result, number):
     d, cube, ssps = result.displacements, result.cube, result.matched.ssps
     match = _matches_of(result, number)
     ssp, start, end = d.ssp[match], d.reference[match], d.target[match]
+    east, north = d.position[ssp].T * u.mas
     table = QTable(
         {
             "match": match,
@@ -224,8 +225,8 @@ def member_table(result, number):
             "date": Time(cube.times[start], format="isot"),
             "target_date": Time(cube.times[end], format="isot"),
             "interval": (cube.years[end] - cube.years[start]).to(u.yr),
-            "east": d.position[ssp, 0] * u.mas,
-            "north": d.position[ssp, 1] * u.mas,
+            "east": east,
+            "north": north,
         }
     )
     axes = (d.d1, d.s1), (d.d2, d.s2)
@@ -246,9 +247,6 @@ def _matches_of(result, number):
             label[feature.ssp] = k
         there = np.where(d.target_ssp >= 0, label[d.target_ssp], -1)
         return np.flatnonzero((there >= 0) & (label[d.ssp] == there))
-    v = result.velocities[number - 1].value
-    index, v1, v2, s1, s2, _ = sample_velocities(d, result.pairs)
-    near = (np.abs(v1 - v[0]) <= MEMBER_SIGMA * s1) & (
-        np.abs(v2 - v[1]) <= MEMBER_SIGMA * s2
-    )
-    return index[near]
+    index, *v, s1, s2, _ = sample_velocities(d, result.pairs)
+    apart = np.abs(np.transpose(v) - result.velocities[number - 1].value)
+    return index[np.all(apart <= MEMBER_SIGMA * np.stack([s1, s2], axis=1), axis=1)]

@@ -25,8 +25,6 @@ from astro_scc.partial import replace_when_complete
 
 #: What the files are, in their headers and in messages.
 MATCHES = "astro_scc matches"
-#: Columns that `astro_scc.correlation.match_block` returns.
-N_COLUMNS = 7
 #: What each part is called in messages.
 NAMES = {
     "data": "images",
@@ -167,8 +165,10 @@ class MatchedEpochs:
         found = parts.provenance
         if wanted is None:
             wanted = {**image_provenance(cube), "versions": versions()}
-        if stale := stale_parts(found, wanted):
-            raise ValueError(f"{path}: is of other {stale}; match the epochs again")
+        stale = [name for name, value in wanted.items() if found.get(name) != value]
+        if stale:
+            what = ", ".join(NAMES.get(name, name) for name in stale)
+            raise ValueError(f"{path}: is of other {what}; match the epochs again")
         provenance = {**found, "selected": selection_digest(parts.select)}
         return replace(parts, cube=cube, provenance=provenance)
 
@@ -241,7 +241,7 @@ class MatchCache:
 
     def __getitem__(self, number):
         with np.load(self._file(number), allow_pickle=False) as arrays:
-            return tuple(arrays[f"arr_{k}"] for k in range(N_COLUMNS))
+            return tuple(arrays.values())
 
     def __setitem__(self, number, columns):
         self.blocks.mkdir(parents=True, exist_ok=True)
@@ -318,19 +318,6 @@ def digest_of(provenance):
 def selection_digest(select):
     """Return a short digest of a selection of SSPs."""
     return _of_array(np.asarray(select, dtype=bool))[:16]
-
-
-def stale_parts(found, wanted):
-    """
-    Name the parts of a provenance that are not the wanted ones.
-
-    For example ``"images, versions"``; empty if all parts in ``wanted`` agree.
-    """
-    return ", ".join(
-        NAMES.get(name, name)
-        for name, value in wanted.items()
-        if found.get(name) != value
-    )
 
 
 def _of_array(array):

@@ -54,11 +54,11 @@ def sensitivity_table(result):
         See `SCCResult.sensitivity`.
     """
     streams, alpha = result.search.streams, result.meta["settings"]["alpha"]
-    if not streams or streams[0].kind != "moving":
-        table = build_table([], COLUMNS)
-        table.meta["note"] = "nothing moves significantly"
-        return table
-    return _table_of(_Main.of(result), alpha)
+    if streams and streams[0].kind == "moving":
+        return _table_of(_Main.of(result), alpha)
+    table = build_table([], COLUMNS)
+    table.meta["note"] = "nothing moves significantly"
+    return table
 
 
 def _table_of(main, alpha):
@@ -241,8 +241,8 @@ class _Main:
     def _speed(self, stream):
         """Return the speed of a stream along itself, and its error, in mas/yr."""
         velocity = velocity_of(stream, self.beam, self.misaligned, self.epoch)
-        variance = self.axis @ velocity.covariance @ self.axis
-        return self.axis @ velocity.value, np.sqrt(variance)
+        error = np.sqrt(self.axis @ velocity.covariance @ self.axis)
+        return self.axis @ velocity.value, error
 
     def _deviation(self, stream, new):
         """
@@ -267,11 +267,9 @@ class _Main:
             error = settings.error_inflation * line.sigma * np.linalg.norm(response)
             of_places += error**2
             degrees += max(line.used.sum() - 2, 0) + settings.prior_freedom
-        responses = [
-            alignment_response(s, self.epoch, len(self.misaligned))
-            for s in (stream, self.stream)
-        ]
-        misaligned = (responses[0] - responses[1]) ** 2 @ self.misaligned**2
+        of = self.epoch, len(self.misaligned)
+        shift = alignment_response(stream, *of) - alignment_response(self.stream, *of)
+        misaligned = shift**2 @ self.misaligned**2
         total = of_speeds + of_places
         freedom = total**2 / (of_speeds**2 / n + of_places**2 / degrees or 1.0)
         variance = total * self.beam[0] ** 2 + misaligned @ self.axis**2

@@ -174,18 +174,16 @@ def paper_table(table, *, latex=True):
     for name, heading in PAPER.items():
         if name not in table.colnames:
             continue
-        column = rounded[name]
+        info = rounded[name].info
         cells = [cell_text(rounded, name, k, sign) for k in range(len(rounded))]
         if name.startswith("p_"):
             # What stands still is not tested.
             cells = np.where(table["kind"] == "stationary", "-", cells).tolist()
         if latex:
-            is_number = getattr(getattr(column, "dtype", None), "kind", "") in "if"
-            cells = map(_latex_number if is_number else latex_text, cells)
-        unit = getattr(column, "unit", None)
-        cells = Column(np.array(list(cells), dtype=str))
-        cells.unit = None if unit == u.one else unit
-        paper[heading if latex else name] = cells
+            cells = map(_latex_number if info.dtype.kind in "if" else latex_text, cells)
+        unit = None if info.unit == u.one else info.unit
+        cells = np.array(list(cells), dtype=str)
+        paper[heading if latex else name] = Column(cells, unit=unit)
     return paper
 
 

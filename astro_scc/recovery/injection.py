@@ -220,9 +220,10 @@ def area_for_features(matched, region=None):
         area = np.zeros(exists.shape, dtype=bool)
         area.flat[matched.ssps.pixels] = True
         return area if area.any() else exists
-    if not (region & exists).any():
+    area = region & exists
+    if not area.any():
         raise ValueError("region holds masked pixels only: no feature can be injected")
-    return region & exists
+    return area
 
 
 def velocity_along(frame, position_angle):
@@ -255,8 +256,7 @@ def recovered(result, own, velocity, *, tolerance, level, paths, fwhm):
         for number in moving_components(result, level)
     }
     for v in np.reshape(own, (-1, 2)):
-        nearest = _nearest(left, v, tolerance)
-        left.pop(nearest, None)
+        left.pop(_nearest(left, v, tolerance), None)
     while (nearest := _nearest(left, np.asarray(velocity), tolerance)) is not None:
         if _share_of_features(result, nearest, paths, fwhm) > 0.5:
             return nearest
