@@ -8,7 +8,7 @@ import os
 import re
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
@@ -41,10 +41,10 @@ _STRUCTURE = re.compile(
 )
 
 
-@dataclass
-class Plane:
+@dataclass(kw_only=True)
+class Plane(headers.HeaderRecord):
     """
-    One image on its own grid, with the content of its header.
+    One image on its own grid, with the facts in its header.
 
     ``shape`` is that of the whole image, of which ``data`` and ``mask`` may be a
     part; they are None if only the header was read.  ``even`` is whether the
@@ -54,8 +54,7 @@ class Plane:
     name: str
     wcs: WCS
     shape: tuple[int, int]
-    record: headers.HeaderRecord
-    header: object
+    header: object = None
     data: np.ndarray | None = None
     mask: np.ndarray | None = None
     unit: u.UnitBase = u.dimensionless_unscaled
@@ -63,13 +62,19 @@ class Plane:
     noise: u.Quantity | None = None
     even: bool = True
     label: str | None = None
-    notes: list = field(default_factory=list)
+    unit_problem: str = ""
 
     @property
     def extent(self):
         """Size of the whole image in degrees."""
         sides = np.hypot(*self.wcs.pixel_scale_matrix) * self.shape[::-1]
         return float(np.max(sides))
+
+    @property
+    def notes(self):
+        """What of the header is not understood, and what to do."""
+        beam = f"its beam is taken as unknown: {self.beam_problem}; {CORRECT_BEAM}"
+        return [n for n in (self.unit_problem, self.beam_problem and beam) if n]
 
 
 class _ContentError(ValueError):
@@ -128,12 +133,11 @@ def read_vlbi_fits(path: Path | str, hdu: int | str | None = None) -> CCDData:
     for note in plane.notes:
         warnings.warn(f"{path}: {note}", EpochWarning, stacklevel=2)
     meta = fits.Header([card for card in plane.header.cards if _is_meta(card)])
-    facts, beam = plane.record.facts, plane.record.beam
     for fact, keyword in (("frequency", "FREQ"), ("stokes", "STOKES")):
-        if fact in facts:
-            meta[keyword] = facts[fact]
-    if beam is not None:
-        meta.update(headers.beam_cards(beam))
+        if fact in plane.facts:
+            meta[keyword] = plane.facts[fact]
+    if plane.beam is not None:
+        meta.update(headers.beam_cards(plane.beam))
     return CCDData(
         plane.data,
         unit=plane.unit,
@@ -172,17 +176,14 @@ def find_files(paths, *, missing_ok=False):
     for name in names:
         if not isinstance(name, str):
             raise TypeError(f"paths must be text, got {name!r}")
-        matches = [name]
-        if os.path.exists(name):
+        if os.path.exists(name) or (missing_ok and not glob.has_magic(name)):
             check_ordinary(name)
-        elif glob.has_magic(name):
-            matches = sorted(glob.glob(name, recursive=True))
-            if not matches:
-                raise FileNotFoundError(f"{name}: no file matches this pattern")
-            matches = [m for m in matches if not os.path.isdir(m) or is_casa_image(m)]
-        elif not missing_ok:
-            raise FileNotFoundError(f"{name}: no such file")
-        found += matches
+            found.append(name)
+        elif matches := sorted(glob.glob(name, recursive=True)):
+            found += [m for m in matches if not os.path.isdir(m) or is_casa_image(m)]
+        else:
+            what = "file matches this pattern" if glob.has_magic(name) else "such file"
+            raise FileNotFoundError(f"{name}: no {what}")
     if not found:
         raise FileNotFoundError("no files were given")
     return [Path(name) for name in dict.fromkeys(found)]
@@ -258,22 +259,19 @@ def open_fits(file, *, known=False, **options):
     The standard allows 999 axes, but astropy loops over any number that a header
     claims, so a larger number raises an OSError.  A ``known`` file has been checked.
     """
-    found = None if known else _AXES.search(_content(file))
-    if found:
-        raise _NoImageError(f"is broken, it claims to have {found[1].decode()} axes")
-    file.seek(0)
-    return fits.open(file, **options)
-
-
-def _content(file):
-    """Return where headers may be: a whole file, or the start of a compressed one."""
-    if file.read(2) == b"\x1f\x8b":
+    if not known:
+        packed = file.read(2) == b"\x1f\x8b"
         file.seek(0)
-        with gzip.open(file) as whole:
-            return whole.read(2880)
-    if file.seek(0, os.SEEK_END) == 0:
-        return b""
-    return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        if packed:
+            content = gzip.open(file).read(2880)
+        else:
+            content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        if found := _AXES.search(content):
+            raise _NoImageError(
+                f"is broken, it claims to have {found[1].decode()} axes"
+            )
+        file.seek(0)
+    return fits.open(file, **options)
 
 
 def _plane(hdus, which, path, *, window=None, pixels=True):
@@ -286,76 +284,63 @@ def _plane(hdus, which, path, *, window=None, pixels=True):
     if hdu is not hdus[0]:
         header.extend(hdus[0].header, unique=True, bottom=True)
     _check_complete(hdu, path)
-    index = _plane_index(header)
-    shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     try:
         wcs = headers.celestial_wcs(header, fobj=hdus)
     except ValueError as error:
         raise _ContentError(error) from None
     if wcs.has_distortion:
         raise _ContentError("its coordinates are distorted (SIP); resample it first")
+    index = _plane_index(header)
+    shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))
-    plane = Plane(str(path), wcs, shape, headers.read_header(header, tables), header)
+    record = headers.read_header(header, tables)
+    text = headers.get(header, "BUNIT", kind=str)
+    unit = headers.parse_unit(text)
+    plane = Plane(name=str(path), wcs=wcs, shape=shape, header=header, **vars(record))
+    if unit is not None:
+        plane.unit = unit
+    else:
+        plane.unit_problem = (
+            f"its unit {text!r} is not known and taken as dimensionless; write one "
+            "that FITS knows, such as JY/BEAM, to BUNIT"
+        )
+    if plane.beam is not None and plane.beam.major.to_value(u.deg) > plane.extent:
+        plane.beam_problem = f"{plane.beam} is larger than the image"
+        plane.beam = None
     if pixels:
-        _load(plane, hdus, hdu, index, window)
-        _note(plane)
+        _load(plane, hdus, hdu, index, window or (slice(None), slice(None)))
     return plane
 
 
 def _load(plane, hdus, hdu, index, window):
     """Add the pixels of a window, with mask and uncertainty, to the plane."""
-    window = window or (slice(None), slice(None))
     # Only these pixels are read if the file is mapped into memory.
     plane.data = np.array(hdu.data[index][window], dtype=np.float64)
     where = "" if plane.data.shape == plane.shape else " in this part"
-    plane.mask = ~np.isfinite(plane.data)
-    if plane.mask.all():
-        raise _ContentError(f"no valid pixel{where}, all are NaN; leave this file out")
+    plane.mask, why = ~np.isfinite(plane.data), ", all are NaN"
     for name, is_bad in (("WHT", np.logical_not), ("MASK", np.asarray)):
-        values, _ = _beside(hdus, hdu, name, plane.shape, window)
-        if values is not None:
-            plane.mask |= is_bad(values).astype(bool)
-        if plane.mask.all():
-            raise _ContentError(
-                f"no valid pixel{where} by its extension {name}; leave this file out"
-            )
-    errors, header = _beside(hdus, hdu, "UNCERT", plane.shape, window)
-    if errors is not None:
-        unit = headers.parse_unit(header["BUNIT"]) if "BUNIT" in header else None
-        kind = UNCERTAINTIES.get(
-            headers.get(header, "UTYPE", kind=str), StdDevUncertainty
+        beside = _beside(hdus, hdu, name, plane.shape)
+        if beside is not None and not plane.mask.all():
+            plane.mask |= is_bad(beside.data[window]).astype(bool)
+            why = f" by its extension {name}"
+    if plane.mask.all():
+        raise _ContentError(f"no valid pixel{where}{why}; leave this file out")
+    beside = _beside(hdus, hdu, "UNCERT", plane.shape)
+    if beside is not None:
+        kind = headers.get(beside.header, "UTYPE", kind=str)
+        unit = beside.header.get("BUNIT")
+        plane.uncertainty = UNCERTAINTIES.get(kind, StdDevUncertainty)(
+            np.array(beside.data[window], dtype=float),
+            unit=None if unit is None else headers.parse_unit(unit),
+            copy=False,
         )
-        plane.uncertainty = kind(np.array(errors, dtype=float), unit=unit, copy=False)
     if where:
         plane.wcs = cut_wcs(plane.wcs, window, plane.shape)
 
 
-def _note(plane):
-    """Add the unit, and notes on a unit or beam that is not understood."""
-    text = headers.get(plane.header, "BUNIT", kind=str)
-    plane.unit = headers.parse_unit(text)
-    if plane.unit is None:
-        plane.unit = u.dimensionless_unscaled
-        plane.notes.append(
-            f"its unit {text!r} is not known and taken as dimensionless; write one "
-            "that FITS knows, such as JY/BEAM, to BUNIT"
-        )
-    beam, problem = plane.record.beam, plane.record.beam_problem
-    if beam is not None and beam.major.to_value(u.deg) > plane.extent:
-        problem = f"{beam} is larger than the image"
-        plane.record = replace(plane.record, beam=None, beam_problem=problem)
-    if problem:
-        plane.notes.append(beam_note(problem))
-
-
-def beam_note(problem):
-    """Return the note on a beam that cannot be right."""
-    return f"its beam is taken as unknown: {problem}; {CORRECT_BEAM}"
-
-
-def _beside(hdus, image, name, shape, window):
+def _beside(hdus, image, name, shape):
     """
-    Return the values and header of an extension of the image, or None for both.
+    Return an extension of the image with its shape, or None.
 
     Drizzled HST images have weights, ``WHT``; astropy writes the mask and the
     uncertainty of a CCDData as ``MASK`` and ``UNCERT``.
@@ -363,13 +348,13 @@ def _beside(hdus, image, name, shape, window):
     for hdu in hdus:
         if hdu is not image and hdu.name == name and hdu.is_image:
             if hdu.shape == shape:
-                return hdu.data[window], hdu.header
+                return hdu
             if name != "WHT":
                 raise _ContentError(
                     f"its extension {name} has shape {hdu.shape}, its image {shape}; "
                     "correct or remove the extension"
                 )
-    return None, None
+    return None
 
 
 def _find(hdus, which):
@@ -401,27 +386,22 @@ def _check_complete(hdu, path):
 
 def _plane_index(header):
     """Return the index of the image plane, in numpy's order of axes."""
-    naxis = header["NAXIS"]
-    types = [str(header.get(f"CTYPE{k + 1}", "")).upper().strip() for k in range(naxis)]
-    celestial = [k for k, t in enumerate(types) if headers.axis_kind(t)]
-    if len(celestial) != 2:
-        # celestial_wcs refuses these with a better reason.
-        celestial = [0, 1]
     index = []
-    for k, name in enumerate(types):
-        length = header[f"NAXIS{k + 1}"]
-        if k in celestial:
+    for axis in range(header["NAXIS"], 0, -1):
+        name = str(header.get(f"CTYPE{axis}", "")).upper().strip()
+        length = header[f"NAXIS{axis}"]
+        if headers.axis_kind(name):
             index.append(slice(None))
         elif length == 1:
             index.append(0)
         elif name.startswith("STOKES"):
-            index.append(_stokes_i(header, k + 1, length))
+            index.append(_stokes_i(header, axis, length))
         else:
             raise _ContentError(
-                f"has {length} planes on axis {name or f'{k + 1} of the file'}; write "
+                f"has {length} planes on axis {name or f'{axis} of the file'}; write "
                 "the one to use, or their mean, to a file of its own"
             )
-    return tuple(reversed(index))
+    return tuple(index)
 
 
 def _stokes_i(header, axis, length):
@@ -444,8 +424,7 @@ def looks_like_mask(image):
     if len(np.unique(few[np.isfinite(few)])) > 2:
         return False
     values = values[np.isfinite(values)]
-    extremes = values.min(initial=np.inf), values.max(initial=-np.inf)
-    return bool(values.size and np.all(np.isin(values, extremes)))
+    return values.size > 0 and np.isin(values, (values.min(), values.max())).all()
 
 
 registry.register_reader("vlbi-fits", CCDData, read_vlbi_fits, force=True)

@@ -14,9 +14,11 @@ from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
 
-from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.beam import Beam, as_beam
 
-_ISO = re.compile(r"(\d{4})[-/.]?(\d{1,2})[-/.]?(\d{1,2})(?:[T ]+([\d:.]+))?$")
+_ISO = re.compile(
+    r"(\d{4})[-/. ]?(\d{1,2}|[A-Z]{3})[-/. ]?(\d{1,2})(?:[T ]+([\d:.]+))?$"
+)
 _OLD = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{2}|\d{4})$")
 _DECIMAL_YEAR = re.compile(r"\d{4}\.(\d{2,3}|\d{5,})$")
 # Two-digit years below this are 20xx, as in the headers of digital images.
@@ -35,27 +37,25 @@ _UNIT_WORDS = {
     **{"bm": "beam", "electrons": "electron", "photons": "ph", "kelvin": "K"},
     **{name: name for name in ("adu", "sr", "arcsec")},
 }
+_BEAM = "BMAJ", "BMIN", "BPA"
 _NUMBER = r"([-+]?[\d.]+(?:[EeDd][-+]?\d+)?)"
 _CLEAN_BEAM = re.compile(
     rf"CLEAN\s+BMAJ\s*=\s*{_NUMBER}\s+BMIN\s*=\s*{_NUMBER}\s+BPA\s*=\s*{_NUMBER}"
 )
-_FREQUENCIES = ("FREQ", "FREQUENCY", "OBSFREQ", "RESTFRQ", "RESTFREQ")
 _STOKES = {1: "I", 2: "Q", 3: "U", 4: "V", -1: "RR", -2: "LL", -5: "XX", -6: "YY"}
-_FACTS = {
-    "object": "OBJECT",
-    "telescope": "TELESCOP",
-    "frequency": "FREQ",
-    "filter": "FILTER",
-    "stokes": "STOKES",
+#: Facts about an image, and their keywords; the first one is written.
+FACTS = {
+    "object": ("OBJECT", "TARGNAME"),
+    "telescope": ("TELESCOP",),
+    "frequency": ("FREQ", "FREQUENCY", "OBSFREQ", "RESTFRQ", "RESTFREQ"),
+    "filter": ("FILTER",),
+    "stokes": ("STOKES",),
 }
 _WCS_NUMBER = re.compile(r"((CRPIX|CRVAL|CDELT|CROTA)\d+|(PC|CD)\d+_\d+)$")
-_AXIS_KINDS = {
-    "longitude": re.compile(r"(RA|[A-Z]LON|[A-Z]{2}LN)(-|$)"),
-    "latitude": re.compile(r"(DEC|[A-Z]LAT|[A-Z]{2}LT)(-|$)"),
-}
+_CELESTIAL = re.compile(r"((RA|[A-Z]LON|[A-Z]{2}LN)|DEC|[A-Z]LAT|[A-Z]{2}LT)(-|$)")
 
 
-@dataclass(frozen=True)
+@dataclass
 class HeaderRecord:
     """
     Date (UTC), beam and other facts about an image.
@@ -134,18 +134,18 @@ def parse_date(text, scale="utc"):
                 time = Time(float(plain), format="decimalyear", scale=scale)
                 return Time(time, format="isot")
             if match := _OLD.match(plain):
-                day, month, year = (int(part) for part in match.groups())
-                if year < 100:
-                    year += 2000 if year < _CENTURY else 1900
+                day, month, year = match.groups()
+                if len(year) == 2:
+                    year = f"{20 if int(year) < _CENTURY else 19}{year}"
             elif match := _ISO.match(plain):
-                year, month, day = (int(part) for part in match.groups()[:3])
-                clock = match.group(4)
+                year, month, day, clock = match.groups()
+                if month.isalpha():
+                    month = datetime.strptime(month, "%b").month
                 if clock and ":" not in clock:
                     clock += ":00"
             else:
-                named = datetime.strptime(plain.replace("-", " "), "%Y %b %d")
-                year, month, day = named.timetuple()[:3]
-            iso = f"{year:04d}-{month:02d}-{day:02d}T{clock or '00:00:00'}"
+                raise ValueError
+            iso = f"{year}-{int(month):02d}-{int(day):02d}T{clock or '00:00:00'}"
             return Time(iso, format="isot", scale=scale)
         except ValueError:
             raise ValueError(f"{text!r} is no date; write it as 2006-03-09") from None
@@ -193,7 +193,7 @@ def _unit(text):
 def _observing_time(header):
     system = (get(header, "TIMESYS", kind=str) or "UTC").upper()
     scale = _TIME_SCALES.get(system, "utc")
-    time = problem = None
+    problem = None
     for keyword in _DATES:
         value = get(header, keyword)
         if isinstance(value, Time):
@@ -201,21 +201,22 @@ def _observing_time(header):
         text = get(header, keyword, kind=str)
         if text is None:
             continue
-        clock = get(header, "TIME-OBS", kind=str)
-        if clock and keyword == "DATE-OBS" and ":" in clock and ":" not in text:
+        clock = get(header, "TIME-OBS", kind=str) or ""
+        if keyword == "DATE-OBS" and ":" in clock and ":" not in text:
             text = f"{text}T{clock}"
         try:
             time = parse_date(text, scale)
             break
         except ValueError as error:
             problem = problem or f"{keyword}: {error}"
-    days = (get(header, keyword, kind=float) for keyword in _MJDS)
-    day = next((day for day in days if day is not None and day > 0), None)
-    if time is None and day is None:
-        if problem:
+    else:
+        days = (get(header, keyword, kind=float) for keyword in _MJDS)
+        day = next((day for day in days if day is not None and day > 0), None)
+        if problem and day is None:
             raise ValueError(problem)
-        return None
-    time = Time(day, format="mjd", scale=scale) if time is None else time
+        if day is None:
+            return None
+        time = Time(day, format="mjd", scale=scale)
     with warnings.catch_warnings(action="ignore"):
         time = time.utc
     time.format = "isot"
@@ -225,23 +226,19 @@ def _observing_time(header):
 def _header_beam(header, tables):
     beam = get(header, "BEAM")
     if hasattr(beam, "major"):
-        return Beam(beam.major, beam.minor, beam.pa)
-    major = get(header, "BMAJ", kind=float)
+        return as_beam(beam)
+    major, minor, pa = (get(header, keyword, kind=float) for keyword in _BEAM)
     if major:
-        minor = get(header, "BMIN", kind=float)
-        pa = get(header, "BPA", kind=float) or 0.0
-        return _beam(major, major if minor is None else minor, pa)
+        return _beam(major, major if minor is None else minor, pa or 0.0)
     for table in tables:
         if table.name.upper() in ("AIPS CG", "BEAMS") and len(table.data):
             return _beam(*_beam_of_table(table))
-    lines = header.get("HISTORY") or header.get("history") or ()
     if isinstance(header, fits.Header):
-        lines = (card.value for card in header.cards if card.keyword == "HISTORY")
-    lines = (lines,) if isinstance(lines, str) else lines
-    found = [m for m in (_CLEAN_BEAM.search(str(t).upper()) for t in lines) if m]
-    if not found:
-        return None
-    numbers = [float(text.replace("D", "E")) for text in found[-1].groups()]
+        lines = [card.value for card in header.cards if card.keyword == "HISTORY"]
+    else:
+        lines = header.get("HISTORY") or header.get("history")
+    found = _CLEAN_BEAM.findall(str(lines).upper())
+    numbers = [float(text.replace("D", "E")) for text in found[-1]] if found else [0]
     return _beam(*numbers) if numbers[0] > 0 else None
 
 
@@ -256,9 +253,8 @@ def _beam(major, minor, pa):
 
 def _beam_of_table(table):
     """Yield BMAJ, BMIN and BPA of the first row of a table, in degrees."""
-    units = {column.name.upper(): column.unit for column in table.columns}
-    for name in ("BMAJ", "BMIN", "BPA"):
-        text = (units[name] or "deg").strip().lower().rstrip("s")
+    for name in _BEAM:
+        text = (table.columns[name].unit or "deg").strip().lower().rstrip("s")
         unit = u.deg if text == "degree" else u.Unit(text)
         yield (float(table.data[0][name]) * unit).to_value(u.deg)
 
@@ -270,16 +266,13 @@ def header_facts(header):
     These are ``object``, ``telescope``, ``frequency`` (Hz), ``filter`` and
     ``stokes``, as far as the header has them.
     """
-    stokes = _axis_value(header, "STOKES")
-    frequency = _axis_value(header, "FREQ")
     facts = {
-        "object": get(header, "OBJECT", "TARGNAME", kind=str),
-        "telescope": get(header, "TELESCOP", kind=str),
-        "frequency": frequency or get(header, *_FREQUENCIES, kind=float),
-        "filter": get(header, "FILTER", kind=str) or _filter_wheels(header),
-        "stokes": get(header, "STOKES", kind=str),
+        fact: get(header, *keywords, kind=float if fact == "frequency" else str)
+        for fact, keywords in FACTS.items()
     }
-    if stokes is not None:
+    facts["frequency"] = _axis_value(header, "FREQ") or facts["frequency"]
+    facts["filter"] = facts["filter"] or _filter_wheels(header)
+    if (stokes := _axis_value(header, "STOKES")) is not None:
         facts["stokes"] = _STOKES.get(round(stokes))
     return {key: value for key, value in facts.items() if value is not None}
 
@@ -387,8 +380,8 @@ def _standard(keyword, value):
 
 def axis_kind(ctype):
     """Return "longitude" or "latitude" for a celestial CTYPE, None for others."""
-    ctype = ctype.strip().upper()
-    return next((k for k, form in _AXIS_KINDS.items() if form.match(ctype)), None)
+    match = _CELESTIAL.match(ctype.strip().upper())
+    return match and ("longitude" if match[2] else "latitude")
 
 
 def epoch_header(cube, i):
@@ -403,11 +396,11 @@ def epoch_header(cube, i):
     if cube.noise is not None:
         header["NOISE"] = cube.noise[i].value, f"rms, {cube.noise.unit}"
     facts = cube.epoch_meta[i]
-    header.update({key: facts[fact] for fact, key in _FACTS.items() if fact in facts})
+    header.update({key[0]: facts[fact] for fact, key in FACTS.items() if fact in facts})
     return header
 
 
 def beam_cards(beam):
     """Return BMAJ, BMIN and BPA of a beam, in degrees."""
-    parts = {"BMAJ": beam.major, "BMIN": beam.minor, "BPA": beam.pa}
-    return {keyword: value.to_value(u.deg) for keyword, value in parts.items()}
+    parts = beam.major, beam.minor, beam.pa
+    return dict(zip(_BEAM, (part.to_value(u.deg) for part in parts), strict=True))

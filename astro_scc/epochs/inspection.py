@@ -164,7 +164,7 @@ def find_odd(planes):
     about it, and whether it must be left out.  Another name for the same place needs
     only a warning.
     """
-    facts = [plane.record.facts for plane in planes]
+    facts = [plane.facts for plane in planes]
     names = [str(fact.get("object", "")).strip() for fact in facts]
     names = [None if name.upper() in UNNAMED else name for name in names]
     odd = []
@@ -283,18 +283,17 @@ def _inspect(path, hdu):
     except (OSError, ValueError) as error:
         problems.append(str(error).removeprefix(f"{path}: "))
         return row
-    record = plane.record
-    row |= {"plane": plane, "unit": plane.unit, "date": record.time}
-    row["object"] = record.facts.get("object", "")
-    row["frequency"] = record.facts.get("frequency", np.nan) / 1e9
+    row |= {"plane": plane, "unit": plane.unit, "date": plane.time}
+    row["object"] = plane.facts.get("object", "")
+    row["frequency"] = plane.facts.get("frequency", np.nan) / 1e9
     row["ny"], row["nx"] = plane.shape
     matrix = plane.wcs.pixel_scale_matrix * u.deg.to(u.mas)
     row["pixel"] = np.sqrt(np.abs(np.linalg.det(matrix)))
-    if record.beam is not None:
-        row |= {k: getattr(record.beam, k).value for k in ("major", "minor", "pa")}
+    if plane.beam is not None:
+        row |= {k: getattr(plane.beam, k).value for k in ("major", "minor", "pa")}
     problems += plane.notes
-    if record.time is None:
-        problems.append(record.date_problem or "no date of observation")
+    if plane.time is None:
+        problems.append(plane.date_problem or "no date of observation")
     if looks_like_mask(plane.data):
         problems.append("no more than two different values, a mask")
     values = np.where(plane.mask, -np.inf, plane.data)

@@ -4,7 +4,6 @@
 import os
 import sys
 import warnings
-from dataclasses import replace
 from importlib import import_module
 from types import SimpleNamespace
 
@@ -15,16 +14,8 @@ from astropy.time import Time
 from astropy.wcs.utils import pixel_to_pixel
 
 from astro_scc.correlation.parallel import machine_memory
-from astro_scc.epochs import inspection, validation
+from astro_scc.epochs import fits, inspection, validation
 from astro_scc.epochs.cutout import box, crop_line
-from astro_scc.epochs.fits import (
-    CORRECT_BEAM,
-    Plane,
-    beam_note,
-    looks_like_mask,
-    plane_of_hdu,
-    read_plane,
-)
 from astro_scc.epochs.grid import ONE_SHIFT, pixel_area, regrid, shared_grid
 from astro_scc.epochs.headers import get, read_header, some
 from astro_scc.epochs.positions import readable_angle
@@ -44,86 +35,78 @@ MARGIN = 4
 
 def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
     """Return the fields of the cube in some files; see `EpochCube.read`."""
-    times, beams = _given(times, beams, len(files), frame)
+    given = _given(times, beams, len(files), frame)
     names = [path.name for path in files]
     if len(set(names)) < len(names):
         names = [str(path) for path in files]
-
     windows = [None] * len(files)
     if region is not None:
-        planes = [read_plane(path, hdu=hdu, pixels=False) for path in files]
-        dates = validation.as_times(list(map(_observed, planes, times)), len(files))
+        planes = [fits.read_plane(path, hdu=hdu, pixels=False) for path in files]
+        dates = validation.as_times(list(map(_observed, planes, given[0])), len(files))
         first = planes[int(np.argmin((dates - dates[0]).jd))]
         part, windows = windows_of(planes, first, frame, region, pad)
-    remarks, epochs = {}, []
-    for path, name, time, beam, window in zip(
-        files, names, times, beams, windows, strict=True
-    ):
-        plane = read_plane(path, hdu=hdu, window=window)
-        for note in plane.notes:
-            if beam is None or not note.startswith("its beam"):
-                remarks.setdefault(note, []).append(name)
-        if check and looks_like_mask(plane.data):
-            where = "" if window is None else " in this region"
-            raise ValueError(
-                f"{path}: has no more than two different values{where}, it seems to be "
-                "a mask; leave it out (in Python, check=False reads it)"
-            )
-        epochs.append(_epoch(plane, time, beam, name))
-        if len(epochs) == 1:
-            _refuse_too_many(plane.data.shape, len(files))
-    for note, where in remarks.items():
-        _warn(f"{some(where)}: {note}")
-    fields = _assemble(epochs, frame, check, f"{len(files)} FITS images")
+
+    def planes_of():
+        for path, name, window in zip(files, names, windows, strict=True):
+            plane = fits.read_plane(path, hdu=hdu, window=window)
+            if check and fits.looks_like_mask(plane.data):
+                where = "" if window is None else " in this region"
+                raise ValueError(
+                    f"{path}: has no more than two different values{where}, it seems "
+                    "to be a mask; leave it out (in Python, check=False reads it)"
+                )
+            plane.label = name
+            # Before the machine is blocked by more than its memory holds.
+            need = len(files) * plane.data.size * BYTES
+            if need > (have := machine_memory()):
+                ny, nx = plane.data.shape
+                raise MemoryError(
+                    f"{len(files)} images of {nx} x {ny} pixels are {need / 1e9:.3g} "
+                    f"GB, this machine has {have / 1e9:.3g}; read a region of them "
+                    "(region=, --crop)"
+                )
+            yield plane
+
+    fields = _assemble(planes_of(), *given, frame, check, f"{len(files)} FITS images")
     if region is not None:
         fields["meta"]["history"].append(crop_line(part))
     return fields
 
 
-def _refuse_too_many(shape, n):
-    """Refuse more images than the memory holds, before the machine is blocked."""
-    need = n * np.prod(shape, dtype=float) * BYTES
-    have = machine_memory()
-    if need > have:
-        ny, nx = shape
-        raise MemoryError(
-            f"{n} images of {nx} x {ny} pixels are {need / 1e9:.3g} GB, this machine "
-            f"has {have / 1e9:.3g}; read a region of them (region=, --crop)"
-        )
-
-
 def read_images(images, *, times, beams, frame, check):
     """Return the fields of a cube of images; see `EpochCube.from_ccddata`."""
     images = [images] if isinstance(images, NDData) else list(images)
-    times, beams = _given(times, beams, len(images), frame)
-    epochs = []
-    for i, (image, time, beam) in enumerate(zip(images, times, beams, strict=True)):
-        name = f"image {i}"
-        if hasattr(image, "extra_coords"):
-            # Imported by name: a subpackage above this one.
-            room = import_module("astro_scc.interchange")
-            cube = room.from_ndcube(image, times=time, beams=beam)
-            if len(cube) > 1:
-                raise ValueError(
-                    f"{name}: is an NDCube of {len(cube)} epochs; give it alone to "
-                    "EpochCube.from_ndcube"
-                )
-            image = cube[0]
-        if isinstance(image, NDData):
-            plane = _plane_of_nddata(image, name)
-        elif getattr(getattr(image, "hdu", None), "is_image", False):
-            plane = plane_of_hdu(image.hdu, name)
-        else:
-            raise TypeError(
-                f"{name}: is a {type(image).__name__}; give NDData, such as CCDData, "
-                "or images of spectral-cube"
+    given = _given(times, beams, len(images), frame)
+    planes = map(_plane_of, range(len(images)), images, *given)
+    return _assemble(planes, *given, frame, check, f"{len(images)} images")
+
+
+def _plane_of(i, image, time, beam):
+    """Return an image in memory as `Plane`."""
+    name = f"image {i}"
+    if hasattr(image, "extra_coords"):
+        # Imported by name: a subpackage above this one.
+        room = import_module("astro_scc.interchange")
+        cube = room.from_ndcube(image, times=time, beams=beam)
+        if len(cube) > 1:
+            raise ValueError(
+                f"{name}: is an NDCube of {len(cube)} epochs; give it alone to "
+                "EpochCube.from_ndcube"
             )
-        if beam is None and plane.record.beam_problem:
-            _warn(f"{name}: {plane.notes[-1]}")
-        epochs.append(_epoch(plane, time, beam, get(image.meta, "LABEL", kind=str)))
-        if plane.record.beam is None and getattr(image, "psf", None) is not None:
-            _warn(f"{name}: its psf is an image, of which no beam is made; give beams=")
-    return _assemble(epochs, frame, check, f"{len(images)} images")
+        image = cube[0]
+    if isinstance(image, NDData):
+        plane = _plane_of_nddata(image, name)
+    elif getattr(getattr(image, "hdu", None), "is_image", False):
+        plane = fits.plane_of_hdu(image.hdu, name)
+    else:
+        raise TypeError(
+            f"{name}: is a {type(image).__name__}; give NDData, such as CCDData, "
+            "or images of spectral-cube"
+        )
+    if plane.beam is beam is None and getattr(image, "psf", None) is not None:
+        _warn(f"{name}: its psf is an image, of which no beam is made; give beams=")
+    plane.label = get(image.meta, "LABEL", kind=str)
+    return plane
 
 
 def _plane_of_nddata(image, name):
@@ -141,14 +124,17 @@ def _plane_of_nddata(image, name):
         wcs = validation.as_celestial(image.wcs)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: {error}") from None
-    shape, record = data.shape[-2:], read_header(image.meta)
-    plane = Plane(name, wcs, shape, record, image.meta)
-    plane.data, plane.mask = data.reshape(shape), mask.reshape(shape)
-    plane.unit = image.unit or u.dimensionless_unscaled
-    plane.uncertainty = image.uncertainty
-    if record.beam_problem:
-        plane.notes.append(beam_note(record.beam_problem))
-    return plane
+    shape = data.shape[-2:]
+    return fits.Plane(
+        name=name,
+        wcs=wcs,
+        shape=shape,
+        data=data.reshape(shape),
+        mask=mask.reshape(shape),
+        unit=image.unit or u.dimensionless_unscaled,
+        uncertainty=image.uncertainty,
+        **vars(read_header(image.meta)),
+    )
 
 
 def _given(times, beams, n, frame):
@@ -169,35 +155,37 @@ def _given(times, beams, n, frame):
 
 def _observed(plane, time):
     """Return the given date, or that of the header."""
-    if time is not None or plane.record.time is not None:
-        return plane.record.time if time is None else time
-    problem = plane.record.date_problem or (
-        "no date of observation (DATE-OBS, MJD-OBS); write DATE-OBS to its header, or "
-        "give times= in Python"
-    )
-    raise ValueError(f"{plane.name}: {problem}")
+    if time is None and plane.time is None:
+        problem = plane.date_problem or (
+            "no date of observation (DATE-OBS, MJD-OBS); write DATE-OBS to its header, "
+            "or give times= in Python"
+        )
+        raise ValueError(f"{plane.name}: {problem}")
+    return plane.time if time is None else time
 
 
-def _epoch(plane, time, beam, label):
-    """Return a plane with given values; pixels without finite uncertainty are bad."""
-    record = replace(plane.record, time=_observed(plane, time))
-    plane.record = record if beam is None else replace(record, beam=beam)
-    plane.label = label
-    if plane.uncertainty is not None:
-        try:
-            plane.noise, bad, plane.even = validation.uncertainty_noise(
-                plane.uncertainty, plane.unit, plane.mask
-            )
-        except ValueError as error:
-            raise ValueError(f"{plane.name}: {error}") from None
-        plane.mask |= bad
-        plane.uncertainty = None
-    return plane
-
-
-def _assemble(planes, frame, check, source):
+def _assemble(images, times, beams, frame, check, source):
     """Return the fields of a cube from images on their own grids."""
-    times = validation.as_times([plane.record.time for plane in planes], len(planes))
+    planes, remarks = [], {}
+    for plane, time, beam in zip(images, times, beams, strict=True):
+        plane.time = _observed(plane, time)
+        if beam is not None:
+            plane.beam, plane.beam_problem = beam, ""
+        for note in plane.notes:
+            remarks.setdefault(note, []).append(plane.label or plane.name)
+        if plane.uncertainty is not None:
+            try:
+                plane.noise, bad, plane.even = validation.uncertainty_noise(
+                    plane.uncertainty, plane.unit, plane.mask
+                )
+            except ValueError as error:
+                raise ValueError(f"{plane.name}: {error}") from None
+            plane.mask |= bad
+            plane.uncertainty = None
+        planes.append(plane)
+    for note, names in remarks.items():
+        _warn(f"{some(names)}: {note}")
+    times = validation.as_times([plane.time for plane in planes], len(planes))
     order = np.argsort((times - times[0]).jd, kind="stable")
     planes, times = [planes[i] for i in order], times[order]
     for i, k in inspection.find_same_dates(times):
@@ -223,18 +211,16 @@ def _assemble(planes, frame, check, source):
             f"resampled to it; all are {nx} x {ny} pixels, masked outside each image"
             f"{anew}; leave it out if you do not want that"
         )
-    facts = [plane.record.facts for plane in planes]
-    labels = [plane.label for plane in planes]
+    facts, labels = [plane.facts for plane in planes], [p.label for p in planes]
     names = {fact.get("object") for fact in facts} - {None}
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
     meta = {"object": names.pop()} if len(names) == 1 else {}
-    otherwise = f"the cube has none; {CORRECT_BEAM}, or give beams= in Python"
-    beams = [plane.record.beam for plane in planes]
+    otherwise = f"the cube has none; {fits.CORRECT_BEAM}, or give beams= in Python"
     return {
         **fields,
         "times": times,
         "unit": planes[0].unit,
-        "beams": _all_or_none(planes, "beam", beams, otherwise),
+        "beams": _all_or_none(planes, "beam", otherwise),
         "noise": None if resampled else _all_noise(planes),
         "labels": labels if all(labels) else (),
         "epoch_meta": facts,
@@ -271,8 +257,9 @@ def _warn_of_distances(planes):
         )
 
 
-def _all_or_none(planes, what, values, otherwise):
-    """Return the values of all images, or None, with a warning if some have one."""
+def _all_or_none(planes, what, otherwise):
+    """Return the beams or noise of all images, or None; warn if some have one."""
+    values = [getattr(plane, what) for plane in planes]
     missing = [p.name for p, v in zip(planes, values, strict=True) if v is None]
     if not missing:
         return values
@@ -285,8 +272,7 @@ def _all_or_none(planes, what, values, otherwise):
 def _all_noise(planes):
     """Return the noise of all images from their uncertainties, if all have them."""
     otherwise = "that of all is measured; give every image an uncertainty"
-    noise = [plane.noise for plane in planes]
-    noise = _all_or_none(planes, "noise", noise, otherwise)
+    noise = _all_or_none(planes, "noise", otherwise)
     uneven = [plane.name for plane in planes if not plane.even]
     if uneven and noise:
         _warn(f"{some(uneven)}: {validation.UNEVEN}")
@@ -312,22 +298,27 @@ def windows_of(planes, first, frame, region, pad=0):
     a pixel in the region raises a ValueError.
     """
     cube = SimpleNamespace(shape=(1, *first.shape), wcs=first.wcs)
-    window = box(cube, region, pad)
-    steps = []
-    for plane in planes:
-        corners, moved = _corners(window, first, plane, frame)
-        whole = np.rint((moved - corners)[:, :1])
+    # Interpolation is worst at the edges.
+    for around in (pad, pad + MARGIN):
+        window = box(cube, region, around)
+        (y0, y1), (x0, x1) = ((part.start, part.stop - 1) for part in window)
+        corners = np.array([[x0, x1, x0, x1], [y0, y0, y1, y1]], dtype=float)
+        moved = [
+            np.array(pixel_to_pixel(_in_frame(first.wcs, frame), wcs, *corners))
+            for wcs in (_in_frame(plane.wcs, frame) for plane in planes)
+        ]
+        shifts = [np.rint((there - corners)[:, :1]) for there in moved]
         # NaN, from beyond the horizon of a projection, is not whole either.
-        is_whole = np.all(np.abs(moved - corners - whole) < ONE_SHIFT)
-        steps.append(whole if is_whole else None)
-    if any(step is None for step in steps):
-        # Interpolation is worst at the edges.
-        window = box(cube, region, pad + MARGIN)
+        whole = [
+            np.all(np.abs(there - corners - shift) < ONE_SHIFT)
+            for there, shift in zip(moved, shifts, strict=True)
+        ]
+        if all(whole):
+            break
     windows = []
-    for plane, step in zip(planes, steps, strict=True):
-        corners, moved = _corners(window, first, plane, frame)
-        moved = moved if step is None else corners + step
-        low, high = np.floor(moved.min(axis=1)), np.ceil(moved.max(axis=1))
+    for plane, there, shift, is_whole in zip(planes, moved, shifts, whole, strict=True):
+        there = corners + shift if is_whole else there
+        low, high = np.floor(there.min(axis=1)), np.ceil(there.max(axis=1))
         size = np.array(plane.shape[::-1])
         if not (np.all(low < size) and np.all(high >= 0)):
             raise ValueError(
@@ -338,14 +329,6 @@ def windows_of(planes, first, frame, region, pad=0):
         stop = np.minimum(high, size - 1).astype(int) + 1
         windows.append(tuple(map(slice, start[::-1].tolist(), stop[::-1].tolist())))
     return window, windows
-
-
-def _corners(window, first, other, frame):
-    """Return the corners (x, y) of a window, in its own image and in another one."""
-    (y0, y1), (x0, x1) = ((part.start, part.stop - 1) for part in window)
-    corners = np.array([[x0, x1, x0, x1], [y0, y0, y1, y1]], dtype=float)
-    frames = (_in_frame(plane.wcs, frame) for plane in (first, other))
-    return corners, np.array(pixel_to_pixel(*frames, *corners))
 
 
 def lay_on_one_grid(planes, frame):

@@ -879,9 +879,8 @@ def test_truncated_epoch_is_named(make_fits):
 
 
 def plane_of(**facts):
-    record = SimpleNamespace(facts=facts)
     wcs = celestial(crval=(facts.pop("lon", 10), 20))
-    return SimpleNamespace(record=record, wcs=wcs, extent=1e-6)
+    return SimpleNamespace(facts=facts, wcs=wcs, extent=1e-6)
 
 
 def test_find_odd_among_few_facts():

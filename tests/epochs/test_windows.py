@@ -177,7 +177,7 @@ def test_parts_of_scaled_and_weighted_images(paths):
 def test_the_header_of_an_image_without_its_pixels(paths):
     plane = read_plane(paths[0], pixels=False)
     assert (plane.shape, plane.data) == ((40, 60), None)
-    assert plane.record.time.isot.startswith("2001-03-02")
+    assert plane.time.isot.startswith("2001-03-02")
     assert plane.wcs.wcs.crpix.tolist() == [21, 16]
     with pytest.raises(FileNotFoundError, match="no such file"):
         read_plane("nowhere.fits", pixels=False)
