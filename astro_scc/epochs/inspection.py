@@ -33,15 +33,12 @@ BLANKED = 0.1
 BAND = 0.1
 POLARISED = ("Q", "U", "V")
 UNNAMED = {"", "UNKNOWN", "NONE", "N/A"}
-#: Columns of `inspect_epochs` after file and date, with their units.
-INTENSITY = "of the images"
+#: Columns of numbers of `inspect_epochs`, with their units; None is that of the images.
 COLUMNS = {
-    **dict.fromkeys(("nx", "ny")),
     **dict.fromkeys(("pixel", "major", "minor"), u.mas),
     "pa": u.deg,
-    **dict.fromkeys(("peak", "noise"), INTENSITY),
+    **dict.fromkeys(("peak", "noise")),
     **dict.fromkeys(("peak_east", "peak_north"), u.mas),
-    "object": None,
     "frequency": u.GHz,
 }
 # Smallest displacement that can be distinguished from zero (paper, Sect. 2.2), and
@@ -248,54 +245,50 @@ def inspect_epochs(
     >>> print(table["problem"][-1].split(";")[0])
     no date of observation
     """
-    rows = [_inspect(path, hdu) for path in find_files(paths, missing_ok=True)]
-    dated = [row for row in rows if row["date"] is not None]
-    dated.sort(key=lambda row: row["date"])
-    rows = dated + [row for row in rows if row["date"] is None]
-    read = [row for row in rows if row["plane"] is not None]
+    found = [_inspect(path, hdu) for path in find_files(paths, missing_ok=True)]
+    found.sort(key=lambda pair: (pair[0]["date"] is None, pair[0]["date"] or 0))
+    read = [(row, plane) for row, plane in found if plane is not None]
+    unit = read[0][1].unit if read else u.dimensionless_unscaled
+    for row, plane in read:
+        known = unit.is_equivalent(plane.unit)
+        for name in ("peak", "noise"):
+            row[name] *= plane.unit.to(unit) if known else np.nan
     if read:
         _compare(read)
-    table = QTable({"file": [str(row["path"]) for row in rows]})
-    mjd = [row["date"].mjd for row in dated] + [0.0] * (len(rows) - len(dated))
-    table["date"] = Time(Time(mjd, format="mjd", scale="utc"), format="iso")
-    if len(dated) < len(rows):
-        table["date"][len(dated) :] = np.ma.masked
-    unit = read[0]["unit"] if read else u.dimensionless_unscaled
+    table = QTable({name: [row[name] for row, _ in found] for name in found[0][0]})
     for name, own in COLUMNS.items():
-        values = [row[name] for row in rows]
-        if own is INTENSITY:
-            own, units = unit, [row["unit"] for row in rows]
-            same = [x.to(unit) if unit.is_equivalent(x) else np.nan for x in units]
-            values = np.multiply(values, same)
-        table[name] = values if own is None else u.Quantity(values, own)
-    table["problem"] = ["; ".join(row["problems"]) for row in rows]
+        table[name] = u.Quantity(table[name], own or unit)
+    undated = [date is None for date in table["date"]]
+    mjd = [date.mjd if date is not None else 0.0 for date in table["date"]]
+    table["date"] = Time(Time(mjd, format="mjd", scale="utc"), format="iso")
+    if any(undated):
+        table["date"][undated] = np.ma.masked
+    table["problem"] = ["; ".join(problems) for problems in table["problem"]]
     return table
 
 
 def _inspect(path, hdu):
-    """Return the row of a file; its numbers are NaN if the file cannot be read."""
-    row = dict.fromkeys(COLUMNS, np.nan)
-    row |= {"path": path, "date": None, "nx": 0, "ny": 0, "object": "", "problems": []}
-    row |= {"plane": None, "unit": u.dimensionless_unscaled}
-    problems = row["problems"]
+    """Return the row of a file, and its `Plane` if the file can be read."""
+    row = {"file": str(path), "date": None, "nx": 0, "ny": 0}
+    row |= dict.fromkeys(COLUMNS, np.nan)
+    row |= {"object": "", "frequency": row.pop("frequency"), "problem": []}
     try:
         plane = read_plane(path, hdu=hdu)
     except (OSError, ValueError) as error:
-        problems.append(str(error).removeprefix(f"{path}: "))
-        return row
-    row |= {"plane": plane, "unit": plane.unit, "date": plane.time}
+        row["problem"].append(str(error).removeprefix(f"{path}: "))
+        return row, None
+    row["date"], (row["ny"], row["nx"]) = plane.time, plane.shape
     row["object"] = plane.facts.get("object", "")
     row["frequency"] = plane.facts.get("frequency", np.nan) / 1e9
-    row["ny"], row["nx"] = plane.shape
     matrix = plane.wcs.pixel_scale_matrix * u.deg.to(u.mas)
     row["pixel"] = np.sqrt(np.abs(np.linalg.det(matrix)))
     if plane.beam is not None:
         row |= {k: getattr(plane.beam, k).value for k in ("major", "minor", "pa")}
-    problems += plane.notes
+    row["problem"] += plane.notes
     if plane.time is None:
-        problems.append(plane.date_problem or "no date of observation")
+        row["problem"].append(plane.date_problem or "no date of observation")
     if looks_like_mask(plane.data):
-        problems.append("no more than two different values, a mask")
+        row["problem"].append("no more than two different values, a mask")
     values = np.where(plane.mask, -np.inf, plane.data)
     y, x = np.unravel_index(np.argmax(values), values.shape)
     row["peak"] = float(values[y, x])
@@ -304,30 +297,29 @@ def _inspect(path, hdu):
     row["noise"] = measure_noise(plane.data, mask=plane.mask)
     # Only the facts are kept, as there may be many large files.
     plane.data = plane.mask = plane.uncertainty = plane.header = None
-    return row
+    return row, plane
 
 
-def _compare(rows):
+def _compare(read):
     """Add the problems that show in a comparison of the files."""
-    for i, what, _ in find_odd([row["plane"] for row in rows]):
-        rows[i]["problems"].append(what)
+    rows, planes = zip(*read, strict=True)
+    for i, what, _ in find_odd(planes):
+        rows[i]["problem"].append(what)
     dated = [row for row in rows if row["date"] is not None]
     for i, k in find_same_dates(Time([r["date"] for r in dated])) if dated else ():
-        dated[k]["problems"].append(f"of the date of {dated[i]['path'].name}")
-    first = rows[0]["unit"]
-    some_have_beams = any(np.isfinite(row["major"]) for row in rows)
+        dated[k]["problem"].append(f"of the date of {Path(dated[i]['file']).name}")
+    some_have_beams = any(plane.beam is not None for plane in planes)
     grids = [(r["nx"], r["ny"], readable_angle(r["pixel"] * u.mas)) for r in rows]
     usual = max(grids, key=grids.count)
-    for row, grid in zip(rows, grids, strict=True):
-        problems = row["problems"]
-        if not row["unit"].is_equivalent(first):
-            own, other = (x.to_string() or "none" for x in (row["unit"], first))
-            problems.append(f"its unit is {own}, that of others is {other}")
-        if some_have_beams and np.isnan(row["major"]):
-            problems.append("no beam where others have one")
+    for row, plane, grid in zip(rows, planes, grids, strict=True):
+        if not plane.unit.is_equivalent(planes[0].unit):
+            own, other = (p.unit.to_string() or "none" for p in (plane, planes[0]))
+            row["problem"].append(f"its unit is {own}, that of others is {other}")
+        if some_have_beams and plane.beam is None:
+            row["problem"].append("no beam where others have one")
         if grid != usual:
             grid = "{} x {} of {}".format(*usual)
-            problems.append(f"on another grid than most ({grid}), resampled")
+            row["problem"].append(f"on another grid than most ({grid}), resampled")
 
 
 @dataclass(frozen=True)

@@ -352,87 +352,71 @@ def lay_on_one_grid(planes, frame):
     resampled : list of str
         Names of the images that were interpolated.
     """
-    first = planes[0]
-    if all(_same_grid(first, plane, frame) for plane in planes):
-        data, mask = _stacked(planes, "data"), _stacked(planes, "mask")
-        own = [plane.wcs for plane in planes]
-        return {"data": data, "mask": mask, "wcs": first.wcs, "epoch_wcs": own}, []
-    _check_pixels(planes)
-    frames = [_in_frame(plane.wcs, frame) for plane in planes]
-    grid, shape = _shared_grid(planes, frames)
-    data = np.empty((len(planes), *shape))
-    mask = np.empty(data.shape, dtype=bool)
-    resampled = []
-    for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
-        grids = {"wcs": wcs, "grid": grid, "shape": shape, "near": ONE_SHIFT}
-        data[i : i + 1], mask[i : i + 1], copied = regrid(
-            plane.data[None], plane.mask[None], unit=plane.unit, **grids
-        )
-        if not copied:
-            resampled.append(plane.name)
-    own = [grid] * len(planes)
-    if frame == "offset":
+    grid, shape, resampled = planes[0].wcs, planes[0].data.shape, []
+    own = frames = [plane.wcs for plane in planes]
+    same = all(_same_grid(planes[0], plane, frame) for plane in planes)
+    if not same:
+        frames = [_in_frame(wcs, frame) for wcs in own]
+        grid, shape = _shared_grid(planes, frames)
+        own = [grid] * len(planes)
+    if not same and frame == "offset":
         names = ("crval", "radesys", "equinox", "lonpole", "latpole")
         inner = [plane.wcs.wcs for plane in planes]
         own = [_with(grid, w.ctype, **{n: getattr(w, n) for n in names}) for w in inner]
+    kind = np.result_type(float, *[plane.data for plane in planes])
+    data = np.empty((len(planes), *shape), dtype=kind)
+    mask = np.empty(data.shape, dtype=bool)
+    for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
+        if same:
+            data[i], mask[i] = plane.data, plane.mask
+        else:
+            grids = {"wcs": wcs, "grid": grid, "shape": shape, "near": ONE_SHIFT}
+            data[i : i + 1], mask[i : i + 1], copied = regrid(
+                plane.data[None], plane.mask[None], unit=plane.unit, **grids
+            )
+            resampled += [] if copied else [plane.name]
+        plane.data = plane.mask = None
     return {"data": data, "mask": mask, "wcs": own[0], "epoch_wcs": own}, resampled
 
 
-def _stacked(planes, name):
-    """Return the arrays of all images as one; each is freed once it is copied."""
-    arrays = [getattr(plane, name) for plane in planes]
-    every = np.empty((len(planes), *arrays[0].shape), dtype=np.result_type(*arrays))
-    del arrays
-    for i, plane in enumerate(planes):
-        every[i] = getattr(plane, name)
-        setattr(plane, name, every[i])
-    return every
-
-
 def _shared_grid(planes, frames):
-    grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
-    try:
-        return shared_grid(grids)
-    except ValueError:
-        for plane, grid in zip(planes, grids, strict=True):
-            try:
-                shared_grid([grids[0], grid])
-            except ValueError:
-                raise ValueError(
-                    f"{plane.name}: lies too far from {planes[0].name} to share a "
-                    "grid with it, by its coordinates; leave one of them out"
-                ) from None
-        raise
-
-
-def _check_pixels(planes):
-    """Refuse pixel sizes so different that the finest grid would be huge."""
+    """Return a grid for all, and its shape, or refuse an image that does not suit."""
     sizes = [pixel_area(plane.wcs) ** 0.5 for plane in planes]
     usual = np.sort(sizes)[(len(sizes) - 1) // 2]
-    for plane, size in zip(planes, sizes, strict=True):
+    grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
+    for plane, size, grid in zip(planes, sizes, grids, strict=True):
+        # The finest grid would be huge otherwise.
         if not usual / LARGEST_RATIO <= size <= usual * LARGEST_RATIO:
             raise ValueError(
                 f"{plane.name}: its pixels are {readable_angle(size * u.deg)} where "
                 f"others are {readable_angle(usual * u.deg)}; leave it out"
             )
+        try:
+            shared_grid([grids[0], grid])
+        except ValueError:
+            raise ValueError(
+                f"{plane.name}: lies too far from {planes[0].name} to share a grid "
+                "with it, by its coordinates; leave one of them out"
+            ) from None
+    return shared_grid(grids)
 
 
 def _same_grid(one, other, frame):
     """Return whether shape, projection, pixels and reference pixel are the same."""
     a, b = one.wcs.wcs, other.wcs.wcs
-    ny, nx = one.data.shape
-    if other.data.shape != (ny, nx) or [*a.ctype] != [*b.ctype]:
+    if other.data.shape != one.data.shape or [*a.ctype] != [*b.ctype]:
         return False
     own = one.wcs.pixel_scale_matrix
     step = np.linalg.solve(own, other.wcs.pixel_scale_matrix - own)
     # The largest possible difference at the far corner of the image.
-    largest = np.abs(step) @ [nx, ny] + np.abs(a.crpix - b.crpix)
-    if np.any(largest > ONE_SHIFT):
-        return False
-    return frame == "offset" or (
-        np.array_equal(a.crval, b.crval)
-        and a.radesys == b.radesys
-        and np.array_equal(a.equinox, b.equinox, equal_nan=True)
+    largest = np.abs(step) @ one.data.shape[::-1] + np.abs(a.crpix - b.crpix)
+    return np.all(largest <= ONE_SHIFT) and (
+        frame == "offset"
+        or (
+            np.array_equal(a.crval, b.crval)
+            and a.radesys == b.radesys
+            and np.array_equal(a.equinox, b.equinox, equal_nan=True)
+        )
     )
 
 
