@@ -19,7 +19,7 @@ from astropy.time import Time
 from astropy.wcs import WCS
 from numpy.typing import ArrayLike
 
-from astro_scc.epochs import positions
+from astro_scc.epochs import positions, validation
 from astro_scc.epochs.alignment import align
 from astro_scc.epochs.beam import Beam, common_beam
 from astro_scc.epochs.cutout import crop, region_mask
@@ -31,16 +31,7 @@ from astro_scc.epochs.positions import offset_wcs, readable_angle
 from astro_scc.epochs.reading import read_files, read_images
 from astro_scc.epochs.registration import misalignment
 from astro_scc.epochs.serialize import is_cube_file, read_object, write_cube
-from astro_scc.epochs.validation import (
-    as_beams,
-    as_celestial,
-    as_epoch_tuple,
-    as_mask,
-    as_noise,
-    as_stack,
-    as_times,
-    date_labels,
-)
+from astro_scc.epochs.validation import as_celestial, as_epoch_tuple, date_labels
 
 if TYPE_CHECKING:
     from astropy.coordinates import SkyCoord
@@ -52,11 +43,13 @@ if TYPE_CHECKING:
 
 def _picked(each, epochs):
     """Return the fields that have a value per epoch, for some epochs."""
-    each = {name: values for name, values in each.items() if values is not None}
-    for name, values in each.items():
-        is_tuple = isinstance(values, tuple)
-        each[name] = tuple(values[i] for i in epochs) if is_tuple else values[epochs]
-    return each
+    return {
+        name: tuple(values[i] for i in epochs)
+        if isinstance(values, tuple)
+        else values[epochs]
+        for name, values in each.items()
+        if values is not None
+    }
 
 
 def _above(room):
@@ -128,19 +121,19 @@ class EpochCube:
     meta: dict = field(default_factory=dict)
 
     def __post_init__(self):
-        data, mask, unit = as_stack(self.data, self.mask, self.unit)
+        data, mask, unit = validation.as_stack(self.data, self.mask, self.unit)
         n = len(data)
-        times = as_times(self.times, n)
+        times = validation.as_times(self.times, n)
         labels = as_epoch_tuple(self.labels, n, "labels", str) or date_labels(times)
         own_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
         facts = as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
         each = {
             "data": data,
-            "mask": as_mask(data, mask, labels),
+            "mask": validation.as_mask(data, mask, labels),
             "times": times,
             "labels": labels,
-            "beams": as_beams(self.beams, n) or None,
-            "noise": as_noise(self.noise, n, unit),
+            "beams": validation.as_beams(self.beams, n),
+            "noise": validation.as_noise(self.noise, n, unit),
             "epoch_wcs": own_wcs or None,
             "epoch_meta": facts or tuple({} for _ in range(n)),
         }
@@ -209,22 +202,22 @@ class EpochCube:
         (10, '0003+380.u.2006_03_09.fits')
         """
         files = find_files(paths)
-        first, window = files[0], {"region": region, "pad": pad}
-        if len(files) == 1 and is_cube_file(first):
+        first, only = files[0], len(files) == 1
+        if only and is_cube_file(first):
             if any(value is not None for value in (times, beams, hdu)):
                 raise ValueError(f"{first}: an EpochCube; it has its dates and beams")
             lazy = region is not None
             cube = read_object(first, creator=CUBE_CREATOR, lazy=lazy)
-            return cube.crop(**window) if lazy else cube
-        if len(files) == 1 and is_hdf5(first):
+        elif only and is_hdf5(first):
             if times is not None or hdu is not None:
                 raise ValueError(
                     f"{first}: a movie; it has its dates, and no extension"
                 )
-            movie = _above("interchange").read_movie(first, beams=beams)
-            return movie if region is None else movie.crop(**window)
-        given = {"times": times, "beams": beams, "hdu": hdu}
-        return cls(**read_files(files, frame=frame, check=check, **given, **window))
+            cube = _above("interchange").read_movie(first, beams=beams)
+        else:
+            options = {"check": check, "hdu": hdu, "region": region, "pad": pad}
+            return cls(**read_files(files, times, beams, frame, **options))
+        return cube if region is None else cube.crop(region, pad)
 
     @classmethod
     def from_ccddata(
@@ -252,8 +245,7 @@ class EpochCube:
         -------
         `EpochCube`
         """
-        options = {"times": times, "beams": beams, "frame": frame, "check": check}
-        return cls(**read_images(images, **options))
+        return cls(**read_images(images, times, beams, frame, check=check))
 
     @classmethod
     def from_ndcube(

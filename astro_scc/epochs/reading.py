@@ -33,7 +33,7 @@ LARGEST_RATIO = 10.0
 MARGIN = 4
 
 
-def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
+def read_files(files, times, beams, frame, *, check, hdu, region, pad):
     """Return the fields of the cube in some files; see `EpochCube.read`."""
     given = _given(times, beams, len(files), frame)
     names = [path.name for path in files]
@@ -73,7 +73,7 @@ def read_files(files, *, frame, times, beams, hdu, check, region=None, pad=0):
     return fields
 
 
-def read_images(images, *, times, beams, frame, check):
+def read_images(images, times, beams, frame, *, check):
     """Return the fields of a cube of images; see `EpochCube.from_ccddata`."""
     images = [images] if isinstance(images, NDData) else list(images)
     given = _given(times, beams, len(images), frame)

@@ -38,18 +38,19 @@ def as_stack(data, mask, unit):
             "EpochCube.from_ccddata, from_ndcube or from_xarray, which keep them"
         )
     try:
-        if images is data and any(hasattr(image, "mask") for image in images):
-            plain = any(isinstance(image, np.ma.MaskedArray) for image in images)
-            data = (np.ma.stack if plain else np.stack)(images)
-        elif images is data and any(isinstance(image, u.Quantity) for image in images):
-            data = u.Quantity(images)
+        unit = u.Unit("" if unit is None else unit)
+    except (TypeError, ValueError):
+        raise ValueError(f"unit {unit!r} is not one that astropy knows") from None
+    try:
+        if images is data and data:
+            plain = any(isinstance(image, np.ma.MaskedArray) for image in data)
+            data = (np.ma.stack if plain else np.stack)(data)
         if isinstance(data, Masked | np.ma.MaskedArray):
             inner = np.broadcast_to(data.mask, data.shape)
             mask = inner if mask is None else inner | np.asarray(mask, dtype=bool)
             data = data.unmasked if isinstance(data, Masked) else data.data
         if isinstance(data, u.Quantity):
-            if unit is None or unit == u.dimensionless_unscaled:
-                unit = data.unit
+            unit = data.unit if unit == u.dimensionless_unscaled else unit
             data = data.to_value(unit)
         data = np.asarray(data)
         if data.dtype.kind not in "fiub":
@@ -60,10 +61,6 @@ def as_stack(data, mask, unit):
         ) from None
     if data.ndim != 3 or 0 in data.shape:
         raise ValueError(f"data must have shape (n_epochs, ny, nx), got {data.shape}")
-    try:
-        unit = u.dimensionless_unscaled if unit is None else u.Unit(unit)
-    except (TypeError, ValueError):
-        raise ValueError(f"unit {unit!r} is not one that astropy knows") from None
     return data.astype(np.float64, copy=False), mask, unit
 
 
@@ -108,11 +105,8 @@ def as_times(times, n):
 
 def as_beams(beams, n):
     """Return one beam per epoch, or None."""
-    if beams is None:
-        return None
-    if hasattr(beams, "major"):
-        return (as_beam(beams),) * n
-    return as_epoch_tuple(beams, n, "beams", as_beam)
+    beams = [beams] * n if hasattr(beams, "major") else beams
+    return as_epoch_tuple(beams, n, "beams", as_beam) or None
 
 
 def as_noise(noise, n, unit):
@@ -185,14 +179,12 @@ def fits_wcs(wcs):
     wcs = getattr(wcs, "low_level_wcs", wcs)
     if isinstance(wcs, WCS):
         return wcs, np.ones(wcs.naxis), np.ones(wcs.naxis, dtype=bool)
+    single, step = False, 1.0
     if hasattr(wcs, "_slices_pixel"):
-        parts = wcs._slices_pixel
-        single = np.array([isinstance(part, Integral) for part in parts])
-        start = [getattr(part, "start", part) or 0 for part in parts]
-        step = np.ones(len(start))
+        single = [isinstance(part, Integral) for part in wcs._slices_pixel]
+        start = [getattr(part, "start", part) or 0 for part in wcs._slices_pixel]
     elif hasattr(wcs, "_factor"):
         start, step = wcs._offset, wcs._factor
-        single = np.zeros(len(step), dtype=bool)
     else:
         raise TypeError(
             f"wcs must be an astropy WCS, or one sliced, got {type(wcs).__name__}"
@@ -211,7 +203,7 @@ def fits_wcs(wcs):
     wcs.wcs.crpix = crpix
     wcs.wcs.set()
     wcs.pixel_shape = None
-    kept[axes[single]] = False
+    kept[axes] = np.logical_not(single)
     return wcs, size, kept
 
 
@@ -243,7 +235,6 @@ def as_epoch_tuple(values, n, name, convert):
 
 def date_labels(times):
     """Return dates as short text, with the time of day if two dates are equal."""
-    text = [value[:10] for value in times.isot]
-    if len(set(text)) < len(text):
-        text = [value[:19] for value in times.isot]
-    return tuple(text)
+    days = tuple(value[:10] for value in times.isot)
+    equal = len(set(days)) < len(days)
+    return tuple(value[:19] for value in times.isot) if equal else days
