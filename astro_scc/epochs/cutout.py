@@ -174,8 +174,8 @@ def _step(values, places, fewest):
     for end in range(10):
         ratio = np.multiply(values, 10.0**end)
         if np.all(np.abs(ratio - np.rint(ratio)) <= 1e-3 * np.minimum(1, abs(ratio))):
-            places = [place for place in places if place >= end >= fewest]
-            return 10.0 ** -min(places) if places else 0.0
+            steps = (10.0**-place for place in places if place >= end >= fewest)
+            return max(steps, default=0.0)
     return 0.0
 
 
@@ -224,16 +224,15 @@ def box(cube, region, pad=0):
             raise ValueError("slices must be two, (y, x)")
         if any(item.step not in (None, 1) for item in region):
             raise ValueError("slices must take every pixel; leave out the step")
-        bounds = [item.indices(n)[:2] for item, n in zip(region, shape, strict=True)]
-        if any(stop <= start for start, stop in bounds):
+        hits = [np.arange(n)[item] for item, n in zip(region, shape, strict=True)]
+        if not all(hit.size for hit in hits):
             raise ValueError(
                 f"slices {region} hold no pixel of the {shape[1]} x {shape[0]} image"
             )
-        start, stop = np.transpose(bounds)
     else:
         inside = region_mask(cube, region)
         hits = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)]
-        start, stop = np.transpose([(hit[0], hit[-1] + 1) for hit in hits])
+    start, stop = np.transpose([(hit[0], hit[-1] + 1) for hit in hits])
     start, stop = np.maximum(start - int(pad), 0), np.minimum(stop + int(pad), shape)
     return tuple(map(slice, start.tolist(), stop.tolist()))
 
@@ -280,23 +279,20 @@ def crop(cube: EpochCube, region: Any, pad: int = 0) -> EpochCube:
     """
     window = box(cube, region, pad)
     shape = cube.shape[1:]
+    own = cube.epoch_wcs
     return cube.with_step(
         crop_line(window),
         data=cube.data[:, *window].copy(),
         mask=cube.mask[:, *window].copy(),
         wcs=cut_wcs(cube.wcs, window, shape),
-        epoch_wcs=cube.epoch_wcs
-        and tuple(cut_wcs(wcs, window, shape) for wcs in cube.epoch_wcs),
+        epoch_wcs=own and [cut_wcs(wcs, window, shape) for wcs in own],
     )
 
 
 def crop_line(window):
     """Return the line about slices (y, x) that `crop` adds to the history."""
-    ys, xs = window
-    return (
-        f"cropped to pixels x {xs.start} to {xs.stop - 1}, "
-        f"y {ys.start} to {ys.stop - 1}"
-    )
+    y, x = (f"{part.start} to {part.stop - 1}" for part in window)
+    return f"cropped to pixels x {x}, y {y}"
 
 
 def refuse_pixels(path):

@@ -251,13 +251,12 @@ def reproject_cube(
     >>> reproject_cube(cube, finer, (8, 8)).shape
     (2, 8, 8)
     """
-    if method not in METHODS:
-        raise ValueError(f"method={method!r} is not one of {', '.join(METHODS)}")
     if method != "interp" and order is not None:
         raise ValueError(f"method={method!r} has no order; leave it out")
     order = order or "bicubic"
-    if order not in ORDERS:
-        raise ValueError(f"order={order!r} is not one of {', '.join(ORDERS)}")
+    for name, value, allowed in (("method", method, METHODS), ("order", order, ORDERS)):
+        if value not in allowed:
+            raise ValueError(f"{name}={value!r} is not one of {', '.join(allowed)}")
     wcs, shape = _grid_of(wcs, shape)
     frames = [wcs_to_celestial_frame(grid) for grid in (wcs, cube.wcs)]
     if cube.beams is not None and not frames[0].is_equivalent_frame(frames[1]):
@@ -381,28 +380,24 @@ def shared_grid(
         raise ValueError("shared_grid needs at least one grid")
     areas = np.array([pixel_area(wcs) for wcs, _ in grids])
     finest = grids[int(np.argmax(areas <= areas.min() * (1 + 1e-6)))][0]
-    edge, low, high = np.linspace(0, 1, 33), np.zeros(33), np.ones(33)
+    edge = np.linspace(0, 1, 33)
+    sides = (edge, 0), (edge, 1), (0, edge), (1, edge)
+    outline = np.concatenate([np.broadcast_arrays(*side) for side in sides], axis=1)
     corners = []
     for wcs, (ny, nx) in grids:
-        x = np.concatenate([edge, edge, low, high]) * (nx - 1)
-        y = np.concatenate([low, high, edge, edge]) * (ny - 1)
+        x, y = outline * [[nx - 1], [ny - 1]]
         corners.append([x, y] if wcs is finest else pixel_to_pixel(wcs, finest, x, y))
     corners = np.concatenate(corners, axis=1)
-    # Infinite if a grid lies beyond the horizon of the projection.
-    size = np.full(2, np.inf)
-    if np.all(np.isfinite(corners)):
-        # Rounding errors must not add a row.
-        first = np.floor(corners.min(axis=1) + 0.01).astype(int)
-        last = np.ceil(corners.max(axis=1) - 0.01).astype(int)
-        size = last - first + 1
-    covered = sum(
-        ny * nx * area for (_, (ny, nx)), area in zip(grids, areas, strict=True)
-    )
-    if np.prod(size, dtype=float) * areas.min() > 100 * covered:
+    # Rounding errors must not add a row.
+    first = np.floor(corners.min(axis=1) + 0.01)
+    size = np.ceil(corners.max(axis=1) - 0.01) - first + 1
+    covered = np.sum(areas * [ny * nx for _, (ny, nx) in grids])
+    # It is not a number if a grid lies beyond the horizon of the projection.
+    if not np.prod(size) * areas.min() <= 100 * covered:
         raise ValueError(
             "the grids lie too far apart on the sky to share one; "
             "check that all epochs show one object"
         )
     shared = moved_wcs(finest, -first)
-    shared.array_shape = shape = tuple(size[::-1].tolist())
+    shared.array_shape = shape = tuple(size[::-1].astype(int).tolist())
     return shared, shape

@@ -102,18 +102,16 @@ def get(header, *keywords, kind=None):
     as absent.
     """
     for keyword in (key for name in keywords for key in (name, name.lower())):
-        try:
+        with suppress(KeyError, ValueError, fits.VerifyError):
             value = header[keyword]
             if value is None or isinstance(value, fits.card.Undefined):
                 continue
-            if kind is float:
+            if kind is str:
+                value = str(value).strip()
+            elif kind is float:
                 value = float(str(value).replace("D", "E"))
-        except (KeyError, ValueError, fits.VerifyError):
-            continue
-        value = str(value).strip() if kind is str else value
-        if (kind is str and not value) or (kind is float and not np.isfinite(value)):
-            continue
-        return value
+            if value if kind is str else kind is None or np.isfinite(value):
+                return value
     return None
 
 

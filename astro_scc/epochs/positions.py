@@ -33,11 +33,9 @@ SCALES_PER_FWHM = 2.0
 
 def readable_angle(angle):
     """Return an angle as text, in the unit that suits its size."""
-    units = (u.deg, u.arcsec, u.mas, u.uas)
-    size = abs(angle)
-    unit = next((unit for unit in units if size.to_value(unit) >= 0.1), u.mas)
-    if unit == u.uas and size.to_value(u.mas) >= 0.01:
-        unit = u.mas
+    least = {u.deg: 0.1, u.arcsec: 0.1, u.mas: 0.01, u.uas: 0.1}
+    fits = (unit for unit in least if abs(angle).to_value(unit) >= least[unit])
+    unit = next(fits, u.mas)
     return f"{angle.to_value(unit):.4g} {unit}"
 
 
@@ -277,13 +275,13 @@ def beam_fwhm(cube, epoch, scale, axes):
     >>> beam_fwhm(cube, [0], [2], np.eye(2))
     array([[1., 1.]])
     """
-    epoch = np.asarray(epoch)
     if cube.beams is None:
-        size = np.vectorize(scale_size, otypes=[float])(scale) if len(epoch) else scale
-        width = SCALES_PER_FWHM * np.asarray(size) * cube.pixel_scale.value
+        size = np.vectorize(scale_size, otypes=[float])(scale)
+        width = SCALES_PER_FWHM * size * cube.pixel_scale.value
         # Axes have unit length except in frames that scale with distance.
         return width[..., None] * np.linalg.norm(axes, axis=-1)
-    covariance = np.stack([beam.covariance.value for beam in cube.beams])[epoch]
+    each = np.stack([beam.covariance.value for beam in cube.beams])
+    covariance = each[np.asarray(epoch)]
     variance = np.einsum("...ai,...ij,...aj->...a", axes, covariance, axes)
     return np.sqrt(8 * np.log(2) * variance)
 
