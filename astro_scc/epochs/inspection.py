@@ -170,9 +170,9 @@ def find_odd(planes):
         same = bool(separation(one.wcs, other.wcs) < max(one.extent, other.extent))
         where = "at the same place" if same else "somewhere else"
         odd.append((i, f"shows {mine}, {where}, where others show {others}", not same))
+    filters = [fact.get("filter") for fact in facts]
     stokes = [fact.get("stokes") for fact in facts]
     stokes = [s if s in POLARISED else s and "I" for s in stokes]
-    filters = [fact.get("filter") for fact in facts]
     for what, values in (("the filter", filters), ("Stokes", stokes)):
         for i, mine, others in _minority(values):
             odd.append((i, f"is of {what} {mine}, others are of {others}", True))
@@ -384,23 +384,20 @@ class IntervalPlan:
     def lines(self):
         """Return the plan as sentences."""
         low, high = self.consecutive
-        leaves, slower = "", ()
+        leaves = ""
         if self.fastest is not None:
             leaves = f"; faster than {self.fastest:.3g} leaves the image"
-        if self.n_epochs > 2:
-            slower = [
-                "Slower features show in pairs of epochs that are further apart, which "
-                "are used for them."
-            ]
-        return [
+        lines = [
             f"{self.n_epochs} epochs over {self.span:.3g}, "
             f"{self.shortest.value:.3g} to {self.longest:.3g} apart, "
             f"median {self.median:.3g}; resolution {readable_angle(self.resolution)}.",
             f"Slower than {self.slowest:.2g} cannot be distinguished from standing "
             f"still{leaves}.",
             f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}.",
-            *slower,
+            "Slower features show in pairs of epochs that are further apart, which "
+            "are used for them.",
         ]
+        return lines if self.n_epochs > 2 else lines[:3]
 
     def __str__(self):
         return "\n".join(self.lines())

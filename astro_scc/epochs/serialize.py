@@ -7,7 +7,6 @@ import re
 import warnings
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -131,7 +130,7 @@ def pack_facts(facts):
 
 def unpack_facts(text):
     """Return the value that `pack_facts` packed."""
-    return _unpack(yaml.load(str(text)), None, {})
+    return _Loader(str(text)).get_single_data()
 
 
 def write_object(value, path, *, creator, overwrite=False, headers=None, tables=None):
@@ -212,8 +211,8 @@ def read_object(path, *, creator, lazy=False):
                 if hdus[0].header.get("CREATOR") != creator:
                     raise ValueError("it was not written as one")
                 if (layout := hdus[0].header["SCCVERS"]) == LAYOUT:
-                    facts = yaml.load(hdus["META"].data.tobytes().decode())
-                    return _unpack(facts, partial(_array, hdus, lazy), {})
+                    text = hdus["META"].data.tobytes().decode()
+                    return _Loader(text, hdus, lazy).get_single_data()
         except _VersionError as error:
             raise OSError(f"{path}: {error}") from None
         except Exception as error:
@@ -243,6 +242,7 @@ def _pack(value, name, arrays, memo, *, in_meta=False):
         return {str(key): inner(item, str(key), True) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return (list if isinstance(value, list) else tuple)(map(inner, value))
+    least = 0 if getattr(value, "ndim", 0) > 2 else SHORT
     if is_dataclass(kind) and kind.__module__.startswith(PACKAGE):
         packed = {f.name: inner(getattr(value, f.name), f.name) for f in fields(value)}
         packed[CLASS] = f"{kind.__module__}.{kind.__name__}"
@@ -250,14 +250,15 @@ def _pack(value, name, arrays, memo, *, in_meta=False):
         shape = list(value.array_shape) if value.array_shape else None
         header = value.to_header_string(relax=EXACT)
         packed = {CLASS: "WCS", "header": header, "shape": shape}
-    elif arrays is not None and _is_long(value):
+    elif arrays is not None and kind is np.ndarray and value.size > least:
         arrays.append((name, value))
         packed = {CLASS: "array", "hdu": len(arrays) + 1, "shape": list(value.shape)}
         packed["dtype"] = value.dtype.newbyteorder("=").str
     else:
         # astropy's YAML transposes arrays in Fortran's order.
-        plain = np.array(value, order="C") if kind is np.ndarray else value
-        plain = value.item() if isinstance(value, np.generic) else plain
+        if kind is np.ndarray:
+            value = np.array(value, order="C")
+        plain = value.item() if isinstance(value, np.generic) else value
         try:
             yaml.dump(plain)
         except Exception:
@@ -271,52 +272,40 @@ def _pack(value, name, arrays, memo, *, in_meta=False):
     return packed
 
 
-def _is_long(value):
-    """Return whether a value is an array that is not for a text."""
-    is_image = getattr(value, "ndim", 0) > 2
-    return type(value) is np.ndarray and value.size > (0 if is_image else SHORT)
+class _Loader(yaml.AstropyLoader):
+    """Reader of YAML that makes again what `_pack` packed."""
+
+    def __init__(self, text, hdus=None, lazy=False):
+        super().__init__(text)
+        self.hdus, self.lazy = hdus, lazy
+
+    def make(self, node):
+        """Return a dictionary, or what is packed in it."""
+        packed = self.construct_mapping(node, deep=True)
+        name = packed.pop(CLASS, None)
+        if name == "WCS":
+            made = WCS(without_dates(fits.Header.fromstring(packed["header"])))
+            if packed["shape"]:
+                made.array_shape = packed["shape"]
+        elif name == "array":
+            made = self.hdus[packed["hdu"]].data
+            if made.dtype.str[1:] != packed["dtype"][1:]:
+                made = made.view(packed["dtype"])
+            made = made if self.lazy else made.astype(packed["dtype"])
+            made = made.reshape(packed["shape"])
+        elif name is not None:
+            # Checks and conversions were made when it was first made.
+            made = object.__new__(_class_of(name, packed.keys()))
+            for key, value in packed.items():
+                object.__setattr__(made, key, value)
+        return packed if name is None else made
 
 
-def _array(hdus, lazy, packed):
-    """Return an array of an extension, in memory unless it is lazy."""
-    made = hdus[packed["hdu"]].data
-    if made.dtype.str[1:] != packed["dtype"][1:]:
-        made = made.view(packed["dtype"])
-    made = made if lazy else made.astype(packed["dtype"])
-    return made.reshape(packed["shape"])
+_Loader.add_constructor("tag:yaml.org,2002:map", _Loader.make)
 
 
-def _unpack(value, array, memo):
-    """Return what `_pack` packed, with a function that returns packed arrays."""
-
-    def inner(item):
-        return _unpack(item, array, memo)
-
-    if isinstance(value, list | tuple):
-        return type(value)(inner(item) for item in value)
-    if not isinstance(value, dict):
-        return value
-    if id(value) in memo:
-        return memo[id(value)]
-    name = value.get(CLASS)
-    if name is None:
-        return {key: inner(item) for key, item in value.items()}
-    if name == "WCS":
-        made = WCS(without_dates(fits.Header.fromstring(value["header"])))
-        if value["shape"]:
-            made.array_shape = value["shape"]
-    elif name == "array":
-        made = array(value)
-    else:
-        made = _made(name, value.keys() - {CLASS})
-        for key in value.keys() - {CLASS}:
-            object.__setattr__(made, key, inner(value[key]))
-    memo[id(value)] = made
-    return made
-
-
-def _made(name, keys):
-    """Return an object of a dataclass of this package, without its fields."""
+def _class_of(name, keys):
+    """Return a dataclass of this package that has these fields."""
     module, _, name = name.rpartition(".")
     own = None
     if module.startswith(PACKAGE):
@@ -327,8 +316,7 @@ def _made(name, keys):
             f"its {name} is of another version of astro_scc; read it with the "
             "version that wrote it"
         )
-    # Checks and conversions were made when it was first made.
-    return object.__new__(own)
+    return own
 
 
 def write_epochs(
