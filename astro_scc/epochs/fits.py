@@ -20,7 +20,7 @@ from astropy.wcs import WCS
 
 from astro_scc.epochs import headers
 from astro_scc.epochs.grid import cut_wcs
-from astro_scc.epochs.validation import POWERS
+from astro_scc.epochs.validation import POWERS, naming
 from astro_scc.exceptions import EpochWarning
 
 # Value of CREATOR that marks the files of EpochCube.write.
@@ -132,7 +132,12 @@ def read_vlbi_fits(path: Path | str, hdu: int | str | None = None) -> CCDData:
     plane = read_plane(path, hdu=hdu)
     for note in plane.notes:
         warnings.warn(f"{path}: {note}", EpochWarning, stacklevel=2)
-    meta = fits.Header([card for card in plane.header.cards if _is_meta(card)])
+    meta = fits.Header()
+    for card in plane.header.cards:
+        # Cards are parsed at first use, and broken ones raise an error then.
+        with suppress(fits.VerifyError, ValueError):
+            if not _STRUCTURE.match(card.keyword) and (card.value, card.comment):
+                meta.append(card, end=True)
     for fact, keyword in (("frequency", "FREQ"), ("stokes", "STOKES")):
         if fact in plane.facts:
             meta[keyword] = plane.facts[fact]
@@ -146,15 +151,6 @@ def read_vlbi_fits(path: Path | str, hdu: int | str | None = None) -> CCDData:
         meta=meta,
         uncertainty=plane.uncertainty,
     )
-
-
-def _is_meta(card):
-    try:
-        # Cards are parsed at first use, and broken ones raise an error then.
-        readable = (card.value, card.comment)
-        return bool(readable) and not _STRUCTURE.match(card.keyword)
-    except (fits.VerifyError, ValueError):
-        return False
 
 
 def find_files(paths, *, missing_ok=False):
@@ -246,10 +242,8 @@ def read_plane(path, hdu=None, *, window=None, pixels=True):
 
 def plane_of_hdu(hdu, name):
     """Return the `Plane` of an image extension, or raise a ValueError."""
-    try:
+    with naming(name):
         return _plane(fits.HDUList([hdu]), None, Path(name))
-    except (_ContentError, _NoImageError) as error:
-        raise ValueError(f"{name}: {error}") from None
 
 
 def open_fits(file, *, known=False, **options):

@@ -16,7 +16,7 @@ from scipy import ndimage
 from astro_scc.epochs.beam import is_per
 from astro_scc.epochs.headers import celestial_wcs
 from astro_scc.epochs.positions import readable_angle
-from astro_scc.epochs.validation import as_celestial
+from astro_scc.epochs.validation import as_celestial, naming
 from astro_scc.exceptions import EpochWarning
 
 if TYPE_CHECKING:
@@ -286,10 +286,8 @@ def _grid_of(target, shape=None):
     if isinstance(target, fits.Header):
         own = target.get("NAXIS2"), target.get("NAXIS1")
         own = own if all(own) else None
-        try:
+        with naming("the header of the new grid"):
             wcs = as_celestial(celestial_wcs(target))
-        except ValueError as error:
-            raise ValueError(f"the header of the new grid: {error}") from None
     elif hasattr(target, "shape") and hasattr(target, "wcs"):
         wcs, own = as_celestial(target.wcs), target.shape[-2:]
     else:

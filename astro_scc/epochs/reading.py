@@ -95,7 +95,8 @@ def _plane_of(i, image, time, beam):
             )
         image = cube[0]
     if isinstance(image, NDData):
-        plane = _plane_of_nddata(image, name)
+        with validation.naming(name):
+            plane = _plane_of_nddata(image, name)
     elif getattr(getattr(image, "hdu", None), "is_image", False):
         plane = fits.plane_of_hdu(image.hdu, name)
     else:
@@ -115,19 +116,15 @@ def _plane_of_nddata(image, name):
     if image.mask is not None:
         mask |= np.asarray(image.mask, dtype=bool)
     if data.ndim < 2 or np.prod(data.shape[:-2]) != 1:
-        raise ValueError(f"{name}: has shape {data.shape}, an image has two axes")
+        raise ValueError(f"has shape {data.shape}, an image has two axes")
     if mask.all():
-        raise ValueError(f"{name}: no valid pixel; leave it out")
+        raise ValueError("no valid pixel; leave it out")
     if image.wcs is None:
-        raise ValueError(f"{name}: it has no WCS; use EpochCube.from_arrays")
-    try:
-        wcs = validation.as_celestial(image.wcs)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: {error}") from None
+        raise ValueError("it has no WCS; use EpochCube.from_arrays")
     shape = data.shape[-2:]
     return fits.Plane(
         name=name,
-        wcs=wcs,
+        wcs=validation.as_celestial(image.wcs),
         shape=shape,
         data=data.reshape(shape),
         mask=mask.reshape(shape),
@@ -164,30 +161,32 @@ def _observed(plane, time):
     return plane.time if time is None else time
 
 
-def _assemble(images, times, beams, frame, check, source):
-    """Return the fields of a cube from images on their own grids."""
-    planes, remarks = [], {}
-    for plane, time, beam in zip(images, times, beams, strict=True):
+def _completed(planes, times, beams):
+    """Return images by date, with the given dates and beams, and with their noise."""
+    every, remarks = [], {}
+    for plane, time, beam in zip(planes, times, beams, strict=True):
         plane.time = _observed(plane, time)
         if beam is not None:
             plane.beam, plane.beam_problem = beam, ""
         for note in plane.notes:
             remarks.setdefault(note, []).append(plane.label or plane.name)
         if plane.uncertainty is not None:
-            try:
+            with validation.naming(plane.name):
                 plane.noise, bad, plane.even = validation.uncertainty_noise(
                     plane.uncertainty, plane.unit, plane.mask
                 )
-            except ValueError as error:
-                raise ValueError(f"{plane.name}: {error}") from None
             plane.mask |= bad
             plane.uncertainty = None
-        planes.append(plane)
+        every.append(plane)
     for note, names in remarks.items():
         _warn(f"{some(names)}: {note}")
-    times = validation.as_times([plane.time for plane in planes], len(planes))
+    times = validation.as_times([plane.time for plane in every], len(every))
     order = np.argsort((times - times[0]).jd, kind="stable")
-    planes, times = [planes[i] for i in order], times[order]
+    return [every[i] for i in order], times[order]
+
+
+def _compare(planes, times, frame, check):
+    """Refuse images that do not belong together, and bring them to one unit."""
     for i, k in inspection.find_same_dates(times):
         _warn(
             f"{planes[i].name} and {planes[k].name} are both of {times[i].isot[:10]}; "
@@ -198,9 +197,33 @@ def _assemble(images, times, beams, frame, check, source):
         if fatal:
             raise ValueError(f"{what} (in Python, check=False reads it)")
         _warn(f"{what} if it is another object")
-    _convert(planes)
-    if frame == "offset":
-        _warn_of_distances(planes)
+    first = planes[0]
+    for plane in planes:
+        if not plane.unit.is_equivalent(first.unit):
+            own, other = (p.unit.to_string() or "none" for p in (plane, first))
+            raise ValueError(
+                f"{plane.name}: its unit is {own}, that of {first.name} is {other}; "
+                "leave one out"
+            )
+        factor = plane.unit.to(first.unit)
+        if factor != 1:
+            plane.data, plane.unit = plane.data * factor, first.unit
+            plane.noise = None if plane.noise is None else plane.noise.to(first.unit)
+    distance = [inspection.separation(plane.wcs, first.wcs) for plane in planes]
+    k = int(np.argmax(distance))
+    if frame == "offset" and distance[k] > FAR * max(first.extent, planes[k].extent):
+        _warn(
+            f"{first.name} and {planes[k].name}: their reference pixels are "
+            f"{distance[k] * 3600:.4g} arcsec apart on the sky and are taken for one "
+            "place; use frame='absolute' (--align wcs) where the coordinates are "
+            "to be trusted"
+        )
+
+
+def _assemble(planes, times, beams, frame, check, source):
+    """Return the fields of a cube from images on their own grids."""
+    planes, times = _completed(planes, times, beams)
+    _compare(planes, times, frame, check)
     fields, resampled = lay_on_one_grid(planes, frame)
     if resampled:
         ny, nx = fields["data"].shape[1:]
@@ -216,45 +239,22 @@ def _assemble(images, times, beams, frame, check, source):
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
     meta = {"object": names.pop()} if len(names) == 1 else {}
     otherwise = f"the cube has none; {fits.CORRECT_BEAM}, or give beams= in Python"
+    beams = _all_or_none(planes, "beam", otherwise)
+    otherwise = "that of all is measured; give every image an uncertainty"
+    noise = None if resampled else _all_or_none(planes, "noise", otherwise)
+    uneven = [plane.name for plane in planes if not plane.even]
+    if uneven and noise:
+        _warn(f"{some(uneven)}: {validation.UNEVEN}")
     return {
         **fields,
         "times": times,
         "unit": planes[0].unit,
-        "beams": _all_or_none(planes, "beam", otherwise),
-        "noise": None if resampled else _all_noise(planes),
+        "beams": beams,
+        "noise": noise and u.Quantity(noise),
         "labels": labels if all(labels) else (),
         "epoch_meta": facts,
         "meta": {**meta, "history": [f"{source}, aligned on their {laid}"]},
     }
-
-
-def _convert(planes):
-    """Convert all images to the unit of the first one."""
-    first = planes[0]
-    for plane in planes:
-        if not plane.unit.is_equivalent(first.unit):
-            own, other = (p.unit.to_string() or "none" for p in (plane, first))
-            raise ValueError(
-                f"{plane.name}: its unit is {own}, that of {first.name} is {other}; "
-                "leave one out"
-            )
-        factor = plane.unit.to(first.unit)
-        if factor != 1:
-            plane.data, plane.unit = plane.data * factor, first.unit
-            plane.noise = None if plane.noise is None else plane.noise.to(first.unit)
-
-
-def _warn_of_distances(planes):
-    first = planes[0]
-    distance = [inspection.separation(plane.wcs, first.wcs) for plane in planes]
-    k = int(np.argmax(distance))
-    if distance[k] > FAR * max(first.extent, planes[k].extent):
-        _warn(
-            f"{first.name} and {planes[k].name}: their reference pixels are "
-            f"{distance[k] * 3600:.4g} arcsec apart on the sky and are taken for one "
-            "place; use frame='absolute' (--align wcs) where the coordinates are "
-            "to be trusted"
-        )
 
 
 def _all_or_none(planes, what, otherwise):
@@ -267,16 +267,6 @@ def _all_or_none(planes, what, otherwise):
         other = f"no {what} where other epochs have one"
         _warn(f"{some(missing)}: {other}, so {otherwise}")
     return None
-
-
-def _all_noise(planes):
-    """Return the noise of all images from their uncertainties, if all have them."""
-    otherwise = "that of all is measured; give every image an uncertainty"
-    noise = _all_or_none(planes, "noise", otherwise)
-    uneven = [plane.name for plane in planes if not plane.even]
-    if uneven and noise:
-        _warn(f"{some(uneven)}: {validation.UNEVEN}")
-    return None if noise is None else u.Quantity(noise)
 
 
 def _warn(message):

@@ -2,6 +2,7 @@
 """Conversion of the arguments of an `EpochCube` into its fields."""
 
 import warnings
+from contextlib import contextmanager
 from numbers import Integral
 
 import astropy.units as u
@@ -27,6 +28,15 @@ UNEVEN = (
     "its uncertainty differs from pixel to pixel, and the median is taken for the "
     "noise; leave it out to have the noise measured"
 )
+
+
+@contextmanager
+def naming(name):
+    """Put the name of an image before the message of an error, a ValueError then."""
+    try:
+        yield
+    except (OSError, TypeError, ValueError) as error:
+        raise ValueError(f"{name}: {error}") from None
 
 
 def as_stack(data, mask, unit):
@@ -220,7 +230,7 @@ def as_celestial(wcs):
         raise ValueError("wcs has latitude on its first axis; transpose the images")
     if wcs.has_distortion:
         raise ValueError(
-            "the grid of a cube has no distortions; EpochCube.from_ccddata resamples"
+            "the grid of a cube has no distortions; resample the images first"
         )
     return wcs
 
