@@ -278,14 +278,13 @@ def crop(cube: EpochCube, region: Any, pad: int = 0) -> EpochCube:
     ((1, 10, 13), [5.0, 7.0])
     """
     window = box(cube, region, pad)
-    shape = cube.shape[1:]
     own = cube.epoch_wcs
     return cube.with_step(
         crop_line(window),
         data=cube.data[:, *window].copy(),
         mask=cube.mask[:, *window].copy(),
-        wcs=cut_wcs(cube.wcs, window, shape),
-        epoch_wcs=own and [cut_wcs(wcs, window, shape) for wcs in own],
+        wcs=cut_wcs(cube.wcs, window),
+        epoch_wcs=own and [cut_wcs(wcs, window) for wcs in own],
     )
 
 

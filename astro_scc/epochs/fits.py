@@ -77,10 +77,6 @@ class Plane(headers.HeaderRecord):
         return [n for n in (self.unit_problem, self.beam_problem and beam) if n]
 
 
-class _ContentError(ValueError):
-    """The file is FITS, but its image cannot be used."""
-
-
 class _NoImageError(OSError):
     """The file is not FITS, is broken, or holds no image."""
 
@@ -229,7 +225,7 @@ def read_plane(path, hdu=None, *, window=None, pixels=True):
             # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file, known=bool(window)) as hdus:
                 return _plane(hdus, hdu, path, **options)
-        except (_ContentError, _NoImageError) as error:
+        except (headers.ContentError, _NoImageError) as error:
             raise type(error).__base__(f"{path}: {error}") from None
         except Exception as error:
             # A damaged file can fail anywhere inside astropy.io.fits.  The first
@@ -272,18 +268,17 @@ def _plane(hdus, which, path, *, window=None, pixels=True):
     if "SCCVERS" in hdus[0].header:
         what = hdus[0].header["CREATOR"].removeprefix("astro_scc ")
         reader = what if what == "EpochCube" else "SCCResult"
-        raise _ContentError(f"is a whole {what}; give it alone to {reader}.read")
+        raise headers.ContentError(f"is a whole {what}; give it alone to {reader}.read")
     hdu = _find(hdus, which)
     header = hdu.header.copy()
     if hdu is not hdus[0]:
         header.extend(hdus[0].header, unique=True, bottom=True)
     _check_complete(hdu, path)
-    try:
-        wcs = headers.celestial_wcs(header, fobj=hdus)
-    except ValueError as error:
-        raise _ContentError(error) from None
+    wcs = headers.celestial_wcs(header, fobj=hdus)
     if wcs.has_distortion:
-        raise _ContentError("its coordinates are distorted (SIP); resample it first")
+        raise headers.ContentError(
+            "its coordinates are distorted (SIP); resample it first"
+        )
     index = _plane_index(header)
     shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))
@@ -318,7 +313,7 @@ def _load(plane, hdus, hdu, index, window):
             plane.mask |= is_bad(beside.data[window]).astype(bool)
             why = f" by its extension {name}"
     if plane.mask.all():
-        raise _ContentError(f"no valid pixel{where}{why}; leave this file out")
+        raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
     beside = _beside(hdus, hdu, "UNCERT", plane.shape)
     if beside is not None:
         kind = headers.get(beside.header, "UTYPE", kind=str)
@@ -329,7 +324,7 @@ def _load(plane, hdus, hdu, index, window):
             copy=False,
         )
     if where:
-        plane.wcs = cut_wcs(plane.wcs, window, plane.shape)
+        plane.wcs = cut_wcs(plane.wcs, window)
 
 
 def _beside(hdus, image, name, shape):
@@ -344,7 +339,7 @@ def _beside(hdus, image, name, shape):
             if hdu.shape == shape:
                 return hdu
             if name != "WHT":
-                raise _ContentError(
+                raise headers.ContentError(
                     f"its extension {name} has shape {hdu.shape}, its image {shape}; "
                     "correct or remove the extension"
                 )
@@ -391,7 +386,7 @@ def _plane_index(header):
         elif name.startswith("STOKES"):
             index.append(_stokes_i(header, axis, length))
         else:
-            raise _ContentError(
+            raise headers.ContentError(
                 f"has {length} planes on axis {name or f'{axis} of the file'}; write "
                 "the one to use, or their mean, to a file of its own"
             )
@@ -404,7 +399,7 @@ def _stokes_i(header, axis, length):
         position = (1 - start) / (step or 1) + pixel - 1
         if abs(position - round(position)) < 1e-6 and 0 <= round(position) < length:
             return round(position)
-    raise _ContentError(
+    raise headers.ContentError(
         f"has {length} planes on axis STOKES and none of them is I; write the one "
         "to use to a file of its own"
     )

@@ -128,13 +128,11 @@ def moved_wcs(wcs, shift):
     return moved
 
 
-def cut_wcs(wcs, window, shape):
-    """Return the WCS of a window, slices (y, x), of a grid of the given ``shape``."""
-    (top, bottom), (left, right) = (
-        part.indices(n)[:2] for part, n in zip(window, shape, strict=True)
-    )
-    part = moved_wcs(wcs, (-left, -top))
-    part.array_shape = (bottom - top, right - left)
+def cut_wcs(wcs, window):
+    """Return the WCS of a window of a grid, slices (y, x) with a start and a stop."""
+    y, x = window
+    part = moved_wcs(wcs, (-x.start, -y.start))
+    part.array_shape = y.stop - y.start, x.stop - x.start
     return part
 
 

@@ -55,6 +55,10 @@ _WCS_NUMBER = re.compile(r"((CRPIX|CRVAL|CDELT|CROTA)\d+|(PC|CD)\d+_\d+)$")
 _CELESTIAL = re.compile(r"((RA|[A-Z]LON|[A-Z]{2}LN)|DEC|[A-Z]LAT|[A-Z]{2}LT)(-|$)")
 
 
+class ContentError(ValueError):
+    """The file is FITS, but its image cannot be used."""
+
+
 @dataclass
 class HeaderRecord:
     """
@@ -310,30 +314,30 @@ def celestial_wcs(header, fobj=None):
 
     Faults of AIPS, difmap and others are repaired: ``DEC---SIN`` with three dashes,
     ``EPOCH`` for the equinox, units in capitals.  Without ``CRVALn`` the reference
-    pixel is at (0, 0).  Other faults raise a ValueError.  Distortions that are stored
-    in tables need the `~astropy.io.fits.HDUList` ``fobj``.
+    pixel is at (0, 0).  Other faults raise a `ContentError`.  Distortions that are
+    stored in tables need the `~astropy.io.fits.HDUList` ``fobj``.
     """
     clean = _repaired(header)
     kinds = [axis_kind(str(clean.get(f"CTYPE{axis}", ""))) for axis in range(1, 8)]
     if not {"longitude", "latitude"} <= set(kinds):
-        raise ValueError(
+        raise ContentError(
             "it has no celestial coordinates (CTYPE); use EpochCube.from_arrays, "
             "which takes the pixel scale"
         )
     axes = [kinds.index(kind) + 1 for kind in ("longitude", "latitude")]
     if axes[0] > axes[1]:
-        raise ValueError("latitude is its first axis; transpose the image")
+        raise ContentError("latitude is its first axis; transpose the image")
     for axis in axes:
         rows = [key for key in clean if re.match(rf"CD{axis}_\d+$|CDELT{axis}$", key)]
         if not any(clean[key] for key in rows):
-            raise ValueError("its celestial axes have no pixel scale (CDELT or CD)")
+            raise ContentError("its celestial axes have no pixel scale (CDELT or CD)")
     with warnings.catch_warnings(action="ignore"):
         try:
             wcs = WCS(clean, fobj=fobj).celestial
             wcs.wcs.set()
         except Exception as error:
             reason = " ".join(str(error).strip().splitlines()[:2])
-            raise ValueError(
+            raise ContentError(
                 f"its celestial coordinates cannot be read: {reason}"
             ) from None
     return wcs
@@ -372,7 +376,7 @@ def _standard(keyword, value):
         return value
     number = get({keyword: value}, keyword, kind=float)
     if number is None:
-        raise ValueError(f"{keyword} = {value!r} is not a finite number")
+        raise ContentError(f"{keyword} = {value!r} is not a finite number")
     return number
 
 
