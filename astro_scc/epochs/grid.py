@@ -114,10 +114,8 @@ def grid_step(wcs, target, shape):
 
 def _probe_pixels(shape):
     """Return (x, y) of the centre and the corners of an image, shape (2, 5)."""
-    ny, nx = shape
-    return np.array(
-        [[(nx - 1) / 2, 0, nx - 1, 0, nx - 1], [(ny - 1) / 2, 0, 0, ny - 1, ny - 1]]
-    )
+    corners = [[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]]
+    return np.array(corners) * [[shape[1] - 1], [shape[0] - 1]]
 
 
 def moved_wcs(wcs, shift):

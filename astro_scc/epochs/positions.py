@@ -17,9 +17,16 @@ from astro_scc.decomposition import scale_size
 if TYPE_CHECKING:
     from astro_scc.epochs.cube import EpochCube
 
-#: Names of celestial frames by the code of their longitude.
-FRAMES = {"GLON": "galactic", "ELON": "ecliptic", "SLON": "supergalactic"}
-SOLAR = ("HPLN", "HGLN", "CRLN", "HCLN")
+#: Where longitude and latitude increase, and if longitude does so leftwards, by the
+#: start of its CTYPE.
+AXES = {
+    "RA--": ("east", "north", True),
+    "GLON": ("galactic east", "galactic north", True),
+    "ELON": ("ecliptic east", "ecliptic north", True),
+    "SLON": ("supergalactic east", "supergalactic north", True),
+} | dict.fromkeys(
+    ("HPLN", "HGLN", "CRLN", "HCLN"), ("solar west", "solar north", False)
+)
 #: New names of columns if longitude is not right ascension.
 LONGITUDE = {
     r"\bpm_ra_cosdec": "pm_lon_coslat",
@@ -166,15 +173,8 @@ def axis_words(cube):
     Sun it increases to the west, which is right.  The words are "east" and "north" for
     right ascension and declination only.  Only the ``wcs`` of the ``cube`` is used.
     """
-    ctype = str(cube.wcs.wcs.ctype[0])
-    if ctype[:4] in SOLAR:
-        return "solar west", "solar north", False
-    if ctype.startswith("RA--"):
-        return "east", "north", True
-    name = FRAMES.get(ctype[:4])
-    if name is None:
-        return "larger longitude", "larger latitude", True
-    return f"{name} east", f"{name} north", True
+    start = str(cube.wcs.wcs.ctype[0])[:4]
+    return AXES.get(start, ("larger longitude", "larger latitude", True))
 
 
 def ssp_offsets(ssps, cube, *, centroid=False):

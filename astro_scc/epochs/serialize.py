@@ -242,7 +242,6 @@ def _pack(value, name, arrays, memo, *, in_meta=False):
         return {str(key): inner(item, str(key), True) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return (list if isinstance(value, list) else tuple)(map(inner, value))
-    least = 0 if getattr(value, "ndim", 0) > 2 else SHORT
     if is_dataclass(kind) and kind.__module__.startswith(PACKAGE):
         packed = {f.name: inner(getattr(value, f.name), f.name) for f in fields(value)}
         packed[CLASS] = f"{kind.__module__}.{kind.__name__}"
@@ -250,7 +249,11 @@ def _pack(value, name, arrays, memo, *, in_meta=False):
         shape = list(value.array_shape) if value.array_shape else None
         header = value.to_header_string(relax=EXACT)
         packed = {CLASS: "WCS", "header": header, "shape": shape}
-    elif arrays is not None and kind is np.ndarray and value.size > least:
+    elif (
+        arrays is not None
+        and kind is np.ndarray
+        and value.size > (0 if value.ndim > 2 else SHORT)
+    ):
         arrays.append((name, value))
         packed = {CLASS: "array", "hdu": len(arrays) + 1, "shape": list(value.shape)}
         packed["dtype"] = value.dtype.newbyteorder("=").str
