@@ -255,16 +255,16 @@ def inspect_epochs(
             row[name] *= plane.unit.to(unit) if known else np.nan
     if read:
         _compare(read)
-    table = QTable({name: [row[name] for row, _ in found] for name in found[0][0]})
+    columns = {name: [row[name] for row, _ in found] for name in found[0][0]}
     for name, own in COLUMNS.items():
-        table[name] = u.Quantity(table[name], own or unit)
-    undated = [date is None for date in table["date"]]
-    mjd = [date.mjd if date is not None else 0.0 for date in table["date"]]
-    table["date"] = Time(Time(mjd, format="mjd", scale="utc"), format="iso")
+        columns[name] = u.Quantity(columns[name], own or unit)
+    columns["problem"] = ["; ".join(problems) for problems in columns["problem"]]
+    undated = [date is None for date in columns["date"]]
+    mjd = [0.0 if date is None else date.mjd for date in columns["date"]]
+    columns["date"] = Time(Time(mjd, format="mjd", scale="utc"), format="iso")
     if any(undated):
-        table["date"][undated] = np.ma.masked
-    table["problem"] = ["; ".join(problems) for problems in table["problem"]]
-    return table
+        columns["date"][undated] = np.ma.masked
+    return QTable(columns)
 
 
 def _inspect(path, hdu):
