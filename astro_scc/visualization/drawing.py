@@ -1,13 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Draw images and their SSPs in offsets from the reference pixel."""
 
-from dataclasses import dataclass
-
 import astropy.units as u
 import numpy as np
 
 from astro_scc.decomposition import scale_size
-from astro_scc.epochs.positions import axis_words
+from astro_scc.epochs.positions import axis_words, ssp_offsets
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import style
 
@@ -25,37 +23,47 @@ EDGE = 0.015
 # -- limits, units and colours -----------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
 class View:
     """
     The part of a cube's images that is shown, with its unit and colours.
 
-    ``points`` are the SSPs, see `ssp_points`; ``limits`` are offsets in mas, shape
-    (2, 2), east, then north; ``norm`` maps brightness to colour.
+    Parameters
+    ----------
+    cube : `~astro_scc.EpochCube`
+    ssps : see `ssp_points`
+    image : `numpy.ma.MaskedArray`
+        One or more images, which decide on the colours.
+    zoom : bool, optional
+        Show only the part with SSPs.
+    unit : `~astropy.units.Unit`, optional
+        Unit of the offsets.
+    **colors
+        See `plotting_norm`.
+
+    Attributes
+    ----------
+    points : dict or None
+        See `ssp_points`.
+    place : `~numpy.ndarray`, shape (2, n)
+        Offsets of the points in the unit: east, then north.
+    limits : `~numpy.ndarray`, shape (2, 2)
+        Offsets that are shown, in the unit: east, then north.
+    factor : float
+        Converts mas to the unit.
     """
 
-    cube: object
-    points: dict | None
-    limits: np.ndarray
-    unit: u.UnitBase
-    norm: object
-
-    @classmethod
-    def of(cls, cube, ssps, image, *, zoom=True, unit=None, **colors):
-        """Return the view of one or more images and SSPs."""
-        points = ssp_points(cube, ssps)
-        limits = image_limits(cube, points if zoom else None)
-        unit = offset_unit(lengths(limits).max(), unit)
-        return cls(cube, points, limits, unit, plotting_norm(cube, image, **colors))
-
-    @property
-    def factor(self):
-        """Factor that converts mas to the unit of the offsets."""
-        return u.mas.to(self.unit)
+    def __init__(self, cube, ssps, image, *, zoom=True, unit=None, **colors):
+        self.cube, self.points = cube, ssp_points(cube, ssps)
+        limits = image_limits(cube, self.points if zoom else None)
+        self.unit = offset_unit(lengths(limits).max(), unit)
+        self.factor = u.mas.to(self.unit)
+        self.limits = limits * self.factor
+        self.place = None if ssps is None else self.points["place"] * self.factor
+        self.norm = plotting_norm(cube, image, **colors)
 
 
 def lengths(limits):
-    """Return the east-west and north-south length of a range of offsets, in mas."""
+    """Return the east-west and north-south length of a range of offsets."""
     return limits[:, 1] - limits[:, 0]
 
 
@@ -72,11 +80,9 @@ def image_limits(cube, points=None):
         np.array([-0.5, -0.5, ny - 0.5, ny - 0.5]),
     )
     whole = np.array([[axis.value.min(), axis.value.max()] for axis in corners])
-    if points is None or len(points["east"]) == 0:
+    if points is None or points["place"].size == 0:
         return whole
-    near = np.array(
-        [_inner_range(points[axis], points["weight"]) for axis in ("east", "north")]
-    )
+    near = np.array([_inner_range(v, points["weight"]) for v in points["place"]])
     margin = 12 * cube.pixel_scale.value
     if cube.beams is not None:
         margin = max(margin, 1.5 * max(beam.major.value for beam in cube.beams))
@@ -103,16 +109,15 @@ def plotting_norm(
 
     if stretch not in ("asinh", "log", "linear"):
         raise ValueError(f"unknown stretch {stretch!r}: use 'asinh', 'log' or 'linear'")
-    noise = u.Quantity(cube.noise_rms()).value[epochs]
+    noise = cube.noise_rms().value[epochs]
     noise = noise[np.isfinite(noise) & (noise > 0)]
-    lowest, highest = float(image.min()), float(image.max())
-    top = highest if vmax is None else vmax
+    top = float(image.max()) if vmax is None else vmax
     noise = np.median(noise) if len(noise) else abs(top) / 1e3
     if stretch == "log":
         low = noise if vmin is None else vmin
         low = low if low > 0 else 1e-3
         return LogNorm(low, top if top > low else 10 * low, clip=True)
-    bottom = max(lowest, -noise) if vmin is None else vmin
+    bottom = max(float(image.min()), -noise) if vmin is None else vmin
     if not top > bottom:
         bottom, top = bottom - 0.5, bottom + 0.5
     if stretch == "linear" or noise == 0:
@@ -142,16 +147,13 @@ def draw_image(ax, view, image, beam=None):
     """Draw an image, and the beam in the lower left corner; set the limits."""
     import matplotlib
 
-    cube, unit = view.cube, view.unit
     greys = matplotlib.colormaps["Greys"].with_extremes(bad=MASKED)
     drawn = ax.imshow(
         image, origin="lower", norm=view.norm, cmap=greys,
         transform=_to_offsets(view) + ax.transData,
     )  # fmt: skip
-    (east0, east1), (north0, north1) = (view.limits * u.mas).to_value(unit)
-    _, _, to_the_left = axis_words(cube)
-    ax.set_xlim((east1, east0) if to_the_left else (east0, east1))
-    ax.set_ylim(north0, north1)
+    _, _, to_the_left = axis_words(view.cube)
+    ax.set(xlim=view.limits[0, :: -1 if to_the_left else 1], ylim=view.limits[1])
     ax.set_aspect("equal")
     draw_beam(ax, view, beam)
     return drawn
@@ -163,8 +165,7 @@ def _to_offsets(view):
 
     matrix = view.cube.pixel_matrix.to_value(view.unit)
     to_offset = np.eye(3)
-    to_offset[:2, :2] = matrix
-    to_offset[:2, 2] = -matrix @ view.cube.reference_pixel
+    to_offset[:2] = np.c_[matrix, -matrix @ view.cube.reference_pixel]
     return Affine2D(to_offset)
 
 
@@ -174,11 +175,10 @@ def draw_beam(ax, view, beam):
 
     if beam is None:
         return
-    (_, east1), (north0, _) = (view.limits * u.mas).to_value(view.unit)
     half = beam.fwhm_along([90, 0] * u.deg).to_value(view.unit) / 2
-    margin = 0.03 * lengths(view.limits).min() * view.factor
+    half += 0.03 * lengths(view.limits).min()
     ellipse = Ellipse(
-        (east1 - half[0] - margin, north0 + half[1] + margin),
+        (view.limits[0, 1] - half[0], view.limits[1, 0] + half[1]),
         width=beam.minor.to_value(view.unit), height=beam.major.to_value(view.unit),
         # matplotlib's angle and the position angle have opposite senses.
         angle=-beam.pa.to_value(u.deg), facecolor="white", edgecolor=style.BLACK,
@@ -200,21 +200,21 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     The number of columns makes the panels as large as possible in the figure or on
     a page; ``aside`` and ``above`` are the room for labels in inches.
     """
-    width, height = lengths(view.limits)
-    page = (5.0, 8.0) if figure is None else figure.get_size_inches() - [1.2, 1.0]
-    sizes = [
-        min(page[0] / columns, page[1] / -(-n // columns) * width / height)
+    aspect = np.divide(*lengths(view.limits))
+    size = (style.WIDTH, style.HEIGHT) if figure is None else figure.get_size_inches()
+    wide, high = np.subtract(size, [aside, 0.7 + above])
+    widths = [
+        min(wide / columns, aspect * (high / -(-n // columns) - 0.06))
         for columns in range(1, n + 1)
     ]
     # Of grids with equal panels, but for rounding, take the one with fewest columns.
-    columns = 1 + int(np.argmax(np.round(sizes, 3)))
+    columns = 1 + int(np.argmax(np.round(widths, 3)))
     rows = -(-n // columns)
     if figure is None:
-        panel = (style.WIDTH - aside) / columns * height / width
-        panel = min(panel, (style.HEIGHT - 0.7 - above) / rows - 0.06)
-        wide = max(columns * panel * width / height + aside, style.WIDTH / 2)
-        high = max(rows * (panel + 0.06) + 0.7 + above, 2.4)
-        figure = style.new_figure((float(wide), float(high)))
+        panel = widths[columns - 1]
+        wide = max(columns * panel + aside, style.WIDTH / 2)
+        high = max(rows * (panel / aspect + 0.06) + 0.7 + above, 2.4)
+        figure = style.new_figure((wide, high))
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for ax in grid.flat[n:]:
         ax.set_axis_off()
@@ -231,7 +231,7 @@ def mean_image_panels(cube, ssps, n, *, figure, unit):
     """Return a view, and a figure and its axes with the mean image in pale colours."""
     mean = cube.mean_image()
     image = np.ma.masked_array(mean.data, mean.mask)
-    view = View.of(cube, ssps, image, unit=unit)
+    view = View(cube, ssps, image, unit=unit)
     figure, axes = image_panels(view, n, figure)
     common = cube.beams is not None and all(b == cube.beams[0] for b in cube.beams)
     for ax in axes:
@@ -240,17 +240,17 @@ def mean_image_panels(cube, ssps, n, *, figure, unit):
     return view, figure, axes
 
 
-def draw_contours(ax, view, image):
-    """Draw contours of a mean image, from five times its noise on."""
-    cube = view.cube
-    noise = np.median(u.Quantity(cube.noise_rms()).value) / np.sqrt(len(cube))
-    peak = float(image.max()) / (LOWEST * noise) if noise > 0 else 0.0
+def draw_contours(ax, view):
+    """Draw contours of the image on axes, a mean, from five times its noise on."""
+    image, cube = ax.images[0].get_array(), view.cube
+    lowest = LOWEST * np.median(cube.noise_rms().value) / np.sqrt(len(cube))
+    peak = float(image.max()) / lowest if lowest > 0 else 0.0
     if not peak > 1:
         return
     ratio = 2.0 if np.log2(peak) < MOST_CONTOURS else 4.0
-    levels = LOWEST * noise * ratio ** np.arange(np.log(peak) / np.log(ratio))
     ax.contour(
-        np.ma.filled(image, np.nan), levels=levels, colors=style.GREY, linewidths=0.6,
+        np.ma.filled(image, np.nan), colors=style.GREY, linewidths=0.6,
+        levels=lowest * ratio ** np.arange(np.log(peak) / np.log(ratio)),
         transform=_to_offsets(view) + ax.transData,
     )  # fmt: skip
 
@@ -284,40 +284,45 @@ def image_planes(cube, limits, most):
     n_bins : int
         Side of a pixel of the planes, in pixels of the images.
     """
-    from scipy.ndimage import affine_transform, uniform_filter
+    from scipy.ndimage import map_coordinates, uniform_filter
 
     step = cube.pixel_scale.value
     n_bins = np.sqrt(len(cube) * np.prod(lengths(limits) / step) / most)
     n_bins = max(1, int(np.ceil(n_bins)))
     step *= n_bins
-    n = np.maximum(lengths(limits) // step, 1).astype(int)
-    to_pixel = np.linalg.inv(cube.pixel_matrix.value)
-    first = to_pixel @ (limits[:, 0] + step / 2) + cube.reference_pixel
-    # Axes are (y, x) here, and (x, y) in the matrix.
-    grid = {
-        "matrix": step * to_pixel[::-1, ::-1], "offset": first[::-1],
-        "output_shape": tuple(n[::-1]), "order": 0,
-    }  # fmt: skip
-    mask = ~np.isfinite(cube.data)
-    if cube.mask is not None:
-        mask |= cube.mask
-    norm = plotting_norm(cube, np.ma.masked_array(cube.data, mask))
-    planes = np.zeros((len(cube), *grid["output_shape"]), np.uint8)
-    for plane, image, hidden in zip(planes, cube.data, mask, strict=True):
+    n = np.maximum(lengths(limits) // step, 1)
+    east, north = (
+        (low + step * (np.arange(k) + 0.5)) * u.mas
+        for low, k in zip(limits[:, 0], n, strict=True)
+    )
+    pixels = cube.offset_to_pixel(east, north[:, None])[::-1]
+    norm = plotting_norm(cube, np.ma.masked_array(cube.data, cube.mask))
+    planes = np.zeros((len(cube), len(north), len(east)), np.uint8)
+    for plane, image, hidden in zip(planes, cube.data, cube.mask, strict=True):
         image = uniform_filter(np.where(hidden, 0.0, image), n_bins)
-        level = norm(affine_transform(image, **grid))
-        known = affine_transform((~hidden).astype(np.uint8), **grid)
+        level = norm(map_coordinates(image, pixels, order=0))
+        known = map_coordinates((~hidden).astype(np.uint8), pixels, order=0)
         plane[:] = known * np.clip(np.round(1 + 254 * level), 1, 255)
     return planes, limits[:, :1] + step * n[:, None] * [0, 1], n_bins
 
 
 def epoch_names(times):
-    """Return the shortest dates of epochs that differ from each other."""
-    for length in (10, 16, 19, 23):
-        names = [date[:length].replace("T", " ") for date in times.isot]
-        if len(set(names)) == len(names):
-            return names
-    return [f"{name} ({k})" for k, name in enumerate(names)]
+    """Return the shortest date of each epoch that no other epoch has."""
+    dates = [date.replace("T", " ") for date in times.isot]
+    names = [f"{date} ({k})" for k, date in enumerate(dates)]
+    for length in (23, 19, 16, 10):
+        short = [date[:length] for date in dates]
+        own = [short.count(name) == 1 for name in short]
+        names = np.where(own, short, names).tolist()
+    return names
+
+
+def ssp_place(table):
+    """Return the offsets of SSPs in a table, shape (2, n) in mas."""
+    names = ("east", "north")
+    if "lon_offset" in table.colnames:
+        names = ("lon_offset", "lat_offset")
+    return np.stack([u.Quantity(table[name]).to_value(u.mas) for name in names])
 
 
 # -- SSPs --------------------------------------------------------------------------
@@ -327,32 +332,23 @@ def ssp_points(cube, ssps):
     """
     Return what is drawn of SSPs as a dictionary of arrays, or None for None.
 
-    It has the positions in mas, ``epoch``, ``scale``, whether SSPs are ``used``, and a
-    ``weight`` that is small for SSPs close to the noise.
+    It has the ``place``, offsets in mas of shape (2, n), ``epoch``, ``scale``, whether
+    SSPs are ``used``, and a ``weight`` that is small for SSPs close to the noise.
     """
     if ssps is None:
         return None
     used = np.ones(len(ssps), bool)
     if is_catalogue(ssps):
-        east, north = cube.pixel_to_offset(ssps.x, ssps.y)
+        place = np.stack(ssp_offsets(ssps, cube))
         epoch, scale, snr = ssps.epoch, ssps.scale, ssps.snr
     else:
-        names = "east", "north"
-        if "lon_offset" in ssps.colnames:
-            names = "lon_offset", "lat_offset"
-        east, north = (u.Quantity(ssps[name]) for name in names)
+        place = ssp_place(ssps)
         epoch, scale, snr = (np.asarray(ssps[n]) for n in ("epoch", "scale", "snr"))
         if "in_region" in ssps.colnames:
             used = np.asarray(ssps["in_region"], bool)
-    snr = np.asarray(snr, dtype=float)
-    return {
-        "east": east.to_value(u.mas),
-        "north": north.to_value(u.mas),
-        "epoch": epoch,
-        "scale": np.asarray(scale, dtype=float),
-        "used": used,
-        "weight": 0.05 + np.log(snr / snr.min(initial=np.inf)),
-    }
+    weight = 0.05 + np.log(snr / snr.min(initial=np.inf))
+    points = {"place": place, "epoch": epoch, "scale": scale}
+    return points | {"used": used, "weight": weight}
 
 
 def is_catalogue(ssps):
@@ -361,37 +357,29 @@ def is_catalogue(ssps):
 
 
 def draw_ssps(ax, view, ssps, epoch, size=1.0):
-    """Draw the SSPs of an epoch; return legend handles for all scales of the cube."""
-    from matplotlib.lines import Line2D
-
+    """Draw the SSPs of an epoch, with labels for all scales of the cube."""
     if ssps is None:
-        return []
+        return
     hollow = {"linestyle": "", "marker": "o", "markerfacecolor": "none"}
-    handles = []
     points = view.points
     colors = style.scale_colors(points["scale"])
     for rank, (scale, color) in enumerate(colors.items()):
         here = (points["epoch"] == epoch) & (points["scale"] == scale)
-        diameter = (4.0 + 3.0 * rank) * size
         label = _scale_label(view, scale, rank == 0, rank == len(colors) - 1)
         if is_catalogue(ssps):
-            line = {"color": color, "linewidth": 0.7 + 0.4 * rank}
+            line = {"color": color, "linewidth": 0.7 + 0.4 * rank, "label": label}
             _draw_outlines(ax, view, ssps, np.flatnonzero(here), **line)
-            handles.append(Line2D([], [], label=label, **line))
             continue
         for used, alpha in ((True, 1.0), (False, 0.3)):
-            some = here & (points["used"] == used)
             ax.plot(
-                points["east"][some] * view.factor, points["north"][some] * view.factor,
-                markersize=diameter, markeredgecolor=color, markeredgewidth=1.1,
-                alpha=alpha, gid=f"ssps {scale:g}", **hollow,
+                *view.place[:, here & (points["used"] == used)],
+                markersize=(4.0 + 3.0 * rank) * size, markeredgecolor=color,
+                markeredgewidth=1.1, alpha=alpha, gid=f"ssps {scale:g}",
+                label=label if used else None, **hollow,
             )  # fmt: skip
-        hollow_size = diameter / size * 0.8
-        handles.append(Line2D([], [], ms=hollow_size, mec=color, label=label, **hollow))
     if not np.all(points["used"]):
         pale = {"alpha": 0.4, "mec": style.GREY, "label": "not used"}
-        handles.append(Line2D([], [], ms=5, **pale, **hollow))
-    return handles
+        ax.plot([], [], ms=6.25 * size, **pale, **hollow)
 
 
 def _scale_label(view, scale, first, last):
@@ -410,11 +398,10 @@ def _draw_outlines(ax, view, ssps, indices, **line):
     for index in indices:
         label[ssps.pixels_of(index)] = index + 1
     label = np.pad(label.reshape(ny, nx), 1)
-    row, column = np.nonzero(label[:, 1:] != label[:, :-1])
-    upright = np.stack([[column - 0.5, row - 1.5], [column - 0.5, row - 0.5]])
-    row, column = np.nonzero(label[1:] != label[:-1])
-    level = np.stack([[column - 1.5, row - 0.5], [column - 0.5, row - 0.5]])
-    ends = np.concatenate([upright, level], axis=2)
-    lines = np.stack(view.cube.pixel_to_offset(ends[:, 0], ends[:, 1]), axis=-1)
-    lines = lines.to_value(view.unit).swapaxes(0, 1)
+    edges = []
+    for axis, back in enumerate(np.eye(2)):
+        end = np.argwhere(np.diff(label, axis=axis))[:, ::-1] - 0.5
+        edges.append(np.stack([end - back, end], axis=1))
+    offsets = view.cube.pixel_to_offset(*np.moveaxis(np.concatenate(edges), -1, 0))
+    lines = np.stack(offsets, axis=-1).to_value(view.unit)
     ax.add_collection(LineCollection(lines, gid="outlines", **line), autolim=False)

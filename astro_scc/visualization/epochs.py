@@ -88,14 +88,15 @@ def plot_epoch(
         raise IndexError(f"epoch {index} of a cube with {len(cube)} epochs")
     index %= len(cube)
     image = np.ma.masked_array(cube.data[index], cube.mask[index])
-    view = drawing.View.of(
+    view = drawing.View(
         cube, ssps, image, zoom=zoom, unit=unit, epochs=[index], stretch=stretch,
         vmin=vmin, vmax=vmax,
     )  # fmt: skip
     figure, ax = style.figure_and_axes(ax, _figsize(view))
     drawn = drawing.draw_image(ax, view, image, _beam(cube, index))
-    handles = drawing.draw_ssps(ax, view, ssps, index)
-    _name_axes(ax, view, index, handles + _masked_handle(view, image.mask))
+    drawing.draw_ssps(ax, view, ssps, index)
+    _label_masked(ax, view, image.mask)
+    _name_axes(ax, view, index)
     if colorbar:
         _add_bar(ax, drawn, view)
     return figure
@@ -143,18 +144,21 @@ def plot_epochs(
     n = len(cube)
     chosen = np.unique(np.rint(np.linspace(0, n - 1, min(n, max_panels))).astype(int))
     images = np.ma.masked_array(cube.data[chosen], cube.mask[chosen])
-    view = drawing.View.of(cube, ssps, images, epochs=chosen, **view)
+    view = drawing.View(cube, ssps, images, epochs=chosen, **view)
     figure, axes = drawing.image_panels(view, len(chosen), figure, aside=1.4, above=0.4)
+    dates = drawing.epoch_names(cube.times)
     for ax, index, image in zip(axes, chosen, images, strict=True):
         drawn = drawing.draw_image(ax, view, image, _beam(cube, index))
-        handles = drawing.draw_ssps(ax, view, ssps, index, size=0.5)
-        drawing.panel_text(ax, _date_of(cube, index), 0.03, 0.96)
+        drawing.draw_ssps(ax, view, ssps, index, size=0.5)
+        drawing.panel_text(ax, dates[index], 0.03, 0.96)
     label = drawing.brightness_label(cube.unit)
     bar = figure.colorbar(drawn, ax=figure.axes, label=label, pad=0.02, aspect=40)
     style.set_ticks(bar, drawing.ticks_of(view.norm))
-    handles = handles + _masked_handle(view, images.mask.any(axis=0))
+    _label_masked(ax, view, images.mask.any(axis=0))
+    handles, _ = ax.get_legend_handles_labels()
     if handles:
-        figure.legend(handles=handles, loc="outside upper center", **LEGEND)
+        place = {"loc": "outside upper center", "markerscale": 1.6}
+        figure.legend(handles=handles, **place, **LEGEND)
     return figure
 
 
@@ -187,7 +191,6 @@ def plot_intervals(
     >>> figure.axes[0].get_ylabel()
     'Time between epochs (d)'
     """
-    from matplotlib.collections import LineCollection
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
     if pairs is None:
@@ -200,15 +203,14 @@ def plot_intervals(
         unit = next((v for v in (u.yr, u.day, u.hour) if longest >= 1 * v), u.min)
     height = interval.to_value(unit)
     dates = cube.times.plot_date
-    both = np.stack([dates[pairs.first], dates[pairs.second]], axis=1)
-    ends = np.stack([both, np.stack([height, height], axis=1)], axis=-1)
+    first, second = dates[pairs.first], dates[pairs.second]
     many = len(pairs) > 60
     width, alpha = (0.8, 0.4) if many else (1.8, 0.9)
     bar = {"colors": style.BLUE, "linewidths": width, "alpha": alpha}
-    bars = LineCollection(ends, gid="pairs", **bar)
-    ax.add_collection(bars, autolim=False)
+    ax.hlines(height, first, second, gid="pairs", **bar)
     if not many:
-        ax.plot(ends[..., 0], ends[..., 1], "o", color=style.BLUE, markersize=3)
+        ends = np.stack([first, second])
+        ax.plot(ends, [height, height], "o", color=style.BLUE, markersize=3)
     top = 1.15 * height.max(initial=0.0) or 1.0
     ax.vlines(dates, -0.12 * top, -0.02 * top, color=style.BLACK, linewidth=1.2)
     ax.axhline(0, color=style.BLACK, linewidth=0.6)
@@ -218,8 +220,7 @@ def plot_intervals(
     locator = AutoDateLocator(minticks=3, maxticks=8)
     ax.xaxis.set_major_locator(locator)
     ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
-    ax.set_xlabel("Date of observation")
-    ax.set_ylabel(f"Time between epochs ({unit})")
+    ax.set(xlabel="Date of observation", ylabel=f"Time between epochs ({unit})")
     return figure
 
 
@@ -272,7 +273,6 @@ def animate_epochs(
     'jet.gif'
     """
     from matplotlib.animation import FuncAnimation
-    from matplotlib.lines import Line2D
 
     if trail < 0:
         raise ValueError(f"trail must be at least 0, got {trail}")
@@ -281,23 +281,24 @@ def animate_epochs(
         raise ValueError(f"interval must be positive, got {interval}")
     shown = _epochs_shown(cube, n_frames)
     images = np.ma.masked_array(cube.data, cube.mask)
-    view = drawing.View.of(cube, ssps, images, **view)
+    view = drawing.View(cube, ssps, images, **view)
     figure, ax = style.figure_and_axes(ax, _figsize(view))
     picture = drawing.draw_image(ax, view, images[shown[0]])
     _add_bar(ax, picture, view)
     # The title and the legend fix the layout of all frames.
-    handles = drawing.draw_ssps(ax, view, ssps, -1)
-    if handles and trail:
-        dot = {"linestyle": "", "marker": "o", "ms": 2.5, "color": style.ORANGE}
-        handles.append(Line2D([], [], label="before", **dot))
-    _name_axes(ax, view, shown[0], handles)
+    drawing.draw_ssps(ax, view, ssps, -1)
+    if ssps is not None and len(ssps) and trail:
+        dot = {"linestyle": "", "marker": "o", "ms": 3.125, "color": style.ORANGE}
+        ax.plot([], [], label="before", **dot)
+    _name_axes(ax, view, shown[0])
+    dates = drawing.epoch_names(cube.times)
     drawn = []
 
     def draw(index):
         while drawn:
             drawn.pop().remove()
         picture.set_data(images[index])
-        ax.title.set_text(_date_of(cube, index))
+        ax.title.set_text(dates[index])
         before = {id(artist) for artist in ax.get_children()}
         drawing.draw_beam(ax, view, _beam(cube, index))
         if ssps is not None:
@@ -381,23 +382,16 @@ def _beam(cube, index):
     return None if cube.beams is None else cube.beams[index]
 
 
-def _date_of(cube, index):
-    """Return the date of an epoch, with the time if another has the same date."""
-    days = list(cube.times.strftime("%Y-%m-%d"))
-    if days.count(days[index]) == 1:
-        return days[index]
-    return cube.times[index].strftime("%Y-%m-%d %H:%M")
-
-
-def _name_axes(ax, view, index, handles):
+def _name_axes(ax, view, index):
     """Label the axes, and write the date above a line with the legend."""
     across, up = drawing.offset_labels(view.cube, view.unit)
-    ax.set_xlabel(across)
-    ax.set_ylabel(up)
-    ax.set_title(_date_of(view.cube, index), pad=22.0 if handles else None)
+    handles, _ = ax.get_legend_handles_labels()
+    date = drawing.epoch_names(view.cube.times)[index]
+    ax.set_title(date, pad=22.0 if handles else None)
+    ax.set(xlabel=across, ylabel=up)
     if handles:
         place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
-        ax.legend(handles=handles, **place, **LEGEND)
+        ax.legend(markerscale=0.8, **place, **LEGEND)
 
 
 def _add_bar(ax, drawn, view):
@@ -405,27 +399,23 @@ def _add_bar(ax, drawn, view):
     style.add_colorbar(ax, drawn, label, drawing.ticks_of(view.norm))
 
 
-def _masked_handle(view, mask):
-    """Return the legend handle of masked pixels in a list, empty if none is seen."""
-    from matplotlib.patches import Patch
-
+def _label_masked(ax, view, mask):
+    """Give masked pixels a label for the legend, if any is seen."""
     row, column = np.nonzero(mask)
-    offset = np.stack(view.cube.pixel_to_offset(column, row), axis=-1).value
-    low, high = view.limits.T
-    seen = np.all((offset > low) & (offset < high), axis=1)
-    return [Patch(color=drawing.MASKED, label="masked")] if seen.any() else []
+    offset = u.Quantity(view.cube.pixel_to_offset(column, row)).to_value(view.unit)
+    low, high = view.limits.T[..., None]
+    if np.any(np.all((offset > low) & (offset < high), axis=0)):
+        ax.fill([], [], color=drawing.MASKED, label="masked")
 
 
 def _draw_trail(ax, view, index, trail):
     """Draw the earlier positions of SSPs, paler for earlier epochs."""
-    points = view.points
-    past = points["used"] & (points["epoch"] < index)
-    past &= points["epoch"] >= index - trail
+    epoch = view.points["epoch"]
+    past = view.points["used"] & (epoch < index) & (epoch >= index - trail)
     if past.any():
         ax.scatter(
-            points["east"][past] * view.factor, points["north"][past] * view.factor,
-            s=4.0, color=style.ORANGE, linewidths=0, gid="trail",
-            alpha=1 - (index - points["epoch"][past]) / (trail + 1),
+            *view.place[:, past], s=4.0, color=style.ORANGE, linewidths=0, gid="trail",
+            alpha=1 - (index - epoch[past]) / (trail + 1),
         )  # fmt: skip
 
 

@@ -120,11 +120,8 @@ class Page:
         self.row = np.searchsorted(features["feature"], seen["feature"])
         speeds = [t["pm"].to_value(PM_UNIT) for t in (components, features)]
         self.pm_unit = speed_unit(np.abs(np.concatenate(speeds)).max(initial=0.0))
-        names = "east", "north"
-        if "lon_offset" in ssps.colnames:
-            names = "lon_offset", "lat_offset"
         #: Offsets in mas, shape (2, n).
-        self.place = np.array([ssps[k][seen["ssp"]].to_value(u.mas) for k in names])
+        self.place = drawing.ssp_place(ssps)[:, seen["ssp"]]
         self.sky_unit = offset_unit(np.abs(self.place).max(initial=0.0) or 1.0)
         # Outward is positive, as in the figures.
         distance = seen["distance"].to_value(u.mas)
@@ -396,7 +393,7 @@ class Page:
         near = None
         if len(self.seen):
             ends = np.stack([self.place.min(axis=1), self.place.max(axis=1)], axis=1)
-            near = {"east": ends[0], "north": ends[1], "weight": np.ones(2)}
+            near = {"place": ends, "weight": np.ones(2)}
         limits = drawing.image_limits(self.cube, near)
         planes, sides, n_bins = drawing.image_planes(self.cube, limits, PIXELS)
         if n_bins > 1:

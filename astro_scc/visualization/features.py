@@ -67,20 +67,18 @@ def plot_streams(
     view, figure, (ax,) = drawing.mean_image_panels(
         result.cube, result.ssps, 1, figure=figure, unit=unit
     )
-    mean = result.cube.mean_image()
-    drawing.draw_contours(ax, view, np.ma.masked_array(mean.data, mean.mask))
+    drawing.draw_contours(ax, view)
     table, years = result.feature_positions, result.cube.years.to_value(u.yr)
-    place = np.stack([view.points["east"], view.points["north"]]) * view.factor
     rows = []
     for feature in range(len(result.features)):
         own = table[table["feature"] == feature]
-        time, here = years[own["epoch"]], place[:, own["ssp"]]
+        time, here = years[own["epoch"]], view.place[:, own["ssp"]]
         velocity = np.polyfit(time - time.mean(), here.T, 1)[0]
         rows.append((int(own["component"][0]), *here.mean(axis=1), *velocity))
     rows = np.reshape(rows, (-1, 5))
     fastest = np.hypot(rows[:, 3], rows[:, 4]).max(initial=0.0)
     # The longest arrow is a tenth of the jet.
-    span = drawing.lengths(view.limits).max() * view.factor
+    span = drawing.lengths(view.limits).max()
     scale = fastest / (LONGEST * span) if fastest else 1.0
     for number, stream in enumerate(result.search.streams, 1):
         _, east, north, *motion = rows[rows[:, 0] == number].T

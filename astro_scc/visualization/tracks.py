@@ -88,14 +88,13 @@ def _draw_members(ax, view, result, number, kind):
     member = member[np.argsort(d.target[member], kind="stable")]
     owner, first = np.unique(d.ssp[member], return_index=True)
     member = member[first]
-    east, north = view.points["east"][owner], view.points["north"][owner]
-    axes = np.broadcast_to(result.frame.matrix(east, north), (len(owner), 2, 2))
+    axes = result.frame.matrix(*view.points["place"][:, owner])
     # The matrix is orthogonal, so its transpose leads back to the sky.
     motion = np.stack([d.d1[member], d.d2[member]], axis=-1)
     motion = np.einsum("nai,na->in", axes, motion) * view.factor
     strong = kind != "not significant"
     ax.quiver(
-        east * view.factor, north * view.factor, *motion, angles="xy",
+        *view.place[:, owner], *motion, angles="xy",
         scale_units="xy", scale=1, color=style.component_color(number),
         width=0.0035, headwidth=4, headlength=5, minlength=0.5, alpha=0.75,
     )  # fmt: skip

@@ -299,7 +299,8 @@ def test_figures_show_where_ssps_are(result):
 def test_limits_are_a_part_of_the_image_that_is_not_empty(ssps):
     cube = small_cube(pixel_scale=0.3 * u.mas)
     east, north, snr = np.array(ssps).T
-    points = {"east": east, "north": north, "weight": 0.05 + np.log(snr / snr.min())}
+    weight = 0.05 + np.log(snr / snr.min())
+    points = {"place": np.stack([east, north]), "weight": weight}
     whole, near = image_limits(cube), image_limits(cube, points)
     assert np.all(near[:, 1] > near[:, 0])
     assert np.all((near >= whole[:, :1] - 1e-9) & (near <= whole[:, 1:] + 1e-9))
