@@ -18,6 +18,12 @@ LINEAR_NOISE = 3.0
 LOWEST, MOST_CONTOURS = 5.0, 8
 #: Share of the SSPs' weight that lies beyond each side of a zoomed figure.
 EDGE = 0.015
+#: Intervals are shown up to this many times the one after which the slowest
+#: moving stream leaves the diagram, and at least this number of intervals.
+BEYOND = 1.3
+FEWEST_INTERVALS = 4
+#: Fraction of the diagram that is within the range of the colours.
+UNSATURATED = 0.995
 
 
 # -- limits, units and colours -----------------------------------------------------
@@ -187,10 +193,10 @@ def draw_beam(ax, view, beam):
     ax.add_patch(ellipse)
 
 
-def offset_labels(cube, unit):
-    """Return the labels of the two axes of an image."""
-    names = (n if " " in n else f"the {n}" for n in axis_words(cube)[:2])
-    return tuple(f"Offset to {name} ({unit_name(unit)})" for name in names)
+def axis_labels(what, words, unit):
+    """Return the labels of two axes on the sky, of which the words give the names."""
+    names = (word if " " in word else f"the {word}" for word in words[:2])
+    return [f"{what} to {name} ({unit_name(unit)})" for name in names]
 
 
 def image_panels(view, n, figure, *, aside=0.6, above=0.0):
@@ -221,7 +227,7 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     for ax in grid.flat[max(n - columns, 0) : n]:
         # Shared axes hide the tick labels of all rows but the last.
         ax.tick_params(labelbottom=True)
-    across, up = offset_labels(view.cube, view.unit)
+    across, up = axis_labels("Offset", axis_words(view.cube), view.unit)
     figure.supxlabel(across, fontsize="medium")
     figure.supylabel(up, fontsize="medium")
     return figure, grid.flat[:n]
@@ -323,6 +329,46 @@ def ssp_place(table):
     if "lon_offset" in table.colnames:
         names = ("lon_offset", "lat_offset")
     return np.stack([u.Quantity(table[name]).to_value(u.mas) for name in names])
+
+
+# -- displacement and interval -----------------------------------------------------
+
+
+def longest_interval(years, slopes, kinds, reach):
+    """Return the longest interval that is shown, in years."""
+    last = edges(years)[-1]
+    for shown in ("moving", "not significant"):
+        own = [abs(v) for v, kind in zip(slopes, kinds, strict=True) if kind == shown]
+        if any(own):
+            longest = BEYOND * reach / min(v for v in own if v > 0)
+            # A fast stream alone would leave a single column.
+            return min(max(longest, edges(years)[: FEWEST_INTERVALS + 1][-1]), last)
+    return last
+
+
+def edges(middle):
+    """Return the edges of cells, halfway between their middles."""
+    if len(middle) == 1:
+        return middle[0] * np.array([0.9, 1.1])
+    half = np.diff(middle) / 2
+    first, last = middle[0] - half[0], middle[-1] + half[-1]
+    return np.concatenate([[first], middle[:-1] + half, [last]])
+
+
+def highest_excess(years, excess, longest):
+    """Return the end of the range of the colours."""
+    return np.quantile(np.abs(excess[:, years <= longest]), UNSATURATED) or 1.0
+
+
+def diagram_levels(years, excess, longest, n):
+    """
+    Return a diagram as levels from -127 to 127 at n equal intervals up to the longest.
+
+    The shortest intervals, which no two epochs have, are zero.
+    """
+    column = np.searchsorted(edges(years), (np.arange(n) + 0.5) / n * longest) - 1
+    level = np.clip(excess / highest_excess(years, excess, longest), -1, 1)[:, column]
+    return np.where(column < 0, 0, np.round(127 * level)).astype(np.int8)
 
 
 # -- SSPs --------------------------------------------------------------------------

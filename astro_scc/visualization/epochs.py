@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import astropy.units as u
 import numpy as np
 
+from astro_scc.epochs.positions import axis_words
 from astro_scc.partial import replace_when_complete
 from astro_scc.stacking import DatePairs, consecutive_pairs
 from astro_scc.visualization import drawing, style
@@ -384,7 +385,7 @@ def _beam(cube, index):
 
 def _name_axes(ax, view, index):
     """Label the axes, and write the date above a line with the legend."""
-    across, up = drawing.offset_labels(view.cube, view.unit)
+    across, up = drawing.axis_labels("Offset", axis_words(view.cube), view.unit)
     handles, _ = ax.get_legend_handles_labels()
     date = drawing.epoch_names(view.cube.times)[index]
     ax.set_title(date, pad=22.0 if handles else None)

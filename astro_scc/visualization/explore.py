@@ -15,8 +15,7 @@ from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
 from astro_scc.stacking.dispersion import error_of_speed
 from astro_scc.units import PM_UNIT, offset_unit, speed_unit, time_unit, unit_name
-from astro_scc.visualization import diagram, drawing, style
-from astro_scc.visualization.velocity import AXIS_LABELS, MAP_LABELS
+from astro_scc.visualization import drawing, style, velocity
 
 #: Pixels of the images of all epochs, a byte each, and the largest number of features:
 #: with them a page stays below 5 MB, of which 2 MB are the library.
@@ -314,12 +313,11 @@ class Page:
     def _velocity(self):
         models, header, unit = self.models, self.hdus[0].header, unit_name(self.pm_unit)
         axes = [header[f"CNAME{k}"] for k in (1, 2)]
-        labels = [AXIS_LABELS.get(axis, axis) for axis in axes]
+        labels = [f"{velocity.AXIS_LABELS.get(axis, axis)} ({unit})" for axis in axes]
         names, on_sky = ("pm_parallel", "pm_transverse"), axes[0] in ("east", "lon")
         if on_sky:
             names = sky_columns(self.components)
-            labels = [f"Proper motion to {word}" for word in self._words()]
-        labels = [f"{label} ({unit})" for label in labels]
+            labels = drawing.axis_labels("Proper motion", self._words(), self.pm_unit)
         plot = self._figure(*labels, on_sky=on_sky, match_aspect=True)
         data = np.round(np.nan_to_num(self.hdus[0].data), 3).astype(np.float32)
         highest = float(data.max()) if data.max() > 0 else 1.0
@@ -328,7 +326,7 @@ class Page:
         corners = WCS(header).wcs_pix2world(corners, 0) * PM_UNIT
         (x, y), (right, top) = corners.to_value(self.pm_unit)
         plot.image([data], x=x, y=y, dw=right - x, dh=top - y, color_mapper=mapper)
-        label = MAP_LABELS["coefficient"]
+        label = velocity.MAP_LABELS["coefficient"]
         bar = models.ColorBar(color_mapper=mapper, height=8, title=label)
         bar.title_text_font_style = "normal"
         plot.add_layout(bar, "above")
@@ -363,9 +361,8 @@ class Page:
 
     def _sky(self):
         """Return the images with the features, and the sliders."""
-        models, unit = self.models, unit_name(self.sky_unit)
-        names = (word if " " in word else f"the {word}" for word in self._words())
-        labels = [f"Offset to {name} ({unit})" for name in names]
+        models = self.models
+        labels = drawing.axis_labels("Offset", self._words(), self.sky_unit)
         plot = self._figure(*labels, on_sky=True, match_aspect=True)
         plot.x_range.range_padding = plot.y_range.range_padding = 0.02
         image = self._draw_images(plot) if self.here is not None else None
@@ -419,7 +416,7 @@ class Page:
         used = bins["n_pairs"] > 0
         years, excess = bins["interval"][used].astype(float), hdu.data[:, used]
         half, slopes = hdu.header["CDELT2"] * len(excess) / 2, self._slopes()
-        longest = diagram.longest_interval(years, slopes, self.kinds, half)
+        longest = drawing.longest_interval(years, slopes, self.kinds, half)
         time = time_unit(longest)
         right, top = longest * u.yr.to(time), half * u.mas.to(self.length)
         ranged = self.models.Range1d
@@ -428,7 +425,7 @@ class Page:
             f"Displacement ({unit_name(self.length)})",
             x_range=ranged(0, right), y_range=ranged(-top, top),
         )  # fmt: skip
-        level = diagram.diagram_levels(years, excess, longest, COLUMNS)
+        level = drawing.diagram_levels(years, excess, longest, COLUMNS)
         colors = [to_hex(c) for c in colormaps["RdBu_r"](np.linspace(0, 1, 255))]
         mapper = self.models.LinearColorMapper(colors, low=-127, high=127)
         size = {"dw": right, "dh": 2 * top}

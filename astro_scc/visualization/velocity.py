@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Velocity maps, and significance along the jet."""
+"""Velocity maps, significance along the jet, and the displacement-interval diagram."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.positions import axis_words, sky_columns
-from astro_scc.units import PM_UNIT, speed_unit, unit_name
-from astro_scc.visualization import style
+from astro_scc.quantities import with_error
+from astro_scc.units import PM_UNIT, offset_unit, speed_unit, time_unit, unit_name
+from astro_scc.visualization import drawing, style
 from astro_scc.visualization.style import BLACK, GREY, KINDS
 
 if TYPE_CHECKING:
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from astro_scc.measurement import SCCResult
 
 AXIS_LABELS = {
-    "east": "Proper motion to the east",
-    "north": "Proper motion to the north",
     "parallel": "Proper motion parallel to the jet",
     "transverse": "Transverse proper motion",
     "radial": "Radial proper motion",
@@ -31,12 +30,11 @@ MAP_LABELS = {
     "coefficient": "Stacked correlation coefficient",
     "z_score": "Significance z",
 }
-#: Corners for the legend (the first preferred) and for the arrow (the last preferred).
-CORNERS = {"upper right": (1, 1), "upper left": (0, 1)}
-CORNERS |= {"lower right": (1, 0), "lower left": (0, 0)}
-#: Sizes of legend and arrow as fractions of the axes.
-LEGEND_SIZE = (0.34, 0.16)
-ARROW_SIZE = (0.22, 0.22)
+#: Corners for the legend (the first preferred) and for the arrow (the second).
+CORNERS = {"upper right": (1, 1), "lower left": (0, 0)}
+CORNERS |= {"upper left": (0, 1), "lower right": (1, 0)}
+#: Size of what is in a corner as fractions of the axes.
+CORNER_SIZE = (0.34, 0.22)
 
 
 def plot_velocity_map(
@@ -98,15 +96,17 @@ def plot_velocity_map(
     drawn = draw_map(ax, getattr(result, which), result.grid, unit)
     if on_sky(result) and axis_words(result.cube)[2]:
         ax.invert_xaxis()
-    ax.set_xlabel(_axis_label(result, 0, unit))
-    ax.set_ylabel(_axis_label(result, 1, unit))
+    across, up = _axis_labels(result, unit)
+    ax.set(xlabel=across, ylabel=up)
     place = _draw_components(ax, result, components, unit)
-    free = list(CORNERS)
+    crowd = {
+        name: np.sum(np.all(np.abs(place - corner) < CORNER_SIZE, axis=1))
+        for name, corner in CORNERS.items()
+    }
+    first, second, *_ = sorted(CORNERS, key=crowd.get)
     if len(components):
-        corner = min(free, key=lambda name: _crowd(place, name, LEGEND_SIZE))
-        free.remove(corner)
-        ax.legend(loc=corner, fontsize="small", framealpha=0.85)
-    _draw_jet(ax, result, min(free[::-1], key=lambda n: _crowd(place, n, ARROW_SIZE)))
+        ax.legend(loc=first, fontsize="small", facecolor="0.3", labelcolor="white")
+    _draw_jet(ax, result, CORNERS[second])
     style.add_speed_axis(ax, unit, beta_per_pm)
     if colorbar:
         style.add_colorbar(ax, drawn, MAP_LABELS[which])
@@ -115,20 +115,15 @@ def plot_velocity_map(
 
 def draw_map(ax, values, grid, unit):
     """Draw a map of velocities."""
-    factor = PM_UNIT.to(unit)
-    (left, right), (bottom, top) = (
-        np.array([axis[0] - step / 2, axis[-1] + step / 2]) * factor
-        for axis, step in zip((grid.v1, grid.v2), grid.step, strict=True)
-    )
+    sides = [PM_UNIT.to(unit, drawing.edges(v)[[0, -1]]) for v in (grid.v1, grid.v2)]
     values = np.ma.masked_invalid(values)
-    highest = values.max() if values.count() else 0.0
     drawn = ax.imshow(
-        values, origin="lower", extent=(left, right, bottom, top), cmap="cividis",
-        vmin=0.0, vmax=highest if highest > 0 else 1.0, interpolation="bilinear",
+        values, origin="lower", extent=np.ravel(sides), cmap="cividis", vmin=0.0,
+        vmax=values.compressed().max(initial=0.0) or 1.0, interpolation="bilinear",
     )  # fmt: skip
     ax.axhline(0, color="white", linewidth=0.6, alpha=0.6)
     ax.axvline(0, color="white", linewidth=0.6, alpha=0.6)
-    ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    ax.set(xlim=sides[0], ylim=sides[1], aspect="equal")
     return drawn
 
 
@@ -137,45 +132,41 @@ def on_sky(result):
     return tuple(result.frame.axis_names) == ("east", "north")
 
 
-def _axis_label(result, axis, unit):
-    name = result.frame.axis_names[axis]
-    label = AXIS_LABELS.get(name, f"Proper motion, {name}")
-    if on_sky(result) and (word := axis_words(result.cube)[axis]) != name:
-        label = f"Proper motion to {word}"
-    return f"{label} ({unit_name(unit)})"
+def _axis_labels(result, unit):
+    if on_sky(result):
+        return drawing.axis_labels("Proper motion", axis_words(result.cube), unit)
+    names = (AXIS_LABELS.get(n, f"Proper motion, {n}") for n in result.frame.axis_names)
+    return [f"{name} ({unit_name(unit)})" for name in names]
 
 
 def _draw_components(ax, result, components, unit):
     """Draw the components; return their positions as fractions of the axes, (n, 2)."""
     from matplotlib.patches import Ellipse
 
-    first, second = ("pm_parallel", "pm_transverse")
+    names = ("pm_parallel", "pm_transverse")
     if on_sky(result):
-        first, second = sky_columns(components)
-    v1, v2 = (_plain(components, name, unit) for name in (first, second))
-    e1, e2 = (_plain(components, f"{name}_err", unit) for name in (first, second))
+        names = sky_columns(components)
+    speed, error = (
+        np.stack([components[f"{name}{end}"].to_value(unit) for name in names], axis=-1)
+        for end in ("", "_err")
+    )
     # Positions of the components as fractions of the axes place the text beside them.
-    place = ax.transLimits.transform(np.stack([v1, v2], axis=-1))
+    place = ax.transLimits.transform(speed)
     kinds = style.component_kinds(components)
-    for kind in dict.fromkeys(kinds):
-        ax.plot(
-            [], [], KINDS[kind].on_map, markersize=5, markerfacecolor="none",
-            markeredgecolor=BLACK, linestyle="", label=KINDS[kind].name,
-        )  # fmt: skip
     effects = style.outline(2.5, BLACK)
     for k, kind in enumerate(kinds):
         strong = kind != "not significant"
-        if np.isfinite([e1[k], e2[k]]).all():
-            ax.add_patch(
-                Ellipse(
-                    (v1[k], v2[k]), 2 * e1[k], 2 * e2[k], facecolor="none",
-                    edgecolor="white", linewidth=1.2, path_effects=effects,
-                    linestyle="-" if strong else ":", gid="error",
-                )
+        if np.isfinite(error[k]).all():
+            ellipse = Ellipse(
+                speed[k], *(2 * error[k]), facecolor="none", edgecolor="white",
+                linewidth=1.2, linestyle="-" if strong else ":", path_effects=effects,
+                gid="error",
             )  # fmt: skip
+            ax.add_patch(ellipse)
         ax.plot(
-            v1[k], v2[k], KINDS[kind].on_map, markersize=4, markerfacecolor="none",
+            *speed[k], KINDS[kind].on_map, markersize=4, markerfacecolor="none",
             markeredgecolor="white", path_effects=effects,
+            label=None if kind in kinds[:k] else KINDS[kind].name,
         )  # fmt: skip
         inward = np.where(place[k] > 0.93, -1, 1)
         ax.annotate(
@@ -189,41 +180,21 @@ def _draw_components(ax, result, components, unit):
     return place
 
 
-def _crowd(place, corner, size):
-    """Return the number of components in an area of some size in a corner."""
-    return int(np.sum(np.all(np.abs(place - CORNERS[corner]) < size, axis=1)))
-
-
 def _draw_jet(ax, result, corner):
     """Draw an arrow with the jet's direction in a corner of the axes."""
     direction = np.array([1.0, 0.0])
     if on_sky(result):
-        angle = u.Quantity(result.position_angle).to_value(u.rad)
+        angle = result.position_angle.to_value(u.rad)
         side = -1 if axis_words(result.cube)[2] else 1
         direction = np.array([side * np.sin(angle), np.cos(angle)])
-    name = "outward" if result.frame.axis_names[0] == "radial" else "jet"
-    centre = 0.11 + 0.78 * np.array(CORNERS[corner])
+    centre = 0.17 + 0.66 * np.array(corner)
     ax.annotate(
-        "", centre + 0.07 * direction, centre - 0.07 * direction,
-        xycoords="axes fraction", textcoords="axes fraction",
+        "outward" if result.frame.axis_names[0] == "radial" else "jet",
+        centre + 0.09 * direction, centre - 0.09 * direction,
+        xycoords="axes fraction", textcoords="axes fraction", color="white",
+        fontsize="small", ha="center", va="center", gid="jet",
         arrowprops={"arrowstyle": "-|>", "color": "white", "linewidth": 1.5},
     )  # fmt: skip
-    beside = centre + 0.05 * np.array([-direction[1], direction[0]])
-    ax.text(
-        *beside, name, transform=ax.transAxes, color="white", fontsize="small",
-        ha="center", va="center", gid="jet",
-    )  # fmt: skip
-
-
-def _plain(components, name, unit=None):
-    """Return a column as plain numbers, in a unit if it has one."""
-    values = components[name]
-    if unit is not None:
-        return np.atleast_1d(u.Quantity(values).to_value(unit))
-    return np.atleast_1d(np.asarray(values, dtype=float))
-
-
-# -- significance ------------------------------------------------------------------
 
 
 def plot_significance(
@@ -269,24 +240,23 @@ def plot_significance(
     components = result.components if components is None else components
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
     speed, axis, highest = _along_jet(result)
-    speed = (speed * PM_UNIT).to_value(unit)
+    speed = PM_UNIT.to(unit, speed)
     ax.axhline(0, color=GREY, linewidth=0.6)
-    ax.plot(
-        speed, highest, color=GREY, linewidth=0.8, label="highest, any transverse speed"
-    )
-    at_zero = {"color": style.BLUE, "label": "at zero transverse speed"}
-    ax.plot(speed, axis, linewidth=1.6, **at_zero)
+    for line, color, width, label in (
+        (highest, GREY, 0.8, "highest, any transverse speed"),
+        (axis, style.BLUE, 1.6, "at zero transverse speed"),
+    ):
+        ax.plot(speed, line, color=color, linewidth=width, label=label)
     _mark_significance(ax, result, components, unit)
     ax.set_xlim(speed[0], speed[-1])
-    top = max(np.nanmax(highest, initial=1.0), *_plain(components, "z_score"), 1.0)
+    top = max(np.nanmax(highest, initial=1.0), *components["z_score"], 1.0)
     ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
-    label = _axis_label(result, 0, unit)
+    label, _ = _axis_labels(result, unit)
     if on_sky(result):
-        angle = u.Quantity(result.position_angle).to_value(u.deg) % 360
+        angle = result.position_angle.to_value(u.deg) % 360
         label = f"Proper motion along position angle {angle:.0f} deg"
         label = f"{label} ({unit_name(unit)})"
-    ax.set_xlabel(label)
-    ax.set_ylabel(MAP_LABELS["z_score"])
+    ax.set(xlabel=label, ylabel=MAP_LABELS["z_score"])
     ax.legend(loc="upper left", fontsize="small", ncols=2, frameon=False)
     style.add_speed_axis(ax, unit, beta_per_pm)
     return figure
@@ -343,47 +313,174 @@ def _along_jet(result):
     """Return speeds along the jet, z at zero speed across, and z's maximum across."""
     from scipy.ndimage import map_coordinates
 
-    grid, z_score = result.grid, np.asarray(result.z_score, dtype=float)
-    if not on_sky(result):
-        middle = int(np.argmin(np.abs(grid.v2)))
-        return grid.v1, z_score[middle], _highest(z_score)
-    angle = u.Quantity(result.position_angle).to_value(u.rad)
-    sin, cos = np.sin(angle), np.cos(angle)
-    # The map is square, so its reach depends on the direction.
-    reach = min(np.divide(grid.v_max, np.maximum(np.abs([sin, cos]), 1e-9)))
-    half = int(np.ceil(reach / min(grid.step)))
-    speed = np.linspace(-reach, reach, 2 * half + 1)
-    along, across = np.meshgrid(speed, speed)
-    east, north = sin * along + cos * across, cos * along - sin * across
-    steps = grid.step
-    at = [(north - grid.v2[0]) / steps[1], (east - grid.v1[0]) / steps[0]]
-    turned = map_coordinates(z_score, at, order=1, cval=np.nan)
-    return speed, turned[half], _highest(turned)
-
-
-def _highest(rows):
-    seen = np.isfinite(rows)
-    highest = np.max(rows, axis=0, where=seen, initial=-np.inf)
-    return np.where(seen.any(axis=0), highest, np.nan)
+    grid, rows = result.grid, np.asarray(result.z_score, dtype=float)
+    speed, middle = grid.v1, int(np.argmin(np.abs(grid.v2)))
+    if on_sky(result):
+        angle = result.position_angle.to_value(u.rad)
+        sin, cos = np.sin(angle), np.cos(angle)
+        # The map is square, so its reach depends on the direction.
+        reach = min(np.divide(grid.v_max, np.maximum(np.abs([sin, cos]), 1e-9)))
+        middle = int(np.ceil(reach / min(grid.step)))
+        speed = np.linspace(-reach, reach, 2 * middle + 1)
+        along, across = np.meshgrid(speed, speed)
+        east, north = sin * along + cos * across, cos * along - sin * across
+        at = [(north - grid.v2[0]) / grid.step[1], (east - grid.v1[0]) / grid.step[0]]
+        rows = map_coordinates(rows, at, order=1, cval=np.nan)
+    return speed, rows[middle], np.fmax.reduce(rows)
 
 
 def _mark_significance(ax, result, components, unit):
     names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
-    along, error, across, across_error = (_plain(components, n, unit) for n in names)
-    z_score = _plain(components, "z_score")
-    least = max(result.grid.step) * PM_UNIT.to(unit)
-    for k, kind in enumerate(style.component_kinds(components)):
+    speeds = np.stack([components[name].to_value(unit) for name in names], axis=-1)
+    least = PM_UNIT.to(unit, max(result.grid.step))
+    for row, kind, (along, error, across, across_error) in zip(
+        components, style.component_kinds(components), speeds, strict=True
+    ):
         strong = kind != "not significant"
-        on_axis = abs(across[k]) <= 3 * max(across_error[k], least)
+        on_axis = abs(across) <= 3 * max(across_error, least)
         color = style.VERMILLION if strong else GREY
         ax.errorbar(
-            along[k], z_score[k], xerr=error[k] if np.isfinite(error[k]) else 0.0,
+            along, row["z_score"], xerr=error if np.isfinite(error) else 0.0,
             fmt=KINDS[kind].on_slice, color=color, markersize=5,
             markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
         )  # fmt: skip
         ax.annotate(
-            f"{components['component'][k]:.0f}", (along[k], z_score[k]), xytext=(0, 6),
+            f"{row['component']:.0f}", (along, row["z_score"]), xytext=(0, 6),
             textcoords="offset points", ha="center", color=color,
             fontweight="bold" if strong else "normal", path_effects=style.outline(),
             clip_on=True,
         )  # fmt: skip
+
+
+# -- displacement and interval -----------------------------------------------------
+
+
+def plot_diagram(
+    result: SCCResult, *, ax: Axes | None = None, components: QTable | None = None,
+    unit: u.UnitBase | str | None = None, colorbar: bool = True,
+) -> Figure:  # fmt: skip
+    """
+    Draw the displacement-interval diagram with the rays of the streams.
+
+    In red areas, more patterns match than in permuted epochs.  What moves at a
+    constant speed lies on a ray from the origin; what stands still lies at zero
+    displacement.  Thin lines on both sides of a ray are one dispersion of the
+    speeds away.  Intervals are shown until the slowest moving stream leaves the
+    diagram.  A second axis shows the displacement in beams.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    ax : `matplotlib.axes.Axes`, optional
+        Axes to draw on instead of a new figure.
+    components : `~astropy.table.QTable`, optional
+        The components whose rays are drawn, by default ``result.components``.
+    unit : `~astropy.units.Unit`, optional
+        Unit of the displacement, by default one that is easy to read.
+    colorbar : bool, optional
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Raises
+    ------
+    ValueError
+        If the unit is not an angle.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.visualization import plot_diagram
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
+    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
+    >>> figure = plot_diagram(result)
+    >>> figure.axes[0].get_xlabel()
+    'Interval between epochs (yr)'
+    """
+    image = result.diagram()
+    components = result.components if components is None else components
+    kinds = style.component_kinds(components)
+    velocities = [result.velocities[int(k) - 1] for k in components["component"]]
+    # The speed of a stationary component is zero within its errors.
+    slopes = [
+        0.0 if kind == "stationary" else float(image.meta["direction"] @ velocity.value)
+        for kind, velocity in zip(kinds, velocities, strict=True)
+    ]
+    _, displacement = image.wcs.pixel_to_world_values(0, np.arange(len(image.data)))
+    unit = offset_unit(displacement[-1], unit)
+    seen = image.meta["n_pairs"] > 0
+    years, excess = image.meta["interval"].to_value(u.yr)[seen], image.data[:, seen]
+    longest = drawing.longest_interval(years, slopes, kinds, displacement[-1])
+    time = time_unit(longest)
+    highest = drawing.highest_excess(years, excess, longest)
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.2))
+    drawn = ax.pcolormesh(
+        u.yr.to(time, drawing.edges(years)),
+        u.mas.to(unit, drawing.edges(displacement)), excess, cmap="RdBu_r",
+        vmin=-highest, vmax=highest, rasterized=True, gid="excess",
+    )  # fmt: skip
+    ax.axhline(0, color=GREY, linewidth=0.6)
+    top = u.mas.to(unit, displacement[-1])
+    ax.set(xlim=(0, u.yr.to(time, longest)), ylim=(-top, top))
+    factor = PM_UNIT.to(unit / time)
+    speed_in = speed_unit(components["pm"].to_value(PM_UNIT).max(initial=0.0))
+    for row, kind, slope, velocity in zip(
+        components, kinds, slopes, velocities, strict=True
+    ):
+        label = f"{row['component']}: {speed_text(row, kind, speed_in)}"
+        spread = 0.0 if kind == "stationary" else np.nan_to_num(velocity.dispersion)
+        _draw_ray(ax, slope * factor, spread * factor, kind, label)
+    if kinds:
+        corner = "lower right" if slopes[0] >= 0 else "upper right"
+        ax.legend(loc=corner, fontsize="small", framealpha=0.85)
+    ax.set_xlabel(f"Interval between epochs ({unit_name(time)})")
+    ax.set_ylabel(f"{_direction(result, image)} ({unit_name(unit)})")
+    beam = image.meta["beam"].to_value(unit)
+    in_beams = (lambda v: v / beam, lambda v: v * beam)
+    ax.secondary_yaxis("right", functions=in_beams).set_ylabel("Displacement (beams)")
+    if colorbar:
+        above = ax.inset_axes((0.0, 1.03, 1.0, 0.035))
+        figure.colorbar(
+            drawn, cax=above, orientation="horizontal", ticklocation="top",
+            extend="both", label="Matches per pair of epochs, beyond chance",
+        )  # fmt: skip
+    return figure
+
+
+def speed_text(row, kind, unit):
+    """Return the speed of a component, its kind, or both as text."""
+    error = np.nan_to_num(row["pm_err"].to_value(unit), posinf=0.0)
+    text = f"{with_error(row['pm'].to_value(unit), error)} {unit_name(unit)}"
+    return {"moving": text, "stationary": kind}.get(kind, f"{text},\n{kind}")
+
+
+def _draw_ray(ax, slope, spread, kind, label):
+    (_, right), (_, top) = ax.get_xlim(), ax.get_ylim()
+    ray = {"linestyle": KINDS[kind].line, "label": label, "gid": "ray"}
+    outlined = {"linewidth": 1.4, "path_effects": style.outline(2.6)}
+    ax.axline((0, 0), slope=slope, color=BLACK, **ray, **outlined)
+    thin = {"linewidth": 0.6, "alpha": 0.7, "gid": "dispersion"}
+    for other in (slope - spread, slope + spread) if spread > 0 else ():
+        ax.axline((0, 0), slope=other, color=BLACK, **thin)
+    # The number lies on the ray, before it leaves the axes.
+    x = 0.88 * min(right, top / abs(slope) if slope else right)
+    ax.text(
+        x, slope * x, label.partition(":")[0], ha="center", va="center",
+        fontsize="small", gid="number",
+        bbox={"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.6},
+    )  # fmt: skip
+
+
+def _direction(result, image):
+    """Return the label of the displacement, with its direction."""
+    if not on_sky(result):
+        jet = result.frame.axis_names[0] == "parallel"
+        return f"Displacement {'along the jet' if jet else 'outward'}"
+    angle = image.meta["position_angle"].to_value(u.deg)
+    axis, _, to_the_left = axis_words(result.cube)
+    if to_the_left:
+        return f"Displacement towards PA {angle:.0f}°"
+    return f"Displacement {angle:.0f}° from north to {axis}"
