@@ -78,22 +78,21 @@ def plot_streams(
     rows = np.reshape(rows, (-1, 5))
     fastest = np.hypot(rows[:, 3], rows[:, 4]).max(initial=0.0)
     # The longest arrow is a tenth of the jet.
-    span = drawing.lengths(view.limits).max()
-    scale = fastest / (LONGEST * span) if fastest else 1.0
+    scale = fastest / (LONGEST * drawing.lengths(view.limits).max()) or 1.0
     for number, stream in enumerate(result.search.streams, 1):
         _, east, north, *motion = rows[rows[:, 0] == number].T
-        color = style.component_color(number)
-        label = f"{number}: {stream.kind}"
+        look = style.component_look(number, stream.kind)
         if stream.kind == "stationary":
-            ax.plot(east, north, "s", ms=5, color=color, mfc="none", label=label)
+            ax.plot(east, north, "s", ms=5, **look | {"mfc": "none"})
             continue
         ax.quiver(
             east, north, *motion, angles="xy", scale_units="xy", scale=scale,
-            color=color, width=0.004, headwidth=4, headlength=5, minlength=0.1,
+            color=look["color"], width=0.004, headwidth=4, headlength=5, minlength=0.1,
             zorder=3,
         )  # fmt: skip
-        ax.plot([], [], color=color, label=label)
-    _draw_key(ax, view, fastest, scale)
+        ax.plot([], [], **look)
+    if fastest:
+        _draw_key(ax, view, fastest, scale)
     if len(rows):
         style.legend_above(ax)
     return figure
@@ -101,23 +100,17 @@ def plot_streams(
 
 def _draw_key(ax, view, fastest, scale):
     """Draw an arrow of a round speed above the axes, on the right, with its value."""
-    if not fastest:
-        return
     unit = speed_unit(fastest / view.factor)
-    speed = ((fastest / view.factor) * PM_UNIT).to_value(unit)
+    speed = PM_UNIT.to(unit, fastest / view.factor)
     size = 10.0 ** np.floor(np.log10(speed))
     speed = size * max(k for k in (1, 2, 5) if k * size <= speed)
-    length = (speed * unit).to_value(PM_UNIT) * view.factor / scale
-    share = length / np.abs(np.diff(ax.get_xlim()))[0]
+    length = unit.to(PM_UNIT, speed) * view.factor / scale
     ax.annotate(
-        "", (1, 1.04), (1 - share, 1.04), xycoords="axes fraction",
+        f"{speed:g} {unit_name(unit)}  ", (1, 1.04),
+        (1 - length / np.ptp(ax.get_xlim()), 1.04), xycoords="axes fraction",
+        ha="right", va="center", fontsize="small",
         arrowprops={"arrowstyle": "-|>", "color": BLACK, "lw": 1.2, "shrinkA": 0,
-                    "shrinkB": 0},
-    )  # fmt: skip
-    text = f"{speed:g} {unit_name(unit)}  "
-    ax.text(
-        1 - share, 1.04, text, transform=ax.transAxes, ha="right", va="center",
-        fontsize="small",
+                    "shrinkB": 0, "relpos": (1, 0.5)},
     )  # fmt: skip
 
 
@@ -165,30 +158,19 @@ def plot_feature_speeds(
     speed, error = (table[k].to_value(PM_UNIT) for k in ("pm", "pm_err"))
     # Outward is positive, also along a component that points to the core.
     speed = np.where(table["distance"] < 0, -speed, speed)
-    length = error
     if len(error):
-        length = np.minimum(error, LARGE_ERROR * np.median(error))
+        error = np.minimum(error, LARGE_ERROR * np.median(error))
     for number, stream in enumerate(result.search.streams, 1):
         own = np.asarray(table["component"]) == number
         if own.any():
             ax.errorbar(
-                distance[own] * u.mas.to(unit), speed[own], length[own], ms=4, lw=0.8,
+                distance[own] * u.mas.to(unit), speed[own], error[own], ms=4, lw=0.8,
                 fmt=style.KINDS[stream.kind].on_profile, zorder=2,
-                color=style.component_color(number),
-                mfc="white" if stream.kind == "not significant" else None,
-                label=f"{number}: {stream.kind}",
+                **style.component_look(number, stream.kind),
             )  # fmt: skip
     if profile is not None and len(profile):
-        low, middle, high = (
-            profile[k].to_value(unit) for k in ("r_min", "r_mid", "r_max")
-        )
-        mean, error = (
-            profile[k].to_value(PM_UNIT) for k in ("pm_parallel", "pm_parallel_err")
-        )
-        ax.errorbar(
-            middle, mean, error, np.array([middle - low, high - middle]), fmt="none",
-            zorder=3, color=BLACK, elinewidth=1.6, label="mean of bin",
-        )  # fmt: skip
+        look = {"fmt": "none", "color": BLACK, "elinewidth": 1.6, "zorder": 3}
+        style.draw_bins(ax, profile, "pm_parallel", unit, label="mean of bin", **look)
     ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
     ax.set_xlim(left=0)
     ax.set_xlabel(f"Distance ({unit_name(unit)})")
@@ -244,24 +226,21 @@ def plot_feature_distances(
         own = np.flatnonzero(table["feature"] == feature)
         number = int(table["component"][own[0]])
         kind = kinds[number - 1]
-        color = style.component_color(number)
+        look = style.component_look(number, kind)
+        color = look["color"]
         time, place = years[table["epoch"][own]], distance[own]
         # Outward is positive, also along a component that points to the core.
         factor = u.mas.to(unit) * (-1.0 if place.mean() < 0 else 1.0)
         ax.plot(
-            start + time, factor * place, style.KINDS[kind].on_profile, ms=3,
-            color=color, mew=0.6, mfc="white" if kind == "not significant" else None,
-            label=None if number in named else f"{number}: {kind}",
+            start + time, factor * place, style.KINDS[kind].on_profile, ms=3, mew=0.6,
+            **look | ({"label": None} if number in named else {}),
         )  # fmt: skip
         named.add(number)
         # Positions near a standing feature are not of the line.
         middle, ends = np.median(place - slope * time), time[[0, -1]]
         ax.plot(start + ends, factor * (middle + slope * ends), color=color, lw=0.8)
-    margin = 0.03 * (np.ptp(years) or 1.0)
-    ax.set_xlim(start - margin, start + years[-1] + margin)
+    style.show_years(ax, cube)
     ax.set_ylim(bottom=0)
-    ax.ticklabel_format(axis="x", useOffset=False)
-    ax.set_xlabel("Year")
     ax.set_ylabel(f"Distance ({unit_name(unit)})")
     if named:
         style.legend_above(ax)
@@ -314,11 +293,9 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None):
         (~large, style.BLUE, "o"),
         (large, style.VERMILLION, "s"),
     ):
-        if own.any():
-            ax.errorbar(
-                speed[own], row[own], xerr=error[own], fmt=marker, color=color, ms=4,
-                lw=1,
-            )  # fmt: skip
+        ax.errorbar(
+            speed[own], row[own], xerr=error[own], fmt=marker, color=color, ms=4, lw=1
+        )
     ax.set_yticks(row, [fill(str(text), LABEL) for text in table["choice"]])
     ax.tick_params(axis="y", labelsize="small", length=0)
     ax.set_ylim(len(table) - 0.5, -0.5)

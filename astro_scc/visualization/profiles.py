@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
+from astro_scc.kinematics.ridge_search import mean_width
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import drawing, style
-from astro_scc.visualization.style import BLUE, LINES, SCALE_COLORS
 from astro_scc.visualization.velocity import draw_map
 
 if TYPE_CHECKING:
@@ -83,34 +83,31 @@ def plot_profile(
         figure = style.new_figure((style.WIDTH, 4.6 if above else 3.4))
     if above:
         figure.set_layout_engine("constrained")
-        top, ax = figure.subplots(
-            2, 1, sharex=True, gridspec_kw={"height_ratios": [1, 3]}
-        )
+        top, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1, 3))
     else:
         ax = figure.add_subplot()
     far = float(table["r_max"].to_value(u.mas).max()) if len(table) else 1.0
-    for name, r, v, e in others:
-        ax.errorbar(
-            u.Quantity(r).to_value(u.mas), u.Quantity(v).to_value(PM_UNIT),
-            u.Quantity(e).to_value(PM_UNIT), fmt="D", color=style.GREY, ms=3, lw=0.8,
-            label=name, zorder=1,
-        )  # fmt: skip
-        far = max(far, float(np.max(u.Quantity(r).to_value(u.mas), initial=0)))
+    for name, *values in others:
+        r, speed, error = (
+            u.Quantity(value).to_value(unit)
+            for value, unit in zip(values, (u.mas, PM_UNIT, PM_UNIT), strict=True)
+        )
+        look = {"fmt": "D", "color": style.GREY, "ms": 3, "lw": 0.8, "zorder": 1}
+        ax.errorbar(r, speed, error, label=name, **look)
+        far = max(far, float(np.max(r, initial=0)))
     _draw_components(ax, table, column)
     grid = np.linspace(0, far, 200)[1:] * u.mas
     for k, fit in enumerate(fits):
         ax.plot(
             grid.value, u.Quantity(fit(grid)).to_value(PM_UNIT), lw=1.2, zorder=2,
-            color=SCALE_COLORS[(k + 1) % len(SCALE_COLORS)], label=fit.model,
-            ls=LINES[k % 3],
+            color=style.component_color(k + 2), label=fit.model, ls=style.LINES[k % 3],
         )  # fmt: skip
     ax.set_xlim(0, 1.02 * far)
     _limit_speeds(ax, table, column)
     ax.set_xlabel("Distance from the core (mas)")
     ax.set_ylabel(f"Proper motion along the jet ({unit_name(PM_UNIT)})")
-    handles, labels = ax.get_legend_handles_labels()
-    if handles:
-        ax.legend(handles, labels, fontsize="small", framealpha=0.85)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(fontsize="small", framealpha=0.85)
     style.add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
     if above:
         _draw_strip(top, cube, line, far)
@@ -123,21 +120,14 @@ def _draw_components(ax, table, column):
     for kind, sign in style.KINDS.items():
         own = kinds == kind
         for part, alpha in ((own & main, 1.0), (own & ~main, 0.45)):
-            if not part.any():
-                continue
-            rows = table[part]
-            middle = rows["r_mid"].to_value(u.mas)
-            error = rows[f"{column}_err"].to_value(PM_UNIT)
-            ax.errorbar(
-                middle, rows[column].to_value(PM_UNIT),
-                np.where(np.isfinite(error), error, 0.0),
-                np.array([middle - rows["r_min"].to_value(u.mas),
-                          rows["r_max"].to_value(u.mas) - middle]),
-                fmt=sign.on_profile, ms=5, alpha=alpha, lw=1.0, zorder=3,
-                color=style.VERMILLION if kind == "stationary" else BLUE,
-                mfc="white" if kind == "not significant" else None,
-                label=sign.name if alpha == 1.0 or not (own & main).any() else None,
-            )  # fmt: skip
+            if part.any():
+                style.draw_bins(
+                    ax, table[part], column, u.mas, fmt=sign.on_profile, ms=5,
+                    alpha=alpha, lw=1.0, zorder=3,
+                    color=style.VERMILLION if kind == "stationary" else style.BLUE,
+                    mfc="white" if kind == "not significant" else None,
+                    label=sign.name if alpha == 1.0 or not (own & main).any() else None,
+                )  # fmt: skip
 
 
 def _limit_speeds(ax, table, column):
@@ -155,10 +145,7 @@ def _draw_strip(ax, cube, line, far):
     """Draw the mean image, straightened along a line."""
     from scipy.ndimage import map_coordinates
 
-    beam = 4 * cube.pixel_scale.value
-    if cube.beams is not None:
-        beam = max(b.major.to_value(u.mas) for b in cube.beams)
-    half = STRIP * beam / 2
+    half = STRIP * mean_width(cube) / 2
     s = np.linspace(0, far, 400) * u.mas
     n = np.linspace(-half, half, 80) * u.mas
     east, north = line.at(s)
@@ -257,16 +244,14 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
     values = [np.atleast_1d(u.Quantity(v)) for v in groups.values()]
     unit = next((v.unit for v in values if len(v)), u.deg)
     values = [v.to_value(unit) if len(v) else v.value for v in values]
-    everything = np.concatenate(values) if values else np.zeros(0)
-    low, high = 0.0, 1.0
-    if len(everything):
-        low, high = np.percentile(everything, [0.5, 99.5])
+    everything = np.concatenate(values) if any(map(len, values)) else [0.0, 1.0]
+    low, high = np.percentile(everything, [0.5, 99.5])
     edges = np.linspace(low, high if high > low else low + 1, n_bins + 1)
     for k, (name, v) in enumerate(zip(groups, values, strict=True)):
-        color = SCALE_COLORS[k % len(SCALE_COLORS)]
+        color = style.component_color(k + 1)
         ax.hist(
             v, edges, weights=np.full(len(v), 1 / max(len(v), 1)), histtype="step",
-            lw=1.6, ls=LINES[k % 3], color=color, label=f"{name}: {len(v)} SSPs",
+            lw=1.6, ls=style.LINES[k % 3], color=color, label=f"{name}: {len(v)} SSPs",
         )  # fmt: skip
         if len(v):
             ax.axvline(np.median(v), color=color, lw=0.8)
@@ -274,7 +259,6 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
     ax.set_ylabel("Share of the SSPs")
     if groups:
         ax.legend(fontsize="small")
-    ax.tick_params(colors=style.BLACK)
     return figure
 
 
@@ -337,15 +321,8 @@ def plot_track_profile(
     if stack is not None:
         if missing := missing_columns(stack):
             raise ValueError(f"the profile of the stack has no {missing}")
-        middle = stack["r_mid"].to_value(unit)
-        bars = None
-        if {"r_min", "r_max"} <= set(stack.colnames):
-            bars = [abs(stack[n].to_value(unit) - middle) for n in ("r_min", "r_max")]
-        ax.errorbar(
-            middle, stack["pm_parallel"].to_value(PM_UNIT),
-            stack["pm_parallel_err"].to_value(PM_UNIT), bars,
-            fmt="s", color=style.BLUE, markersize=4, linewidth=1, label="stack",
-        )  # fmt: skip
+        look = {"fmt": "s", "color": style.BLUE, "markersize": 4, "linewidth": 1}
+        style.draw_bins(ax, stack, "pm_parallel", unit, label="stack", **look)
     ax.legend(fontsize="small", frameon=False)
     ax.set_xlabel(f"Distance from the core ({unit_name(unit)})")
     ax.set_ylabel(f"Speed ({unit_name(PM_UNIT)})")

@@ -77,6 +77,31 @@ def component_color(number):
     return SCALE_COLORS[(number - 1) % len(SCALE_COLORS)]
 
 
+def component_look(number, kind):
+    """Return the colour, the face and the label of the features of a component."""
+    face = {"mfc": "white"} if kind == "not significant" else {}
+    return {"color": component_color(number), "label": f"{number}: {kind}", **face}
+
+
+def draw_bins(ax, table, column, unit, **look):
+    """Draw the speeds in bins of distance, with bars for errors and widths of bins."""
+    low, middle, high = (
+        table[name if name in table.colnames else "r_mid"].to_value(unit)
+        for name in ("r_min", "r_mid", "r_max")
+    )
+    speed, error = (table[k].to_value(PM_UNIT) for k in (column, f"{column}_err"))
+    error = np.where(np.isfinite(error), error, 0.0)
+    ax.errorbar(middle, speed, error, [middle - low, high - middle], **look)
+
+
+def show_years(ax, cube):
+    """Limit the horizontal axis of axes to the dates of a cube, in years."""
+    first, last = cube.times.jyear[[0, -1]]
+    margin = 0.03 * ((last - first) or 1.0)
+    ax.set(xlabel="Year", xlim=(first - margin, last + margin))
+    ax.ticklabel_format(axis="x", useOffset=False)
+
+
 def legend_above(ax):
     """Add the legend of axes above them, on the left."""
     ax.legend(
@@ -112,10 +137,10 @@ def add_speed_axis(ax, unit, beta_per_pm, side="top"):
     factor = float(beta_per_pm) * (1 * unit).to_value(PM_UNIT)
     if not 0 < factor < np.inf:
         raise ValueError(f"beta_per_pm must be positive, got {beta_per_pm}")
-    make = ax.secondary_xaxis if side == "top" else ax.secondary_yaxis
-    second = make(side, functions=(lambda v: v * factor, lambda beta: beta / factor))
-    name = second.set_xlabel if side == "top" else second.set_ylabel
-    name("Apparent speed (c)")
+    axis = "x" if side == "top" else "y"
+    both = (lambda v: v * factor, lambda beta: beta / factor)
+    second = getattr(ax, f"secondary_{axis}axis")(side, functions=both)
+    second.set(**{f"{axis}label": "Apparent speed (c)"})
 
 
 def outline(width=2.5, color="white"):

@@ -148,55 +148,43 @@ def plot_separation(
     >>> figure.axes[-1].get_xlabel()
     'Year'
     """
-    scales, colors = _scales(tracking)
+    n = len(_scales(tracking))
     if figure is None:
-        figure = style.new_figure((style.WIDTH, max(1.0 + 1.9 * len(scales), 2.8)))
-    axes = figure.subplots(len(scales), 1, sharex=True, sharey=True, squeeze=False)
+        figure = style.new_figure((style.WIDTH, max(1.0 + 1.9 * n, 2.8)))
+    axes = figure.subplots(n, 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     start = tracking.cube.times[0].jyear
     years = tracking.cube.years.to_value(u.yr)
     distance = np.hypot(*tracking.offsets)
     tracked = distance[tracking.track >= 0]
     unit = offset_unit(tracked.max(initial=1.0), unit)
     factor = u.mas.to(unit)
-    for ax, scale in zip(axes[:, 0], scales, strict=True):
-        own = _shown(tracking, scale, min_epochs)
-        for number in own:
+    for ax, color, numbers in _panels(tracking, axes, unit, min_epochs):
+        for number in numbers:
             ssps = tracking.members(number)
             time = years[tracking.ssps.epoch[ssps]]
-            ax.plot(
-                start + time, distance[ssps] * factor, "o", color=colors[scale],
-                markersize=3, markeredgewidth=0,
-            )  # fmt: skip
+            dots = {"color": color, "markersize": 3, "markeredgewidth": 0}
+            ax.plot(start + time, distance[ssps] * factor, "o", **dots)
             _draw_fits(ax, tracking, number, time, start, factor)
-        _name_panel(ax, tracking, scale, unit, len(own))
-        # Leave room for the name above the features.
-        ax.set_ylim(0, 1.15 * factor * tracked.max(initial=0.0) or 1.0)
-    margin = 0.03 * (np.ptp(years) or 1.0)
-    axes[-1, 0].set_xlim(start - margin, start + years[-1] + margin)
-    axes[-1, 0].set_xlabel("Year")
-    axes[-1, 0].ticklabel_format(axis="x", useOffset=False)
-    label = f"Distance from the core ({unit_name(unit)})"
-    if len(scales) == 1:
-        axes[0, 0].set_ylabel(label)
-    else:
-        figure.supylabel(label, fontsize="medium")
+    # Leave room for the name above the features.
+    axes[0].set_ylim(0, 1.15 * factor * tracked.max(initial=0.0) or 1.0)
+    style.show_years(axes[-1], tracking.cube)
+    figure.supylabel(f"Distance from the core ({unit_name(unit)})", fontsize="medium")
     return figure
 
 
 def _draw_fits(ax, tracking, number, time, start, factor):
-    fit = tracking.fits[number]
-    ends = np.linspace(time[0], time[-1], 50)
-    line = {"color": BLACK, "linewidth": 0.8}
-    ax.plot(start + ends, factor * np.hypot(*fit.at(ends)), "-", **line)
-    row = tracking.tracks[number]
+    row, fit = tracking.tracks[number], tracking.fits[number]
+    first, last = time[[0, -1]]
+    curves = [(first, last, fit, "-")]
     if row["accelerated"]:
-        curve = tracking.accelerated_fits[number].at(ends)
-        ax.plot(start + ends, factor * np.hypot(*curve), "--", **line)
+        curves.append((first, last, tracking.accelerated_fits[number], "--"))
     if not np.any(row["t_ej"].mask):
         born = row["t_ej"].unmasked.value - start
-        if born < time[0]:
-            before = np.linspace(born, time[0], 20)
-            ax.plot(start + before, factor * np.hypot(*fit.at(before)), ":", **line)
+        curves.append((min(born, first), first, fit, ":"))
+    for begin, end, curve, line in curves:
+        t = np.linspace(begin, end, 50)
+        distance = factor * np.hypot(*curve.at(t))
+        ax.plot(start + t, distance, line, color=BLACK, linewidth=0.8)
 
 
 def plot_tracks(
@@ -241,45 +229,35 @@ def plot_tracks(
     >>> len(plot_tracks(tracking).axes)
     2
     """
-    scales, colors = _scales(tracking)
     view, figure, axes = drawing.mean_image_panels(
-        tracking.cube, tracking.ssps, len(scales), figure=figure, unit=unit
+        tracking.cube, tracking.ssps, len(_scales(tracking)), figure=figure, unit=unit
     )
-    for ax, scale in zip(axes, scales, strict=True):
-        own = _shown(tracking, scale, min_epochs)
-        for number in own:
-            offsets = tracking.offsets[:, tracking.members(number)]
-            east, north = view.factor * offsets
-            ax.plot(
-                east, north, "-o", color=colors[scale], linewidth=0.9,
-                markersize=2, markeredgewidth=0,
-            )  # fmt: skip
-            ax.annotate(
-                "", (east[-1], north[-1]), (east[-2], north[-2]),
-                arrowprops={"arrowstyle": "-|>", "color": colors[scale],
-                            "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0,
-                            "mutation_scale": 7},
-                annotation_clip=True,
-            )  # fmt: skip
-        _name_panel(ax, tracking, scale, view.unit, len(own))
+    for ax, color, numbers in _panels(tracking, axes, view.unit, min_epochs):
+        line = {"color": color, "linewidth": 0.9}
+        head = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
+        for number in numbers:
+            place = view.factor * tracking.offsets[:, tracking.members(number)]
+            ax.plot(*place, "-o", markersize=2, markeredgewidth=0, **line)
+            ends = {"xy": place[:, -1], "xytext": place[:, -2]}
+            ax.annotate("", arrowprops=head | line, annotation_clip=True, **ends)
     return figure
 
 
-def _shown(tracking, scale, min_epochs):
-    """Return the numbers of the tracks of a scale that are long enough."""
+def _scales(tracking):
+    """Return the colour of each scale that SSPs have, at least one."""
+    return style.scale_colors(tracking.ssps.scale) or {1.0: style.BLUE}
+
+
+def _panels(tracking, axes, unit, min_epochs):
+    """Yield the axes, colour and long enough tracks of each scale; name the axes."""
     table = tracking.tracks
     long = np.asarray(table["n_epochs"]) >= (min_epochs or 0)
-    return np.flatnonzero(long & (np.asarray(table["scale"]) == scale)).tolist()
-
-
-def _scales(tracking):
-    """Return the scales of all SSPs, at least one, and a colour for each."""
-    scales = np.unique(tracking.ssps.scale).tolist() or [1.0]
-    return scales, style.scale_colors(scales)
-
-
-def _name_panel(ax, tracking, scale, unit, number):
-    size = (scale_size(scale) * tracking.cube.pixel_scale).to_value(unit)
-    tracks = "track" if number == 1 else "tracks"
-    text = f"scale {scale:g} ({size:.3g} {unit_name(unit)}), {number} {tracks}"
-    drawing.panel_text(ax, text, color=BLACK if number else style.VERMILLION)
+    for ax, (scale, color) in zip(axes, _scales(tracking).items(), strict=True):
+        numbers = np.flatnonzero(long & (np.asarray(table["scale"]) == scale)).tolist()
+        yield ax, color, numbers
+        size = (scale_size(scale) * tracking.cube.pixel_scale).to_value(unit)
+        tracks = "track" if len(numbers) == 1 else "tracks"
+        text = (
+            f"scale {scale:g} ({size:.3g} {unit_name(unit)}), {len(numbers)} {tracks}"
+        )
+        drawing.panel_text(ax, text, color=BLACK if numbers else style.VERMILLION)
