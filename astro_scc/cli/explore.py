@@ -30,9 +30,8 @@ def run(args, reporter):
     """Write the page of a measurement according to the arguments."""
     from astropy.io import fits
 
-    from astro_scc.visualization.explore import load_bokeh, write_explore
+    from astro_scc.visualization.explore import write_explore
 
-    load_bokeh()
     folder = Path(args.folder)
     tables = [_table(folder / f"{n}.ecsv") for n in ("components", "features", "ssps")]
     try:

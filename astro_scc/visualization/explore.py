@@ -2,7 +2,7 @@
 """A page with linked panels that shows which features make a velocity."""
 
 import re
-from importlib import import_module, resources
+from importlib import resources
 from pathlib import Path
 
 import astropy.units as u
@@ -15,7 +15,19 @@ from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
 from astro_scc.stacking.dispersion import error_of_speed
 from astro_scc.units import PM_UNIT, offset_unit, speed_unit, time_unit, unit_name
-from astro_scc.visualization import drawing, style, velocity
+from astro_scc.visualization import drawing, style
+from astro_scc.visualization.velocity import AXIS_LABELS, MAP_LABELS
+
+try:
+    import bokeh.models as models
+    from bokeh.document import Document
+    from bokeh.embed import file_html
+    from bokeh.plotting import figure
+    from bokeh.resources import INLINE
+except ImportError:
+    raise ImportError(
+        "explore needs bokeh; install it: pip install 'astro_scc[explore]'"
+    ) from None
 
 #: Pixels of the images of all epochs, a byte each, and the largest number of features:
 #: with them a page stays below 5 MB, of which 2 MB are the library.
@@ -31,16 +43,7 @@ BLINK = 600
 #: Height of a panel in CSS pixels; opacity of what is not selected.
 HEIGHT, FADED = 400, 0.07
 YEAR = u.yr.to(u.ms)
-
-
-def load_bokeh():
-    """Return ``bokeh.models``; an ImportError says how to install bokeh."""
-    try:
-        return import_module("bokeh.models")
-    except ImportError:
-        raise ImportError(
-            "explore needs bokeh; install it: pip install 'astro_scc[explore]'"
-        ) from None
+WIDE = {"sizing_mode": "stretch_width"}
 
 
 def write_explore(path, components, features, ssps, hdus, *, cube=None, notes=()):
@@ -66,30 +69,19 @@ def write_explore(path, components, features, ssps, hdus, *, cube=None, notes=()
 
     Raises
     ------
-    ImportError
-        If bokeh is not installed.
     OSError
         If the file cannot be written.
     """
-    load_bokeh()
-    from bokeh.embed import file_html
-    from bokeh.resources import INLINE
-
     page = Page(components, features, ssps, hdus, cube)
     document = page.document()
     name = hdus[0].header.get("OBJECT", "")
     template = resources.files("astro_scc.visualization").joinpath("explore.html")
     title = f"{name}: features and velocities" if name else "Features and velocities"
+    variables = {"notes": [*notes, *page.notes], "has_images": cube is not None}
     text = file_html(
-        document,
-        INLINE,
-        title,
-        template=template.read_text(encoding="utf-8"),
-        template_variables={
-            "notes": [*notes, *page.notes],
-            "has_images": cube is not None,
-        },
-    )
+        document, INLINE, title, template=template.read_text(encoding="utf-8"),
+        template_variables=variables,
+    )  # fmt: skip
     path = Path(path)
     with replace_when_complete(path, overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
@@ -104,7 +96,6 @@ class Page:
     """
 
     def __init__(self, components, features, ssps, hdus, cube):
-        self.models = load_bokeh()
         self.components, self.hdus, self.cube, self.notes = components, hdus, cube, []
         self.kinds = style.component_kinds(components)
         seen = QTable.read(hdus["FEATURES"])
@@ -119,6 +110,9 @@ class Page:
         self.row = np.searchsorted(features["feature"], seen["feature"])
         speeds = [t["pm"].to_value(PM_UNIT) for t in (components, features)]
         self.pm_unit = speed_unit(np.abs(np.concatenate(speeds)).max(initial=0.0))
+        #: Where longitude and latitude increase, as the columns describe it.
+        about = [components[k].info.description for k in sky_columns(components)]
+        self.words = [re.sub(r"^.* to (the )?", "", text or "") for text in about]
         #: Offsets in mas, shape (2, n).
         self.place = drawing.ssp_place(ssps)[:, seen["ssp"]]
         self.sky_unit = offset_unit(np.abs(self.place).max(initial=0.0) or 1.0)
@@ -127,13 +121,17 @@ class Page:
         total = np.bincount(self.row, distance, len(features))
         self.sign = np.where(total < 0, -1.0, 1.0)
         self.length = offset_unit(np.abs(distance).max(initial=0.0) or 1.0)
-        self.features = self.models.ColumnDataSource(self._feature_columns())
-        self.points = self.models.ColumnDataSource(self._point_columns())
-        self.here = None
+        own = np.asarray(features["component"])
+        #: Rows of the features of each component.
+        self.rows = [np.flatnonzero(own == n).tolist() for n in components["component"]]
+        points = self._point_columns()
+        self.features = models.ColumnDataSource(self._feature_columns(points))
+        self.points = models.ColumnDataSource(points)
         if cube is not None:
             self.dates = drawing.epoch_names(cube.times)
             self.points.data["date"] = [self.dates[k] for k in seen["epoch"]]
-            self.here = self.models.GroupFilter(column_name="date", group=self.dates[0])
+            #: Selects what belongs to the epoch that is shown.
+            self.here = models.GroupFilter(column_name="date", group=self.dates[0])
 
     # -- data ----------------------------------------------------------------------
 
@@ -146,21 +144,17 @@ class Page:
             "label": [f"{n}: {kinds[n]}" for n in numbers],
         }
 
-    def _feature_columns(self):
+    def _feature_columns(self, points):
         table, speed = self.table, self.table["pm"].to_value(self.length / u.yr)
-        points = self._point_columns()
         # Speeds are positive along the first component.
         towards = -1.0 if np.any(self._slopes()[:1] < 0) else 1.0
         columns = {name: [] for name in ("xs", "ys", "ts", "ds", "lt", "ld", "ry")}
         for k, sign in enumerate(self.sign):
-            own = self.row == k
-            x, y, t, d = (points[name][own] for name in "xytd")
-            years = (t - t[0]) / YEAR
+            x, y, t, d = (points[name][self.row == k] for name in "xytd")
+            moved = speed[k] * (t - t[0]) / YEAR
             # Positions near a standing feature are not of the line.
-            middle = np.median(sign * d - speed[k] * years)
-            line = sign * (middle + speed[k] * years[[0, -1]])
-            ray = towards * speed[k] * years[[0, -1]]
-            parts = x, y, t, d, t[[0, -1]], line, ray
+            line = sign * (np.median(sign * d - moved) + moved[[0, -1]])
+            parts = x, y, t, d, t[[0, -1]], line, towards * moved[[0, -1]]
             for name, values in zip(columns, parts, strict=True):
                 columns[name].append(np.round(values, 5).tolist())
         for name in ("pm", "pm_err", "pm_transverse", "pm_axis1", "pm_axis2"):
@@ -193,32 +187,17 @@ class Page:
             slopes = east * np.sin(angle) + north * np.cos(angle)
         return np.where(np.array(self.kinds) == "stationary", 0.0, slopes)
 
-    def _rows(self):
-        """Return the rows of the features of each component."""
-        own = np.asarray(self.table["component"])
-        return [np.flatnonzero(own == n).tolist() for n in self.components["component"]]
-
-    def _words(self):
-        """Return where longitude and latitude increase, as the columns describe it."""
-        about = (self.components[k].info for k in sky_columns(self.components))
-        return [re.sub(r"^.* to (the )?", "", i.description or "") for i in about]
-
     # -- parts of panels -----------------------------------------------------------
 
     def _figure(self, x_label, y_label, *, on_sky=False, **options):
-        from bokeh.plotting import figure
-
-        if on_sky or options.get("match_aspect"):
-            left = on_sky and not self._words()[0].startswith("solar")
-            follow = self.models.DataRange1d
-            options |= {"x_range": follow(flipped=left), "y_range": follow()}
         plot = figure(
-            height=HEIGHT, sizing_mode="stretch_width", tools="pan,wheel_zoom,reset",
-            x_axis_label=x_label, y_axis_label=y_label, toolbar_location="right",
-            **options,
+            height=HEIGHT, tools="pan,wheel_zoom,reset", toolbar_location="right",
+            x_axis_label=x_label, y_axis_label=y_label, **WIDE, **options,
         )  # fmt: skip
         plot.toolbar.logo = None
         plot.axis.axis_label_text_font_style = "normal"
+        if on_sky:
+            plot.x_range.flipped = not self.words[0].startswith("solar")
         return plot
 
     def _lines(self, plot, x, y, width=1.2, alpha=0.45):
@@ -236,43 +215,41 @@ class Page:
 
     def _now(self, plot, x, y):
         """Mark the features at the epoch that is shown."""
-        if self.here is not None:
-            view = self.models.CDSView(filter=self.here)
-            now = self._dots(plot, x, y, 12, view=view)
+        if self.cube is not None:
+            now = self._dots(plot, x, y, 12, view=models.CDSView(filter=self.here))
             for glyph in (now.glyph, now.selection_glyph):
                 glyph.update(fill_alpha=0.25, line_alpha=1, line_width=2)
 
     def _tools(self, plot, hovered, boxed=None):
         """Let a box select, and say what is under the pointer."""
-        unit = unit_name(self.pm_unit)
-        tips = [
-            ("feature", "@feature of component @component, scale @scale"),
-            ("seen", "@n_epochs times, @first to @last"),
-            ("speed", f"@pm{{0.000}} ± @pm_err{{0.000}} {unit}"),
-        ]
-        plot.add_tools(self.models.HoverTool(renderers=[hovered], tooltips=tips))
+        speed = f"@pm{{0.000}} ± @pm_err{{0.000}} {unit_name(self.pm_unit)}"
+        tips = {
+            "feature": "@feature of component @component, scale @scale",
+            "seen": "@n_epochs times, @first to @last",
+            "speed": speed,
+        }
+        hover = models.HoverTool(renderers=[hovered], tooltips=list(tips.items()))
+        plot.add_tools(hover)
         if boxed is not None:
-            box = self.models.BoxSelectTool(renderers=[boxed])
+            box = models.BoxSelectTool(renderers=[boxed])
             plot.add_tools(box)
             plot.toolbar.active_drag = box
 
     def _call(self, function, **objects):
         """Return a callback to a function of the page's script."""
         call = f"explore.{function}({', '.join(objects)})"
-        return self.models.CustomJS(args=objects, code=call)
+        return models.CustomJS(args=objects, code=call)
 
     # -- panels --------------------------------------------------------------------
 
     def document(self):
         """Return the document with all panels."""
-        from bokeh.document import Document
-
         features, points, document = self.features, self.points, Document()
         both = {"features": features, "points": points}
         # Equal indices are no change, so the two do not call each other for ever.
         points.selected.js_on_change("indices", self._call("toFeatures", **both))
         features.selected.js_on_change("indices", self._call("toPoints", **both))
-        text, unit = self.models.Div(), unit_name(self.pm_unit)
+        text, unit = models.Div(), unit_name(self.pm_unit)
         summary = self._call("summary", features=features, text=text, unit=unit)
         features.selected.js_on_change("indices", summary)
         document.js_on_event("document_ready", summary)
@@ -291,33 +268,28 @@ class Page:
 
     def _choose(self, text):
         """Return a button for each component, and the text on what is selected."""
-        models, choices = self.models, {"all features": []}
-        rows = zip(self.components, self.kinds, self._rows(), strict=True)
-        for row, kind, own in rows:
+        everything = models.Button(label="all features")
+        buttons = {everything: []}
+        for row, kind, own in zip(self.components, self.kinds, self.rows, strict=True):
             pm, error = (row[k].to_value(self.pm_unit) for k in ("pm", "pm_err"))
-            speed = with_error(pm, error if np.isfinite(error) else 0.0)
+            speed = with_error(pm, np.nan_to_num(error, posinf=0.0))
             label = f"{row['component']}: {kind}, {speed} {unit_name(self.pm_unit)}"
-            choices[label] = own
-        buttons = [
-            models.Button(label=label, disabled=bool(k) and not own)
-            for k, (label, own) in enumerate(choices.items())
-        ]
-        for button, own in zip(buttons, choices.values(), strict=True):
+            buttons[models.Button(label=label, disabled=not own)] = own
+        for button, own in buttons.items():
             args = {"selected": self.features.selected, "rows": own}
             code = "selected.indices = rows"
             button.js_on_event("button_click", models.CustomJS(args=args, code=code))
-        wide = {"sizing_mode": "stretch_width"}
-        buttons = models.Row(*buttons, stylesheets=[":host {flex-wrap: wrap}"], **wide)
-        return models.Column(buttons, text, **wide)
+        row = models.Row(*buttons, stylesheets=[":host {flex-wrap: wrap}"], **WIDE)
+        return models.Column(row, text, **WIDE)
 
     def _velocity(self):
-        models, header, unit = self.models, self.hdus[0].header, unit_name(self.pm_unit)
+        header, unit = self.hdus[0].header, unit_name(self.pm_unit)
         axes = [header[f"CNAME{k}"] for k in (1, 2)]
-        labels = [f"{velocity.AXIS_LABELS.get(axis, axis)} ({unit})" for axis in axes]
+        labels = [f"{AXIS_LABELS.get(axis, axis)} ({unit})" for axis in axes]
         names, on_sky = ("pm_parallel", "pm_transverse"), axes[0] in ("east", "lon")
         if on_sky:
             names = sky_columns(self.components)
-            labels = drawing.axis_labels("Proper motion", self._words(), self.pm_unit)
+            labels = drawing.axis_labels("Proper motion", self.words, self.pm_unit)
         plot = self._figure(*labels, on_sky=on_sky, match_aspect=True)
         data = np.round(np.nan_to_num(self.hdus[0].data), 3).astype(np.float32)
         highest = float(data.max()) if data.max() > 0 else 1.0
@@ -326,15 +298,16 @@ class Page:
         corners = WCS(header).wcs_pix2world(corners, 0) * PM_UNIT
         (x, y), (right, top) = corners.to_value(self.pm_unit)
         plot.image([data], x=x, y=y, dw=right - x, dh=top - y, color_mapper=mapper)
-        label = velocity.MAP_LABELS["coefficient"]
-        bar = models.ColorBar(color_mapper=mapper, height=8, title=label)
-        bar.title_text_font_style = "normal"
+        bar = models.ColorBar(
+            color_mapper=mapper, height=8, title=MAP_LABELS["coefficient"],
+            title_text_font_style="normal",
+        )  # fmt: skip
         plot.add_layout(bar, "above")
         rest = plot.scatter([0], [0], marker="cross", size=12, line_color="white")
         dots = self._dots(plot, "pm_axis1", "pm_axis2", 8, self.features)
         for glyph in (dots.glyph, dots.selection_glyph):
             glyph.update(line_color="white", line_width=0.8)
-        columns = {"rows": self._rows(), "dash": [DASHES[k] for k in self.kinds]}
+        columns = {"rows": self.rows, "dash": [DASHES[kind] for kind in self.kinds]}
         columns["number"] = [str(n) for n in self.components["component"]]
         for field, width, name in zip(("v1", "v2"), "wh", names, strict=True):
             columns[field] = self.components[name].to_value(self.pm_unit)
@@ -361,11 +334,10 @@ class Page:
 
     def _sky(self):
         """Return the images with the features, and the sliders."""
-        models = self.models
-        labels = drawing.axis_labels("Offset", self._words(), self.sky_unit)
+        labels = drawing.axis_labels("Offset", self.words, self.sky_unit)
         plot = self._figure(*labels, on_sky=True, match_aspect=True)
         plot.x_range.range_padding = plot.y_range.range_padding = 0.02
-        image = self._draw_images(plot) if self.here is not None else None
+        image = None if self.cube is None else self._draw_images(plot)
         paths = self._lines(plot, "xs", "ys")
         dots = self._dots(plot, "x", "y", 3)
         self._now(plot, "x", "y")
@@ -373,18 +345,17 @@ class Page:
         plot.x_range.renderers = plot.y_range.renderers = [image or dots]
         if image is None:
             return plot
-        wide = {"sizing_mode": "stretch_width"}
         ends = {"Epoch": self.dates[0], "Other epoch": self.dates[-1]}
         first, second = (
-            models.CategoricalSlider(title=k, categories=self.dates, value=date, **wide)
+            models.CategoricalSlider(title=k, categories=self.dates, value=date, **WIDE)
             for k, date in ends.items()
         )
         first.js_link("value", self.here, "group")
         toggle = models.Toggle(label="blink", width=80, align="center")
         what = {"toggle": toggle, "first": first, "second": second, "interval": BLINK}
         toggle.js_on_change("active", self._call("blink", **what))
-        sliders = models.Row(models.Column(first, second, **wide), toggle, **wide)
-        return models.Column(plot, sliders, **wide)
+        sliders = models.Row(models.Column(first, second, **WIDE), toggle, **WIDE)
+        return models.Column(plot, sliders, **WIDE)
 
     def _draw_images(self, plot):
         near = None
@@ -398,14 +369,12 @@ class Page:
         sides = (sides * u.mas).to_value(self.sky_unit)
         (x, y), (width, height) = sides[:, 0], np.diff(sides)[:, 0]
         greys = [f"#{v:02x}{v:02x}{v:02x}" for v in range(255, 0, -1)]
-        mapper = self.models.LinearColorMapper(
-            [drawing.MASKED, *greys], low=0, high=255
-        )
+        mapper = models.LinearColorMapper([drawing.MASKED, *greys], low=0, high=255)
         images = {"image": list(planes), "date": self.dates}
         return plot.image(
             "image", x=x, y=y, dw=width, dh=height, color_mapper=mapper,
-            source=self.models.ColumnDataSource(images),
-            view=self.models.CDSView(filter=self.here),
+            source=models.ColumnDataSource(images),
+            view=models.CDSView(filter=self.here),
         )  # fmt: skip
 
     def _diagram(self):
@@ -418,32 +387,31 @@ class Page:
         half, slopes = hdu.header["CDELT2"] * len(excess) / 2, self._slopes()
         longest = drawing.longest_interval(years, slopes, self.kinds, half)
         time = time_unit(longest)
-        right, top = longest * u.yr.to(time), half * u.mas.to(self.length)
-        ranged = self.models.Range1d
+        right, top = u.yr.to(time, longest), u.mas.to(self.length, half)
         plot = self._figure(
             f"Interval between epochs ({unit_name(time)})",
             f"Displacement ({unit_name(self.length)})",
-            x_range=ranged(0, right), y_range=ranged(-top, top),
+            x_range=(0, right), y_range=(-top, top),
         )  # fmt: skip
         level = drawing.diagram_levels(years, excess, longest, COLUMNS)
         colors = [to_hex(c) for c in colormaps["RdBu_r"](np.linspace(0, 1, 255))]
-        mapper = self.models.LinearColorMapper(colors, low=-127, high=127)
+        mapper = models.LinearColorMapper(colors, low=-127, high=127)
         size = {"dw": right, "dh": 2 * top}
         plot.image([level], x=0, y=-top, color_mapper=mapper, **size)
-        life = np.array([t[-1] - t[0] for t in self.features.data["ts"]]) / YEAR
-        self.features.data["rx"] = [[0, v] for v in life * u.yr.to(time)]
+        life = [u.ms.to(time, t[-1] - t[0]) for t in self.features.data["ts"]]
+        self.features.data["rx"] = [[0, v] for v in life]
         lines = self._lines(plot, "rx", "ry")
         for number, slope, kind in zip(
             self.components["component"], slopes, self.kinds, strict=True
         ):
             end = min(longest, half / abs(slope)) if slope else longest
-            x, y = end * u.yr.to(time), slope * end * u.mas.to(self.length)
+            ray = np.array([u.yr.to(time, end), u.mas.to(self.length, slope * end)])
             look = {"line_color": "black", "line_dash": DASHES[kind]}
-            plot.line([0, x], [0, y], line_width=2.5, **look)
-            x, y = [0.88 * x], [0.88 * y]
-            plot.scatter(x, y, size=19, fill_color="white", line_color="black")
+            plot.line(*np.outer(ray, [0, 1]), line_width=2.5, **look)
+            at = 0.88 * ray[:, None]
+            plot.scatter(*at, size=19, fill_color="white", line_color="black")
             middle = {"text_align": "center", "text_baseline": "middle"}
-            plot.text(x, y, [str(number)], text_font_size="13px", **middle)
+            plot.text(*at, [str(number)], text_font_size="13px", **middle)
         self._tools(plot, lines)
         return plot
 
@@ -461,7 +429,6 @@ class Page:
         return plot
 
     def _features_table(self):
-        models = self.models
         speed, length = unit_name(self.pm_unit), unit_name(self.length)
         shown = (
             ("feature", "feature", "0", 55),
@@ -481,6 +448,6 @@ class Page:
             if form is not None:
                 columns[-1].formatter = models.NumberFormatter(format=form)
         return models.DataTable(
-            source=self.features, columns=columns, sizing_mode="stretch_width",
-            height=260, index_position=None, reorderable=False, selectable="checkbox",
+            source=self.features, columns=columns, height=260, index_position=None,
+            reorderable=False, selectable="checkbox", **WIDE,
         )  # fmt: skip

@@ -293,9 +293,9 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None):
         (~large, style.BLUE, "o"),
         (large, style.VERMILLION, "s"),
     ):
-        ax.errorbar(
-            speed[own], row[own], xerr=error[own], fmt=marker, color=color, ms=4, lw=1
-        )
+        if own.any():
+            look = {"fmt": marker, "color": color, "ms": 4, "lw": 1}
+            ax.errorbar(speed[own], row[own], xerr=error[own], **look)
     ax.set_yticks(row, [fill(str(text), LABEL) for text in table["choice"]])
     ax.tick_params(axis="y", labelsize="small", length=0)
     ax.set_ylim(len(table) - 0.5, -0.5)

@@ -102,4 +102,5 @@ def test_a_measurement_of_an_earlier_version(what, out, refused):
 
 def test_without_bokeh(out, refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "bokeh.models", None)
+    monkeypatch.delitem(sys.modules, "astro_scc.visualization.explore", raising=False)
     assert "pip install 'astro_scc[explore]'" in refused("explore", "out")

@@ -298,6 +298,7 @@ def test_a_result_without_features(bare):
 
 def test_without_bokeh(result, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "bokeh.models", None)
+    monkeypatch.delitem(sys.modules, "astro_scc.visualization.explore", raising=False)
     with pytest.raises(ImportError, match=r"pip install 'astro_scc\[explore\]'"):
         result.explore(tmp_path / "page.html")
 
