@@ -10,12 +10,7 @@ import astropy.units as u
 import numpy as np
 from astropy import constants
 
-from astro_scc.quantities import (
-    NUMBER,
-    named,
-    parse_quantities,
-    to_quantity,
-)
+from astro_scc.quantities import NUMBER, named, parse_quantities, to_quantity
 from astro_scc.units import round_to_errors
 
 if TYPE_CHECKING:
@@ -56,36 +51,30 @@ def to_cosmology(value=None):
     universe, and also ``Ode0`` for any other.  Without a value the result is
     `paper_cosmology`, whatever astropy's own default is.
     """
-    from astropy.cosmology import (
-        FLRW,
-        Cosmology,
-        FlatLambdaCDM,
-        LambdaCDM,
-        realizations,
-    )
+    from astropy import cosmology
 
     if value is None:
         return paper_cosmology()
-    if isinstance(value, FLRW):
+    if isinstance(value, cosmology.FLRW):
         return value
     if isinstance(value, dict):
         try:
-            return Cosmology.from_format(value, format="mapping")
+            return cosmology.Cosmology.from_format(value, format="mapping")
         except (KeyError, TypeError, ValueError):
             value = ""
     name = value.strip() if isinstance(value, str) else ""
-    if name in realizations.available:
-        return getattr(realizations, name)
+    if name in cosmology.available:
+        return getattr(cosmology, name)
     matches = [_PARAMETER.fullmatch(part) for part in name.split(",")]
     if all(matches):
-        values = {m.group(1): float(m.group(2)) for m in matches}
-        kinds = {"H0 Om0": FlatLambdaCDM, "H0 Ode0 Om0": LambdaCDM}
-        kind = kinds.get(" ".join(sorted(m.group(1) for m in matches)))
+        values = {match[1]: float(match[2]) for match in matches}
+        kinds = {"H0 Om0": "FlatLambdaCDM", "H0 Ode0 Om0": "LambdaCDM"}
+        kind = kinds.get(" ".join(sorted(match[1] for match in matches)))
         if kind and values["H0"] > 0 and np.all(np.isfinite([*values.values()])):
-            return kind(**values)
+            return getattr(cosmology, kind)(**values)
     raise ValueError(
         "is no cosmology; give H0=71,Om0=0.27 (and Ode0 unless it is flat) or one of "
-        f"{', '.join(sorted(realizations.available))}"
+        f"{', '.join(sorted(cosmology.available))}"
     )
 
 
@@ -114,15 +103,10 @@ def to_redshift(value):
 
     wanted = "must be a redshift, a number such as 0.158"
     try:
-        if isinstance(value, bool | np.bool_):
+        if isinstance(value, bool | np.bool_) or np.any(getattr(value, "mask", False)):
             raise TypeError
-        if isinstance(value, str):
-            if re.fullmatch(rf"\s*{NUMBER}\s*", value):
-                value = float(value)
-            else:
-                (value,) = parse_quantities(value)
-        if np.any(getattr(value, "mask", False)):
-            raise TypeError
+        if isinstance(value, str) and not re.fullmatch(rf"\s*{NUMBER}\s*", value):
+            (value,) = parse_quantities(value)
         z = u.Quantity(value, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(wanted) from None
@@ -208,10 +192,9 @@ def apparent_speed(
     wanted = "must be an angle per time, such as '2 mas/yr'"
     motion = named("proper_motion", to_quantity, proper_motion, "mas/yr", wanted)
     how = _how(redshift, cosmology, distance)
-    if "redshift" in how:
+    distance = how.get("distance")
+    if distance is None:
         distance = how["cosmology"].comoving_transverse_distance(how["redshift"])
-    else:
-        distance = how["distance"]
     motion = motion.to_value(u.rad / u.yr) / u.yr
     return (motion * distance.to(u.Mpc) / constants.c).to(u.dimensionless_unscaled)
 

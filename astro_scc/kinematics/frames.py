@@ -264,17 +264,15 @@ class ExpansionFrame:
             Orthogonal except for the factor ``radius / r``; NaN within a
             fifth of the radius, where an expansion is hardly a motion.
         """
-        r = self._distance(east, north)
+        axes, r = self._radial(east, north)
         r = np.where(r >= INNERMOST * self.radius.value, r, np.nan)
-        return self._scaled(east, north, r)
+        return axes * (self.radius.value / r)[..., None, None]
 
-    def _distance(self, east, north):
+    def _radial(self, east, north):
+        """Return the axes of `RadialFrame`, and the distances from the centre."""
         x0, y0 = self.centre.value
-        return np.hypot(np.subtract(east, x0), np.subtract(north, y0))
-
-    def _scaled(self, east, north, r):
-        rotation = RadialFrame(self.centre).matrix(east, north)
-        return rotation * (self.radius.value / r)[..., None, None]
+        distance = np.hypot(np.subtract(east, x0), np.subtract(north, y0))
+        return RadialFrame(self.centre).matrix(east, north), distance
 
     def displacement(self, position: ArrayLike, motion: ArrayLike) -> np.ndarray:
         """
@@ -290,10 +288,10 @@ class ExpansionFrame:
         `numpy.ndarray`, shape (n, 2)
         """
         motion = np.asarray(motion, dtype=float)
-        east, north = (np.asarray(position, dtype=float) + 0.5 * motion).T
+        axes, r = self._radial(*(np.asarray(position, dtype=float) + 0.5 * motion).T)
         # A chance match may cross the centre.
-        r = np.maximum(self._distance(east, north), INNERMOST * self.radius.value)
-        axes = self._scaled(east, north, r)
+        r = np.maximum(r, INNERMOST * self.radius.value)
+        axes = axes * (self.radius.value / r)[:, None, None]
         return np.einsum("nai,ni->na", axes, motion)
 
     def rate(self, speed: u.Quantity) -> u.Quantity:

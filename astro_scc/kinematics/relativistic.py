@@ -218,28 +218,27 @@ def intrinsic_table(
         raise ValueError("apparent speeds and errors must be finite and not negative")
     rng = np.random.default_rng(rng)
     trials = np.abs(rng.normal(beta[:, None], s[:, None], (len(beta), n_trials)))
+    # The first of the trials is the value itself.
+    trials = np.column_stack([beta, trials])
     columns = {
-        "gamma_min": (minimum_lorentz_factor(beta), minimum_lorentz_factor(trials)),
-        "angle_max": (maximum_viewing_angle(beta), maximum_viewing_angle(trials)),
+        "gamma_min": minimum_lorentz_factor(trials),
+        "angle_max": maximum_viewing_angle(trials),
     }
-    meta, possible = {}, None
+    table = QTable({"beta_app": beta * u.one, "beta_app_err": s * u.one})
     if viewing_angle is not None:
         angle = u.Quantity(viewing_angle).to(u.deg)
-        angles = np.full(n_trials, angle.value)
+        angles = np.full(1 + n_trials, angle.value)
         if angle_error is not None:
             spread = u.Quantity(angle_error).to_value(u.deg)
-            angles = angles + rng.normal(0, spread, n_trials)
-        gamma, doppler = _at_angle(beta, angle)
-        gammas, dopplers = _at_angle(trials, angles * u.deg)
-        columns |= {"gamma": (gamma, gammas), "doppler": (doppler, dopplers)}
-        possible = np.isfinite(gammas).mean(axis=1)
-        meta = {"viewing_angle": angle, "angle_error": angle_error}
-    table = QTable({"beta_app": beta * u.one, "beta_app_err": s * u.one}, meta=meta)
-    for name, (value, many) in columns.items():
-        low, high = np.quantile(many, CENTRAL, axis=-1, method="nearest")
-        table[name], table[f"{name}_low"], table[f"{name}_high"] = value, low, high
-    if possible is not None:
-        table["possible"] = possible
+            angles[1:] += rng.normal(0, spread, n_trials)
+        columns["gamma"], columns["doppler"] = _at_angle(trials, angles * u.deg)
+        table.meta = {"viewing_angle": angle, "angle_error": angle_error}
+    for name, values in columns.items():
+        low, high = np.quantile(values[:, 1:], CENTRAL, axis=-1, method="nearest")
+        table[name], table[f"{name}_low"] = values[:, 0], low
+        table[f"{name}_high"] = high
+    if viewing_angle is not None:
+        table["possible"] = np.isfinite(columns["gamma"][:, 1:]).mean(axis=1)
     return table
 
 
@@ -249,10 +248,8 @@ def _at_angle(beta_app, angle):
     gamma, doppler = lorentz_factor(beta), doppler_factor(beta, angle)
     # Speeds that are impossible at this angle must not be missing from quantiles.
     impossible = ~np.isfinite(gamma)
-    return (
-        np.where(impossible, np.inf * u.one, gamma),
-        np.where(impossible, 0.0 * u.one, doppler),
-    )
+    gamma[impossible], doppler[impossible] = np.inf, 0.0
+    return gamma, doppler
 
 
 def two_sided_jet(
@@ -312,38 +309,29 @@ def two_sided_jet(
             "the receding motion must be positive and not larger than the approaching "
             f"one, got {receding} and {approaching}"
         )
+    speed = constants.c.to_value(u.m / u.s)
+    # At this distance beta = 1: (beta cos)^2 + (beta sin)^2 = 1.
+    farthest = (speed / np.sqrt(a * r) * u.m).to(u.kpc)
     rng = np.random.default_rng(rng)
     trials = []
     for value, error in zip((a, r), errors, strict=True):
         # An error of 0 needs no unit.
         none = isinstance(error, int | float) and error == 0
         s = 0.0 if none else _motion("errors", error)
-        trials.append(np.abs(rng.normal(value, s, n_trials)))
-    many_a, many_r = trials
+        # The first of the trials is the value itself.
+        trials.append(np.append(value, np.abs(rng.normal(value, s, n_trials))))
+    a, r = trials
 
-    def with_error(formula, unit=1):
-        value, many = formula(a, r), formula(many_a, many_r)
-        return float(value) * unit, float(np.std(many)) * unit
+    def with_error(values, unit=1):
+        return float(values[0]) * unit, float(np.std(values[1:])) * unit
 
-    def beta_cos(a, r):
-        return (a - r) / (a + r)
-
-    speed = constants.c.to_value(u.m / u.s)
-    # At this distance beta = 1: (beta cos)^2 + (beta sin)^2 = 1.
-    farthest = (speed / np.sqrt(a * r) * u.m).to(u.kpc)
+    beta_cos = (a - r) / (a + r)
     found = {"beta_cos": with_error(beta_cos), "beta_max_distance": farthest}
     if distance is not None:
         d = named("distance", to_distance, distance).to_value(u.m) / speed
-
-        def beta_sin(a, r):
-            return 2 * d * a * r / (a + r)
-
-        found["angle"] = with_error(
-            lambda a, r: np.degrees(np.arctan2(beta_sin(a, r), beta_cos(a, r))), u.deg
-        )
-        found["beta"] = with_error(
-            lambda a, r: np.hypot(beta_cos(a, r), beta_sin(a, r))
-        )
+        beta_sin = 2 * d * a * r / (a + r)
+        found["angle"] = with_error(np.degrees(np.arctan2(beta_sin, beta_cos)), u.deg)
+        found["beta"] = with_error(np.hypot(beta_cos, beta_sin))
     return found
 
 

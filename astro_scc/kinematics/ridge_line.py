@@ -154,10 +154,9 @@ class RidgeLine:
         `~astropy.units.Quantity`
             0 to 360 deg.
         """
-        east, north = np.moveaxis(
-            self._direction(u.Quantity(distance).to_value(u.mas)), -1, 0
-        )
-        return np.degrees(np.arctan2(east, north)) % 360 * u.deg
+        direction = self._direction(u.Quantity(distance).to_value(u.mas))
+        angle = np.degrees(np.arctan2(direction[..., 0], direction[..., 1]))
+        return angle % 360 * u.deg
 
     def coordinates(
         self, east: u.Quantity, north: u.Quantity
@@ -233,27 +232,21 @@ class RidgeLine:
         points, distances = self._curve
         flat = places.reshape(-1, 2)
         nearest = cKDTree(points).query(flat)[1]
-        best = np.full(len(flat), np.inf)
-        s, n = np.zeros(len(flat)), np.zeros(len(flat))
         last = len(points) - 2
-        for segment in (np.maximum(nearest - 1, 0), np.minimum(nearest, last)):
-            start, step = points[segment], points[segment + 1] - points[segment]
-            length = np.hypot(*step.T)
-            unit = step / length[:, None]
-            away = flat - start
-            along = (away * unit).sum(axis=1)
-            # The first and the last segment continue beyond the line.
-            low = np.where(segment == 0, -np.inf, 0.0)
-            high = np.where(segment == last, np.inf, length)
-            along = np.clip(along, low, high)
-            rest = away - along[:, None] * unit
-            square = (rest**2).sum(axis=1)
-            better = square < best
-            best = np.where(better, square, best)
-            s = np.where(better, distances[segment] + along, s)
-            side = away[:, 0] * unit[:, 1] - away[:, 1] * unit[:, 0]
-            n = np.where(better, np.copysign(np.sqrt(square), side), n)
-        return s.reshape(places.shape[:-1]), n.reshape(places.shape[:-1])
+        # The segments before and after the nearest point.
+        segment = np.stack([np.maximum(nearest - 1, 0), np.minimum(nearest, last)])
+        step, away = points[segment + 1] - points[segment], flat - points[segment]
+        length = np.hypot(step[..., 0], step[..., 1])
+        unit = step / length[..., None]
+        # The first and the last segment continue beyond the line.
+        low = np.where(segment == 0, -np.inf, 0.0)
+        high = np.where(segment == last, np.inf, length)
+        along = np.clip((away * unit).sum(axis=-1), low, high)
+        square = ((away - along[..., None] * unit) ** 2).sum(axis=-1)
+        side = away[..., 0] * unit[..., 1] - away[..., 1] * unit[..., 0]
+        found = np.stack([distances[segment] + along, np.copysign(square**0.5, side)])
+        nearer = square.argmin(axis=0), np.arange(len(flat))
+        return found[:, *nearer].reshape(2, *places.shape[:-1])
 
     def to_table(self) -> QTable:
         """
@@ -265,13 +258,8 @@ class RidgeLine:
             Columns ``s``, ``east``, ``north``, ``error``, ``pa``.
         """
         s = self.distances
-        columns = {
-            "s": s,
-            "east": self.east,
-            "north": self.north,
-            "error": self.error,
-            "pa": self.position_angle(s),
-        }
+        columns = {"s": s, "east": self.east, "north": self.north}
+        columns |= {"error": self.error, "pa": self.position_angle(s)}
         return QTable(columns, meta=dict(self.meta))
 
     @classmethod

@@ -160,25 +160,23 @@ def find_ridge_line(
         position_angle, _ = fit_position_angle(cube, origin=origin, threshold=threshold)
     angle = PositionAngleFrame(position_angle).pa.to_value(u.rad)
     direction = np.array([np.sin(angle), np.cos(angle)])
-    points, snr = _follow(
+    points, tops = _follow(
         cube, image, _origin(origin), direction, half, threshold * noise, longest
     )
-    snr = snr / noise
-    if (len(points) - 1) * step < 3 * width:
+    length = (len(points) - 1) * step
+    if length < 3 * width:
         raise ValueError(
-            f"the jet can be followed over {(len(points) - 1) * step:.2g} mas only, "
-            "less than three beams: give a position angle instead"
+            f"the jet can be followed over {length:.2g} mas only, less than three "
+            "beams: give a position angle instead"
         )
-    points = np.array(points)
+    snr = tops / noise
     snr[0] = np.nanmax(snr)
     error = width / (np.sqrt(2) * snr)
     # A small error keeps the beginning of the line at the core.
     error[0] = 1e-2 * error.min()
     points, error = _smoothed(points, error, smooth, step)
     meta = {"width": width * u.mas, "smoothing": smooth * u.mas}
-    return RidgeLine(
-        points[:, 0] * u.mas, points[:, 1] * u.mas, error * u.mas, meta=meta
-    )
+    return RidgeLine(*(points.T * u.mas), error * u.mas, meta=meta)
 
 
 def limb_masks(cube, ridge, half_width):
@@ -219,7 +217,7 @@ def _follow(cube, image, start, direction, half, faintest, longest):
         # A direction over the last 1.5 beams keeps the slices from tumbling.
         back = points[max(0, len(points) - 1 - round(1.5 / STEP))]
         direction = (point - back) / np.hypot(*(point - back))
-    return points, np.array(tops)
+    return np.array(points), np.array(tops)
 
 
 def _met_again(points, point, width):
@@ -233,25 +231,18 @@ def _met_again(points, point, width):
 
 def _slice_point(cube, image, guess, direction, half):
     """Return the mean position and the maximum of the bright part of a slice."""
-    from scipy.ndimage import map_coordinates
+    from scipy.ndimage import label, map_coordinates
 
     normal = np.array([direction[1], -direction[0]])
     n = np.linspace(-half, half, SLICE)
-    x, y = cube.offset_to_pixel(
-        (guess[0] + n * normal[0]) * u.mas, (guess[1] + n * normal[1]) * u.mas
-    )
-    values = map_coordinates(image, [y, x], order=1, cval=np.nan)
-    if not np.isfinite(values).any():
-        return None
-    values = np.nan_to_num(values)
+    x, y = cube.offset_to_pixel(*((guess + n[:, None] * normal).T * u.mas))
+    values = np.nan_to_num(map_coordinates(image, [y, x], order=1, cval=np.nan))
     top = int(values.argmax())
     if values[top] <= 0:
         return None
     # Only the part connected with the maximum, as another ridge is not part of it.
-    low = values < 0.5 * values[top]
-    left = top - int(np.argmax(low[top::-1])) if low[: top + 1].any() else -1
-    right = top + int(np.argmax(low[top:])) if low[top:].any() else SLICE
-    part = slice(left + 1, right)
+    parts, _ = label(values >= 0.5 * values[top])
+    part = parts == parts[top]
     middle = np.average(n[part], weights=values[part])
     return guess + middle * normal, float(values[top])
 
@@ -259,29 +250,27 @@ def _slice_point(cube, image, guess, direction, half):
 def _smoothed(points, error, width, step):
     """Return points smoothed by local parabolas over distance, and their errors."""
     s = lengths_of(points)
-    smooth, gains = np.empty_like(points), np.empty((len(points),) * 2)
-    windows = np.empty_like(gains)
-    for k, here in enumerate(s):
-        x = (s - here) / width
-        weight = np.exp(-0.5 * x**2) / (error / error.max()) ** 2
+    distance = (s - s[:, None]) / width
+    windows = np.exp(-0.5 * distance**2)
+    smooth, gains = np.empty_like(points), np.empty_like(windows)
+    for k, x in enumerate(distance):
+        weight = windows[k] / (error / error.max()) ** 2
         design = np.stack([np.ones_like(x), x, x * x], axis=1)
         normal = design.T @ (weight[:, None] * design)
-        gain = np.linalg.solve(normal, design.T * weight)[0]
-        smooth[k], gains[k] = gain @ points, gain
-        windows[k] = np.exp(-0.5 * x**2)
+        gains[k] = np.linalg.solve(normal, design.T * weight)[0]
+        smooth[k] = gains[k] @ points
     # Half of the square in two dimensions is across the line.
     square = 0.5 * ((points - smooth) ** 2).sum(axis=1)
     scatter = windows @ square / windows.sum(axis=1)
     variance = np.maximum(error**2, scatter)
     # Points within a beam share their noise.
-    spread = np.sqrt(gains**2 @ variance / STEP)
-    return smooth, spread
+    return smooth, np.sqrt(gains**2 @ variance / STEP)
 
 
 def _mean(cube):
     """Return the mean image, with NaN for masked pixels, and its noise."""
     image = np.asarray(cube.mean_image().data, dtype=float)
-    noise = u.Quantity(cube.noise_rms()).value
+    noise = cube.noise_rms().value
     return image, float(np.sqrt(np.mean(noise**2) / len(cube)))
 
 
@@ -294,9 +283,7 @@ def mean_width(cube):
 
 
 def _origin(origin):
-    if origin is None:
-        return np.zeros(2)
-    return RadialFrame(origin).origin.to_value(u.mas)
+    return (RadialFrame() if origin is None else RadialFrame(origin)).origin.value
 
 
 def _length(name, value):
