@@ -191,9 +191,7 @@ class RadialFrame:
             ``(v1, v2) = matrix @ (d_east, d_north)``, orthogonal.
         """
         x0, y0 = self.origin.to_value(u.mas)
-        x, y = np.broadcast_arrays(
-            np.asarray(east, dtype=float) - x0, np.asarray(north, dtype=float) - y0
-        )
+        x, y = np.broadcast_arrays(np.subtract(east, x0), np.subtract(north, y0))
         distance = np.hypot(x, y)
         with np.errstate(divide="ignore", invalid="ignore"):
             sin, cos = x / distance, y / distance

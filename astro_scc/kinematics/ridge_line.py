@@ -192,8 +192,7 @@ class RidgeLine:
         `numpy.ndarray`, shape (..., 2, 2)
             ``(v1, v2) = matrix @ (d_east, d_north)``, orthogonal.
         """
-        x, y = np.broadcast_arrays(np.asarray(east, float), np.asarray(north, float))
-        s, _ = self._project(np.stack([x, y], axis=-1))
+        s, _ = self._project(np.stack(np.broadcast_arrays(east, north), axis=-1))
         sin, cos = np.moveaxis(self._direction(s), -1, 0)
         return axes_along(sin, cos)
 

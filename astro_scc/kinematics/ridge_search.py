@@ -74,7 +74,7 @@ def fit_position_angle(
             "beam or more from the core: give a position angle"
         )
     x, y = x[use], y[use]
-    each = np.nan_to_num(np.where(cube.mask, np.nan, cube.data))[:, use]
+    each = np.where(cube.mask, 0.0, cube.data)[:, use]
     sums = np.stack([each @ x, each @ y], axis=-1)
     total = sums.sum(axis=0)
     angle = np.arctan2(*total)

@@ -61,16 +61,11 @@ class View:
     def __init__(self, cube, ssps, image, *, zoom=True, unit=None, **colors):
         self.cube, self.points = cube, ssp_points(cube, ssps)
         limits = image_limits(cube, self.points if zoom else None)
-        self.unit = offset_unit(lengths(limits).max(), unit)
+        self.unit = offset_unit(np.ptp(limits, axis=1).max(), unit)
         self.factor = u.mas.to(self.unit)
         self.limits = limits * self.factor
         self.place = None if ssps is None else self.points["place"] * self.factor
         self.norm = plotting_norm(cube, image, **colors)
-
-
-def lengths(limits):
-    """Return the east-west and north-south length of a range of offsets."""
-    return limits[:, 1] - limits[:, 0]
 
 
 def image_limits(cube, points=None):
@@ -81,30 +76,21 @@ def image_limits(cube, points=None):
     points with a margin, without the outermost, which may be noise at the edges.
     """
     _, ny, nx = cube.shape
-    corners = cube.pixel_to_offset(
-        np.array([-0.5, nx - 0.5, -0.5, nx - 0.5]),
-        np.array([-0.5, -0.5, ny - 0.5, ny - 0.5]),
-    )
-    whole = np.array([[axis.value.min(), axis.value.max()] for axis in corners])
+    x, y = np.meshgrid([-0.5, nx - 0.5], [-0.5, ny - 0.5])
+    corners = (axis.value for axis in cube.pixel_to_offset(x, y))
+    whole = np.array([[axis.min(), axis.max()] for axis in corners])
     if points is None or points["place"].size == 0:
         return whole
-    near = np.array([_inner_range(v, points["weight"]) for v in points["place"]])
+    weights = {"weights": points["weight"], "method": "inverted_cdf"}
+    near = np.quantile(points["place"], [EDGE, 1 - EDGE], axis=1, **weights).T
     margin = 12 * cube.pixel_scale.value
     if cube.beams is not None:
         margin = max(margin, 1.5 * max(beam.major.value for beam in cube.beams))
     near += [-margin, margin]
     # A narrow strip shows nothing, so the width is at least a third of the length.
-    short = np.maximum(lengths(near).max() / 3 - lengths(near), 0)
+    short = np.maximum(np.ptp(near, axis=1).max() / 3 - np.ptp(near, axis=1), 0)
     near += short[:, None] * [-0.5, 0.5]
-    low, high = whole.T
-    return np.stack([np.maximum(near[:, 0], low), np.minimum(near[:, 1], high)], axis=1)
-
-
-def _inner_range(values, weight):
-    order = np.argsort(values)
-    share = np.cumsum(weight[order])
-    share = (share - 0.5 * weight[order]) / share[-1]
-    return np.interp([EDGE, 1 - EDGE], share, values[order])
+    return np.clip(near, whole[:, :1], whole[:, 1:])
 
 
 def plotting_norm(
@@ -133,8 +119,8 @@ def plotting_norm(
 
 def ticks_of(norm):
     """Return zero and larger powers of ten as ticks of an asinh norm, else None."""
-    width = getattr(norm, "linear_width", None)
-    if width is None or norm.vmax < 30 * width:
+    width = getattr(norm, "linear_width", np.inf)
+    if norm.vmax < 30 * width:
         return None
     powers = 10.0 ** np.arange(np.ceil(np.log10(2 * width)), np.log10(norm.vmax))
     return [0.0, *powers.tolist()]
@@ -149,8 +135,8 @@ def brightness_label(unit):
 # -- images ------------------------------------------------------------------------
 
 
-def draw_image(ax, view, image, beam=None):
-    """Draw an image, and the beam in the lower left corner; set the limits."""
+def draw_image(ax, view, image, epoch=None):
+    """Draw an image, and the beam of an epoch; set the limits."""
     import matplotlib
 
     greys = matplotlib.colormaps["Greys"].with_extremes(bad=MASKED)
@@ -161,7 +147,7 @@ def draw_image(ax, view, image, beam=None):
     _, _, to_the_left = axis_words(view.cube)
     ax.set(xlim=view.limits[0, :: -1 if to_the_left else 1], ylim=view.limits[1])
     ax.set_aspect("equal")
-    draw_beam(ax, view, beam)
+    draw_beam(ax, view, epoch)
     return drawn
 
 
@@ -175,14 +161,15 @@ def _to_offsets(view):
     return Affine2D(to_offset)
 
 
-def draw_beam(ax, view, beam):
-    """Draw a beam, if there is one, in the lower left corner."""
+def draw_beam(ax, view, epoch):
+    """Draw the beam of an epoch, if there is one, in the lower left corner."""
     from matplotlib.patches import Ellipse
 
-    if beam is None:
+    if epoch is None or view.cube.beams is None:
         return
+    beam = view.cube.beams[epoch]
     half = beam.fwhm_along([90, 0] * u.deg).to_value(view.unit) / 2
-    half += 0.03 * lengths(view.limits).min()
+    half += 0.03 * np.ptp(view.limits, axis=1).min()
     ellipse = Ellipse(
         (view.limits[0, 1] - half[0], view.limits[1, 0] + half[1]),
         width=beam.minor.to_value(view.unit), height=beam.major.to_value(view.unit),
@@ -206,7 +193,7 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     The number of columns makes the panels as large as possible in the figure or on
     a page; ``aside`` and ``above`` are the room for labels in inches.
     """
-    aspect = np.divide(*lengths(view.limits))
+    aspect = np.divide(*np.ptp(view.limits, axis=1))
     size = (style.WIDTH, style.HEIGHT) if figure is None else figure.get_size_inches()
     wide, high = np.subtract(size, [aside, 0.7 + above])
     widths = [
@@ -241,8 +228,7 @@ def mean_image_panels(cube, ssps, n, *, figure, unit):
     figure, axes = image_panels(view, n, figure)
     common = cube.beams is not None and all(b == cube.beams[0] for b in cube.beams)
     for ax in axes:
-        drawn = draw_image(ax, view, image, cube.beams[0] if common else None)
-        drawn.set_alpha(0.5)
+        draw_image(ax, view, image, 0 if common else None).set_alpha(0.5)
     return view, figure, axes
 
 
@@ -293,10 +279,10 @@ def image_planes(cube, limits, most):
     from scipy.ndimage import map_coordinates, uniform_filter
 
     step = cube.pixel_scale.value
-    n_bins = np.sqrt(len(cube) * np.prod(lengths(limits) / step) / most)
+    n_bins = np.sqrt(len(cube) * np.prod(np.ptp(limits, axis=1) / step) / most)
     n_bins = max(1, int(np.ceil(n_bins)))
     step *= n_bins
-    n = np.maximum(lengths(limits) // step, 1)
+    n = np.maximum(np.ptp(limits, axis=1) // step, 1)
     east, north = (
         (low + step * (np.arange(k) + 0.5)) * u.mas
         for low, k in zip(limits[:, 0], n, strict=True)

@@ -94,7 +94,7 @@ def plot_epoch(
         vmin=vmin, vmax=vmax,
     )  # fmt: skip
     figure, ax = style.figure_and_axes(ax, _figsize(view))
-    drawn = drawing.draw_image(ax, view, image, _beam(cube, index))
+    drawn = drawing.draw_image(ax, view, image, index)
     drawing.draw_ssps(ax, view, ssps, index)
     _label_masked(ax, view, image.mask)
     _name_axes(ax, view, index)
@@ -149,7 +149,7 @@ def plot_epochs(
     figure, axes = drawing.image_panels(view, len(chosen), figure, aside=1.4, above=0.4)
     dates = drawing.epoch_names(cube.times)
     for ax, index, image in zip(axes, chosen, images, strict=True):
-        drawn = drawing.draw_image(ax, view, image, _beam(cube, index))
+        drawn = drawing.draw_image(ax, view, image, index)
         drawing.draw_ssps(ax, view, ssps, index, size=0.5)
         drawing.panel_text(ax, dates[index], 0.03, 0.96)
     label = drawing.brightness_label(cube.unit)
@@ -197,12 +197,9 @@ def plot_intervals(
     if pairs is None:
         pairs = consecutive_pairs(cube.years.to_value(u.yr))
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 2.6))
-    interval = pairs.interval * u.yr
-    unit = u.yr
-    if len(pairs):
-        longest = interval.max()
-        unit = next((v for v in (u.yr, u.day, u.hour) if longest >= 1 * v), u.min)
-    height = interval.to_value(unit)
+    longest = pairs.interval.max(initial=0.0) or 1.0
+    unit = next((v for v in (u.yr, u.d, u.h) if longest >= v.to(u.yr)), u.min)
+    height = u.yr.to(unit, pairs.interval)
     dates = cube.times.plot_date
     first, second = dates[pairs.first], dates[pairs.second]
     many = len(pairs) > 60
@@ -301,7 +298,7 @@ def animate_epochs(
         picture.set_data(images[index])
         ax.title.set_text(dates[index])
         before = {id(artist) for artist in ax.get_children()}
-        drawing.draw_beam(ax, view, _beam(cube, index))
+        drawing.draw_beam(ax, view, index)
         if ssps is not None:
             _draw_trail(ax, view, index, trail)
         drawing.draw_ssps(ax, view, ssps, index)
@@ -375,12 +372,8 @@ def write_animation(
 
 def _figsize(view):
     """Return the size in inches of a figure of one image."""
-    width, height = drawing.lengths(view.limits)
+    width, height = np.ptp(view.limits, axis=1)
     return style.WIDTH, float(np.clip(4.6 * height / width + 1.0, 2.4, 8.0))
-
-
-def _beam(cube, index):
-    return None if cube.beams is None else cube.beams[index]
 
 
 def _name_axes(ax, view, index):

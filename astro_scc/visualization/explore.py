@@ -22,6 +22,7 @@ try:
     import bokeh.models as models
     from bokeh.document import Document
     from bokeh.embed import file_html
+    from bokeh.palettes import Greys256, RdBu11, interp_palette
     from bokeh.plotting import figure
     from bokeh.resources import INLINE
 except ImportError:
@@ -368,8 +369,8 @@ class Page:
             self.notes.append(f"the images are binned by {n_bins} x {n_bins} pixels")
         sides = (sides * u.mas).to_value(self.sky_unit)
         (x, y), (width, height) = sides[:, 0], np.diff(sides)[:, 0]
-        greys = [f"#{v:02x}{v:02x}{v:02x}" for v in range(255, 0, -1)]
-        mapper = models.LinearColorMapper([drawing.MASKED, *greys], low=0, high=255)
+        greys = (drawing.MASKED, *Greys256[:0:-1])
+        mapper = models.LinearColorMapper(greys, low=0, high=255)
         images = {"image": list(planes), "date": self.dates}
         return plot.image(
             "image", x=x, y=y, dw=width, dh=height, color_mapper=mapper,
@@ -378,9 +379,6 @@ class Page:
         )  # fmt: skip
 
     def _diagram(self):
-        from matplotlib import colormaps
-        from matplotlib.colors import to_hex
-
         hdu, bins = self.hdus["DIAGRAM"], self.hdus["INTERVALS"].data
         used = bins["n_pairs"] > 0
         years, excess = bins["interval"][used].astype(float), hdu.data[:, used]
@@ -394,7 +392,7 @@ class Page:
             x_range=(0, right), y_range=(-top, top),
         )  # fmt: skip
         level = drawing.diagram_levels(years, excess, longest, COLUMNS)
-        colors = [to_hex(c) for c in colormaps["RdBu_r"](np.linspace(0, 1, 255))]
+        colors = interp_palette(RdBu11, 255)
         mapper = models.LinearColorMapper(colors, low=-127, high=127)
         size = {"dw": right, "dh": 2 * top}
         plot.image([level], x=0, y=-top, color_mapper=mapper, **size)

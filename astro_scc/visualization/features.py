@@ -78,7 +78,7 @@ def plot_streams(
     rows = np.reshape(rows, (-1, 5))
     fastest = np.hypot(rows[:, 3], rows[:, 4]).max(initial=0.0)
     # The longest arrow is a tenth of the jet.
-    scale = fastest / (LONGEST * drawing.lengths(view.limits).max()) or 1.0
+    scale = fastest / (LONGEST * np.ptp(view.limits, axis=1).max()) or 1.0
     for number, stream in enumerate(result.search.streams, 1):
         _, east, north, *motion = rows[rows[:, 0] == number].T
         look = style.component_look(number, stream.kind)

@@ -112,9 +112,8 @@ def legend_above(ax):
 
 def component_kinds(components):
     """Return the column ``kind`` of a table as text, or "moving" if it has none."""
-    if "kind" not in components.colnames:
-        return ["moving"] * len(components)
-    return [str(kind) for kind in components["kind"]]
+    known = "kind" in components.colnames
+    return list(map(str, components["kind"] if known else ["moving"] * len(components)))
 
 
 def add_colorbar(ax, drawn, label, ticks=None):
