@@ -81,9 +81,8 @@ class RidgeLine:
         step = np.hypot(np.diff(east), np.diff(north)).value
         if not np.all(step > 0):
             raise ValueError("the points of a ridge line must be finite and differ")
-        error = self.error
-        error = np.zeros(len(east)) * u.mas if error is None else u.Quantity(error)
-        error = np.broadcast_to(error.to(u.mas), east.shape, subok=True)
+        error = 0 * u.mas if self.error is None else u.Quantity(self.error).to(u.mas)
+        error = np.broadcast_to(error, east.shape, subok=True)
         for name, value in (("east", east), ("north", north), ("error", error)):
             object.__setattr__(self, name, value)
 
@@ -136,9 +135,9 @@ class RidgeLine:
         inside = np.clip(wanted, 0, s[-1])
         beyond = wanted - inside
         direction = self._direction(inside)
-        place = [np.interp(inside, s, column) for column in points.T]
         return tuple(
-            (p + beyond * direction[..., k]) * u.mas for k, p in enumerate(place)
+            (np.interp(inside, s, points[:, k]) + beyond * direction[..., k]) * u.mas
+            for k in (0, 1)
         )
 
     def position_angle(self, distance: u.Quantity) -> u.Quantity:

@@ -93,8 +93,7 @@ def plot_streams(
         ax.plot([], [], **look)
     if fastest:
         _draw_key(ax, view, fastest, scale)
-    if len(rows):
-        style.legend_above(ax)
+    style.legend_above(ax)
     return figure
 
 
@@ -175,8 +174,7 @@ def plot_feature_speeds(
     ax.set_xlim(left=0)
     ax.set_xlabel(f"Distance ({unit_name(unit)})")
     ax.set_ylabel(f"Proper motion ({unit_name(PM_UNIT)})")
-    if len(table):
-        style.legend_above(ax)
+    style.legend_above(ax)
     style.add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
     return figure
 
@@ -227,7 +225,6 @@ def plot_feature_distances(
         number = int(table["component"][own[0]])
         kind = kinds[number - 1]
         look = style.component_look(number, kind)
-        color = look["color"]
         time, place = years[table["epoch"][own]], distance[own]
         # Outward is positive, also along a component that points to the core.
         factor = u.mas.to(unit) * (-1.0 if place.mean() < 0 else 1.0)
@@ -237,13 +234,13 @@ def plot_feature_distances(
         )  # fmt: skip
         named.add(number)
         # Positions near a standing feature are not of the line.
-        middle, ends = np.median(place - slope * time), time[[0, -1]]
-        ax.plot(start + ends, factor * (middle + slope * ends), color=color, lw=0.8)
+        ends = time[[0, -1]]
+        line = factor * (np.median(place - slope * time) + slope * ends)
+        ax.plot(start + ends, line, color=look["color"], lw=0.8)
     style.show_years(ax, cube)
     ax.set_ylim(bottom=0)
     ax.set_ylabel(f"Distance ({unit_name(unit)})")
-    if named:
-        style.legend_above(ax)
+    style.legend_above(ax)
     return figure
 
 

@@ -83,7 +83,7 @@ def plot_profile(
         figure = style.new_figure((style.WIDTH, 4.6 if above else 3.4))
     if above:
         figure.set_layout_engine("constrained")
-        top, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1, 3))
+        strip, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1, 3))
     else:
         ax = figure.add_subplot()
     far = float(table["r_max"].to_value(u.mas).max()) if len(table) else 1.0
@@ -103,14 +103,20 @@ def plot_profile(
             color=style.component_color(k + 2), label=fit.model, ls=style.LINES[k % 3],
         )  # fmt: skip
     ax.set_xlim(0, 1.02 * far)
-    _limit_speeds(ax, table, column)
+    if len(table):
+        # Very large errors must not squeeze the rest.
+        speed = table[column].to_value(PM_UNIT)
+        low, high = speed.min(initial=0.0), speed.max(initial=0.0)
+        margin = 0.35 * max(high - low, 1e-9)
+        bottom, top = ax.get_ylim()
+        ax.set_ylim(max(bottom, low - margin), min(top, high + margin))
     ax.set_xlabel("Distance from the core (mas)")
     ax.set_ylabel(f"Proper motion along the jet ({unit_name(PM_UNIT)})")
     if ax.get_legend_handles_labels()[0]:
         ax.legend(fontsize="small", framealpha=0.85)
     style.add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
     if above:
-        _draw_strip(top, cube, line, far)
+        _draw_strip(strip, cube, line, far)
     return figure
 
 
@@ -128,17 +134,6 @@ def _draw_components(ax, table, column):
                     mfc="white" if kind == "not significant" else None,
                     label=sign.name if alpha == 1.0 or not (own & main).any() else None,
                 )  # fmt: skip
-
-
-def _limit_speeds(ax, table, column):
-    """Set limits so that very large errors do not squeeze the rest."""
-    if len(table) == 0:
-        return
-    v = table[column].to_value(PM_UNIT)
-    low, high = min(v.min(), 0.0), max(v.max(), 0.0)
-    margin = 0.35 * max(high - low, 1e-9)
-    bottom, top = ax.get_ylim()
-    ax.set_ylim(max(bottom, low - margin), min(top, high + margin))
 
 
 def _draw_strip(ax, cube, line, far):

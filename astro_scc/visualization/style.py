@@ -103,11 +103,12 @@ def show_years(ax, cube):
 
 
 def legend_above(ax):
-    """Add the legend of axes above them, on the left."""
-    ax.legend(
-        fontsize="small", frameon=False, loc="lower left", ncols=3,
-        bbox_to_anchor=(0, 1), borderaxespad=0,
-    )  # fmt: skip
+    """Add the legend of axes above them, on the left, if anything has a label."""
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(
+            fontsize="small", frameon=False, loc="lower left", ncols=3,
+            bbox_to_anchor=(0, 1), borderaxespad=0,
+        )  # fmt: skip
 
 
 def component_kinds(components):
