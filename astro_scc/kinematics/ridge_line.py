@@ -256,9 +256,9 @@ class RidgeLine:
             Columns ``s``, ``east``, ``north``, ``error``, ``pa``.
         """
         s = self.distances
-        columns = {"s": s, "east": self.east, "north": self.north}
-        columns |= {"error": self.error, "pa": self.position_angle(s)}
-        return QTable(columns, meta=dict(self.meta))
+        names = ("s", "east", "north", "error", "pa")
+        values = [s, self.east, self.north, self.error, self.position_angle(s)]
+        return QTable(values, names=names, meta=dict(self.meta))
 
     @classmethod
     def from_table(cls, table: QTable) -> RidgeLine:
