@@ -194,19 +194,19 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     a page; ``aside`` and ``above`` are the room for labels in inches.
     """
     aspect = np.divide(*np.ptp(view.limits, axis=1))
-    size = (style.WIDTH, style.HEIGHT) if figure is None else figure.get_size_inches()
-    wide, high = np.subtract(size, [aside, 0.7 + above])
+    page = (5.0, 8.0) if figure is None else figure.get_size_inches() - [1.2, 1.0]
     widths = [
-        min(wide / columns, aspect * (high / -(-n // columns) - 0.06))
+        min(page[0] / columns, page[1] / -(-n // columns) * aspect)
         for columns in range(1, n + 1)
     ]
     # Of grids with equal panels, but for rounding, take the one with fewest columns.
     columns = 1 + int(np.argmax(np.round(widths, 3)))
     rows = -(-n // columns)
     if figure is None:
-        panel = widths[columns - 1]
-        wide = max(columns * panel + aside, style.WIDTH / 2)
-        high = max(rows * (panel / aspect + 0.06) + 0.7 + above, 2.4)
+        panel = (style.WIDTH - aside) / columns / aspect
+        panel = min(panel, (style.HEIGHT - 0.7 - above) / rows - 0.06)
+        wide = max(columns * panel * aspect + aside, style.WIDTH / 2)
+        high = max(rows * (panel + 0.06) + 0.7 + above, 2.4)
         figure = style.new_figure((wide, high))
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for ax in grid.flat[n:]:
