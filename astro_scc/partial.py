@@ -8,7 +8,7 @@ import re
 import secrets
 import shutil
 import time
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 __all__ = ["hold", "is_held", "partial_folder", "remove_left", "replace_when_complete"]
@@ -53,12 +53,18 @@ def partial_folder(parent, prefix):
     ['a.txt']
     """
     remove_left(parent, prefix)
-    folder, lock = _make(parent, prefix)
-    try:
+    with ExitStack() as stack:
+        folder = None
+        # Before it is held, another process may remove it as left behind.
+        while folder is None or not folder.exists():
+            folder = Path(parent) / f"{prefix}{_machine()}-{secrets.token_hex(4)}"
+            folder.mkdir()
+            try:
+                stack.enter_context(hold(folder))
+            except BlockingIOError:
+                folder = None
+        stack.callback(shutil.rmtree, folder, ignore_errors=True)
         yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        _release(lock)
 
 
 @contextmanager
@@ -94,18 +100,6 @@ def replace_when_complete(path, *, overwrite=False):
         part = folder / path.name
         yield part
         os.replace(part, path)
-
-
-def _make(parent, prefix):
-    while True:
-        folder = Path(parent) / f"{prefix}{_machine()}-{secrets.token_hex(4)}"
-        folder.mkdir()
-        with suppress(BlockingIOError):
-            lock = _lock(folder)
-            # Before the lock, another process may have removed it as left behind.
-            if folder.exists():
-                return folder, lock
-            _release(lock)
 
 
 def remove_left(parent, prefix):
@@ -168,11 +162,20 @@ def hold(folder):
     BlockingIOError
         If another process, or another part of this one, holds the folder.
     """
-    lock = _lock(folder)
-    try:
-        yield lock is not None
-    finally:
-        _release(lock)
+    with ExitStack() as stack:
+        try:
+            import fcntl
+
+            number = os.open(folder, os.O_RDONLY)
+            stack.callback(os.close, number)
+            fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            held = True
+        except BlockingIOError:
+            raise
+        except (ImportError, OSError):
+            # Windows and some network file systems have no such locks.
+            held = False
+        yield held
 
 
 def is_held(folder):
@@ -200,25 +203,3 @@ def is_held(folder):
             if time.monotonic() > limit:
                 return True
             time.sleep(PATIENCE / 50)
-
-
-def _lock(folder):
-    """Return an open file descriptor that holds the folder, or None if impossible."""
-    number = None
-    try:
-        import fcntl
-
-        number = os.open(folder, os.O_RDONLY)
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (ImportError, OSError) as error:
-        _release(number)
-        if isinstance(error, BlockingIOError):
-            raise
-        # Windows and some network file systems have no such locks.
-        return None
-    return number
-
-
-def _release(number):
-    if number is not None:
-        os.close(number)

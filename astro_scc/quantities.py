@@ -5,8 +5,9 @@ import math
 import operator
 import re
 import warnings
-from datetime import date
 
+#: Number of the largest scale, far above that of any image.
+LARGEST_SCALE = 20
 #: Regular expression of a number.
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 
@@ -56,7 +57,10 @@ def parse_quantities(text):
     if not units or not units[-1]:
         raise ValueError("has no unit at its end")
     for i in reversed(range(len(units))):
-        units[i] = parse_unit(units[i]) if units[i] else units[i + 1]
+        try:
+            units[i] = u.Unit(units[i]) if units[i] else units[i + 1]
+        except (ValueError, TypeError):
+            raise ValueError(f"has the unknown unit {units[i]!r}") from None
     return [u.Quantity(*pair) for pair in zip(numbers, units, strict=True)]
 
 
@@ -117,31 +121,6 @@ def finite_quantities(value, unit, wanted):
     if found.size == 0 or found.ndim > 1 or not np.all(np.isfinite(found)):
         raise ValueError(wanted)
     return found
-
-
-def parse_unit(text):
-    """
-    Return the unit that a text names.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    `~astropy.units.UnitBase`
-
-    Raises
-    ------
-    ValueError
-        If the text is not a unit.
-    """
-    import astropy.units as u
-
-    try:
-        return u.Unit(text)
-    except (ValueError, TypeError):
-        raise ValueError(f"has the unknown unit {text!r}") from None
 
 
 def one_quantity(value, kind, example, positive=True):
@@ -321,8 +300,8 @@ def check_boolean(value):
     return bool(value)
 
 
-def check_number(value):
-    """Return a finite number."""
+def check_number(value, low=-math.inf, high=math.inf, wanted=""):
+    """Return a finite number between two limits, which are not allowed themselves."""
     try:
         if isinstance(value, bool):
             raise TypeError
@@ -330,82 +309,42 @@ def check_number(value):
     except (TypeError, ValueError):
         raise ValueError("must be a number") from None
     except OverflowError:
-        number = float("inf")
-    if not abs(number) < float("inf"):
+        number = math.inf
+    if not math.isfinite(number):
         raise ValueError("must be a finite number")
-    return number
-
-
-def check_positive(value):
-    """Return a number above 0."""
-    number = check_number(value)
-    if not number > 0:
-        raise ValueError("must be above 0")
-    return number
-
-
-def fraction(largest, of=""):
-    """Return a check that a number is above 0 and below ``largest``."""
-
-    def check(value):
-        number = check_number(value)
-        if not 0 < number < largest:
-            raise ValueError(f"must be {of}between 0 and {largest}")
-        return number
-
-    return check
-
-
-def integer(smallest, largest=None):
-    """Return a check that a number is whole and in a range, limits included."""
-
-    def check(value):
-        try:
-            if isinstance(value, bool):
-                raise TypeError
-            number = int(value) if isinstance(value, str) else operator.index(value)
-        except (TypeError, ValueError):
-            raise ValueError("must be a whole number") from None
-        if not smallest <= number <= (number if largest is None else largest):
-            limit = "or more" if largest is None else f"to {largest}"
-            raise ValueError(f"must be {smallest} {limit}")
-        return number
-
-    return check
-
-
-def choice(*choices):
-    """Return a check that a word is one of ``choices``."""
-
-    def check(value):
-        if not isinstance(value, str) or value not in choices:
-            raise ValueError(f"must be one of {', '.join(choices)}")
-        return value
-
-    return check
-
-
-def quantity(kind, example):
-    """Return a check that a value is one quantity above 0."""
-    return lambda value: one_quantity(value, kind, example)
-
-
-def quantity_range(what, example, smallest=None, *, equal=False):
-    """Return a check that a value is two quantities, the smaller one first."""
-    wanted = f"must be {what}, such as {example!r}"
-    unit = example.split()[-1]
-
-    def check(value):
-        found = finite_quantities(value, unit, wanted)
-        if found.shape == (2,):
-            low, high = found.value
-            if (low < high or (equal and low == high)) and (
-                smallest is None or low >= smallest
-            ):
-                return found
+    if not low < number < high:
         raise ValueError(wanted)
+    return number
 
-    return check
+
+def check_integer(value, least, most=math.inf):
+    """Return a whole number in a range, limits included."""
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        number = int(value) if isinstance(value, str) else operator.index(value)
+    except (TypeError, ValueError):
+        raise ValueError("must be a whole number") from None
+    if not least <= number <= most:
+        limit = "or more" if most == math.inf else f"to {most}"
+        raise ValueError(f"must be {least} {limit}")
+    return number
+
+
+def check_choice(value, *choices):
+    """Return a word that is one of ``choices``."""
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"must be one of {', '.join(choices)}")
+    return value
+
+
+def check_range(value, wanted, example, least=-math.inf, ordered=operator.lt):
+    """Return two quantities of the unit of the example, the smaller one first."""
+    wanted = f"must be {wanted}, such as {example!r}"
+    found = finite_quantities(value, example.split()[-1], wanted)
+    if found.shape != (2,) or found.value[0] < least or not ordered(*found.value):
+        raise ValueError(wanted)
+    return found
 
 
 def check_position_angle(value):
@@ -442,12 +381,9 @@ def check_bins(value):
 def check_scales(value):
     """Return scales as numbers or as angles."""
     wanted = "must be scale numbers such as 1,2,3 or angles such as '0.2,0.4 mas'"
-    items = value
-    if isinstance(value, str):
-        items = re.findall(r"[^\s,]+", value)
-    elif not hasattr(value, "__len__"):
-        items = [value]
+    items = re.findall(r"[^\s,]+", value) if isinstance(value, str) else value
     try:
+        items = items if hasattr(items, "__len__") else [items]
         numbers = tuple(check_number(item) for item in items)
     except (TypeError, ValueError):
         angles = finite_quantities(value, "mas", wanted).reshape(-1)
@@ -458,12 +394,15 @@ def check_scales(value):
         raise ValueError(wanted)
     if len(set(numbers)) < len(numbers):
         raise ValueError("must differ: leave out what is there twice")
+    if not all(0 <= j <= LARGEST_SCALE and j % 0.5 == 0 for j in numbers):
+        series = f"must be of the series 0, 0.5, 1, 1.5, ..., {LARGEST_SCALE}"
+        raise ValueError(f"{series}: scale j is 2^j pixels")
     return numbers
 
 
 def check_date(value):
     """Return a date as text."""
     # TOML has a type for dates.
-    text = value.isoformat() if isinstance(value, date) else str(value)
+    text = value.isoformat() if hasattr(value, "isoformat") else str(value)
     to_time(text)
     return text.strip()

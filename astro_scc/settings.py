@@ -8,11 +8,13 @@ of `Settings`.  Quantities may be text with a unit, ``"2 mas / yr"``.
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from functools import partial
+from operator import le
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,18 +22,17 @@ from astro_scc.quantities import (
     check_alignment_error,
     check_bins,
     check_boolean,
+    check_choice,
     check_date,
+    check_integer,
+    check_number,
     check_paths,
     check_position_angle,
-    check_positive,
+    check_range,
     check_scales,
     check_text,
-    choice,
-    fraction,
-    integer,
     named,
-    quantity,
-    quantity_range,
+    one_quantity,
 )
 
 if TYPE_CHECKING:
@@ -60,18 +61,14 @@ REMARKS = """\
 """
 
 
-def _single(name):
-    """Return a check of one value, made by `astro_scc.kinematics.cosmology`."""
+def _of_object(value, name):
+    """Check one redshift or distance by `astro_scc.kinematics.cosmology`."""
+    from astro_scc.kinematics import cosmology
 
-    def check(value):
-        from astro_scc.kinematics import cosmology
-
-        found = getattr(cosmology, f"to_{name}")(value)
-        if getattr(found, "shape", ()):
-            raise ValueError(f"must be one {name}")
-        return found
-
-    return check
+    found = getattr(cosmology, f"to_{name}")(value)
+    if getattr(found, "shape", ()):
+        raise ValueError(f"must be one {name}")
+    return found
 
 
 def _cosmology(value):
@@ -81,11 +78,12 @@ def _cosmology(value):
     return value.strip()
 
 
-_speed = quantity("an angle per time", "2 mas/yr")
-_angle = quantity("an angle", "2 mas")
-_speeds = quantity_range("a smallest and a largest speed", "-1 4 mas/yr")
-_times = quantity_range("a shortest and a longest time", "0.2 yr 1.0 yr", 0, equal=True)
-_beams = fraction(5, "a part of the beam ")
+# Checks, and their arguments after the value.
+POSITIVE = (check_number, 0, math.inf, "must be above 0")
+BEAMS = (check_number, 0, 5, "must be a part of the beam between 0 and 5")
+SPEED = (one_quantity, "an angle per time", "2 mas/yr")
+ANGLE = (one_quantity, "an angle", "2 mas")
+SPEEDS = (check_range, "a smallest and a largest speed", "-1 4 mas/yr")
 
 
 def _setting(group, check, text, metavar=None, default=None, *, unit=None, only=None):
@@ -94,8 +92,9 @@ def _setting(group, check, text, metavar=None, default=None, *, unit=None, only=
 
     One without ``metavar`` is not on the command line; ``unit`` is for calculations.
     """
-    facts = {"group": group, "check": check, "help": text, "metavar": metavar}
-    facts |= {"unit": unit, "commands": only or GROUPS[group]}
+    facts = {"group": group, "help": text, "metavar": metavar, "unit": unit}
+    facts |= {"check": check if isinstance(check, tuple) else (check,)}
+    facts |= {"commands": only or GROUPS[group]}
     return field(default=default, metadata=facts)
 
 
@@ -120,7 +119,7 @@ class MeasurementSettings:
         "1,2,3",
     )
     max_speed: u.Quantity | str | None = _measure(
-        _speed,
+        SPEED,
         "largest proper motion; default 1.5 beams in the shorter intervals, four of "
         "up to 20 epochs (track: four in the median interval)",
         '"2 mas/yr"',
@@ -136,46 +135,48 @@ class MeasurementSettings:
         unit="deg",
     )
     baseline: u.Quantity | Sequence[str] | None = _stack(
-        _times,
+        (check_range, "a shortest and a longest time", "0.2 yr 1.0 yr", 0, le),
         "compare only epochs whose separation in time is in this range; by default "
         "each speed has the intervals in which it moves 0.2 to 1 beam",
         '"0.2 yr 1.0 yr"',
         unit="yr",
     )
     min_error_beams: float = _stack(
-        _beams, "smallest error of a displacement, in beams; default 0.2", "0.2", 0.2
+        BEAMS, "smallest error of a displacement, in beams; default 0.2", "0.2", 0.2
     )
     kappa: float = _measure(
-        check_positive,
+        POSITIVE,
         "smallest correlation of a match; default 0.6 (track: 0.5)",
         "0.6",
         0.6,
     )
     target: str = _measure(
-        choice("segments", "plane"),
+        (check_choice, "segments", "plane"),
         "what a pattern is correlated with: the patterns of the other epoch or its "
         'whole "plane"',
         default="segments",
     )
     min_overlap: float = _measure(
-        check_positive, "part of a pattern that must lie on good pixels", default=0.8
+        POSITIVE, "part of a pattern that must lie on good pixels", default=0.8
     )
     wavelet: str = _measure(
-        choice("b1", "b3"), 'low-pass filter, or "b3"', default="b1"
+        (check_choice, "b1", "b3"), 'low-pass filter, or "b3"', default="b1"
     )
     detection: float = _measure(
-        check_positive, "threshold of patterns, in sigma", default=4.0
+        POSITIVE, "threshold of patterns, in sigma", default=4.0
     )
     segmentation: float = _measure(
-        check_positive, "threshold of the pixels of patterns, in sigma", default=3.0
+        POSITIVE, "threshold of the pixels of patterns, in sigma", default=3.0
     )
     noise: str = _measure(
-        choice("plane", "local", "propagated"),
+        (check_choice, "plane", "local", "propagated"),
         'estimate of the noise of wavelet planes, or "local", "propagated"',
         default="plane",
     )
     alpha: float = _stack(
-        fraction(1), "largest p_global of a significant component", default=0.05
+        (check_number, 0, 1, "must be between 0 and 1"),
+        "largest p_global of a significant component",
+        default=0.05,
     )
     outward: bool = _stack(
         check_boolean,
@@ -265,60 +266,60 @@ class Settings(MeasurementSettings):
         '"0.5 1.5 2.5 mas"',
     )
     window: u.Quantity | str | None = _distance_bin(
-        _angle,
+        ANGLE,
         "windows of this width about each of the --bins, instead of bins between",
         '"2 mas"',
     )
     along: u.Quantity | Sequence[str] | None = _track(
-        _speeds,
+        SPEEDS,
         "smallest and largest proper motion along the jet",
         '"-1 4 mas/yr"',
         unit="mas / yr",
     )
     across: u.Quantity | Sequence[str] | None = _track(
-        _speeds,
+        SPEEDS,
         "smallest and largest proper motion across the jet",
         '"-1 4 mas/yr"',
         unit="mas / yr",
     )
     tolerance: float | None = _track(
-        _beams,
+        BEAMS,
         "scatter of displacements about steady motion, in beams; default 0.2",
         "0.2",
     )
     max_gap: int | None = _track(
-        integer(0),
+        (check_integer, 0),
         "consecutive epochs at which a feature may be missing; default 1",
         "1",
     )
     max_interval: u.Quantity | str | None = _track(
-        quantity("a time", "1 yr"),
+        (one_quantity, "a time", "1 yr"),
         "longest time between two epochs that are linked",
         '"1 yr"',
         unit="yr",
     )
     min_epochs: int | None = _track(
-        integer(3), "smallest number of epochs of a track; default 3", "3"
+        (check_integer, 3), "smallest number of epochs of a track; default 3", "3"
     )
     half_width: u.Quantity | str | None = _track(
-        _angle,
+        ANGLE,
         "features this near a distance make the profile there; default 2 mas "
         "(Mertens & Lobanov 2016), or a fifth of the longest distance if less",
         '"2 mas"',
     )
     n_trials: int | None = _trial(
-        integer(2, 10**9),
+        (check_integer, 2, 10**9),
         "permutations of the epochs; the paper's z-score and error take 200 at most; "
         "default 1000 (track: 20)",
         "1000",
     )
     seed: int | None = _trial(
-        integer(0, 2**63 - 1),  # FITS and TOML keep integers of 64 bits
+        (check_integer, 0, 2**63 - 1),  # FITS and TOML keep integers of 64 bits
         "of the random numbers; drawn and written down by default",
         "N",
     )
     redshift: float | str | u.Quantity | None = _in_c(
-        _single("redshift"), "of the object, also in percent", "Z"
+        (_of_object, "redshift"), "of the object, also in percent", "Z"
     )
     cosmology: str | None = _in_c(
         _cosmology,
@@ -327,7 +328,7 @@ class Settings(MeasurementSettings):
         'NAME|"H0=71,Om0=0.27"',
     )
     distance: u.Quantity | str | None = _in_c(
-        _single("distance"), "of a near object, without a redshift", '"16.7 Mpc"'
+        (_of_object, "distance"), "of a near object, without a redshift", '"16.7 Mpc"'
     )
 
     def __post_init__(self):
@@ -340,7 +341,7 @@ class Settings(MeasurementSettings):
         if self.redshift is not None and self.cosmology is None:
             object.__setattr__(self, "cosmology", PAPER_COSMOLOGY)
         if self.cosmology is not None and self.redshift is None:
-            raise ValueError("--cosmology needs a --redshift")
+            raise ValueError("cosmology needs a redshift")
 
     @property
     def in_c(self) -> dict[str, Any]:
@@ -417,12 +418,13 @@ OPTIONS = {
 }
 
 
-def check_setting(name, value, label=None):
+def check_setting(name, value):
     """Return the value of a setting; an error has the attribute ``setting``."""
     if value is None:
         return None
+    check, *more = OPTIONS[name]["check"]
     try:
-        return named(label or name, OPTIONS[name]["check"], value)
+        return named(name, check, value, *more)
     except ValueError as error:
         error.setting = name
         raise

@@ -14,27 +14,25 @@ FORMATS = {"coefficient": ".3f", "z_score": ".1f", "pm_limit": ".2g"}
 def offset_unit(span, unit=None):
     """Return a unit that is easy to read for offsets over a span in mas."""
     if unit is not None:
-        unit = u.Unit(unit)
-        if not unit.is_equivalent(u.mas):
-            raise ValueError(f"unit must be an angle, such as 'mas', got {unit}")
-        return unit
-    for unit, least in ((u.deg, 3.0), (u.arcmin, 5.0), (u.arcsec, 3.0), (u.mas, 0.3)):
-        if (span * u.mas).to_value(unit) >= least:
-            return unit
-    return u.uas
+        return _unit_like(u.mas, unit, "an angle, such as 'mas'")
+    units = ((u.deg, 3.0), (u.arcmin, 5.0), (u.arcsec, 3.0), (u.mas, 0.3))
+    large = (own for own, least in units if (span * u.mas).to_value(own) >= least)
+    return next(large, u.uas)
 
 
 def speed_unit(fastest, unit=None):
     """Return a unit that is easy to read for proper motions up to one in mas/yr."""
-    if unit is None:
-        if (fastest * PM_UNIT).to_value(u.arcsec / u.h) >= 0.3:
-            return u.arcsec / u.h
-        return u.arcsec / u.yr if fastest >= 3000 else PM_UNIT
+    if unit is not None:
+        return _unit_like(PM_UNIT, unit, "an angle over a time, such as 'mas/yr'")
+    if (fastest * PM_UNIT).to_value(u.arcsec / u.h) >= 0.3:
+        return u.arcsec / u.h
+    return u.arcsec / u.yr if fastest >= 3000 else PM_UNIT
+
+
+def _unit_like(kind, unit, wanted):
     unit = u.Unit(unit)
-    if not unit.is_equivalent(PM_UNIT):
-        raise ValueError(
-            f"unit must be an angle over a time, such as 'mas/yr', got {unit}"
-        )
+    if not unit.is_equivalent(kind):
+        raise ValueError(f"unit must be {wanted}, got {unit}")
     return unit
 
 

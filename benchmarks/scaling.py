@@ -200,7 +200,7 @@ def whole(reach, n_epochs, n_trials, n_workers):
 def estimate_part(runs):
     """Compare the time that commands estimate with the time that they take."""
     from astro_scc.cli import main as astro_scc
-    from astro_scc.cli.inputs import measuring_time, read_epochs, with_direction
+    from astro_scc.cli.inputs import measuring_time, read_epochs
     from astro_scc.settings import Settings
 
     rows = []
@@ -210,8 +210,8 @@ def estimate_part(runs):
             words = ["simulate", "jet", files, "--epochs", str(n_epochs), "--seed", "1"]
             astro_scc([*words, "--quiet"])
             settings = Settings(epochs=[f"{files}/*.fits"], n_trials=1000, seed=1)
-            cube, settings, _ = read_epochs(settings)
-            *parts, _ = measuring_time(cube, with_direction(cube, settings))
+            cube, settings, *_ = read_epochs(settings)
+            *parts, _ = measuring_time(cube, settings)
             words = ["measure", f"{files}/*.fits", "-o", f"{files}-out", "--seed", "1"]
             start = time.process_time()
             astro_scc([*words, "--quiet", "--workers", "1"])

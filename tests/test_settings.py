@@ -274,6 +274,8 @@ def test_times():
         ("scales", "1,b", "scale numbers such as 1,2,3 or angles"),
         ("scales", "1 yr", "scale numbers"),
         ("scales", "0 mas", "above 0"),
+        ("scales", "99", "of the series 0, 0.5, 1, 1.5, ..., 20: scale j is 2\\^j pix"),
+        ("scales", [1.3], "of the series 0, 0.5"),
         ("cosmology", "standard", "is no cosmology"),
         ("cosmology", 3, "must be text"),
         ("before", "yesterday", "is no date such as 2011-01-01"),

@@ -519,18 +519,21 @@ refused("a scale twice", "--scales '1,2,1' must differ: leave out")(
 refused("no scale", "--scales '' must be scale numbers such as 1,2,3")(
     _options("--scales=")
 )
-refused("scale far larger than the image", "too small for wavelet scale 30 .* leave")(
-    _options("--scales=30")
+refused("scale larger than the image", "too small for wavelet scale 20 .* leave")(
+    _options("--scales=20")
 )
-refused("scale below none", "a scale number must be a positive|scale")(
+refused(
+    "scale far larger than any image", "--scales '99' must be of the series 0, 0.5"
+)(_options("--scales=99"))
+refused("scale below none", "--scales '-1' must be of the series")(
     _options("--scales=-1")
 )
-refused("largest speed beyond the image", "max_speed moves .* more than 10 times the")(
-    _options("--max-speed=1e12 mas/yr")
-)
-refused("largest speed below any that is seen", "max_speed moves .* give a larger one")(
-    _options("--max-speed=1e-12 mas/yr")
-)
+refused(
+    "largest speed beyond the image", "--max-speed moves .* more than 10 times the"
+)(_options("--max-speed=1e12 mas/yr"))
+refused(
+    "largest speed below any that is seen", "--max-speed moves .* give a larger one"
+)(_options("--max-speed=1e-12 mas/yr"))
 case("position angle of the jet beyond 360 degrees")(
     _options("--position-angle=630 deg")
 )

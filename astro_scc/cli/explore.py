@@ -18,6 +18,10 @@ command where the measurement was started.  It needs bokeh: pip install
 
 from pathlib import Path
 
+from astro_scc.cli.inputs import read_epochs, read_table
+from astro_scc.cli.reporter import one_line
+from astro_scc.settings import Settings, read_config
+
 PAGE = "explore.html"
 
 
@@ -33,7 +37,9 @@ def run(args, reporter):
     from astro_scc.visualization.explore import write_explore
 
     folder = Path(args.folder)
-    tables = [_table(folder / f"{n}.ecsv") for n in ("components", "features", "ssps")]
+    advice = "; name a folder that astro-scc measure has written"
+    names = ("components", "features", "ssps")
+    tables = [read_table(folder / f"{name}.ecsv", advice) for name in names]
     try:
         hdus = fits.open(folder / "scc.fits")
     except OSError as error:
@@ -50,34 +56,16 @@ def run(args, reporter):
     reporter.say(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 
-def _table(path):
-    from astropy.table import QTable
-
-    try:
-        return QTable.read(path, format="ascii.ecsv")
-    except FileNotFoundError:
-        what = "does not exist; name a folder that astro-scc measure has written"
-        raise OSError(f"{path}: {what}") from None
-    except Exception as error:
-        first = [*str(error).strip().splitlines(), ""][0]
-        raise ValueError(f"{path}: is no ECSV table: {first}") from None
-
-
 def _images(config, header, reporter):
     """Return the epochs of a measurement, or None and a note on why there are none."""
-    from astro_scc.cli.inputs import read_epochs
-    from astro_scc.settings import Settings, read_config
-
     try:
-        settings = Settings(**read_config(config)[0])
-        cube, _, _ = read_epochs(settings)
+        cube, *_ = read_epochs(Settings(**read_config(config)[0]))
         dates = cube.times.utc.isot[[0, -1]].tolist()
-        if [len(cube), *dates] != [
-            header[k] for k in ("NEPOCHS", "DATE-BEG", "DATE-END")
-        ]:
+        measured = [header[key] for key in ("NEPOCHS", "DATE-BEG", "DATE-END")]
+        if [len(cube), *dates] != measured:
             raise ValueError(f"{config}: names other epochs than those measured")
     except (OSError, ValueError) as error:
-        note = f"without images: {' '.join(str(error).split())}"
+        note = f"without images: {one_line(error)}"
         reporter.note(note)
         return None, [note]
     return cube, []

@@ -6,9 +6,10 @@ import re
 import secrets
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from astro_scc.cli.options import option_name
-from astro_scc.settings import OPTIONS, Settings, check_setting, read_config
+from astro_scc.settings import OPTIONS, Settings, read_config
 
 #: Pixels of all epochs from which on more processes save more time than they take to
 #: start: some ten seconds of one.
@@ -23,23 +24,38 @@ LESS = "a --region, a --crop or fewer --scales shorten it"
 REPORT, READ = 7.0, 0.03
 
 
+class Inputs(NamedTuple):
+    """
+    Epochs as they are measured, and the settings with what was decided on the way.
+
+    ``left_out`` has epochs that are not in the cube, and the reasons; ``chosen`` the
+    choices that the images have made, each with its reason, as lines.
+    """
+
+    cube: Any
+    settings: Settings
+    left_out: list
+    chosen: list
+
+    @property
+    def found(self):
+        """Lines on the choices for a summary."""
+        return [f"Found in the images: {line}" for line in self.chosen]
+
+
 def draw_seed(seed=None):
     """Return the seed, or a random one that is short enough to be typed."""
     return secrets.randbelow(2**31) if seed is None else seed
 
 
-def workers_of(args):
-    """Return the workers that ``--workers`` or ``--scheduler`` name, or None."""
+def workers_of(args, cube=None):
+    """Return the workers that were named, or one process per core for a large cube."""
     if args.workers is not None and args.workers < 1:
         raise ValueError(f"--workers must be at least 1, got {args.workers}")
-    return args.workers if args.scheduler is None else args.scheduler
-
-
-def workers_for(cube, workers=None):
-    """Return the workers that were named, or one process per core for a large cube."""
-    if workers is not None:
-        return workers
-    return 1 if cube.data.size < WORTH_PROCESSES else _n_cores()
+    if args.scheduler is not None:
+        return args.scheduler
+    large = cube is not None and cube.data.size >= WORTH_PROCESSES
+    return args.workers or (_n_cores() if large else 1)
 
 
 def _n_cores():
@@ -49,7 +65,7 @@ def _n_cores():
     return os.cpu_count() or 1
 
 
-def measuring_time(cube, settings, *, n_bins=0):
+def measuring_time(cube, settings, n_bins=0):
     """
     Estimate how long a measurement takes on one core, within a factor of two.
 
@@ -64,8 +80,8 @@ def measuring_time(cube, settings, *, n_bins=0):
     -------
     shared, alone : float
         Seconds of what several processes share, and of the rest.
-    n_ssps : float
-        Estimated number of SSPs.
+    what : str
+        What takes so long.
     """
     from astro_scc import StackedCrossCorrelation
     from astro_scc.measurement.decomposing import matching_time
@@ -80,46 +96,30 @@ def measuring_time(cube, settings, *, n_bins=0):
     # A bin has a part of the matches.
     stacks = 1 + n_bins / 2
     alone = stacks * stacking_time(len(cube), settings.n_trials, n_axes)
-    return shared, alone + REPORT + READ * len(cube), n_ssps
-
-
-def tell_time(reporter, cube, settings, n_workers, *, n_bins=0):
-    """
-    Say how long a measurement will take, if that is over five minutes.
-
-    Parameters
-    ----------
-    reporter : `~astro_scc.cli.reporter.Reporter`
-    cube, settings, n_bins
-        See `measuring_time`.
-    n_workers : int or object
-        On a cluster, whose processes are not known, nothing is said.
-    """
-    if reporter.quiet or not isinstance(n_workers, int):
-        return
-    shared, alone, n_ssps = measuring_time(cube, settings, n_bins=n_bins)
     n, ny, nx = cube.shape
     what = f"{n} epochs of {nx} x {ny} pixels with about {rounded(n_ssps)} patterns"
-    say_time(reporter, n_workers, shared, alone, what)
+    return shared, alone + REPORT + READ * n, what
 
 
-def say_time(reporter, n_workers, shared, alone, what, *, less=LESS, most=None):
+def tell_time(reporter, n_workers, estimate, *more, less=LESS, most=None):
     """
-    Say that a run will take long, and what shortens it.
+    Say that a run will take long, if it takes over five minutes, and what shortens it.
 
     Parameters
     ----------
     reporter : `~astro_scc.cli.reporter.Reporter`
-    n_workers : int
-    shared, alone : float
-        Seconds of what several processes share, and of the rest, on one core.
-    what : str
-        What takes so long.
+    n_workers : int or object
+        On a cluster, whose processes are not known, nothing is said.
+    estimate : callable
+        Returns what `measuring_time` returns; ``more`` are its arguments.
     less : str, optional
         What shortens the shared part besides processes.
     most : int, optional
         Most processes that can share it.
     """
+    if reporter.quiet or not isinstance(n_workers, int):
+        return
+    shared, alone, what = estimate(*more)
     n_cores = min(_n_cores(), most or _n_cores())
     seconds = shared / min(n_workers, n_cores) + alone
     if seconds <= LONG:
@@ -138,24 +138,16 @@ def rounded(number):
 
 def _duration(seconds):
     """Return a time with two digits."""
-    for unit, size in (("d", 86400), ("h", 3600)):
-        if seconds >= 1.5 * size:
-            return f"{seconds / size:.2g} {unit}"
-    return f"{seconds / 60:.2g} min"
-
-
-def option_of(args, name):
-    """Return the value of one option that is a setting, or None."""
-    return check_setting(name, getattr(args, name), option_name(name))
+    units = (("d", 86400), ("h", 3600), ("min", 60))
+    unit, size = next((v for v in units if seconds >= 1.5 * v[1]), units[-1])
+    return f"{seconds / size:.2g} {unit}"
 
 
 def override(given, own):
     """Return settings updated by others; distance and redshift replace each other."""
-    if "distance" in own:
-        given = {k: v for k, v in given.items() if k not in ("redshift", "cosmology")}
-    elif "redshift" in own:
-        given = {k: v for k, v in given.items() if k != "distance"}
-    return given | own
+    replaced = {"distance": ("redshift", "cosmology"), "redshift": ("distance",)}
+    out = next((names for name, names in replaced.items() if name in own), ())
+    return {name: value for name, value in given.items() if name not in out} | own
 
 
 def settings_of(args, reporter, *, unused=(), **defaults):
@@ -185,20 +177,10 @@ def settings_of(args, reporter, *, unused=(), **defaults):
     if args.config:
         given, written_by = read_config(args.config)
         _compare_versions(written_by, args.config, reporter)
-    given = {name: value for name, value in given.items() if name not in unused}
-    own = {
-        name: value
-        for name in OPTIONS
-        if (value := getattr(args, name, None)) not in (None, [])
-    }
-    try:
-        settings = Settings(**defaults | override(given, own))
-    except ValueError as error:
-        if (name := getattr(error, "setting", None)) not in own:
-            raise
-        # The message names the option as it is typed.
-        text = str(error).replace(f"{name} =", option_name(name), 1)
-        raise ValueError(text) from None
+    for name in unused:
+        given.pop(name, None)
+    own = {k: v for k, v in vars(args).items() if k in OPTIONS and v not in (None, [])}
+    settings = Settings(**defaults | override(given, own))
     if not settings.epochs:
         raise ValueError("no epochs were given; name the FITS files, or a --config")
     return settings
@@ -221,7 +203,7 @@ def _ignore(text):
     """Tell nobody."""
 
 
-def read_epochs(settings, *, files=None, note=_ignore, chosen=_ignore):
+def read_epochs(settings, *, files=None, note=_ignore, direction=True):
     """
     Read the epochs of a measurement.
 
@@ -232,17 +214,14 @@ def read_epochs(settings, *, files=None, note=_ignore, chosen=_ignore):
         Present paths of the epochs, if they will be moved.
     note : callable, optional
         Called with a line of text on every decision.
-    chosen : callable, optional
-        Called with each choice that the images have made and its reason.
+    direction : bool, optional
+        See `prepare`.
 
     Returns
     -------
-    cube : `~astro_scc.EpochCube`
-        The epochs, aligned, with a common beam if that is wanted.
-    settings : `~astro_scc.settings.Settings`
-        The settings with the files, the steps that were taken, and a seed.
-    left_out : list of (str, str)
-        Epochs that are not in the cube, and the reasons.
+    `Inputs`
+        The epochs, aligned, with a common beam if that is wanted; the settings with
+        the files, the steps that were taken, and a seed.
 
     Raises
     ------
@@ -252,7 +231,6 @@ def read_epochs(settings, *, files=None, note=_ignore, chosen=_ignore):
     from astro_scc.epochs import EpochCube
     from astro_scc.epochs.cutout import refuse_pixels
     from astro_scc.epochs.fits import find_files
-    from astro_scc.measurement.choices import choose_alignment
 
     if files is None:
         files = find_files(settings.epochs)
@@ -262,65 +240,56 @@ def read_epochs(settings, *, files=None, note=_ignore, chosen=_ignore):
         refuse_pixels(settings.region)
     cube = EpochCube.read(files, frame=frame, region=settings.crop)
     cube, left_out = select_epochs(cube, settings.after, settings.before)
-    common = _wants_common_beam(cube, settings.common_beam, note)
-    if common:
+    settings = replace(settings, seed=draw_seed(settings.seed))
+    cube, settings, chosen = prepare(cube, settings, note=note, direction=direction)
+    return Inputs(cube, settings, left_out, chosen)
+
+
+def prepare(cube, settings, *, note=_ignore, direction=True):
+    """
+    Convolve and align epochs, and choose by them the settings that are not given.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.EpochCube`
+    settings : `~astro_scc.settings.Settings`
+    note : callable, optional
+        Called with a line of text on beams.
+    direction : bool, optional
+        Whether to choose the direction of the jet, too.
+
+    Returns
+    -------
+    cube : `~astro_scc.EpochCube`
+    settings : `~astro_scc.settings.Settings`
+    chosen : list of str
+        The choices and their reasons.
+    """
+    from astro_scc.measurement import choices
+
+    chosen, found = [], {"common_beam": _wants_common_beam(cube, settings, note)}
+    if found["common_beam"]:
         cube = cube.to_common_beam()
-    align = settings.align
-    if align is None:
-        align, reason = choose_alignment(cube)
-        chosen(f"--align {align}: {reason}")
-    seed = draw_seed(settings.seed)
-    cube = cube.align(align)
-    settings = with_scales(cube, settings, chosen=chosen)
-    settings = replace(settings, align=align, common_beam=common, seed=seed)
-    return cube, settings, left_out
+    if settings.align is None:
+        found["align"], reason = choices.choose_alignment(cube)
+        chosen.append(f"--align {found['align']}: {reason}")
+    cube = cube.align(found.get("align", settings.align))
+    if settings.scales is None:
+        found["scales"], reason = choices.choose_scales(cube)
+        chosen.append(f"--scales {','.join(map(str, found['scales']))}: {reason}")
+    if direction and settings.position_angle is None:
+        angle, reason = choices.choose_direction(cube)
+        found["position_angle"] = "any" if angle is None else angle
+        angle = "any" if angle is None else f'"{angle:g}"'
+        chosen.append(f"--position-angle {angle}: {reason}")
+    return cube, replace(settings, **found), chosen
 
 
-def with_scales(cube, settings, *, chosen=_ignore):
-    """Return the settings with the scales that suit the images."""
-    if settings.scales is not None:
-        return settings
-    from astro_scc.measurement.choices import choose_scales
-
-    scales, reason = choose_scales(cube)
-    chosen(f"--scales {','.join(map(str, scales))}: {reason}")
-    return replace(settings, scales=scales)
-
-
-def with_direction(cube, settings, *, chosen=_ignore):
-    """Return the settings with the direction of the jet, if its images show one."""
-    if settings.position_angle is not None:
-        return settings
-    from astro_scc.measurement.choices import choose_direction
-
-    angle, reason = choose_direction(cube)
-    found = "any" if angle is None else f'"{angle:g}"'
-    chosen(f"--position-angle {found}: {reason}")
-    return replace(settings, position_angle="any" if angle is None else angle)
-
-
-def output_of(args, settings):
-    """Return the folder for the products, by default named after the object."""
-    if args.output is not None:
-        return args.output
-    from astropy.io import fits
-
-    from astro_scc.epochs.fits import find_files
-
-    first = find_files(settings.epochs)[0]
-    name = ""
-    # What cannot be read is refused where the epochs are.
-    with suppress(Exception):
-        name = str(fits.getval(first, "OBJECT")).strip()
-    name = re.sub(r"[^\w.+-]+", "_", name) or first.resolve().parent.name
-    return f"{name}-{args.command}"
-
-
-def _wants_common_beam(cube, wanted, note):
+def _wants_common_beam(cube, settings, note):
     """Return whether to convolve to a common beam, and note what is decided."""
     from astro_scc.epochs.beam import different_beam
 
-    differ = different_beam(cube) is not None
+    wanted, differ = settings.common_beam, different_beam(cube) is not None
     if wanted is False and differ:
         note("the beams differ and are left so, as --no-common-beam states")
     if wanted is not None:
@@ -343,8 +312,6 @@ def select_epochs(cube, after=None, before=None):
             left_out[i] = f"before {after}"
         if before is not None and time >= to_time(before):
             left_out[i] = f"not before {before}"
-    if not left_out:
-        return cube, []
     if len(left_out) == len(cube):
         first, last = cube.times.isot[[0, -1]]
         raise ValueError(
@@ -352,4 +319,36 @@ def select_epochs(cube, after=None, before=None):
             f"to {last[:10]}"
         )
     keep = [i for i in range(len(cube)) if i not in left_out]
-    return cube[keep], [(cube.labels[i], why) for i, why in left_out.items()]
+    reasons = [(cube.labels[i], why) for i, why in left_out.items()]
+    return (cube[keep] if reasons else cube), reasons
+
+
+def output_of(args, settings):
+    """Return the folder for the products, by default named after the object."""
+    if args.output is not None:
+        return Path(args.output)
+    from astropy.io import fits
+
+    from astro_scc.epochs.fits import find_files
+
+    first = find_files(settings.epochs)[0]
+    name = ""
+    # What cannot be read is refused where the epochs are.
+    with suppress(Exception):
+        name = str(fits.getval(first, "OBJECT")).strip()
+    name = re.sub(r"[^\w.+-]+", "_", name) or first.resolve().parent.name
+    return Path(f"{name}-{args.command}")
+
+
+def read_table(path, advice=""):
+    """Return an ECSV table; what is wrong with it is one line."""
+    from astropy.table import QTable
+
+    from astro_scc.epochs.headers import first_line
+
+    try:
+        return QTable.read(path, format="ascii.ecsv")
+    except FileNotFoundError:
+        raise OSError(f"{path}: does not exist{advice}") from None
+    except Exception as error:
+        raise ValueError(f"{path}: is no ECSV table: {first_line(error)}") from None

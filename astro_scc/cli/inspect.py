@@ -11,10 +11,14 @@ examples:
 """
 
 import math
+from contextlib import suppress
+from pathlib import Path
 
-from astro_scc.cli.options import add_option, add_setting
+from astro_scc.cli.arguments import add_option, add_setting
+from astro_scc.cli.inputs import prepare
 from astro_scc.cli.summary import misalignment_text, table_lines
 from astro_scc.quantities import named, one_quantity
+from astro_scc.settings import Settings
 
 #: Number of speeds that are explained when none is given.
 N_SPEEDS = 4
@@ -34,11 +38,7 @@ def add_arguments(parser):
 
 def run(args, reporter):
     """Inspect files according to the arguments."""
-    from pathlib import Path
-
-    from astro_scc.epochs import inspect_epochs
     from astro_scc.epochs.fits import find_files
-    from astro_scc.epochs.serialize import is_cube_file
 
     if not args.epochs:
         raise ValueError("no epochs were given; name the FITS files")
@@ -46,39 +46,41 @@ def run(args, reporter):
         speed = named("--speed", one_quantity, speed, "an angle per time", "2 mas/yr")
     files = find_files(args.epochs, missing_ok=True)
     cube, refusal = _cube(files)
-    problems = []
+    names, facts, problems = _facts(files, cube, refusal)
+    cores, of_core = _cores(cube)
+    unit = facts["noise"].unit
+    rows = [
+        _cells(name, row, unit) | {"core": cores.get(name, "-")}
+        for name, row in zip(names, facts, strict=True)
+    ]
+    reporter.say(
+        *table_lines(rows),
+        "peak and core: (east, north) from the reference pixel in mas",
+        "\n" + ("Problems:" if problems else "No problems."),
+        *(f"  {problem}" for problem in problems),
+    )
+    if cube is not None:
+        lines = *_plan(cube, speed), *_alignment(cube, of_core), *_choices(cube)
+        reporter.say("", *lines)
+
+
+def _facts(files, cube, refusal):
+    """Return the names of the epochs, facts of `inspect_epochs`, and the problems."""
+    from astro_scc.epochs import inspect_epochs
+    from astro_scc.epochs.serialize import is_cube_file
+
     if len(files) == 1 and files[0].exists() and is_cube_file(files[0]):
         if cube is None:
             raise ValueError(refusal)
-        names, unit, facts = cube.labels, cube.unit, _facts_of_cube(cube)
-    else:
-        facts = inspect_epochs(files)
-        names, unit = [Path(file).name for file in facts["file"]], facts["noise"].unit
-        problems = [
-            f"{row['file']}: {row['problem']}" for row in facts if row["problem"]
-        ]
-        if not any(facts["nx"]):
-            more = f" (and {len(facts) - 1} more like it)" if len(facts) > 1 else ""
-            raise ValueError(f"{problems[0]}{more}")
-    cores, of_core = _cores(cube)
-    rows = [
-        [name, *_cells(row), cores.get(name, "-")]
-        for name, row in zip(names, facts, strict=True)
-    ]
-    head = ["epoch", "date", "pixels", "pixel", "beam", f"noise ({unit})", "peak"]
-    for line in table_lines([*head, "core"], rows):
-        reporter.say(line)
-    reporter.say("peak and core: (east, north) from the reference pixel in mas")
+        return cube.labels, _facts_of_cube(cube), []
+    facts = inspect_epochs(files)
+    problems = [f"{row['file']}: {row['problem']}" for row in facts if row["problem"]]
+    if not any(facts["nx"]):
+        more = f" (and {len(facts) - 1} more like it)" if len(facts) > 1 else ""
+        raise ValueError(f"{problems[0]}{more}")
     if refusal:
         problems.append(f"as one series: {refusal}")
-    reporter.say("\n" + ("Problems:" if problems else "No problems."))
-    for problem in problems:
-        reporter.say(f"  {problem}")
-    if cube is not None:
-        reporter.say()
-        lines = *_plan(cube, speed), *_alignment(cube, of_core), *_choices(cube)
-        for line in lines:
-            reporter.say(line)
+    return [Path(file).name for file in facts["file"]], facts, problems
 
 
 def _cube(files):
@@ -139,52 +141,41 @@ def _alignment(cube, of_core):
 
 def _choices(cube):
     """Return what a measurement without options takes, as lines."""
-    from astro_scc.cli.inputs import with_direction, with_scales
     from astro_scc.epochs.beam import different_beam
-    from astro_scc.measurement.choices import choose_alignment
-    from astro_scc.settings import Settings
 
-    chosen = []
+    _, _, chosen = prepare(cube, Settings())
     if different_beam(cube) is not None:
-        cube = cube.to_common_beam()
-        chosen.append("--common-beam: the beams differ")
-    align, reason = choose_alignment(cube)
-    chosen.append(f"--align {align}: {reason}")
-    cube = cube.align(align)
-    for choose in (with_scales, with_direction):
-        choose(cube, Settings(), chosen=chosen.append)
-    return [
-        "",
-        "Without options, astro-scc measure takes:",
-        *(f"  {c}" for c in chosen),
-    ]
+        chosen.insert(0, "--common-beam: the beams differ")
+    head = "\nWithout options, astro-scc measure takes:"
+    return [head, *(f"  {choice}" for choice in chosen)]
 
 
 def _offset(east, north):
     return f"{east:+.2f} {north:+.2f}"
 
 
-def _cells(row):
-    """Return a row of `inspect_epochs` as text."""
+def _cells(name, row, unit):
+    """Return a row of `inspect_epochs` as text under the headings of the table."""
     import numpy as np
 
     from astro_scc.epochs.positions import readable_angle
 
+    names = ("date", "pixels", "pixel", "beam", f"noise ({unit})", "peak")
+    cells = {"epoch": name} | dict.fromkeys(names, "-")
     if not row["nx"]:
-        return list("------")
-    beam = "-"
+        return cells
+    if not np.any(row["date"].mask):
+        cells["date"] = str(row["date"].isot)[:10]
+    cells["pixels"] = f"{row['nx']} x {row['ny']}"
+    cells["pixel"] = readable_angle(row["pixel"])
     if np.isfinite(row["major"]):
-        unit = readable_angle(row["major"]).split()[1]
-        axes = (f"{row[name].to_value(unit):.3g}" for name in ("major", "minor"))
-        beam = f"{' x '.join(axes)} {unit} at {row['pa'].value:.0f} deg"
-    return [
-        "-" if np.any(row["date"].mask) else str(row["date"].isot)[:10],
-        f"{row['nx']} x {row['ny']}",
-        readable_angle(row["pixel"]),
-        beam,
-        f"{row['noise'].value:.2g}" if np.isfinite(row["noise"]) else "-",
-        _offset(row["peak_east"].value, row["peak_north"].value),
-    ]
+        angle = readable_angle(row["major"]).split()[1]
+        axes = (f"{row[axis].to_value(angle):.3g}" for axis in ("major", "minor"))
+        cells["beam"] = f"{' x '.join(axes)} {angle} at {row['pa'].value:.0f} deg"
+    if np.isfinite(row["noise"]):
+        cells[names[4]] = f"{row['noise'].value:.2g}"
+    cells["peak"] = _offset(row["peak_east"].value, row["peak_north"].value)
+    return cells
 
 
 def _facts_of_cube(cube):
@@ -192,19 +183,17 @@ def _facts_of_cube(cube):
     import astropy.units as u
     import numpy as np
 
-    (ny, nx), noise = cube.shape[1:], cube.noise_rms()
-    rows = []
-    for i, time in enumerate(cube.times):
-        image = np.where(cube.mask[i], -np.inf, cube.data[i])
-        y, x = np.unravel_index(np.argmax(image), image.shape)
-        east, north = cube.pixel_to_offset(x, y)
-        row = {"date": time, "nx": nx, "ny": ny, "pixel": cube.pixel_scale}
-        row |= {"noise": noise[i], "peak_east": east, "peak_north": north}
-        beam = None if cube.beams is None else cube.beams[i]
-        for name in ("major", "minor", "pa"):
-            row[name] = getattr(beam, name, np.nan * u.mas)
-        rows.append(row)
-    return rows
+    facts = cube.epochs
+    if cube.beams is None:
+        facts["major"] = np.nan * u.mas
+    facts["ny"], facts["nx"] = cube.shape[1:]
+    facts["pixel"] = cube.pixel_scale
+    images = (
+        np.where(m, -np.inf, d) for d, m in zip(cube.data, cube.mask, strict=True)
+    )
+    y, x = np.transpose([np.unravel_index(a.argmax(), a.shape) for a in images])
+    facts["peak_east"], facts["peak_north"] = cube.pixel_to_offset(x, y)
+    return facts
 
 
 def _plan(cube, speed):
@@ -222,24 +211,27 @@ def _speed_lines(cube, plan, speed):
     """Return lines on the motion at some speeds and on the baselines for them."""
     import numpy as np
 
+    rows, unit = [], plan.slowest.unit
     if speed is None:
         slow, high = plan.slowest.value, plan.consecutive[1].value
-        speeds = np.geomspace(1.5 * slow, max(high, 2 * slow), N_SPEEDS)
-        speeds = speeds * plan.slowest.unit
+        speeds = np.geomspace(1.5 * slow, max(high, 2 * slow), N_SPEEDS) * unit
     else:
-        speeds = [speed.to(plan.slowest.unit)]
-    rows = []
+        speeds = [speed.to(unit)]
     for value in speeds:
-        cells = [f"{value.value:.2g}", f"{plan.motion(value):.2g}"]
-        try:
+        pairs, text = 0, "too slow for this series"
+        with suppress(ValueError):
             first, last = plan.baseline(value)
-        except ValueError:
-            rows.append([*cells, "too slow for this series", "0"])
-            continue
-        text = f'"{_rounded(first, math.floor)} {_rounded(last, math.ceil)}"'
-        rows.append([*cells, text, str(_n_pairs(cube, first, last))])
-    head = [f"speed ({plan.slowest.unit})", "beams in the median interval"]
-    return table_lines([*head, "--baseline for it alone", "pairs"], rows)
+            pairs = _n_pairs(cube, first, last)
+            text = f'"{_rounded(first, math.floor)} {_rounded(last, math.ceil)}"'
+        rows.append(
+            {
+                f"speed ({unit})": f"{value.value:.2g}",
+                "beams in the median interval": f"{plan.motion(value):.2g}",
+                "--baseline for it alone": text,
+                "pairs": str(pairs),
+            }
+        )
+    return table_lines(rows)
 
 
 def _rounded(interval, how):

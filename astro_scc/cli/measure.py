@@ -19,26 +19,23 @@ hold every option of a measurement, with _ for -, and some settings that have no
 (see the documentation).  The command line takes precedence over the file.
 """
 
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
-from pathlib import Path
 
+from astro_scc.cli.arguments import (
+    OF_OBJECT,
+    add_output,
+    add_settings,
+    add_switches,
+)
 from astro_scc.cli.inputs import (
     draw_seed,
+    measuring_time,
     output_of,
     read_epochs,
     settings_of,
     tell_time,
-    with_direction,
-    workers_for,
     workers_of,
-)
-from astro_scc.cli.options import (
-    OF_OBJECT,
-    add_no_report,
-    add_output,
-    add_settings,
-    add_switch,
 )
 from astro_scc.cli.summary import component_lines
 
@@ -61,20 +58,17 @@ SEED, MATCHES = "seed.txt", "matches.fits"
 
 def add_arguments(parser):
     """Add the arguments of the command."""
-    files = "components.vot and ssps.vot"
-    add_output(parser, "tables, maps and report", default=OF_OBJECT, votable=files)
-    add_no_report(parser)
-    add_switch(parser, "--pdf", "write the figures of the report as PDF, too")
-    text = (
-        "write ssp_regions too, a file per epoch that DS9 and CARTA open, with the "
-        "outlines of its patterns"
+    what, files = "tables, maps and report", "components.vot and ssps.vot"
+    add_output(parser, what, default=OF_OBJECT, votable=files, report=True)
+    add_switches(
+        parser,
+        pdf="write the figures of the report as PDF, too",
+        ds9_regions="write ssp_regions too, a file per epoch that DS9 and CARTA open, "
+        "with the outlines of its patterns",
+        resume=f"keep the matches in {WORK} of the folder, go on from what an "
+        "interrupted run did there, and replace what an earlier one with --resume "
+        "wrote",
     )
-    add_switch(parser, "--ds9-regions", text)
-    text = (
-        f"keep the matches in {WORK} of the folder, go on from what an interrupted "
-        "run did there, and replace what an earlier one with --resume wrote"
-    )
-    add_switch(parser, "--resume", text)
     add_settings(parser, "measure")
 
 
@@ -85,55 +79,35 @@ def run(args, reporter):
     from astro_scc.report.page import flow_lines
 
     settings = settings_of(args, reporter, n_trials=1000)
-    n_workers = workers_of(args)
-    output = Path(output_of(args, settings))
-    overwrite, work = args.overwrite, None
-    if args.resume:
-        work = output / WORK
-        overwrite = overwrite or work.is_dir()
-        reporter.on_interrupt = (
-            "interrupted; the same command goes on from what is done"
-        )
-    stale = {"overwrite": overwrite or bool(work), "stale": STALE}
+    workers_of(args)
+    output, overwrite = output_of(args, settings), args.overwrite
+    reporter.resumes = args.resume
     with (
-        working_folder(work, output, overwrite=overwrite),
-        product_folder(output, **stale) as folder,
+        working_folder(output, overwrite) if args.resume else nullcontext() as work,
+        product_folder(output, overwrite=overwrite or work, stale=STALE) as folder,
     ):
         if work and settings.seed is None:
             settings = replace(settings, seed=kept_seed(work))
-        chosen = []
-        cube, settings, left_out = read_epochs(
-            settings, note=reporter.note, chosen=chosen.append
-        )
-        settings = with_direction(cube, settings, chosen=chosen.append)
-        n_workers = workers_for(cube, n_workers)
+        inputs = read_epochs(settings, note=reporter.note)
+        cube, settings, left_out, chosen = inputs
+        n_workers = workers_of(args, cube)
         if not (work and (work / MATCHES).exists()):
-            tell_time(reporter, cube, settings, n_workers)
+            tell_time(reporter, n_workers, measuring_time, cube, settings)
         result = measure(cube, settings, reporter, n_workers=n_workers, work=work)
-        components = write_measurement(
-            result,
-            settings,
-            folder,
-            output=output,
-            report=not args.no_report,
-            warnings=reporter.warnings,
-            left_out=left_out,
-            chosen=chosen,
-            pdf=args.pdf,
-        )
+        page = {"left_out": left_out, "chosen": chosen, "pdf": args.pdf}
+        page |= {"report": not args.no_report, "warnings": reporter.warnings}
+        components = write_measurement(result, settings, folder, output=output, **page)
         if args.votable:
             write_votables(result, components, folder)
         if args.ds9_regions:
             write_epoch_regions(result.matched.ssps, cube, folder)
-    for line in component_lines(components, result.features, result.sensitivity):
-        reporter.say(line)
-    found = [f"Found in the images: {line}" for line in chosen]
-    for line in (*flow_lines(result), *found):
-        reporter.say(line)
     reporter.say(
+        *component_lines(components, result.features, result.sensitivity),
+        *flow_lines(result),
+        *inputs.found,
         f"\nTables and maps: {output}"
         if args.no_report
-        else f"\nReport: {output / 'report.html'}"
+        else f"\nReport: {output / 'report.html'}",
     )
 
 
@@ -159,16 +133,13 @@ def measure(cube, settings, reporter, *, region=None, n_workers=1, work=None):
     """
     from astro_scc import StackedCrossCorrelation
 
-    region = region or settings.region
-    # Refuse an unusable region file before the long computation.
-    cube.region_mask(region)
     return StackedCrossCorrelation.from_settings(settings)(
         cube,
-        region=region,
+        region=region or settings.region,
         n_trials=settings.n_trials,
         rng=settings.seed,
         n_workers=n_workers,
-        cache=None if work is None else work / MATCHES,
+        cache=work and work / MATCHES,
         progress_bar=reporter.progress,
     )
 
@@ -183,7 +154,7 @@ def write_measurement(result, settings, folder, *, output, report=True, **page):
     settings : `~astro_scc.settings.Settings`
     folder : path
         Where to write.
-    output : path
+    output : `~pathlib.Path`
         Final path of the folder.
     report : bool, optional
     **page
@@ -205,7 +176,7 @@ def write_measurement(result, settings, folder, *, output, report=True, **page):
     if report:
         from astro_scc.report import write_report
 
-        rerun = f"astro-scc measure --config {Path(output) / 'config.toml'} -o FOLDER"
+        rerun = f"astro-scc measure --config {output / 'config.toml'} -o FOLDER"
         page |= {"components": components, "rerun": rerun, "config_text": text}
         page["explore"] = f"astro-scc explore {output}"
         write_report(result, folder, **page)
@@ -213,13 +184,10 @@ def write_measurement(result, settings, folder, *, output, report=True, **page):
 
 
 @contextmanager
-def working_folder(work, output, *, overwrite):
+def working_folder(output, overwrite):
     """Make the folder that --resume needs; remove it if a failed run left nothing."""
-    if work is None:
-        yield
-        return
-    output = Path(output)
-    if output.is_dir() and any(output.iterdir()) and not overwrite:
+    work = output / WORK
+    if not (overwrite or work.is_dir()) and output.is_dir() and any(output.iterdir()):
         raise OSError(
             f"{output}: exists and is not of a run with --resume; choose another "
             "folder, or --overwrite"
@@ -230,7 +198,7 @@ def working_folder(work, output, *, overwrite):
     except OSError as error:
         raise OSError(f"{output}: cannot be made or used: {error.strerror}") from None
     try:
-        yield
+        yield work
     except BaseException:
         # A seed alone is nothing to resume from.
         if made and {p.name for p in work.iterdir()} <= {SEED}:

@@ -20,18 +20,16 @@ ridge, distances are measured along the ridge line.
 """
 
 from dataclasses import asdict
-from pathlib import Path
 
+from astro_scc.cli.arguments import OF_OBJECT, add_output, add_settings
 from astro_scc.cli.inputs import (
+    measuring_time,
     output_of,
     read_epochs,
     settings_of,
     tell_time,
-    with_direction,
-    workers_for,
     workers_of,
 )
-from astro_scc.cli.options import OF_OBJECT, add_output, add_settings
 from astro_scc.cli.summary import profile_lines
 
 PRODUCTS = (
@@ -55,25 +53,20 @@ def run(args, reporter):
     settings = settings_of(args, reporter, n_trials=1000)
     if settings.bins is None:
         raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
-    n_workers, output = workers_of(args), Path(output_of(args, settings))
-    bins_of(settings.bins, window=settings.window)
+    workers_of(args)
+    output = output_of(args, settings)
+    n_bins = len(bins_of(settings.bins, window=settings.window))
     made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
     with made as folder:
-        chosen = []
-        cube, settings, _ = read_epochs(
-            settings, note=reporter.note, chosen=chosen.append
-        )
-        settings = with_direction(cube, settings, chosen=chosen.append)
-        n_workers = workers_for(cube, n_workers)
-        n_bins = len(bins_of(settings.bins, window=settings.window))
-        tell_time(reporter, cube, settings, n_workers, n_bins=n_bins)
+        inputs = read_epochs(settings, note=reporter.note)
+        cube, settings, *_ = inputs
+        n_workers = workers_of(args, cube)
+        tell_time(reporter, n_workers, measuring_time, cube, settings, n_bins)
         components, lines = _measure(cube, settings, folder, reporter, n_workers)
         if args.votable:
             write_votable(components, folder / "profile.vot")
-    lines += [f"Found in the images: {line}" for line in chosen]
-    for line in [*profile_lines(components), "", *lines]:
-        reporter.say(line)
-    reporter.say(f"\nProfile: {output / 'profile.ecsv'}")
+    lines = [*profile_lines(components), "", *lines, *inputs.found]
+    reporter.say(*lines, f"\nProfile: {output / 'profile.ecsv'}")
 
 
 def _measure(cube, settings, folder, reporter, n_workers):
@@ -86,28 +79,17 @@ def _measure(cube, settings, folder, reporter, n_workers):
     from astro_scc.report.tables import scale_lines
 
     scc = StackedCrossCorrelation.from_settings(settings)
-    trials = {"n_trials": settings.n_trials, "rng": settings.seed}
-    cube.region_mask(settings.region)
-    matched = scc.match(
-        cube,
-        region=settings.region,
-        n_workers=n_workers,
-        progress_bar=reporter.progress,
-    )
+    shown = {"progress_bar": reporter.progress}
+    trials = shown | {"n_trials": settings.n_trials, "rng": settings.seed}
+    matched = scc.match(cube, region=settings.region, n_workers=n_workers, **shown)
+    ridge = scc.displacements(matched)[1] if scc.position_angle == "ridge" else None
     profile = measure_profile(
-        scc,
-        matched,
-        settings.bins,
-        window=settings.window,
-        ridge=scc.displacements(matched)[1] if scc.position_angle == "ridge" else None,
-        progress_bar=reporter.progress,
-        **trials,
+        scc, matched, settings.bins, window=settings.window, ridge=ridge, **trials
     )
     how = settings.in_c
     components = profile.components_in_c(**how) if how else profile.components
     r_min, r_max = profile.bins.min(), profile.bins.max()
-    inside = select_ssps(matched, r_min=r_min, r_max=r_max)
-    whole = scc.stack(inside, progress_bar=reporter.progress, **trials)
+    whole = scc.stack(select_ssps(matched, r_min=r_min, r_max=r_max), **trials)
     acceleration = measure_acceleration(whole)
     components.meta["acceleration"] = asdict(acceleration)
     lines = [str(acceleration)]

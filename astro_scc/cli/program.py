@@ -20,8 +20,9 @@ from astro_scc.cli import (
     survey,
     track,
 )
-from astro_scc.cli.options import add_switch
+from astro_scc.cli.arguments import add_switches
 from astro_scc.cli.reporter import Reporter
+from astro_scc.settings import OPTIONS
 
 # Errors that a user can correct, missing extras among them; other exceptions are
 # mistakes of the program.
@@ -127,8 +128,7 @@ def build_parser():
         command.set_defaults(run=module.run)
         group = command.add_argument_group("messages")
         quiet = "print errors only: no warnings, progress or summary"
-        add_switch(group, "--quiet", quiet)
-        add_switch(group, "--debug", argparse.SUPPRESS)
+        add_switches(group, quiet=quiet, debug=argparse.SUPPRESS)
     return parser
 
 
@@ -153,7 +153,9 @@ def main(argv: list[str] | None = None) -> int:
         After ``--help`` and for invalid arguments.
     """
     args = build_parser().parse_args(argv)
-    reporter = Reporter(f"astro-scc {args.command}", quiet=args.quiet)
+    options = [name for name in OPTIONS if name in vars(args) and name != "epochs"]
+    name = f"astro-scc {args.command}"
+    reporter = Reporter(name, quiet=args.quiet, settings=options)
     try:
         with _ended_by_signals(), reporter.warnings_as_lines():
             args.run(args, reporter)
@@ -161,7 +163,9 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         if args.debug:
             raise
-        reporter.error(reporter.on_interrupt)
+        goes_on = "; the same command goes on from what is done"
+        kept = goes_on if reporter.resumes else ", nothing was written"
+        reporter.error(f"interrupted{kept}")
         return 128 + (error.args[0] if isinstance(error, Ended) else signal.SIGINT)
     except BrokenPipeError:
         # The reader of the output has closed the pipe, as `head` does.

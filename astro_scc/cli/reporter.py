@@ -1,8 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Messages of a command: results, notes, warnings and errors."""
 
+import re
 import sys
 from contextlib import contextmanager
+
+from astro_scc.cli.arguments import option_name
 
 
 def one_line(error):
@@ -53,6 +56,9 @@ class Reporter:
         Name of the command.
     quiet : bool, optional
         Print errors only.
+    settings : iterable of str, optional
+        Settings that are options here: warnings and errors name the options, where
+        the library names the settings.
 
     Attributes
     ----------
@@ -62,22 +68,23 @@ class Reporter:
         Whether to show progress.
     bars : bool
         Whether to show progress as bars, which needs a terminal.
-    on_interrupt : str
-        Message after an interrupt.
+    resumes : bool
+        Whether the same command goes on where it was interrupted.
     """
 
-    def __init__(self, name, *, quiet=False):
+    def __init__(self, name, *, quiet=False, settings=()):
         self.name = name
+        self.settings = settings
         self.quiet = quiet
         self.warnings = []
-        self.on_interrupt = "interrupted, nothing was written"
+        self.resumes = False
         self.progress = not quiet
         self.bars = self.progress and sys.stderr.isatty()
 
-    def say(self, text=""):
+    def say(self, *lines):
         """Print a result."""
         if not self.quiet:
-            _print(text, sys.stdout)
+            _print("\n".join(lines), sys.stdout)
 
     def note(self, text):
         """Print a note on what was decided or left out."""
@@ -86,7 +93,7 @@ class Reporter:
 
     def warn(self, text):
         """Print and keep a warning the first time it is given."""
-        text = one_line(text)
+        text = self._as_typed(text)
         if text not in self.warnings:
             self.warnings.append(text)
             if not self.quiet:
@@ -94,7 +101,16 @@ class Reporter:
 
     def error(self, error):
         """Print an error."""
-        _print(f"{self.name}: error: {one_line(error)}", sys.stderr)
+        _print(f"{self.name}: error: {self._as_typed(error)}", sys.stderr)
+
+    def _as_typed(self, error):
+        """Return a message as one line, with options in place of the settings."""
+        text = one_line(error)
+        for name in self.settings:
+            # Most names are words, too; and what follows a colon is of a file.
+            place = r"(?<!: )\b" if "_" in name else "^"
+            text = re.sub(rf"{place}{name}( =)?(?=[ ,]|$)", option_name(name), text)
+        return text
 
     @contextmanager
     def warnings_as_lines(self):

@@ -20,9 +20,10 @@ date in the name; files .fits have CLEAN components in an AIPS CC table.
 
 from pathlib import Path
 
-from astro_scc.cli.inputs import draw_seed, option_of
-from astro_scc.cli.options import add_option, add_output, add_setting
+from astro_scc.cli.arguments import add_option, add_output, add_setting
+from astro_scc.cli.inputs import draw_seed
 from astro_scc.quantities import named, one_quantity, parse_quantities, to_time
+from astro_scc.settings import check_setting
 
 
 def add_arguments(parser):
@@ -61,12 +62,11 @@ def run(args, reporter):
 
     beam = _beam(args.beam)
     pixel = named("--pixel", one_quantity, args.pixel, "one number", "0.1 mas")
-    noise = args.noise
-    if noise is not None:
+    if (noise := args.noise) is not None:
         noise = named("--noise", one_quantity, noise, "one number", "0.3 mJy/beam")
-    dates = {name: option_of(args, name) for name in ("after", "before")}
-    dates = {name: to_time(text) for name, text in dates.items() if text is not None}
-    seed = draw_seed(option_of(args, "seed"))
+    given = {"after": args.after, "before": args.before}
+    dates = {k: check_setting(k, v) and to_time(v) for k, v in given.items()}
+    seed = draw_seed(check_setting("seed", args.seed))
     folder = Path(args.output)
     with product_folder(folder, overwrite=args.overwrite) as part:
         found = read_components(args.tables, source=args.source, origin=args.origin)

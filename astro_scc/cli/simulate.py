@@ -23,18 +23,18 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from astro_scc.cli.inputs import draw_seed, option_of, read_epochs
-from astro_scc.cli.measure import STALE, measure, write_measurement
-from astro_scc.cli.options import (
+from astro_scc.cli.arguments import (
     add_option,
     add_output,
     add_overwrite,
     add_setting,
-    add_switch,
+    add_switches,
     option_name,
 )
+from astro_scc.cli.inputs import draw_seed, read_epochs
+from astro_scc.cli.measure import STALE, measure, write_measurement
 from astro_scc.cli.summary import component_lines, table_lines
-from astro_scc.settings import Settings
+from astro_scc.settings import Settings, check_setting
 
 JETS = ("two-fluid", "random-velocity", "ballistic", "static", "unrelated", "jet")
 # Type and help of each option; `PARAMETERS` has their names in simulate_jet.
@@ -67,12 +67,12 @@ def add_arguments(parser):
     )
     add_option(parser, "--epochs", "N", text, type=int)
     text = "more and brighter features in the two-fluid jet"
-    add_switch(parser, "--dense", text, default=None)
+    add_switches(parser, dense=text, default=None)
     group = parser.add_argument_group("options of the jet 'jet'")
     for name, (kind, text) in FLOW.items():
         add_option(group, option_name(name), "X", text, type=kind)
     text = "image it from visibilities of the VLBA, with CLEAN"
-    add_switch(group, "--vlba", text, default=None)
+    add_switches(group, vlba=text, default=None)
 
 
 def simulated(jet, *, seed, **options):
@@ -94,14 +94,14 @@ def run(args, reporter):
         raise ValueError(f"--epochs must be at least 1, got {args.epochs}")
     given = {}
     for name in (*FLOW, "vlba", "dense", "epochs"):
-        value = getattr(args, name)
+        if (value := getattr(args, name)) is None:
+            continue
         whose = {"dense": "two-fluid", "epochs": args.jet}.get(name, "jet")
-        if value is not None and args.jet != whose:
+        if args.jet != whose:
             raise ValueError(f"{option_name(name)} is for {whose}, not for {args.jet}")
-        if value is not None:
-            given[PARAMETERS.get(name, name)] = value
+        given[PARAMETERS.get(name, name)] = value
     vlba = given.pop("vlba", False)
-    seed = draw_seed(option_of(args, "seed"))
+    seed = draw_seed(check_setting("seed", args.seed))
     folder = Path(args.output)
     with product_folder(folder, overwrite=args.overwrite) as part:
         try:
@@ -153,7 +153,8 @@ class Demo:
         jet = simulated("two-fluid", seed=SEED)
         with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:
             *files, _ = write_simulation(jet, folder / "epochs")
-            _write_region(folder / "region.reg", jet.cube.shape[1:])
+            region = folder / "region.reg"
+            _write_region(region, jet.cube.shape[1:])
             settings = Settings(
                 epochs=[str(output / "epochs" / path.name) for path in files],
                 scales="1,2,3",
@@ -162,20 +163,18 @@ class Demo:
                 n_trials=N_TRIALS,
                 seed=SEED,
             )
-            cube, settings, _ = read_epochs(settings, files=files, note=reporter.note)
-            settings = replace(settings, region=str(output / "region.reg"))
-            result = measure(cube, settings, reporter, region=folder / "region.reg")
+            cube, settings, *_ = read_epochs(settings, files=files, note=reporter.note)
+            settings = replace(settings, region=str(output / region.name))
+            result = measure(cube, settings, reporter, region=region)
             components = write_measurement(
                 result, settings, folder, output=output, warnings=reporter.warnings
             )
-        for line in (
+        reporter.say(
             *_truth_lines(jet),
-            "",
-            "Measured:",
+            "\nMeasured:",
             *component_lines(components, result.features, result.sensitivity),
-        ):
-            reporter.say(line)
-        reporter.say(f"\nReport: {output / 'report.html'}")
+            f"\nReport: {output / 'report.html'}",
+        )
 
 
 def _write_region(path, shape):
@@ -189,13 +188,13 @@ def _write_region(path, shape):
 
 def _truth_lines(jet):
     """Return the simulated velocities as lines."""
-    head = ["stream", "proper motion (mas / yr)", "PA (deg)"]
     rows = []
     for name in dict.fromkeys(jet.truth["group"]):
         own = jet.truth[jet.truth["group"] == name]
-        east, north = (
-            own[f"pm_{axis}"].mean().to_value("mas / yr") for axis in ("east", "north")
-        )
-        angle = math.degrees(math.atan2(east, north)) % 360
-        rows.append([str(name), f"{math.hypot(east, north):.2f}", f"{angle:.0f}"])
-    return ["Simulated:", *table_lines(head, rows)]
+        axes = ("pm_east", "pm_north")
+        east, north = (own[axis].mean().to_value("mas / yr") for axis in axes)
+        row = {"stream": str(name)}
+        row["proper motion (mas / yr)"] = f"{math.hypot(east, north):.2f}"
+        row["PA (deg)"] = f"{math.degrees(math.atan2(east, north)) % 360:.0f}"
+        rows.append(row)
+    return ["Simulated:", *table_lines(rows)]

@@ -20,18 +20,21 @@ from astro_scc.cli.inputs import (
     measuring_time,
     override,
     read_epochs,
-    say_time,
-    with_direction,
+    tell_time,
 )
 from astro_scc.measurement import component_table, false_discovery_rate, versions
-from astro_scc.quantities import finite_quantities, named
-from astro_scc.settings import OPTIONS, Settings, check_setting, read_toml
+from astro_scc.quantities import check_scales, finite_quantities, named
+from astro_scc.settings import OPTIONS, Settings, read_toml
 
 __all__ = ["read_survey"]
 
 #: Name of the part without a region, or without scale groups.
 WHOLE = "all"
 ALIGNMENTS = (None, "none", "core", "correlate", "wcs")
+#: Keys of the file that hold tables, and all keys of a source but published_pm.
+TABLES = ("regions", "scale_groups")
+KEYS = {name for name, facts in OPTIONS.items() if "measure" in facts["commands"]}
+KEYS = KEYS - {"region"} | {*TABLES}
 SEED, N_TRIALS = 1, 1000
 #: Longest name of a folder, without its check sum.
 LONGEST = 60
@@ -67,43 +70,32 @@ class Source:
 
     def key(self):
         """Return a check sum of the settings, versions and files that products need."""
-        known = {
-            "settings": self.settings.to_dict(),
-            "regions": self.regions,
-            "scale_groups": {
-                name: replace(self.settings, scales=scales).to_dict().get("scales")
-                for name, scales in self.scale_groups.items()
-            },
-            "versions": versions(),
-            "files": [_facts(path) for path in sorted(self._files())],
-        }
-        return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
+        groups = self.scale_groups.values()
+        settings = [replace(self.settings, scales=scales) for scales in groups]
+        settings = [own.to_dict() for own in (self.settings, *settings)]
+        files = [*self.regions.values(), self.settings.crop, self.settings.align]
+        files = self._epochs() | {path for path in files if path not in ALIGNMENTS}
+        known = settings, self.parts, self.regions, versions()
+        text = json.dumps([*known, *map(_facts, sorted(files))], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
 
     def size(self):
         """Return the size of the epochs in bytes, at least 1."""
-        found = (
-            path for pattern in self.settings.epochs for path in glob.glob(pattern)
-        )
-        return max(sum(Path(path).stat().st_size for path in found), 1)
+        return max(sum(_facts(path)[1] for path in self._epochs()), 1)
 
-    def _files(self):
-        others = [*self.regions.values(), self.settings.crop]
-        if self.settings.align not in ALIGNMENTS:
-            others.append(self.settings.align)
-        found = {path for path in others if path is not None}
-        for pattern in self.settings.epochs:
-            found |= set(glob.glob(pattern)) or {pattern}
-        return found
+    def _epochs(self):
+        """Return the paths of the epochs; a pattern that matches nothing is one."""
+        found = (set(glob.glob(p)) or {p} for p in self.settings.epochs)
+        return set().union(*found)
 
 
 def _facts(path):
     """Return the name, size and times of a file."""
-    try:
+    with suppress(OSError):
         state = Path(path).stat()
-    except OSError:
-        return [str(path), None, None]
-    # The time of the content can be set back; the other one changes even then.
-    return [str(path), state.st_size, state.st_mtime_ns, state.st_ctime_ns]
+        # The time of the content can be set back; the other one changes even then.
+        return [str(path), state.st_size, state.st_mtime_ns, state.st_ctime_ns]
+    return [str(path), 0]
 
 
 @dataclass(frozen=True)
@@ -171,14 +163,9 @@ def read_survey(path: Path | str) -> Survey:
     found = []
     for name, values in sources.items():
         where = f"{path}: sources.{name}"
-        values = dict(_table(values, where))
-        published = values.pop("published_pm", None)
-        given = override(defaults, _known(values, where))
+        given = override(defaults, _known(values, where, "published_pm"))
         try:
-            if published is not None:
-                published = named("published_pm", _published_pm, published)
-            source = _source(name, folders[name], given, path.absolute().parent)
-            found.append(replace(source, published=published))
+            found.append(_source(name, folders[name], given, path.absolute().parent))
         except ValueError as error:
             setting = getattr(error, "setting", None)
             if setting is not None and setting not in values:
@@ -193,19 +180,17 @@ def _table(value, where):
     return value
 
 
-def _known(values, where):
+def _known(values, where, *more):
     """Return the values of a table, and refuse keys that a survey does not have."""
     for name in _table(values, where):
-        if name in ("regions", "scale_groups"):
-            _table(values[name], f"{where}: {name}")
-        elif name == "region" or "measure" not in OPTIONS.get(name, {}).get(
-            "commands", ()
-        ):
+        if name not in (*KEYS, *more):
             raise ValueError(
                 f"{where}: {name} is no setting of a survey; they are regions, "
                 "scale_groups, published_pm of a source, and those of astro-scc "
                 "measure but region"
             )
+        if name in TABLES:
+            _table(values[name], f"{where}: {name}")
     return values
 
 
@@ -220,38 +205,33 @@ def _published_pm(value):
 
 def _source(name, folder, given, base):
     """Return a source from the values of its table; paths are relative to ``base``."""
-    given = dict(given)
+    if (published := given.pop("published_pm", None)) is not None:
+        published = named("published_pm", _published_pm, published)
     regions = given.pop("regions", None) or {WHOLE: None}
     for label, file in regions.items():
         if file is not None and not (isinstance(file, str) and file):
             raise ValueError(f"regions.{label} must be the path of a region file")
-    groups = {
-        label: check_setting("scales", scales, f"scale_groups.{label}")
-        for label, scales in (given.pop("scale_groups", None) or {WHOLE: None}).items()
-    }
+    groups = given.pop("scale_groups", None) or {}
+    groups = {k: named(f"scale_groups.{k}", check_scales, v) for k, v in groups.items()}
     if "redshift" not in given:
         given.pop("cosmology", None)
-    if "scales" not in given and WHOLE not in groups:
+    if "scales" not in given and groups:
         given["scales"] = _all_scales(list(groups.values()))
     settings = Settings(**given)
     if not settings.epochs:
         raise ValueError("has no epochs; name the FITS files")
 
-    def absolute(path):
-        return None if path is None else str(base / path)
-
     # Special characters in the folder's own name are not meant as a pattern.
-    escaped = glob.escape(str(base))
-    align = settings.align
+    escaped, align = glob.escape(str(base)), settings.align
     settings = replace(
         settings,
         epochs=[str(Path(escaped, pattern)) for pattern in settings.epochs],
-        align=align if align in ALIGNMENTS else absolute(align),
-        crop=absolute(settings.crop),
+        align=align if align in ALIGNMENTS else str(base / align),
+        crop=settings.crop and str(base / settings.crop),
     )
-    regions = {label: absolute(file) for label, file in regions.items()}
-    groups = {k: settings.scales if v is None else v for k, v in groups.items()}
-    return Source(name, folder, settings, regions, groups)
+    regions = {label: file and str(base / file) for label, file in regions.items()}
+    groups = groups or {WHOLE: settings.scales}
+    return Source(name, folder, settings, regions, groups, published)
 
 
 def _all_scales(groups):
@@ -259,9 +239,8 @@ def _all_scales(groups):
         raise ValueError(
             "scale_groups must be all numbers or all angles, or give scales"
         )
-    if hasattr(groups[0], "unit"):
-        return np.unique(u.Quantity([angle for group in groups for angle in group]))
-    return tuple(sorted({number for group in groups for number in group}))
+    every = np.unique(np.concatenate(groups))
+    return every if hasattr(every, "unit") else tuple(every.tolist())
 
 
 def tell_time_of(sources, reporter, n_workers):
@@ -278,28 +257,26 @@ def tell_time_of(sources, reporter, n_workers):
     n_workers : int or object
         On a cluster, whose processes are not known, nothing is said.
     """
-    if reporter.quiet or not isinstance(n_workers, int):
-        return
+    # A source is measured by one process.
+    how = {"less": "fewer scales or n_trials shorten it", "most": len(sources)}
+    tell_time(reporter, n_workers, _time_of, sources, **how)
+
+
+def _time_of(sources):
+    seconds, n = 0.0, len(sources)
     for first in sorted(sources, key=Source.size, reverse=True):
         with suppress(Exception), warnings.catch_warnings():
             # Whatever is wrong is told when the source is measured.
             warnings.simplefilter("ignore")
-            cube, settings, _ = read_epochs(first.settings)
-            settings = with_direction(cube, settings)
-            shared, alone, _ = measuring_time(cube, settings)
+            shared, alone, _ = measuring_time(*read_epochs(first.settings)[:2])
             break
     else:
-        return
-    seconds = 0.0
+        return 0.0, 0.0, ""
     for source in sources:
         # The time grows with the square of the number of epochs.
         part, n_parts = (source.size() / first.size()) ** 2, len(source.parts)
         seconds += part * (shared + n_parts * (alone - REPORT)) + n_parts * REPORT
-    n = len(sources)
-    what = f"{n} {'source' if n == 1 else 'sources'}"
-    less = "fewer scales or n_trials shorten it"
-    # A source is measured by one process.
-    say_time(reporter, n_workers, seconds, 0.0, what, less=less, most=n)
+    return seconds, 0.0, f"{n} {'source' if n == 1 else 'sources'}"
 
 
 def folder_names(names):
@@ -357,11 +334,8 @@ def survey_table(outcomes, output):
     if any("beta_app" in table.colnames for table in adjusted.values()):
         for name in ("beta_app", "beta_app_err"):
             empty[name] = [] * u.one
-    rows = [_with_head(empty, None)]
-    for outcome in outcomes:
-        own = adjusted.get(outcome, ())
-        rows.append(_with_head(own if len(own) else None, outcome))
-    table = vstack(rows, metadata_conflicts="silent")
+    rows = [_with_head(adjusted.get(outcome, ()), outcome) for outcome in outcomes]
+    table = vstack([_with_head(empty), *rows], metadata_conflicts="silent")
     table.meta.clear()
     table.meta["versions"] = versions()
     searched = sum(max(len(own), 1) for own in adjusted.values())
@@ -376,15 +350,14 @@ def survey_table(outcomes, output):
     return table
 
 
-def _with_head(components, outcome):
+def _with_head(components, outcome=None):
     """Return components, or one row without any, after the columns of ``HEAD``."""
-    n = 1 if components is None else len(components)
     table = QTable()
-    for name, description in HEAD.items():
-        values = [] if outcome is None else [getattr(outcome, name)] * n
-        table[name] = Column(
-            values, dtype=None if values else "U1", description=description
-        )
-    for name in () if components is None else components.colnames:
+    for name, text in HEAD.items():
+        values = [getattr(outcome, name, "")] * max(len(components), 1)
+        table[name] = Column(values, description=text)
+    if outcome is None:
+        table = table[:0]
+    for name in components.colnames if len(components) or outcome is None else ():
         table[name] = components[name]
     return table

@@ -5,8 +5,6 @@ import math
 
 from astro_scc.quantities import with_error
 
-# Remarks beside the numbers of each kind of component in a profile.
-REMARKS = {"moving": "", "stationary": "stationary"}
 EXPLANATION = (
     "p_global: probability that epochs in permuted order would give an equally strong",
     "peak at any velocity",
@@ -20,19 +18,18 @@ FEW = 5
 #: Features seen over fewer days have the times of their epochs.
 SOME_DAYS = 3
 PROFILE_EXPLANATION = (
-    "p_fdr: p_global adjusted for all bins, the share of false discoveries up to it",
+    "p_fdr: p_global adjusted for all bins, the share of false discoveries up to it"
 )
 
 
-def table_lines(head, rows):
+def table_lines(rows):
     """
     Return a table as aligned lines.
 
     Parameters
     ----------
-    head : sequence of str
-    rows : sequence of sequence of str
-        Rows as long as ``head``.
+    rows : sequence of dict of str
+        At least one; all have the headings of the columns as keys.
 
     Returns
     -------
@@ -41,15 +38,16 @@ def table_lines(head, rows):
     Examples
     --------
     >>> from astro_scc.cli.summary import table_lines
-    >>> for line in table_lines(["file", "noise"], [["a.fits", "0.3 mJy"]]):
+    >>> for line in table_lines([{"file": "a.fits", "noise": "0.3 mJy"}]):
     ...     print(line)
     file      noise
     a.fits  0.3 mJy
     """
-    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    cells = [list(rows[0]), *(row.values() for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     # The first column is text, aligned left; the others are numbers, aligned right.
     shape = "  ".join(f"{{:{'>' if i else '<'}{w}}}" for i, w in enumerate(widths))
-    return [shape.format(*row).rstrip() for row in (head, *rows)]
+    return [shape.format(*row).rstrip() for row in cells]
 
 
 def plus_minus(row, name):
@@ -81,50 +79,61 @@ def component_lines(components, features=None, sensitivity=None):
     """
     from astro_scc.measurement.sensitivity import sensitivity_line
     from astro_scc.units import in_easy_units
-    from astro_scc.visualization.style import component_kinds
 
     if len(components) == 0:
         return [*NOTHING, *meta_lines(components.meta)]
-    components, kinds = in_easy_units(components), component_kinds(components)
-    lines = [_answer(components, kinds)]
+    components = in_easy_units(components)
+    lines = [_answer(components)]
     if sensitivity is not None and (depends := sensitivity_line(sensitivity)):
         lines.append(f"{depends}.")
-    lines += ["", *_component_table(components, kinds), *EXPLANATION]
-    for row, kind in zip(components, kinds, strict=True):
+    rows = [_component_cells(row) for row in components]
+    lines += ["", *table_lines(rows), *EXPLANATION]
+    for row in components:
         limit, number = row["pm_limit"], row["component"]
-        if kind == "not significant":
+        if row["kind"] == "not significant":
             lines.append(f"{number} is not significant: {row['note']}")
         if math.isfinite(limit.value):
             text = f"{limit.value:.2g} {limit.unit}"
             lines.append(f"{number} is slower than {text} at 95% confidence")
-    tested = [k for k, kind in enumerate(kinds, 1) if kind != "stationary"]
-    if (
-        features is not None
-        and sum(components["n_features"][k - 1] for k in tested) < FEW
-    ):
-        own = features[[row["component"] in tested for row in features]]
+    tested = components[components["kind"] != "stationary"]
+    if features is not None and tested["n_features"].sum() < FEW:
+        numbers = set(tested["component"])
+        own = features[[row["component"] in numbers for row in features]]
         lines += _feature_lines(own) if len(own) else []
     return [*lines, *meta_lines(components.meta)]
 
 
-def _answer(components, kinds):
+def _component_cells(row):
+    angle, spread = row["pm_pa"].value, row["dispersion"].value
+    unit = row["pm"].unit
+    return {
+        "component": str(row["component"]),
+        "kind": str(row["kind"]),
+        f"proper motion ({unit})": plus_minus(row, "pm"),
+        "PA (deg)": f"{angle:.0f}" if math.isfinite(angle) else "-",
+        **_in_c(row),
+        f"dispersion ({unit})": f"{spread:.2g}" if math.isfinite(spread) else "-",
+        **_p_values(row, "p_global"),
+        "z score": f"{row['z_score']:.1f}",
+        "features": str(row["n_features"]),
+    }
+
+
+def _answer(components):
     """Return the result of a measurement as a sentence."""
-    found = [row for row, k in zip(components, kinds, strict=True) if k == "moving"]
-    if not found:
-        text = "No significant motion was found"
-        for row, kind in zip(components, kinds, strict=True):
-            if kind == "not significant":
-                speed = f"{plus_minus(row, 'pm')} {row['pm'].unit}"
-                p_value = f"{row['p_global']:.2g}"
-                return f"{text}: {speed}, the strongest, has p_global {p_value}."
-        return f"{text}: all features are stationary within their errors."
     speeds = []
-    for row in found:
+    for row in components[components["kind"] == "moving"]:
         in_c = "".join(f" ({speed} c)" for speed in _in_c(row).values())
         angle = row["pm_pa"].value
         towards = f" towards PA {angle:.0f} deg" if math.isfinite(angle) else ""
         speeds.append(f"{plus_minus(row, 'pm')} {row['pm'].unit}{in_c}{towards}")
-    return f"Significant motion: {' and '.join(speeds)}."
+    if speeds:
+        return f"Significant motion: {' and '.join(speeds)}."
+    text = "No significant motion was found"
+    for row in components[components["kind"] == "not significant"]:
+        speed, p_value = f"{plus_minus(row, 'pm')} {row['pm'].unit}", row["p_global"]
+        return f"{text}: {speed}, the strongest, has p_global {p_value:.2g}."
+    return f"{text}: all features are stationary within their errors."
 
 
 def _feature_lines(features):
@@ -137,18 +146,16 @@ def _feature_lines(features):
     days = (features["last"] - features["first"]).to_value("day")
     shown = 10 if days.max() > SOME_DAYS else 16
     rows = [
-        [
-            str(row["component"]),
-            f"{row['distance'].to_value(far):.2g}",
-            f"{row['first'].isot[:shown]} to {row['last'].isot[:shown]}",
-            str(row["n_epochs"]),
-            plus_minus(row, "pm"),
-        ]
+        {
+            "feature of": str(row["component"]),
+            f"distance ({far})": f"{row['distance'].to_value(far):.2g}",
+            "dates": f"{row['first'].isot[:shown]} to {row['last'].isot[:shown]}",
+            "epochs": str(row["n_epochs"]),
+            f"speed ({features['pm'].unit})": plus_minus(row, "pm"),
+        }
         for row in features
     ]
-    speed = f"speed ({features['pm'].unit})"
-    head = ["feature of", f"distance ({far})", "dates", "epochs", speed]
-    return ["", *table_lines(head, rows), ""]
+    return ["", *table_lines(rows), ""]
 
 
 def profile_lines(components):
@@ -165,24 +172,21 @@ def profile_lines(components):
     list of str
     """
     unit = components["pm_parallel"].unit
-    rows = []
-    for row in components:
-        if row["kind"] == "not significant" and not row["main"]:
-            continue
-        kind = str(row["kind"])
-        cells = {
+    rows = [
+        {
             "distance (mas)": f"{row['r_min'].value:g} to {row['r_max'].value:g}",
             f"along the jet ({unit})": plus_minus(row, "pm_parallel"),
             **_in_c(row),
+            **_p_values(row, "p_global", "p_fdr"),
+            "SSPs": str(row["n_ssp"]),
+            "": "" if row["kind"] == "moving" else str(row["kind"]),
         }
-        for name in ("p_global", "p_fdr"):
-            # Stationary components are not tested.
-            cells[name] = "-" if kind == "stationary" else f"{row[name]:.2g}"
-        rows.append(cells | {"SSPs": str(row["n_ssp"]), "": REMARKS.get(kind, kind)})
+        for row in components
+        if row["kind"] != "not significant" or row["main"]
+    ]
     if not rows:
         return ["No velocity could be tested in any bin."]
-    table = table_lines(rows[0], [cells.values() for cells in rows])
-    return [*table, *PROFILE_EXPLANATION, *meta_lines(components.meta)]
+    return [*table_lines(rows), PROFILE_EXPLANATION, *meta_lines(components.meta)]
 
 
 def misalignment_text(scatter):
@@ -251,22 +255,7 @@ def _in_c(row):
     return {"speed (c)": plus_minus(row, "beta_app")} if known else {}
 
 
-def _component_table(components, kinds):
-
-    unit, rows = components["pm"].unit, []
-    for row, kind in zip(components, kinds, strict=True):
-        angle, spread = row["pm_pa"].value, row["dispersion"].value
-        cells = {
-            "component": str(row["component"]),
-            "kind": kind,
-            f"proper motion ({unit})": plus_minus(row, "pm"),
-            "PA (deg)": f"{angle:.0f}" if math.isfinite(angle) else "-",
-            **_in_c(row),
-            f"dispersion ({unit})": f"{spread:.2g}" if math.isfinite(spread) else "-",
-            # What stands still is not tested.
-            "p_global": "-" if kind == "stationary" else f"{row['p_global']:.2g}",
-            "z score": f"{row['z_score']:.1f}",
-            "features": str(row["n_features"]),
-        }
-        rows.append(cells)
-    return table_lines(rows[0], [cells.values() for cells in rows])
+def _p_values(row, *names):
+    """Return p-values under their names; what stands still is not tested."""
+    tested = row["kind"] != "stationary"
+    return {name: f"{row[name]:.2g}" if tested else "-" for name in names}

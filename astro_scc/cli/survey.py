@@ -39,16 +39,17 @@ import os
 import shutil
 import traceback
 import warnings
+from collections import Counter
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from astro_scc.cli.inputs import read_epochs, with_direction, workers_of
+from astro_scc.cli.arguments import add_output, add_workers
+from astro_scc.cli.inputs import read_epochs, workers_of
 from astro_scc.cli.measure import WORK, write_measurement
-from astro_scc.cli.options import add_no_report, add_output, add_workers
 from astro_scc.cli.reporter import one_line
 from astro_scc.cli.summary import table_lines
 from astro_scc.partial import hold, partial_folder, remove_left, replace_when_complete
@@ -65,6 +66,9 @@ __all__ = ["run_survey"]
 SOURCES, STATE, TABLE, PLAN = "sources", "source.json", "survey.ecsv", "survey.toml"
 #: Prefix of the folder of a source until it is complete.
 PARTIAL = "partial-"
+#: Why there is nothing to test.
+NO_MATCH = "no match that could be tested"
+NO_PATTERN = "no significant pattern here on these scales"
 
 
 @dataclass(frozen=True)
@@ -86,84 +90,67 @@ def add_arguments(parser):
     """Add the arguments of the command."""
     parser.add_argument("survey", metavar="SURVEY.toml", help="what to measure")
     what = "the table and the sources' products, new or of this survey"
-    add_output(parser, what, overwrite=False)
-    add_no_report(parser)
+    add_output(parser, what, overwrite=False, report=True)
     add_workers(parser)
 
 
 def run(args, reporter):
     """Run a survey according to the arguments."""
     from astro_scc.cli.sources import read_survey, tell_time_of
+    from astro_scc.correlation.parallel import open_client, open_local
 
-    n_workers = workers_of(args) or 1
+    n_workers, output = workers_of(args), Path(args.output)
     survey = read_survey(args.survey)
-    reporter.on_interrupt = "interrupted; the same command goes on from what is done"
-    statuses = set()
+    reporter.resumes = True
 
     def done(name, outcomes, before):
         name = name if name.isprintable() else ascii(name)
-        statuses.update(outcome.status for outcome in outcomes)
         failed = {o.message for o in outcomes if o.status == "failed"}
         for message in sorted(failed):
             reporter.warn(f"{name}: {message}")
         if not failed and not reporter.bars:
             reporter.say(f"{name}: {'finished before' if before else 'done'}")
 
-    with _cluster(n_workers, args.workers or 1, reporter) as workers:
+    with ExitStack() as stack:
+        if not isinstance(n_workers, int):
+            local = n_workers == "local"
+            client = open_local(args.workers or 1) if local else open_client(n_workers)
+            n_workers = stack.enter_context(client)
+            reporter.note(f"dashboard of the cluster: {n_workers.dashboard_link}")
         table = run_survey(
             survey,
-            args.output,
-            n_workers=workers,
+            output,
+            n_workers=n_workers,
             report=not args.no_report,
             done=done,
-            begin=lambda left: tell_time_of(left, reporter, workers),
+            begin=lambda left: tell_time_of(left, reporter, n_workers),
             progress_bar=reporter.progress,
         )
-    for line in _summary(table):
-        reporter.say(line)
-    path = Path(args.output) / TABLE
-    if statuses == {"failed"}:
-        raise ValueError(f"no source could be measured; {path} says why")
-    reporter.say(f"\nTable: {path}\nOverview: {path.with_name('overview.html')}")
-    if not args.no_report:
-        reporter.say(f"Reports: {Path(args.output) / 'sources'}")
-
-
-@contextmanager
-def _cluster(n_workers, n_local, reporter):
-    """Yield a number of processes, or a client, and note its dashboard's address."""
-    if isinstance(n_workers, int):
-        yield n_workers
-        return
-    from astro_scc.correlation.parallel import open_client, open_local
-
-    opened = open_local(n_local) if n_workers == "local" else open_client(n_workers)
-    with opened as client:
-        reporter.note(f"dashboard of the cluster: {client.dashboard_link}")
-        yield client
+    reporter.say(*_summary(table))
+    if set(table["status"]) == {"failed"}:
+        raise ValueError(f"no source could be measured; {output / TABLE} says why")
+    reporter.say(
+        f"\nTable: {output / TABLE}",
+        f"Overview: {output / 'overview.html'}",
+        *([] if args.no_report else [f"Reports: {output / SOURCES}"]),
+    )
 
 
 def _summary(table):
     """Yield lines on the numbers of sources and of significant components."""
-    from collections import Counter
-
-    import numpy as np
-
     from astro_scc.kinematics.cosmology import cosmology_text
 
-    status = np.asarray(table["status"], dtype=str)
-    source = np.asarray(table["source"], dtype=str)
     rows = []
-    for kind in ("measured", "empty", "failed"):
-        own = status == kind
-        rows.append([kind, str(len(np.unique(source[own]))), str(int(own.sum()))])
-    yield from table_lines(["status", "sources", "rows"], rows)
-    if "measured" in status:
-        with_p = table[status == "measured"]
-        for kind in ("moving", "stationary"):
-            found = np.asarray(with_p["kind"], dtype=str) == kind
-            small = found & (np.asarray(with_p["p_fdr"]) <= 0.05)
-            yield (f"{kind}: {int(found.sum())}, with p_fdr <= 0.05 {int(small.sum())}")
+    for status in ("measured", "empty", "failed"):
+        own = table["source"][table["status"] == status]
+        counts = {"sources": str(len(set(own))), "rows": str(len(own))}
+        rows.append({"status": status} | counts)
+    yield from table_lines(rows)
+    measured = table[table["status"] == "measured"]
+    for kind in ("moving", "stationary") if len(measured) else ():
+        p_fdr = measured["p_fdr"][measured["kind"] == kind]
+        small = sum(p <= 0.05 for p in p_fdr)
+        yield f"{kind}: {len(p_fdr)}, with p_fdr <= 0.05 {small}"
     how = (
         cosmology_text(meta["cosmology"]) if "cosmology" in meta else "distances"
         for meta in table.meta["speeds_in_c"].values()
@@ -382,12 +369,11 @@ def _measure(source, output, part, report, said):
 
     from astro_scc.cli.sources import WHOLE, folder_names
     from astro_scc.epochs.cutout import refuse_pixels
+    from astro_scc.measurement import select_ssps
     from astro_scc.scc import StackedCrossCorrelation
 
-    cube, settings, left_out = read_epochs(source.settings)
-    settings = with_direction(cube, settings)
-    scc = StackedCrossCorrelation.from_settings(settings)
-    masks, failed = {}, {}
+    cube, settings, left_out, _ = read_epochs(source.settings)
+    masks, failed, matched = {}, {}, None
     for name, path in source.regions.items():
         try:
             if path is not None and settings.crop is not None:
@@ -396,76 +382,54 @@ def _measure(source, output, part, report, said):
         except (ValueError, OSError) as error:
             failed[name] = _reason(error)
     if masks:
-        inside = list(masks.values())
-        matched = scc.match(
-            cube,
-            region=None if inside[0] is None else np.any(inside, axis=0),
-            cache=output / WORK / f"{source.folder}.fits",
+        inside = (
+            None if None in source.regions.values() else np.any([*masks.values()], 0)
         )
-    regions = folder_names(list(source.regions))
-    groups = folder_names(list(source.scale_groups))
+        cache = output / WORK / f"{source.folder}.fits"
+        scc = StackedCrossCorrelation.from_settings(settings)
+        matched = scc.match(cube, region=inside, cache=cache)
+    regions, groups = map(folder_names, (source.regions, source.scale_groups))
     of_all, outcomes = len(said), []
-    seen = {
-        "n_epochs": len(cube),
-        "first": cube.times[0].isot,
-        "last": cube.times[-1].isot,
-    }
+    first, last = cube.times.isot[[0, -1]].tolist()
+    seen = {"n_epochs": len(cube), "first": first, "last": last}
     for region, group in source.parts:
-        outcome = Outcome(
-            source.name, region, group, "failed", failed.get(region, ""), **seen
-        )
-        if region in masks:
-            where = Path(SOURCES, source.folder, regions[region], groups[group])
-            folder = part / regions[region] / groups[group]
-            own = {"region": source.regions[region]}
-            if (scales := source.scale_groups[group]) is not None:
-                own["scales"] = scales
-            own = replace(settings, **own)
-            folder.mkdir(parents=True)
-            before = len(said)
-            names = [name for name in (region, group) if name != WHOLE]
-            try:
-                result = _stack(matched, masks[region], own)
-                components = write_measurement(
-                    result,
-                    own,
-                    folder,
-                    output=output / where,
-                    report=report,
-                    title=", ".join([source.name, *names]),
-                    warnings=_lines([*said[:of_all], *said[before:]]),
-                    left_out=left_out,
-                )
-            except Exception as error:
-                shutil.rmtree(folder)
-                _note_error(part, f"{region}, {group}:\n")
-                outcome = replace(outcome, message=_reason(error))
-            else:
-                found = _found(result, components)
-                outcome = replace(outcome, folder=where.as_posix(), **found)
-        outcomes.append(outcome)
+        names = source.name, region, group
+        outcomes.append(Outcome(*names, "failed", failed.get(region, ""), **seen))
+        if region in failed:
+            continue
+        where = Path(SOURCES, source.folder, regions[region], groups[group])
+        folder = part / regions[region] / groups[group]
+        folder.mkdir(parents=True)
+        own, before = {"region": source.regions[region]}, len(said)
+        if (scales := source.scale_groups[group]) is not None:
+            own["scales"] = scales
+        own = replace(settings, **own)
+        try:
+            scc = StackedCrossCorrelation.from_settings(own)
+            of_part = select_ssps(matched, region=masks[region], scales=scc.scales)
+            result = scc.stack(of_part, n_trials=own.n_trials, rng=own.seed)
+            components = write_measurement(
+                result,
+                own,
+                folder,
+                output=output / where,
+                report=report,
+                title=", ".join([source.name, *(n for n in names[1:] if n != WHOLE)]),
+                warnings=_lines([*said[:of_all], *said[before:]]),
+                left_out=left_out,
+            )
+        except Exception as error:
+            shutil.rmtree(folder)
+            _note_error(part, f"{region}, {group}:\n")
+            outcomes[-1] = replace(outcomes[-1], message=_reason(error))
+            continue
+        status, message = "measured", ""
+        if len(components) == 0:
+            searched = result.matched.select.any()
+            status, message = "empty", NO_MATCH if searched else NO_PATTERN
+        found = {"status": status, "message": message, "folder": where.as_posix()}
+        outcomes[-1] = replace(outcomes[-1], **found)
     return outcomes
-
-
-def _stack(matched, inside, settings):
-    """Measure one region and scale group."""
-    from astro_scc.measurement import select_ssps
-    from astro_scc.scc import StackedCrossCorrelation
-
-    scc = StackedCrossCorrelation.from_settings(settings)
-    part = select_ssps(matched, region=inside, scales=scc.scales)
-    return scc.stack(part, n_trials=settings.n_trials, rng=settings.seed)
-
-
-def _found(result, components):
-    """Return the status of a measurement, and the reason if it is empty."""
-    if len(components):
-        return {"status": "measured", "message": ""}
-    searched = result.matched.select.any()
-    message = "match that could be tested"
-    if not searched:
-        message = "significant pattern here on these scales"
-    return {"status": "empty", "message": f"no {message}"}
 
 
 def _failed(source, error):

@@ -16,25 +16,24 @@ three.  A configuration file of astro-scc measure sets what both commands have.
 """
 
 from dataclasses import fields, replace
-from pathlib import Path
 
+from astro_scc.cli.arguments import (
+    OF_OBJECT,
+    add_option,
+    add_output,
+    add_settings,
+    add_switches,
+)
 from astro_scc.cli.inputs import (
     READ,
     REPORT,
     output_of,
     read_epochs,
+    read_table,
     rounded,
-    say_time,
     settings_of,
-    workers_for,
+    tell_time,
     workers_of,
-)
-from astro_scc.cli.options import (
-    OF_OBJECT,
-    add_option,
-    add_output,
-    add_settings,
-    add_switch,
 )
 from astro_scc.cli.summary import plus_minus, speed_lines, table_lines
 
@@ -59,7 +58,7 @@ def add_arguments(parser):
     """Add the arguments of the command."""
     files = "features.vot and tracks.vot"
     add_output(parser, "the tables and figures", default=OF_OBJECT, votable=files)
-    add_switch(parser, "--no-figures", "write only the tables")
+    add_switches(parser, no_figures="write only the tables")
     text = "profile of the stack, as of astro-scc profile, for the figure"
     add_option(parser, "--profile", "FILE.ecsv", text)
     add_settings(parser, "track")
@@ -67,7 +66,9 @@ def add_arguments(parser):
 
 def run(args, reporter):
     """Track features according to the arguments."""
+    from astro_scc import StackedCrossCorrelation
     from astro_scc.measurement import product_folder
+    from astro_scc.tracking import FeatureTracker
 
     # The smallest correlation in a measurement's configuration is for stacks.
     settings = settings_of(
@@ -77,115 +78,77 @@ def run(args, reporter):
         # Ignore velocity axes of a measurement that tracking does not have.
         if args.position_angle is None and isinstance(settings.position_angle, str):
             settings = replace(settings, position_angle=None)
-    n_workers, output = workers_of(args), Path(output_of(args, settings))
-    tracker = _tracker(settings)
+    workers_of(args)
+    output = output_of(args, settings)
+    known = {own.name: getattr(settings, own.name) for own in fields(FeatureTracker)}
+    tracker = FeatureTracker(**{k: v for k, v in known.items() if v is not None})
     stack = None if args.profile is None else _stack_profile(args.profile)
     made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
     with made as folder:
-        chosen = []
-        cube, settings, _ = read_epochs(
-            settings, note=reporter.note, chosen=chosen.append
-        )
-        n_workers = workers_for(cube, n_workers)
-        _tell_time(cube, tracker, settings, reporter, n_workers)
-        tracking = _track(cube, tracker, settings, reporter, n_workers)
+        inputs = read_epochs(settings, note=reporter.note, direction=False)
+        cube, settings, *_ = inputs
+        n_workers = workers_of(args, cube)
+        decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
+        work = cube, decomposer, tracker, settings
+        tell_time(reporter, n_workers, _tracking_time, *work)
+        tracking = _track(*work, reporter, n_workers)
         profile = _write(tracking, settings, folder, votable=args.votable)
         if not args.no_figures:
             _draw(tracking, profile, settings, folder, stack)
-    found = [f"Found in the images: {line}" for line in chosen]
-    for line in (*_summary(tracking), *speed_lines(settings.in_c), *found):
-        reporter.say(line)
-    reporter.say(f"\nTables{'' if args.no_figures else ' and figures'}: {output}")
-
-
-def _tracker(settings):
-    """Return the tracker with the settings that are given."""
-    from astro_scc.tracking import FeatureTracker
-
-    found = {own.name: getattr(settings, own.name) for own in fields(FeatureTracker)}
-    return FeatureTracker(**{k: v for k, v in found.items() if v is not None})
+    reporter.say(
+        *_summary(tracking),
+        *speed_lines(settings.in_c),
+        *inputs.found,
+        f"\nTables{'' if args.no_figures else ' and figures'}: {output}",
+    )
 
 
 def _stack_profile(path):
     """Return the profile of the stack, and refuse other files."""
-    from astropy.table import QTable
-
     from astro_scc.visualization.profiles import missing_columns
 
-    try:
-        table = QTable.read(path, format="ascii.ecsv")
-    except FileNotFoundError:
-        raise OSError(f"{path}: does not exist") from None
-    except Exception as error:
-        first = [*str(error).strip().splitlines(), ""][0]
-        raise ValueError(f"{path}: is no ECSV table: {first}") from None
+    table = read_table(path)
     if missing := missing_columns(table):
         raise ValueError(f"{path}: is no profile, it has no {missing}")
     return table
 
 
-def _tell_time(cube, tracker, settings, reporter, n_workers):
-    """Say how long tracking will take, if that is over five minutes."""
+def _tracking_time(cube, decomposer, tracker, settings):
+    """Estimate how long tracking takes, see `~astro_scc.cli.inputs.measuring_time`."""
     import numpy as np
 
-    from astro_scc import StackedCrossCorrelation
     from astro_scc.measurement.decomposing import matching_time
     from astro_scc.measurement.plan import mean_fwhm
 
-    if reporter.quiet or not isinstance(n_workers, int):
-        return
-    decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
+    scales, pixel = decomposer.scales, cube.pixel_scale
     speeds = [s for s in (tracker.along, tracker.across) if s is not None]
-    speeds = speeds or [tracker.speed_limit(cube, decomposer.scales)]
+    speeds = speeds or [tracker.speed_limit(cube, scales)]
     steps, years = tracker.max_gap + 1, cube.years
     intervals = years[steps:] - years[:-steps] if len(cube) > steps else np.ptp(years)
     farthest = max(np.abs(s).max() for s in speeds) * np.quantile(intervals, LONG_GAP)
-    reach = (farthest / cube.pixel_scale).to_value("")
-    reach += (
-        tracker.tolerance
-        * mean_fwhm(cube, max(decomposer.scales))
-        / (cube.pixel_scale.to_value("mas"))
-    )
+    beams = tracker.tolerance * mean_fwhm(cube, max(scales)) / pixel.to_value("mas")
+    reach = (farthest / pixel).to_value("") + beams
+    reach = np.minimum(reach, np.array(cube.shape[1:]) - 1)
     orders = settings.n_trials + 1
-    shared, n_ssps = matching_time(
-        cube,
-        decomposer,
-        np.minimum(reach, np.array(cube.shape[1:]) - 1),
-        region=settings.region,
-        n_targets=steps * orders,
-    )
-    say_time(
-        reporter,
-        n_workers,
-        shared,
-        LINK * orders * n_ssps + REPORT + READ * len(cube),
-        f"{len(cube)} epochs with about {rounded(n_ssps)} patterns",
-    )
+    number = {"n_targets": steps * orders, "region": settings.region}
+    shared, n_ssps = matching_time(cube, decomposer, reach, **number)
+    what = f"{len(cube)} epochs with about {rounded(n_ssps)} patterns"
+    return shared, LINK * orders * n_ssps + REPORT + READ * len(cube), what
 
 
-def _track(cube, tracker, settings, reporter, n_workers):
+def _track(cube, decomposer, tracker, settings, reporter, n_workers):
     """Decompose the epochs and link their features."""
-    from astro_scc import StackedCrossCorrelation
     from astro_scc.measurement.decomposing import decompose_epochs
     from astro_scc.measurement.plan import ssps_inside, warn_of_none_inside
 
     region = settings.region
     inside = None if region is None else cube.region_mask(region)
-    decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
-    decompositions = decompose_epochs(
-        cube, decomposer, n_workers=n_workers, progress_bar=reporter.progress
-    )
+    how = {"n_workers": n_workers, "progress_bar": reporter.progress}
+    decompositions = decompose_epochs(cube, decomposer, **how)
     ssps, select = ssps_inside(decompositions, cube, inside)
     warn_of_none_inside(ssps, select, region)
-    return tracker(
-        cube,
-        decompositions,
-        select=select,
-        n_trials=settings.n_trials,
-        rng=settings.seed,
-        n_workers=n_workers,
-        progress_bar=reporter.progress,
-    )
+    how |= {"n_trials": settings.n_trials, "rng": settings.seed}
+    return tracker(cube, decompositions, select=select, **how)
 
 
 def _write(tracking, settings, folder, *, votable):
@@ -211,15 +174,12 @@ def _write(tracking, settings, folder, *, votable):
         **plain_meta({**tracks.meta, **profile.meta}),
         "versions": versions(),
     }
-    for name, table in (
-        ("features", tracking.features),
-        ("tracks", tracks),
-        ("track_profile", profile),
-    ):
+    tables = {"features": tracking.features, "tracks": tracks}
+    for name, table in (tables | {"track_profile": profile}).items():
         table = QTable(table, copy=False)
         table.meta = meta
         table.write(folder / f"{name}.ecsv", format="ascii.ecsv", overwrite=True)
-        if votable and name != "track_profile":
+        if votable and name in tables:
             write_votable(plain_table(table), folder / f"{name}.vot", overwrite=True)
     return profile
 
@@ -247,20 +207,21 @@ def _summary(tracking):
     import numpy as np
 
     tracks = tracking.tracks
-    ejected = int(np.sum(~np.asarray(tracks["t_ej"].mask)))
     rows = []
     for share in tracking.shares:
-        own = np.asarray(tracks["scale"]) == share.scale
+        every = share.scale is None
+        n_tracks = len(tracks) if every else np.sum(tracks["scale"] == share.scale)
         rows.append(
-            [
-                "all" if share.scale is None else f"{share.scale:g}",
-                str(len(tracks) if share.scale is None else int(own.sum())),
-                str(share.n_ssps),
-                f"{share.share:.2f} ± {share.share_err:.2f}",
-                f"{share.permuted:.2f} ± {share.permuted_err:.2f}",
-            ]
+            {
+                "scale": "all" if every else f"{share.scale:g}",
+                "tracks": str(n_tracks),
+                "SSPs": str(share.n_ssps),
+                "linked": f"{share.share:.2f} ± {share.share_err:.2f}",
+                "if permuted": f"{share.permuted:.2f} ± {share.permuted_err:.2f}",
+            }
         )
-    yield from table_lines(["scale", "tracks", "SSPs", "linked", "if permuted"], rows)
+    yield from table_lines(rows)
+    ejected = np.sum(~np.asarray(tracks["t_ej"].mask))
     yield f"{len(tracks)} tracks, {ejected} with an ejection epoch"
     if len(tracks):
         speed, unit = tracks["pm"], tracks["pm"].unit

@@ -71,7 +71,7 @@ def scales_of_pixels(scales, pixel_scale):
             raise ValueError(
                 f"scale {angle} is {size:.2g} px, not near 2^j or 1.5 x 2^j px"
             )
-    return tuple(numbers[nearest])
+    return tuple(numbers[nearest].tolist())
 
 
 def pairs_of_dates(cube, baseline):

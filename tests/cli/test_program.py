@@ -215,3 +215,29 @@ def test_warnings_are_lines_each_once(capsys):
         quiet.say("that")
     assert capsys.readouterr() == ("", "")
     assert quiet.warnings == ["look here"]
+
+
+@pytest.mark.parametrize(
+    ("said", "typed"),
+    [
+        ("max_speed = '2' has no unit", "--max-speed '2' has no unit"),
+        ("kappa must be above 0", "--kappa must be above 0"),
+        ("give a smaller max_speed, or", "give a smaller --max-speed, or"),
+        ("along needs a position_angle", "along needs a --position-angle"),
+        ("the kappa of all", "the kappa of all"),
+        # Names of files, and keys in them.
+        ("kappa.reg: no such file", "kappa.reg: no such file"),
+        ("c.toml: max_speed = '2' has no", "c.toml: max_speed = '2' has no"),
+        ("c.toml: did you mean max_speed; see", "c.toml: did you mean max_speed; see"),
+    ],
+)
+def test_messages_name_options_as_they_are_typed(capsys, said, typed):
+    settings = ("max_speed", "position_angle", "kappa")
+    reporter = Reporter("astro-scc test", settings=settings)
+    reporter.warn(said)
+    reporter.error(said)
+    err = capsys.readouterr().err
+    assert err == f"warning: {typed}\nastro-scc test: error: {typed}\n"
+    # A survey has its settings in a file.
+    Reporter("astro-scc test").error(said)
+    assert capsys.readouterr().err == f"astro-scc test: error: {said}\n"

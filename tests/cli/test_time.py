@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.cli.inputs import measuring_time, say_time
+from astro_scc.cli.inputs import measuring_time, tell_time
 from astro_scc.cli.reporter import Reporter
 from astro_scc.measurement.decomposing import decompose_epochs, matching_time
 from astro_scc.settings import Settings
@@ -68,7 +68,7 @@ def cores(monkeypatch):
     ],
 )
 def test_what_shortens_a_run(cores, capsys, shared, alone, workers, said):
-    say_time(Reporter("astro-scc test"), workers, shared, alone, "what")
+    tell_time(Reporter("astro-scc test"), workers, lambda: (shared, alone, "what"))
     out, err = capsys.readouterr()
     assert out == ""
     if said is None:
@@ -79,12 +79,13 @@ def test_what_shortens_a_run(cores, capsys, shared, alone, workers, said):
 
 
 def test_sources_are_shared_by_no_more_processes_than_sources(cores, capsys):
-    say_time(Reporter("x"), 1, 1200, 0, "2 sources", less="less", most=2)
+    sources = {"less": "less", "most": 2}
+    tell_time(Reporter("x"), 1, lambda: (1200, 0, "2 sources"), **sources)
     assert (
         "20 min (2 sources); --workers 2 shortens it to 10 min"
         in capsys.readouterr()[1]
     )
-    say_time(Reporter("x"), 2, 1200, 0, "2 sources", less="less", most=2)
+    tell_time(Reporter("x"), 2, lambda: (1200, 0, "2 sources"), **sources)
     assert capsys.readouterr()[1].endswith("10 min (2 sources); less\n")
 
 
@@ -165,7 +166,7 @@ def test_the_estimate_grows_with_directions_and_bins(jet):
     known = Settings(scales="2", position_angle="270 deg", n_trials=100_000)
     anywhere = Settings(scales="2", position_angle="any", n_trials=100_000)
     shared, alone, _ = measuring_time(cube, known)
-    assert measuring_time(cube, known, n_bins=4)[1] > alone
+    assert measuring_time(cube, known, 4)[1] > alone
     again, more, _ = measuring_time(cube, anywhere)
     assert more > alone
     assert again == pytest.approx(shared)

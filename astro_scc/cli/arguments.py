@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Arguments shared by several commands; those of settings come from `Settings`."""
+"""Arguments that several commands have; those of settings are made from `Settings`."""
 
 import argparse
 
@@ -29,17 +29,10 @@ def add_setting(parser, name):
 
 def add_settings(parser, command):
     """Add all settings of a command in their groups, ``--config`` and the workers."""
-    for group in GROUPS:
-        own = [
-            name
-            for name, facts in OPTIONS.items()
-            if facts["group"] == group
-            and command in facts["commands"]
-            and facts["metavar"] is not None
-        ]
-        box = parser.add_argument_group(group) if own else None
-        for name in own:
-            add_setting(box, name)
+    boxes = {group: parser.add_argument_group(group) for group in GROUPS}
+    for name, facts in OPTIONS.items():
+        if command in facts["commands"] and facts["metavar"] is not None:
+            add_setting(boxes[facts["group"]], name)
     parser.add_argument("--config", metavar="FILE.toml", help="read settings from here")
     add_workers(parser)
 
@@ -49,33 +42,38 @@ def add_option(parser, option, metavar, text, **kind):
     parser.add_argument(option, metavar=metavar, help=text, **kind)
 
 
-def add_switch(parser, option, text, **kind):
-    """Add an option without a value."""
-    parser.add_argument(option, action="store_true", help=text, **kind)
+def add_switches(parser, *, default=False, **texts):
+    """Add options without a value, each with its help."""
+    for name, text in texts.items():
+        parser.add_argument(
+            option_name(name), action="store_true", default=default, help=text
+        )
 
 
-def add_output(parser, what, *, default=None, votable=None, overwrite=True):
+def add_output(
+    parser, what, *, default=None, votable=None, overwrite=True, report=False
+):
     """Add ``--output``, required without a default, and options on what is written."""
-    text = f"folder for {what}" + (f"; default {default}" if default else "")
-    own = {"required": default is None, "dest": "output"}
-    own["default"] = None if default == OF_OBJECT else default
-    parser.add_argument("-o", "--output", metavar="DIR", help=text, **own)
+    parser.add_argument(
+        *("-o", "--output"),
+        metavar="DIR",
+        required=default is None,
+        default=None if default == OF_OBJECT else default,
+        help=f"folder for {what}" + (f"; default {default}" if default else ""),
+    )
     if overwrite:
         add_overwrite(parser)
     if votable:
         text = f"write {votable} too, for TOPCAT, STILTS and Aladin"
-        add_switch(parser, "--votable", text)
+        add_switches(parser, votable=text)
+    if report:
+        add_switches(parser, no_report="write no report.html and figures")
 
 
 def add_overwrite(parser):
     """Add ``--overwrite``."""
     text = "replace what is in the folder under the same names"
-    add_switch(parser, "--overwrite", text)
-
-
-def add_no_report(parser):
-    """Add ``--no-report``."""
-    add_switch(parser, "--no-report", "write no report.html and figures")
+    add_switches(parser, overwrite=text)
 
 
 def add_workers(parser):
