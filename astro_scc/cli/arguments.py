@@ -1,10 +1,30 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Arguments that several commands have; those of settings are made from `Settings`."""
+"""
+The commands: help and arguments of each.
+
+Options of settings are made from `Settings`.  A function with the name of each command
+adds its arguments, and its docstring is the help; what the command does is in the
+module of the same name, which takes seconds to import.
+"""
 
 import argparse
 
 from astro_scc.settings import GROUPS, OPTIONS
 
+#: Folder, within the folder of the products, for what an interrupted run goes on from.
+WORK = ".astro_scc-work"
+JETS = ("two-fluid", "random-velocity", "ballistic", "static", "unrelated", "jet")
+#: Type and help of each option of a jet.
+FLOW = {
+    "motion": (float, "mean, in beams per median interval; default 0.6"),
+    "dispersion": (float, "of the speeds, over the mean; default 0.1"),
+    "distribution": (str, "of the speeds: normal (default), lognormal or uniform"),
+    "features": (float, "moving features in view at a time; default 8"),
+    "standing": (int, "number of stationary features; default 0"),
+    "acceleration": (float, "speed at the jet's end over that at the core; default 1"),
+    "flux_variation": (float, "scatter of ln(flux) in time; default 0.35"),
+    "alignment_error": (float, "shift of each image, rms in beams; default 0"),
+}
 #: A default folder: the names of the object and of the command.
 OF_OBJECT = "OBJECT-COMMAND"
 #: An option of a setting that is on or off.
@@ -86,3 +106,270 @@ def add_workers(parser):
     add_option(group, "--workers", "N", text, type=int)
     text = "of a Dask cluster that works instead, tcp://node1:8786"
     add_option(group, "--scheduler", "ADDRESS", text)
+
+
+# -- the commands ----------------------------------------------------------------
+
+
+def demo(parser):
+    """
+    Simulate the two-fluid jet of the paper and measure it.
+
+    Simulate the two-fluid jet of Mertens & Lobanov (2016), a slow sheath around a
+    fast spine, measure it and write the report.  No input is needed.
+
+    The folder gets the products of astro-scc measure, the images in epochs/ and
+    the region in region.reg.  To run it again, give --overwrite or another
+    folder.
+    """
+    add_output(parser, "images and report", default="astro_scc_demo")
+
+
+def simulate(parser):
+    """
+    Simulate images of a jet whose velocities are known.
+
+    Simulate images of a jet whose velocities are known: one FITS file per epoch,
+    and truth.ecsv with the position and the velocity of every feature.
+
+    jets:
+      two-fluid        a slow sheath around a fast spine
+      random-velocity  a new random velocity for every feature at every epoch
+      ballistic        features that each keep a random velocity
+      static           stationary features
+      unrelated        epochs that have nothing in common
+      jet              as in surveys: uneven dates, a core, speeds that scatter
+
+    examples:
+      astro-scc simulate two-fluid jet --seed 1 --epochs 10
+      astro-scc simulate jet jet --motion 0.4 --dispersion 0.2 --vlba
+    """
+    parser.add_argument("jet", choices=JETS, metavar="JET", help="one of those below")
+    parser.add_argument("output", metavar="DIR", help="folder for the images")
+    add_overwrite(parser)
+    add_setting(parser, "seed")
+    text = (
+        "number of epochs; default 10, 30 days apart, and of a jet 15 at uneven "
+        "dates, 0.2 years apart in the median"
+    )
+    add_option(parser, "--epochs", "N", text, type=int)
+    text = "more and brighter features in the two-fluid jet"
+    add_switches(parser, dense=text, default=None)
+    group = parser.add_argument_group("options of the jet 'jet'")
+    for name, (kind, text) in FLOW.items():
+        add_option(group, option_name(name), "X", text, type=kind)
+    text = "image it from visibilities of the VLBA, with CLEAN"
+    add_switches(group, vlba=text, default=None)
+
+
+def restore(parser):
+    """
+    Make images from lists of Gaussian or CLEAN components.
+
+    Make images from lists of components, all with one beam: one FITS file per epoch.
+
+    examples:
+      astro-scc restore 1226+023.ecsv -o 3c273 --beam "1.0 mas 0.5 mas -7 deg" \\
+          --pixel "0.1 mas" --noise "0.3 mJy/beam" --seed 1 --before 2011-01-01
+      astro-scc restore apjac230ft4_mrt.txt --source 1226+023 -o 3c273 --beam "1 mas" \\
+          --pixel "0.1 mas"
+      astro-scc restore models/*.mod -o images --beam "0.9 0.6 mas -5 deg" \\
+          --pixel "0.1 mas"
+
+    Tables are ECSV files or the machine-readable tables of journals, from the AAS
+    (.txt) or the CDS (.dat, with its ReadMe beside it), with the columns epoch (or
+    Obs.Y, Obs.M, Obs.D), flux, separation and position_angle.  Files .mod are models of
+    difmap with the date in the name; files .fits have CLEAN components in an AIPS CC
+    table.
+    """
+    text = "a table of many epochs, or one file per epoch"
+    add_option(parser, "tables", "TABLE.ecsv|MODEL.mod", text, nargs="+")
+    add_output(parser, "the images")
+    text = (
+        "major axis, minor axis (full widths at half maximum) and position angle; "
+        "one axis is a circle"
+    )
+    add_option(parser, "--beam", '"1.0 mas 0.5 mas -7 deg"', text, required=True)
+    add_option(parser, "--pixel", '"0.1 mas"', "side of a pixel", required=True)
+    text = "rms of the noise to add, correlated by the beam; default none"
+    add_option(parser, "--noise", '"0.3 mJy/beam"', text)
+    for name in ("seed", "after", "before"):
+        add_setting(parser, name)
+    text = (
+        "source to take from a table of many; a wrong or missing one is refused with "
+        "the names that there are"
+    )
+    add_option(parser, "--source", "NAME", text)
+    text = (
+        "what is at the reference pixel, the core (feature 0) or the centre of the "
+        "map; default the core in tables that refer to it"
+    )
+    parser.add_argument("--origin", choices=("core", "map"), help=text)
+
+
+def inspect(parser):
+    """
+    Show what images hold, what is wrong and what can be measured.
+
+    Print one line per epoch, then the problems, and the speeds that can be measured
+    with these dates and from which pairs of epochs.  Nothing is measured or written.
+
+    examples:
+      astro-scc inspect 3c273/*.fits
+      astro-scc inspect 3c273/*.fits --speed "0.9 mas/yr"
+    """
+    add_setting(parser, "epochs")
+    text = (
+        "say what this proper motion is between epochs, and which pairs suit it; "
+        "default some between the slowest and the fastest that can be measured well"
+    )
+    add_option(parser, "--speed", '"2 mas/yr"', text)
+
+
+def measure(parser):
+    """
+    Measure the velocities in the images of one jet.
+
+    Measure the velocity components in images of one object at many dates.
+
+    examples:
+      astro-scc measure 3c273/*.fits --redshift 0.158
+      astro-scc measure *.fits -o out --align cores.ecsv --region jet.reg \\
+          --position-angle "-112 deg" --baseline "0.1 yr 0.6 yr" --redshift 0.033
+      astro-scc measure m87/*.fits -o out --scales "0.2 mas, 0.4 mas" \\
+          --distance "16.7 Mpc"
+      astro-scc measure --config out/config.toml -o again
+
+    The folder gets components.ecsv and, for a paper, components.tex; features.ecsv,
+    sensitivity.ecsv, ssps.ecsv, scc.fits, report.html with its figures, and
+    config.toml, which reproduces the tables bit by bit from the same images.  A
+    configuration file may hold every option of a measurement, with _ for -, and some
+    settings that have no option (see the documentation).  The command line takes
+    precedence over the file.
+    """
+    what, files = "tables, maps and report", "components.vot and ssps.vot"
+    add_output(parser, what, default=OF_OBJECT, votable=files, report=True)
+    add_switches(
+        parser,
+        pdf="write the figures of the report as PDF, too",
+        ds9_regions="write ssp_regions too, a file per epoch that DS9 and CARTA open, "
+        "with the outlines of its patterns",
+        resume=f"keep the matches in {WORK} of the folder, go on from what an "
+        "interrupted run did there, and replace what an earlier one with --resume "
+        "wrote",
+    )
+    add_settings(parser, "measure")
+
+
+def explore(parser):
+    """
+    See which features, in which epochs, make a speed.
+
+    Write explore.html into the folder of a measurement: the velocity map, the images,
+    the distances against time and a table of the features in linked panels.  Selecting
+    a component or features in one panel selects them in all.  The page is one file that
+    needs no network.
+
+    examples:
+      astro-scc measure 3c273/*.fits -o out
+      astro-scc explore out
+
+    The images are those that config.toml names, aligned as they were measured; start
+    the command where the measurement was started.  It needs bokeh: pip install
+    'astro_scc[explore]'
+    """
+    parser.add_argument("folder", metavar="OUT", help="folder that measure has written")
+
+
+def profile(parser):
+    """
+    Measure the velocities in bins of distance from the core.
+
+    Measure the velocities in bins of distance from the core.
+
+    examples:
+      astro-scc profile 3c120/*.fits -o out --align core --bins "0.5 1.5 2.5 3.5 mas" \\
+          --position-angle "-112 deg" --max-speed "5 mas/yr" --redshift 0.033
+      astro-scc profile m87/*.fits -o out --bins "1 2 4 8 mas" --position-angle ridge \\
+          --distance "16.7 Mpc"
+      astro-scc profile *.fits -o out --bins "1 2 3 4 5 mas" --window "2 mas"
+
+    All images are matched once; for each bin, the matches of its patterns are stacked.
+    The folder gets profile.ecsv, with a row for each bin and component, p_fdr adjusted
+    for all bins, and in its header the acceleration over all bins; scales.ecsv, which
+    compares the speeds of the finest scale and of the others; profile.png,
+    velocity_maps.png and position_angles.png; and config.toml.  With --position-angle
+    ridge, distances are measured along the ridge line.
+    """
+    what = "the table and figures of the profile"
+    add_output(parser, what, default=OF_OBJECT, votable="profile.vot")
+    add_settings(parser, "profile")
+
+
+def track(parser):
+    """
+    Follow individual features from epoch to epoch (WISE).
+
+    Follow the features in images of one object at many dates.
+
+    examples:
+      astro-scc track 3c120/*.fits -o tracks --align core --max-speed "4 mas/yr" \\
+          --redshift 0.033
+      astro-scc track *.fits -o tracks --align cores.ecsv --position-angle "-112 deg" \\
+          --along "0 4 mas/yr" --across "-1 1 mas/yr" --profile out/profile.ecsv
+
+    The folder gets features.ecsv, with a row for each feature and epoch; tracks.ecsv,
+    with a row for each feature; track_profile.ecsv, speed against distance; and figures
+    of all three.  A configuration file of astro-scc measure sets what both commands
+    have.
+    """
+    files = "features.vot and tracks.vot"
+    add_output(parser, "the tables and figures", default=OF_OBJECT, votable=files)
+    add_switches(parser, no_figures="write only the tables")
+    text = "profile of the stack, as of astro-scc profile, for the figure"
+    add_option(parser, "--profile", "FILE.ecsv", text)
+    add_settings(parser, "track")
+
+
+def survey(parser):
+    """
+    Measure many sources, on one machine or a Dask cluster.
+
+    Measure the velocities of many sources and make one table.
+
+    examples:
+      astro-scc survey survey.toml -o out --workers 8
+      astro-scc survey survey.toml -o out --scheduler tcp://node1:8786
+      astro-scc survey survey.toml -o out --workers 8 --scheduler local
+
+    survey.toml:
+      [defaults]
+      align = "core"
+      baseline = "0.1 yr 1.0 yr"
+      scale_groups = {fine = [1, 2], coarse = [3, 4]}
+
+      [sources."3C 273"]
+      epochs = "3c273/*.fits"
+      redshift = 0.158
+      max_speed = "2 mas/yr"
+      regions = {inner = "3c273/inner.reg", outer = "3c273/outer.reg"}
+
+    [defaults] and each source may hold any setting of a configuration of astro-scc
+    measure except region.  Paths are relative to the file.  A source that fails does
+    not stop the others.  Run again with the same folder, the command resumes: sources
+    that are finished with the same settings, files and versions are not measured again.
+    published_pm of a source, "0.9 0.1 mas/yr", is shown beside the measured speed.  The
+    folder gets overview.html, with a row for each source; survey.ecsv, with a row for
+    each source, region, scale group and component, and p_fdr over all of them, or the
+    reason why there is no component; and in sources/ a folder for each source with the
+    products of astro-scc measure, including a report.
+    """
+    parser.add_argument("survey", metavar="SURVEY.toml", help="what to measure")
+    what = "the table and the sources' products, new or of this survey"
+    add_output(parser, what, overwrite=False, report=True)
+    add_workers(parser)
+
+
+COMMANDS = (
+    demo, simulate, restore, inspect, measure, explore, profile, track, survey
+)  # fmt: skip

@@ -1,39 +1,19 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""
-See which features, in which epochs, make a speed.
-
-Write explore.html into the folder of a measurement: the velocity map, the images, the
-distances against time and a table of the features in linked panels.  Selecting a
-component or features in one panel selects them in all.  The page is one file that needs
-no network.
-
-examples:
-  astro-scc measure 3c273/*.fits -o out
-  astro-scc explore out
-
-The images are those that config.toml names, aligned as they were measured; start the
-command where the measurement was started.  It needs bokeh: pip install
-'astro_scc[explore]'
-"""
+"""See which features, in which epochs, make a speed."""
 
 from pathlib import Path
 
+from astropy.io import fits
+
 from astro_scc.cli.inputs import read_epochs, read_table
-from astro_scc.cli.reporter import one_line
+from astro_scc.cli.program import one_line
 from astro_scc.settings import Settings, read_config
 
 PAGE = "explore.html"
 
 
-def add_arguments(parser):
-    """Add the arguments of the command."""
-    parser.add_argument("folder", metavar="OUT", help="folder that measure has written")
-
-
 def run(args, reporter):
     """Write the page of a measurement according to the arguments."""
-    from astropy.io import fits
-
     from astro_scc.visualization.explore import write_explore
 
     folder = Path(args.folder)

@@ -9,7 +9,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from astropy.io import fits
+from astropy.table import QTable
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.epochs import EpochCube
+from astro_scc.epochs.beam import different_beam
+from astro_scc.epochs.cutout import refuse_pixels
+from astro_scc.epochs.fits import find_files
+from astro_scc.epochs.headers import first_line
+from astro_scc.measurement import choices, versions
+from astro_scc.measurement.decomposing import matching_time
+from astro_scc.measurement.stacking import stacking_time
+from astro_scc.quantities import to_time
 from astro_scc.settings import OPTIONS, Settings, read_config
+from astro_scc.stacking import SearchSettings
 
 #: Pixels of all epochs from which on more processes save more time than they take to
 #: start: some ten seconds of one.
@@ -83,11 +97,6 @@ def measuring_time(cube, settings, n_bins=0):
     what : str
         What takes so long.
     """
-    from astro_scc import StackedCrossCorrelation
-    from astro_scc.measurement.decomposing import matching_time
-    from astro_scc.measurement.stacking import stacking_time
-    from astro_scc.stacking import SearchSettings
-
     scc = StackedCrossCorrelation.from_settings(settings)
     decomposer, region = scc.decomposer(cube), settings.region
     shared, n_ssps = matching_time(cube, decomposer, scc.reach(cube), region=region)
@@ -107,7 +116,7 @@ def tell_time(reporter, n_workers, estimate, *more, less=LESS, most=None):
 
     Parameters
     ----------
-    reporter : `~astro_scc.cli.reporter.Reporter`
+    reporter : `~astro_scc.cli.program.Reporter`
     n_workers : int or object
         On a cluster, whose processes are not known, nothing is said.
     estimate : callable
@@ -157,7 +166,7 @@ def settings_of(args, reporter, *, unused=(), **defaults):
     Parameters
     ----------
     args : `argparse.Namespace`
-    reporter : `~astro_scc.cli.reporter.Reporter`
+    reporter : `~astro_scc.cli.program.Reporter`
     unused : sequence of str, optional
         Settings of the file that the command does not use.
     **defaults
@@ -187,8 +196,6 @@ def settings_of(args, reporter, *, unused=(), **defaults):
 
 
 def _compare_versions(written_by, file, reporter):
-    from astro_scc.measurement import versions
-
     now = versions()
     other = [
         f"{name} {version} (here {now.get(name, 'none')})"
@@ -228,10 +235,6 @@ def read_epochs(settings, *, files=None, note=_ignore, direction=True):
     OSError, ValueError
         If the files cannot be read, or do not make one cube.
     """
-    from astro_scc.epochs import EpochCube
-    from astro_scc.epochs.cutout import refuse_pixels
-    from astro_scc.epochs.fits import find_files
-
     if files is None:
         files = find_files(settings.epochs)
         settings = replace(settings, epochs=[str(path) for path in files])
@@ -265,8 +268,6 @@ def prepare(cube, settings, *, note=_ignore, direction=True):
     chosen : list of str
         The choices and their reasons.
     """
-    from astro_scc.measurement import choices
-
     chosen, found = [], {"common_beam": _wants_common_beam(cube, settings, note)}
     if found["common_beam"]:
         cube = cube.to_common_beam()
@@ -287,8 +288,6 @@ def prepare(cube, settings, *, note=_ignore, direction=True):
 
 def _wants_common_beam(cube, settings, note):
     """Return whether to convolve to a common beam, and note what is decided."""
-    from astro_scc.epochs.beam import different_beam
-
     wanted, differ = settings.common_beam, different_beam(cube) is not None
     if wanted is False and differ:
         note("the beams differ and are left so, as --no-common-beam states")
@@ -303,8 +302,6 @@ def _wants_common_beam(cube, settings, note):
 
 def select_epochs(cube, after=None, before=None):
     """Return the epochs between two dates, and the other ones with the reasons."""
-    from astro_scc.quantities import to_time
-
     left_out = {}
     # Very old or future dates are kept in atomic time, so compare in it.
     for i, time in enumerate(cube.times.tai):
@@ -327,9 +324,6 @@ def output_of(args, settings):
     """Return the folder for the products, by default named after the object."""
     if args.output is not None:
         return Path(args.output)
-    from astropy.io import fits
-
-    from astro_scc.epochs.fits import find_files
 
     first = find_files(settings.epochs)[0]
     name = ""
@@ -342,10 +336,6 @@ def output_of(args, settings):
 
 def read_table(path, advice=""):
     """Return an ECSV table; what is wrong with it is one line."""
-    from astropy.table import QTable
-
-    from astro_scc.epochs.headers import first_line
-
     try:
         return QTable.read(path, format="ascii.ecsv")
     except FileNotFoundError:

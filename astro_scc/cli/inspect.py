@@ -1,22 +1,25 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""
-Show what images hold, what is wrong and what can be measured.
-
-Print one line per epoch, then the problems, and the speeds that can be measured
-with these dates and from which pairs of epochs.  Nothing is measured or written.
-
-examples:
-  astro-scc inspect 3c273/*.fits
-  astro-scc inspect 3c273/*.fits --speed "0.9 mas/yr"
-"""
+"""Show what images hold, what is wrong and what can be measured."""
 
 import math
+import warnings
 from contextlib import suppress
 from pathlib import Path
 
-from astro_scc.cli.arguments import add_option, add_setting
+import astropy.units as u
+import numpy as np
+from scipy.spatial.distance import pdist
+
+from astro_scc import EpochCube
 from astro_scc.cli.inputs import prepare
 from astro_scc.cli.summary import misalignment_text, table_lines
+from astro_scc.epochs import inspect_epochs, plan_intervals
+from astro_scc.epochs.beam import different_beam
+from astro_scc.epochs.fits import find_files
+from astro_scc.epochs.positions import readable_angle
+from astro_scc.epochs.registration import MISALIGNED, core_positions
+from astro_scc.epochs.serialize import is_cube_file
+from astro_scc.exceptions import AstroSccWarning
 from astro_scc.quantities import named, one_quantity
 from astro_scc.settings import Settings
 
@@ -26,20 +29,8 @@ N_SPEEDS = 4
 DAY = 1e-3
 
 
-def add_arguments(parser):
-    """Add the arguments of the command."""
-    add_setting(parser, "epochs")
-    text = (
-        "say what this proper motion is between epochs, and which pairs suit it; "
-        "default some between the slowest and the fastest that can be measured well"
-    )
-    add_option(parser, "--speed", '"2 mas/yr"', text)
-
-
 def run(args, reporter):
     """Inspect files according to the arguments."""
-    from astro_scc.epochs.fits import find_files
-
     if not args.epochs:
         raise ValueError("no epochs were given; name the FITS files")
     if (speed := args.speed) is not None:
@@ -66,9 +57,6 @@ def run(args, reporter):
 
 def _facts(files, cube, refusal):
     """Return the names of the epochs, facts of `inspect_epochs`, and the problems."""
-    from astro_scc.epochs import inspect_epochs
-    from astro_scc.epochs.serialize import is_cube_file
-
     if len(files) == 1 and files[0].exists() and is_cube_file(files[0]):
         if cube is None:
             raise ValueError(refusal)
@@ -85,11 +73,6 @@ def _facts(files, cube, refusal):
 
 def _cube(files):
     """Return the files as a cube and None, or None and the reason why they are not."""
-    import warnings
-
-    from astro_scc import EpochCube
-    from astro_scc.exceptions import AstroSccWarning
-
     with warnings.catch_warnings():
         # Warnings are listed among the problems.
         warnings.simplefilter("ignore", AstroSccWarning)
@@ -101,10 +84,6 @@ def _cube(files):
 
 def _cores(cube):
     """Return the core's offset at each epoch as text, and its scatter in beams."""
-    import numpy as np
-
-    from astro_scc.epochs.registration import core_positions
-
     if cube is None or cube.beams is None:
         return {}, 0.0
     try:
@@ -119,8 +98,6 @@ def _cores(cube):
 
 def _alignment(cube, of_core):
     """Return how well the epochs are aligned, and what to do about it."""
-    from astro_scc.epochs.registration import MISALIGNED
-
     scatter = cube.misalignment
     lines = ["", misalignment_text(scatter)]
     if max(scatter or 0, of_core) < MISALIGNED:
@@ -141,8 +118,6 @@ def _alignment(cube, of_core):
 
 def _choices(cube):
     """Return what a measurement without options takes, as lines."""
-    from astro_scc.epochs.beam import different_beam
-
     _, _, chosen = prepare(cube, Settings())
     if different_beam(cube) is not None:
         chosen.insert(0, "--common-beam: the beams differ")
@@ -156,10 +131,6 @@ def _offset(east, north):
 
 def _cells(name, row, unit):
     """Return a row of `inspect_epochs` as text under the headings of the table."""
-    import numpy as np
-
-    from astro_scc.epochs.positions import readable_angle
-
     names = ("date", "pixels", "pixel", "beam", f"noise ({unit})", "peak")
     cells = {"epoch": name} | dict.fromkeys(names, "-")
     if not row["nx"]:
@@ -180,9 +151,6 @@ def _cells(name, row, unit):
 
 def _facts_of_cube(cube):
     """Return for the epochs of a cube what `inspect_epochs` returns for files."""
-    import astropy.units as u
-    import numpy as np
-
     facts = cube.epochs
     if cube.beams is None:
         facts["major"] = np.nan * u.mas
@@ -198,8 +166,6 @@ def _facts_of_cube(cube):
 
 def _plan(cube, speed):
     """Return lines on the speeds that can be measured with the dates."""
-    from astro_scc.epochs import plan_intervals
-
     try:
         plan = plan_intervals(cube)
     except ValueError as error:
@@ -209,8 +175,6 @@ def _plan(cube, speed):
 
 def _speed_lines(cube, plan, speed):
     """Return lines on the motion at some speeds and on the baselines for them."""
-    import numpy as np
-
     rows, unit = [], plan.slowest.unit
     if speed is None:
         slow, high = plan.slowest.value, plan.consecutive[1].value
@@ -242,9 +206,6 @@ def _rounded(interval, how):
 
 
 def _n_pairs(cube, first, last):
-    import numpy as np
-    from scipy.spatial.distance import pdist
-
     apart = pdist(cube.years.value[:, None])
     first, last = first.to_value("yr"), last.to_value("yr")
     return int(np.sum((apart >= first - DAY) & (apart <= last + DAY)))

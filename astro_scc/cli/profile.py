@@ -1,36 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""
-Measure the velocities in bins of distance from the core.
-
-Measure the velocities in bins of distance from the core.
-
-examples:
-  astro-scc profile 3c120/*.fits -o out --align core --bins "0.5 1.5 2.5 3.5 mas" \\
-      --position-angle "-112 deg" --max-speed "5 mas/yr" --redshift 0.033
-  astro-scc profile m87/*.fits -o out --bins "1 2 4 8 mas" --position-angle ridge \\
-      --distance "16.7 Mpc"
-  astro-scc profile *.fits -o out --bins "1 2 3 4 5 mas" --window "2 mas"
-
-All images are matched once; for each bin, the matches of its patterns are stacked.
-The folder gets profile.ecsv, with a row for each bin and component, p_fdr adjusted
-for all bins, and in its header the acceleration over all bins; scales.ecsv, which
-compares the speeds of the finest scale and of the others; profile.png,
-velocity_maps.png and position_angles.png; and config.toml.  With --position-angle
-ridge, distances are measured along the ridge line.
-"""
+"""Measure the velocities in bins of distance from the core."""
 
 from dataclasses import asdict
 
-from astro_scc.cli.arguments import OF_OBJECT, add_output, add_settings
-from astro_scc.cli.inputs import (
-    measuring_time,
-    output_of,
-    read_epochs,
-    settings_of,
-    tell_time,
-    workers_of,
-)
+from astro_scc import StackedCrossCorrelation
+from astro_scc.cli import inputs
 from astro_scc.cli.summary import profile_lines
+from astro_scc.flow import measure_acceleration
+from astro_scc.flow.groups import compare_scales
+from astro_scc.flow.profile import bins_of, measure_profile, write_profile
+from astro_scc.measurement import product_folder, select_ssps, versions, write_votable
+from astro_scc.report.tables import scale_lines
 
 PRODUCTS = (
     "profile.ecsv scales.ecsv profile.png velocity_maps.png position_angles.png "
@@ -38,46 +18,31 @@ PRODUCTS = (
 ).split()
 
 
-def add_arguments(parser):
-    """Add the arguments of the command."""
-    what = "the table and figures of the profile"
-    add_output(parser, what, default=OF_OBJECT, votable="profile.vot")
-    add_settings(parser, "profile")
-
-
 def run(args, reporter):
     """Measure a profile according to the arguments."""
-    from astro_scc.flow.profile import bins_of
-    from astro_scc.measurement import product_folder, write_votable
-
-    settings = settings_of(args, reporter, n_trials=1000)
+    settings = inputs.settings_of(args, reporter, n_trials=1000)
     if settings.bins is None:
         raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
-    workers_of(args)
-    output = output_of(args, settings)
+    inputs.workers_of(args)
+    output = inputs.output_of(args, settings)
     n_bins = len(bins_of(settings.bins, window=settings.window))
     made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
     with made as folder:
-        inputs = read_epochs(settings, note=reporter.note)
-        cube, settings, *_ = inputs
-        n_workers = workers_of(args, cube)
-        tell_time(reporter, n_workers, measuring_time, cube, settings, n_bins)
+        epochs = inputs.read_epochs(settings, note=reporter.note)
+        cube, settings, *_ = epochs
+        n_workers = inputs.workers_of(args, cube)
+        inputs.tell_time(
+            reporter, n_workers, inputs.measuring_time, cube, settings, n_bins
+        )
         components, lines = _measure(cube, settings, folder, reporter, n_workers)
         if args.votable:
             write_votable(components, folder / "profile.vot")
-    lines = [*profile_lines(components), "", *lines, *inputs.found]
+    lines = [*profile_lines(components), "", *lines, *epochs.found]
     reporter.say(*lines, f"\nProfile: {output / 'profile.ecsv'}")
 
 
 def _measure(cube, settings, folder, reporter, n_workers):
     """Write the profile; return its components, and lines on all bins together."""
-    from astro_scc import StackedCrossCorrelation
-    from astro_scc.flow import measure_acceleration
-    from astro_scc.flow.groups import compare_scales
-    from astro_scc.flow.profile import measure_profile, write_profile
-    from astro_scc.measurement import select_ssps, versions
-    from astro_scc.report.tables import scale_lines
-
     scc = StackedCrossCorrelation.from_settings(settings)
     shown = {"progress_bar": reporter.progress}
     trials = shown | {"n_trials": settings.n_trials, "rng": settings.seed}

@@ -253,7 +253,7 @@ def tell_time_of(sources, reporter, n_workers):
     Parameters
     ----------
     sources : list of Source
-    reporter : `~astro_scc.cli.reporter.Reporter`
+    reporter : `~astro_scc.cli.program.Reporter`
     n_workers : int or object
         On a cluster, whose processes are not known, nothing is said.
     """

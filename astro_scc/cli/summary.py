@@ -3,7 +3,10 @@
 
 import math
 
+from astro_scc.kinematics.cosmology import cosmology_text
+from astro_scc.measurement.sensitivity import sensitivity_line
 from astro_scc.quantities import with_error
+from astro_scc.units import in_easy_units, offset_unit
 
 EXPLANATION = (
     "p_global: probability that epochs in permuted order would give an equally strong",
@@ -77,9 +80,6 @@ def component_lines(components, features=None, sensitivity=None):
     -------
     list of str
     """
-    from astro_scc.measurement.sensitivity import sensitivity_line
-    from astro_scc.units import in_easy_units
-
     if len(components) == 0:
         return [*NOTHING, *meta_lines(components.meta)]
     components = in_easy_units(components)
@@ -138,8 +138,6 @@ def _answer(components):
 
 def _feature_lines(features):
     """Return the features, each with the speed of its own straight line, as a table."""
-    from astro_scc.units import in_easy_units, offset_unit
-
     features = in_easy_units(features)
     far = offset_unit(abs(features["distance"].to_value("mas")).max())
     # Of less than some days, the times.
@@ -239,8 +237,6 @@ def speed_lines(meta):
     >>> speed_lines({"redshift": 0.158, "cosmology": "H0=71,Om0=0.27"})[0]
     'speeds in c: redshift 0.158, FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0 = 0.27'
     """
-    from astro_scc.kinematics.cosmology import cosmology_text
-
     if "distance" in meta:
         return [f"speeds in c: distance {meta['distance']:g}"]
     if "redshift" in meta:

@@ -1,36 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""
-Measure many sources, on one machine or a Dask cluster.
-
-Measure the velocities of many sources and make one table.
-
-examples:
-  astro-scc survey survey.toml -o out --workers 8
-  astro-scc survey survey.toml -o out --scheduler tcp://node1:8786
-  astro-scc survey survey.toml -o out --workers 8 --scheduler local
-
-survey.toml:
-  [defaults]
-  align = "core"
-  baseline = "0.1 yr 1.0 yr"
-  scale_groups = {fine = [1, 2], coarse = [3, 4]}
-
-  [sources."3C 273"]
-  epochs = "3c273/*.fits"
-  redshift = 0.158
-  max_speed = "2 mas/yr"
-  regions = {inner = "3c273/inner.reg", outer = "3c273/outer.reg"}
-
-[defaults] and each source may hold any setting of a configuration of astro-scc measure
-except region.  Paths are relative to the file.  A source that fails does not stop the
-others.  Run again with the same folder, the command resumes: sources that are finished
-with the same settings, files and versions are not measured again.  published_pm of a
-source, "0.9 0.1 mas/yr", is shown beside the measured speed.  The folder gets
-overview.html, with a row for each source; survey.ecsv, with a row for each source,
-region, scale group and component, and p_fdr over all of them, or the reason why there
-is no component; and in sources/ a folder for each source with the products of
-astro-scc measure, including a report.
-"""
+"""Measure many sources, on one machine or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -47,19 +16,32 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from astro_scc.cli.arguments import add_output, add_workers
+import numpy as np
+
 from astro_scc.cli.inputs import read_epochs, workers_of
 from astro_scc.cli.measure import WORK, write_measurement
-from astro_scc.cli.reporter import one_line
+from astro_scc.cli.program import one_line
+from astro_scc.cli.sources import (
+    WHOLE,
+    Survey,
+    folder_names,
+    read_survey,
+    survey_table,
+    tell_time_of,
+)
 from astro_scc.cli.summary import table_lines
+from astro_scc.correlation import parallel
+from astro_scc.epochs.cutout import refuse_pixels
+from astro_scc.kinematics.cosmology import cosmology_text
+from astro_scc.measurement import select_ssps
 from astro_scc.partial import hold, partial_folder, remove_left, replace_when_complete
 from astro_scc.progress import progress
+from astro_scc.report.page import write_overview
+from astro_scc.scc import StackedCrossCorrelation
 
 if TYPE_CHECKING:
     from astropy.table import QTable
     from distributed import Client
-
-    from astro_scc.cli.sources import Survey
 
 __all__ = ["run_survey"]
 
@@ -86,19 +68,8 @@ class Outcome:
     last: str = ""
 
 
-def add_arguments(parser):
-    """Add the arguments of the command."""
-    parser.add_argument("survey", metavar="SURVEY.toml", help="what to measure")
-    what = "the table and the sources' products, new or of this survey"
-    add_output(parser, what, overwrite=False, report=True)
-    add_workers(parser)
-
-
 def run(args, reporter):
     """Run a survey according to the arguments."""
-    from astro_scc.cli.sources import read_survey, tell_time_of
-    from astro_scc.correlation.parallel import open_client, open_local
-
     n_workers, output = workers_of(args), Path(args.output)
     survey = read_survey(args.survey)
     reporter.resumes = True
@@ -114,7 +85,11 @@ def run(args, reporter):
     with ExitStack() as stack:
         if not isinstance(n_workers, int):
             local = n_workers == "local"
-            client = open_local(args.workers or 1) if local else open_client(n_workers)
+            client = (
+                parallel.open_local(args.workers or 1)
+                if local
+                else parallel.open_client(n_workers)
+            )
             n_workers = stack.enter_context(client)
             reporter.note(f"dashboard of the cluster: {n_workers.dashboard_link}")
         table = run_survey(
@@ -138,8 +113,6 @@ def run(args, reporter):
 
 def _summary(table):
     """Yield lines on the numbers of sources and of significant components."""
-    from astro_scc.kinematics.cosmology import cosmology_text
-
     rows = []
     for status in ("measured", "empty", "failed"):
         own = table["source"][table["status"] == status]
@@ -223,9 +196,6 @@ def run_survey(
     >>> set(table["source"].tolist()), set(table["status"].tolist())
     ({'Jet'}, {'measured'})
     """
-    from astro_scc.cli.sources import survey_table
-    from astro_scc.report.page import write_overview
-
     output = Path(output).absolute()
     work = output / WORK
     if output.is_dir() and any(output.iterdir()) and not (output / PLAN).is_file():
@@ -262,12 +232,9 @@ def run_survey(
 
 def _outcomes(sources, measure, n_workers, done, begin, progress_bar):
     """Return the outcomes of the sources, in their order."""
-    from astro_scc.correlation.parallel import as_done
-    from astro_scc.correlation.parallel import workers_of as opened
-
     found = {}
     with (
-        opened(n_workers) as workers,
+        parallel.workers_of(n_workers) as workers,
         progress(len(sources), "Sources", show=progress_bar) as step,
     ):
 
@@ -284,7 +251,9 @@ def _outcomes(sources, measure, n_workers, done, begin, progress_bar):
         left = [k for k in range(len(sources)) if k not in found]
         if begin is not None:
             begin([sources[k] for k in left])
-        for i, outcomes in as_done(measure, (sources[k] for k in left), workers):
+        for i, outcomes in parallel.as_done(
+            measure, (sources[k] for k in left), workers
+        ):
             if isinstance(outcomes, Exception):
                 # The worker failed, not the measurement: it died, or its disk is full.
                 outcomes = _failed(sources[left[i]], outcomes)
@@ -365,13 +334,6 @@ def measure_source(source, output, report=False):
 
 def _measure(source, output, part, report, said):
     """Match a source and measure its parts."""
-    import numpy as np
-
-    from astro_scc.cli.sources import WHOLE, folder_names
-    from astro_scc.epochs.cutout import refuse_pixels
-    from astro_scc.measurement import select_ssps
-    from astro_scc.scc import StackedCrossCorrelation
-
     cube, settings, left_out, _ = read_epochs(source.settings)
     masks, failed, matched = {}, {}, None
     for name, path in source.regions.items():

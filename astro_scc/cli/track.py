@@ -1,41 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""
-Follow individual features from epoch to epoch (WISE).
-
-Follow the features in images of one object at many dates.
-
-examples:
-  astro-scc track 3c120/*.fits -o tracks --align core --max-speed "4 mas/yr" \\
-      --redshift 0.033
-  astro-scc track *.fits -o tracks --align cores.ecsv --position-angle "-112 deg" \\
-      --along "0 4 mas/yr" --across "-1 1 mas/yr" --profile out/profile.ecsv
-
-The folder gets features.ecsv, with a row for each feature and epoch; tracks.ecsv, with
-a row for each feature; track_profile.ecsv, speed against distance; and figures of all
-three.  A configuration file of astro-scc measure sets what both commands have.
-"""
+"""Follow individual features from epoch to epoch (WISE)."""
 
 from dataclasses import fields, replace
 
-from astro_scc.cli.arguments import (
-    OF_OBJECT,
-    add_option,
-    add_output,
-    add_settings,
-    add_switches,
-)
-from astro_scc.cli.inputs import (
-    READ,
-    REPORT,
-    output_of,
-    read_epochs,
-    read_table,
-    rounded,
-    settings_of,
-    tell_time,
-    workers_of,
-)
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.cli import inputs
 from astro_scc.cli.summary import plus_minus, speed_lines, table_lines
+from astro_scc.kinematics import apparent_speed
+from astro_scc.measurement import product_folder, versions, write_votable
+from astro_scc.measurement.decomposing import decompose_epochs, matching_time
+from astro_scc.measurement.plan import mean_fwhm, ssps_inside, warn_of_none_inside
+from astro_scc.measurement.products import plain_meta
+from astro_scc.tracking import FeatureTracker, plain_table
 
 # Files of an earlier run that must not remain beside new ones.
 PRODUCTS = (
@@ -54,43 +34,29 @@ LONG_GAP = 0.9
 N_RADII = 20
 
 
-def add_arguments(parser):
-    """Add the arguments of the command."""
-    files = "features.vot and tracks.vot"
-    add_output(parser, "the tables and figures", default=OF_OBJECT, votable=files)
-    add_switches(parser, no_figures="write only the tables")
-    text = "profile of the stack, as of astro-scc profile, for the figure"
-    add_option(parser, "--profile", "FILE.ecsv", text)
-    add_settings(parser, "track")
-
-
 def run(args, reporter):
     """Track features according to the arguments."""
-    from astro_scc import StackedCrossCorrelation
-    from astro_scc.measurement import product_folder
-    from astro_scc.tracking import FeatureTracker
-
     # The smallest correlation in a measurement's configuration is for stacks.
-    settings = settings_of(
+    settings = inputs.settings_of(
         args, reporter, unused=("kappa",), kappa=KAPPA, n_trials=N_TRIALS
     )
     if settings.along is None and settings.across is None:
         # Ignore velocity axes of a measurement that tracking does not have.
         if args.position_angle is None and isinstance(settings.position_angle, str):
             settings = replace(settings, position_angle=None)
-    workers_of(args)
-    output = output_of(args, settings)
+    inputs.workers_of(args)
+    output = inputs.output_of(args, settings)
     known = {own.name: getattr(settings, own.name) for own in fields(FeatureTracker)}
     tracker = FeatureTracker(**{k: v for k, v in known.items() if v is not None})
     stack = None if args.profile is None else _stack_profile(args.profile)
     made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
     with made as folder:
-        inputs = read_epochs(settings, note=reporter.note, direction=False)
-        cube, settings, *_ = inputs
-        n_workers = workers_of(args, cube)
+        epochs = inputs.read_epochs(settings, note=reporter.note, direction=False)
+        cube, settings, *_ = epochs
+        n_workers = inputs.workers_of(args, cube)
         decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
         work = cube, decomposer, tracker, settings
-        tell_time(reporter, n_workers, _tracking_time, *work)
+        inputs.tell_time(reporter, n_workers, _tracking_time, *work)
         tracking = _track(*work, reporter, n_workers)
         profile = _write(tracking, settings, folder, votable=args.votable)
         if not args.no_figures:
@@ -98,7 +64,7 @@ def run(args, reporter):
     reporter.say(
         *_summary(tracking),
         *speed_lines(settings.in_c),
-        *inputs.found,
+        *epochs.found,
         f"\nTables{'' if args.no_figures else ' and figures'}: {output}",
     )
 
@@ -107,7 +73,7 @@ def _stack_profile(path):
     """Return the profile of the stack, and refuse other files."""
     from astro_scc.visualization.profiles import missing_columns
 
-    table = read_table(path)
+    table = inputs.read_table(path)
     if missing := missing_columns(table):
         raise ValueError(f"{path}: is no profile, it has no {missing}")
     return table
@@ -115,11 +81,6 @@ def _stack_profile(path):
 
 def _tracking_time(cube, decomposer, tracker, settings):
     """Estimate how long tracking takes, see `~astro_scc.cli.inputs.measuring_time`."""
-    import numpy as np
-
-    from astro_scc.measurement.decomposing import matching_time
-    from astro_scc.measurement.plan import mean_fwhm
-
     scales, pixel = decomposer.scales, cube.pixel_scale
     speeds = [s for s in (tracker.along, tracker.across) if s is not None]
     speeds = speeds or [tracker.speed_limit(cube, scales)]
@@ -132,15 +93,16 @@ def _tracking_time(cube, decomposer, tracker, settings):
     orders = settings.n_trials + 1
     number = {"n_targets": steps * orders, "region": settings.region}
     shared, n_ssps = matching_time(cube, decomposer, reach, **number)
-    what = f"{len(cube)} epochs with about {rounded(n_ssps)} patterns"
-    return shared, LINK * orders * n_ssps + REPORT + READ * len(cube), what
+    what = f"{len(cube)} epochs with about {inputs.rounded(n_ssps)} patterns"
+    return (
+        shared,
+        LINK * orders * n_ssps + inputs.REPORT + inputs.READ * len(cube),
+        what,
+    )
 
 
 def _track(cube, decomposer, tracker, settings, reporter, n_workers):
     """Decompose the epochs and link their features."""
-    from astro_scc.measurement.decomposing import decompose_epochs
-    from astro_scc.measurement.plan import ssps_inside, warn_of_none_inside
-
     region = settings.region
     inside = None if region is None else cube.region_mask(region)
     how = {"n_workers": n_workers, "progress_bar": reporter.progress}
@@ -153,14 +115,6 @@ def _track(cube, decomposer, tracker, settings, reporter, n_workers):
 
 def _write(tracking, settings, folder, *, votable):
     """Write the tables, and return the profile."""
-    import astropy.units as u
-    import numpy as np
-    from astropy.table import QTable
-
-    from astro_scc.measurement import versions, write_votable
-    from astro_scc.measurement.products import plain_meta
-    from astro_scc.tracking import plain_table
-
     how = settings.in_c
     tracks = tracking.tracks_in_c(**how) if how else tracking.tracks
     longest = tracks["r"].to_value(u.mas).max(initial=0.0) * u.mas
@@ -186,9 +140,6 @@ def _write(tracking, settings, folder, *, votable):
 
 def _draw(tracking, profile, settings, folder, stack):
     """Write the figures, with the profile ``stack`` if it is not None."""
-    import astropy.units as u
-
-    from astro_scc.kinematics import apparent_speed
     from astro_scc.visualization import plot_separation, plot_track_profile, plot_tracks
 
     how = settings.in_c
@@ -204,8 +155,6 @@ def _draw(tracking, profile, settings, folder, stack):
 
 def _summary(tracking):
     """Yield lines on what was found."""
-    import numpy as np
-
     tracks = tracking.tracks
     rows = []
     for share in tracking.shares:

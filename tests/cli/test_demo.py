@@ -19,7 +19,7 @@ TABLES = PRODUCTS[: PRODUCTS.index("report.html")]
 @pytest.fixture
 def quick(no_figures, monkeypatch):
     """A demo of few trials and no figures."""
-    monkeypatch.setattr("astro_scc.cli.simulate.N_TRIALS", 30)
+    monkeypatch.setattr("astro_scc.cli.demo.N_TRIALS", 30)
 
 
 @pytest.mark.slow

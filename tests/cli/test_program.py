@@ -12,8 +12,7 @@ import warnings
 import pytest
 
 from astro_scc.cli import main
-from astro_scc.cli.program import build_parser
-from astro_scc.cli.reporter import Reporter
+from astro_scc.cli.program import Reporter, build_parser
 from astro_scc.exceptions import EpochWarning
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli.inputs import measuring_time, tell_time
-from astro_scc.cli.reporter import Reporter
+from astro_scc.cli.program import Reporter
 from astro_scc.measurement.decomposing import decompose_epochs, matching_time
 from astro_scc.settings import Settings
 

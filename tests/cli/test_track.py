@@ -120,7 +120,7 @@ def test_a_configuration_of_a_measurement_is_understood(astro_scc, jet, tmp_path
         (["--profile", "none.ecsv"], "none.ecsv: does not exist"),
         (["--profile", "bad.ecsv"], "bad.ecsv: is no ECSV table"),
         (["--profile", "other.ecsv"], "is no profile, it has no r_mid"),
-        (["--along", "0 5 mas/yr"], "along and across need a position_angle"),
+        (["--along", "0 5 mas/yr"], "--along and across need a --position-angle"),
         (["--workers", "0"], "--workers must be at least 1"),
     ],
 )

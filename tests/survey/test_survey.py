@@ -385,7 +385,7 @@ def small_page(result, folder, *, components, title, **options):
 
 @pytest.mark.slow
 def test_every_region_and_group_has_a_report(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("astro_scc.report.write_report", small_page)
+    monkeypatch.setattr("astro_scc.cli.measure.write_report", small_page)
     survey = read_survey(folder / "survey.toml")
     survey = replace(survey, sources=survey.sources[1:2])
     out, told = tmp_path / "out", []
