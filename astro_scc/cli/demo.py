@@ -27,15 +27,17 @@ def run(args, reporter):
         region = folder / "region.reg"
         _write_region(region, jet.cube.shape[1:])
         settings = Settings(
-            epochs=[str(output / "epochs" / path.name) for path in files],
+            epochs=[str(path) for path in files],
             scales="1,2,3",
             max_speed="36 mas/yr",
             position_angle="270 deg",
             n_trials=N_TRIALS,
             seed=SEED,
         )
-        cube, settings, *_ = read_epochs(settings, files=files, note=reporter.note)
-        settings = replace(settings, region=str(output / region.name))
+        cube, settings, *_ = read_epochs(settings, note=reporter.note)
+        # Where they will be when the folder is complete.
+        paths = [str(output / path.relative_to(folder)) for path in (region, *files)]
+        settings = replace(settings, region=paths[0], epochs=paths[1:])
         result = measure(cube, settings, reporter, region=region)
         components = write_measurement(
             result, settings, folder, output=output, warnings=reporter.warnings

@@ -8,14 +8,13 @@ from astropy.io import fits
 from astro_scc.cli.inputs import read_epochs, read_table
 from astro_scc.cli.program import one_line
 from astro_scc.settings import Settings, read_config
+from astro_scc.visualization.explore import write_explore
 
 PAGE = "explore.html"
 
 
 def run(args, reporter):
     """Write the page of a measurement according to the arguments."""
-    from astro_scc.visualization.explore import write_explore
-
     folder = Path(args.folder)
     advice = "; name a folder that astro-scc measure has written"
     names = ("components", "features", "ssps")

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from astropy.io import fits
 from astropy.table import QTable
 
@@ -34,6 +35,12 @@ LONG = 300.0
 WORTH_IT = 0.8
 #: What shortens the matching, on any number of processes.
 LESS = "a --region, a --crop or fewer --scales shorten it"
+#: Notes on ``common_beam``, as given, and whether beams differ, None without any.
+NOTES = {
+    (None, None): "the epochs have no beams and are left as they are",
+    (None, True): "the beams differ: convolving to a common one (--no-common-beam)",
+    (False, True): "the beams differ and are left so, as --no-common-beam states",
+}
 #: Seconds of one core for the figures of a report, and to read an image.
 REPORT, READ = 7.0, 0.03
 
@@ -210,15 +217,13 @@ def _ignore(text):
     """Tell nobody."""
 
 
-def read_epochs(settings, *, files=None, note=_ignore, direction=True):
+def read_epochs(settings, *, note=_ignore, direction=True):
     """
     Read the epochs of a measurement.
 
     Parameters
     ----------
     settings : `~astro_scc.settings.Settings`
-    files : list of path, optional
-        Present paths of the epochs, if they will be moved.
     note : callable, optional
         Called with a line of text on every decision.
     direction : bool, optional
@@ -235,15 +240,14 @@ def read_epochs(settings, *, files=None, note=_ignore, direction=True):
     OSError, ValueError
         If the files cannot be read, or do not make one cube.
     """
-    if files is None:
-        files = find_files(settings.epochs)
-        settings = replace(settings, epochs=[str(path) for path in files])
+    files = find_files(settings.epochs)
     frame = "absolute" if settings.align == "wcs" else "offset"
     if settings.crop is not None and settings.region is not None:
         refuse_pixels(settings.region)
     cube = EpochCube.read(files, frame=frame, region=settings.crop)
     cube, left_out = select_epochs(cube, settings.after, settings.before)
-    settings = replace(settings, seed=draw_seed(settings.seed))
+    found = {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}
+    settings = replace(settings, **found)
     cube, settings, chosen = prepare(cube, settings, note=note, direction=direction)
     return Inputs(cube, settings, left_out, chosen)
 
@@ -268,7 +272,11 @@ def prepare(cube, settings, *, note=_ignore, direction=True):
     chosen : list of str
         The choices and their reasons.
     """
-    chosen, found = [], {"common_beam": _wants_common_beam(cube, settings, note)}
+    wanted, differ = settings.common_beam, different_beam(cube) is not None
+    beams = None if cube.beams is None else differ
+    if (text := NOTES.get((wanted, beams))) is not None:
+        note(text)
+    chosen, found = [], {"common_beam": differ if wanted is None else wanted}
     if found["common_beam"]:
         cube = cube.to_common_beam()
     if settings.align is None:
@@ -286,38 +294,22 @@ def prepare(cube, settings, *, note=_ignore, direction=True):
     return cube, replace(settings, **found), chosen
 
 
-def _wants_common_beam(cube, settings, note):
-    """Return whether to convolve to a common beam, and note what is decided."""
-    wanted, differ = settings.common_beam, different_beam(cube) is not None
-    if wanted is False and differ:
-        note("the beams differ and are left so, as --no-common-beam states")
-    if wanted is not None:
-        return wanted
-    if cube.beams is None:
-        note("the epochs have no beams and are left as they are")
-    elif differ:
-        note("the beams differ: convolving to a common one (--no-common-beam)")
-    return differ
-
-
 def select_epochs(cube, after=None, before=None):
     """Return the epochs between two dates, and the other ones with the reasons."""
-    left_out = {}
     # Very old or future dates are kept in atomic time, so compare in it.
-    for i, time in enumerate(cube.times.tai):
-        if after is not None and time < to_time(after):
-            left_out[i] = f"before {after}"
-        if before is not None and time >= to_time(before):
-            left_out[i] = f"not before {before}"
-    if len(left_out) == len(cube):
+    times, why = cube.times.tai, np.full(len(cube), "", dtype=object)
+    if after is not None:
+        why[times < to_time(after)] = f"before {after}"
+    if before is not None:
+        why[times >= to_time(before)] = f"not before {before}"
+    if np.all(why != ""):
         first, last = cube.times.isot[[0, -1]]
         raise ValueError(
             f"no epoch is left between --after and --before; they are of {first[:10]} "
             f"to {last[:10]}"
         )
-    keep = [i for i in range(len(cube)) if i not in left_out]
-    reasons = [(cube.labels[i], why) for i, why in left_out.items()]
-    return (cube[keep] if reasons else cube), reasons
+    left_out = [(cube.labels[i], why[i]) for i in np.flatnonzero(why)]
+    return (cube[why == ""] if left_out else cube), left_out
 
 
 def output_of(args, settings):

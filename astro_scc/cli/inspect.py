@@ -25,8 +25,8 @@ from astro_scc.settings import Settings
 
 #: Number of speeds that are explained when none is given.
 N_SPEEDS = 4
-#: Tolerance in years for intervals that were rounded to days.
-DAY = 1e-3
+#: Tolerance for intervals that were rounded to days.
+DAY = 1e-3 * u.yr
 
 
 def run(args, reporter):
@@ -38,7 +38,7 @@ def run(args, reporter):
     files = find_files(args.epochs, missing_ok=True)
     cube, refusal = _cube(files)
     names, facts, problems = _facts(files, cube, refusal)
-    cores, of_core = _cores(cube)
+    cores, of_core = ({}, 0.0) if cube is None else _cores(cube)
     unit = facts["noise"].unit
     rows = [
         _cells(name, row, unit) | {"core": cores.get(name, "-")}
@@ -84,8 +84,6 @@ def _cube(files):
 
 def _cores(cube):
     """Return the core's offset at each epoch as text, and its scatter in beams."""
-    if cube is None or cube.beams is None:
-        return {}, 0.0
     try:
         found = core_positions(cube)
     except ValueError:
@@ -170,22 +168,18 @@ def _plan(cube, speed):
         plan = plan_intervals(cube)
     except ValueError as error:
         return [f"{error}."]
-    return [*plan.lines(), "", *_speed_lines(cube, plan, speed)]
-
-
-def _speed_lines(cube, plan, speed):
-    """Return lines on the motion at some speeds and on the baselines for them."""
     rows, unit = [], plan.slowest.unit
     if speed is None:
         slow, high = plan.slowest.value, plan.consecutive[1].value
         speeds = np.geomspace(1.5 * slow, max(high, 2 * slow), N_SPEEDS) * unit
     else:
         speeds = [speed.to(unit)]
+    apart = pdist(cube.years.value[:, None]) * u.yr
     for value in speeds:
         pairs, text = 0, "too slow for this series"
         with suppress(ValueError):
             first, last = plan.baseline(value)
-            pairs = _n_pairs(cube, first, last)
+            pairs = np.sum((apart >= first - DAY) & (apart <= last + DAY))
             text = f'"{_rounded(first, math.floor)} {_rounded(last, math.ceil)}"'
         rows.append(
             {
@@ -195,7 +189,7 @@ def _speed_lines(cube, plan, speed):
                 "pairs": str(pairs),
             }
         )
-    return table_lines(rows)
+    return [*plan.lines(), "", *table_lines(rows)]
 
 
 def _rounded(interval, how):
@@ -203,9 +197,3 @@ def _rounded(interval, how):
     step = 10 ** (math.floor(math.log10(interval.value)) - 1)
     # Rounding errors must not change a number that is already round.
     return f"{how(round(interval.value / step, 6)) * step:.2g} {interval.unit}"
-
-
-def _n_pairs(cube, first, last):
-    apart = pdist(cube.years.value[:, None])
-    first, last = first.to_value("yr"), last.to_value("yr")
-    return int(np.sum((apart >= first - DAY) & (apart <= last + DAY)))

@@ -80,8 +80,6 @@ class Reporter:
         All warnings that were issued, each once.
     progress : bool
         Whether to show progress.
-    bars : bool
-        Whether to show progress as bars, which needs a terminal.
     resumes : bool
         Whether the same command goes on where it was interrupted.
     """
@@ -93,7 +91,6 @@ class Reporter:
         self.warnings = []
         self.resumes = False
         self.progress = not quiet
-        self.bars = self.progress and sys.stderr.isatty()
 
     def say(self, *lines):
         """Print a result."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import sys
 import traceback
 import warnings
 from collections import Counter
@@ -79,17 +80,14 @@ def run(args, reporter):
         failed = {o.message for o in outcomes if o.status == "failed"}
         for message in sorted(failed):
             reporter.warn(f"{name}: {message}")
-        if not failed and not reporter.bars:
+        if not failed and not sys.stderr.isatty():
             reporter.say(f"{name}: {'finished before' if before else 'done'}")
 
     with ExitStack() as stack:
         if not isinstance(n_workers, int):
-            local = n_workers == "local"
-            client = (
-                parallel.open_local(args.workers or 1)
-                if local
-                else parallel.open_client(n_workers)
-            )
+            client = parallel.open_client(n_workers)
+            if n_workers == "local":
+                client = parallel.open_local(args.workers or 1)
             n_workers = stack.enter_context(client)
             reporter.note(f"dashboard of the cluster: {n_workers.dashboard_link}")
         table = run_survey(

@@ -16,6 +16,8 @@ from astro_scc.measurement.decomposing import decompose_epochs, matching_time
 from astro_scc.measurement.plan import mean_fwhm, ssps_inside, warn_of_none_inside
 from astro_scc.measurement.products import plain_meta
 from astro_scc.tracking import FeatureTracker, plain_table
+from astro_scc.visualization import plot_separation, plot_track_profile, plot_tracks
+from astro_scc.visualization.profiles import missing_columns
 
 # Files of an earlier run that must not remain beside new ones.
 PRODUCTS = (
@@ -48,7 +50,9 @@ def run(args, reporter):
     output = inputs.output_of(args, settings)
     known = {own.name: getattr(settings, own.name) for own in fields(FeatureTracker)}
     tracker = FeatureTracker(**{k: v for k, v in known.items() if v is not None})
-    stack = None if args.profile is None else _stack_profile(args.profile)
+    stack = None if args.profile is None else inputs.read_table(args.profile)
+    if stack is not None and (missing := missing_columns(stack)):
+        raise ValueError(f"{args.profile}: is no profile, it has no {missing}")
     made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
     with made as folder:
         epochs = inputs.read_epochs(settings, note=reporter.note, direction=False)
@@ -69,16 +73,6 @@ def run(args, reporter):
     )
 
 
-def _stack_profile(path):
-    """Return the profile of the stack, and refuse other files."""
-    from astro_scc.visualization.profiles import missing_columns
-
-    table = inputs.read_table(path)
-    if missing := missing_columns(table):
-        raise ValueError(f"{path}: is no profile, it has no {missing}")
-    return table
-
-
 def _tracking_time(cube, decomposer, tracker, settings):
     """Estimate how long tracking takes, see `~astro_scc.cli.inputs.measuring_time`."""
     scales, pixel = decomposer.scales, cube.pixel_scale
@@ -93,12 +87,9 @@ def _tracking_time(cube, decomposer, tracker, settings):
     orders = settings.n_trials + 1
     number = {"n_targets": steps * orders, "region": settings.region}
     shared, n_ssps = matching_time(cube, decomposer, reach, **number)
+    alone = LINK * orders * n_ssps + inputs.REPORT + inputs.READ * len(cube)
     what = f"{len(cube)} epochs with about {inputs.rounded(n_ssps)} patterns"
-    return (
-        shared,
-        LINK * orders * n_ssps + inputs.REPORT + inputs.READ * len(cube),
-        what,
-    )
+    return shared, alone, what
 
 
 def _track(cube, decomposer, tracker, settings, reporter, n_workers):
@@ -140,8 +131,6 @@ def _write(tracking, settings, folder, *, votable):
 
 def _draw(tracking, profile, settings, folder, stack):
     """Write the figures, with the profile ``stack`` if it is not None."""
-    from astro_scc.visualization import plot_separation, plot_track_profile, plot_tracks
-
     how = settings.in_c
     per_pm = float(apparent_speed(1 * u.mas / u.yr, **how)) if how else None
     figures = {
