@@ -18,22 +18,7 @@ from operator import le
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from astro_scc.quantities import (
-    check_alignment_error,
-    check_bins,
-    check_boolean,
-    check_choice,
-    check_date,
-    check_integer,
-    check_number,
-    check_paths,
-    check_position_angle,
-    check_range,
-    check_scales,
-    check_text,
-    named,
-    one_quantity,
-)
+from astro_scc import quantities as q
 
 if TYPE_CHECKING:
     import astropy.units as u
@@ -74,16 +59,16 @@ def _of_object(value, name):
 def _cosmology(value):
     from astro_scc.kinematics.cosmology import to_cosmology
 
-    to_cosmology(check_text(value))
+    to_cosmology(q.check_text(value))
     return value.strip()
 
 
 # Checks, and their arguments after the value.
-POSITIVE = (check_number, 0, math.inf, "must be above 0")
-BEAMS = (check_number, 0, 5, "must be a part of the beam between 0 and 5")
-SPEED = (one_quantity, "an angle per time", "2 mas/yr")
-ANGLE = (one_quantity, "an angle", "2 mas")
-SPEEDS = (check_range, "a smallest and a largest speed", "-1 4 mas/yr")
+POSITIVE = (q.check_number, 0, math.inf, "must be above 0")
+BEAMS = (q.check_number, 0, 5, "must be a part of the beam between 0 and 5")
+SPEED = (q.one_quantity, "an angle per time", "2 mas/yr")
+ANGLE = (q.one_quantity, "an angle", "2 mas")
+SPEEDS = (q.check_range, "a smallest and a largest speed", "-1 4 mas/yr")
 
 
 def _setting(group, check, text, metavar=None, default=None, *, unit=None, only=None):
@@ -112,7 +97,7 @@ class MeasurementSettings:
     """The settings of `~astro_scc.StackedCrossCorrelation`."""
 
     scales: u.Quantity | Sequence[float | str] | None = _measure(
-        check_scales,
+        q.check_scales,
         'wavelet scales by number (j is 2^j pixels) or angle, "0.2 mas, 0.4 mas"; '
         "by default from a quarter of the beam to two beams, without a beam up to half "
         "of the size of the structures",
@@ -126,7 +111,7 @@ class MeasurementSettings:
         unit="mas / yr",
     )
     position_angle: Any = _measure(
-        check_position_angle,
+        q.check_position_angle,
         "direction of the jet, north through east: velocities along and across it; fit "
         "for that of the mean image, ridge for along its ridge line (neither for "
         "track), radial for away from the reference pixel, any for east and north; by "
@@ -135,7 +120,7 @@ class MeasurementSettings:
         unit="deg",
     )
     baseline: u.Quantity | Sequence[str] | None = _stack(
-        (check_range, "a shortest and a longest time", "0.2 yr 1.0 yr", 0, le),
+        (q.check_range, "a shortest and a longest time", "0.2 yr 1.0 yr", 0, le),
         "compare only epochs whose separation in time is in this range; by default "
         "each speed has the intervals in which it moves 0.2 to 1 beam",
         '"0.2 yr 1.0 yr"',
@@ -151,7 +136,7 @@ class MeasurementSettings:
         0.6,
     )
     target: str = _measure(
-        (check_choice, "segments", "plane"),
+        (q.check_choice, "segments", "plane"),
         "what a pattern is correlated with: the patterns of the other epoch or its "
         'whole "plane"',
         default="segments",
@@ -160,7 +145,7 @@ class MeasurementSettings:
         POSITIVE, "part of a pattern that must lie on good pixels", default=0.8
     )
     wavelet: str = _measure(
-        (check_choice, "b1", "b3"), 'low-pass filter, or "b3"', default="b1"
+        (q.check_choice, "b1", "b3"), 'low-pass filter, or "b3"', default="b1"
     )
     detection: float = _measure(
         POSITIVE, "threshold of patterns, in sigma", default=4.0
@@ -169,34 +154,34 @@ class MeasurementSettings:
         POSITIVE, "threshold of the pixels of patterns, in sigma", default=3.0
     )
     noise: str = _measure(
-        (check_choice, "plane", "local", "propagated"),
+        (q.check_choice, "plane", "local", "propagated"),
         'estimate of the noise of wavelet planes, or "local", "propagated"',
         default="plane",
     )
     alpha: float = _stack(
-        (check_number, 0, 1, "must be between 0 and 1"),
+        (q.check_number, 0, 1, "must be between 0 and 1"),
         "largest p_global of a significant component",
         default=0.05,
     )
     outward: bool = _stack(
-        check_boolean,
+        q.check_boolean,
         "search only speeds away from the core, where position_angle is given",
         "true|false",
         False,
     )
     alignment_error: u.Quantity | Sequence[str] | None = _stack(
-        check_alignment_error,
+        q.check_alignment_error,
         'error of the alignment, "0.02 mas", or a list with one per epoch; by default '
         "what align found",
         unit="mas",
     )
     small_displacement_correction: bool = _stack(
-        check_boolean,
+        q.check_boolean,
         "shift the permuted images of the z-score by a fifth of the beam",
         default=False,
     )
     common_beam: bool | None = _image(
-        check_boolean,
+        q.check_boolean,
         "convolve to the smallest beam that contains all; the default where beams "
         "differ",
         "true|false",
@@ -232,19 +217,19 @@ class Settings(MeasurementSettings):
     """
 
     epochs: Sequence[str] | None = _image(
-        check_paths,
+        q.check_paths,
         "one image per date, or a file that EpochCube.write made; in a file also "
         "patterns",
         "EPOCH.fits",
     )
     after: str | None = _image(
-        check_date, "take epochs of this date or later", "2001-01-01"
+        q.check_date, "take epochs of this date or later", "2001-01-01"
     )
     before: str | None = _image(
-        check_date, "take epochs before this date", "2011-01-01"
+        q.check_date, "take epochs before this date", "2011-01-01"
     )
     align: str | None = _image(
-        check_text,
+        q.check_text,
         "align the epochs on their reference pixels (none), on the core that is fitted "
         "in each, on one another by correlation, on their absolute coordinates (wcs; "
         "not for VLBI), or by a table (CSV or ECSV) of dates and offsets of the core; "
@@ -252,16 +237,16 @@ class Settings(MeasurementSettings):
         "none|core|correlate|wcs|TABLE",
     )
     crop: str | None = _image(
-        check_text,
+        q.check_text,
         "read no more of the images than the box around a DS9 or CRTF region, where "
         "all are more than the memory holds",
         "FILE.reg",
     )
     region: str | None = _image(
-        check_text, "use only patterns inside a DS9 or CRTF region", "FILE.reg"
+        q.check_text, "use only patterns inside a DS9 or CRTF region", "FILE.reg"
     )
     bins: u.Quantity | Sequence[str] | None = _distance_bin(
-        check_bins,
+        q.check_bins,
         "limits of the bins, distances from the core; needed here or in --config",
         '"0.5 1.5 2.5 mas"',
     )
@@ -288,18 +273,18 @@ class Settings(MeasurementSettings):
         "0.2",
     )
     max_gap: int | None = _track(
-        (check_integer, 0),
+        (q.check_integer, 0),
         "consecutive epochs at which a feature may be missing; default 1",
         "1",
     )
     max_interval: u.Quantity | str | None = _track(
-        (one_quantity, "a time", "1 yr"),
+        (q.one_quantity, "a time", "1 yr"),
         "longest time between two epochs that are linked",
         '"1 yr"',
         unit="yr",
     )
     min_epochs: int | None = _track(
-        (check_integer, 3), "smallest number of epochs of a track; default 3", "3"
+        (q.check_integer, 3), "smallest number of epochs of a track; default 3", "3"
     )
     half_width: u.Quantity | str | None = _track(
         ANGLE,
@@ -308,13 +293,13 @@ class Settings(MeasurementSettings):
         '"2 mas"',
     )
     n_trials: int | None = _trial(
-        (check_integer, 2, 10**9),
+        (q.check_integer, 2, 10**9),
         "permutations of the epochs; the paper's z-score and error take 200 at most; "
         "default 1000 (track: 20)",
         "1000",
     )
     seed: int | None = _trial(
-        (check_integer, 0, 2**63 - 1),  # FITS and TOML keep integers of 64 bits
+        (q.check_integer, 0, 2**63 - 1),  # FITS and TOML keep integers of 64 bits
         "of the random numbers; drawn and written down by default",
         "N",
     )
@@ -424,7 +409,7 @@ def check_setting(name, value):
         return None
     check, *more = OPTIONS[name]["check"]
     try:
-        return named(name, check, value, *more)
+        return q.named(name, check, value, *more)
     except ValueError as error:
         error.setting = name
         raise

@@ -8,20 +8,14 @@ import re
 import warnings
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 from astropy.table import Column, QTable, vstack
 
-from astro_scc.cli.inputs import (
-    REPORT,
-    measuring_time,
-    override,
-    read_epochs,
-    tell_time,
-)
+from astro_scc.cli import inputs
 from astro_scc.measurement import component_table, false_discovery_rate, versions
 from astro_scc.quantities import check_scales, finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
@@ -58,10 +52,10 @@ class Source:
 
     name: str
     folder: str
-    settings: Settings = field(hash=False)
-    regions: dict = field(hash=False)
-    scale_groups: dict = field(hash=False)
-    published: u.Quantity | None = field(default=None, hash=False)
+    settings: Settings
+    regions: dict
+    scale_groups: dict
+    published: u.Quantity | None = None
 
     @property
     def parts(self):
@@ -163,7 +157,7 @@ def read_survey(path: Path | str) -> Survey:
     found = []
     for name, values in sources.items():
         where = f"{path}: sources.{name}"
-        given = override(defaults, _known(values, where, "published_pm"))
+        given = inputs.override(defaults, _known(values, where, "published_pm"))
         try:
             found.append(_source(name, folders[name], given, path.absolute().parent))
         except ValueError as error:
@@ -259,7 +253,7 @@ def tell_time_of(sources, reporter, n_workers):
     """
     # A source is measured by one process.
     how = {"less": "fewer scales or n_trials shorten it", "most": len(sources)}
-    tell_time(reporter, n_workers, _time_of, sources, **how)
+    inputs.tell_time(reporter, n_workers, _time_of, sources, **how)
 
 
 def _time_of(sources):
@@ -268,14 +262,19 @@ def _time_of(sources):
         with suppress(Exception), warnings.catch_warnings():
             # Whatever is wrong is told when the source is measured.
             warnings.simplefilter("ignore")
-            shared, alone, _ = measuring_time(*read_epochs(first.settings)[:2])
+            shared, alone, _ = inputs.measuring_time(
+                *inputs.read_epochs(first.settings)[:2]
+            )
             break
     else:
         return 0.0, 0.0, ""
     for source in sources:
         # The time grows with the square of the number of epochs.
         part, n_parts = (source.size() / first.size()) ** 2, len(source.parts)
-        seconds += part * (shared + n_parts * (alone - REPORT)) + n_parts * REPORT
+        seconds += (
+            part * (shared + n_parts * (alone - inputs.REPORT))
+            + n_parts * inputs.REPORT
+        )
     return seconds, 0.0, f"{n} {'source' if n == 1 else 'sources'}"
 
 

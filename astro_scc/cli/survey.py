@@ -19,17 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from astro_scc.cli import sources
 from astro_scc.cli.inputs import read_epochs, workers_of
 from astro_scc.cli.measure import WORK, write_measurement
 from astro_scc.cli.program import one_line
-from astro_scc.cli.sources import (
-    WHOLE,
-    Survey,
-    folder_names,
-    read_survey,
-    survey_table,
-    tell_time_of,
-)
 from astro_scc.cli.summary import table_lines
 from astro_scc.correlation import parallel
 from astro_scc.epochs.cutout import refuse_pixels
@@ -72,7 +65,7 @@ class Outcome:
 def run(args, reporter):
     """Run a survey according to the arguments."""
     n_workers, output = workers_of(args), Path(args.output)
-    survey = read_survey(args.survey)
+    survey = sources.read_survey(args.survey)
     reporter.resumes = True
 
     def done(name, outcomes, before):
@@ -96,7 +89,7 @@ def run(args, reporter):
             n_workers=n_workers,
             report=not args.no_report,
             done=done,
-            begin=lambda left: tell_time_of(left, reporter, n_workers),
+            begin=lambda left: sources.tell_time_of(left, reporter, n_workers),
             progress_bar=reporter.progress,
         )
     reporter.say(*_summary(table))
@@ -134,7 +127,7 @@ def _summary(table):
 
 
 def run_survey(
-    survey: Survey, output: Path | str, *, n_workers: int | str | Client = 1,
+    survey: sources.Survey, output: Path | str, *, n_workers: int | str | Client = 1,
     report: bool = False, done: Callable[..., Any] | None = None,
     begin: Callable[..., Any] | None = None, progress_bar: bool = False,
 ) -> QTable:  # fmt: skip
@@ -207,15 +200,14 @@ def run_survey(
         with hold(work):
             with replace_when_complete(output / PLAN, overwrite=True) as part:
                 part.write_text(survey.text, encoding="utf-8")
-            measure = partial(measure_source, output=output, report=report)
             try:
                 found = _outcomes(
-                    survey.sources, measure, n_workers, done, begin, progress_bar
+                    survey.sources, output, report, n_workers, done, begin, progress_bar
                 )
             finally:
                 # Delete what terminated workers left.
                 remove_left(work, PARTIAL)
-            table = survey_table(found, output)
+            table = sources.survey_table(found, output)
             with replace_when_complete(output / TABLE, overwrite=True) as part:
                 table.write(part, format="ascii.ecsv")
             published = {source.name: source.published for source in survey.sources}
@@ -228,35 +220,33 @@ def run_survey(
     return table
 
 
-def _outcomes(sources, measure, n_workers, done, begin, progress_bar):
+def _outcomes(every, output, report, n_workers, done, begin, progress_bar):
     """Return the outcomes of the sources, in their order."""
-    found = {}
+    found = [finished_outcomes(source, output, report) for source in every]
+    left = [k for k, outcomes in enumerate(found) if outcomes is None]
     with (
         parallel.workers_of(n_workers) as workers,
-        progress(len(sources), "Sources", show=progress_bar) as step,
+        progress(len(every), "Sources", show=progress_bar) as step,
     ):
 
-        def finish(k, outcomes, before):
-            found[k] = outcomes
+        def finish(k, before):
             step(1)
             if done is not None:
-                done(sources[k].name, outcomes, before)
+                done(every[k].name, found[k], before)
 
-        for k, source in enumerate(sources):
-            outcomes = finished_outcomes(source, **measure.keywords)
-            if outcomes is not None:
-                finish(k, outcomes, True)
-        left = [k for k in range(len(sources)) if k not in found]
+        for k in (k for k, outcomes in enumerate(found) if outcomes is not None):
+            finish(k, True)
         if begin is not None:
-            begin([sources[k] for k in left])
-        for i, outcomes in parallel.as_done(
-            measure, (sources[k] for k in left), workers
-        ):
+            begin([every[k] for k in left])
+        measure = partial(measure_source, output=output, report=report)
+        work = (every[k] for k in left)
+        for i, outcomes in parallel.as_done(measure, work, workers):
             if isinstance(outcomes, Exception):
                 # The worker failed, not the measurement: it died, or its disk is full.
-                outcomes = _failed(sources[left[i]], outcomes)
-            finish(left[i], outcomes, False)
-    return [outcome for k in range(len(sources)) for outcome in found[k]]
+                outcomes = _failed(every[left[i]], outcomes)
+            found[left[i]] = outcomes
+            finish(left[i], False)
+    return [outcome for outcomes in found for outcome in outcomes]
 
 
 def finished_outcomes(source, output, report):
@@ -342,24 +332,25 @@ def _measure(source, output, part, report, said):
         except (ValueError, OSError) as error:
             failed[name] = _reason(error)
     if masks:
-        inside = (
-            None if None in source.regions.values() else np.any([*masks.values()], 0)
-        )
+        whole = None in source.regions.values()
+        inside = None if whole else np.any(list(masks.values()), axis=0)
         cache = output / WORK / f"{source.folder}.fits"
         scc = StackedCrossCorrelation.from_settings(settings)
         matched = scc.match(cube, region=inside, cache=cache)
-    regions, groups = map(folder_names, (source.regions, source.scale_groups))
+    regions, groups = map(sources.folder_names, (source.regions, source.scale_groups))
     of_all, outcomes = len(said), []
     first, last = cube.times.isot[[0, -1]].tolist()
     seen = {"n_epochs": len(cube), "first": first, "last": last}
     for region, group in source.parts:
-        names = source.name, region, group
-        outcomes.append(Outcome(*names, "failed", failed.get(region, ""), **seen))
+        names, message = (source.name, region, group), failed.get(region, "")
+        outcomes.append(Outcome(*names, "failed", message, **seen))
         if region in failed:
             continue
         where = Path(SOURCES, source.folder, regions[region], groups[group])
         folder = part / regions[region] / groups[group]
         folder.mkdir(parents=True)
+        title = [source.name, *(name for name in names[1:] if name != sources.WHOLE)]
+        page = {"title": ", ".join(title), "report": report, "left_out": left_out}
         own, before = {"region": source.regions[region]}, len(said)
         if (scales := source.scale_groups[group]) is not None:
             own["scales"] = scales
@@ -368,16 +359,9 @@ def _measure(source, output, part, report, said):
             scc = StackedCrossCorrelation.from_settings(own)
             of_part = select_ssps(matched, region=masks[region], scales=scc.scales)
             result = scc.stack(of_part, n_trials=own.n_trials, rng=own.seed)
-            components = write_measurement(
-                result,
-                own,
-                folder,
-                output=output / where,
-                report=report,
-                title=", ".join([source.name, *(n for n in names[1:] if n != WHOLE)]),
-                warnings=_lines([*said[:of_all], *said[before:]]),
-                left_out=left_out,
-            )
+            page["warnings"] = _lines([*said[:of_all], *said[before:]])
+            final = output / where
+            components = write_measurement(result, own, folder, output=final, **page)
         except Exception as error:
             shutil.rmtree(folder)
             _note_error(part, f"{region}, {group}:\n")

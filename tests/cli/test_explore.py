@@ -102,5 +102,6 @@ def test_a_measurement_of_an_earlier_version(what, out, refused):
 
 def test_without_bokeh(out, refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "bokeh.models", None)
-    monkeypatch.delitem(sys.modules, "astro_scc.visualization.explore", raising=False)
+    for module in ("astro_scc.cli.explore", "astro_scc.visualization.explore"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
     assert "pip install 'astro_scc[explore]'" in refused("explore", "out")
