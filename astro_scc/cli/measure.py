@@ -37,6 +37,7 @@ SEED, MATCHES = "seed.txt", "matches.fits"
 def run(args, reporter):
     """Measure according to the arguments."""
     settings = inputs.settings_of(args, reporter, n_trials=1000)
+    # Wrong --workers are refused before the images are read.
     inputs.workers_of(args)
     output, overwrite = inputs.output_of(args, settings), args.overwrite
     reporter.resumes = args.resume

@@ -23,6 +23,7 @@ def run(args, reporter):
     settings = inputs.settings_of(args, reporter, n_trials=1000)
     if settings.bins is None:
         raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
+    # Wrong --workers are refused before the images are read.
     inputs.workers_of(args)
     output = inputs.output_of(args, settings)
     n_bins = len(bins_of(settings.bins, window=settings.window))

@@ -46,6 +46,7 @@ def run(args, reporter):
         # Ignore velocity axes of a measurement that tracking does not have.
         if args.position_angle is None and isinstance(settings.position_angle, str):
             settings = replace(settings, position_angle=None)
+    # Wrong --workers are refused before the images are read.
     inputs.workers_of(args)
     output = inputs.output_of(args, settings)
     known = {own.name: getattr(settings, own.name) for own in fields(FeatureTracker)}
