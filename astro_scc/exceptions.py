@@ -1,6 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Warnings of the package; errors are ValueError, TypeError and OSError."""
 
+import os
+import sys
+import warnings
+
 from astropy.utils.exceptions import AstropyUserWarning
 
 __all__ = ["AstroSccWarning", "EpochWarning", "MeasurementWarning"]
@@ -42,3 +46,12 @@ class MeasurementWarning(AstroSccWarning):
     >>> with warnings.catch_warnings():
     ...     warnings.simplefilter("ignore", MeasurementWarning)
     """
+
+
+def warn(message, category=EpochWarning):
+    """Warn the first caller outside this package."""
+    here = os.path.dirname(__file__) + os.sep
+    level, frame = 1, sys._getframe()
+    while frame and frame.f_code.co_filename.startswith(here):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, category, stacklevel=level)

@@ -137,7 +137,7 @@ def _cells(name, row, unit):
         cells["date"] = str(row["date"].isot)[:10]
     cells["pixels"] = f"{row['nx']} x {row['ny']}"
     cells["pixel"] = readable_angle(row["pixel"])
-    if np.isfinite(row["major"]):
+    if "major" in row.colnames and np.isfinite(row["major"]):
         angle = readable_angle(row["major"]).split()[1]
         axes = (f"{row[axis].to_value(angle):.3g}" for axis in ("major", "minor"))
         cells["beam"] = f"{' x '.join(axes)} {angle} at {row['pa'].value:.0f} deg"
@@ -149,17 +149,13 @@ def _cells(name, row, unit):
 
 def _facts_of_cube(cube):
     """Return for the epochs of a cube what `inspect_epochs` returns for files."""
-    facts = cube.epochs
-    if cube.beams is None:
-        facts["major"] = np.nan * u.mas
-    facts["ny"], facts["nx"] = cube.shape[1:]
-    facts["pixel"] = cube.pixel_scale
-    images = (
-        np.where(m, -np.inf, d) for d, m in zip(cube.data, cube.mask, strict=True)
-    )
-    y, x = np.transpose([np.unravel_index(a.argmax(), a.shape) for a in images])
-    facts["peak_east"], facts["peak_north"] = cube.pixel_to_offset(x, y)
-    return facts
+    table, images = cube.epochs, zip(cube.data, cube.mask, strict=True)
+    table["ny"], table["nx"] = cube.shape[1:]
+    table["pixel"] = cube.pixel_scale
+    peaks = [np.argmax(np.where(bad, -np.inf, image)) for image, bad in images]
+    y, x = np.unravel_index(peaks, cube.shape[1:])
+    table["peak_east"], table["peak_north"] = cube.pixel_to_offset(x, y)
+    return table
 
 
 def _plan(cube, speed):

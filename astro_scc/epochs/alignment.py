@@ -22,7 +22,7 @@ from astro_scc.epochs.cutout import region_mask
 from astro_scc.epochs.headers import first_line
 from astro_scc.epochs.registration import core_positions, displacement
 from astro_scc.epochs.validation import as_times
-from astro_scc.exceptions import MeasurementWarning
+from astro_scc.exceptions import MeasurementWarning, warn
 
 if TYPE_CHECKING:
     from astro_scc.epochs.cube import EpochCube
@@ -251,12 +251,11 @@ def _by_core(cube, *, jet_pa=None, max_shift=None):
     found = core_positions(cube, jet_pa=jet_pa, max_shift=max_shift)
     n_blended = int(np.sum(found["blended"]))
     if n_blended:
-        warnings.warn(
+        warn(
             f"the core is blended with the jet in {n_blended} of {len(cube)} epochs: "
             "its position may be wrong by some hundredths of the beam and more; if "
             "positions from model fits exist, align with a table of them",
             MeasurementWarning,
-            stacklevel=3,
         )
     offsets = np.stack([found["east"].value, found["north"].value], axis=1)
     errors = np.stack([found["east_err"].value, found["north_err"].value], axis=1)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,9 +14,9 @@ from astropy.time import Time
 from numpy.typing import ArrayLike
 
 from astro_scc.epochs.component_tables import FORMATS, UNITS, read_fields
-from astro_scc.epochs.fits import check_ordinary
+from astro_scc.epochs.fits import find_files
 from astro_scc.epochs.validation import as_epoch_tuple
-from astro_scc.exceptions import EpochWarning
+from astro_scc.exceptions import warn
 
 COLUMNS = (*UNITS, "feature", "excluded")
 
@@ -293,15 +292,13 @@ def read_components(
     >>> components.east.round(2)
     <Quantity [ 0.1 , -1.41] mas>
     """
-    paths = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
-    if not paths:
-        raise ValueError("no component files were given")
     for name, value, known in (
         ("origin", origin, ("core", "map")),
         ("format", format, FORMATS),
     ):
         if value is not None and value not in known:
             raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+    paths = find_files(paths)
     if dates is None:
         dates = [None] * len(paths)
     elif isinstance(dates, str) or (isinstance(dates, Time) and dates.isscalar):
@@ -313,17 +310,14 @@ def read_components(
     lists = [_read_file(path, format, source, origin, date) for path, date in files]
     objects = sorted({part.meta["object"] for part in lists if "object" in part.meta})
     if len(objects) > 1:
-        warnings.warn(
+        warn(
             f"the component files are of {', '.join(objects)}; if these are not "
-            "names of one source, leave the wrong files out",
-            EpochWarning,
-            stacklevel=2,
+            "names of one source, leave the wrong files out"
         )
     return lists[0] if len(lists) == 1 else _concatenate(lists)
 
 
 def _read_file(path, kind, source, origin, date):
-    check_ordinary(path)
     suffix = path.suffix.lower()
     kind = kind or next((k for k, (_, own) in FORMATS.items() if suffix in own), None)
     if kind is None:
@@ -331,8 +325,6 @@ def _read_file(path, kind, source, origin, date):
             f"{path}: the suffix {path.suffix!r} tells no format; give one of "
             f"{', '.join(FORMATS)}"
         )
-    if not path.is_file():
-        raise OSError(f"{path}: no such file")
     fields = read_fields(path, kind, source, origin, date)
     try:
         return ComponentList(**fields)

@@ -16,7 +16,7 @@ from astropy.coordinates import SkyCoord
 from astro_scc.epochs.grid import cut_wcs
 from astro_scc.epochs.headers import first_line
 from astro_scc.epochs.positions import readable_angle
-from astro_scc.exceptions import EpochWarning
+from astro_scc.exceptions import warn
 
 if TYPE_CHECKING:
     from astro_scc.epochs.cube import EpochCube
@@ -205,8 +205,7 @@ def _read(path):
     if len(found) == 0:
         raise ValueError(f"{path}: holds no region that can be used")
     for item in caught:
-        message = f"{path}: {item.message}; check that the rest is what you want"
-        warnings.warn(message, EpochWarning, stacklevel=4)
+        warn(f"{path}: {item.message}; check that the rest is what you want")
     return found, {len(digits) for digits in re.findall(r"\.(\d+)", text)}
 
 

@@ -21,7 +21,7 @@ from astropy.wcs import WCS
 from astro_scc.epochs import headers
 from astro_scc.epochs.grid import cut_wcs
 from astro_scc.epochs.validation import POWERS, naming
-from astro_scc.exceptions import EpochWarning
+from astro_scc.exceptions import warn
 
 # Value of CREATOR that marks the files of EpochCube.write.
 CUBE_CREATOR = "astro_scc EpochCube"
@@ -127,7 +127,7 @@ def read_vlbi_fits(path: Path | str, hdu: int | str | None = None) -> CCDData:
     """
     plane = read_plane(path, hdu=hdu)
     for note in plane.notes:
-        warnings.warn(f"{path}: {note}", EpochWarning, stacklevel=2)
+        warn(f"{path}: {note}")
     meta = fits.Header()
     for card in plane.header.cards:
         # Cards are parsed at first use, and broken ones raise an error then.

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,7 @@ from astro_scc.epochs.beam import is_per
 from astro_scc.epochs.headers import celestial_wcs
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.epochs.validation import as_celestial, naming
-from astro_scc.exceptions import EpochWarning
+from astro_scc.exceptions import warn
 
 if TYPE_CHECKING:
     from astropy.io.fits import Header
@@ -302,12 +301,10 @@ def _warn_of_undersampling(cube, wcs):
     side, own = (np.sqrt(pixel_area(grid)) * u.deg for grid in (wcs, cube.wcs))
     beams = [beam.minor / SAMPLED for beam in cube.beams or ()]
     if side > 1.01 * max(own, min(beams, default=own)):
-        warnings.warn(
+        warn(
             f"pixels of {readable_angle(own)} are interpolated at steps of "
             f"{readable_angle(side)}, which leaves out those between; use "
-            "method='exact' or 'adaptive' to average them, or smooth them first",
-            EpochWarning,
-            stacklevel=4,
+            "method='exact' or 'adaptive' to average them, or smooth them first"
         )
 
 

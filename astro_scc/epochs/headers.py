@@ -37,7 +37,8 @@ _UNIT_WORDS = {
     **{"bm": "beam", "electrons": "electron", "photons": "ph", "kelvin": "K"},
     **{name: name for name in ("adu", "sr", "arcsec")},
 }
-_BEAM = "BMAJ", "BMIN", "BPA"
+#: Keywords of the axes and the angle of a beam.
+BEAM = "BMAJ", "BMIN", "BPA"
 _NUMBER = r"([-+]?[\d.]+(?:[EeDd][-+]?\d+)?)"
 _CLEAN_BEAM = re.compile(
     rf"CLEAN\s+BMAJ\s*=\s*{_NUMBER}\s+BMIN\s*=\s*{_NUMBER}\s+BPA\s*=\s*{_NUMBER}"
@@ -229,7 +230,7 @@ def _header_beam(header, tables):
     beam = get(header, "BEAM")
     if hasattr(beam, "major"):
         return as_beam(beam)
-    major, minor, pa = (get(header, keyword, kind=float) for keyword in _BEAM)
+    major, minor, pa = (get(header, keyword, kind=float) for keyword in BEAM)
     if major:
         return _beam(major, major if minor is None else minor, pa or 0.0)
     for table in tables:
@@ -255,7 +256,7 @@ def _beam(major, minor, pa):
 
 def _beam_of_table(table):
     """Yield BMAJ, BMIN and BPA of the first row of a table, in degrees."""
-    for name in _BEAM:
+    for name in BEAM:
         text = (table.columns[name].unit or "deg").strip().lower().rstrip("s")
         unit = u.deg if text == "degree" else u.Unit(text)
         yield (float(table.data[0][name]) * unit).to_value(u.deg)
@@ -405,4 +406,4 @@ def epoch_header(cube, i):
 def beam_cards(beam):
     """Return BMAJ, BMIN and BPA of a beam, in degrees."""
     parts = beam.major, beam.minor, beam.pa
-    return dict(zip(_BEAM, (part.to_value(u.deg) for part in parts), strict=True))
+    return dict(zip(BEAM, (part.to_value(u.deg) for part in parts), strict=True))

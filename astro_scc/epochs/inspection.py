@@ -15,7 +15,7 @@ from astropy.table import QTable
 from astropy.time import Time
 from numpy.typing import ArrayLike
 
-from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.beam import Beam, beam_columns
 from astro_scc.epochs.fits import find_files, looks_like_mask, read_plane
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.epochs.validation import as_beams
@@ -122,8 +122,7 @@ def epoch_table(cube: EpochCube) -> QTable:
     """
     table = QTable({"epoch": np.arange(len(cube)), "label": list(cube.labels)})
     table["date"] = Time(cube.times, format="isot")
-    for name in ("major", "minor", "pa") if cube.beams is not None else ():
-        table[name] = u.Quantity([getattr(beam, name) for beam in cube.beams])
+    table.update(beam_columns(cube))
     table["noise"] = cube.noise_rms()
     table["object"] = [str(facts.get("object", "")) for facts in cube.epoch_meta]
     frequency = [facts.get("frequency", np.nan) for facts in cube.epoch_meta]

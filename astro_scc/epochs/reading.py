@@ -1,9 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Assembly of single images, from files or memory, into the fields of a cube."""
 
-import os
-import sys
-import warnings
 from importlib import import_module
 from types import SimpleNamespace
 
@@ -19,7 +16,7 @@ from astro_scc.epochs.cutout import box, crop_line
 from astro_scc.epochs.grid import ONE_SHIFT, pixel_area, regrid, shared_grid
 from astro_scc.epochs.headers import get, read_header, some
 from astro_scc.epochs.positions import readable_angle
-from astro_scc.exceptions import EpochWarning
+from astro_scc.exceptions import warn
 
 FRAMES = ("offset", "absolute")
 # Reference pixels further apart than this fraction of the image exceed the
@@ -105,7 +102,7 @@ def _plane_of(i, image, time, beam):
             "or images of spectral-cube"
         )
     if plane.beam is beam is None and getattr(image, "psf", None) is not None:
-        _warn(f"{name}: its psf is an image, of which no beam is made; give beams=")
+        warn(f"{name}: its psf is an image, of which no beam is made; give beams=")
     plane.label = get(image.meta, "LABEL", kind=str)
     return plane
 
@@ -179,7 +176,7 @@ def _completed(planes, times, beams):
             plane.uncertainty = None
         every.append(plane)
     for note, names in remarks.items():
-        _warn(f"{some(names)}: {note}")
+        warn(f"{some(names)}: {note}")
     times = validation.as_times([plane.time for plane in every], len(every))
     order = np.argsort((times - times[0]).jd, kind="stable")
     return [every[i] for i in order], times[order]
@@ -188,7 +185,7 @@ def _completed(planes, times, beams):
 def _compare(planes, times, frame, check):
     """Refuse images that do not belong together, and bring them to one unit."""
     for i, k in inspection.find_same_dates(times):
-        _warn(
+        warn(
             f"{planes[i].name} and {planes[k].name} are both of {times[i].isot[:10]}; "
             "leave one out if it is a stack or another image of the same data"
         )
@@ -196,7 +193,7 @@ def _compare(planes, times, frame, check):
         what = f"{planes[i].name}: {what}; leave it out"
         if fatal:
             raise ValueError(f"{what} (in Python, check=False reads it)")
-        _warn(f"{what} if it is another object")
+        warn(f"{what} if it is another object")
     first = planes[0]
     for plane in planes:
         if not plane.unit.is_equivalent(first.unit):
@@ -212,7 +209,7 @@ def _compare(planes, times, frame, check):
     distance = [inspection.separation(plane.wcs, first.wcs) for plane in planes]
     k = int(np.argmax(distance))
     if frame == "offset" and distance[k] > FAR * max(first.extent, planes[k].extent):
-        _warn(
+        warn(
             f"{first.name} and {planes[k].name}: their reference pixels are "
             f"{distance[k] * 3600:.4g} arcsec apart on the sky and are taken for one "
             "place; use frame='absolute' (--align wcs) where the coordinates are "
@@ -229,7 +226,7 @@ def _assemble(planes, times, beams, frame, check, source):
         ny, nx = fields["data"].shape[1:]
         given = any(plane.noise is not None for plane in planes)
         anew = ", and the noise of all is measured anew" if given else ""
-        _warn(
+        warn(
             f"{some(resampled)}: on another grid than the finest and therefore "
             f"resampled to it; all are {nx} x {ny} pixels, masked outside each image"
             f"{anew}; leave it out if you do not want that"
@@ -244,7 +241,7 @@ def _assemble(planes, times, beams, frame, check, source):
     noise = None if resampled else _all_or_none(planes, "noise", otherwise)
     uneven = [plane.name for plane in planes if not plane.even]
     if uneven and noise:
-        _warn(f"{some(uneven)}: {validation.UNEVEN}")
+        warn(f"{some(uneven)}: {validation.UNEVEN}")
     return {
         **fields,
         "times": times,
@@ -265,17 +262,8 @@ def _all_or_none(planes, what, otherwise):
         return values
     if len(missing) < len(planes):
         other = f"no {what} where other epochs have one"
-        _warn(f"{some(missing)}: {other}, so {otherwise}")
+        warn(f"{some(missing)}: {other}, so {otherwise}")
     return None
-
-
-def _warn(message):
-    """Warn the first caller outside this subpackage."""
-    here = os.path.dirname(__file__) + os.sep
-    level, frame = 1, sys._getframe(0)
-    while frame and frame.f_code.co_filename.startswith(here):
-        frame, level = frame.f_back, level + 1
-    warnings.warn(message, EpochWarning, stacklevel=level)
 
 
 def windows_of(planes, first, frame, region, pad=0):

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING
 
 import astropy.units as u
@@ -14,7 +13,7 @@ from scipy import ndimage, optimize
 from astro_scc.correlation import correlate_windows
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
 from astro_scc.epochs.grid import BAD_WEIGHT, fill_masked
-from astro_scc.exceptions import MeasurementWarning
+from astro_scc.exceptions import MeasurementWarning, warn
 
 if TYPE_CHECKING:
     from astro_scc.epochs.cube import EpochCube
@@ -465,10 +464,9 @@ def warn_of_misalignment(cube):
     """Warn if the alignment of the epochs scatters by 0.2 beams or more."""
     scatter = cube.misalignment
     if scatter is not None and scatter >= MISALIGNED:
-        warnings.warn(
+        warn(
             f"the epochs are aligned to {scatter:.2f} beams only, where "
             f"{MISALIGNED:g} or more adds to every error of a speed: align them, with "
             "--align core or cube.align('core'), or if they were, in another way",
             MeasurementWarning,
-            stacklevel=4,
         )

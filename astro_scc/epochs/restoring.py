@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,7 @@ from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam, gaussian_transfer
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.positions import pixel_side
 from astro_scc.epochs.validation import as_beams, as_noise
-from astro_scc.exceptions import EpochWarning
+from astro_scc.exceptions import warn
 
 if TYPE_CHECKING:
     from astropy.coordinates import SkyCoord
@@ -129,11 +128,9 @@ def restore(
     x, y = x + reference_pixel[0], y + reference_pixel[1]
     outside = (x < -0.5) | (x > shape[1] - 0.5) | (y < -0.5) | (y > shape[0] - 0.5)
     if outside.any():
-        warnings.warn(
+        warn(
             f"{np.count_nonzero(outside)} of {len(components)} components lie outside "
-            f"the images of shape {shape}; give a larger shape, or none",
-            EpochWarning,
-            stacklevel=2,
+            f"the images of shape {shape}; give a larger shape, or none"
         )
 
     own = _covariances(components) / scale**2

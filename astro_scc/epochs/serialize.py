@@ -18,17 +18,14 @@ from astropy.io.misc import yaml
 from astropy.table import Table
 from astropy.wcs import WCS, WCSHDO_P17, WCSHDO_all
 
-from astro_scc.epochs.beam import Beam
+from astro_scc.epochs.beam import beam_columns
 from astro_scc.epochs.fits import CUBE_CREATOR, open_fits
-from astro_scc.epochs.headers import epoch_header, first_line
+from astro_scc.epochs.headers import BEAM, epoch_header, first_line
 from astro_scc.partial import replace_when_complete
 
 if TYPE_CHECKING:
     from astro_scc.epochs.cube import EpochCube
 
-# Axes and angle of a beam, their units in files, and their keywords in FITS.
-BEAM = {"major": u.mas, "minor": u.mas, "pa": u.deg}
-CARDS = "BMAJ", "BMIN", "BPA"
 #: Headers of a WCS with all digits of its numbers.
 EXACT = WCSHDO_all | WCSHDO_P17
 #: Layout of the files.
@@ -81,8 +78,8 @@ def write_cube(cube: EpochCube, path: Path | str, *, overwrite: bool = False) ->
     """
     table = Table({"DATE_OBS": [value[:23] for value in cube.times.isot]})
     table["JD1"], table["JD2"] = cube.times.jd1, cube.times.jd2
-    for name, (values, unit) in zip(CARDS, beam_columns(cube), strict=False):
-        table[name] = values * unit
+    for name, column in zip(BEAM, beam_columns(cube).values(), strict=False):
+        table[name] = column
     if cube.noise is not None:
         table["NOISE"] = cube.noise.value
     header = cube.wcs.to_header(relax=True)
@@ -90,19 +87,6 @@ def write_cube(cube: EpochCube, path: Path | str, *, overwrite: bool = False) ->
     images = {"data": header, "mask": cube.wcs.to_header(relax=True)}
     options = {"creator": CUBE_CREATOR, "overwrite": overwrite}
     write_object(cube, path, headers=images, tables={"EPOCHS": table}, **options)
-
-
-def beam_columns(cube):
-    """Yield the major axes, minor axes and angles of all beams, each with its unit."""
-    for name, unit in BEAM.items() if cube.beams is not None else ():
-        values = [getattr(beam, name).to_value(unit) for beam in cube.beams]
-        yield np.array(values), unit
-
-
-def beams_of(major, minor, pa):
-    """Return the beams in columns of numbers, in the units of `beam_columns`."""
-    rows = zip(major, minor, pa, strict=True)
-    return [Beam(*map(u.Quantity, row, BEAM.values())) for row in rows]
 
 
 def is_cube_file(path):

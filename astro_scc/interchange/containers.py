@@ -14,14 +14,12 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs.beam import beam_columns
 from astro_scc.epochs.grid import moved_wcs
 from astro_scc.epochs.headers import read_header
 from astro_scc.epochs.positions import axis_words, offset_wcs
 from astro_scc.epochs.serialize import (
-    BEAM,
     EXACT,
-    beam_columns,
-    beams_of,
     pack_facts,
     unpack_facts,
     without_dates,
@@ -39,6 +37,8 @@ __doctest_requires__ = {
     ("from_xarray", "to_xarray"): ["xarray"],
 }
 
+#: Names of the beams' axes and angles.
+BEAM = "beam_major", "beam_minor", "beam_pa"
 #: Name of the images.
 NAME = "brightness"
 IMAGES = "time", "y", "x"
@@ -93,8 +93,9 @@ def to_xarray(cube: EpochCube) -> Dataset:
     }
     if cube.noise is not None:
         variables["noise"] = "time", cube.noise.value, unit
-    for name, (values, part) in zip(BEAM, beam_columns(cube), strict=False):
-        variables[f"beam_{name}"] = "time", values, {"units": str(part)}
+    for name, column in beam_columns(cube).items():
+        units = {"units": str(column.unit)}
+        variables[f"beam_{name}"] = "time", column.value, units
     east, north = (offset.to_value(u.mas) for offset in cube.offsets())
     axes = ("y", "x"), ("y", "x")
     matrix = np.abs(cube.pixel_matrix.value)
@@ -229,7 +230,7 @@ def _cube_of(source):
     attributes = source.attrs
     times = getattr(_dates_along(source, "time"), attributes["time_scale"])
     times.format = attributes["time_format"]
-    columns = [source[f"beam_{k}"].values for k in BEAM if f"beam_{k}" in source]
+    columns = [source[k].values * _unit_of(source[k]) for k in BEAM if k in source]
     unit = _unit_of(source[NAME])
     own = source["own_wcs"].values if "own_wcs" in source.coords else ()
     data, mask = (source[k].transpose(*IMAGES).values for k in (NAME, "mask"))
@@ -239,7 +240,7 @@ def _cube_of(source):
         wcs=grid(attributes["wcs"]),
         unit=unit,
         mask=np.array(mask, dtype=bool),
-        beams=beams_of(*columns) if columns else None,
+        beams=[Beam(*row) for row in zip(*columns, strict=True)] or None,
         noise=source["noise"].values * unit if "noise" in source else None,
         labels=[str(label) for label in source["label"].values],
         epoch_wcs=[grid(packed) for packed in own] or None,

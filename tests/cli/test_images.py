@@ -187,6 +187,7 @@ def test_restore_some_dates_with_a_round_beam(models, astro_scc, here):
 )
 def test_restorations_that_are_refused(refused, models, here, options, reason):
     (here / "bad_2006-03-09.mod").write_text("1 2\n")
+    (here / "extra.xyz").touch()
     given = ["--beam", "1 mas", "--pixel", "0.1 mas"]
     files = options if not options[0].startswith("-") else models
     options = options if options[0].startswith("-") else []

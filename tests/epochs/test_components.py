@@ -703,12 +703,14 @@ def test_format_by_name_or_by_word(tmp_path):
 @pytest.mark.parametrize(
     ("paths", "options", "error", "message"),
     [
-        ([], {}, ValueError, "no component files"),
+        ([], {}, OSError, "no files were given"),
         ("missing.ecsv", {}, OSError, "missing.ecsv: no such file"),
         ("a.mod", {"origin": "jet"}, ValueError, "origin must be"),
         ("a.mod", {"dates": ["2006-01-01"] * 2}, ValueError, "2 dates for 1"),
     ],
 )
-def test_bad_arguments(paths, options, error, message):
+def test_bad_arguments(tmp_path, monkeypatch, paths, options, error, message):
+    model(tmp_path, name="a.mod")
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=message):
         read_components(paths, **options)

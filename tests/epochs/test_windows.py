@@ -16,6 +16,7 @@ from regions import CircleSkyRegion
 from astro_scc import interchange
 from astro_scc.epochs import Beam, EpochCube, cube, write_epochs
 from astro_scc.epochs.fits import read_plane
+from astro_scc.exceptions import EpochWarning
 
 PART = slice(9, 30), slice(14, 50)
 
@@ -64,6 +65,19 @@ def test_as_reading_all_and_cropping(paths, tmp_path, pad):
         part = EpochCube.read(paths, region=region, pad=pad)
         assert part.shape[1:] != whole.shape[1:] or pad == 100
         same(part, whole.crop(region, pad=pad))
+
+
+def test_a_region_file_warns_who_reads(paths, tmp_path):
+    path = tmp_path / "jet.reg"
+    path.write_text("image\ncircle(21,21,8.5)\nblob(3,4)\n")
+    whole = EpochCube.read(paths)
+    for use in (whole.region_mask, whole.crop):
+        with pytest.warns(EpochWarning, match="blob") as caught:
+            use(path)
+        assert caught[0].filename == __file__
+    with pytest.warns(EpochWarning, match="blob") as caught:
+        EpochCube.read(paths, region=path)
+    assert caught[0].filename == __file__
 
 
 @pytest.mark.parametrize("beams", [None, Beam(1 * u.mas, 1 * u.mas)])
