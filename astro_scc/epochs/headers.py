@@ -4,7 +4,7 @@
 import re
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cache
 
@@ -69,9 +69,9 @@ class HeaderRecord:
     read; then ``date_problem`` and ``beam_problem`` say why.
     """
 
-    time: Time | None
-    beam: Beam | None
-    facts: dict
+    time: Time | None = None
+    beam: Beam | None = None
+    facts: dict = field(default_factory=dict)
     date_problem: str = ""
     beam_problem: str = ""
 

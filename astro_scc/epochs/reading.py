@@ -81,6 +81,8 @@ def read_images(images, times, beams, frame, *, check):
 def _plane_of(i, image, time, beam):
     """Return an image in memory as `Plane`."""
     name = f"image {i}"
+    if isinstance(image, fits.Plane):
+        return image
     if hasattr(image, "extra_coords"):
         # Imported by name: a subpackage above this one.
         room = import_module("astro_scc.interchange")

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -15,17 +14,18 @@ from astropy.wcs import WCS
 
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.epochs.beam import beam_columns
+from astro_scc.epochs.fits import Plane
 from astro_scc.epochs.grid import moved_wcs
 from astro_scc.epochs.headers import read_header
 from astro_scc.epochs.positions import axis_words, offset_wcs
+from astro_scc.epochs.reading import read_images
 from astro_scc.epochs.serialize import (
     EXACT,
     pack_facts,
     unpack_facts,
     without_dates,
 )
-from astro_scc.epochs.validation import UNEVEN, fits_wcs, uncertainty_noise
-from astro_scc.exceptions import EpochWarning
+from astro_scc.epochs.validation import as_celestial, fits_wcs
 from astro_scc.interchange.files import optional
 
 if TYPE_CHECKING:
@@ -408,62 +408,44 @@ def from_ndcube(
 
     data = planes(np.asarray(ndcube.data))
     mask = planes(False if ndcube.mask is None else ndcube.mask) | ~np.isfinite(data)
-    noise = None if ndcube.uncertainty is None else _noise(ndcube, planes, mask)
+    given, errors = ndcube.uncertainty, [None] * len(data)
+    if given is not None:
+        errors = planes(np.asarray(given.array))
+        errors = [type(given)(one, unit=given.unit, copy=False) for one in errors]
     averaged = bool(others and size[others[0]] != 1)
     meta = dict(ndcube.meta) if isinstance(ndcube.meta, Mapping) else {}
+    if times is None:
+        times = _times_of(ndcube, meta, axis, averaged)
     if AXIS in wcs.wcs.ctype and set(EACH) <= meta.keys():
-        first = 1 - wcs.wcs.crpix[list(wcs.wcs.ctype).index(AXIS)]
-        own = _kept_fields(meta, round(first), len(data), averaged, beams)
+        first = round(1 - wcs.wcs.crpix[list(wcs.wcs.ctype).index(AXIS)])
+        records = _kept_records(meta, first, len(data), averaged, beams)
+        meta = {key: value for key, value in meta.items() if key not in EACH}
     else:
-        record = read_header(meta)
-        if beams is None and record.beam_problem:
-            raise ValueError(f"the NDCube: {record.beam_problem}; give beams=")
-        beams = record.beam if beams is None else beams
-        own = {"beams": beams, "epoch_meta": [record.facts] * len(data), "meta": {}}
-    own["meta"]["history"] = [*own["meta"].get("history", ()), "from an NDCube"]
-    return EpochCube(
-        data=data,
-        times=_times_of(ndcube, meta, axis, averaged) if times is None else times,
-        wcs=wcs,
-        unit=ndcube.unit,
-        mask=mask,
-        noise=noise,
-        **own,
-    )
+        records, meta = [vars(read_header(meta))] * len(data), {}
+    common = {"wcs": as_celestial(wcs), "shape": data.shape[1:]}
+    common["unit"] = ndcube.unit or u.dimensionless_unscaled
+    images = []
+    for i, own in enumerate(records):
+        pixels = {"data": data[i], "mask": mask[i], "uncertainty": errors[i]}
+        images.append(Plane(name=f"epoch {i} of the NDCube", **pixels, **common, **own))
+    meta["history"] = [*meta.get("history", ()), "from an NDCube"]
+    fields = read_images(images, times, beams, "offset", check=False)
+    return EpochCube(**fields | {"epoch_wcs": None, "meta": meta})
 
 
-def _noise(ndcube, planes, mask):
-    """Return the noise of every epoch; mask pixels without uncertainty, in place."""
-    given, unit = ndcube.uncertainty, ndcube.unit or u.dimensionless_unscaled
-    found = []
-    for values, bad in zip(planes(np.asarray(given.array)), mask, strict=True):
-        uncertainty = type(given)(values, unit=given.unit, copy=False)
-        try:
-            level, without, even = uncertainty_noise(uncertainty, unit, bad)
-        except ValueError as error:
-            raise ValueError(f"the NDCube: {error}") from None
-        bad |= without
-        found.append((level, even))
-    noise, even = zip(*found, strict=True)
-    if not all(even):
-        warnings.warn(f"the NDCube: {UNEVEN}", EpochWarning, stacklevel=4)
-    return u.Quantity(noise)
-
-
-def _kept_fields(meta, first, n, averaged, beams):
-    """Return the fields that `to_ndcube` has kept for n epochs from the first one."""
-    kept = {"meta": {key: value for key, value in meta.items() if key not in EACH}}
-    every = meta["beams"]
-    if not averaged:
-        kept |= {key: meta[key] and meta[key][first : first + n] for key in EACH}
-    elif every is not None:
-        if beams is None and any(beam != every[0] for beam in every):
+def _kept_records(meta, first, n, averaged, beams):
+    """Return what `to_ndcube` has kept of each of n epochs from the first one."""
+    own = meta["beams"] or [None] * len(meta["labels"])
+    if averaged:
+        if beams is None and any(beam != own[0] for beam in own):
             raise ValueError(
                 "epochs of the NDCube were averaged, of which the beams differ; call "
                 "to_common_beam() before to_ndcube(), or give beams="
             )
-        kept["beams"] = every[0]
-    return kept if beams is None else kept | {"beams": beams}
+        return [{"beam": own[0]}] * n
+    fields = meta["labels"], own, meta["epoch_meta"]
+    rows = zip(*(values[first : first + n] for values in fields), strict=True)
+    return [dict(zip(("label", "beam", "facts"), row, strict=True)) for row in rows]
 
 
 def _times_of(ndcube, meta, axis, averaged):
