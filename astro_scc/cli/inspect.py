@@ -73,9 +73,8 @@ def _facts(files, cube, refusal):
 
 def _cube(files):
     """Return the files as a cube and None, or None and the reason why they are not."""
-    with warnings.catch_warnings():
-        # Warnings are listed among the problems.
-        warnings.simplefilter("ignore", AstroSccWarning)
+    # Warnings are listed among the problems.
+    with warnings.catch_warnings(action="ignore", category=AstroSccWarning):
         try:
             return EpochCube.read(files), None
         except (ValueError, OSError, MemoryError) as error:

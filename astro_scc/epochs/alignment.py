@@ -21,7 +21,7 @@ from astro_scc.epochs.component_tables import numbers
 from astro_scc.epochs.cutout import region_mask
 from astro_scc.epochs.headers import first_line
 from astro_scc.epochs.registration import core_positions, displacement
-from astro_scc.epochs.validation import as_times
+from astro_scc.epochs.validation import as_times, naming
 from astro_scc.exceptions import MeasurementWarning, warn
 
 if TYPE_CHECKING:
@@ -299,12 +299,9 @@ def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
         for i, label in enumerate(cube.labels):
             start = pixels[i] if k > 1 else None
             pair = cube.data[i], cube.mask[i]
-            try:
-                pixels[i], covariance[i] = displacement(
-                    *pair, target, use, reach, start=start
-                )
-            except ValueError as error:
-                raise ValueError(f"{label}: {error}; leave it out") from error
+            with naming(label):
+                found = displacement(*pair, target, use, reach, start=start)
+            pixels[i], covariance[i] = found
         if image is None:
             # The mean image could drift freely, so the mean shift is kept at 0.
             pixels -= pixels.mean(axis=0)

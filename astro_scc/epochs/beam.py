@@ -70,8 +70,7 @@ class Beam:
                 f"the beam's minor axis {minor} is larger than its major axis {major}"
             )
         pa = (pa + 90 * u.deg) % (180 * u.deg) - 90 * u.deg
-        for name, value in {"major": major, "minor": minor, "pa": pa}.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(major=major, minor=minor, pa=pa)
 
     def __str__(self):
         return (

@@ -14,7 +14,7 @@ from astropy.time import Time
 
 from astro_scc.epochs.fits import open_fits
 from astro_scc.epochs.headers import first_line, get, header_facts, parse_date, some
-from astro_scc.epochs.validation import as_times
+from astro_scc.epochs.validation import as_times, naming
 
 CORE = 0  # feature number of the core
 # Content of a column -> its unit, and its labels in tables.
@@ -154,14 +154,12 @@ def _dates(table, columns, date, path):
         rows = table.iterrows(*(columns[part] for part in ("year", "month", "day")))
         texts = ["-".join(str(value).zfill(2) for value in row) for row in rows]
     known = {}
-    for text in dict.fromkeys(texts):
-        try:
-            # ERFA warns of years whose leap seconds are unknown.
-            with warnings.catch_warnings(action="ignore"):
+    # ERFA warns of years whose leap seconds are unknown.
+    with warnings.catch_warnings(action="ignore"):
+        for text in dict.fromkeys(texts):
+            row = "" if date is not None else f", row {texts.index(text) + 1}"
+            with naming(f"{path}{row}"):
                 known[text] = parse_date(text).isot
-        except ValueError as error:
-            where = path if date is not None else f"{path}, row {texts.index(text) + 1}"
-            raise ValueError(f"{where}: {error}") from None
     return [known[text] for text in texts]
 
 

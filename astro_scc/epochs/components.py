@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike
 
 from astro_scc.epochs.component_tables import FORMATS, UNITS, read_fields
 from astro_scc.epochs.fits import find_files
-from astro_scc.epochs.validation import as_epoch_tuple
+from astro_scc.epochs.validation import as_epoch_tuple, naming
 from astro_scc.exceptions import warn
+from astro_scc.quantities import choice, named
 
 COLUMNS = (*UNITS, "feature", "excluded")
 
@@ -127,8 +128,7 @@ class ComponentList:
             "feature": columns["feature"].value.astype(int),
             "excluded": columns["excluded"].value.astype(bool),
         }
-        for name, values in columns.items():
-            object.__setattr__(self, name, values)
+        vars(self).update(columns)
 
     def __len__(self) -> int:
         return self.epoch.size
@@ -238,7 +238,7 @@ def read_components(
     Parameters
     ----------
     paths : path or sequence of paths
-        A table of many epochs, or one file per epoch.
+        A table of many epochs, or one file per epoch; also patterns.
     format : {'ecsv', 'mrt', 'difmap', 'aips-cc'}, optional
         By default taken from the file's suffix: ``.ecsv``; ``.txt``, ``.dat``
         or ``.mrt``, a machine-readable table of the AAS or, with its file
@@ -292,12 +292,10 @@ def read_components(
     >>> components.east.round(2)
     <Quantity [ 0.1 , -1.41] mas>
     """
-    for name, value, known in (
-        ("origin", origin, ("core", "map")),
-        ("format", format, FORMATS),
-    ):
-        if value is not None and value not in known:
-            raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+    if origin is not None:
+        named("origin", choice("core", "map"), origin)
+    if format is not None:
+        named("format", choice(*FORMATS), format)
     paths = find_files(paths)
     if dates is None:
         dates = [None] * len(paths)
@@ -326,7 +324,5 @@ def _read_file(path, kind, source, origin, date):
             f"{', '.join(FORMATS)}"
         )
     fields = read_fields(path, kind, source, origin, date)
-    try:
+    with naming(path):
         return ComponentList(**fields)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None

@@ -141,8 +141,7 @@ class EpochCube:
         if np.any(np.diff(order) < 0):
             each |= _picked(each, order)
         common = {"wcs": as_celestial(self.wcs), "unit": unit, "meta": dict(self.meta)}
-        for name, value in {**each, **common}.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(each, **common)
 
     @classmethod
     def read(

@@ -17,6 +17,7 @@ from astro_scc.epochs.headers import celestial_wcs
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.epochs.validation import as_celestial, naming
 from astro_scc.exceptions import warn
+from astro_scc.quantities import choice, named
 
 if TYPE_CHECKING:
     from astropy.io.fits import Header
@@ -249,9 +250,8 @@ def reproject_cube(
     if method != "interp" and order is not None:
         raise ValueError(f"method={method!r} has no order; leave it out")
     order = order or "bicubic"
-    for name, value, allowed in (("method", method, METHODS), ("order", order, ORDERS)):
-        if value not in allowed:
-            raise ValueError(f"{name}={value!r} is not one of {', '.join(allowed)}")
+    named("method", choice(*METHODS), method)
+    named("order", choice(*ORDERS), order)
     wcs, shape = _grid_of(wcs, shape)
     frames = [wcs_to_celestial_frame(grid) for grid in (wcs, cube.wcs)]
     if cube.beams is not None and not frames[0].is_equivalent_frame(frames[1]):

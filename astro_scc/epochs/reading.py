@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import astropy.units as u
 import numpy as np
 from astropy.nddata import NDData
-from astropy.time import Time
 from astropy.wcs.utils import pixel_to_pixel
 
 from astro_scc.correlation.parallel import machine_memory
@@ -17,8 +16,8 @@ from astro_scc.epochs.grid import ONE_SHIFT, pixel_area, regrid, shared_grid
 from astro_scc.epochs.headers import get, read_header, some
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.exceptions import warn
+from astro_scc.quantities import choice, named
 
-FRAMES = ("offset", "absolute")
 # Reference pixels further apart than this fraction of the image exceed the
 # scatter of VLBI positions.
 FAR = 0.05
@@ -135,14 +134,11 @@ def _plane_of_nddata(image, name):
 
 def _given(times, beams, n, frame):
     """Return the dates and beams that the user gives, None where there is none."""
-    if frame not in FRAMES:
-        raise ValueError(f"frame must be 'offset' or 'absolute', got {frame!r}")
+    named("frame", choice("offset", "absolute"), frame)
     if n == 0:
         raise ValueError("a cube needs at least one image")
-    if times is None:
-        times = [None] * n
-    elif isinstance(times, str) or (isinstance(times, Time) and times.isscalar):
-        times = [times]
+    if isinstance(times, str) or not np.iterable(times):
+        times = [None] * n if times is None else [times]
     times = [t if t is None else validation.as_times(t, 1)[0] for t in times]
     if len(times) != n:
         raise ValueError(f"{n} images need {n} times, got {len(times)}")

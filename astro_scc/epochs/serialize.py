@@ -283,8 +283,7 @@ class _Loader(yaml.AstropyLoader):
         elif name is not None:
             # Checks and conversions were made when it was first made.
             made = object.__new__(_class_of(name, packed.keys()))
-            for key, value in packed.items():
-                object.__setattr__(made, key, value)
+            vars(made).update(packed)
         return packed if name is None else made
 
 

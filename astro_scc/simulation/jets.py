@@ -186,14 +186,8 @@ class JetSimulation:
         beams = as_beams(self.beams, n)
         if not (beams and noise):
             raise ValueError("beams and noise need one value, or one for each epoch")
-        for name, value in {
-            "streams": tuple(self.streams),
-            "dates": dates,
-            "n_epochs": n,
-            "beams": beams,
-            "noise": noise,
-        }.items():
-            object.__setattr__(self, name, value)
+        own = {"streams": tuple(self.streams), "dates": dates, "n_epochs": n}
+        vars(self).update(own, beams=beams, noise=noise)
 
     @property
     def velocity_unit(self) -> u.Quantity:

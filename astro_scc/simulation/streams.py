@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
+from astro_scc.quantities import choice, named
+
 if TYPE_CHECKING:
     from astro_scc.simulation.jets import JetSimulation
 
@@ -116,11 +118,7 @@ class Stream:
 
     def __post_init__(self):
         whose = f"stream {self.name!r}"
-        if self.motion not in MOTIONS:
-            raise ValueError(
-                f"{whose}: motion must be one of {', '.join(MOTIONS)}, "
-                f"got {self.motion!r}"
-            )
+        named(f"{whose}: motion", choice(*MOTIONS), self.motion)
         if (self.half_width is None) == (self.sigma is None):
             raise ValueError(
                 f"{whose} needs one of half_width and sigma, the width over which "
@@ -295,11 +293,7 @@ class Flow:
 
     def __post_init__(self):
         whose = f"flow {self.name!r}: "
-        if self.distribution not in DISTRIBUTIONS:
-            raise ValueError(
-                f"{whose}distribution must be one of {', '.join(DISTRIBUTIONS)}, "
-                f"got {self.distribution!r}"
-            )
+        named(f"{whose}distribution", choice(*DISTRIBUTIONS), self.distribution)
         if self.positions is not None:
             positions = tuple(float(p) for p in self.positions)
             if self.speed != 0 or not all(p >= 0 for p in positions):
@@ -307,8 +301,7 @@ class Flow:
                     f"{whose}positions must be zero or positive, and the speed zero: "
                     "they are those of standing features"
                 )
-            object.__setattr__(self, "positions", positions)
-            object.__setattr__(self, "n_features", len(positions))
+            vars(self).update(positions=positions, n_features=len(positions))
         names = "speed dispersion n_features acceleration flux flux_scatter fading size"
         check_not_negative(self, f"{names} widening width", whose)
         if self.acceleration == 0:

@@ -71,7 +71,7 @@ def test_every_jet_is_simulated(astro_scc, here, jet):
         (["jet", "x", "--dense"], "--dense is for two-fluid, not for jet"),
         (["jet", "x", "--motion", "-1"], "error: --motion must be zero or positive"),
         (["jet", "x", "--standing", "-1"], "error: --standing must be zero or"),
-        (["jet", "x", "--distribution", "flat"], "error: --distribution must be one"),
+        (["jet", "x", "--distribution", "flat"], "error: --distribution = 'flat' must"),
         (["static", "x", "--epochs", "0"], "--epochs must be at least 1"),
         (["static", "x", "--seed", "one"], "--seed 'one' must be a whole number"),
         (["static", "."], ".: exists and is not empty"),

@@ -696,7 +696,7 @@ def test_format_by_name_or_by_word(tmp_path):
     with pytest.raises(ValueError, match="the suffix '.model' tells no format"):
         read_components(path)
     assert len(read_components(path, format="difmap")) == 3
-    with pytest.raises(ValueError, match="format must be one of ecsv"):
+    with pytest.raises(ValueError, match="format = .wise. must be one of ecsv"):
         read_components(path, format="wise")
 
 
@@ -705,7 +705,7 @@ def test_format_by_name_or_by_word(tmp_path):
     [
         ([], {}, OSError, "no files were given"),
         ("missing.ecsv", {}, OSError, "missing.ecsv: no such file"),
-        ("a.mod", {"origin": "jet"}, ValueError, "origin must be"),
+        ("a.mod", {"origin": "jet"}, ValueError, "origin = .jet. must be"),
         ("a.mod", {"dates": ["2006-01-01"] * 2}, ValueError, "2 dates for 1"),
     ],
 )

@@ -481,7 +481,7 @@ def test_no_images_or_wrong_numbers():
         EpochCube.from_ccddata([])
     with pytest.raises(ValueError, match="3 images need 3 times, got 2"):
         EpochCube.from_ccddata(list(make_cube()), times=DATES[:2])
-    with pytest.raises(ValueError, match="frame must be 'offset' or 'absolute'"):
+    with pytest.raises(ValueError, match="frame = 'sky' must be one of offset, abs"):
         EpochCube.from_ccddata(list(make_cube()), frame="sky")
 
 

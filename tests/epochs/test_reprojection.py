@@ -282,12 +282,12 @@ def test_absolute_coordinates_that_are_turned_are_dropped():
 
 def test_what_cannot_be_a_grid_is_refused():
     cube = cube_of(grid((40, 32)), (64, 80), beams=Beam(1 * u.mas, 1 * u.mas))
-    with pytest.raises(ValueError, match="order='cubic' is not one of"):
+    with pytest.raises(ValueError, match="order = 'cubic' must be one of"):
         reproject_cube(cube, cube.wcs, (64, 80), order="cubic")
     for shape in ((64,), (64, 0), (2.5, 3)):
         with pytest.raises(ValueError, match="two positive integers"):
             reproject_cube(cube, cube.wcs, shape)
-    with pytest.raises(ValueError, match="method='flux' is not one of interp, exact"):
+    with pytest.raises(ValueError, match="method = 'flux' must be one of interp, e"):
         reproject_cube(cube, cube.wcs, (64, 80), method="flux")
     with pytest.raises(ValueError, match="method='exact' has no order; leave it out"):
         reproject_cube(cube, cube.wcs, (64, 80), "bilinear", method="exact")

@@ -318,7 +318,7 @@ def test_seeds(name):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"motion": "circular"}, "motion must be one of"),
+        ({"motion": "circular"}, "motion = .* must be one of"),
         ({"sigma": 3.0}, "needs one of half_width and sigma"),
         ({"half_width": None}, "needs one of half_width and sigma"),
         ({"density": -1.0}, "density must be zero or positive"),

@@ -218,7 +218,7 @@ def test_beams_and_shape():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"distribution": "flat"}, "distribution must be one of"),
+        ({"distribution": "flat"}, "distribution = .* must be one of"),
         ({"positions": (2.0,)}, "they are those of standing features"),
         ({"positions": (-2.0,), "speed": 0}, "positions must be zero or positive"),
         ({"dispersion": -1.0}, "dispersion must be zero or positive"),
