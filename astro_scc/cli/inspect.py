@@ -57,7 +57,7 @@ def run(args, reporter):
 
 def _facts(files, cube, refusal):
     """Return the names of the epochs, facts of `inspect_epochs`, and the problems."""
-    if len(files) == 1 and files[0].exists() and is_cube_file(files[0]):
+    if len(files) == 1 and is_cube_file(files[0]):
         if cube is None:
             raise ValueError(refusal)
         return cube.labels, _facts_of_cube(cube), []
@@ -100,11 +100,11 @@ def _alignment(cube, of_core):
     if max(scatter or 0, of_core) < MISALIGNED:
         return lines
     if of_core >= MISALIGNED:
-        lines.append(
+        lines += [
             f"The core as it is fitted scatters by {of_core:.2f} beams: either the "
-            "epochs are not aligned,"
-        )
-        lines.append("or what was fitted is not the core.  Look at the images.")
+            "epochs are not aligned,",
+            "or what was fitted is not the core.  Look at the images.",
+        ]
     return [
         *lines,
         "Images that are not aligned can make a stationary jet appear to move: align "

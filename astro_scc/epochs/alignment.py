@@ -404,20 +404,15 @@ def _dates(table, name):
     column, kind = table[columns[0]], columns[0].lower()
     if isinstance(column, Time):
         return column
-    try:
-        # ERFA warns of years whose leap seconds are unknown.
-        with warnings.catch_warnings(action="ignore"):
-            if kind in ("mjd", "jd") or column.dtype.kind in "fi":
-                kind = kind if kind in ("mjd", "jd") else "jyear"
-                column = Time(np.asarray(column, dtype=float), format=kind, scale="utc")
-            else:
-                column = [str(value) for value in column]
-            return as_times(column, len(table))
-    except ValueError as error:
-        raise ValueError(
-            f"{name}: the dates in column {columns[0]!r} are not understood: "
-            f"{first_line(error)}"
-        ) from error
+    where = f"{name}: the dates in column {columns[0]!r} are not understood"
+    # ERFA warns of years whose leap seconds are unknown.
+    with naming(where), warnings.catch_warnings(action="ignore"):
+        if kind in ("mjd", "jd") or column.dtype.kind in "fi":
+            kind = kind if kind in ("mjd", "jd") else "jyear"
+            column = Time(np.asarray(column, dtype=float), format=kind, scale="utc")
+        else:
+            column = [str(value) for value in column]
+        return as_times(column, len(table))
 
 
 def _axis(table, axis, name):

@@ -258,11 +258,9 @@ def inspect_epochs(
     for name, own in COLUMNS.items():
         columns[name] = u.Quantity(columns[name], own or unit)
     columns["problem"] = ["; ".join(problems) for problems in columns["problem"]]
-    undated = [date is None for date in columns["date"]]
-    mjd = [0.0 if date is None else date.mjd for date in columns["date"]]
-    columns["date"] = Time(Time(mjd, format="mjd", scale="utc"), format="iso")
-    if any(undated):
-        columns["date"][undated] = np.ma.masked
+    mjd = [np.nan if date is None else date.mjd for date in columns["date"]]
+    dates = Time(np.ma.masked_invalid(mjd), format="mjd", scale="utc")
+    columns["date"] = Time(dates, format="iso")
     return QTable(columns)
 
 

@@ -12,6 +12,7 @@ from scipy import fft
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam, gaussian_transfer
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.headers import FACTS
 from astro_scc.epochs.positions import pixel_side
 from astro_scc.epochs.validation import as_beams, as_noise
 from astro_scc.exceptions import warn
@@ -146,8 +147,7 @@ def restore(
             options = {"beam": beams[i], "pixel_scale": pixel_scale, "rng": noise_rng}
             data[i] += correlated_noise(shape, rms=noise[i].value, **options)
 
-    names = "object", "telescope", "frequency", "filter", "stokes"
-    facts = {name: components.meta[name] for name in names if name in components.meta}
+    facts = {name: components.meta[name] for name in FACTS if name in components.meta}
     added = "" if noise is None else ", noise added"
     line = f"restored {len(components)} components at {n_epochs} epochs{added}"
     if position is None:
