@@ -8,7 +8,6 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
-from scipy.spatial.distance import pdist
 
 from astro_scc import EpochCube
 from astro_scc.cli.inputs import prepare
@@ -22,11 +21,10 @@ from astro_scc.epochs.serialize import is_cube_file
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.quantities import named, one_quantity
 from astro_scc.settings import Settings
+from astro_scc.stacking import baseline_pairs
 
 #: Number of speeds that are explained when none is given.
 N_SPEEDS = 4
-#: Tolerance for intervals that were rounded to days.
-DAY = 1e-3 * u.yr
 
 
 def run(args, reporter):
@@ -169,12 +167,12 @@ def _plan(cube, speed):
         speeds = np.geomspace(1.5 * slow, max(high, 2 * slow), N_SPEEDS) * unit
     else:
         speeds = [speed.to(unit)]
-    apart = pdist(cube.years.value[:, None]) * u.yr
     for value in speeds:
         pairs, text = 0, "too slow for this series"
         with suppress(ValueError):
             first, last = plan.baseline(value)
-            pairs = np.sum((apart >= first - DAY) & (apart <= last + DAY))
+            limits = u.Quantity([first, last]).to_value(u.yr)
+            pairs = len(baseline_pairs(cube.years.value, *limits).first)
             text = f'"{_rounded(first, math.floor)} {_rounded(last, math.ceil)}"'
         rows.append(
             {

@@ -144,6 +144,16 @@ def test_inspect_advises_an_alignment(astro_scc, here):
     assert re.search(advice, said["two"])
 
 
+@pytest.mark.parametrize(("speed", "pairs"), [(2, 6), (4, 5), (8, 3)])
+def test_inspect_counts_the_pairs_of_a_night(astro_scc, here, speed, pairs):
+    """Of epochs ten minutes apart are those pairs counted that would be measured."""
+    simulate_two_fluid(n_epochs=4, interval=10 * u.min, rng=1).cube.write("night.fits")
+    speed = (speed * u.mas / u.hr).to(u.mas / u.yr)
+    status, out, _ = astro_scc("inspect", "night.fits", "--speed", f"{speed:.8g}")
+    assert status == 0
+    assert out.split("pairs\n")[1].splitlines()[0].split()[-1] == str(pairs)
+
+
 def test_nothing_to_inspect(refused, here):
     for name in ("a.fits", "b.fits"):
         (here / name).write_text("no image")
