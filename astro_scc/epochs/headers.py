@@ -86,16 +86,16 @@ def read_header(header, tables=()):
     ``BMAJ``, ``BMIN`` and ``BPA`` (degrees), else from an ``AIPS CG`` or ``BEAMS``
     table among ``tables``, else from the last ``CLEAN BMAJ=`` in the history.
     """
-    time, beam, problems = None, None, ["", ""]
+    record = HeaderRecord(facts=header_facts(header))
     try:
-        time = _observing_time(header)
+        record.time = _observing_time(header)
     except ValueError as error:
-        problems[0] = str(error)
+        record.date_problem = str(error)
     try:
-        beam = _header_beam(header, tables)
+        record.beam = _header_beam(header, tables)
     except (KeyError, TypeError, ValueError) as error:
-        problems[1] = str(error)
-    return HeaderRecord(time, beam, header_facts(header), *problems)
+        record.beam_problem = str(error)
+    return record
 
 
 def get(header, *keywords, kind=None):

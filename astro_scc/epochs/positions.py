@@ -13,6 +13,7 @@ from astropy.wcs import WCS
 from numpy.typing import ArrayLike
 
 from astro_scc.decomposition import scale_size
+from astro_scc.quantities import named, one_quantity
 
 if TYPE_CHECKING:
     from astro_scc.epochs.cube import EpochCube
@@ -48,10 +49,7 @@ def readable_angle(angle):
 
 def pixel_side(pixel_scale):
     """Return the side of a pixel as a Quantity, a positive angle."""
-    side = u.Quantity(pixel_scale)
-    if not 0 < side.to_value(u.deg) < np.inf:
-        raise ValueError(f"pixel_scale must be positive, got {pixel_scale}")
-    return side
+    return named("pixel_scale", one_quantity, pixel_scale, "an angle", "0.1 mas")
 
 
 def offset_wcs(pixel_scale, reference_pixel, position=None):

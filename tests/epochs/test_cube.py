@@ -243,7 +243,7 @@ def test_from_arrays():
     assert np.allclose(cube.pixel_matrix.value, [[-0.1, 0], [0, 0.1]])
     with pytest.raises(ValueError, match=r"shape \(n_epochs, ny, nx\), got \(8, 12\)"):
         EpochCube.from_arrays(images()[0], DATES, pixel_scale=1 * u.mas)
-    with pytest.raises(ValueError, match="pixel_scale must be positive"):
+    with pytest.raises(ValueError, match="pixel_scale = .* must be finite and above 0"):
         make_cube(pixel_scale=-1 * u.mas)
 
 

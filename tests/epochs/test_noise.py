@@ -100,7 +100,7 @@ def test_beam_without_pixels():
 
 @pytest.mark.parametrize("pixel", [0 * u.mas, -1 * u.mas, np.nan * u.mas])
 def test_bad_pixels(pixel):
-    with pytest.raises(ValueError, match="pixel_scale must be positive"):
+    with pytest.raises(ValueError, match="pixel_scale = .* must be finite and above 0"):
         correlated_noise((8, 9), rms=1, beam=BEAM, pixel_scale=pixel)
 
 

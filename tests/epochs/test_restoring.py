@@ -239,7 +239,7 @@ def test_facts_and_history():
         ({"beam": []}, "needs a beam; give one"),
         ({"noise": [1, 2, 3] * u.mJy / u.beam}, "2 epochs need 2 noises"),
         ({"noise": -1 * u.mJy / u.beam}, "noise must be finite and not negative"),
-        ({"pixel_scale": 0 * u.mas}, "pixel_scale must be positive"),
+        ({"pixel_scale": 0 * u.mas}, "pixel_scale = .* must be finite and above 0"),
         ({"shape": (0, 5)}, "shape must be"),
         ({"shape": (5,)}, "shape must be"),
         ({"pixel_scale": 1e-5 * u.mas}, "give larger pixels"),
@@ -251,7 +251,7 @@ def test_bad_options(options, message):
 
 
 def test_bad_pixel_of_the_wcs():
-    with pytest.raises(ValueError, match="pixel_scale must be positive"):
+    with pytest.raises(ValueError, match="pixel_scale = .* must be finite and above 0"):
         offset_wcs(-1 * u.mas, (0, 0))
 
 
