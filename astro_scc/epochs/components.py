@@ -17,7 +17,7 @@ from astro_scc.epochs.component_tables import FORMATS, UNITS, read_fields
 from astro_scc.epochs.fits import find_files
 from astro_scc.epochs.validation import as_epoch_tuple, naming
 from astro_scc.exceptions import warn
-from astro_scc.quantities import choice, named
+from astro_scc.quantities import check_choice, named
 
 COLUMNS = (*UNITS, "feature", "excluded")
 
@@ -293,9 +293,9 @@ def read_components(
     <Quantity [ 0.1 , -1.41] mas>
     """
     if origin is not None:
-        named("origin", choice("core", "map"), origin)
+        named("origin", check_choice, origin, "core", "map")
     if format is not None:
-        named("format", choice(*FORMATS), format)
+        named("format", check_choice, format, *FORMATS)
     paths = find_files(paths)
     if dates is None:
         dates = [None] * len(paths)

@@ -17,7 +17,7 @@ from astro_scc.epochs.headers import celestial_wcs
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.epochs.validation import as_celestial, naming
 from astro_scc.exceptions import warn
-from astro_scc.quantities import choice, named
+from astro_scc.quantities import check_choice, named
 
 if TYPE_CHECKING:
     from astropy.io.fits import Header
@@ -250,8 +250,8 @@ def reproject_cube(
     if method != "interp" and order is not None:
         raise ValueError(f"method={method!r} has no order; leave it out")
     order = order or "bicubic"
-    named("method", choice(*METHODS), method)
-    named("order", choice(*ORDERS), order)
+    named("method", check_choice, method, *METHODS)
+    named("order", check_choice, order, *ORDERS)
     wcs, shape = _grid_of(wcs, shape)
     frames = [wcs_to_celestial_frame(grid) for grid in (wcs, cube.wcs)]
     if cube.beams is not None and not frames[0].is_equivalent_frame(frames[1]):

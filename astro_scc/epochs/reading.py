@@ -16,7 +16,7 @@ from astro_scc.epochs.grid import ONE_SHIFT, pixel_area, regrid, shared_grid
 from astro_scc.epochs.headers import get, read_header, some
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.exceptions import warn
-from astro_scc.quantities import choice, named
+from astro_scc.quantities import check_choice, named
 
 # Reference pixels further apart than this fraction of the image exceed the
 # scatter of VLBI positions.
@@ -134,7 +134,7 @@ def _plane_of_nddata(image, name):
 
 def _given(times, beams, n, frame):
     """Return the dates and beams that the user gives, None where there is none."""
-    named("frame", choice("offset", "absolute"), frame)
+    named("frame", check_choice, frame, "offset", "absolute")
     if n == 0:
         raise ValueError("a cube needs at least one image")
     if isinstance(times, str) or not np.iterable(times):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from astro_scc.quantities import choice, named
+from astro_scc.quantities import check_choice, named
 
 if TYPE_CHECKING:
     from astro_scc.simulation.jets import JetSimulation
@@ -118,7 +118,7 @@ class Stream:
 
     def __post_init__(self):
         whose = f"stream {self.name!r}"
-        named(f"{whose}: motion", choice(*MOTIONS), self.motion)
+        named(f"{whose}: motion", check_choice, self.motion, *MOTIONS)
         if (self.half_width is None) == (self.sigma is None):
             raise ValueError(
                 f"{whose} needs one of half_width and sigma, the width over which "
@@ -293,7 +293,7 @@ class Flow:
 
     def __post_init__(self):
         whose = f"flow {self.name!r}: "
-        named(f"{whose}distribution", choice(*DISTRIBUTIONS), self.distribution)
+        named(f"{whose}distribution", check_choice, self.distribution, *DISTRIBUTIONS)
         if self.positions is not None:
             positions = tuple(float(p) for p in self.positions)
             if self.speed != 0 or not all(p >= 0 for p in positions):
