@@ -233,7 +233,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             In mas/yr.
         """
         if self.max_speed is not None:
-            return u.Quantity(self.max_speed)
+            return self.max_speed
         radius, fwhm = self.search_radius(cube)
         return plan.largest_speed(cube, radius, self.baseline) * fwhm * PM_UNIT
 
@@ -345,7 +345,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             decompositions = decomposing.decompose_epochs(
                 cube, decomposer, n_workers=workers, progress_bar=progress_bar
             )
-            ssps, select = plan.ssps_inside(decompositions, cube, inside)
+            ssps, select = decomposing.ssps_inside(decompositions, cube, inside)
             windows = int(select.sum()) * (len(cube) - 1)
             decomposing.refuse_too_much(cube, decomposer, workers, n_windows=windows)
             with progress(len(cube), "Correlating", show=progress_bar) as done:

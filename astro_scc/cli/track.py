@@ -12,8 +12,12 @@ from astro_scc.cli import inputs
 from astro_scc.cli.summary import plus_minus, speed_lines, table_lines
 from astro_scc.kinematics import apparent_speed
 from astro_scc.measurement import product_folder, versions, write_votable
-from astro_scc.measurement.decomposing import decompose_epochs, matching_time
-from astro_scc.measurement.plan import mean_fwhm, ssps_inside, warn_of_none_inside
+from astro_scc.measurement.decomposing import (
+    decompose_epochs,
+    matching_time,
+    ssps_inside,
+)
+from astro_scc.measurement.plan import mean_fwhm, warn_of_none_inside
 from astro_scc.measurement.products import plain_meta
 from astro_scc.tracking import FeatureTracker, plain_table
 from astro_scc.visualization import plot_separation, plot_track_profile, plot_tracks

@@ -2,6 +2,7 @@
 """What the images tell about how to measure them: alignment, scales, direction."""
 
 import warnings
+from contextlib import suppress
 
 import astropy.units as u
 import numpy as np
@@ -63,12 +64,10 @@ def choose_alignment(cube):
         return "none", "the images do not show how well they are aligned"
     if scatter < MISALIGNED:
         return "none", f"the epochs are aligned to {scatter:.2f} beams"
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", AstroSccWarning)
-            on_core = cube.align("core").misalignment
-    except ValueError:
-        on_core = None
+    on_core = None
+    with suppress(ValueError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", AstroSccWarning)
+        on_core = cube.align("core").misalignment
     if on_core is None or on_core >= scatter:
         return "none", f"the epochs scatter by {scatter:.2f} beams, no less on the core"
     reason = f"the epochs scatter by {scatter:.2f} beams, {on_core:.2f} on the core"

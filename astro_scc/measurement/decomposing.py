@@ -76,8 +76,6 @@ def allow_for_structure(cube, decomposer):
             return decomposer
     share = np.sort(shares, axis=0)[-most]
     full = share > 0
-    if not full.any():
-        return decomposer
     scales = ", ".join(f"{scale:g}" for scale in np.array(decomposer.scales)[full])
     warnings.warn(
         f"the images are full of structure on scale {scales}: {share[full].min():.0%} "
@@ -144,13 +142,10 @@ def matching_time(cube, decomposer, reach, *, region=None, n_targets=None):
     n_ssps : float
         SSPs of all epochs in the region.
     """
-    from astro_scc.measurement.plan import centroids_inside
-
     n = len(cube)
     n_targets = n - 1 if n_targets is None else min(n_targets, n - 1)
     sample = np.unique(np.linspace(0, n - 1, SAMPLE).astype(int))
-    ssps = SSPs.of_epochs(decompose_epochs(cube[sample], decomposer))
-    inside = centroids_inside(ssps, cube, region)
+    ssps, inside = ssps_inside(decompose_epochs(cube[sample], decomposer), cube, region)
     pixels = sum(
         _window_pixels(ssps.bbox[of_scale], inside[of_scale], reach)
         for of_scale in (ssps.scale == scale for scale in decomposer.scales)
@@ -261,3 +256,45 @@ def _decompose(epoch):
     """Decompose one epoch, given as the arguments of one task."""
     decomposer, image, mask, rms, beam_covariance = epoch
     return decomposer(image, mask=mask, rms=rms, beam_covariance=beam_covariance)
+
+
+def ssps_inside(decompositions, cube, region):
+    """
+    Return the SSPs of all epochs, and which of them have centroids in a region.
+
+    Parameters
+    ----------
+    decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+    cube : `~astro_scc.epochs.EpochCube`
+    region : optional
+        Anything that ``cube.region_mask`` takes, or None for everything.
+
+    Returns
+    -------
+    ssps : `~astro_scc.decomposition.SSPs`
+    select : `~numpy.ndarray` of bool, shape (n_ssps,)
+    """
+    ssps = SSPs.of_epochs(decompositions)
+    return ssps, centroids_inside(ssps, cube, region)
+
+
+def centroids_inside(ssps, cube, region):
+    """
+    Return which SSPs have their centroid in a region.
+
+    Parameters
+    ----------
+    ssps : `~astro_scc.decomposition.SSPs`
+    cube : `~astro_scc.epochs.EpochCube`
+    region : optional
+        Anything that ``cube.region_mask`` takes, or None for everything.
+
+    Returns
+    -------
+    `~numpy.ndarray` of bool, shape (n_ssps,)
+    """
+    if region is None:
+        return np.ones(len(ssps), bool)
+    inside, centroid = cube.region_mask(region), (ssps.y_centroid, ssps.x_centroid)
+    pixel = np.rint(centroid).astype(int).T
+    return inside[tuple(np.clip(pixel, 0, np.array(inside.shape) - 1).T)]

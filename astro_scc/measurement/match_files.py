@@ -8,7 +8,6 @@ import json
 import shutil
 import warnings
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -25,18 +24,14 @@ from astro_scc.partial import replace_when_complete
 
 #: What the files are, in their headers and in messages.
 MATCHES = "astro_scc matches"
-#: What each part is called in messages.
+#: What parts are called in messages, where their names do not say it.
 NAMES = {
     "data": "images",
     "mask": "masks",
     "wcs": "coordinates",
-    "beams": "beams",
     "decomposition": "settings of the decomposition",
     "correlation": "settings of the correlation",
-    "noise": "noise",
     "reach": "largest displacement",
-    "region": "region",
-    "versions": "versions",
 }
 
 
@@ -126,10 +121,10 @@ class MatchedEpochs:
                 "these matches have no provenance and cannot be written: get them from "
                 "StackedCrossCorrelation.match"
             )
-        provenance = dict(self.provenance)
-        if provenance.pop("selected") != selection_digest(self.select):
+        provenance, selected = self.provenance, selection_digest(self.select)
+        if provenance["selected"] != selected:
             # No region that can be requested gives SSPs that were selected later.
-            provenance["region"] = "chosen SSPs"
+            provenance = provenance | {"region": "chosen SSPs", "selected": selected}
         parts = replace(self, cube=None, provenance=provenance)
         write_object(parts, path, creator=MATCHES, overwrite=overwrite)
 
@@ -169,8 +164,7 @@ class MatchedEpochs:
         if stale:
             what = ", ".join(NAMES.get(name, name) for name in stale)
             raise ValueError(f"{path}: is of other {what}; match the epochs again")
-        provenance = {**found, "selected": selection_digest(parts.select)}
-        return replace(parts, cube=cube, provenance=provenance)
+        return replace(parts, cube=cube)
 
 
 class MatchCache:
@@ -190,8 +184,9 @@ class MatchCache:
 
     def __init__(self, path, provenance):
         path = Path(path)
+        self.digest = _of_text(json.dumps(provenance, sort_keys=True))[:16]
         if path.suffix.lower() != ".fits":
-            path = path / f"matches-{digest_of(provenance)}.fits"
+            path = path / f"matches-{self.digest}.fits"
         self.path, self.provenance = path, provenance
         self.blocks = path.with_name(path.name + ".blocks")
 
@@ -229,12 +224,11 @@ class MatchCache:
         """Write the matches, and delete their blocks."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         matched.write(self.path, overwrite=True)
-        with suppress(FileNotFoundError):
-            shutil.rmtree(self.blocks)
+        shutil.rmtree(self.blocks, ignore_errors=True)
 
     def _file(self, number):
         # The versions in the provenance cover how blocks are cut.
-        return self.blocks / f"{digest_of(self.provenance)}-{number}.npz"
+        return self.blocks / f"{self.digest}-{number}.npz"
 
     def __contains__(self, number):
         return self._file(number).exists()
@@ -246,7 +240,7 @@ class MatchCache:
     def __setitem__(self, number, columns):
         self.blocks.mkdir(parents=True, exist_ok=True)
         for path in self.blocks.glob("*.npz"):
-            if not path.name.startswith(digest_of(self.provenance)):
+            if not path.name.startswith(self.digest):
                 path.unlink(missing_ok=True)
         with replace_when_complete(self._file(number), overwrite=True) as part:
             np.savez(part, *columns)
@@ -308,11 +302,6 @@ def match_provenance(cube, decomposer, correlator, reach, inside):
     }
     # Give it the types that it will have when it is read.
     return json.loads(json.dumps(made))
-
-
-def digest_of(provenance):
-    """Return a short digest of a provenance, 16 hexadecimal digits."""
-    return _of_text(json.dumps(provenance, sort_keys=True))[:16]
 
 
 def selection_digest(select):

@@ -12,10 +12,11 @@ from astropy.coordinates import SkyCoord
 from numpy.typing import ArrayLike
 
 from astro_scc import stacking
-from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.decomposition import scale_size
 from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import RidgeLine
+from astro_scc.measurement.decomposing import centroids_inside
 from astro_scc.measurement.match_files import MatchedEpochs
 from astro_scc.settings import require
 from astro_scc.stacking.search_settings import DEFAULT
@@ -275,48 +276,6 @@ def map_grid(displacements, pairs, limit):
     return stacking.VelocityGrid.covering(limit, steps)
 
 
-def ssps_inside(decompositions, cube, region):
-    """
-    Return the SSPs of all epochs, and which of them have centroids in a region.
-
-    Parameters
-    ----------
-    decompositions : sequence of `~astro_scc.decomposition.Decomposition`
-    cube : `~astro_scc.epochs.EpochCube`
-    region : optional
-        Anything that ``cube.region_mask`` takes, or None for everything.
-
-    Returns
-    -------
-    ssps : `~astro_scc.decomposition.SSPs`
-    select : `~numpy.ndarray` of bool, shape (n_ssps,)
-    """
-    ssps = SSPs.of_epochs(decompositions)
-    return ssps, centroids_inside(ssps, cube, region)
-
-
-def centroids_inside(ssps, cube, region):
-    """
-    Return which SSPs have their centroid in a region.
-
-    Parameters
-    ----------
-    ssps : `~astro_scc.decomposition.SSPs`
-    cube : `~astro_scc.epochs.EpochCube`
-    region : optional
-        Anything that ``cube.region_mask`` takes, or None for everything.
-
-    Returns
-    -------
-    `~numpy.ndarray` of bool, shape (n_ssps,)
-    """
-    if region is None:
-        return np.ones(len(ssps), bool)
-    inside, centroid = cube.region_mask(region), (ssps.y_centroid, ssps.x_centroid)
-    pixel = np.rint(centroid).astype(int).T
-    return inside[tuple(np.clip(pixel, 0, np.array(inside.shape) - 1).T)]
-
-
 def flow_direction(matched):
     """
     Return the position angle of the mean offset of the SSPs, weighted by flux.
@@ -408,9 +367,7 @@ def select_ssps(
     >>> bool(0 < inner.select.sum() < matched.select.sum())
     True
     """
-    select = matched.select.copy()
-    if region is not None:
-        select &= centroids_inside(matched.ssps, matched.cube, region)
+    select = matched.select & centroids_inside(matched.ssps, matched.cube, region)
     if r_min is not None or r_max is not None:
         low = 0 * u.mas if r_min is None else u.Quantity(r_min)
         high = np.inf * u.mas if r_max is None else u.Quantity(r_max)

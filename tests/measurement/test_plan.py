@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from astro_scc import Beam, EpochCube
 from astro_scc.decomposition import Decomposer, scale_size
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.decomposing import decompose_epochs
+from astro_scc.measurement.decomposing import decompose_epochs, ssps_inside
 from astro_scc.measurement.plan import (
     flow_direction,
     map_grid,
@@ -24,7 +24,6 @@ from astro_scc.measurement.plan import (
     scales_of_pixels,
     search_radius,
     search_reach,
-    ssps_inside,
 )
 from astro_scc.stacking import consecutive_pairs
 
