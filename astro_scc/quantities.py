@@ -300,16 +300,19 @@ def check_boolean(value):
     return bool(value)
 
 
+def _converted(value, convert, kind):
+    try:
+        # A truth value is no number here, as None is none anywhere.
+        return convert(None if isinstance(value, bool) else value)
+    except OverflowError:
+        return math.inf
+    except (TypeError, ValueError):
+        raise ValueError(f"must be a {kind}") from None
+
+
 def check_number(value, low=-math.inf, high=math.inf, wanted=""):
     """Return a finite number between two limits, which are not allowed themselves."""
-    try:
-        if isinstance(value, bool):
-            raise TypeError
-        number = float(value)
-    except (TypeError, ValueError):
-        raise ValueError("must be a number") from None
-    except OverflowError:
-        number = math.inf
+    number = _converted(value, float, "number")
     if not math.isfinite(number):
         raise ValueError("must be a finite number")
     if not low < number < high:
@@ -319,12 +322,8 @@ def check_number(value, low=-math.inf, high=math.inf, wanted=""):
 
 def check_integer(value, least, most=math.inf):
     """Return a whole number in a range, limits included."""
-    try:
-        if isinstance(value, bool):
-            raise TypeError
-        number = int(value) if isinstance(value, str) else operator.index(value)
-    except (TypeError, ValueError):
-        raise ValueError("must be a whole number") from None
+    convert = int if isinstance(value, str) else operator.index
+    number = _converted(value, convert, "whole number")
     if not least <= number <= most:
         limit = "or more" if most == math.inf else f"to {most}"
         raise ValueError(f"must be {least} {limit}")

@@ -382,12 +382,10 @@ class Settings(MeasurementSettings):
 
 
 def _plain(value):
-    if hasattr(value, "unit"):
-        if value.shape:
-            return [_plain(item) for item in value]
-        return f"{float(value.value)!r} {value.unit}"
-    if isinstance(value, tuple | list):
+    if getattr(value, "shape", ()) or isinstance(value, tuple | list):
         return [_plain(item) for item in value]
+    if hasattr(value, "unit"):
+        return f"{float(value.value)!r} {value.unit}"
     # Whole numbers read better without a point, and TOML cannot hold numpy's.
     if isinstance(value, float):
         return int(value) if value.is_integer() and abs(value) < 1e15 else float(value)

@@ -189,28 +189,21 @@ def settings_of(args, reporter, *, unused=(), **defaults):
         If a setting is invalid, settings contradict each other, or there are no
         epochs.
     """
-    given = {}
-    if args.config:
-        given, written_by = read_config(args.config)
-        _compare_versions(written_by, args.config, reporter)
-    for name in unused:
-        given.pop(name, None)
+    given, written_by = read_config(args.config) if args.config else ({}, {})
+    now = versions()
+    other = ", ".join(
+        f"{name} {version} (here {now.get(name, 'none')})"
+        for name, version in written_by.items()
+        if now.get(name) != version
+    )
+    if other:
+        reporter.note(f"{args.config} was written with {other}: numbers may differ")
+    given = {name: value for name, value in given.items() if name not in unused}
     own = {k: v for k, v in vars(args).items() if k in OPTIONS and v not in (None, [])}
     settings = Settings(**defaults | override(given, own))
     if not settings.epochs:
         raise ValueError("no epochs were given; name the FITS files, or a --config")
     return settings
-
-
-def _compare_versions(written_by, file, reporter):
-    now = versions()
-    other = [
-        f"{name} {version} (here {now.get(name, 'none')})"
-        for name, version in written_by.items()
-        if now.get(name) != version
-    ]
-    if other:
-        reporter.note(f"{file} was written with {', '.join(other)}: numbers may differ")
 
 
 def _ignore(text):

@@ -210,7 +210,11 @@ def _source(name, folder, given, base):
     if "redshift" not in given:
         given.pop("cosmology", None)
     if "scales" not in given and groups:
-        given["scales"] = _all_scales(list(groups.values()))
+        if len({hasattr(group, "unit") for group in groups.values()}) > 1:
+            raise ValueError(
+                "scale_groups must be all numbers or all angles, or give scales"
+            )
+        given["scales"] = np.unique(np.concatenate([*groups.values()]))
     settings = Settings(**given)
     if not settings.epochs:
         raise ValueError("has no epochs; name the FITS files")
@@ -226,15 +230,6 @@ def _source(name, folder, given, base):
     regions = {label: file and str(base / file) for label, file in regions.items()}
     groups = groups or {WHOLE: settings.scales}
     return Source(name, folder, settings, regions, groups, published)
-
-
-def _all_scales(groups):
-    if len({hasattr(group, "unit") for group in groups}) > 1:
-        raise ValueError(
-            "scale_groups must be all numbers or all angles, or give scales"
-        )
-    every = np.unique(np.concatenate(groups))
-    return every if hasattr(every, "unit") else tuple(every.tolist())
 
 
 def tell_time_of(sources, reporter, n_workers):
@@ -257,24 +252,21 @@ def tell_time_of(sources, reporter, n_workers):
 
 
 def _time_of(sources):
-    seconds, n = 0.0, len(sources)
     for first in sorted(sources, key=Source.size, reverse=True):
         with suppress(Exception), warnings.catch_warnings():
             # Whatever is wrong is told when the source is measured.
             warnings.simplefilter("ignore")
-            shared, alone, _ = inputs.measuring_time(
-                *inputs.read_epochs(first.settings)[:2]
-            )
+            epochs = inputs.read_epochs(first.settings)
+            shared, alone, _ = inputs.measuring_time(*epochs[:2])
             break
     else:
         return 0.0, 0.0, ""
+    seconds, stacking = 0.0, alone - inputs.REPORT
     for source in sources:
         # The time grows with the square of the number of epochs.
         part, n_parts = (source.size() / first.size()) ** 2, len(source.parts)
-        seconds += (
-            part * (shared + n_parts * (alone - inputs.REPORT))
-            + n_parts * inputs.REPORT
-        )
+        seconds += part * (shared + n_parts * stacking) + n_parts * inputs.REPORT
+    n = len(sources)
     return seconds, 0.0, f"{n} {'source' if n == 1 else 'sources'}"
 
 

@@ -11,12 +11,7 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
 from astro_scc.cli.summary import plus_minus, speed_lines, table_lines
 from astro_scc.kinematics import apparent_speed
-from astro_scc.measurement import product_folder, versions, write_votable
-from astro_scc.measurement.decomposing import (
-    decompose_epochs,
-    matching_time,
-    ssps_inside,
-)
+from astro_scc.measurement import decomposing, product_folder, versions, write_votable
 from astro_scc.measurement.plan import mean_fwhm, warn_of_none_inside
 from astro_scc.measurement.products import plain_meta
 from astro_scc.tracking import FeatureTracker, plain_table
@@ -91,7 +86,7 @@ def _tracking_time(cube, decomposer, tracker, settings):
     reach = np.minimum(reach, np.array(cube.shape[1:]) - 1)
     orders = settings.n_trials + 1
     number = {"n_targets": steps * orders, "region": settings.region}
-    shared, n_ssps = matching_time(cube, decomposer, reach, **number)
+    shared, n_ssps = decomposing.matching_time(cube, decomposer, reach, **number)
     alone = LINK * orders * n_ssps + inputs.REPORT + inputs.READ * len(cube)
     what = f"{len(cube)} epochs with about {inputs.rounded(n_ssps)} patterns"
     return shared, alone, what
@@ -102,8 +97,8 @@ def _track(cube, decomposer, tracker, settings, reporter, n_workers):
     region = settings.region
     inside = None if region is None else cube.region_mask(region)
     how = {"n_workers": n_workers, "progress_bar": reporter.progress}
-    decompositions = decompose_epochs(cube, decomposer, **how)
-    ssps, select = ssps_inside(decompositions, cube, inside)
+    decompositions = decomposing.decompose_epochs(cube, decomposer, **how)
+    ssps, select = decomposing.ssps_inside(decompositions, cube, inside)
     warn_of_none_inside(ssps, select, region)
     how |= {"n_trials": settings.n_trials, "rng": settings.seed}
     return tracker(cube, decompositions, select=select, **how)
@@ -152,12 +147,11 @@ def _summary(tracking):
     tracks = tracking.tracks
     rows = []
     for share in tracking.shares:
-        every = share.scale is None
-        n_tracks = len(tracks) if every else np.sum(tracks["scale"] == share.scale)
+        own = tracks["scale"] == share.scale
         rows.append(
             {
-                "scale": "all" if every else f"{share.scale:g}",
-                "tracks": str(n_tracks),
+                "scale": "all" if share.scale is None else f"{share.scale:g}",
+                "tracks": str(len(tracks) if share.scale is None else np.sum(own)),
                 "SSPs": str(share.n_ssps),
                 "linked": f"{share.share:.2f} ± {share.share_err:.2f}",
                 "if permuted": f"{share.permuted:.2f} ± {share.permuted_err:.2f}",
