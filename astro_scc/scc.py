@@ -408,7 +408,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             In mas, for the selected SSPs.
         frame : frame of `astro_scc.kinematics`
         """
-        frame, _ = velocity_frame(matched, self.position_angle)
+        frame = velocity_frame(matched, self.position_angle)
         of = matched.matches, matched.ssps, matched.cube, frame, self.min_error_beams
         return angular_displacements(*of, select=matched.select), frame
 

@@ -16,6 +16,7 @@ from astro_scc.kinematics import RadialFrame, RidgeLine, SkyFrame
 from astro_scc.kinematics.ridge_search import limb_masks, mean_width
 from astro_scc.measurement import MatchedEpochs, SCCResult, select_ssps
 from astro_scc.measurement.axes import projection_of
+from astro_scc.measurement.plan import flow_direction
 from astro_scc.measurement.stacking import velocity_frame
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.stacking.dispersion import feature_speeds, scattered_fit
@@ -301,7 +302,8 @@ def ssp_places(scc, matched):
         jet's; the offset across the jet, positive towards larger position
         angles; and the distance along it.
     """
-    frame, jet = velocity_frame(matched, scc.position_angle)
+    frame = velocity_frame(matched, scc.position_angle)
+    jet = flow_direction(matched, frame)
     angle, east, north = ssp_angles(matched, jet)
     if isinstance(frame, RidgeLine):
         distance, offset = (v.value for v in frame.coordinates(*[east, north] * u.mas))

@@ -15,7 +15,7 @@ from astro_scc import stacking
 from astro_scc.decomposition import scale_size
 from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.kinematics import RidgeLine
+from astro_scc.kinematics import PositionAngleFrame, RidgeLine
 from astro_scc.measurement.decomposing import centroids_inside
 from astro_scc.measurement.match_files import MatchedEpochs
 from astro_scc.settings import require
@@ -276,19 +276,25 @@ def map_grid(displacements, pairs, limit):
     return stacking.VelocityGrid.covering(limit, steps)
 
 
-def flow_direction(matched):
+def flow_direction(matched, frame=None):
     """
-    Return the position angle of the mean offset of the SSPs, weighted by flux.
+    Return the direction of the jet.
+
+    It is that of the velocity axes, if they have one position angle, or that of the
+    mean offset of the SSPs, weighted by flux.
 
     Parameters
     ----------
     matched : `~astro_scc.measurement.MatchedEpochs`
+    frame : frame of `astro_scc.kinematics`, optional
 
     Returns
     -------
     `~astropy.units.Quantity`
         North through east, 0 to 360 deg.
     """
+    if isinstance(frame, PositionAngleFrame):
+        return frame.pa
     use = matched.select
     east, north = ssp_offsets(matched.ssps, matched.cube)
     weight = matched.ssps.flux[use]

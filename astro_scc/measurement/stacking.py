@@ -72,9 +72,8 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     cube, baseline, alpha = matched.cube, settings.baseline, settings.alpha
     pairs, max_speed = settings.date_pairs(cube), settings.largest_speed
     radius, fwhm = settings.search_radius(cube)
-    frame, angle = velocity_frame(matched, settings.position_angle)
-    of = matched.matches, matched.ssps, cube, frame, settings.min_error_beams
-    samples = axes.angular_displacements(*of, select=matched.select)
+    samples, frame = settings.displacements(matched)
+    angle = flow_direction(matched, frame)
     project = axes.AxisProjection(samples, cube, frame)
     known = not isinstance(frame, kinematics.SkyFrame)
     n_axes = 1 if known else DEFAULT.n_axes
@@ -207,21 +206,18 @@ def velocity_frame(matched, position_angle):
 
     Returns
     -------
-    frame : frame of `astro_scc.kinematics`
-    angle : `~astropy.units.Quantity`
-        Direction of the jet.
+    frame of `astro_scc.kinematics`
     """
-    if isinstance(position_angle, str) and position_angle == "fit":
-        position_angle, _ = kinematics.fit_position_angle(matched.cube)
-    if isinstance(position_angle, u.Quantity):
-        position_angle = kinematics.PositionAngleFrame(position_angle)
-    if isinstance(position_angle, kinematics.PositionAngleFrame):
-        return position_angle, position_angle.pa
-    angle = flow_direction(matched)
-    if position_angle is not None and not isinstance(position_angle, str):
-        return position_angle, angle
-    if position_angle == "ridge":
-        return kinematics.find_ridge_line(matched.cube), angle
-    if position_angle == "radial":
-        return kinematics.RadialFrame(), angle
-    return kinematics.SkyFrame(), angle
+    match position_angle:
+        case u.Quantity():
+            return kinematics.PositionAngleFrame(position_angle)
+        case "fit":
+            angle, _ = kinematics.fit_position_angle(matched.cube)
+            return kinematics.PositionAngleFrame(angle)
+        case "ridge":
+            return kinematics.find_ridge_line(matched.cube)
+        case "radial":
+            return kinematics.RadialFrame()
+        case None | "any":
+            return kinematics.SkyFrame()
+    return position_angle
