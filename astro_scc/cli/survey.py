@@ -14,6 +14,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -224,28 +225,23 @@ def _outcomes(every, output, report, n_workers, done, begin, progress_bar):
     """Return the outcomes of the sources, in their order."""
     found = [finished_outcomes(source, output, report) for source in every]
     left = [k for k, outcomes in enumerate(found) if outcomes is None]
+    before = [pair for pair in enumerate(found) if pair[0] not in left]
+    measure = partial(measure_source, output=output, report=report)
     with (
         parallel.workers_of(n_workers) as workers,
         progress(len(every), "Sources", show=progress_bar) as step,
     ):
-
-        def finish(k, before):
-            step(1)
-            if done is not None:
-                done(every[k].name, found[k], before)
-
-        for k in (k for k, outcomes in enumerate(found) if outcomes is not None):
-            finish(k, True)
         if begin is not None:
             begin([every[k] for k in left])
-        measure = partial(measure_source, output=output, report=report)
-        work = (every[k] for k in left)
-        for i, outcomes in parallel.as_done(measure, work, workers):
+        new = parallel.as_done(measure, (every[k] for k in left), workers)
+        for k, outcomes in chain(before, ((left[i], own) for i, own in new)):
             if isinstance(outcomes, Exception):
                 # The worker failed, not the measurement: it died, or its disk is full.
-                outcomes = _failed(every[left[i]], outcomes)
-            found[left[i]] = outcomes
-            finish(left[i], False)
+                outcomes = _failed(every[k], outcomes)
+            found[k] = outcomes
+            step(1)
+            if done is not None:
+                done(every[k].name, outcomes, k not in left)
     return [outcome for outcomes in found for outcome in outcomes]
 
 
@@ -342,14 +338,15 @@ def _measure(source, output, part, report, said):
     first, last = cube.times.isot[[0, -1]].tolist()
     seen = {"n_epochs": len(cube), "first": first, "last": last}
     for region, group in source.parts:
-        names, message = (source.name, region, group), failed.get(region, "")
-        outcomes.append(Outcome(*names, "failed", message, **seen))
+        outcome = partial(Outcome, source.name, region, group, **seen)
         if region in failed:
+            outcomes.append(outcome("failed", failed[region]))
             continue
         where = Path(SOURCES, source.folder, regions[region], groups[group])
         folder = part / regions[region] / groups[group]
         folder.mkdir(parents=True)
-        title = [source.name, *(name for name in names[1:] if name != sources.WHOLE)]
+        names = (name for name in (region, group) if name != sources.WHOLE)
+        title = [source.name, *names]
         page = {"title": ", ".join(title), "report": report, "left_out": left_out}
         own, before = {"region": source.regions[region]}, len(said)
         if (scales := source.scale_groups[group]) is not None:
@@ -365,14 +362,13 @@ def _measure(source, output, part, report, said):
         except Exception as error:
             shutil.rmtree(folder)
             _note_error(part, f"{region}, {group}:\n")
-            outcomes[-1] = replace(outcomes[-1], message=_reason(error))
+            outcomes.append(outcome("failed", _reason(error)))
             continue
         status, message = "measured", ""
         if len(components) == 0:
             searched = result.matched.select.any()
             status, message = "empty", NO_MATCH if searched else NO_PATTERN
-        found = {"status": status, "message": message, "folder": where.as_posix()}
-        outcomes[-1] = replace(outcomes[-1], **found)
+        outcomes.append(outcome(status, message, where.as_posix()))
     return outcomes
 
 
