@@ -185,24 +185,11 @@ def named(name, parse, value, *more):
     except ValueError as error:
         # A command-line option is named as it is typed.
         name = name if name.startswith("--") else f"{name} ="
-        raise type(error)(f"{name} {shortened(value)} {error}") from None
-
-
-def shortened(value):
-    """
-    Return a value as text that fits on one line.
-
-    Parameters
-    ----------
-    value : object
-
-    Returns
-    -------
-    str
-    """
-    text = str(value) if hasattr(value, "unit") else repr(value)
-    text = " ".join(text.split())
-    return text if len(text) < 80 else f"{text[:70]}..."
+        # The value must fit on the line.
+        text = str(value) if hasattr(value, "unit") else repr(value)
+        text = " ".join(text.split())
+        text = text if len(text) < 80 else f"{text[:70]}..."
+        raise type(error)(f"{name} {text} {error}") from None
 
 
 def to_time(text):

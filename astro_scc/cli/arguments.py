@@ -27,6 +27,8 @@ FLOW = {
 }
 #: A default folder: the names of the object and of the command.
 OF_OBJECT = "OBJECT-COMMAND"
+#: Help of ``--overwrite``.
+OVERWRITE = "replace what is in the folder under the same names"
 #: An option of a setting that is on or off.
 SWITCH = "true|false"
 
@@ -82,18 +84,12 @@ def add_output(
         help=f"folder for {what}" + (f"; default {default}" if default else ""),
     )
     if overwrite:
-        add_overwrite(parser)
+        add_switches(parser, overwrite=OVERWRITE)
     if votable:
         text = f"write {votable} too, for TOPCAT, STILTS and Aladin"
         add_switches(parser, votable=text)
     if report:
         add_switches(parser, no_report="write no report.html and figures")
-
-
-def add_overwrite(parser):
-    """Add ``--overwrite``."""
-    text = "replace what is in the folder under the same names"
-    add_switches(parser, overwrite=text)
 
 
 def add_workers(parser):
@@ -146,7 +142,7 @@ def simulate(parser):
     """
     parser.add_argument("jet", choices=JETS, metavar="JET", help="one of those below")
     parser.add_argument("output", metavar="DIR", help="folder for the images")
-    add_overwrite(parser)
+    add_switches(parser, overwrite=OVERWRITE)
     add_setting(parser, "seed")
     text = (
         "number of epochs; default 10, 30 days apart, and of a jet 15 at uneven "

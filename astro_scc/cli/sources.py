@@ -314,9 +314,7 @@ def survey_table(outcomes, output):
         See `~astro_scc.cli.survey.run_survey`.
     """
     tables = {
-        outcome: QTable.read(
-            Path(output, outcome.folder, "components.ecsv"), format="ascii.ecsv"
-        )
+        outcome: inputs.read_table(Path(output, outcome.folder, "components.ecsv"))
         for outcome in outcomes
         if outcome.folder
     }

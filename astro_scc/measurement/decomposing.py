@@ -148,7 +148,7 @@ def matching_time(cube, decomposer, reach, *, region=None, n_targets=None):
     ssps, inside = ssps_inside(decompose_epochs(cube[sample], decomposer), cube, region)
     pixels = sum(
         _window_pixels(ssps.bbox[of_scale], inside[of_scale], reach)
-        for of_scale in (ssps.scale == scale for scale in decomposer.scales)
+        for of_scale in (ssps.scale == scale for scale in np.unique(ssps.scale))
     )
     of_all = n / len(sample)
     compiled = find_spec("numba") and of_all * inside.sum() * n_targets > COMPILE_FROM
@@ -160,8 +160,6 @@ def matching_time(cube, decomposer, reach, *, region=None, n_targets=None):
 
 def _window_pixels(boxes, inside, reach):
     """Return the pixels of the windows of the SSPs of one scale that are inside."""
-    if len(boxes) == 0:
-        return 0.0
     low, high, reach = boxes[:, :2], boxes[:, 2:], np.asarray(reach) + 1
     # A window ends where no SSP of the scale can be reached.
     start = np.maximum(low - reach, low.min(axis=0) - (high - low))

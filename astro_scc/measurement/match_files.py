@@ -287,15 +287,12 @@ def match_provenance(cube, decomposer, correlator, reach, inside):
         Text, numbers and lists, which JSON can hold.  The dates of the epochs
         enter only through their order and through ``reach``.
     """
-    facts = [
-        (rms, None if beam is None else np.asarray(beam).tolist())
-        for rms, beam in noise_facts(cube, decomposer)
-    ]
+    noise = noise_facts(cube, decomposer)
     made = {
         **image_provenance(cube),
         "decomposition": asdict(decomposer),
         "correlation": asdict(correlator),
-        "noise": _of_text(facts),
+        "noise": _of_text([(rms, np.asarray(beam).tolist()) for rms, beam in noise]),
         "reach": list(reach),
         "region": "everything" if inside is None else _of_array(np.packbits(inside)),
         "versions": versions(),

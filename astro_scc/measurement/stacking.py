@@ -106,9 +106,8 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     # The stack of the paper, its z-score and its peaks.
     grid = map_grid(samples, pairs, max(limit, 1.2 * fastest))
     maps = PairMaps.of(samples, grid.v_max, pairs.interval.max())
-    few, shift = min(n_trials, PAPER_TRIALS), None
-    if settings.small_displacement_correction:
-        shift = (SMALL_SHIFT * fwhm,) * 2
+    few, small = min(n_trials, PAPER_TRIALS), settings.small_displacement_correction
+    shift = (SMALL_SHIFT * fwhm,) * 2 if small else None
     with progress(few, "Permuting", show=progress_bar) as done:
         how = {"rng": paper_rng, "shift": shift, "progress": done}
         permuted = permute_stacks(maps, pairs, grid, few, **how)
