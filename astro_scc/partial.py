@@ -13,8 +13,8 @@ from pathlib import Path
 
 __all__ = ["hold", "is_held", "partial_folder", "remove_left", "replace_when_complete"]
 
-#: Seconds for which a folder must be held to count as held.
-PATIENCE = 1.0
+#: Seconds for which a folder must be held to count as held, and number of trials.
+PATIENCE, TRIES = 1.0, 50
 
 
 @contextmanager
@@ -54,15 +54,14 @@ def partial_folder(parent, prefix):
     """
     remove_left(parent, prefix)
     with ExitStack() as stack:
-        folder = None
-        # Before it is held, another process may remove it as left behind.
-        while folder is None or not folder.exists():
+        while True:
             folder = Path(parent) / f"{prefix}{_machine()}-{secrets.token_hex(4)}"
             folder.mkdir()
-            try:
+            # Before it is held, another process may remove it as left behind.
+            with suppress(BlockingIOError):
                 stack.enter_context(hold(folder))
-            except BlockingIOError:
-                folder = None
+                if folder.exists():
+                    break
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
         yield folder
 
@@ -120,14 +119,10 @@ def remove_left(parent, prefix):
     list of `~pathlib.Path`
         The folders with this prefix that remain.
     """
-    try:
-        paths = sorted(Path(parent).iterdir())
-    except OSError:
-        return []
     # Eight digits of the machine, and eight random ones.
     names = re.compile(re.escape(prefix) + "[0-9a-f]{8}-[0-9a-f]{8}")
     stay = []
-    for path in paths:
+    for path in sorted(Path(parent).glob("*")):
         if not names.fullmatch(path.name) or path.is_symlink() or not path.is_dir():
             continue
         with suppress(OSError), hold(path) as held:
@@ -194,12 +189,8 @@ def is_held(folder):
     bool
         False also if that cannot be known.
     """
-    limit = time.monotonic() + PATIENCE
-    while True:
-        try:
-            with hold(folder):
-                return False
-        except BlockingIOError:
-            if time.monotonic() > limit:
-                return True
-            time.sleep(PATIENCE / 50)
+    for _ in range(TRIES):
+        with suppress(BlockingIOError), hold(folder):
+            return False
+        time.sleep(PATIENCE / TRIES)
+    return True

@@ -224,34 +224,30 @@ def search_reach(cube, pairs, radius, fwhm, max_speed):
     # Pixels may not be square: (x, y) sides.
     side, shape = np.hypot(*cube.pixel_matrix.value), np.array(cube.shape[1:])
     if max_speed is not None:
-        _check_speed(max_speed, pairs.interval, side, shape)
-        farthest = max(farthest, max_speed * pairs.interval.max() + BEYOND * fwhm)
+        shortest, longest = pairs.interval.min(), pairs.interval.max()
+        least, most = max_speed * shortest, max_speed * longest
+        if least > MOST_MOTION * np.hypot(*(side * shape[::-1])):
+            raise ValueError(
+                f"max_speed moves {least:.3g} mas in the shortest interval "
+                f"({shortest:.3g} yr), more than {MOST_MOTION} times the image: give "
+                "a smaller one"
+            )
+        in_longest = f"{most:.3g} mas in the longest interval ({longest:.3g} yr)"
+        if most < LEAST_MOTION * side.min():
+            raise ValueError(
+                f"max_speed moves {in_longest}, less than {LEAST_MOTION:g} of a pixel: "
+                "give a larger one, or a baseline with longer intervals"
+            )
+        if np.any(most / side > (shape.max() - 1) // 2):
+            warnings.warn(
+                f"the largest speed moves {in_longest}, more than half the image: give "
+                "a smaller max_speed, or a baseline that leaves out long intervals",
+                MeasurementWarning,
+                stacklevel=6,
+            )
+        farthest = max(farthest, most + BEYOND * fwhm)
     reach = np.ceil(farthest / side).astype(int)[::-1]
     return tuple(np.minimum(reach, shape - 1).tolist())
-
-
-def _check_speed(speed, intervals, side, shape):
-    shortest, longest = intervals.min(), intervals.max()
-    if speed * shortest > MOST_MOTION * np.hypot(*(side * shape[::-1])):
-        raise ValueError(
-            f"max_speed moves {speed * shortest:.3g} mas in the shortest interval "
-            f"({shortest:.3g} yr), more than {MOST_MOTION} times the image: give a "
-            "smaller one"
-        )
-    if speed * longest < LEAST_MOTION * side.min():
-        raise ValueError(
-            f"max_speed moves {speed * longest:.3g} mas in the longest interval "
-            f"({longest:.3g} yr), less than {LEAST_MOTION:g} of a pixel: give a "
-            "larger one, or a baseline with longer intervals"
-        )
-    if np.any(speed * longest / side > (shape.max() - 1) // 2):
-        warnings.warn(
-            f"the largest speed moves {speed * longest:.3g} mas in the longest "
-            f"interval ({longest:.3g} yr), more than half the image: give a smaller "
-            "max_speed, or a baseline that leaves out long intervals",
-            MeasurementWarning,
-            stacklevel=7,
-        )
 
 
 def map_grid(displacements, pairs, limit):
