@@ -38,16 +38,15 @@ def progress(total, label, *, show=True):
     """
     if not show or total == 0:
         yield lambda number: None
-        return
     # A notebook is not a terminal, but it can show the bar.
-    if not (sys.stderr.isatty() or "ipykernel" in sys.modules):
+    elif sys.stderr.isatty() or "ipykernel" in sys.modules:
+        from tqdm import tqdm
+
+        with tqdm(total=total, desc=label, dynamic_ncols=True) as bar:
+            yield bar.update
+    else:
         with _lines(total, label) as update:
             yield update
-        return
-    from tqdm import tqdm
-
-    with tqdm(total=total, desc=label, dynamic_ncols=True) as bar:
-        yield bar.update
 
 
 @contextmanager
