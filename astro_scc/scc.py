@@ -233,7 +233,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             In mas/yr.
         """
         if self.max_speed is not None:
-            return self.max_speed
+            return u.Quantity(self.max_speed)
         radius, fwhm = self.search_radius(cube)
         return plan.largest_speed(cube, radius, self.baseline) * fwhm * PM_UNIT
 
