@@ -45,10 +45,8 @@ PAPER = {
 }
 P_FDR = "p_global adjusted for all searches: share of false discoveries up to it"
 
-#: Every column of the velocity components: unit or type, and meaning.
-COLUMNS = {
-    "component": (int, "number of the component, as in the other tables"),
-    "kind": ("U15", "moving, stationary (within its errors) or not significant"),
+#: Columns of a proper motion: unit, and meaning.
+MOTION = {
     "pm_ra_cosdec": (PM_UNIT, "proper motion to the east"),
     "pm_ra_cosdec_err": (PM_UNIT, "standard error of pm_ra_cosdec"),
     "pm_dec": (PM_UNIT, "proper motion to the north"),
@@ -57,6 +55,12 @@ COLUMNS = {
     "pm_err": (PM_UNIT, "standard error of pm"),
     "pm_pa": (u.deg, "direction of the proper motion, north through east"),
     "pm_pa_err": (u.deg, "standard error of pm_pa"),
+}
+#: Every column of the velocity components: unit or type, and meaning.
+COLUMNS = {
+    "component": (int, "number of the component, as in the other tables"),
+    "kind": ("U15", "moving, stationary (within its errors) or not significant"),
+    **MOTION,
     "pm_parallel": (PM_UNIT, "proper motion along the jet"),
     "pm_parallel_err": (PM_UNIT, "standard error of pm_parallel"),
     "pm_transverse": (

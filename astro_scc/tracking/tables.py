@@ -10,6 +10,7 @@ from astropy.utils.masked import Masked
 
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.kinematics.frames import axes_along
+from astro_scc.measurement.tables import MOTION, build_table
 from astro_scc.tracking.motion import (
     SIGNIFICANT,
     ejection_epoch,
@@ -20,46 +21,39 @@ from astro_scc.units import PM_UNIT, round_to_errors
 
 PM_DOT_UNIT = u.mas / u.yr**2
 
-#: Columns of the tracks: name, unit or type, and description.  Dates are given by the
-#: number of the epoch.
-COLUMNS = (
-    ("track", "U64", "name: date, scale and place of the first feature"),
-    ("scale", float, "wavelet scale number"),
-    ("n_epochs", int, "epochs at which the feature is seen"),
-    ("first", Time, "date of the first one"),
-    ("last", Time, "date of the last one"),
-    ("n_gaps", int, "epochs between them at which it is not seen"),
-    ("flux", "brightness", "median of the fluxes, sums of wavelet coefficients"),
-    ("r", u.mas, "mean distance from the reference pixel"),
-    ("pa", u.deg, "position angle of the mean position, north through east"),
-    ("middle", u.yr, "Julian year that position and motion refer to"),
-    ("east", u.mas, "fitted offset to the east at that date"),
-    ("north", u.mas, "fitted offset to the north at that date"),
-    ("pm_ra_cosdec", PM_UNIT, "proper motion to the east"),
-    ("pm_ra_cosdec_err", PM_UNIT, "standard error of pm_ra_cosdec"),
-    ("pm_dec", PM_UNIT, "proper motion to the north"),
-    ("pm_dec_err", PM_UNIT, "standard error of pm_dec"),
-    ("pm", PM_UNIT, "proper motion, its length"),
-    ("pm_err", PM_UNIT, "standard error of pm"),
-    ("pm_pa", u.deg, "direction of the proper motion, north through east"),
-    ("pm_pa_err", u.deg, "standard error of pm_pa"),
-    ("turn", u.deg, "angle between the position angle and the motion"),
-    ("scatter_east", u.mas, "robust scatter about the straight line"),
-    ("scatter_north", u.mas, "robust scatter about the straight line"),
-    ("pm_dot_parallel", PM_DOT_UNIT, "acceleration along the motion"),
-    ("pm_dot_parallel_err", PM_DOT_UNIT, "standard error of pm_dot_parallel"),
-    ("pm_dot_transverse", PM_DOT_UNIT, "acceleration to larger position angles"),
-    ("pm_dot_transverse_err", PM_DOT_UNIT, "standard error of pm_dot_transverse"),
-    ("accelerated", bool, "an acceleration of three standard errors or more"),
-    ("t_ej", u.yr, "Julian year at which the feature passed the reference pixel"),
-    ("t_ej_err", u.yr, "standard error of t_ej"),
-    ("coefficient", float, "mean correlation of its links"),
-    ("gain", float, "mean log-likelihood by which its links better no link"),
-    ("n_merges", int, "other features that went into it"),
-    ("n_splits", int, "other features that came out of it"),
-    ("merges_into", "U64", "track that it goes into at its end"),
-    ("splits_from", "U64", "track that it comes out of at its beginning"),
-)
+#: Columns of the tracks: unit or type, and description.  Dates are given by the number
+#: of the epoch, and fluxes have the unit of the cube.
+COLUMNS = {
+    "track": ("U64", "name: date, scale and place of the first feature"),
+    "scale": (float, "wavelet scale number"),
+    "n_epochs": (int, "epochs at which the feature is seen"),
+    "first": (int, "date of the first one"),
+    "last": (int, "date of the last one"),
+    "n_gaps": (int, "epochs between them at which it is not seen"),
+    "flux": (None, "median of the fluxes, sums of wavelet coefficients"),
+    "r": (u.mas, "mean distance from the reference pixel"),
+    "pa": (u.deg, "position angle of the mean position, north through east"),
+    "middle": (u.yr, "Julian year that position and motion refer to"),
+    "east": (u.mas, "fitted offset to the east at that date"),
+    "north": (u.mas, "fitted offset to the north at that date"),
+    **MOTION,
+    "turn": (u.deg, "angle between the position angle and the motion"),
+    "scatter_east": (u.mas, "robust scatter about the straight line"),
+    "scatter_north": (u.mas, "robust scatter about the straight line"),
+    "pm_dot_parallel": (PM_DOT_UNIT, "acceleration along the motion"),
+    "pm_dot_parallel_err": (PM_DOT_UNIT, "standard error of pm_dot_parallel"),
+    "pm_dot_transverse": (PM_DOT_UNIT, "acceleration to larger position angles"),
+    "pm_dot_transverse_err": (PM_DOT_UNIT, "standard error of pm_dot_transverse"),
+    "accelerated": (bool, "an acceleration of three standard errors or more"),
+    "t_ej": (u.yr, "Julian year at which the feature passed the reference pixel"),
+    "t_ej_err": (u.yr, "standard error of t_ej"),
+    "coefficient": (float, "mean correlation of its links"),
+    "gain": (float, "mean log-likelihood by which its links better no link"),
+    "n_merges": (int, "other features that went into it"),
+    "n_splits": (int, "other features that came out of it"),
+    "merges_into": ("U64", "track that it goes into at its end"),
+    "splits_from": ("U64", "track that it comes out of at its beginning"),
+}
 #: Prefixes of the columns that not every track has.
 PARTIAL = ("pm_dot", "t_ej")
 
@@ -67,21 +61,16 @@ PARTIAL = ("pm_dot", "t_ej")
 def track_table(tracking):
     """Return the table of tracks, one row each, with all columns even if empty."""
     cube = tracking.cube
-    rows = [_motion_row(tracking, number) for number in range(tracking.n_tracks)]
-    table = QTable()
-    columns = zip(*rows, strict=True) if rows else [()] * len(COLUMNS)
-    for (name, kind, description), values in zip(COLUMNS, columns, strict=True):
-        unit = cube.unit if kind == "brightness" else kind
-        if isinstance(unit, u.UnitBase):
-            column = np.array(values, dtype=float)
-            if name.startswith(PARTIAL):
-                column = Masked(np.nan_to_num(column), mask=np.isnan(column))
-            table[name] = column * unit
-        elif kind is Time:
-            dates = cube.times[np.array(values, dtype=int)]
-            table[name] = Time(dates, format="isot")
-        else:
-            table[name] = np.array(values, dtype=kind)
+    rows = [
+        dict(zip(COLUMNS, _motion_row(tracking, number), strict=True))
+        for number in range(tracking.n_tracks)
+    ]
+    table = build_table(rows, COLUMNS | {"flux": (cube.unit, COLUMNS["flux"][1])})
+    for name, (_, description) in COLUMNS.items():
+        if name in ("first", "last"):
+            table[name] = Time(cube.times[table[name]], format="isot")
+        elif name.startswith(PARTIAL):
+            table[name] = Masked(table[name])
         table[name].info.description = description
     return name_by_frame(round_to_errors(table), cube)
 
