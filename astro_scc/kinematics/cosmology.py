@@ -15,6 +15,7 @@ from astro_scc.units import round_to_errors
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW, FlatLambdaCDM
+    from astropy.table import QTable
 
 #: Redshift of the microwave background, beyond which nothing can be seen.
 LAST_SCATTERING = 1090
@@ -224,6 +225,44 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
         }
     table.meta.update(how)
     return round_to_errors(table)
+
+
+class ComponentsInC:
+    """A result with the table ``components``, which can be in units of c."""
+
+    def components_in_c(
+        self, *, redshift: float | str | u.Quantity | None = None,
+        cosmology: FLRW | str | dict | None = None,
+        distance: u.Quantity | str | None = None,
+    ) -> QTable:  # fmt: skip
+        """
+        Return the components with apparent speeds in units of c.
+
+        Parameters
+        ----------
+        redshift : float, str or `~astropy.units.Quantity`, optional
+        cosmology : `~astropy.cosmology.FLRW` or str, optional
+            Cosmology for the redshift, or its name; by default
+            `~astro_scc.kinematics.paper_cosmology`.
+        distance : `~astropy.units.Quantity` or str, optional
+            Distance of a nearby source, instead of a redshift.
+
+        Returns
+        -------
+        `~astropy.table.QTable`
+            `components` with the columns ``beta_app`` and ``beta_app_err``,
+            the speed ``pm`` in units of c, see
+            `~astro_scc.kinematics.apparent_speed`.  The meta holds the redshift
+            and cosmology, or the distance.
+
+        Raises
+        ------
+        ValueError
+            If neither a redshift nor a distance is given, or if one is invalid.
+        """
+        return table_in_c(
+            self.components, redshift=redshift, cosmology=cosmology, distance=distance
+        )
 
 
 def _how(redshift, cosmology, distance):
