@@ -16,8 +16,8 @@ from astropy.table import QTable
 from astro_scc.epochs import EpochCube
 from astro_scc.flow.groups import ssp_angles
 from astro_scc.flow.models import fit_profile
-from astro_scc.kinematics import RidgeLine, apparent_speed
-from astro_scc.kinematics.cosmology import ComponentsInC
+from astro_scc.kinematics import RidgeLine
+from astro_scc.kinematics.cosmology import ComponentsInC, beta_per_pm
 from astro_scc.measurement import (
     MatchedEpochs,
     SCCResult,
@@ -287,18 +287,14 @@ def _figures(profile, components):
     from astro_scc.visualization.profiles import plot_position_angles, plot_scale_maps
 
     results = [result for result in profile.results if result is not None]
-    first, beta = results[0], None
-    how = {k: components.meta.get(k) for k in ("redshift", "cosmology", "distance")}
-    if any(value is not None for value in how.values()):
-        beta = float(apparent_speed(1 * u.mas / u.yr, **how))
-    maps, grid = _scale_maps(results)
+    first, (maps, grid) = results[0], _scale_maps(results)
     return {
         "profile": plot_profile(
             components,
             cube=first.cube,
             line=_line_of(first, profile.bins.max()),
             fits=_fits(profile.main),
-            beta_per_pm=beta,
+            beta_per_pm=beta_per_pm(components),
         ),
         "velocity_maps": plot_scale_maps(
             maps, grid, axis_names=tuple(first.frame.axis_names)

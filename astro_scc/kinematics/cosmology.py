@@ -11,7 +11,7 @@ import numpy as np
 from astropy import constants
 
 from astro_scc.quantities import NUMBER, named, parse_quantities, to_quantity
-from astro_scc.units import round_to_errors
+from astro_scc.units import PM_UNIT, round_to_errors
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW, FlatLambdaCDM
@@ -225,6 +225,24 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
         }
     table.meta.update(how)
     return round_to_errors(table)
+
+
+def beta_per_pm(table):
+    """
+    Return the speed in units of c of 1 mas/yr at the source of a table.
+
+    Parameters
+    ----------
+    table : `~astropy.table.QTable`
+
+    Returns
+    -------
+    float or None
+        None if its meta has neither a redshift nor a distance, see `table_in_c`.
+    """
+    how = {name: table.meta.get(name) for name in ("redshift", "cosmology", "distance")}
+    known = any(value is not None for value in how.values())
+    return float(apparent_speed(1 * PM_UNIT, **how)) if known else None
 
 
 class ComponentsInC:

@@ -4,7 +4,7 @@
 import math
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from itertools import islice, product
+from itertools import count, islice, product
 from typing import Any
 
 import astropy.units as u
@@ -371,10 +371,7 @@ def smallest_p(n_epochs):
 
 def epochs_needed(level):
     """Return the fewest epochs with which a moving component can reach a level."""
-    n_epochs = 2
-    while smallest_p(n_epochs) > level:
-        n_epochs += 1
-    return n_epochs
+    return next(n for n in count(2) if smallest_p(n) <= level)
 
 
 def share(number, of):

@@ -2,7 +2,6 @@
 """Write a measurement, or a survey, as one page; the templates have the sentences."""
 
 import io
-import math
 from base64 import b64encode
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,12 +12,14 @@ from astropy.table import QTable
 
 from astro_scc.flow import feature_profile, measure_acceleration
 from astro_scc.flow.groups import compare_scales
+from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.sensitivity import sensitivity_line
 from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
 from astro_scc.report import tables
-from astro_scc.units import PM_UNIT, in_easy_units, unit_name
+from astro_scc.stacking.permutations import number_of_permutations
+from astro_scc.units import in_easy_units, unit_name
 
 #: Other products that the folder may hold, in the order of the page.
 PRODUCTS = (
@@ -109,7 +110,7 @@ def write_report(
         tables=tables.component_tables(easy),
         epochs=tables.epoch_columns(result),
         settings=meta.pop("settings", {}) | meta,
-        smallest_of_epochs=2 / math.factorial(min(len(result.cube), 20)),
+        smallest_of_epochs=1 / number_of_permutations(len(result.cube)),
         fast=fast_components(result, easy),
         flow=flow_lines(result),
         depends=sensitivity_line(result.sensitivity),
@@ -196,7 +197,7 @@ def draw_figures(result, components, *, pdf=False):
     from astro_scc import visualization as show
     from astro_scc.visualization.features import plot_sensitivity
 
-    per_pm = {"beta_per_pm": _beta_per_pm(components)}
+    per_pm = {"beta_per_pm": beta_per_pm(components)}
     shared = {"components": components}
     figures = {
         "diagram": show.plot_diagram(result, **shared),
@@ -222,15 +223,6 @@ def draw_figures(result, components, *, pdf=False):
             figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata[kind])
             found[f"{name}.{kind}"] = buffer.getvalue()
     return found
-
-
-def _beta_per_pm(components):
-    """Return the apparent speed in units of c of 1 mas/yr, if the table gives it."""
-    if "beta_app" not in components.colnames:
-        return None
-    speeds = components["pm"].to_value(PM_UNIT), components["beta_app"].value
-    ratios = [beta / pm for pm, beta in zip(*speeds, strict=True) if min(pm, beta) > 0]
-    return float(ratios[0]) if ratios else None
 
 
 def flow_lines(result):
