@@ -5,8 +5,8 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.decomposition import scale_size
-from astro_scc.epochs.positions import axis_words, ssp_offsets
-from astro_scc.units import offset_unit, unit_name
+from astro_scc.epochs.positions import axis_words, sky_columns, ssp_offsets
+from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import style
 
 #: Colour of masked pixels, which is not among the greys of the image.
@@ -318,6 +318,31 @@ def ssp_place(table):
 
 
 # -- displacement and interval -----------------------------------------------------
+
+
+def ray_slopes(components, kinds, angle):
+    """
+    Return the slopes of the components' rays in the diagram.
+
+    Parameters
+    ----------
+    components : `~astropy.table.QTable`
+    kinds : sequence of str
+    angle : `~astropy.units.Quantity`, float or None
+        Position angle of the displacement, in degrees; None if it is along the jet.
+
+    Returns
+    -------
+    `~numpy.ndarray`
+        In mas/yr.  That of a stationary component is zero, as is its speed within its
+        errors.
+    """
+    slopes = components["pm_parallel"].to_value(PM_UNIT)
+    if angle is not None:
+        sky = (components[name].to_value(PM_UNIT) for name in sky_columns(components))
+        angle = u.Quantity(angle, u.deg).to_value(u.rad)
+        slopes = np.array([np.sin(angle), np.cos(angle)]) @ [*sky]
+    return np.where(np.array(kinds) == "stationary", 0.0, slopes)
 
 
 def longest_interval(years, slopes, kinds, reach):

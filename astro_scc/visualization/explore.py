@@ -99,6 +99,8 @@ class Page:
     def __init__(self, components, features, ssps, hdus, cube):
         self.components, self.hdus, self.cube, self.notes = components, hdus, cube, []
         self.kinds = style.component_kinds(components)
+        angle = hdus["DIAGRAM"].header.get("DISPPA")
+        self.slopes = drawing.ray_slopes(components, self.kinds, angle)
         seen = QTable.read(hdus["FEATURES"])
         if len(features) > FEATURES:
             longest = np.argsort(-features["n_epochs"], kind="stable")[:FEATURES]
@@ -148,7 +150,7 @@ class Page:
     def _feature_columns(self, points):
         table, speed = self.table, self.table["pm"].to_value(self.length / u.yr)
         # Speeds are positive along the first component.
-        towards = -1.0 if np.any(self._slopes()[:1] < 0) else 1.0
+        towards = -1.0 if np.any(self.slopes[:1] < 0) else 1.0
         columns = {name: [] for name in ("xs", "ys", "ts", "ds", "lt", "ld", "ry")}
         for k, sign in enumerate(self.sign):
             x, y, t, d = (points[name][self.row == k] for name in "xytd")
@@ -176,17 +178,6 @@ class Page:
         distance = self.sign[self.row] * self.seen["distance"].to_value(self.length)
         columns = {"row": self.row, "x": x, "y": y, "t": time, "d": distance}
         return columns | self._look(self.seen["component"])
-
-    def _slopes(self):
-        """Return the speeds of the components along the displacement, in mas/yr."""
-        angle = self.hdus["DIAGRAM"].header.get("DISPPA")
-        slopes = self.components["pm_parallel"].to_value(PM_UNIT)
-        if angle is not None:
-            sky = [self.components[k] for k in sky_columns(self.components)]
-            east, north = (v.to_value(PM_UNIT) for v in sky)
-            angle = np.radians(angle)
-            slopes = east * np.sin(angle) + north * np.cos(angle)
-        return np.where(np.array(self.kinds) == "stationary", 0.0, slopes)
 
     # -- parts of panels -----------------------------------------------------------
 
@@ -382,8 +373,8 @@ class Page:
         hdu, bins = self.hdus["DIAGRAM"], self.hdus["INTERVALS"].data
         used = bins["n_pairs"] > 0
         years, excess = bins["interval"][used].astype(float), hdu.data[:, used]
-        half, slopes = hdu.header["CDELT2"] * len(excess) / 2, self._slopes()
-        longest = drawing.longest_interval(years, slopes, self.kinds, half)
+        half = hdu.header["CDELT2"] * len(excess) / 2
+        longest = drawing.longest_interval(years, self.slopes, self.kinds, half)
         time = time_unit(longest)
         right, top = u.yr.to(time, longest), u.mas.to(self.length, half)
         plot = self._figure(
@@ -400,7 +391,7 @@ class Page:
         self.features.data["rx"] = [[0, v] for v in life]
         lines = self._lines(plot, "rx", "ry")
         for number, slope, kind in zip(
-            self.components["component"], slopes, self.kinds, strict=True
+            self.components["component"], self.slopes, self.kinds, strict=True
         ):
             end = min(longest, half / abs(slope)) if slope else longest
             ray = np.array([u.yr.to(time, end), u.mas.to(self.length, slope * end)])

@@ -403,12 +403,7 @@ def plot_diagram(
     image = result.diagram()
     components = result.components if components is None else components
     kinds = style.component_kinds(components)
-    velocities = [result.velocities[int(k) - 1] for k in components["component"]]
-    # The speed of a stationary component is zero within its errors.
-    slopes = [
-        0.0 if kind == "stationary" else float(image.meta["direction"] @ velocity.value)
-        for kind, velocity in zip(kinds, velocities, strict=True)
-    ]
+    slopes = drawing.ray_slopes(components, kinds, image.meta["position_angle"])
     _, displacement = image.wcs.pixel_to_world_values(0, np.arange(len(image.data)))
     unit = offset_unit(displacement[-1], unit)
     seen = image.meta["n_pairs"] > 0
@@ -427,11 +422,10 @@ def plot_diagram(
     ax.set(xlim=(0, u.yr.to(time, longest)), ylim=(-top, top))
     factor = PM_UNIT.to(unit / time)
     speed_in = speed_unit(components["pm"].to_value(PM_UNIT).max(initial=0.0))
-    for row, kind, slope, velocity in zip(
-        components, kinds, slopes, velocities, strict=True
-    ):
+    for row, kind, slope in zip(components, kinds, slopes, strict=True):
         label = f"{row['component']}: {speed_text(row, kind, speed_in)}"
-        spread = 0.0 if kind == "stationary" else np.nan_to_num(velocity.dispersion)
+        spread = np.nan_to_num(row["dispersion"].to_value(PM_UNIT))
+        spread = 0.0 if kind == "stationary" else spread
         _draw_ray(ax, slope * factor, spread * factor, kind, label)
     if kinds:
         corner = "lower right" if slopes[0] >= 0 else "upper right"

@@ -2,7 +2,6 @@
 """The displacement-interval diagram: its colours, rays and letters."""
 
 import io
-from dataclasses import replace
 from itertools import combinations
 
 import astropy.units as u
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from astro_scc.stacking.errors import StreamVelocity
 from astro_scc.visualization import plot_diagram
 
 
@@ -24,25 +22,25 @@ def legend(figure):
     return [text.get_text() for text in ax.get_legend().get_texts()]
 
 
-def velocity(east, north=0.0, dispersion=0.0):
-    error = 0.01 * np.eye(2)
-    return StreamVelocity(np.array([east, north]), error, 0 * error, dispersion, 0.1)
-
-
 @pytest.fixture(scope="module")
 def drawn(result):
     """Draw some velocities along the jet as components of some kinds."""
 
     def draw(*streams, **settings):
         kinds = [kind for kind, *_ in streams]
-        velocities = tuple(velocity(*values) for _, *values in streams)
+        values = np.zeros((len(streams), 3)) * u.mas / u.yr
+        for own, (_, *given) in zip(values.value, streams, strict=True):
+            own[: len(given)] = given
+        along, across, dispersion = values.T
         rows = result.components[[0] * len(streams)]
         rows["component"] = np.arange(1, len(streams) + 1)
         rows["kind"] = kinds
-        rows["pm"] = [np.hypot(*v.value) for v in velocities] * u.mas / u.yr
+        # The axes are orthogonal, so their transpose leads back to the sky.
+        sky = result.frame.matrix().T @ values[:, :2].T
+        rows["pm_ra_cosdec"], rows["pm_dec"] = sky
+        rows["pm"], rows["dispersion"] = np.hypot(along, across), dispersion
         rows["pm_err"] = 0.1 * u.mas / u.yr
-        other = replace(result, velocities=velocities)
-        return plot_diagram(other, components=rows, **settings)
+        return plot_diagram(result, components=rows, **settings)
 
     return draw
 

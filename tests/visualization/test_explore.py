@@ -252,7 +252,7 @@ def test_features_lie_around_their_component(name, results):
         assert speeds.max() + 0.1 >= first[axis].to_value(page.pm_unit)
     # Their rays lie on the side of the diagram on which the component's is.
     ends = np.array([y[-1] for y in columns["ry"]])[own]
-    assert np.all(np.sign(ends) == np.sign(page._slopes()[0]))
+    assert np.all(np.sign(ends) == np.sign(page.slopes[0]))
     document = page.document()
     assert [root.name for root in document.roots][1:] == [
         "velocity", "sky", "diagram", "time", "table",
