@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """How the main speed depends on epochs, intervals, scales, places and features."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -10,8 +10,12 @@ from scipy.special import stdtr, stdtrit
 from astro_scc.measurement.axes import alignment_errors, projection_of
 from astro_scc.measurement.tables import build_table
 from astro_scc.quantities import with_error
-from astro_scc.stacking import Feature, Stream, dispersion
-from astro_scc.stacking.errors import alignment_response, velocity_of
+from astro_scc.stacking import dispersion
+from astro_scc.stacking.errors import (
+    alignment_response,
+    feature_weights,
+    velocity_of,
+)
 from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.units import (
     PM_UNIT,
@@ -100,35 +104,20 @@ def sensitivity_line(table):
     return what + ", ".join(parts) if parts else ""
 
 
-@dataclass(frozen=True, eq=False)
 class _Line:
     """The SSPs to which the straight line of a feature was fitted."""
 
-    feature: Feature
-    used: np.ndarray
-    years: np.ndarray
-    epoch: np.ndarray
-    place: np.ndarray
-
-    @classmethod
-    def of(cls, feature, samples):
-        """Return the line of a feature, without the SSPs near standing features."""
-        epoch = samples.epoch[feature.ssp]
-        years = samples.years[epoch]
+    def __init__(self, feature, samples):
+        self.feature, self.epoch = feature, samples.epoch[feature.ssp]
+        self.years = samples.years[self.epoch]
+        self.place = samples.position[feature.ssp, 0]
         used = feature.response != 0
         # At the mean date, an SSP does not affect the speed of the whole line.
-        used |= np.isclose(years, years[used].mean(), atol=1e-6)
-        return cls(feature, used, years, epoch, samples.position[feature.ssp, 0])
-
-    @property
-    def intervals(self):
-        """Time between all pairs of epochs of the feature, shape (n, n)."""
-        return self.years[:, None] - self.years
-
-    @property
-    def sigma(self):
-        """Standard error of a position, in beams."""
-        return self.feature.error / np.linalg.norm(self.feature.response)
+        self.used = used | np.isclose(self.years, self.years[used].mean(), atol=1e-6)
+        #: Time between all pairs of epochs of the feature, shape (n, n).
+        self.intervals = self.years[:, None] - self.years
+        #: Standard error of a position, in beams.
+        self.sigma = feature.error / np.linalg.norm(feature.response)
 
     def refitted(self, use):
         """
@@ -160,44 +149,29 @@ class _Line:
         )
 
 
-@dataclass(frozen=True, eq=False)
 class _Main:
     """The first component: its stream, and the lines of its features."""
 
-    stream: Stream
-    lines: list
-    beam: np.ndarray
-    misaligned: np.ndarray
-    epoch: np.ndarray
-    scale: np.ndarray
-    peak: np.ndarray
-    dates: list
+    def __init__(self, stream, samples, beam, misaligned, ssps, dates):
+        self.stream, self.beam, self.misaligned = stream, beam, misaligned
+        self.epoch, self.dates = ssps.epoch, list(dates)
+        self.lines = [_Line(feature, samples) for feature in stream.features]
+        self.scale = np.array([ssps.scale[f.ssp[0]] for f in stream.features])
+        self.peak = np.array([np.mean(ssps.peak[f.ssp]) for f in stream.features])
+        #: Unit vector along the stream on the axes of the frame.
+        self.axis = np.array([np.cos(stream.angle), np.sin(stream.angle)])
 
     @classmethod
     def of(cls, result):
         """Return the first component of a result."""
-        stream, cube, ssps = result.search.streams[0], result.cube, result.matched.ssps
-        project = projection_of(result)
-        samples = project(stream.angle)
-        dates = cube.times.strftime("%Y-%m-%d")
+        stream, times = result.search.streams[0], result.cube.times
+        project, dates = projection_of(result), times.strftime("%Y-%m-%d")
         if len(set(dates)) < len(dates):
-            dates = cube.times.strftime("%Y-%m-%d %H:%M")
+            dates = times.strftime("%Y-%m-%d %H:%M")
         error = result.meta["settings"].get("alignment_error")
-        return cls(
-            stream=stream,
-            lines=[_Line.of(feature, samples) for feature in stream.features],
-            beam=project.beam(stream.angle),
-            misaligned=alignment_errors(cube, error),
-            epoch=ssps.epoch,
-            scale=np.array([ssps.scale[f.ssp[0]] for f in stream.features]),
-            peak=np.array([np.mean(ssps.peak[f.ssp]) for f in stream.features]),
-            dates=list(dates),
-        )
-
-    @property
-    def axis(self):
-        """Unit vector along the stream on the axes of the frame."""
-        return np.array([np.cos(self.stream.angle), np.sin(self.stream.angle)])
+        misaligned, ssps = alignment_errors(result.cube, error), result.matched.ssps
+        of = project(stream.angle), project.beam(stream.angle)
+        return cls(stream, *of, misaligned, ssps, dates)
 
     def row(self, choice, use):
         """
@@ -254,7 +228,7 @@ class _Main:
         (1946, Biometrics Bull. 2, 110).
         """
         n, settings, main = len(new), DEFAULT, self.stream.along
-        before, after = _weights(self.stream), iter(_weights(stream))
+        before, after = feature_weights(self.stream), iter(feature_weights(stream))
         of_speeds, of_places, degrees = 0.0, 0.0, 0
         scatter = dispersion.variance_with_prior(n, main.mean, main.dispersion)
         for line, feature, old in zip(self.lines, new, before, strict=True):
@@ -274,13 +248,6 @@ class _Main:
         freedom = total**2 / (of_speeds**2 / n + of_places**2 / degrees or 1.0)
         variance = total * self.beam[0] ** 2 + misaligned @ self.axis**2
         return np.sqrt(variance), max(freedom, 1.0)
-
-
-def _weights(stream):
-    """Return the weights of the features of a stream in their mean speed."""
-    _, error = dispersion.feature_speeds(stream.features)
-    weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
-    return weight / weight.sum()
 
 
 def _choices(main):

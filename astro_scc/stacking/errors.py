@@ -91,13 +91,16 @@ def alignment_response(stream, epoch, n_epochs):
         In 1/yr.
     """
     response = np.zeros(n_epochs)
-    if not stream.features:
-        return response
-    _, error = feature_speeds(stream.features)
-    weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
-    for feature, w in zip(stream.features, weight / weight.sum(), strict=True):
+    for feature, w in zip(stream.features, feature_weights(stream), strict=True):
         response[epoch[feature.ssp]] += w * feature.response
     return response
+
+
+def feature_weights(stream):
+    """Return the weights of a stream's features in its mean speed; their sum is 1."""
+    _, error = feature_speeds(stream.features)
+    weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
+    return weight / weight.sum()
 
 
 def jackknife_covariance(estimates):
