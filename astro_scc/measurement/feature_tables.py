@@ -126,10 +126,7 @@ def feature_table(result):
     table["pm_err"] = np.hypot(
         table["pm_err"], DEFAULT.pulled_error * pulled * table["pm"]
     )
-    along, across = (
-        [getattr(f, name) for f in features] * width
-        for name, width in zip(("speed", "across"), beam / u.yr, strict=True)
-    )
+    along, across = (_sense(result) * table[name] for name in ("pm", "pm_transverse"))
     on_map = {
         "pm_axis1": np.cos(angle) * along - np.sin(angle) * across,
         "pm_axis2": np.sin(angle) * along + np.cos(angle) * across,

@@ -16,7 +16,7 @@ from astro_scc.quantities import with_error
 from astro_scc.stacking.dispersion import error_of_speed
 from astro_scc.units import PM_UNIT, offset_unit, speed_unit, time_unit, unit_name
 from astro_scc.visualization import drawing, style
-from astro_scc.visualization.velocity import AXIS_LABELS, MAP_LABELS
+from astro_scc.visualization.velocity import MAP_LABELS, velocity_labels
 
 try:
     import bokeh.models as models
@@ -275,13 +275,12 @@ class Page:
         return models.Column(row, text, **WIDE)
 
     def _velocity(self):
-        header, unit = self.hdus[0].header, unit_name(self.pm_unit)
+        header = self.hdus[0].header
         axes = [header[f"CNAME{k}"] for k in (1, 2)]
-        labels = [f"{AXIS_LABELS.get(axis, axis)} ({unit})" for axis in axes]
+        labels = velocity_labels(axes, self.words, self.pm_unit)
         names, on_sky = ("pm_parallel", "pm_transverse"), axes[0] in ("east", "lon")
         if on_sky:
             names = sky_columns(self.components)
-            labels = drawing.axis_labels("Proper motion", self.words, self.pm_unit)
         plot = self._figure(*labels, on_sky=on_sky, match_aspect=True)
         data = np.round(np.nan_to_num(self.hdus[0].data), 3).astype(np.float32)
         highest = float(data.max()) if data.max() > 0 else 1.0

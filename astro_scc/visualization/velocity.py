@@ -96,7 +96,7 @@ def plot_velocity_map(
     drawn = draw_map(ax, getattr(result, which), result.grid, unit)
     if on_sky(result) and axis_words(result.cube)[2]:
         ax.invert_xaxis()
-    across, up = _axis_labels(result, unit)
+    across, up = velocity_labels(result.frame.axis_names, axis_words(result.cube), unit)
     ax.set(xlabel=across, ylabel=up)
     place = _draw_components(ax, result, components, unit)
     crowd = {
@@ -132,10 +132,11 @@ def on_sky(result):
     return tuple(result.frame.axis_names) == ("east", "north")
 
 
-def _axis_labels(result, unit):
-    if on_sky(result):
-        return drawing.axis_labels("Proper motion", axis_words(result.cube), unit)
-    names = (AXIS_LABELS.get(n, f"Proper motion, {n}") for n in result.frame.axis_names)
+def velocity_labels(names, words, unit):
+    """Return the labels of the axes of velocities, of the sky by where they point."""
+    if names[0] in ("east", "lon"):
+        return drawing.axis_labels("Proper motion", words, unit)
+    names = (AXIS_LABELS.get(name, f"Proper motion, {name}") for name in names)
     return [f"{name} ({unit_name(unit)})" for name in names]
 
 
@@ -251,7 +252,7 @@ def plot_significance(
     ax.set_xlim(speed[0], speed[-1])
     top = max(np.nanmax(highest, initial=1.0), *components["z_score"], 1.0)
     ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
-    label, _ = _axis_labels(result, unit)
+    label, _ = velocity_labels(result.frame.axis_names, axis_words(result.cube), unit)
     if on_sky(result):
         angle = result.position_angle.to_value(u.deg) % 360
         label = f"Proper motion along position angle {angle:.0f} deg"
