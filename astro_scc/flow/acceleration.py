@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -131,48 +130,18 @@ def measure_acceleration(result: SCCResult, row: int = 0) -> FlowAcceleration:
     if not 0 <= row < len(streams):
         raise ValueError(f"row must be from 0 to {len(streams) - 1}, got {row}")
     stream = streams[row]
-    found = fit_gradient(stream.features)
     beam = float(projection_of(result).beam(stream.angle)[0]) * u.mas
-    speed = abs(found.speed) * beam / u.yr
-    gradient, error = (
-        u.Quantity(x / beam * speed, "1/yr") for x in (found.gradient, found.error)
-    )
-    return FlowAcceleration(
-        speed=speed.to(u.mas / u.yr),
-        centre=abs(found.centre) * beam,
-        gradient=gradient,
-        gradient_err=error,
-        acceleration=(gradient * speed).to(u.mas / u.yr**2),
-        acceleration_err=(error * speed).to(u.mas / u.yr**2),
-        p_value=found.p_value,
-        n_features=found.n_features,
-    )
+    return fit_gradient(stream.features, beam)
 
 
-class Gradient(NamedTuple):
-    """
-    Gradient of the speed along a flow, in beams and years.
-
-    ``gradient`` and its ``error`` are relative to the mean speed, in 1/beam;
-    ``p_value`` is the probability of as large a gradient of either sign if there is
-    none.  They are NaN if too few features are seen.
-    """
-
-    gradient: float
-    error: float
-    p_value: float
-    speed: float
-    centre: float
-    n_features: int
-
-
-def fit_gradient(features):
+def fit_gradient(features, beam):
     """
     Fit the gradient of the speed along a flow to its features.
 
     Two estimates are combined: the slope of the features' speeds against distance,
     and the mean ratio of their own accelerations to their speeds.  Features within
-    two beams of the origin, where the core shifts them, are not used.
+    two beams of the origin, where the core shifts them, are not used.  All is NaN if too
+    few are left.
     """
     beyond = [f for f in features if f.place * np.sign(f.speed) > CORE]
     n, found = len(beyond), []
@@ -189,14 +158,26 @@ def fit_gradient(features):
         error *= DEFAULT.error_inflation
         (mean,), covariance, _, _ = scattered_fit(np.ones((len(bent), 1)), own, error)
         found.append((mean, covariance[0, 0], len(bent) - 1))
-    if not found:
-        return Gradient(*[np.nan] * 5, n)
-    values, variances, freedom = np.array(found).T
-    weight, speed = 1 / variances, v.mean()
-    gradient = (weight * values).sum() / weight.sum() / abs(speed)
-    error = np.hypot(1 / np.sqrt(weight.sum()) / abs(speed), BLENDS)
-    p_value = 2 * stdtr(freedom.sum(), -abs(gradient) / error)
-    return Gradient(*map(float, (gradient, error, p_value, speed, place.mean())), n)
+    gradient = error = speed = centre = p_value = np.nan
+    if found:
+        values, variances, freedom = np.array(found).T
+        # The gradient is relative to the mean speed, in 1/beam.
+        weight, speed, centre = 1 / variances, abs(v.mean()), abs(place.mean())
+        gradient = (weight * values).sum() / weight.sum() / speed
+        error = np.hypot(1 / np.sqrt(weight.sum()) / speed, BLENDS)
+        p_value = 2 * stdtr(freedom.sum(), -abs(gradient) / error)
+    speed = speed * beam / u.yr
+    gradient, error = (u.Quantity(x / beam * speed, "1/yr") for x in (gradient, error))
+    return FlowAcceleration(
+        speed=speed.to(u.mas / u.yr),
+        centre=centre * beam,
+        gradient=gradient,
+        gradient_err=error,
+        acceleration=(gradient * speed).to(u.mas / u.yr**2),
+        acceleration_err=(error * speed).to(u.mas / u.yr**2),
+        p_value=float(p_value),
+        n_features=n,
+    )
 
 
 def feature_profile(result: SCCResult) -> QTable:

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Features that speed up, that slow down, and that do neither."""
 
+import astropy.units as u
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -10,7 +11,7 @@ from astro_scc.flow.acceleration import BLENDS, fit_gradient
 from astro_scc.stacking import Feature, SearchSettings
 from astro_scc.stacking.dispersion import scattered_fit
 
-YEARS = np.arange(8.0)
+YEARS, BEAM = np.arange(8.0), 1 * u.mas
 
 
 def feature(start, gradient, *, speed=0.5, noise=0.0, years=YEARS, rng=None, way=1):
@@ -34,19 +35,20 @@ def flow(gradient, **options):
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("gradient", [0.06, -0.06])
 def test_the_gradient_of_a_flow(gradient, way):
-    found = fit_gradient(flow(gradient, way=way))
+    found = fit_gradient(flow(gradient, way=way), BEAM)
     assert found.p_value < 0.01
     # Parabolas and mean speeds of exponentials: to a tenth.
-    assert found.gradient * abs(found.speed) == pytest.approx(gradient, rel=0.1)
-    assert np.sign(found.speed) == np.sign(found.centre) == way
+    assert found.gradient.value == pytest.approx(gradient, rel=0.1)
+    assert found.speed > 0
+    assert found.centre > 0
     assert found.n_features == 5
     # Blends leave so much.
-    assert found.error >= BLENDS
+    assert (found.gradient_err / found.speed).value >= BLENDS * (1 - 1e-9)
 
 
 def test_a_steady_flow_has_none():
-    found = fit_gradient(flow(0.0))
-    assert abs(found.gradient) < 1e-6
+    found = fit_gradient(flow(0.0), BEAM)
+    assert abs(found.gradient.value) < 1e-6
     assert found.p_value > 0.9
 
 
@@ -61,14 +63,14 @@ def test_p_values_are_at_most_even():
             feature(x, 0.0, speed=v, noise=0.05, rng=rng)
             for x, v in zip(starts, speeds, strict=True)
         ]
-        p.append(fit_gradient(features).p_value)
+        p.append(fit_gradient(features, BEAM).p_value)
     # Less than even only by what is left to blends.
     assert kstest(p, "uniform", alternative="greater").pvalue > 1e-3
 
 
 def test_features_near_the_core_do_not_count():
     slow = feature(0.2, 0.0, speed=0.05)
-    assert fit_gradient([*flow(0.0), slow]) == fit_gradient(flow(0.0))
+    assert fit_gradient([*flow(0.0), slow], BEAM) == fit_gradient(flow(0.0), BEAM)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +86,7 @@ def test_features_near_the_core_do_not_count():
     ],
 )
 def test_what_few_features_tell(features, known):
-    found = fit_gradient(features)
+    found = fit_gradient(features, BEAM)
     assert np.isfinite(found.p_value) == known
     assert found.n_features == len(features)
 
