@@ -140,8 +140,8 @@ def fit_gradient(features, beam):
 
     Two estimates are combined: the slope of the features' speeds against distance,
     and the mean ratio of their own accelerations to their speeds.  Features within
-    two beams of the origin, where the core shifts them, are not used.  All is NaN if too
-    few are left.
+    two beams of the origin, where the core shifts them, are not used.  All values are
+    NaN if too few are left.
     """
     beyond = [f for f in features if f.place * np.sign(f.speed) > CORE]
     n, found = len(beyond), []
