@@ -402,11 +402,8 @@ def linked_shares(counts, permuted, scales, *, rng=None):
         p_value = (1 + (shares >= share[:, None]).sum(axis=1)) / (1 + len(trials))
         chance = shares.mean(axis=1), shares.std(axis=1), p_value
     columns = (*counts.sum(axis=2)[::-1], share, error, *chance)
-    cells = zip(*(column.tolist() for column in columns), strict=True)
-    names = None, *map(float, scales)
-    return tuple(
-        LinkedShare(name, *own) for name, own in zip(names, cells, strict=True)
-    )
+    columns = [None, *map(float, scales)], *(column.tolist() for column in columns)
+    return tuple(LinkedShare(*row) for row in zip(*columns, strict=True))
 
 
 def _ratio(counts):

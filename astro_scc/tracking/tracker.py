@@ -247,9 +247,8 @@ class FeatureTracker:
 
     def _inside(self, candidates, ssps, cube, scales):
         """Return which candidates are within the limits of speed."""
-        sky = (
-            np.stack([candidates.dx, candidates.dy], axis=1) @ cube.pixel_matrix.value.T
-        )
+        pixels = np.stack([candidates.dx, candidates.dy], axis=1)
+        sky = pixels @ cube.pixel_matrix.value.T
         low, high = self._limits(cube, scales).T
         spare = MARGIN * self.tolerance * mean_fwhm(cube, scales).value
         time = candidates.interval[:, None]

@@ -290,11 +290,9 @@ class Tracking:
             min_epochs=self.settings["min_epochs"], scale=self.ssps.scale[own],
         )  # fmt: skip
         columns = radii, speed * u.mas / u.yr, speed_err * u.mas / u.yr, n_tracks
-        names, meta = (
-            ("r", "speed", "speed_err", "n_tracks"),
-            {"half_width": half_width},
-        )
-        return QTable(columns, names=names, meta=meta)[n_tracks > 0]
+        names = ["r", "speed", "speed_err", "n_tracks"]
+        table = QTable(columns, names=names, meta={"half_width": half_width})
+        return table[n_tracks > 0]
 
     def _meta(self):
         confidence = []

@@ -257,7 +257,6 @@ def _panels(tracking, axes, unit, min_epochs):
         yield ax, color, numbers
         size = (scale_size(scale) * tracking.cube.pixel_scale).to_value(unit)
         tracks = "track" if len(numbers) == 1 else "tracks"
-        text = (
-            f"scale {scale:g} ({size:.3g} {unit_name(unit)}), {len(numbers)} {tracks}"
-        )
-        drawing.panel_text(ax, text, color=BLACK if numbers else style.VERMILLION)
+        text = f"scale {scale:g} ({size:.3g} {unit_name(unit)}), {len(numbers)} "
+        color = BLACK if numbers else style.VERMILLION
+        drawing.panel_text(ax, text + tracks, color=color)
