@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import astropy.units as u
 import numpy as np
 from numpy.typing import ArrayLike
-from regions import CircleSkyRegion, PolygonSkyRegion, Regions
 from skimage.measure import find_contours
 
 from astro_scc.decomposition import SSPs, scale_size
@@ -21,6 +20,7 @@ from astro_scc.partial import replace_when_complete
 
 if TYPE_CHECKING:
     from photutils.segmentation import SegmentationImage
+    from regions import Regions
 
 #: Folder of the regions of all epochs.
 REGIONS = "ssp_regions"
@@ -80,6 +80,9 @@ def ssp_regions(
     >>> len(found) == (ssps.epoch == 0).sum().item(), found[0].meta["text"]
     (True, '0')
     """
+    # It imports matplotlib.
+    from regions import Regions
+
     if shape not in ("outline", "circle"):
         raise ValueError(f"shape must be 'outline' or 'circle', got {shape!r}")
     wcs = _wcs(cube, epoch, frame)
@@ -219,6 +222,8 @@ def _wcs(cube, epoch, frame):
 
 
 def _outline(ssps, index, cube, wcs):
+    from regions import PolygonSkyRegion
+
     _, _, nx = cube.shape
     y0, x0, y1, x1 = ssps.bbox[index]
     row, column = np.divmod(ssps.pixels_of(index), nx)
@@ -231,6 +236,8 @@ def _outline(ssps, index, cube, wcs):
 
 
 def _circle(ssps, index, cube, wcs):
+    from regions import CircleSkyRegion
+
     size = scale_size(ssps.scale[index]) * cube.pixel_scale
     centre = wcs.pixel_to_world(ssps.x[index], ssps.y[index])
     return CircleSkyRegion(centre, (size / 2).to(u.arcsec))
