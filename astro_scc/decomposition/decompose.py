@@ -202,26 +202,18 @@ class Decomposer:
             If the image is too small for the scales or has no valid pixel,
             the mask has another shape, or ``rms`` is missing.
         """
-        planes, missing, largest = self._planes(image, mask)
+        planes, missing, floor = self._planes(image, mask)
         noise = self._noise(planes, missing, rms, beam_covariance)
-        floor = ROUNDING * largest
         noise = tuple(np.maximum(sigma, floor) for sigma in noise)
+        thresholds = {"detection": self.detection, "segmentation": self.segmentation}
         ssps = SSPs.concatenate(
             [
-                find_ssps(
-                    plane,
-                    scale,
-                    sigma,
-                    mask=missing,
-                    detection=self.detection,
-                    segmentation=self.segmentation,
-                )
+                find_ssps(plane, scale, sigma, mask=missing, **thresholds)
                 for plane, scale, sigma in zip(planes, self.scales, noise, strict=True)
             ]
         )
-        return Decomposition(
-            self.scales, planes.astype(np.float32), noise, ssps, missing
-        )
+        planes = planes.astype(np.float32)
+        return Decomposition(self.scales, planes, noise, ssps, missing)
 
     def shared_variance(
         self, images: Sequence[ArrayLike], *,
@@ -243,17 +235,17 @@ class Decomposer:
         -------
         share, chance : `~numpy.ndarray`, shape (n_scales,)
         """
-        each = [self._planes(*of)[:2] for of in zip(images, masks, strict=True)]
-        (one, other), masks = zip(*each, strict=True)
+        each = [self._planes(*of) for of in zip(images, masks, strict=True)]
+        planes, masks, _ = zip(*each, strict=True)
         found = [
-            shared_variance(planes, scale, masks=masks)
-            for *planes, scale in zip(one, other, self.scales, strict=True)
+            shared_variance(pair, scale, masks=masks)
+            for *pair, scale in zip(*planes, self.scales, strict=True)
         ]
         share, chance = np.array(found).T
         return share, chance
 
     def _planes(self, image, mask):
-        """Return the planes, the missing pixels, and the image's largest magnitude."""
+        """Return the planes, the missing pixels, and the rounding errors."""
         image, missing = missing_pixels(image, mask)
         if missing.all():
             raise ValueError("the image has no valid pixel")
@@ -262,7 +254,7 @@ class Decomposer:
         image = np.where(missing, 0.0, image - offset)
         missing = missing if missing.any() else None
         planes = wavelet_planes(image, self.scales, kernel=self.kernel, mask=missing)
-        return planes, missing, max(np.ptp(image), abs(offset))
+        return planes, missing, ROUNDING * max(np.ptp(image), abs(offset))
 
     def _noise(self, planes, missing, rms, beam_covariance):
         if self.noise == "propagated":

@@ -16,12 +16,6 @@ MAX_ITERATIONS = 25
 LOCAL_ITERATIONS = 3
 
 
-def _mad(values):
-    """Return the robust standard deviation about zero, the mean of wavelet planes."""
-    values = np.abs(values[values != 0])
-    return MAD_TO_SIGMA * float(np.median(values)) if values.size else 0.0
-
-
 def source_free(plane, scale, *, mask=None):
     """
     Find the pixels of a wavelet plane that show no source, and their sigma.
@@ -37,8 +31,8 @@ def source_free(plane, scale, *, mask=None):
     values = values[values > 0]
     if values.size == 0:
         return valid, 0.0
-    faintest, everything = np.quantile(values, [0.1, 0.5]).tolist()
-    faintest, everything = DECILE_TO_SIGMA * faintest, MAD_TO_SIGMA * everything
+    quantiles = np.quantile(values, [0.1, 0.5]) * [DECILE_TO_SIGMA, MAD_TO_SIGMA]
+    faintest, everything = quantiles.tolist()
     for start in (min(faintest, everything), everything):
         free, sigma = _without_source(plane, scale_size(scale), valid, start)
         if free is not valid:
@@ -48,21 +42,14 @@ def source_free(plane, scale, *, mask=None):
 
 def _away_from_source(plane, radius, valid, sigma):
     """Return the pixels farther than a radius from all pixels beyond 5 sigma."""
-    sky = (np.abs(plane) <= SOURCE_SNR * sigma) | ~valid
+    source = valid & (np.abs(plane) > SOURCE_SNR * sigma)
     away = np.ones(plane.shape, dtype=bool)
-    near = tuple(_stretch(~sky.all(axis=axis), int(np.ceil(radius))) for axis in (1, 0))
-    # Distances are undefined without any source.
-    if near[0].stop:
-        away[near] = ndimage.distance_transform_edt(sky[near]) > radius
+    margin = int(np.ceil(radius))
+    # There is one box around the source, or none without a source.
+    for box in ndimage.find_objects(source.astype(np.uint8)):
+        near = tuple(slice(max(k.start - margin, 0), k.stop + margin) for k in box)
+        away[near] = ndimage.distance_transform_edt(~source[near]) > radius
     return away
-
-
-def _stretch(some, margin):
-    """Return the slice from the first to the last true value, with a margin."""
-    at = np.flatnonzero(some)
-    if len(at) == 0:
-        return slice(0, 0)
-    return slice(max(int(at[0]) - margin, 0), int(at[-1]) + margin + 1)
 
 
 def _without_source(plane, radius, valid, sigma):
@@ -70,13 +57,12 @@ def _without_source(plane, radius, valid, sigma):
     free = valid
     for _ in range(MAX_ITERATIONS):
         candidate = valid & _away_from_source(plane, radius, valid, sigma)
+        sky = np.abs(plane[candidate & (plane != 0)])
         # A sky smaller than one disk is too small to measure noise.
-        following = _mad(plane[candidate])
-        if candidate.sum() < np.pi * radius**2 or following == 0:
+        if candidate.sum() < np.pi * radius**2 or len(sky) == 0:
             break
-        converged = abs(following - sigma) < 1e-3 * sigma
-        free, sigma = candidate, following
-        if converged:
+        before, free, sigma = sigma, candidate, MAD_TO_SIGMA * float(np.median(sky))
+        if abs(sigma - before) < 1e-3 * before:
             break
     return free, sigma
 
@@ -156,7 +142,7 @@ def shared_variance(planes, scale, *, masks=(None, None)):
     return float(correlation.max()), float(chance)
 
 
-def local_noise(plane, scale, *, mask=None, box_size=None):
+def local_noise(plane, scale, *, mask=None):
     """
     Measure the standard deviation of the noise of a wavelet plane, pixel by pixel.
 
@@ -165,62 +151,28 @@ def local_noise(plane, scale, *, mask=None, box_size=None):
     Then the source is found again with this map.  Boxes that the source fills
     to 90% are interpolated from the others.
 
-    ``box_size``, the side of a box in pixels, is by default 6 times the scale and at
-    least 32; it is at most a quarter of the image.  Returns an array with the shape
-    (ny, nx) of the plane.  If the source fills every box, it is constant, as from
-    `plane_noise`.
+    The side of a box is 6 times the scale and at least 32 pixels, but at most a
+    quarter of the image.  Returns an array with the shape (ny, nx) of the plane.  If
+    the source fills every box, it is constant, as from `plane_noise`.
     """
+    from photutils.background import Background2D, MeanBackground
+
     free, sigma = source_free(plane, scale, mask=mask)
     noise = np.full(plane.shape, sigma)
-    if sigma == 0:
-        return noise
     radius = scale_size(scale)
-    if box_size is None:
-        box_size = max(32, int(6 * radius))
-    box_size = max(4, min(box_size, min(plane.shape) // 4))
+    box_size = max(4, min(max(32, int(6 * radius)), min(plane.shape) // 4))
     valid = np.ones(plane.shape, dtype=bool) if mask is None else ~np.asarray(mask)
-    for _ in range(LOCAL_ITERATIONS):
-        variance = _local_mean((plane / sigma) ** 2, ~free, box_size)
-        if variance is None:
+    options = {"exclude_percentile": 90.0, "filter_size": 3, "sigma_clip": None}
+    options["bkg_estimator"] = MeanBackground()
+    for _ in range(LOCAL_ITERATIONS if sigma > 0 else 0):
+        squares = (plane / sigma) ** 2
+        try:
+            variance = Background2D(squares, box_size, mask=~free, **options).background
+        except ValueError:  # no box has enough pixels
             break
         noise = sigma * np.sqrt(np.where(variance > 0, variance, 1.0))
         free = valid & _away_from_source(plane, radius, valid, noise)
     return noise
-
-
-def _local_mean(values, mask, box_size):
-    """Return the mean of values in boxes, interpolated, or None if that fails."""
-    from photutils.background import Background2D, MeanBackground, StdBackgroundRMS
-
-    try:
-        background = Background2D(
-            values,
-            box_size,
-            mask=mask,
-            exclude_percentile=90.0,
-            filter_size=3,
-            sigma_clip=None,
-            bkg_estimator=MeanBackground(sigma_clip=None),
-            bkg_rms_estimator=StdBackgroundRMS(sigma_clip=None),
-        )
-    except ValueError:  # no box has enough pixels
-        return None
-    return np.asarray(background.background, dtype=float)
-
-
-def _response(kernel, level, frequency):
-    """Return the response of the smoothings before and after a level, on one axis."""
-    taps = KERNELS[kernel]
-    offsets = np.arange(len(taps)) - len(taps) // 2
-
-    def one(step):
-        phase = 2 * np.pi * step * np.multiply.outer(frequency, offsets)
-        return (taps * np.cos(phase)).sum(axis=-1)
-
-    before = np.ones_like(frequency)
-    for step in range(level):
-        before = before * one(2**step)
-    return before, before * one(2**level)
 
 
 def propagated_noise(
@@ -264,9 +216,16 @@ def propagated_noise(
         form = cxx * kx**2 + 2 * cxy * kx * ky + cyy * ky**2
         power = np.exp(-4 * np.pi**2 * form)
     power /= power.sum()
+
+    def smoothed(taps, n_steps):
+        """Return the response of some smoothings on one axis."""
+        offsets = np.multiply.outer(frequency, np.arange(len(taps)) - len(taps) // 2)
+        phases = [2 * np.pi * 2**step * offsets for step in range(n_steps)]
+        return np.prod([(taps * np.cos(p)).sum(axis=-1) for p in phases], axis=0)
+
     sigma = []
-    for scale in scales:
-        before, after = _response(*scale_kernel(scale, kernel), frequency)
+    for name, level in (scale_kernel(scale, kernel) for scale in scales):
+        before, after = (smoothed(KERNELS[name], level + k) for k in (0, 1))
         response = np.outer(before, before) - np.outer(after, after)
         sigma.append(rms * np.sqrt((response**2 * power).sum()))
     return np.array(sigma)

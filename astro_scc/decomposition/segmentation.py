@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 from scipy import ndimage
 from skimage.feature import peak_local_max
@@ -74,12 +75,8 @@ class SSPs:
         return len(self.scale)
 
     def __repr__(self):
-        counts = ", ".join(
-            f"{number} on scale {scale:g}"
-            for scale, number in zip(
-                *np.unique(self.scale, return_counts=True), strict=True
-            )
-        )
+        scales = zip(*np.unique(self.scale, return_counts=True), strict=True)
+        counts = ", ".join(f"{number} on scale {scale:g}" for scale, number in scales)
         return f"<SSPs: {counts or 'none'}>"
 
     @property
@@ -113,14 +110,12 @@ class SSPs:
         -------
         `SSPs`
         """
-        chosen = {
-            f.name: getattr(self, f.name)[keep]
-            for f in fields(self)
-            if f.name not in ("starts", "pixels")
-        }
-        starts = np.concatenate([[0], np.cumsum(self.n_pixels[keep])])
-        pixels = self.pixels[np.repeat(keep, self.n_pixels)]
-        return SSPs(**chosen, starts=starts, pixels=pixels)
+        others = {f.name for f in fields(self)} - {"starts", "pixels"}
+        return SSPs(
+            **{name: getattr(self, name)[keep] for name in others},
+            starts=_starts(self.n_pixels[keep]),
+            pixels=self.pixels[np.repeat(keep, self.n_pixels)],
+        )
 
     @classmethod
     def empty(cls) -> SSPs:
@@ -147,14 +142,10 @@ class SSPs:
         `SSPs`
         """
         catalogues = [cls.empty(), *catalogues]
-        shifts = np.cumsum([0] + [c.starts[-1] for c in catalogues[:-1]])
-        joined = {
-            f.name: np.concatenate([getattr(c, f.name) for c in catalogues])
-            for f in fields(cls)
-            if f.name != "starts"
-        }
-        starts = [c.starts[1:] + s for c, s in zip(catalogues, shifts, strict=True)]
-        return cls(**joined, starts=np.concatenate([[0], *starts]))
+        names = [f.name for f in fields(cls)]
+        joined = {k: np.concatenate([getattr(c, k) for c in catalogues]) for k in names}
+        joined["starts"] = _starts(np.concatenate([c.n_pixels for c in catalogues]))
+        return cls(**joined)
 
     @classmethod
     def of_epochs(cls, decompositions: Sequence[Decomposition]) -> SSPs:
@@ -169,12 +160,14 @@ class SSPs:
         -------
         `SSPs`
         """
-        return cls.concatenate(
-            [
-                replace(d.ssps, epoch=np.full(len(d.ssps), epoch))
-                for epoch, d in enumerate(decompositions)
-            ]
-        )
+        each = [d.ssps for d in decompositions]
+        epoch = np.repeat(np.arange(len(each)), [len(ssps) for ssps in each])
+        return replace(cls.concatenate(each), epoch=epoch)
+
+
+def _starts(n_pixels):
+    """Return where the pixels of each SSP start, and where the last ones end."""
+    return np.concatenate([[0], np.cumsum(n_pixels)])
 
 
 def require_ssps(ssps, scales):
@@ -223,28 +216,6 @@ def check_thresholds(detection, segmentation):
             "thresholds must satisfy 0 < segmentation <= detection, "
             f"got segmentation {segmentation} and detection {detection}"
         )
-
-
-def _beside_outside(valid):
-    """Return the pixels that touch the image's edge, or missing pixels joined to it."""
-    if valid.all():
-        edge = np.ones(valid.shape, dtype=bool)
-        edge[1:-1, 1:-1] = False
-        return edge
-    outside, _ = ndimage.label(np.pad(~valid, 1, constant_values=True))
-    beside = ndimage.binary_dilation(outside == outside[0, 0], np.ones((3, 3)))
-    return beside[1:-1, 1:-1]
-
-
-def _positions(plane, valid, peaks):
-    """Return the sub-pixel positions of maxima given as (y, x) pixels."""
-    # Beside a missing pixel the curvature is unknown, and the whole pixel is kept.
-    padded = np.pad(np.where(valid, plane, np.nan), 1, mode="reflect")
-    step = np.arange(3)
-    rows = peaks[:, 0, None, None] + step[:, None]
-    columns = peaks[:, 1, None, None] + step[None, :]
-    dy, dx, _ = quadratic_peak(padded[rows, columns])
-    return peaks[:, 0] + dy, peaks[:, 1] + dx
 
 
 def find_ssps(
@@ -301,15 +272,16 @@ def find_ssps(
     significant = valid & (plane > segmentation * noise)
     peaks = peak_local_max(
         np.where(significant, plane, 0.0),
-        min_distance=max(1, int(round(scale_size(scale)))),
+        min_distance=round(scale_size(scale)),
         threshold_abs=0.0,
         exclude_border=False,
     )
-    rows, columns = peaks.T
-    peaks = peaks[
-        (plane[rows, columns] >= detection * noise[rows, columns])
-        & ~_beside_outside(valid)[rows, columns]
-    ]
+    # What is missing and joined to the edge of the image is outside, as the edge is.
+    missing, _ = ndimage.label(np.pad(~valid, 1, constant_values=True))
+    around = sliding_window_view(missing, (3, 3))[tuple(peaks.T)]
+    inside = (around != missing[0, 0]).all(axis=(1, 2))
+    at = tuple(peaks.T)
+    peaks = peaks[inside & (plane[at] >= detection * noise[at])]
     if len(peaks) == 0:
         return SSPs.empty()
     markers = np.zeros(plane.shape, dtype=np.int32)
@@ -319,31 +291,31 @@ def find_ssps(
 
 
 def _catalogue(plane, scale, noise, valid, labels, peaks):
+    """Return the SSPs whose pixels have the numbers of the peaks as labels."""
+    n, at = len(peaks), tuple(peaks.T)
     pixels = np.flatnonzero(labels)
     pixels = pixels[np.argsort(labels.flat[pixels], kind="stable")].astype(np.int32)
-    owner = labels.flat[pixels] - 1
-    n = len(peaks)
-    counts = np.bincount(owner, minlength=n)
-    starts = np.concatenate([[0], np.cumsum(counts)])
-    py, px = np.unravel_index(pixels, plane.shape)
-    weight = plane.flat[pixels]
+    owner, weight = labels.flat[pixels] - 1, plane.flat[pixels]
     flux = np.bincount(owner, weight, n)
-    y, x = _positions(plane, valid, peaks)
-    peak = plane[tuple(peaks.T)]
-    first = starts[:-1]
-    low = [np.minimum.reduceat(p, first) for p in (py, px)]
-    high = [np.maximum.reduceat(p, first) + 1 for p in (py, px)]
+    y_centroid, x_centroid = (
+        np.bincount(owner, weight * place, n) / flux
+        for place in np.unravel_index(pixels, plane.shape)
+    )
+    # Beside a missing pixel the curvature is unknown, and the whole pixel is kept.
+    known = np.pad(np.where(valid, plane, np.nan), 1, mode="reflect")
+    dy, dx, _ = quadratic_peak(sliding_window_view(known, (3, 3))[at])
+    boxes = ndimage.find_objects(labels)
     return SSPs(
         scale=np.full(n, float(scale)),
-        y=y,
-        x=x,
-        y_centroid=np.bincount(owner, weight * py, n) / flux,
-        x_centroid=np.bincount(owner, weight * px, n) / flux,
-        peak=peak,
+        y=at[0] + dy,
+        x=at[1] + dx,
+        y_centroid=y_centroid,
+        x_centroid=x_centroid,
+        peak=plane[at],
         flux=flux,
-        snr=peak / noise[tuple(peaks.T)],
-        bbox=np.stack([*low, *high], axis=1),
-        starts=starts,
+        snr=plane[at] / noise[at],
+        bbox=np.array([(y.start, x.start, y.stop, x.stop) for y, x in boxes]),
+        starts=_starts(np.bincount(owner, minlength=n)),
         pixels=pixels,
         epoch=np.zeros(n, dtype=int),
     )
