@@ -276,11 +276,13 @@ def find_ssps(
         threshold_abs=0.0,
         exclude_border=False,
     )
-    # What is missing and joined to the edge of the image is outside, as the edge is.
-    missing, _ = ndimage.label(np.pad(~valid, 1, constant_values=True))
-    around = sliding_window_view(missing, (3, 3))[tuple(peaks.T)]
-    inside = (around != missing[0, 0]).all(axis=(1, 2))
+    # Missing pixels that are joined to the edge of the image are outside, others holes.
+    outside = np.pad(~valid, 1, constant_values=True)
+    if mask is not None:
+        outside, _ = ndimage.label(outside)
     at = tuple(peaks.T)
+    around = sliding_window_view(outside, (3, 3))[at]
+    inside = (around != outside[0, 0]).all(axis=(1, 2))
     peaks = peaks[inside & (plane[at] >= detection * noise[at])]
     if len(peaks) == 0:
         return SSPs.empty()
