@@ -14,15 +14,9 @@ from numpy.typing import ArrayLike
 
 from astro_scc.correlation.matches import Matches, join_columns
 from astro_scc.correlation.parallel import in_order
-from astro_scc.correlation.targets import (
-    BATCH,
-    Patterns,
-    Targets,
-    TargetStack,
-    image_part,
-)
+from astro_scc.correlation.targets import BATCH, PairBlock, Patterns, TargetStack
 from astro_scc.correlation.zncc import fft_shape, find_peaks
-from astro_scc.decomposition import Decomposition, SSPs
+from astro_scc.decomposition import Decomposition
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -179,32 +173,31 @@ class Correlator:
         array([ 6.5, -6.5], dtype=float32)
         """
         pairs, search_radius = _checked(decompositions, pairs, search_radius)
-        columns, at_work = {}, deque()
+        done = {} if done is None else done
         left = Counter(np.unique(pairs, axis=0)[:, 0].tolist())
+        references, at_work = [], deque()
 
-        def finish(number, found, references):
-            columns[number] = found
-            left.subtract(references)
-            for epoch in set(references):
+        def finish(number):
+            left.subtract(references[number])
+            for epoch in set(references[number]):
                 if left[epoch] == 0 and progress is not None:
                     progress(1)
 
         def begin():
             blocks = self.blocks(decompositions, pairs, search_radius, select=select)
             for number, block in enumerate(blocks):
-                references = block.pairs[:, 0].tolist()
-                if done is not None and number in done:
-                    finish(number, done[number], references)
+                references.append(block.pairs[:, 0].tolist())
+                if number in done:
+                    finish(number)
                 else:
-                    at_work.append((number, references))
+                    at_work.append(number)
                     yield block
 
         for found in in_order(match_block, begin(), n_workers):
-            number, references = at_work.popleft()
-            if done is not None:
-                done[number] = found
-            finish(number, found, references)
-        columns = [columns[number] for number in sorted(columns)]
+            number = at_work.popleft()
+            done[number] = found
+            finish(number)
+        columns = [done[number] for number in range(len(references))]
         return Matches.from_columns(columns, pairs, search_radius, self.kappa).sorted()
 
     def blocks(
@@ -237,49 +230,40 @@ class Correlator:
         """
         pairs, search_radius = _checked(decompositions, pairs, search_radius)
         pairs = np.unique(pairs, axis=0)
-        ssps = SSPs.of_epochs(decompositions)
+        patterns = Patterns.of(decompositions)
+        ssps, n = patterns.ssps, len(decompositions)
         chosen = np.ones(len(ssps), bool) if select is None else np.asarray(select)
         if chosen.shape != (len(ssps),) or chosen.dtype != bool:
             raise ValueError(
                 f"select must be one bool for each of the {len(ssps)} SSPs, "
                 f"got {chosen.dtype} of shape {chosen.shape}"
             )
-        if len(pairs) == 0:
-            return
-        n, shape = len(decompositions), decompositions[0].planes.shape
-        patterns = Patterns.of(decompositions, ssps)
         chosen = chosen & np.isin(ssps.epoch, pairs[:, 0])
-        part, work = (slice(0, 0),) * 2, np.zeros(n)
-        if chosen.any():
-            boxes, beyond = ssps.bbox[chosen], np.add(search_radius, 1)
-            part = image_part(shape[1:], *_all_windows(boxes, beyond))
-            pixels = np.prod(boxes[:, 2:] - boxes[:, :2] + 2 * beyond, axis=1)
-            work = np.bincount(ssps.epoch[chosen], pixels, n)
-        segments = self.target == "segments"
-        dense = not segments or any(np.ndim(n) for d in decompositions for n in d.noise)
-        plane_bytes = 4 * np.prod([max(p.stop - p.start, 1) for p in part])
-        most = STACK_BYTES // (plane_bytes * (shape[0] if dense else 1))
-        every = np.unique(pairs[:, 1])
-        every = np.array_split(every, -(-len(every) // max(BATCH, int(most))))
+        if not chosen.any():
+            return
+        boxes, beyond = ssps.bbox[chosen], np.add(search_radius, 1)
+        window = _, size = _all_windows(boxes, beyond)
+        scales = decompositions[0].scales
+        maps = any(np.ndim(noise) for d in decompositions for noise in d.noise)
+        dense = len(scales) if maps or self.target == "plane" else 1
+        most = STACK_BYTES // (4 * np.prod(size) * dense)
+        targets = np.unique(pairs[:, 1])
+        targets = np.array_split(targets, -(-len(targets) // max(BATCH, int(most))))
         settings = self
         if self.compiled is None:
             number = np.bincount(ssps.epoch[chosen], minlength=n)[pairs[:, 0]].sum()
             enough = bool(number > COMPILE_FROM) and find_spec("numba") is not None
             settings = replace(self, compiled=enough)
-        groups = _groups(np.unique(pairs[:, 0]), work * len(every[0]), BLOCK_WORK)
-        for references in groups:
-            own = patterns.select(chosen & np.isin(ssps.epoch, references))
-            wanted = pairs[np.isin(pairs[:, 0], references)]
-            for some in every:
-                here = wanted[np.isin(wanted[:, 1], some)]
+        # Consecutive reference epochs, divided where their work reaches a limit.
+        pixels = np.prod(boxes[:, 2:] - boxes[:, :2] + 2 * beyond, axis=1)
+        work = np.cumsum(np.bincount(ssps.epoch[chosen], pixels, n)) * len(targets[0])
+        group = work[pairs[:, 0]] // BLOCK_WORK
+        for number in np.unique(group):
+            for some in targets:
+                here = pairs[(group == number) & np.isin(pairs[:, 1], some)]
                 if len(here):
-                    targets = Targets.of(
-                        decompositions,
-                        np.unique(here[:, 1]),
-                        part,
-                        patterns if segments else None,
-                    )
-                    yield PairBlock(settings, own, targets, here, search_radius)
+                    of_all = chosen, patterns, decompositions, window
+                    yield PairBlock.of(settings, here, search_radius, *of_all)
 
 
 def _checked(decompositions, pairs, search_radius):
@@ -298,18 +282,6 @@ def _checked(decompositions, pairs, search_radius):
     return pairs, both
 
 
-def _groups(epochs, work, limit):
-    """Group consecutive epochs as long as their work is below a limit."""
-    groups, total = [[]], 0.0
-    for epoch in epochs.tolist():
-        if groups[-1] and total + work[epoch] > limit:
-            groups.append([])
-            total = 0.0
-        groups[-1].append(epoch)
-        total += work[epoch]
-    return groups
-
-
 def _all_windows(boxes, search_radius):
     """Return the origin and size of the area that the windows of some SSPs cover."""
     corners, sizes = boxes[:, :2] - search_radius, boxes[:, 2:] - boxes[:, :2]
@@ -321,55 +293,34 @@ def _all_windows(boxes, search_radius):
     return origin, tuple((end - origin).tolist())
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class PairBlock:
-    """
-    Some pairs of epochs, with everything needed to correlate them.
-
-    It can be pickled, and is all that `match_block` needs.  ``patterns`` are the
-    SSPs of the reference epochs.
-    """
-
-    settings: Correlator
-    patterns: Patterns
-    targets: Targets
-    pairs: np.ndarray
-    search_radius: tuple
-
-
 def match_block(block):
-    """Return the columns of the matches of a block, sorted by SSP and target."""
-    n = len(block.targets.epochs)
-    place = {epoch: k for k, epoch in enumerate(block.targets.epochs.tolist())}
-    wanted = {}
-    for reference, target in block.pairs.tolist():
-        wanted.setdefault(reference, np.zeros(n, bool))[place[target]] = True
+    """Return the columns of the matches of a block."""
+    wanted = np.zeros((block.pairs.max() + 1, len(block.epochs)), dtype=bool)
+    wanted[block.pairs[:, 0], np.searchsorted(block.epochs, block.pairs[:, 1])] = True
     parts = []
     for scale in np.unique(block.patterns.ssps.scale):
         patterns = block.patterns.select(block.patterns.ssps.scale == scale)
         parts += _match_scale(block, patterns, scale, wanted)
-    joined = join_columns(parts)
-    order = np.lexsort((joined[1], joined[0]))
-    return tuple(column[order] for column in joined)
+    return tuple(join_columns(parts))
 
 
 def _match_scale(block, patterns, scale, wanted):
     # One displacement more shows whether values at the largest one are maxima.
     beyond = np.add(block.search_radius, 1)
-    ssps, settings = patterns.ssps, block.settings
-    stack = TargetStack(block.targets, scale, *_all_windows(ssps.bbox, beyond))
+    ssps, settings, stack = patterns.ssps, block.settings, TargetStack(block, scale)
     columns = []
     for i, box in enumerate(ssps.bbox):
-        use = wanted.get(int(ssps.epoch[i]))
         middle, half = stack.displacements(box, beyond)
-        if use is None or half is None:
+        if half is None:
             continue
-        template = patterns.template(i, block.targets.shape[1], half)
+        template = patterns.template(i, block.shape[1], half)
         if template.energy == 0 or template.n_pixels < FEWEST_PIXELS:
             continue
-        corner = box[:2] + middle - half - stack.origin
-        use = np.flatnonzero(use & stack.not_empty(corner, template.window_shape))
-        for some, overlap in stack.alike(use, corner, template, settings.min_overlap):
+        corner = box[:2] + middle - half - block.origin
+        use = wanted[ssps.epoch[i]] & stack.not_empty(corner, template.window_shape)
+        for some, overlap in stack.alike(
+            np.flatnonzero(use), corner, template, settings.min_overlap
+        ):
             compiled = settings.compiled and overlap is None
             for targets, coefficient in stack.coefficients(
                 some, corner, template, overlap, compiled
@@ -377,8 +328,9 @@ def _match_scale(block, patterns, scale, wanted):
                 which, y, x, value = find_peaks(coefficient, settings.kappa)
                 share = np.ones(len(which))
                 if overlap is not None:
-                    at = np.rint(y).astype(int), np.rint(x).astype(int)
-                    share = overlap.share[at]
+                    share = overlap.share[
+                        np.rint(y).astype(int), np.rint(x).astype(int)
+                    ]
                 index = np.full(len(which), i)
                 dy, dx = y + (middle[0] - half[0]), x + (middle[1] - half[1])
                 columns.append((index, targets[which], dy, dx, value, share))
@@ -386,5 +338,4 @@ def _match_scale(block, patterns, scale, wanted):
         return []
     i, target, dy, dx, value, share = map(np.concatenate, zip(*columns, strict=True))
     snr = stack.snr(target, ssps.y[i] + dy, ssps.x[i] + dx)
-    epoch = block.targets.epochs[target]
-    return [(patterns.index[i], epoch, dy, dx, value, share, snr)]
+    return [(patterns.index[i], block.epochs[target], dy, dx, value, share, snr)]

@@ -30,13 +30,10 @@ COLUMNS = {
 
 def join_columns(parts):
     """Join tuples of the columns ``ssp`` to ``target_snr``, each in its type."""
+    columns = zip(*parts, strict=True) if parts else [()] * len(COLUMNS)
     return [
-        np.concatenate(
-            [np.empty(0, kind), *(part[k] for part in parts)],
-            dtype=kind,
-            casting="unsafe",
-        )
-        for k, kind in enumerate(COLUMNS.values())
+        np.concatenate([np.empty(0, kind), *column], dtype=kind, casting="unsafe")
+        for kind, column in zip(COLUMNS.values(), columns, strict=True)
     ]
 
 
@@ -120,12 +117,7 @@ class Matches:
         `~astro_scc.correlation.Matches`
         """
         pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
-        return cls(
-            *join_columns(columns),
-            pairs=pairs,
-            search_radius=tuple(search_radius),
-            kappa=float(kappa),
-        )
+        return cls(*join_columns(columns), pairs, tuple(search_radius), float(kappa))
 
     def sorted(self) -> Matches:
         """
@@ -135,10 +127,7 @@ class Matches:
         -------
         `~astro_scc.correlation.Matches`
         """
-        key = self.ssp.astype(np.int64) << 16 | self.target.astype(np.int64)
-        if np.all(key[1:] >= key[:-1]):
-            return self
-        return self.select(np.argsort(key, kind="stable"))
+        return self.select(np.lexsort((self.target, self.ssp)))
 
     def select(self, keep: ArrayLike) -> Matches:
         """
@@ -152,8 +141,7 @@ class Matches:
         -------
         `~astro_scc.correlation.Matches`
         """
-        chosen = {name: getattr(self, name)[keep] for name in COLUMNS}
-        return replace(self, **chosen)
+        return replace(self, **{name: getattr(self, name)[keep] for name in COLUMNS})
 
     def of_ssps(self, chosen: ArrayLike) -> Matches:
         """
@@ -204,17 +192,13 @@ class Matches:
         ValueError
             If a column or an entry of the meta is missing.
         """
+        facts = ("pairs", "search_radius", "kappa")
         missing = [name for name in COLUMNS if name not in table.colnames]
-        missing += [
-            k for k in ("pairs", "search_radius", "kappa") if k not in table.meta
-        ]
+        missing += [name for name in facts if name not in table.meta]
         if missing:
             raise ValueError(f"not a table of matches: {', '.join(missing)} missing")
         columns = tuple(np.asarray(table[name]) for name in COLUMNS)
-        meta = table.meta
-        return cls.from_columns(
-            [columns], meta["pairs"], meta["search_radius"], meta["kappa"]
-        )
+        return cls.from_columns([columns], *(table.meta[name] for name in facts))
 
     def same_as(self, other: Matches) -> bool:
         """
@@ -265,30 +249,14 @@ def target_ssps(matches: Matches, ssps: SSPs) -> np.ndarray:
     >>> target_ssps(matches, SSPs.of_epochs(epochs)).tolist()
     [1, 0]
     """
-    found = np.full(len(matches), -1)
-    if len(matches) == 0:
-        return found
     scales, level = np.unique(ssps.scale, return_inverse=True)
-    n = max(int(ssps.epoch.max()), int(matches.target.max())) + 1
-    # Matches and SSPs by scale and epoch, each sorted once.
-    order, ends = _grouped(level[matches.ssp] * n + matches.target, len(scales) * n)
-    there, starts = _grouped(level * n + ssps.epoch, len(scales) * n)
-    for group in np.flatnonzero((np.diff(ends) > 0) & (np.diff(starts) > 0)):
-        k = order[ends[group] : ends[group + 1]]
-        own = there[starts[group] : starts[group + 1]]
-        y = ssps.y[matches.ssp[k]] + matches.dy[k]
-        x = ssps.x[matches.ssp[k]] + matches.dx[k]
-        tree = cKDTree(np.stack([ssps.y[own], ssps.x[own]], axis=1))
-        distance, nearest = tree.query(np.stack([y, x], axis=1))
-        near = distance <= scale_size(scales[group // n])
-        found[k[near]] = own[nearest[near]]
-    return found
-
-
-def _grouped(number, n):
-    """Return indices sorted by group number, and where each of n groups begins."""
-    if n < 2**15:
-        # Small integers are radix-sorted, which is faster.
-        number = number.astype(np.int16)
-    order = np.argsort(number, kind="stable")
-    return order, np.searchsorted(number[order], np.arange(n + 1))
+    size = np.array([scale_size(scale) for scale in scales])
+    n_epochs = 1 + max(ssps.epoch.max(initial=0), matches.target.max(initial=0))
+    # On a third axis, SSPs of other scales and epochs are farther than any match.
+    apart, own = 2 * size.max(initial=0.0), matches.ssp
+    there = ssps.y, ssps.x, apart * (level * n_epochs + ssps.epoch)
+    y, x = ssps.y[own] + matches.dy, ssps.x[own] + matches.dx
+    here = y, x, apart * (level[own] * n_epochs + matches.target)
+    tree = cKDTree(np.stack(there, axis=1))
+    distance, nearest = tree.query(np.stack(here, axis=1), distance_upper_bound=apart)
+    return np.where(distance <= size[level[own]], nearest, -1)

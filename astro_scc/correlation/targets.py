@@ -1,12 +1,19 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The patterns and the target planes of a block of pairs of epochs."""
+"""A block of pairs of epochs: its patterns, and the target planes around them."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from astro_scc.correlation.zncc import Template
 from astro_scc.decomposition import SSPs
+
+if TYPE_CHECKING:
+    from astro_scc.correlation.correlate import Correlator
 
 #: Windows transformed at once; more would not fit into the processor's cache.
 BATCH = 10
@@ -14,21 +21,6 @@ BATCH = 10
 BATCH_PIXELS = 2_000_000
 #: Windows that compiled loops process at once.
 COMPILED_BATCH = 64
-
-
-def image_part(shape, origin, size):
-    """Return the slices of a box, clipped to an image of a shape."""
-    low = np.clip(origin, 0, shape).tolist()
-    high = np.clip(np.add(origin, size), 0, shape).tolist()
-    return tuple(map(slice, low, high))
-
-
-def _moved(part, origin):
-    """Return slices relative to another origin."""
-    return tuple(
-        slice(int(p.start - o), int(p.stop - o))
-        for p, o in zip(part, origin, strict=True)
-    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,12 +32,14 @@ class Patterns:
     values: np.ndarray
 
     @classmethod
-    def of(cls, decompositions, ssps):
+    def of(cls, decompositions):
         """Return all SSPs with their values from the decompositions."""
         values = [np.empty(0, np.float32)]
-        for i, (epoch, scale) in enumerate(zip(ssps.epoch, ssps.scale, strict=True)):
-            own = decompositions[epoch]
-            values.append(own.planes[own.plane_index(scale)].flat[ssps.pixels_of(i)])
+        for d in decompositions:
+            plane = np.searchsorted(d.scales, d.ssps.scale)
+            at = np.repeat(plane, d.ssps.n_pixels), d.ssps.pixels
+            values.append(d.planes.reshape(len(d.scales), -1)[at])
+        ssps = SSPs.of_epochs(decompositions)
         return cls(ssps, np.arange(len(ssps)), np.concatenate(values, dtype=np.float32))
 
     def select(self, keep):
@@ -66,77 +60,94 @@ class Patterns:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Targets:
+class PairBlock:
     """
-    The target planes of some epochs on all scales.
+    Some pairs of epochs, with everything needed to correlate them.
 
-    They are either ``patterns``, SSPs outside of which the planes are zero, or
-    ``planes``, a ``part`` of the planes as they are.  Equal ``masks`` are one object.
+    It can be pickled, and is all that `match_block` needs.  ``patterns`` are the
+    SSPs of the reference epochs.  The targets are the planes of ``epochs`` on all
+    ``scales`` in a window that may extend beyond the images of this ``shape``.  They
+    are either ``segments``, SSPs outside of which the planes are zero, or ``planes``,
+    their part in the window as it is.  ``valid`` are the pixels of the window that
+    are not missing, for each different mask, and ``mask`` numbers those of the targets.
     """
 
+    settings: Correlator
+    pairs: np.ndarray
+    search_radius: tuple
+    patterns: Patterns
     epochs: np.ndarray
     scales: tuple
     shape: tuple
-    part: tuple
-    patterns: Patterns | None
-    planes: tuple | None
-    noise: tuple
-    masks: tuple
+    origin: np.ndarray
+    noise: list
+    segments: Patterns | None
+    planes: list | None
+    valid: np.ndarray
+    mask: np.ndarray
 
     @classmethod
-    def of(cls, decompositions, epochs, part, patterns):
-        """Return the targets of some epochs, with planes if there are no patterns."""
-        own, masks = [decompositions[epoch] for epoch in epochs], []
-        for mask in (d.mask for d in own):
-            masks.append(next((m for m in masks if np.array_equal(m, mask)), mask))
-        planes = None
-        if patterns is None:
-            planes = tuple(d.planes[:, *part] for d in own)
-        else:
-            patterns = patterns.select(np.isin(patterns.ssps.epoch, epochs))
-        noise, shape = tuple(d.noise for d in own), own[0].planes.shape[1:]
-        scales = own[0].scales
-        return cls(epochs, scales, shape, part, patterns, planes, noise, tuple(masks))
+    def of(
+        cls, settings, pairs, search_radius, chosen, patterns, decompositions, window
+    ):
+        """Return the block of some pairs, given all patterns and decompositions."""
+        epochs = np.unique(pairs[:, 1])
+        own = [decompositions[epoch] for epoch in epochs]
+        shape, (origin, size) = own[0].planes.shape[1:], window
+        part, inside = _overlap(shape, origin, size)
+        valid = np.zeros((len(own), *size), dtype=bool)
+        for pixels, d in zip(valid, own, strict=True):
+            pixels[inside] = True if d.mask is None else ~d.mask[part]
+        number = {}
+        mask = [number.setdefault(pixels.tobytes(), len(number)) for pixels in valid]
+        segments = settings.target == "segments"
+        ssps = patterns.ssps
+        return cls(
+            settings=settings,
+            pairs=pairs,
+            search_radius=search_radius,
+            patterns=patterns.select(chosen & np.isin(ssps.epoch, pairs[:, 0])),
+            epochs=epochs,
+            scales=own[0].scales,
+            shape=shape,
+            origin=origin,
+            noise=[d.noise for d in own],
+            segments=patterns.select(np.isin(ssps.epoch, epochs)) if segments else None,
+            planes=None if segments else [d.planes[:, *part] for d in own],
+            valid=valid[np.unique(mask, return_index=True)[1]],
+            mask=np.array(mask),
+        )
+
+
+def _overlap(shape, origin, size):
+    """Return the overlap of an image and a window, as slices of both."""
+    ends = np.clip([origin, np.add(origin, size)], 0, shape)
+    ranges = ends.T.tolist(), (ends - origin).T.tolist()
+    return tuple(tuple(slice(*axis) for axis in axes) for axes in ranges)
 
 
 class TargetStack:
-    """The padded target planes of one scale, from which windows are cut."""
+    """The target planes of a block on one scale, from which windows are cut."""
 
-    def __init__(self, targets, scale, origin, size):
-        self.origin, self.shape = origin, targets.shape
-        image = image_part(targets.shape, origin, size)
-        inside = _moved(image, origin)
-        plane = targets.scales.index(scale)
-        self.noise = [noise[plane] for noise in targets.noise]
-        self.values = np.zeros((len(targets.epochs), *size), dtype=np.float32)
-        self.boxes = self.owner = None
-        if targets.patterns is None:
-            part = _moved(image, [p.start for p in targets.part])
-            for own, planes in zip(self.values, targets.planes, strict=True):
-                own[inside] = planes[plane][part]
+    def __init__(self, block, scale):
+        self.block, self.scale = block, block.scales.index(scale)
+        n, (ny, nx) = len(block.epochs), block.valid.shape[1:]
+        self.values = np.zeros((n, ny, nx), dtype=np.float32)
+        # Boxes beyond which the planes of their owners are zero.
+        if block.segments is None:
+            _, inside = _overlap(block.shape, block.origin, (ny, nx))
+            self.boxes, self.owner = np.tile([0, 0, ny, nx], (n, 1)), np.arange(n)
+            for own, planes in zip(self.values, block.planes, strict=True):
+                own[inside] = planes[self.scale]
         else:
-            self._draw(targets, scale)
-        # Valid pixels for each different mask, and the index of each target's mask.
-        self.valid, numbers = [], {}
-        for mask in targets.masks:
-            if id(mask) not in numbers:
-                numbers[id(mask)] = len(self.valid)
-                self.valid.append(np.zeros(size, dtype=bool))
-                self.valid[-1][inside] = True if mask is None else ~mask[image]
-        self.number = np.array([numbers[id(mask)] for mask in targets.masks])
-        for own, number in zip(self.values, self.number, strict=True):
-            own[~self.valid[number]] = 0
-
-    def _draw(self, targets, scale):
-        patterns = targets.patterns.select(targets.patterns.ssps.scale == scale)
-        self.boxes = patterns.ssps.bbox - np.tile(self.origin, 2)
-        self.owner = np.searchsorted(targets.epochs, patterns.ssps.epoch)
-        epoch = np.repeat(self.owner, patterns.ssps.n_pixels)
-        y, x = np.divmod(patterns.ssps.pixels, self.shape[1])
-        y, x = y - self.origin[0], x - self.origin[1]
-        _, ny, nx = self.values.shape
-        on = (y >= 0) & (y < ny) & (x >= 0) & (x < nx)
-        self.values[epoch[on], y[on], x[on]] = patterns.values[on]
+            segments = block.segments.select(block.segments.ssps.scale == scale)
+            self.boxes = segments.ssps.bbox - np.tile(block.origin, 2)
+            self.owner = np.searchsorted(block.epochs, segments.ssps.epoch)
+            epoch = np.repeat(self.owner, segments.ssps.n_pixels)
+            y, x = np.divmod(segments.ssps.pixels, block.shape[1])
+            y, x = y - block.origin[0], x - block.origin[1]
+            on = (y >= 0) & (y < ny) & (x >= 0) & (x < nx)
+            self.values[epoch[on], y[on], x[on]] = segments.values[on]
 
     def displacements(self, box, search_radius):
         """
@@ -146,13 +157,10 @@ class TargetStack:
         are none.  Coefficients are zero at all other displacements.  One more of
         these is included on every side, so that no maximum lies at the border.
         """
-        middle = np.zeros(2, int)
-        if self.boxes is None:
-            return middle, search_radius
-        box = box - np.tile(self.origin, 2)
+        box = box - np.tile(self.block.origin, 2)
         touch = self._touching(box[:2] - search_radius, box[2:] + search_radius)
         if not touch.any():
-            return middle, None
+            return None, None
         low = self.boxes[touch, :2].min(axis=0) - box[2:]
         high = self.boxes[touch, 2:].max(axis=0) - box[:2]
         low, high = np.maximum(low, -search_radius), np.minimum(high, search_radius)
@@ -165,30 +173,23 @@ class TargetStack:
 
     def not_empty(self, corner, shape):
         """Return which targets may have values in a window."""
-        if self.boxes is None:
-            return np.ones(len(self.values), dtype=bool)
         owners = self.owner[self._touching(corner, corner + shape)]
         return np.bincount(owners, minlength=len(self.values)) > 0
 
     def alike(self, targets, corner, template, min_overlap):
-        """Return groups of targets that miss the same pixels, with their `Overlap`."""
-        (y, x), (h, w) = corner, template.fft_shape
-        number, whole, groups = self.number[targets], [], []
-        for k in np.unique(number):
-            own, valid = targets[number == k], self.valid[k][y : y + h, x : x + w]
-            ny, nx = template.window_shape
-            if valid[:ny, :nx].all():
-                whole.append(own)
-            else:
-                groups.append((own, template.overlap(valid, min_overlap)))
-        if whole:
-            groups.append((np.sort(np.concatenate(whole)), None))
-        return groups
+        """Yield groups of targets that miss the same pixels, with their `Overlap`."""
+        (y, x), (h, w), (ny, nx) = corner, template.fft_shape, template.window_shape
+        valid, number = self.block.valid, self.block.mask[targets]
+        whole = valid[:, y : y + ny, x : x + nx].all(axis=(1, 2))[number]
+        for k in np.unique(number[~whole]):
+            overlap = template.overlap(valid[k, y : y + h, x : x + w], min_overlap)
+            yield targets[number == k], overlap
+        yield targets[whole], None
 
     def coefficients(self, targets, corner, template, overlap, compiled):
         """Yield the targets in batches, with their coefficients."""
-        shape = template.fft_shape
-        batch = int(np.clip(BATCH_PIXELS // np.prod(shape), 1, BATCH))
+        (y, x), (h, w) = corner, template.fft_shape
+        batch = int(np.clip(BATCH_PIXELS // (h * w), 1, BATCH))
         if compiled:
             from astro_scc.correlation.compiled import compiled_coefficients, worth_it
 
@@ -199,23 +200,19 @@ class TargetStack:
             if compiled:
                 yield some, compiled_coefficients(self.values, some, corner, template)
             else:
-                (y, x), (h, w) = corner, shape
-                part = self.values[some, y : y + h, x : x + w]
-                windows = np.zeros((len(some), *shape))
-                windows[:, : part.shape[1], : part.shape[2]] = part
+                windows = self.values[some, y : y + h, x : x + w].astype(float)
                 yield some, template.of_windows(windows, overlap)
 
     def snr(self, target, y, x):
         """Return the largest value in 3 x 3 pixels around positions, over the noise."""
-        ny, nx = self.shape
+        block, (ny, nx) = self.block, self.block.shape
         y = np.clip(np.rint(y).astype(int), 0, ny - 1)
         x = np.clip(np.rint(x).astype(int), 0, nx - 1)
         sigma = np.empty(len(y))
         for k in np.unique(target):
-            own = target == k
-            sigma[own] = np.broadcast_to(self.noise[k], self.shape)[y[own], x[own]]
-        step = np.arange(-1, 2)
-        rows = (y - self.origin[0])[:, None, None] + step[:, None]
-        columns = (x - self.origin[1])[:, None, None] + step
-        around = self.values[target[:, None, None], rows, columns]
+            own, noise = target == k, block.noise[k][self.scale]
+            sigma[own] = np.broadcast_to(noise, block.shape)[y[own], x[own]]
+        y0, x0 = block.origin + 1
+        around = sliding_window_view(self.values, (3, 3), axis=(1, 2))
+        around = around[target, y - y0, x - x0]
         return np.maximum(around.max(axis=(1, 2)), 0) / sigma

@@ -109,19 +109,10 @@ class Template:
         self.fft_shape = fft_shape(footprint.shape, search_radius)
 
     @cached_property
-    def _values_fft(self):
-        return self._transform(self.values)
-
-    @cached_property
-    def _footprint_fft(self):
-        return self._transform(self.footprint)
-
-    @cached_property
-    def _mean_fft(self):
-        return self._footprint_fft * self.n_pixels**-0.5
-
-    def _transform(self, array):
-        return np.conj(fft.rfft2(array, self.fft_shape))
+    def _transforms(self):
+        """Conjugate transforms of the values and of the footprint."""
+        arrays = self.values, self.footprint
+        return [np.conj(fft.rfft2(array, self.fft_shape)) for array in arrays]
 
     def _correlate(self, window_fft, template_fft):
         # Rows that belong to no displacement are dropped after the first axis.
@@ -133,10 +124,11 @@ class Template:
     def overlap(self, valid, min_overlap):
         """Return the `Overlap` of the template with valid pixels, shape (..., h, w)."""
         valid_fft = fft.rfft2(valid.astype(float), self.fft_shape)
-        number = np.rint(self._correlate(valid_fft, self._footprint_fft))
+        values_fft, footprint_fft = self._transforms
+        number = np.rint(self._correlate(valid_fft, footprint_fft))
         some = np.maximum(number, 1.0)
-        own_mean = self._correlate(valid_fft, self._values_fft)
-        squares_fft = self._transform(self.values**2)
+        own_mean = self._correlate(valid_fft, values_fft)
+        squares_fft = np.conj(fft.rfft2(self.values**2, self.fft_shape))
         own = self._correlate(valid_fft, squares_fft) - own_mean**2 / some
         flat = own <= VARIANCE_FLOOR
         share = number / self.n_pixels
@@ -160,9 +152,10 @@ class Template:
         squares = windows * windows
         floor = VARIANCE_FLOOR * squares.sum(axis=(-2, -1), keepdims=True)
         squares_fft = fft.rfft2(squares, self.fft_shape)
-        variance = self._correlate(squares_fft, self._footprint_fft)
-        total = self._correlate(transform, self._mean_fft)
-        covariance = self._correlate(transform, self._values_fft)
+        values_fft, footprint_fft = self._transforms
+        variance = self._correlate(squares_fft, footprint_fft)
+        total = self._correlate(transform, footprint_fft * self.n_pixels**-0.5)
+        covariance = self._correlate(transform, values_fft)
         if overlap is None:
             variance -= np.multiply(total, total, out=total)
         else:
@@ -277,8 +270,6 @@ def find_peaks(coefficient, threshold):
     is at least that of the pixel and at most 1.
     """
     n, ny, nx = coefficient.shape
-    if ny < 3 or nx < 3:
-        return tuple(np.empty(0, kind) for kind in (int, float, float, float))
     # One index for all axes is the fastest way to look up values.
     flat = np.ascontiguousarray(coefficient).reshape(-1)
     at = np.flatnonzero(coefficient[:, 1:-1, 1:-1] >= threshold)

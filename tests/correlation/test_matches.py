@@ -70,7 +70,7 @@ def test_selections(matches, epochs):
 
 
 def test_sorted_by_ssp_and_then_by_target(matches):
-    assert matches.sorted() is matches
+    assert matches.sorted().same_as(matches)
     mixed = matches.select(np.random.default_rng(0).permutation(len(matches)))
     found = mixed.sorted()
     order = np.lexsort((mixed.target, mixed.ssp))
