@@ -60,7 +60,7 @@ class Diagram:
         `Diagram`
         """
         bins = rays.bins
-        density = PairDensity.of(samples, rays.radius, settings)
+        density = PairDensity(samples, rays.radius, settings)
         observed = bins.sums(density.pairs, np.arange(len(samples.years))[None])
         return cls(
             displacement=density.grid,
@@ -71,20 +71,14 @@ class Diagram:
         )
 
 
-@dataclass(frozen=True, eq=False)
 class PairDensity:
     """Smoothed densities of the displacements of all ordered pairs of images."""
 
-    grid: np.ndarray
-    pairs: np.ndarray
-    mean: np.ndarray
-
-    @classmethod
-    def of(cls, d, radius, settings):
+    def __init__(self, d, radius, settings):
         n = len(d.years)
         half = int(np.ceil(POINTS * radius / settings.blur))
         step = radius / half
-        grid = step * np.arange(-half, half + 1)
+        self.grid = grid = step * np.arange(-half, half + 1)
         use = (np.abs(d.d2) <= settings.across) & (np.abs(d.d1) <= radius)
         place = (d.d1[use] + radius) / step
         low = np.clip(np.floor(place).astype(int), 0, 2 * half - 1)
@@ -97,32 +91,23 @@ class PairDensity:
         pairs = pairs + pairs.transpose(1, 0, 2)[:, :, ::-1]
         kernel = np.exp(-0.5 * ((grid[:, None] - grid) / settings.blur) ** 2)
         pairs = (pairs.reshape(n * n, -1) @ kernel).reshape(n, n, -1)
-        mean = pairs[~np.eye(n, dtype=bool)].mean(axis=0)
-        return cls(grid, pairs.reshape(n * n, -1), mean)
+        self.mean = pairs[~np.eye(n, dtype=bool)].mean(axis=0)
+        self.pairs = pairs.reshape(n * n, -1)
 
 
-@dataclass(frozen=True, eq=False)
 class IntervalBins:
     """Pairs of dates in bins of their interval, of equal relative width."""
 
-    n_dates: int
-    first: np.ndarray
-    second: np.ndarray
-    bin: np.ndarray
-    mean: np.ndarray
-    number: np.ndarray
-
-    @classmethod
-    def of(cls, years, step, intervals):
+    def __init__(self, years, step, intervals):
+        self.n_dates = len(years)
         first, second = np.triu_indices(len(years), 1)
         interval = years[second] - years[first]
         use = (interval > 0) & (interval >= intervals[0]) & (interval <= intervals[1])
-        first, second, interval = first[use], second[use], interval[use]
+        self.first, self.second, interval = first[use], second[use], interval[use]
         number = np.floor(np.log(interval / interval.min(initial=np.inf)) / step + 1e-9)
-        _, which = np.unique(number, return_inverse=True)
-        count = np.bincount(which)
-        mean = np.bincount(which, interval) / count
-        return cls(len(years), first, second, which, mean, count)
+        _, self.bin = np.unique(number, return_inverse=True)
+        self.number = np.bincount(self.bin)
+        self.mean = np.bincount(self.bin, interval) / self.number
 
     def sums(self, pairs, orders):
         """Return the densities of pairs summed over bins, (n_orders, n_tau, n_d)."""
@@ -134,6 +119,13 @@ class IntervalBins:
             (np.ones(rows.size), where), shape=(n * n_bins, self.n_dates**2)
         )
         return (sums @ pairs).reshape(n, n_bins, -1)
+
+
+def speed_grid(slowest, fastest, step):
+    """Return speeds in both directions, evenly spaced in the logarithm."""
+    n = int(np.ceil(np.log(fastest / slowest) / step))
+    speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
+    return np.concatenate([-speed[::-1], speed])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -206,7 +198,7 @@ class Rays:
         ValueError
             If the separations of no two epochs lie within ``intervals``.
         """
-        bins = IntervalBins.of(years, settings.interval_step, intervals)
+        bins = IntervalBins(years, settings.interval_step, intervals)
         if len(bins.mean) == 0:
             raise ValueError(
                 f"no two epochs are {intervals[0]:g} to {intervals[1]:g} yr apart"
@@ -217,10 +209,8 @@ class Rays:
         longest = min(years[-1] - years[0], intervals[1])
         fastest = min(radius / used, fastest)
         slowest = min(settings.slowest / longest, 0.25 * fastest)
-        n = int(np.ceil(np.log(fastest / slowest) / settings.speed_step))
-        speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
         return cls(
-            speed=np.concatenate([-speed[::-1], speed]),
+            speed=speed_grid(slowest, fastest, settings.speed_step),
             bins=bins,
             radius=radius,
             shortest=1.05 * used,

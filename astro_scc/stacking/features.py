@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from astro_scc.stacking.diagram import speed_grid
 from astro_scc.stacking.search_settings import DEFAULT, SearchSettings
 
 
@@ -144,17 +145,18 @@ def find_features(samples, rays, settings, prior):
     d = samples
     keep = (np.abs(d.d2) <= settings.across) & (np.abs(d.d1) <= rays.radius)
     keep &= (d.target_ssp >= 0) & (d.interval != 0)
-    links = _Links.of(d.select(keep))
+    links = _Links(d.select(keep))
     if len(links.ssp) == 0:
         return []
-    speeds = _speeds(rays)
+    # A wider range than for streams.
+    fastest, slowest = 1.1 * rays.speed.max(), 0.5 * np.abs(rays.speed).min()
+    speeds = speed_grid(slowest, fastest, settings.feature_speed_step)
     excess = _excess(links, d, speeds, rays) * prior(speeds)
-    best, fastest = excess.max(axis=1), speeds[excess.argmax(axis=1)]
+    best, speed = excess.max(axis=1), speeds[excess.argmax(axis=1)]
     seeds = np.argsort(-best, kind="stable")
     seeds = seeds[best[seeds] >= settings.least_score]
     found = []
-    chains = list(_chains(seeds, fastest, links, d, settings))
-    for chosen in _joined(chains, d, settings):
+    for chosen in _joined(_chains(seeds, speed, links, d, settings), d, settings):
         first, last = d.epoch[chosen[0]], d.epoch[chosen[-1]]
         least = max(settings.least_epochs, settings.least_share * (last - first + 1))
         if len(chosen) >= least:
@@ -180,7 +182,7 @@ def standing_features(samples, settings):
     close = (np.hypot(d.d1, d.d2) <= settings.nearest) & (d.target_ssp >= 0)
     # Images of the same date say nothing about motion.
     close &= d.interval != 0
-    links = _Links.of(d.select(close))
+    links = _Links(d.select(close))
     least = max(settings.least_epochs, len(d.years) / 2)
     number = np.diff(links.start)
     seeds = np.argsort(-number, kind="stable")
@@ -218,52 +220,33 @@ def clear_of(features, standing, samples, settings):
         clear = away > settings.pull
         if clear.all():
             found.append(f)
-            continue
-        if clear.sum() < settings.least_epochs:
+        elif clear.sum() < settings.least_epochs:
             found.append(replace(f, pulled=True))
-            continue
-        part = _feature(f.ssp[clear], d, settings)
-        response = np.zeros(len(f))
-        response[clear] = part.response
-        found.append(replace(part, ssp=f.ssp, motion=f.motion, response=response))
+        else:
+            part = _feature(f.ssp[clear], d, settings)
+            response = np.zeros(len(f))
+            response[clear] = part.response
+            found.append(replace(part, ssp=f.ssp, motion=f.motion, response=response))
     return found
 
 
-@dataclass(frozen=True, eq=False)
 class _Links:
     """Matches in both directions, sorted by the SSP from which they start."""
 
-    ssp: np.ndarray
-    to: np.ndarray
-    along: np.ndarray
-    weight: np.ndarray
-    interval: np.ndarray
-    start: np.ndarray
-
-    @classmethod
-    def of(cls, d):
+    def __init__(self, d):
         ssp = np.concatenate([d.ssp, d.target_ssp])
-        to = np.concatenate([d.target_ssp, d.ssp])
-        along = np.concatenate([d.d1, -d.d1])
-        weight = np.concatenate([d.weight, d.weight])
         order = np.argsort(ssp, kind="stable")
-        ssp, to = ssp[order], to[order]
-        interval = d.years[d.epoch[to]] - d.years[d.epoch[ssp]]
-        start = np.searchsorted(ssp, np.arange(len(d.epoch) + 1))
-        return cls(ssp, to, along[order], weight[order], interval, start)
+        self.ssp = ssp[order]
+        self.to = np.concatenate([d.target_ssp, d.ssp])[order]
+        self.along = np.concatenate([d.d1, -d.d1])[order]
+        self.weight = np.concatenate([d.weight, d.weight])[order]
+        self.interval = d.years[d.epoch[self.to]] - d.years[d.epoch[self.ssp]]
+        self.start = np.searchsorted(self.ssp, np.arange(len(d.epoch) + 1))
 
     def of_ssps(self, ssps):
         """Return the indices of the links from some SSPs."""
         parts = [np.arange(self.start[s], self.start[s + 1]) for s in ssps]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=int)
-
-
-def _speeds(rays):
-    """Return the speeds of single features, a wider range than those of streams."""
-    fastest, slowest = 1.1 * rays.speed.max(), 0.5 * np.abs(rays.speed).min()
-    n = int(np.ceil(np.log(fastest / slowest) / rays.settings.feature_speed_step))
-    speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
-    return np.concatenate([-speed[::-1], speed])
 
 
 def _excess(links, d, speeds, rays):
@@ -325,16 +308,14 @@ def _follow(seed, speed, links, d, free, settings):
         new = ~np.isin(d.epoch[to], list(members)) & np.all(
             away <= (settings.line, settings.across), axis=1
         )
-        to, off, index = to[new], off[new], index[new]
-        value = links.weight[index] * np.exp(-0.5 * (off / settings.smoothing) ** 2)
-        which, inverse = np.unique(to, return_inverse=True)
-        total = np.bincount(inverse, value, len(which))
-        front = []
-        for k in np.argsort(-total, kind="stable"):
-            epoch = int(d.epoch[which[k]])
+        value = np.exp(-0.5 * (off[new] / settings.smoothing) ** 2)
+        total = np.bincount(to[new], links.weight[index[new]] * value)
+        which, front = np.unique(to[new]), []
+        for ssp in which[np.argsort(-total[which], kind="stable")].tolist():
+            epoch = int(d.epoch[ssp])
             if epoch not in members:
-                members[epoch] = int(which[k])
-                front.append(int(which[k]))
+                members[epoch] = ssp
+                front.append(ssp)
         if len(members) >= 3:
             (speed, across), here, when = _line(np.array(list(members.values())), d)
     return np.array([members[epoch] for epoch in sorted(members)])
@@ -352,7 +333,7 @@ def _on_line(chosen, d, settings):
     for _ in range(3):
         if len(chosen) <= settings.least_epochs:
             break
-        off = _off_line(chosen, _line(chosen, d), d)[:, 0]
+        off = _off_line(chosen, d)[:, 0]
         limit = max(2.5 * 1.4826 * np.median(off), 2 * settings.position_error)
         good = off <= limit
         if good.all() or good.sum() < settings.least_epochs:
@@ -368,8 +349,7 @@ def _joined(chains, d, settings):
     while rest:
         chain, own, sums = rest.pop(0), sums[0], sums[1:]
         while rest:
-            same = np.flatnonzero(_of_one_speed(own, sums, settings))
-            found = _continuation(chain, same, rest, d, settings)
+            found = _continuation(chain, own, rest, sums, d, settings)
             if found is None:
                 break
             number, chain = found
@@ -391,48 +371,40 @@ def _slopes(sums):
     return (n * tx - t * x) / (n * tt - t * t)
 
 
-def _of_one_speed(one, others, settings):
-    """Return which chains have another's scale, other dates and a similar speed."""
-    apart = (others[:, 1] > one[2]) | (others[:, 2] < one[1])
-    joint = _slopes(one + others)
-    change = np.maximum(abs(_slopes(one) - joint), abs(_slopes(others) - joint))
-    return (
-        apart & (others[:, 0] == one[0]) & (change <= settings.same_speed * abs(joint))
-    )
+def _apart(one, others):
+    """Return which chains have no dates between the first and the last of another."""
+    return (others[:, 1] > one[2]) | (others[:, 2] < one[1])
 
 
-def _continuation(chain, numbers, rest, d, settings):
+def _continuation(chain, own, rest, sums, d, settings):
     """
     Return the number of the chain that lies best on one line with another, and both.
 
-    None if there is none, or if each one that does has another of the same dates
+    Chains of the same scale, other dates and a similar speed are tried.  None if no
+    one lies on a line with it, or if each one that does has another of the same dates
     beside it that does.
     """
+    joint = _slopes(own + sums)
+    change = np.maximum(abs(_slopes(own) - joint), abs(_slopes(sums) - joint))
+    alike = (sums[:, 0] == own[0]) & (change <= settings.same_speed * abs(joint))
     limit = np.array([3 * settings.position_error, settings.across])
     fits = []
-    for number in numbers:
-        both = _in_order(chain, rest[number], d)
-        off = (_off_line(both, _line(both, d), d) / limit).max()
+    for number in np.flatnonzero(alike & _apart(own, sums)):
+        both = np.concatenate([chain, rest[number]])
+        both = both[np.argsort(d.epoch[both])]
+        off = (_off_line(both, d) / limit).max()
         if off <= 1:
             fits.append((off, number, both))
     for _, number, both in sorted(fits, key=lambda fit: fit[0]):
-        others = (rest[k] for _, k, _ in fits if k != number)
-        if all(_in_order(rest[number], k, d) is not None for k in others):
+        others = [k for _, k, _ in fits if k != number]
+        if _apart(sums[number], sums[others]).all():
             return number, both
     return None
 
 
-def _in_order(chain, other, d):
-    """Return the SSPs of two chains in the order of time, None if dates overlap."""
-    if d.epoch[other[0]] < d.epoch[chain[0]]:
-        chain, other = other, chain
-    apart = d.epoch[chain[-1]] < d.epoch[other[0]]
-    return np.concatenate([chain, other]) if apart else None
-
-
-def _off_line(chosen, line, d):
-    """Return the distances of SSPs from a line along and across the axis."""
-    velocity, middle, when = line
+def _off_line(chosen, d):
+    """Return the distances of SSPs from their line along and across the axis."""
+    velocity, middle, when = _line(chosen, d)
     time = d.years[d.epoch[chosen]] - when
     return np.abs(d.position[chosen] - middle - time[:, None] * velocity)
 
@@ -448,16 +420,11 @@ def _different(features, d, settings):
     # Of two features of equal length, the one on the finer scale is blended less.
     for feature in sorted(features, key=lambda f: (-len(f), d.scale[f.ssp[0]])):
         years, place = d.years[d.epoch[feature.ssp]], d.position[feature.ssp]
-        if lines:
-            when, middle, velocity = (
-                np.array(part)[:, None] for part in zip(*lines, strict=True)
-            )
-            line = middle + (years - when)[..., None] * velocity
-            off = np.median(np.linalg.norm(place - line, axis=-1), axis=1)
-            if off.min() < settings.same_feature:
-                continue
-        kept.append(feature)
-        lines.append(
-            (years.mean(), place.mean(axis=0), (feature.speed, feature.across))
-        )
+        off = [
+            np.median(np.hypot(*(place - middle - np.outer(years - when, velocity)).T))
+            for velocity, middle, when in lines
+        ]
+        if min(off, default=np.inf) >= settings.same_feature:
+            kept.append(feature)
+            lines.append(_line(feature.ssp, d))
     return kept

@@ -138,7 +138,7 @@ class EpochPermutations:
         orders = np.concatenate([np.arange(len(years))[None], orders])
         sums, largest = [], 1e-300
         for axis in axes:
-            density = PairDensity.of(axis, rays.radius, settings)
+            density = PairDensity(axis, rays.radius, settings)
             matrix = rays.matrix(speed, density.grid)
             chance = matrix @ (bins.number[:, None] * density.mean).ravel()
             size = max(1, int(BYTES // (8 * len(bins.mean) * len(density.grid))))
@@ -151,9 +151,8 @@ class EpochPermutations:
         sums = np.stack(sums, axis=1)
         std = sums.std(axis=0)
         # The floor keeps rounding errors of identical epochs from counting.
-        z = sums / np.maximum(
-            std, settings.least_std * std.max(axis=0) + 1e-6 * largest
-        )
+        floor = settings.least_std * std.max(axis=0) + 1e-6 * largest
+        z = sums / np.maximum(std, floor)
         return cls(
             speed=speed,
             z=z[0],
@@ -178,11 +177,7 @@ class EpochPermutations:
         """
         axis, k = np.unravel_index(self.z.argmax(), self.z.shape)
         speed = self.speed[k]
-        if (
-            0 < k < len(self.speed) - 1
-            and speed * self.speed[k - 1] > 0
-            and (speed * self.speed[k + 1] > 0)
-        ):
+        if np.count_nonzero(self.speed[max(k - 1, 0) : k + 2] * speed > 0) == 3:
             below, here, above = self.z[axis, k - 1 : k + 2]
             # argmax is the first of equal values, so the one below is smaller.
             shift = 0.5 * (below - above) / (below - 2 * here + above)

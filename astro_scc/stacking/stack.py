@@ -63,7 +63,6 @@ def sample_velocities(samples, pairs, order=None):
     v1, v2, s1, s2 : `~numpy.ndarray`, shape (k,)
     weight : `~numpy.ndarray`, shape (k,)
     """
-    order = np.arange(pairs.n_dates) if order is None else order
     reference, target = pairs.images(order)
     n = samples.n_epochs
     # Each ordered pair of images meets at most one pair of dates.
@@ -72,14 +71,9 @@ def sample_velocities(samples, pairs, order=None):
     of_match = slot[samples.reference, samples.target]
     index = np.flatnonzero(of_match >= 0)
     rate = 1 / pairs.interval[of_match[index]]
-    return (
-        index,
-        samples.d1[index] * rate,
-        samples.d2[index] * rate,
-        samples.s1[index] * rate,
-        samples.s2[index] * rate,
-        samples.weight[index] * pairs.weight[of_match[index]],
-    )
+    columns = samples.d1, samples.d2, samples.s1, samples.s2
+    weight = samples.weight[index] * pairs.weight[of_match[index]]
+    return (index, *(column[index] * rate for column in columns), weight)
 
 
 def number_of_ssps(samples, pairs, order=None):
@@ -99,7 +93,6 @@ def number_of_ssps(samples, pairs, order=None):
         ``sum_t w_t N_SSP(t)``, where w are the weights of the pairs; infinite
         without SSPs, so that an empty stack is zero.
     """
-    order = np.arange(pairs.n_dates) if order is None else order
     reference, _ = pairs.images(order)
     number = (samples.n_ssps[reference] * pairs.weight).sum(axis=-1)
     return np.where(number > 0, number, np.inf)

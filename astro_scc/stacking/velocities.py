@@ -112,10 +112,8 @@ class VelocitySamples:
         -------
         `VelocitySamples`
         """
-        columns = {name: getattr(self, name) for name in COLUMNS}
-        return replace(
-            self, **{k: v[keep] for k, v in columns.items() if v is not None}
-        )
+        columns = [(name, getattr(self, name)) for name in COLUMNS]
+        return replace(self, **{k: v[keep] for k, v in columns if v is not None})
 
     def without_ssps(self, taken: np.ndarray) -> VelocitySamples:
         """
@@ -149,9 +147,8 @@ class VelocitySamples:
         paired = np.zeros((len(self.years),) * 2, dtype=bool)
         paired[pairs.first, pairs.second] = paired[pairs.second, pairs.first] = True
         some = self.select(paired[self.reference, self.target])
-        rate = 1 / np.abs(some.interval)
-        slow = np.abs(some.d1) * rate <= limit[0]
-        return some.select(slow & (np.abs(some.d2) * rate <= limit[1]))
+        speed = np.abs([some.d1, some.d2]) * (1 / np.abs(some.interval))
+        return some.select((speed.T <= limit).all(axis=1))
 
 
 #: Columns of `VelocitySamples` that have a value for each sample.
@@ -190,28 +187,21 @@ class DatePairs:
     def __len__(self) -> int:
         return len(self.first)
 
-    def images(self, order: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def images(self, order: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
         """
         Return the ordered pairs of images for an order of the images over the dates.
 
         Parameters
         ----------
-        order : array_like of int, shape (..., n_dates)
-            Image at each date.
+        order : array_like of int, shape (..., n_dates), optional
+            Image at each date; by default the observed order.
 
         Returns
         -------
         reference, target : `~numpy.ndarray` of int, shape (..., n_pairs)
         """
-        order = np.asarray(order)
+        order = np.arange(self.n_dates) if order is None else np.asarray(order)
         return order[..., self.first], order[..., self.second]
-
-
-def _pairs(years, first, second, weight=None):
-    years = np.asarray(years, dtype=float)
-    interval = years[second] - years[first]
-    weight = np.ones(len(first)) if weight is None else weight
-    return DatePairs(first, second, interval, weight, len(years))
 
 
 def consecutive_pairs(years: ArrayLike) -> DatePairs:
@@ -235,9 +225,9 @@ def consecutive_pairs(years: ArrayLike) -> DatePairs:
     >>> consecutive_pairs([0.0, 0.5, 1.5]).interval
     array([0.5, 1. ])
     """
-    years = np.asarray(years, dtype=float)
-    first = np.flatnonzero(np.diff(years) > 0)
-    return _pairs(years, first, first + 1)
+    gaps = np.diff(np.asarray(years, dtype=float))
+    first = np.flatnonzero(gaps > 0)
+    return DatePairs(first, first + 1, gaps[first], np.ones(len(first)), len(years))
 
 
 def baseline_pairs(years: ArrayLike, shortest: float, longest: float) -> DatePairs:
@@ -285,7 +275,7 @@ def baseline_pairs(years: ArrayLike, shortest: float, longest: float) -> DatePai
     first, second = np.nonzero(inside & (separation > 0))
     interval = separation[first, second]
     weight = interval**2 / np.mean(interval**2) if len(interval) else interval
-    return _pairs(years, first, second, weight)
+    return DatePairs(first, second, interval, weight, len(years))
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,12 +351,9 @@ class VelocityGrid:
         """
         v_max = np.broadcast_to(np.asarray(v_max, dtype=float), 2)
         step = np.broadcast_to(np.asarray(step, dtype=float), 2)
-        if not (np.all(np.isfinite(v_max)) and np.all(v_max > 0)):
-            raise ValueError(f"the largest velocity must be positive, got {v_max}")
-        if not (np.all(np.isfinite(step)) and np.all(step > 0)):
-            raise ValueError(f"the velocity step must be positive, got {step}")
-        half = np.ceil(v_max / step - 1e-9).astype(int)
-        half = np.clip(half, 1, max_size // 2)
-        return cls(
-            *(v * (np.arange(-n, n + 1) / n) for v, n in zip(v_max, half, strict=True))
-        )
+        for name, value in (("largest velocity", v_max), ("velocity step", step)):
+            if not np.all((value > 0) & (value < np.inf)):
+                raise ValueError(f"the {name} must be positive, got {value}")
+        half = np.clip(np.ceil(v_max / step - 1e-9).astype(int), 1, max_size // 2)
+        axes = zip(v_max, half, strict=True)
+        return cls(*(v * (np.arange(-n, n + 1) / n) for v, n in axes))

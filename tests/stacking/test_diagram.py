@@ -76,7 +76,7 @@ SHARED = 0.01
 
 class TestPairDensity:
     def test_pairs_of_images_are_sums_of_gaussians(self, d):
-        density = PairDensity.of(d, 1.5, SEARCH)
+        density = PairDensity(d, 1.5, SEARCH)
         for a, b in permutations(range(5), 2):
             wanted = density_by_loop(d, a, b, density.grid)
             found = density.pairs[5 * a + b]
@@ -84,17 +84,17 @@ class TestPairDensity:
         assert not density.pairs[:: 5 + 1].any()
 
     def test_matches_on_the_grid_are_exact(self, d):
-        grid = PairDensity.of(d, 1.5, SEARCH).grid
+        grid = PairDensity(d, 1.5, SEARCH).grid
         rng = np.random.default_rng(2)
         on = replace(d, d1=rng.choice(grid, len(d)))
-        density = PairDensity.of(on, 1.5, SEARCH)
+        density = PairDensity(on, 1.5, SEARCH)
         wanted = density_by_loop(on, 1, 3, grid)
         np.testing.assert_allclose(density.pairs[5 * 1 + 3], wanted, atol=1e-12)
         np.testing.assert_allclose(density.mean, mean_by_loop(on, grid), atol=1e-12)
 
     def test_the_grid_reaches_the_radius_on_both_sides(self):
         for radius in (0.3, 1.5, 4.1):
-            grid = PairDensity.of(
+            grid = PairDensity(
                 random_matches(np.random.default_rng(3)), radius, SEARCH
             ).grid
             assert grid[0] == -radius
@@ -105,8 +105,8 @@ class TestPairDensity:
     def test_matches_beyond_the_radius_or_aside_are_left_out(self, d):
         keep = (np.abs(d.d1) <= 1.5) & (np.abs(d.d2) <= SEARCH.across)
         assert 0 < keep.sum() < len(d)
-        all_of_them = PairDensity.of(d, 1.5, SEARCH)
-        inside = PairDensity.of(d.select(keep), 1.5, SEARCH)
+        all_of_them = PairDensity(d, 1.5, SEARCH)
+        inside = PairDensity(d.select(keep), 1.5, SEARCH)
         np.testing.assert_array_equal(all_of_them.pairs, inside.pairs)
 
 
@@ -128,7 +128,7 @@ class TestIntervalBins:
     @pytest.mark.parametrize("intervals", [(0, np.inf), (0.5, 2.0)])
     def test_every_pair_is_in_the_bin_of_its_interval(self, intervals):
         years = np.array([0.0, 0.5, 0.51, 0.51, 1.0, 1.52, 3.0, 4.4])
-        bins = IntervalBins.of(years, 0.08, intervals)
+        bins = IntervalBins(years, 0.08, intervals)
         wanted = bins_by_loop(years, intervals)
         assert bins.number.tolist() == [len(pairs) for pairs in wanted]
         for k, pairs in enumerate(wanted):
@@ -140,8 +140,8 @@ class TestIntervalBins:
             assert max(interval) <= min(interval) * np.exp(0.08)
 
     def test_sums_of_all_120_orders_and_their_mean(self, d):
-        density = PairDensity.of(d, 1.5, SEARCH)
-        bins = IntervalBins.of(YEARS, 0.08, (0, np.inf))
+        density = PairDensity(d, 1.5, SEARCH)
+        bins = IntervalBins(YEARS, 0.08, (0, np.inf))
         orders = np.array(list(permutations(range(5))))
         sums = bins.sums(density.pairs, orders)
         pairs = density.pairs.reshape(5, 5, -1)
@@ -295,7 +295,7 @@ class TestRays:
         assert rays.weight(motion, 10.0) == pytest.approx(weight)
 
     def test_sums_over_rays_interpolate_the_diagram(self, d, rays):
-        density = PairDensity.of(d, 1.5, SEARCH)
+        density = PairDensity(d, 1.5, SEARCH)
         rng = np.random.default_rng(4)
         some = rng.normal(size=(len(rays.bins.mean), len(density.grid)))
         found = rays.matrix(rays.speed, density.grid) @ some.ravel()
@@ -315,7 +315,7 @@ def permute(d, rays, *, n_trials=119):
 class TestEpochPermutations:
     def test_z_is_of_all_orders_by_a_loop(self, d, rays):
         test = permute(d, rays)
-        density = PairDensity.of(d, 1.5, SEARCH)
+        density = PairDensity(d, 1.5, SEARCH)
         pairs = density.pairs.reshape(5, 5, -1)
         sums = []
         for order in permutations(range(5)):
@@ -432,7 +432,7 @@ class TestEpochPermutations:
         alone, other = (permute(k, rays) for k in (few, d))
         sums, std = [], []
         for axis, test in ((few, alone), (d, other)):
-            density = PairDensity.of(axis, 1.5, SEARCH)
+            density = PairDensity(axis, 1.5, SEARCH)
             matrix = rays.matrix(rays.speed, density.grid)
             excess = Diagram.of(axis, rays, SEARCH).excess
             sums.append(matrix @ excess.ravel())

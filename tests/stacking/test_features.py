@@ -266,7 +266,7 @@ class TestFindFeatures:
         position[:, 0] += cell * rng.integers(-3, 4, len(position))
         d = axis_matches(position, epoch, years)
         rays = Rays.of(years, 1.5, SEARCH)
-        links, speeds = _Links.of(d), 2 * cell * np.array([-6, -3, 2, 4, 9])
+        links, speeds = _Links(d), 2 * cell * np.array([-6, -3, 2, 4, 9])
         found = _excess(links, d, speeds, rays)
 
         def score(ssp, speed, order):
