@@ -214,11 +214,6 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     return float(p_value), second
 
 
-def _log_normal(y, e, m, tau):
-    variance = e**2 + tau**2
-    return -0.5 * ((y - m) ** 2 / variance + np.log(variance))
-
-
 def _one(y, e, dispersions):
     """
     Return the largest log-likelihood of one stream, normal or log-normal, per trial.
@@ -226,25 +221,21 @@ def _one(y, e, dispersions):
     The logarithm of its mean, its relative dispersion and whether it is normal
     are returned as well.
     """
-    best = np.full((4, len(y)), -np.inf)
-    v, size = np.exp(y), np.exp(y).mean(axis=1, keepdims=True)
+    found, v = [], np.exp(y)
+    size = v.mean(axis=1, keepdims=True)
     for tau in dispersions:
         w = 1 / (e**2 + tau**2)
         m = (w * y).sum(axis=1) / w.sum(axis=1)
-        value = _log_normal(y, e, m[:, None], tau).sum(axis=1)
-        _keep_better(best, value, m, tau, 0)
+        variance = e**2 + tau**2
+        value = -0.5 * ((y - m[:, None]) ** 2 / variance + np.log(variance))
+        found.append(np.broadcast_arrays(value.sum(axis=1), m, tau, 0.0))
         # The normal distribution, also as a density of the logarithm.
         w = 1 / ((e * v) ** 2 + (tau * size) ** 2)
         m = (w * v).sum(axis=1, keepdims=True) / w.sum(axis=1, keepdims=True)
         value = y - 0.5 * (w * (v - m) ** 2 - np.log(w))
-        _keep_better(best, value.sum(axis=1), np.log(m[:, 0]), tau, 1)
-    return best
-
-
-def _keep_better(best, value, *what):
-    better = value > best[0]
-    for row, new in zip(best, (value, *what), strict=True):
-        row[better] = np.broadcast_to(new, len(value))[better]
+        found.append(np.broadcast_arrays(value.sum(axis=1), np.log(m[:, 0]), tau, 1.0))
+    found = np.array(found)
+    return found[found[:, 0].argmax(axis=0), :, np.arange(len(y))].T
 
 
 def _two(y, e, dispersions):

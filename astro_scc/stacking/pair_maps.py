@@ -165,7 +165,7 @@ class PairMaps:
             Blocks of stacks, in the order of ``orders``.
         """
         orders = np.asarray(orders)
-        stretch = _Stretch.of(self, pairs, grid, shift)
+        stretch = _Stretch(self, pairs, grid, shift)
         size = max(1, BLOCK_BYTES // (8 * grid.shape[0] * grid.shape[1]))
         for start in range(0, len(orders), size):
             some = orders[start : start + size]
@@ -194,7 +194,6 @@ class PairMaps:
             yield self._maps(part), rows[images]
 
 
-@dataclass(frozen=True, eq=False)
 class _Stretch:
     """
     The transformation of maps in displacement to stacks in velocity.
@@ -204,29 +203,23 @@ class _Stretch:
     them, and then stretched.
     """
 
-    # Spline weight of each pair of dates at the intervals, times its weight in the
-    # stack, shape (n_intervals, n_pairs).
-    share: np.ndarray
-    # For each interval, the part of the map that is needed and the matrices along
-    # both axes.
-    steps: tuple
-    # Shape of a map.
-    size: tuple
-
-    @classmethod
-    def of(cls, maps, pairs, grid, shift):
+    def __init__(self, maps, pairs, grid, shift):
+        self.size = len(maps.axis2), len(maps.axis1)
         at, share = _intervals(maps, pairs, grid)
         # If dates are even or few, permutations tie, which needs double precision.
         kind = np.float32 if len(at) > FEW_INTERVALS else float
-        steps = []
+        # Spline weight of each pair of dates at the intervals, times its weight in the
+        # stack, shape (n_intervals, n_pairs).
+        self.share = share.astype(kind) * pairs.weight.astype(kind)
+        # For each interval, the part of the map that is needed and the matrices along
+        # both axes.
+        self.steps = []
         for interval in at:
             one = _basis(maps.axis1, grid.v1 * interval - shift[0])
             two = _basis(maps.axis2, grid.v2 * interval - shift[1])
             part = rows, columns = _support(two), _support(one)
             to1 = np.ascontiguousarray(one[:, columns].T, dtype=kind)
-            steps.append((part, to1, two[:, rows].astype(kind)))
-        share = share.astype(kind) * pairs.weight.astype(kind)
-        return cls(share, tuple(steps), (len(maps.axis2), len(maps.axis1)))
+            self.steps.append((part, to1, two[:, rows].astype(kind)))
 
     def __call__(self, maps, row):
         """Return the stack of one permutation, given the rows of its pairs."""

@@ -219,8 +219,7 @@ def find_streams(
     for group, p_distinct in groups:
         if streams:
             # The second stream is tested without the features of the first.
-            first = _is_member(streams[0].features, axis.samples)
-            rest = axis.samples.without_ssps(first)
+            rest = _without(axis.samples, streams[0].features)
             tested = replace(
                 axis, samples=rest, permutations=permuted([rest]), number=0
             )
@@ -263,10 +262,12 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
     -------
     kind, reason : str
     """
-    if permutations.smallest_p > alpha:
-        reason = (
-            f"too few epochs or trials: no p_global below {permutations.smallest_p:.2g}"
-        )
+    moved, smallest_p = (
+        np.hypot.reduce([f.motion for f in features]),
+        permutations.smallest_p,
+    )
+    if smallest_p > alpha:
+        reason = f"too few epochs or trials: no p_global below {smallest_p:.2g}"
     elif p_global > alpha:
         reason = "permuted epochs give as strong a peak (p_global above alpha)"
         more = (np.quantile(permutations.maxima, 1 - alpha) / max(z, 1e-9)) ** 2
@@ -274,9 +275,7 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
             reason += f"; if it is real, {more:.1f} times as many epochs should show it"
     elif not features:
         reason = "no single feature is seen to move at this speed"
-    elif (
-        moved := np.hypot.reduce([f.motion for f in features])
-    ) < settings.least_motion:
+    elif moved < settings.least_motion:
         reason = (
             f"its features move {moved:.1f} beams, added in squares, less than "
             f"{settings.least_motion:g}: blends of standing features drift as far; "
@@ -320,13 +319,14 @@ class _Axis:
     def features(self):
         """Return the features; significant speeds have the larger weight."""
 
-        def prior(speeds):
-            z = self.z(speeds) / self.settings.full_prior
-            return np.clip(z, self.settings.least_prior, 1.0)
+        samples, settings = self.samples, self.settings
 
-        found = find_features(self.samples, self.rays, self.settings, prior)
-        standing = standing_features(self.samples, self.settings)
-        return clear_of(found, standing, self.samples, self.settings)
+        def prior(speeds):
+            z = self.z(speeds) / settings.full_prior
+            return np.clip(z, settings.least_prior, 1.0)
+
+        found = find_features(samples, self.rays, settings, prior)
+        return clear_of(found, standing_features(samples, settings), samples, settings)
 
     def moving(self, features, speed):
         """Return the features in the direction of a speed with ``least_z`` or more."""
@@ -395,10 +395,7 @@ def _population(features, settings):
     """Return the mean and dispersion of the speeds along and across the axis."""
     speed, error = feature_speeds(features, settings)
     across = [f.across for f in features], [f.across_error for f in features]
-    return (
-        random_effects(speed, error, settings),
-        random_effects(*across, settings),
-    )
+    return random_effects(speed, error, settings), random_effects(*across, settings)
 
 
 def _stream(axis, along, across, features, alpha, p_distinct=None):
@@ -408,34 +405,24 @@ def _stream(axis, along, across, features, alpha, p_distinct=None):
     kind, reason = classify(
         along, z, p_global, features, axis.permutations, alpha, axis.settings
     )
-    return Stream(
-        kind=kind,
-        reason=reason,
-        angle=axis.angle,
-        along=along,
-        across=across,
-        z=z,
-        p_local=p_local,
-        p_global=p_global,
-        p_distinct=p_global if p_distinct is None else p_distinct,
-        features=tuple(features),
-    )
+    p_distinct = p_global if p_distinct is None else p_distinct
+    measured = kind, reason, axis.angle, along, across
+    return Stream(*measured, z, p_local, p_global, p_distinct, tuple(features))
 
 
 def _standing_stream(axis, streams):
     """Return a list with the stream at rest, empty if nothing stands still."""
     moving = [f for s in streams if s.kind == "moving" for f in s.features]
-    rest = axis.samples.without_ssps(_is_member(moving, axis.samples))
-    still = standing_features(rest, axis.settings)
+    still = standing_features(_without(axis.samples, moving), axis.settings)
     if not still:
         return []
     along, across = _population(still, axis.settings)
     return [Stream("stationary", "", axis.angle, along, across, features=tuple(still))]
 
 
-def _is_member(features, samples):
-    """Return whether each SSP belongs to one of the features."""
-    member = np.zeros(len(samples.epoch), dtype=bool)
+def _without(samples, features):
+    """Return the samples of other SSPs than those of the features."""
+    taken = np.zeros(len(samples.epoch), dtype=bool)
     for feature in features:
-        member[feature.ssp] = True
-    return member
+        taken[feature.ssp] = True
+    return samples.without_ssps(taken)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -277,25 +277,20 @@ def find_velocity_peaks(
     step1, step2 = grid.step
     found = []
     for (row, column), py, px in zip(points, y, x, strict=True):
-        peak = VelocityPeak(
-            v1=float(grid.v1[0] + px * step1),
-            v2=float(grid.v2[0] + py * step2),
-            coefficient=float(scc[row, column]),
-            row=row,
-            column=column,
-        )
+        point = float(scc[row, column]), row, column
+        v1, v2 = float(grid.v1[0] + px * step1), float(grid.v2[0] + py * step2)
+        peak = VelocityPeak(v1, v2, *point)
         part, used = _fitted_points(scc, grid, box, (row, column), points)
         near2, near1 = (np.ravel(index) for index in part)
         values = np.where(used, scc[part], 0.0)
         fit = fit_gaussian(values, grid.v1[near1], grid.v2[near2])
         if (
             fit is not None
-            and abs(fit[0] - peak.v1) <= max(box[0] / 2, step1)
-            and abs(fit[1] - peak.v2) <= max(box[1] / 2, step2)
+            and abs(fit[0] - v1) <= max(box[0] / 2, step1)
+            and abs(fit[1] - v2) <= max(box[1] / 2, step2)
         ):
-            names = "v1", "v2", "width1", "width2"
-            fit = dict(zip(names, fit[:2] + fit[3:], strict=True))
-            peak = replace(peak, **fit, fitted=True)
+            v1, v2, _, *widths = fit
+            peak = VelocityPeak(v1, v2, *point, *widths, fitted=True)
         found.append(peak)
     return sorted(found, key=lambda c: -c.coefficient)
 

@@ -112,7 +112,7 @@ def test_many_intervals_are_few_for_the_maps(random_displacements, shift):
     rng = np.random.default_rng(9)
     d = random_displacements(rng, 14, 900, reach=5.0, s1=(0.4, 0.8), s2=(0.5, 1.0))
     pairs = baseline_pairs(np.cumsum(rng.uniform(0.1, 0.3, 14)), 0.0, 1.2)
-    stretch = pair_maps._Stretch.of(
+    stretch = pair_maps._Stretch(
         PairMaps.of(d, GRID.v_max, 1.2), pairs, GRID, (0.0, 0.0)
     )
     assert len(stretch.share) < 0.7 * len(pairs)
