@@ -206,16 +206,13 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
         place = _maximum(local, grid1, grid2)
         if place is not None:
             found.append(place)
-    share = len(found) / n_trials if n_trials else 0.0
+    share = len(found) / max(n_trials, 1)
     if len(found) < 3:
         unknown = np.full((2, 2), np.nan)
         return JitteredVelocity(unknown, unknown[0], np.nan, share)
-    return JitteredVelocity(
-        covariance=np.cov(np.transpose(found)),
-        bias=np.mean(found, axis=0) - (centre if observed is None else observed),
-        gaussian_p=_gaussian_p(np.array(found)),
-        share=share,
-    )
+    bias = np.mean(found, axis=0) - (centre if observed is None else observed)
+    covariance, p_value = np.cov(np.transpose(found)), _gaussian_p(np.array(found))
+    return JitteredVelocity(covariance, bias, p_value, share)
 
 
 def _maximum(scc, grid1, grid2):
@@ -224,10 +221,8 @@ def _maximum(scc, grid1, grid2):
     if not (0 < row < len(grid2) - 1 and 0 < column < len(grid1) - 1):
         return None
     dy, dx, _ = quadratic_peak(scc[row - 1 : row + 2, column - 1 : column + 2])
-    return (
-        grid1[column] + dx * (grid1[1] - grid1[0]),
-        grid2[row] + dy * (grid2[1] - grid2[0]),
-    )
+    step1, step2 = grid1[1] - grid1[0], grid2[1] - grid2[0]
+    return grid1[column] + dx * step1, grid2[row] + dy * step2
 
 
 def _gaussian_p(found):

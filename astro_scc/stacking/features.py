@@ -146,8 +146,6 @@ def find_features(samples, rays, settings, prior):
     keep = (np.abs(d.d2) <= settings.across) & (np.abs(d.d1) <= rays.radius)
     keep &= (d.target_ssp >= 0) & (d.interval != 0)
     links = _Links(d.select(keep))
-    if len(links.ssp) == 0:
-        return []
     # A wider range than for streams.
     fastest, slowest = 1.1 * rays.speed.max(), 0.5 * np.abs(rays.speed).min()
     speeds = speed_grid(slowest, fastest, settings.feature_speed_step)
@@ -245,8 +243,7 @@ class _Links:
 
     def of_ssps(self, ssps):
         """Return the indices of the links from some SSPs."""
-        parts = [np.arange(self.start[s], self.start[s + 1]) for s in ssps]
-        return np.concatenate(parts) if parts else np.zeros(0, dtype=int)
+        return np.concatenate([np.arange(*self.start[s : s + 2]) for s in ssps])
 
 
 def _excess(links, d, speeds, rays):
@@ -297,17 +294,11 @@ def _follow(seed, speed, links, d, free, settings):
     across = 0.0
     while front:
         index = links.of_ssps(front)
-        index = index[free[links.to[index]]]
-        off = links.along[index] - speed * links.interval[index]
-        near = np.abs(off) <= 2 * settings.smoothing
-        index, off = index[near], off[near]
-        to = links.to[index]
-        time = d.years[d.epoch[to]] - when
-        line = here + np.stack([speed * time, across * time], axis=1)
-        away = np.abs(d.position[to] - line)
-        new = ~np.isin(d.epoch[to], list(members)) & np.all(
-            away <= (settings.line, settings.across), axis=1
-        )
+        to, off = links.to[index], links.along[index] - speed * links.interval[index]
+        line = here + np.outer(d.years[d.epoch[to]] - when, (speed, across))
+        near = np.abs(d.position[to] - line) <= (settings.line, settings.across)
+        near = near.all(axis=1) & (np.abs(off) <= 2 * settings.smoothing)
+        new = near & free[to] & ~np.isin(d.epoch[to], list(members))
         value = np.exp(-0.5 * (off[new] / settings.smoothing) ** 2)
         total = np.bincount(to[new], links.weight[index[new]] * value)
         which, front = np.unique(to[new]), []

@@ -136,9 +136,8 @@ class PairMaps:
             make_interp_spline(axis, np.eye(len(axis)), k=DEGREE).c.astype(np.float32)
             for axis in axes
         )
-        axis1, axis2, *columns = (
-            a.astype(np.float32) for a in (*axes, d.d1, d.d2, d.s1, d.s2, d.weight)
-        )
+        arrays = *axes, d.d1, d.d2, d.s1, d.s2, d.weight
+        axis1, axis2, *columns = (a.astype(np.float32) for a in arrays)
         maps = np.empty((len(pairs), len(axis2) * len(axis1)), dtype=np.float32)
         for own, pair in zip(maps, pairs.tolist(), strict=True):
             k = self.index[self.ends[pair] : self.ends[pair + 1]]

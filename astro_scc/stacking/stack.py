@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,9 +143,8 @@ def stack(
     (2.0, 0.0, 0.9)
     """
     _, v1, v2, s1, s2, weight = sample_velocities(samples, pairs, order)
-    near = (np.abs(v1) < grid.v_max[0] + REACH_SIGMA * s1) & (
-        np.abs(v2) < grid.v_max[1] + REACH_SIGMA * s2
-    )
+    near = np.abs(v1) < grid.v_max[0] + REACH_SIGMA * s1
+    near &= np.abs(v2) < grid.v_max[1] + REACH_SIGMA * s2
     total = gaussian_sum(*(a[near] for a in (v1, v2, s1, s2, weight)), grid.v1, grid.v2)
     return total / number_of_ssps(samples, pairs, order)
 
@@ -339,6 +339,5 @@ def velocity_peak_near(scc, grid, box, v1, v2):
 
 def _grid_point(scc, y, x):
     """Return the grid point of a maximum, which simple rounding may miss."""
-    rows = {int(np.floor(y)), int(np.ceil(y))}
-    columns = {int(np.floor(x)), int(np.ceil(x))}
-    return max(((r, c) for r in rows for c in columns), key=lambda p: scc[p])
+    ends = ((int(np.floor(place)), int(np.ceil(place))) for place in (y, x))
+    return max(itertools.product(*ends), key=lambda point: scc[point])
