@@ -411,11 +411,13 @@ def _different(features, d, settings):
     # Of two features of equal length, the one on the finer scale is blended less.
     for feature in sorted(features, key=lambda f: (-len(f), d.scale[f.ssp[0]])):
         years, place = d.years[d.epoch[feature.ssp]], d.position[feature.ssp]
-        off = [
-            np.median(np.hypot(*(place - middle - np.outer(years - when, velocity)).T))
-            for velocity, middle, when in lines
-        ]
-        if min(off, default=np.inf) >= settings.same_feature:
-            kept.append(feature)
-            lines.append(_line(feature.ssp, d))
+        if lines:
+            parts = zip(*lines, strict=True)
+            velocity, middle, when = (np.array(part)[:, None] for part in parts)
+            line = middle + (years - when)[..., None] * velocity
+            off = np.median(np.linalg.norm(place - line, axis=-1), axis=1)
+            if off.min() < settings.same_feature:
+                continue
+        kept.append(feature)
+        lines.append(_line(feature.ssp, d))
     return kept
