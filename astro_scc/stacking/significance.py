@@ -220,9 +220,8 @@ def find_streams(
         if streams:
             # The second stream is tested without the features of the first.
             rest = _without(axis.samples, streams[0].features)
-            tested = replace(
-                axis, samples=rest, permutations=permuted([rest]), number=0
-            )
+            test = permuted([rest])
+            tested = replace(axis, samples=rest, permutations=test, number=0)
         # 4. The mean speed of a stream's features, and the permutation test at it.
         mean = _population(group, settings)
         streams.append(_stream(tested, *mean, group, alpha, p_distinct))
@@ -262,10 +261,8 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
     -------
     kind, reason : str
     """
-    moved, smallest_p = (
-        np.hypot.reduce([f.motion for f in features]),
-        permutations.smallest_p,
-    )
+    smallest_p = permutations.smallest_p
+    moved = np.hypot.reduce([f.motion for f in features])
     if smallest_p > alpha:
         reason = f"too few epochs or trials: no p_global below {smallest_p:.2g}"
     elif p_global > alpha:
@@ -318,7 +315,6 @@ class _Axis:
 
     def features(self):
         """Return the features; significant speeds have the larger weight."""
-
         samples, settings = self.samples, self.settings
 
         def prior(speeds):
@@ -405,9 +401,18 @@ def _stream(axis, along, across, features, alpha, p_distinct=None):
     kind, reason = classify(
         along, z, p_global, features, axis.permutations, alpha, axis.settings
     )
-    p_distinct = p_global if p_distinct is None else p_distinct
-    measured = kind, reason, axis.angle, along, across
-    return Stream(*measured, z, p_local, p_global, p_distinct, tuple(features))
+    return Stream(
+        kind=kind,
+        reason=reason,
+        angle=axis.angle,
+        along=along,
+        across=across,
+        z=z,
+        p_local=p_local,
+        p_global=p_global,
+        p_distinct=p_global if p_distinct is None else p_distinct,
+        features=tuple(features),
+    )
 
 
 def _standing_stream(axis, streams):
