@@ -18,8 +18,8 @@ import numpy as np
 from common import Sampler, write_table
 from distributed import Client, LocalCluster
 
-from astro_scc.cli.sources import read_survey
 from astro_scc.cli.survey import run_survey
+from astro_scc.cli.survey_sources import read_survey
 from astro_scc.simulation import simulate_two_fluid
 
 HEAD = """\

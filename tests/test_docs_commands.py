@@ -11,7 +11,7 @@ import astropy.units as u
 import pytest
 
 from astro_scc.cli.program import COMMANDS, build_parser
-from astro_scc.cli.sources import read_survey
+from astro_scc.cli.survey_sources import read_survey
 from astro_scc.epochs import Beam, write_epochs
 from astro_scc.settings import Settings, read_config
 from astro_scc.simulation import simulate_two_fluid

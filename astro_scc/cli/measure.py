@@ -15,9 +15,9 @@ from astro_scc.measurement import (
     write_products,
 )
 from astro_scc.measurement.products import write_votables
-from astro_scc.partial import replace_when_complete
 from astro_scc.report import write_report
 from astro_scc.report.page import flow_lines
+from astro_scc.writing import replace_when_complete
 
 PRODUCTS = (
     "components.ecsv features.ecsv sensitivity.ecsv ssps.ecsv components.tex scc.fits "

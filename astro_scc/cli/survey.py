@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from astro_scc.cli import sources
+from astro_scc.cli import survey_sources as sources
 from astro_scc.cli.inputs import read_epochs, workers_of
 from astro_scc.cli.measure import WORK, write_measurement
 from astro_scc.cli.program import one_line
@@ -29,10 +29,10 @@ from astro_scc.correlation import parallel
 from astro_scc.epochs.cutout import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement import select_ssps
-from astro_scc.partial import hold, partial_folder, remove_left, replace_when_complete
 from astro_scc.progress import progress
 from astro_scc.report.page import write_overview
 from astro_scc.scc import StackedCrossCorrelation
+from astro_scc.writing import hold, partial_folder, remove_left, replace_when_complete
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -138,7 +138,7 @@ def run_survey(
     Parameters
     ----------
     survey : Survey
-        See `~astro_scc.cli.sources.read_survey`.
+        See `~astro_scc.cli.survey_sources.read_survey`.
     output : path
         Folder of the products; on a cluster, all workers must see it.  Sources
         that an earlier run in this folder finished are not measured again.
@@ -173,7 +173,7 @@ def run_survey(
     Examples
     --------
     >>> from pathlib import Path
-    >>> from astro_scc.cli.sources import read_survey
+    >>> from astro_scc.cli.survey_sources import read_survey
     >>> from astro_scc.cli.survey import run_survey
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> simulate_two_fluid(n_epochs=5, rng=1).cube.write("jet.fits")

@@ -73,7 +73,8 @@ class Correlator:
         <https://numba.pydata.org>`_ compiles, instead of by transforms.  By
         default they are if numba is installed (the extra ``fast``) and there
         are more than 100 000 windows, because compiling takes some seconds
-        the first time.  Coefficients differ by rounding only.
+        the first time.  Coefficients differ by rounding, so that of about 100 000
+        matches one at the threshold ``kappa`` may be missing or added.
 
     Raises
     ------

@@ -21,7 +21,7 @@ from astropy.wcs import WCS, WCSHDO_P17, WCSHDO_all
 from astro_scc.epochs.beam import beam_columns
 from astro_scc.epochs.fits import CUBE_CREATOR, open_fits
 from astro_scc.epochs.headers import BEAM, epoch_header, first_line
-from astro_scc.partial import replace_when_complete
+from astro_scc.writing import replace_when_complete
 
 if TYPE_CHECKING:
     from astro_scc.epochs.cube import EpochCube

@@ -20,7 +20,7 @@ from astro_scc.epochs.serialize import read_object, without_dates, write_object
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.decomposing import decompose_epochs, noise_facts
 from astro_scc.measurement.tables import versions
-from astro_scc.partial import replace_when_complete
+from astro_scc.writing import replace_when_complete
 
 #: What the files are, in their headers and in messages.
 MATCHES = "astro_scc matches"

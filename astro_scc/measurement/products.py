@@ -20,7 +20,7 @@ from astropy.io.votable.tree import Param
 from astropy.table import Column, QTable, Table
 from astropy.time import Time
 
-from astro_scc import partial
+from astro_scc import writing
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.tables import latex_text, paper_table
 from astro_scc.stacking import SearchSettings
@@ -101,7 +101,7 @@ def product_folder(
             what = "exists and is not empty; choose another folder, or --overwrite"
             raise OSError(f"{path}: {what}")
         target.parent.mkdir(parents=True, exist_ok=True)
-        with partial.partial_folder(*(inside if exists else outside)) as folder:
+        with writing.partial_folder(*(inside if exists else outside)) as folder:
             _refuse_others(path, outside, inside, own=folder)
             yield folder
             if exists:
@@ -131,10 +131,10 @@ def product_folder(
 
 def _refuse_others(path, *places, own=None):
     """Raise an error if another run writes there; warn if one may do so."""
-    for left in (left for place in places for left in partial.remove_left(*place)):
+    for left in (left for place in places for left in writing.remove_left(*place)):
         if left == own:
             continue
-        if partial.is_held(left):
+        if writing.is_held(left):
             raise BlockingIOError(
                 f"{path}: another run is at work for this folder; wait for it, or "
                 "choose another folder"
@@ -451,5 +451,5 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
             kind = datatype.get(type(value), "unicodeChar")
             size = {"arraysize": "*"} if kind == "unicodeChar" else {}
             params.append(Param(votable, name=key, datatype=kind, value=value, **size))
-    with partial.replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
+    with writing.replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
         votable.to_xml(str(part))

@@ -16,7 +16,7 @@ from skimage.measure import find_contours
 
 from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs import EpochCube
-from astro_scc.partial import replace_when_complete
+from astro_scc.writing import replace_when_complete
 
 if TYPE_CHECKING:
     from photutils.segmentation import SegmentationImage

@@ -3,6 +3,6 @@
 
 from astro_scc.recovery.completeness import completeness
 from astro_scc.recovery.injection import draw_paths, inject
-from astro_scc.recovery.plan import plan, smallest_plan
+from astro_scc.recovery.observing_plan import plan, smallest_plan
 
 __all__ = ["completeness", "draw_paths", "inject", "plan", "smallest_plan"]

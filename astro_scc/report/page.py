@@ -15,11 +15,11 @@ from astro_scc.flow.groups import compare_scales
 from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.sensitivity import sensitivity_line
-from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
 from astro_scc.report import tables
 from astro_scc.stacking.permutations import number_of_permutations
 from astro_scc.units import in_easy_units, unit_name
+from astro_scc.writing import replace_when_complete
 
 #: Other products that the folder may hold, in the order of the page.
 PRODUCTS = (

@@ -18,8 +18,8 @@ from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.restoring import add_gaussians, correlated_noise, in_pixels
 from astro_scc.epochs.serialize import write_epochs
 from astro_scc.epochs.validation import as_beams, as_epoch_tuple
-from astro_scc.partial import replace_when_complete
 from astro_scc.simulation.streams import Features, Flow, Stream, check_not_negative
+from astro_scc.writing import replace_when_complete
 
 # Width of the negative bowl around a feature, in widths of its image.
 BOWL = 6.0

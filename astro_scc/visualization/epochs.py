@@ -11,9 +11,9 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.positions import axis_words
-from astro_scc.partial import replace_when_complete
 from astro_scc.stacking import DatePairs, consecutive_pairs
 from astro_scc.visualization import drawing, style
+from astro_scc.writing import replace_when_complete
 
 if TYPE_CHECKING:
     from astropy.table import QTable

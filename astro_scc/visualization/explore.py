@@ -11,12 +11,12 @@ from astropy.table import QTable
 from astropy.wcs import WCS
 
 from astro_scc.epochs.positions import sky_columns
-from astro_scc.partial import replace_when_complete
 from astro_scc.quantities import with_error
 from astro_scc.stacking.dispersion import error_of_speed
 from astro_scc.units import PM_UNIT, offset_unit, speed_unit, time_unit, unit_name
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.velocity import MAP_LABELS, velocity_labels
+from astro_scc.writing import replace_when_complete
 
 try:
     import bokeh.models as models

@@ -18,8 +18,8 @@ from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics.cosmology import to_cosmology
 from astro_scc.measurement import product_folder, products, write_products
 from astro_scc.measurement.products import velocity_hdus
-from astro_scc.partial import _machine
 from astro_scc.simulation import simulate_two_fluid
+from astro_scc.writing import _machine
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def test_what_a_killed_run_left_is_taken_away(tmp_path, exists):
 @pytest.mark.parametrize("overwrite", [True, False])
 def test_a_second_run_at_once_is_refused(tmp_path, monkeypatch, exists, overwrite):
     pytest.importorskip("fcntl")
-    monkeypatch.setattr("astro_scc.partial.PATIENCE", 0.01)
+    monkeypatch.setattr("astro_scc.writing.PATIENCE", 0.01)
     out = tmp_path / "deep" / "out"
     if exists:
         out.mkdir(parents=True)
@@ -161,15 +161,15 @@ def test_a_second_run_at_once_is_refused(tmp_path, monkeypatch, exists, overwrit
 def test_two_runs_that_begin_in_one_moment(tmp_path, monkeypatch):
     """The second looks before the first has made its folder, and looks again."""
     pytest.importorskip("fcntl")
-    monkeypatch.setattr("astro_scc.partial.PATIENCE", 0.01)
-    out, real, looked = tmp_path / "out", products.partial.remove_left, []
+    monkeypatch.setattr("astro_scc.writing.PATIENCE", 0.01)
+    out, real, looked = tmp_path / "out", products.writing.remove_left, []
 
     def look(parent, prefix):
         looked.append(prefix)
         return [] if len(looked) <= 2 else real(parent, prefix)
 
     with product_folder(out):
-        monkeypatch.setattr(products.partial, "remove_left", look)
+        monkeypatch.setattr(products.writing, "remove_left", look)
         with (
             pytest.raises(OSError, match="out: another run is at work for this folder"),
             product_folder(out),

@@ -180,7 +180,7 @@ def test_workers_end_with_a_run_that_is_told_to(inputs, tmp_path, how):
 
 @pytest.mark.slow
 def test_a_second_run_at_once_says_so(usual, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("astro_scc.partial.PATIENCE", 0.01)
+    monkeypatch.setattr("astro_scc.writing.PATIENCE", 0.01)
     argv, expected, _ = usual
     out, log = tmp_path / "here" / "out", tmp_path / "log"
     out.parent.mkdir()

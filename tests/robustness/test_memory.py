@@ -7,8 +7,8 @@ import pytest
 from astropy.table import QTable
 
 from astro_scc.cli import main
-from astro_scc.cli.sources import read_survey
 from astro_scc.cli.survey import run_survey
+from astro_scc.cli.survey_sources import read_survey
 from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import EpochCube
 from astro_scc.measurement.decomposing import refuse_too_much, working_memory

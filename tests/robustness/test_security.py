@@ -12,7 +12,7 @@ from astropy.io import fits
 import astro_scc
 from astro_scc.cli import main
 from astro_scc.cli.program import Reporter
-from astro_scc.cli.sources import folder_names
+from astro_scc.cli.survey_sources import folder_names
 from astro_scc.epochs import EpochCube, write_epochs
 from astro_scc.epochs.alignment import offsets_from_table
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.cli.sources import read_survey
 from astro_scc.cli.survey import run_survey
+from astro_scc.cli.survey_sources import read_survey
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 
@@ -215,7 +215,7 @@ def test_a_finished_source_of_other_versions(survey, monkeypatch):
 
     now = versions()
     monkeypatch.setattr(
-        "astro_scc.cli.sources.versions", lambda: {**now, "astro_scc": "0"}
+        "astro_scc.cli.survey_sources.versions", lambda: {**now, "astro_scc": "0"}
     )
     assert survey() is False
 

@@ -16,16 +16,16 @@ from astropy.time import Time
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import main
-from astro_scc.cli.sources import folder_names, read_survey
 from astro_scc.cli.survey import Outcome, measure_source, run_survey
+from astro_scc.cli.survey_sources import folder_names, read_survey
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.choices import choose_direction
-from astro_scc.partial import _machine
 from astro_scc.quantities import with_error
 from astro_scc.report.page import write_overview
 from astro_scc.report.tables import _small_profile, _span
 from astro_scc.simulation import simulate_two_fluid
+from astro_scc.writing import _machine
 
 TEXT = """
 [defaults]

@@ -128,7 +128,7 @@ def read_survey(path: Path | str) -> Survey:
     Examples
     --------
     >>> from pathlib import Path
-    >>> from astro_scc.cli.sources import read_survey
+    >>> from astro_scc.cli.survey_sources import read_survey
     >>> _ = Path("survey.toml").write_text('''
     ... [defaults]
     ... scale_groups = {fine = [1, 2], coarse = [3, 4]}

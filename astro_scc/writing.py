@@ -43,7 +43,7 @@ def partial_folder(parent, prefix):
     Examples
     --------
     >>> from pathlib import Path
-    >>> from astro_scc.partial import partial_folder
+    >>> from astro_scc.writing import partial_folder
     >>> Path("out").mkdir()
     >>> with partial_folder(Path("out"), ".partial-") as folder:
     ...     _ = (folder / "a.txt").write_text("done")

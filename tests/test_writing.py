@@ -8,15 +8,15 @@ import sys
 
 import pytest
 
-from astro_scc import partial
-from astro_scc.partial import hold, partial_folder, remove_left, replace_when_complete
+from astro_scc import writing
+from astro_scc.writing import hold, partial_folder, remove_left, replace_when_complete
 
 fcntl = pytest.importorskip("fcntl")
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from astro_scc.partial import partial_folder
+from astro_scc.writing import partial_folder
 with partial_folder(Path(sys.argv[1]), ".part-") as folder:
     (folder / "half").write_text("x")
     print(folder.name, flush=True)
@@ -67,7 +67,7 @@ def test_two_of_one_process(tmp_path):
 
 
 def test_what_is_not_its_own_stays(tmp_path, monkeypatch):
-    left = tmp_path / f".p-{partial._machine()}-0123abcd"
+    left = tmp_path / f".p-{writing._machine()}-0123abcd"
     left.mkdir()
     (left / "half").write_text("x")
     for name in (".p-mine", ".p-01234567-0123abcd9", "x.p-01234567-0123abcd"):
@@ -93,7 +93,7 @@ def test_what_is_not_its_own_stays(tmp_path, monkeypatch):
 
 
 def test_what_cannot_be_deleted_stays(tmp_path, monkeypatch):
-    left = tmp_path / f".p-{partial._machine()}-0123abcd"
+    left = tmp_path / f".p-{writing._machine()}-0123abcd"
     left.mkdir()
 
     def refuse(path):
@@ -127,7 +127,7 @@ def test_somebody_takes_it_for_left_before_it_is_held(tmp_path, monkeypatch):
 
 
 def test_files_that_were_half_written(tmp_path):
-    left = tmp_path / f".astro_scc-{partial._machine()}-0123abcd"
+    left = tmp_path / f".astro_scc-{writing._machine()}-0123abcd"
     left.mkdir()
     (left / "a.txt").write_text("half")
     (tmp_path / ".astro_scc-work").mkdir()
