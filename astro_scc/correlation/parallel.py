@@ -268,6 +268,8 @@ def open_client(address):
     """Connect to a Dask scheduler, such as ``tcp://node1:8786``, in this context."""
     distributed = _dask()
     try:
+        # A client that is refused an address would try to close itself for long.
+        distributed.comm.resolve_address(address)
         client = distributed.Client(address, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]

@@ -197,6 +197,13 @@ def test_a_scheduler_that_is_not_there(monkeypatch):
         list(in_order(operator.neg, [1], "tcp://127.0.0.1:9"))
 
 
+def test_a_scheduler_without_a_port_is_refused_before_a_client_is_made(monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(distributed, "Client", None)
+    with pytest.raises(OSError, match="node1: cannot be reached: missing port number"):
+        list(in_order(operator.neg, [1], "node1"))
+
+
 def test_without_dask(monkeypatch):
     original = builtins.__import__
 
