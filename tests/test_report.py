@@ -171,9 +171,11 @@ def test_the_answer_comes_first(page, components):
     spread = with_error(
         components["dispersion"][0].value, components["dispersion_err"][0].value
     )
+    angle = with_error(components["pm_pa"][0].value, components["pm_pa_err"][0].value)
     order = [
         "One significant velocity component, beside stationary features.",
         f"{speed} mas/yr = {beta} c",
+        f"towards position angle {angle} deg",
         f"; dispersion {spread}; p_global 0.024; 6 features, ",
         "stationary: its features do not move by more than two errors of their lines; "
         "1 feature, ",
