@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The decomposition of all epochs of a cube."""
 
-import warnings
 from dataclasses import replace
 from importlib.util import find_spec
 
@@ -10,7 +9,7 @@ import numpy as np
 from astro_scc.correlation.correlate import COMPILE_FROM, STACK_BYTES
 from astro_scc.correlation.parallel import in_order, machine_memory
 from astro_scc.decomposition import SSPs
-from astro_scc.exceptions import MeasurementWarning
+from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.progress import progress
 
 #: Bytes of this package and its libraries in each process.
@@ -77,13 +76,12 @@ def allow_for_structure(cube, decomposer):
     share = np.sort(shares, axis=0)[-most]
     full = share > 0
     scales = ", ".join(f"{scale:g}" for scale in np.array(decomposer.scales)[full])
-    warnings.warn(
+    warn(
         f"the images are full of structure on scale {scales}: {share[full].min():.0%} "
         "or more of what looks like noise in one epoch is in others too and is not "
         "taken for noise; noise='propagated' takes the noise that the epochs are given "
         "instead",
         MeasurementWarning,
-        stacklevel=4,
     )
     return replace(decomposer, noise_factors=tuple(np.sqrt(1 - share).tolist()))
 

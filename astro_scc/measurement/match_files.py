@@ -6,7 +6,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from astro_scc.correlation import Matches
 from astro_scc.decomposition import Decomposer, Decomposition, SSPs
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, without_dates, write_object
-from astro_scc.exceptions import MeasurementWarning
+from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.measurement.decomposing import decompose_epochs, noise_facts
 from astro_scc.measurement.tables import versions
 from astro_scc.writing import replace_when_complete
@@ -213,10 +212,9 @@ class MatchCache:
             return MatchedEpochs.read(self.path, cube, wanted=self.provenance)
         except (OSError, ValueError) as error:
             reason = str(error).removesuffix("; match the epochs again")
-            warnings.warn(
+            warn(
                 f"{reason}; not used, the epochs are matched again",
                 MeasurementWarning,
-                stacklevel=4,
             )
         return None
 

@@ -2,7 +2,6 @@
 """Plan of a measurement: scales, pairs of dates, search radius, speeds and SSPs."""
 
 import os
-import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike
 from astro_scc import stacking
 from astro_scc.decomposition import scale_size
 from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
-from astro_scc.exceptions import MeasurementWarning
+from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.kinematics import PositionAngleFrame, RidgeLine
 from astro_scc.measurement.decomposing import centroids_inside
 from astro_scc.measurement.match_files import MatchedEpochs
@@ -239,11 +238,10 @@ def search_reach(cube, pairs, radius, fwhm, max_speed):
                 "give a larger one, or a baseline with longer intervals"
             )
         if np.any(most / side > (shape.max() - 1) // 2):
-            warnings.warn(
+            warn(
                 f"the largest speed moves {in_longest}, more than half the image: give "
                 "a smaller max_speed, or a baseline that leaves out long intervals",
                 MeasurementWarning,
-                stacklevel=6,
             )
         farthest = max(farthest, most + BEYOND * fwhm)
     reach = np.ceil(farthest / side).astype(int)[::-1]
@@ -411,9 +409,8 @@ def warn_of_none_inside(ssps, select, region):
     if region is None or np.any(select) or len(ssps) == 0:
         return
     name = region if isinstance(region, str | os.PathLike) else "the region"
-    warnings.warn(
+    warn(
         f"{name}: no significant pattern has its centroid inside, {len(ssps)} in the "
         "rest of the images: check where it lies, or make it larger",
         MeasurementWarning,
-        stacklevel=3,
     )

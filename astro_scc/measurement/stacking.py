@@ -1,13 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """From matched epochs to velocity components."""
 
-import warnings
-
 import astropy.units as u
 import numpy as np
 
 from astro_scc import kinematics
-from astro_scc.exceptions import MeasurementWarning
+from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.measurement import axes
 from astro_scc.measurement.plan import flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
@@ -190,7 +188,7 @@ def _warn_of_limits(smallest, n_epochs, n_trials, level):
             f"{n_epochs} epochs allow no p_global below {smallest:.2g} (2/N!), so "
             f"nothing that moves can reach level {level:g}: measure more epochs"
         )
-    warnings.warn(what, MeasurementWarning, stacklevel=5)
+    warn(what, MeasurementWarning)
 
 
 def velocity_frame(matched, position_angle):
