@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
@@ -17,7 +17,7 @@ from astro_scc.epochs import EpochCube
 from astro_scc.flow.groups import ssp_angles
 from astro_scc.flow.models import fit_profile
 from astro_scc.kinematics import RidgeLine
-from astro_scc.kinematics.cosmology import ComponentsInC, beta_per_pm
+from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
 from astro_scc.measurement import (
     MatchedEpochs,
     SCCResult,
@@ -30,6 +30,9 @@ from astro_scc.measurement.tables import stack_tables
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
 from astro_scc.stacking import stack
+
+if TYPE_CHECKING:
+    from astropy.cosmology import FLRW
 
 #: Dots per inch of the figures.
 DPI = 150
@@ -60,7 +63,7 @@ def bins_of(edges, *, window=None):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Profile(ComponentsInC):
+class Profile:
     """
     The measurement in each bin of distance.
 
@@ -124,6 +127,28 @@ class Profile(ComponentsInC):
             meta["false_discovery"] = tested
         bins = self.bins.to_value(u.mas).tolist()
         return stack_tables(placed, meta | {"bins": bins, "along": self.along})
+
+    def components_in_c(
+        self, *, redshift: float | str | u.Quantity | None = None,
+        cosmology: FLRW | str | dict | None = None,
+        distance: u.Quantity | str | None = None,
+    ) -> QTable:  # fmt: skip
+        """
+        Return the components with apparent speeds in units of c.
+
+        Parameters
+        ----------
+        redshift, cosmology, distance : optional
+            See `SCCResult.components_in_c
+            <astro_scc.measurement.SCCResult.components_in_c>`.
+
+        Returns
+        -------
+        `~astropy.table.QTable`
+        """
+        return table_in_c(
+            self.components, redshift=redshift, cosmology=cosmology, distance=distance
+        )
 
     @property
     def main(self) -> QTable:

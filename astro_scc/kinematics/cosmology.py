@@ -15,7 +15,6 @@ from astro_scc.units import PM_UNIT, round_to_errors
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW, FlatLambdaCDM
-    from astropy.table import QTable
 
 #: Redshift of the microwave background, beyond which nothing can be seen.
 LAST_SCATTERING = 1090
@@ -243,44 +242,6 @@ def beta_per_pm(table):
     how = {name: table.meta.get(name) for name in ("redshift", "cosmology", "distance")}
     known = any(value is not None for value in how.values())
     return float(apparent_speed(1 * PM_UNIT, **how)) if known else None
-
-
-class ComponentsInC:
-    """A result with the table ``components``, which can be in units of c."""
-
-    def components_in_c(
-        self, *, redshift: float | str | u.Quantity | None = None,
-        cosmology: FLRW | str | dict | None = None,
-        distance: u.Quantity | str | None = None,
-    ) -> QTable:  # fmt: skip
-        """
-        Return the components with apparent speeds in units of c.
-
-        Parameters
-        ----------
-        redshift : float, str or `~astropy.units.Quantity`, optional
-        cosmology : `~astropy.cosmology.FLRW` or str, optional
-            Cosmology for the redshift, or its name; by default
-            `~astro_scc.kinematics.paper_cosmology`.
-        distance : `~astropy.units.Quantity` or str, optional
-            Distance of a nearby source, instead of a redshift.
-
-        Returns
-        -------
-        `~astropy.table.QTable`
-            `components` with the columns ``beta_app`` and ``beta_app_err``,
-            the speed ``pm`` in units of c, see
-            `~astro_scc.kinematics.apparent_speed`.  The meta holds the redshift
-            and cosmology, or the distance.
-
-        Raises
-        ------
-        ValueError
-            If neither a redshift nor a distance is given, or if one is invalid.
-        """
-        return table_in_c(
-            self.components, redshift=redshift, cosmology=cosmology, distance=distance
-        )
 
 
 def _how(redshift, cosmology, distance):

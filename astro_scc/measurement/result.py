@@ -19,7 +19,7 @@ from astro_scc import stacking
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.epochs.serialize import read_object, write_object
-from astro_scc.kinematics.cosmology import ComponentsInC
+from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import feature_tables
 from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.match_files import MatchedEpochs
@@ -34,6 +34,7 @@ from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
 from astro_scc.stacking.permutations import PermutedStacks
 
 if TYPE_CHECKING:
+    from astropy.cosmology import FLRW
     from matplotlib.figure import Figure
 
 #: What the files of results are, in their headers and in messages.
@@ -41,7 +42,7 @@ RESULT = "astro_scc result"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SCCResult(ComponentsInC):
+class SCCResult:
     """
     The stacked cross-correlation of a cube and its velocity components.
 
@@ -234,6 +235,40 @@ class SCCResult(ComponentsInC):
             component_row(self, number) for number in range(1, len(self.maxima) + 1)
         ]
         return name_by_frame(component_table(rows, meta=dict(self.meta)), self.cube)
+
+    def components_in_c(
+        self, *, redshift: float | str | u.Quantity | None = None,
+        cosmology: FLRW | str | dict | None = None,
+        distance: u.Quantity | str | None = None,
+    ) -> QTable:  # fmt: skip
+        """
+        Return the components with apparent speeds in units of c.
+
+        Parameters
+        ----------
+        redshift : float, str or `~astropy.units.Quantity`, optional
+        cosmology : `~astropy.cosmology.FLRW` or str, optional
+            Cosmology for the redshift, or its name; by default
+            `~astro_scc.kinematics.paper_cosmology`.
+        distance : `~astropy.units.Quantity` or str, optional
+            Distance of a nearby source, instead of a redshift.
+
+        Returns
+        -------
+        `~astropy.table.QTable`
+            `components` with the columns ``beta_app`` and ``beta_app_err``,
+            the speed ``pm`` in units of c, see
+            `~astro_scc.kinematics.apparent_speed`.  The meta holds the redshift
+            and cosmology, or the distance.
+
+        Raises
+        ------
+        ValueError
+            If neither a redshift nor a distance is given, or if one is invalid.
+        """
+        return table_in_c(
+            self.components, redshift=redshift, cosmology=cosmology, distance=distance
+        )
 
     def velocity_map(self, which: str = "coefficient") -> NDData:
         """
