@@ -237,21 +237,28 @@ def _start():
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
+    watched = [multiprocessing.parent_process().sentinel]
     if hasattr(signal, "setitimer"):
+        # A handler in Python would wait for the main thread, which may wait for a
+        # lock that a killed worker held, or not be the thread that gets the signal.
+        told, tell = os.pipe()
+        os.set_blocking(tell, False)
+        signal.set_wakeup_fd(tell)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.signal(
-            signal.SIGTERM, lambda *_: signal.setitimer(signal.ITIMER_REAL, GRACE)
-        )
-    # A parent that is killed cannot end its workers.
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+        signal.signal(signal.SIGTERM, lambda *_: None)
+        watched.append(told)
+    threading.Thread(target=_end_when_told, args=watched, daemon=True).start()
     from threadpoolctl import threadpool_limits
 
     # The workers already share the processor.
     threadpool_limits(1)
 
 
-def _end_with_parent():
-    wait_for_any([multiprocessing.parent_process().sentinel])
+def _end_when_told(parent, *told):
+    """End this process with its parent, which may be killed, or soon after SIGTERM."""
+    while parent not in wait_for_any([parent, *told]):
+        if signal.SIGTERM in os.read(*told, 64):
+            signal.setitimer(signal.ITIMER_REAL, GRACE)
     os._exit(1)
 
 
