@@ -289,7 +289,7 @@ def check_boolean(value):
 
 def _converted(value, convert, kind):
     try:
-        # A truth value is no number here, as None is none anywhere.
+        # Booleans do not count as numbers.
         return convert(None if isinstance(value, bool) else value)
     except OverflowError:
         return math.inf

@@ -72,7 +72,7 @@ class Plane(headers.HeaderRecord):
 
     @property
     def notes(self):
-        """What of the header is not understood, and what to do."""
+        """Advice on what in the header is not understood."""
         beam = f"its beam is taken as unknown: {self.beam_problem}; {CORRECT_BEAM}"
         return [n for n in (self.unit_problem, self.beam_problem and beam) if n]
 

@@ -383,7 +383,7 @@ def shared_grid(
     first = np.floor(corners.min(axis=1) + 0.01)
     size = np.ceil(corners.max(axis=1) - 0.01) - first + 1
     covered = np.sum(areas * [ny * nx for _, (ny, nx) in grids])
-    # It is not a number if a grid lies beyond the horizon of the projection.
+    # It is NaN if a grid lies beyond the horizon of the projection.
     if not np.prod(size) * areas.min() <= 100 * covered:
         raise ValueError(
             "the grids lie too far apart on the sky to share one; "

@@ -260,7 +260,7 @@ def _pack(value, name, arrays, memo, *, in_meta=False):
 
 
 class _Loader(yaml.AstropyLoader):
-    """Reader of YAML that makes again what `_pack` packed."""
+    """Reader of YAML that restores what `_pack` has packed."""
 
     def __init__(self, text, hdus=None, lazy=False):
         super().__init__(text)

@@ -21,7 +21,8 @@ OCTAVES = 4
 #: What is smooth on this scale, in pixels, is background to the structures: those of 3
 #: to 8 px are then measured to 20% (``tests/measurement/test_choices.py``).
 BACKGROUND = 16.0
-#: They are measured in the middle of so many epochs, so many pixels wide.
+#: Number of epochs in which they are measured, and width of the part in the middle, in
+#: pixels.
 MOST_EPOCHS, MOST_PIXELS = 5, 512
 #: Faintest pixels that show a direction, in noises of an epoch.
 SNR = 5.0

@@ -23,7 +23,7 @@ from astro_scc.writing import replace_when_complete
 
 #: What the files are, in their headers and in messages.
 MATCHES = "astro_scc matches"
-#: What parts are called in messages, where their names do not say it.
+#: Words for parts in messages, where their names are not clear.
 NAMES = {
     "data": "images",
     "mask": "masks",

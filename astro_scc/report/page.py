@@ -241,7 +241,7 @@ def flow_lines(result):
     moving = [k for k, s in enumerate(result.search.streams) if s.kind == "moving"]
     lines = [f"{k + 1}: {measure_acceleration(result, row=k)}" for k in moving]
     if moving and (of_scales := compare_scales(result)) is not None:
-        # Where there are two streams, scales of no difference have no common speed.
+        # With two streams, scales whose speeds do not differ need not share one speed.
         differ = of_scales["p_value"] <= result.meta["settings"]["alpha"]
         lines += tables.scale_lines(of_scales[differ] if moving[1:] else of_scales)
     return lines

@@ -203,7 +203,7 @@ def plain_table(table: QTable) -> QTable:
         if isinstance(column, SkyCoord):
             plain["ra"], plain["dec"] = column.ra.to(u.deg), column.dec.to(u.deg)
             for motion in ("pm_ra_cosdec", "pm_dec"):
-                # Coordinates of nothing have no motion.
+                # Empty coordinates have no proper motion.
                 plain[motion] = getattr(column, motion) if len(column) else [] * PM_UNIT
         else:
             plain[name] = column.isot if isinstance(column, Time) else column

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Visualization: one function per figure; each returns a matplotlib figure."""
 
+from astro_scc.visualization.diagram import plot_diagram
 from astro_scc.visualization.epochs import (
     animate_epochs,
     plot_epoch,
@@ -16,7 +17,6 @@ from astro_scc.visualization.features import (
 from astro_scc.visualization.profiles import plot_profile, plot_track_profile
 from astro_scc.visualization.tracks import plot_members, plot_separation, plot_tracks
 from astro_scc.visualization.velocity import (
-    plot_diagram,
     plot_map_and_significance,
     plot_significance,
     plot_velocity_map,

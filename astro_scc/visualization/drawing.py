@@ -5,8 +5,8 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.decomposition import scale_size
-from astro_scc.epochs.positions import axis_words, sky_columns, ssp_offsets
-from astro_scc.units import PM_UNIT, offset_unit, unit_name
+from astro_scc.epochs.positions import axis_words, ssp_offsets
+from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import style
 
 #: Colour of masked pixels, which is not among the greys of the image.
@@ -18,12 +18,6 @@ LINEAR_NOISE = 3.0
 LOWEST, MOST_CONTOURS = 5.0, 8
 #: Share of the SSPs' weight that lies beyond each side of a zoomed figure.
 EDGE = 0.015
-#: Intervals are shown up to this many times the one after which the slowest
-#: moving stream leaves the diagram, and at least this number of intervals.
-BEYOND = 1.3
-FEWEST_INTERVALS = 4
-#: Fraction of the diagram that is within the range of the colours.
-UNSATURATED = 0.995
 
 
 # -- limits, units and colours -----------------------------------------------------
@@ -130,6 +124,15 @@ def brightness_label(unit):
     """Return the label of a colour bar."""
     name = unit_name(unit)
     return f"Brightness ({name})" if name else "Brightness"
+
+
+def edges(middle):
+    """Return the edges of cells, halfway between their middles."""
+    if len(middle) == 1:
+        return middle[0] * np.array([0.9, 1.1])
+    half = np.diff(middle) / 2
+    first, last = middle[0] - half[0], middle[-1] + half[-1]
+    return np.concatenate([[first], middle[:-1] + half, [last]])
 
 
 # -- images ------------------------------------------------------------------------
@@ -315,71 +318,6 @@ def ssp_place(table):
     if "lon_offset" in table.colnames:
         names = ("lon_offset", "lat_offset")
     return np.stack([u.Quantity(table[name]).to_value(u.mas) for name in names])
-
-
-# -- displacement and interval -----------------------------------------------------
-
-
-def ray_slopes(components, kinds, angle):
-    """
-    Return the slopes of the components' rays in the diagram.
-
-    Parameters
-    ----------
-    components : `~astropy.table.QTable`
-    kinds : sequence of str
-    angle : `~astropy.units.Quantity`, float or None
-        Position angle of the displacement, in degrees; None if it is along the jet.
-
-    Returns
-    -------
-    `~numpy.ndarray`
-        In mas/yr.  That of a stationary component is zero, as is its speed within its
-        errors.
-    """
-    slopes = components["pm_parallel"].to_value(PM_UNIT)
-    if angle is not None:
-        sky = (components[name].to_value(PM_UNIT) for name in sky_columns(components))
-        angle = u.Quantity(angle, u.deg).to_value(u.rad)
-        slopes = np.array([np.sin(angle), np.cos(angle)]) @ [*sky]
-    return np.where(np.array(kinds) == "stationary", 0.0, slopes)
-
-
-def longest_interval(years, slopes, kinds, reach):
-    """Return the longest interval that is shown, in years."""
-    last = edges(years)[-1]
-    for shown in ("moving", "not significant"):
-        own = [abs(v) for v, kind in zip(slopes, kinds, strict=True) if kind == shown]
-        if any(own):
-            longest = BEYOND * reach / min(v for v in own if v > 0)
-            # A fast stream alone would leave a single column.
-            return min(max(longest, edges(years)[: FEWEST_INTERVALS + 1][-1]), last)
-    return last
-
-
-def edges(middle):
-    """Return the edges of cells, halfway between their middles."""
-    if len(middle) == 1:
-        return middle[0] * np.array([0.9, 1.1])
-    half = np.diff(middle) / 2
-    first, last = middle[0] - half[0], middle[-1] + half[-1]
-    return np.concatenate([[first], middle[:-1] + half, [last]])
-
-
-def highest_excess(years, excess, longest):
-    """Return the end of the range of the colours."""
-    return np.quantile(np.abs(excess[:, years <= longest]), UNSATURATED) or 1.0
-
-
-def diagram_levels(years, excess, longest, n):
-    """
-    Return a diagram as levels from -127 to 127 at n equal intervals up to the longest.
-
-    The shortest intervals, which no two epochs have, are zero.
-    """
-    column = np.searchsorted(edges(years), (np.arange(n) + 0.5) / n * longest) - 1
-    level = np.clip(excess / highest_excess(years, excess, longest), -1, 1)[:, column]
-    return np.where(column < 0, 0, np.round(127 * level)).astype(np.int8)
 
 
 # -- SSPs --------------------------------------------------------------------------

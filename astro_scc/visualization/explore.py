@@ -14,7 +14,7 @@ from astro_scc.epochs.positions import sky_columns
 from astro_scc.quantities import with_error
 from astro_scc.stacking.dispersion import error_of_speed
 from astro_scc.units import PM_UNIT, offset_unit, speed_unit, time_unit, unit_name
-from astro_scc.visualization import drawing, style
+from astro_scc.visualization import diagram, drawing, style
 from astro_scc.visualization.velocity import MAP_LABELS, velocity_labels
 from astro_scc.writing import replace_when_complete
 
@@ -100,7 +100,7 @@ class Page:
         self.components, self.hdus, self.cube, self.notes = components, hdus, cube, []
         self.kinds = style.component_kinds(components)
         angle = hdus["DIAGRAM"].header.get("DISPPA")
-        self.slopes = drawing.ray_slopes(components, self.kinds, angle)
+        self.slopes = diagram.ray_slopes(components, self.kinds, angle)
         seen = QTable.read(hdus["FEATURES"])
         if len(features) > FEATURES:
             longest = np.argsort(-features["n_epochs"], kind="stable")[:FEATURES]
@@ -373,7 +373,7 @@ class Page:
         used = bins["n_pairs"] > 0
         years, excess = bins["interval"][used].astype(float), hdu.data[:, used]
         half = hdu.header["CDELT2"] * len(excess) / 2
-        longest = drawing.longest_interval(years, self.slopes, self.kinds, half)
+        longest = diagram.longest_interval(years, self.slopes, self.kinds, half)
         time = time_unit(longest)
         right, top = u.yr.to(time, longest), u.mas.to(self.length, half)
         plot = self._figure(
@@ -381,7 +381,7 @@ class Page:
             f"Displacement ({unit_name(self.length)})",
             x_range=(0, right), y_range=(-top, top),
         )  # fmt: skip
-        level = drawing.diagram_levels(years, excess, longest, COLUMNS)
+        level = diagram.diagram_levels(years, excess, longest, COLUMNS)
         colors = interp_palette(RdBu11, 255)
         mapper = models.LinearColorMapper(colors, low=-127, high=127)
         size = {"dw": right, "dh": 2 * top}

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Velocity maps, significance along the jet, and the displacement-interval diagram."""
+"""Draw velocity maps and the significance along the jet."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from astro_scc.epochs.positions import axis_words, sky_columns
 from astro_scc.quantities import with_error
-from astro_scc.units import PM_UNIT, offset_unit, speed_unit, time_unit, unit_name
+from astro_scc.units import PM_UNIT, speed_unit, unit_name
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.style import BLACK, GREY, KINDS
 
@@ -353,129 +353,8 @@ def _mark_significance(ax, result, components, unit):
         )  # fmt: skip
 
 
-# -- displacement and interval -----------------------------------------------------
-
-
-def plot_diagram(
-    result: SCCResult, *, ax: Axes | None = None, components: QTable | None = None,
-    unit: u.UnitBase | str | None = None, colorbar: bool = True,
-) -> Figure:  # fmt: skip
-    """
-    Draw the displacement-interval diagram with the rays of the streams.
-
-    In red areas, more patterns match than in permuted epochs.  What moves at a
-    constant speed lies on a ray from the origin; what stands still lies at zero
-    displacement.  Thin lines on both sides of a ray are one dispersion of the
-    speeds away.  Intervals are shown until the slowest moving stream leaves the
-    diagram.  A second axis shows the displacement in beams.
-
-    Parameters
-    ----------
-    result : `~astro_scc.measurement.SCCResult`
-    ax : `matplotlib.axes.Axes`, optional
-        Axes to draw on instead of a new figure.
-    components : `~astropy.table.QTable`, optional
-        The components whose rays are drawn, by default ``result.components``.
-    unit : `~astropy.units.Unit`, optional
-        Unit of the displacement, by default one that is easy to read.
-    colorbar : bool, optional
-
-    Returns
-    -------
-    `matplotlib.figure.Figure`
-
-    Raises
-    ------
-    ValueError
-        If the unit is not an angle.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.visualization import plot_diagram
-    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
-    >>> figure = plot_diagram(result)
-    >>> figure.axes[0].get_xlabel()
-    'Interval between epochs (yr)'
-    """
-    image = result.diagram()
-    components = result.components if components is None else components
-    kinds = style.component_kinds(components)
-    slopes = drawing.ray_slopes(components, kinds, image.meta["position_angle"])
-    _, displacement = image.wcs.pixel_to_world_values(0, np.arange(len(image.data)))
-    unit = offset_unit(displacement[-1], unit)
-    seen = image.meta["n_pairs"] > 0
-    years, excess = image.meta["interval"].to_value(u.yr)[seen], image.data[:, seen]
-    longest = drawing.longest_interval(years, slopes, kinds, displacement[-1])
-    time = time_unit(longest)
-    highest = drawing.highest_excess(years, excess, longest)
-    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.2))
-    drawn = ax.pcolormesh(
-        u.yr.to(time, drawing.edges(years)),
-        u.mas.to(unit, drawing.edges(displacement)), excess, cmap="RdBu_r",
-        vmin=-highest, vmax=highest, rasterized=True, gid="excess",
-    )  # fmt: skip
-    ax.axhline(0, color=GREY, linewidth=0.6)
-    top = u.mas.to(unit, displacement[-1])
-    ax.set(xlim=(0, u.yr.to(time, longest)), ylim=(-top, top))
-    factor = PM_UNIT.to(unit / time)
-    speed_in = speed_unit(components["pm"].to_value(PM_UNIT).max(initial=0.0))
-    for row, kind, slope in zip(components, kinds, slopes, strict=True):
-        label = f"{row['component']}: {speed_text(row, kind, speed_in)}"
-        spread = np.nan_to_num(row["dispersion"].to_value(PM_UNIT))
-        spread = 0.0 if kind == "stationary" else spread
-        _draw_ray(ax, slope * factor, spread * factor, kind, label)
-    if kinds:
-        corner = "lower right" if slopes[0] >= 0 else "upper right"
-        ax.legend(loc=corner, fontsize="small", framealpha=0.85)
-    ax.set_xlabel(f"Interval between epochs ({unit_name(time)})")
-    ax.set_ylabel(f"{_direction(result, image)} ({unit_name(unit)})")
-    beam = image.meta["beam"].to_value(unit)
-    in_beams = (lambda v: v / beam, lambda v: v * beam)
-    ax.secondary_yaxis("right", functions=in_beams).set_ylabel("Displacement (beams)")
-    if colorbar:
-        above = ax.inset_axes((0.0, 1.03, 1.0, 0.035))
-        figure.colorbar(
-            drawn, cax=above, orientation="horizontal", ticklocation="top",
-            extend="both", label="Matches per pair of epochs, beyond chance",
-        )  # fmt: skip
-    return figure
-
-
 def speed_text(row, kind, unit):
     """Return the speed of a component, its kind, or both as text."""
     error = np.nan_to_num(row["pm_err"].to_value(unit), posinf=0.0)
     text = f"{with_error(row['pm'].to_value(unit), error)} {unit_name(unit)}"
     return {"moving": text, "stationary": kind}.get(kind, f"{text},\n{kind}")
-
-
-def _draw_ray(ax, slope, spread, kind, label):
-    (_, right), (_, top) = ax.get_xlim(), ax.get_ylim()
-    ray = {"linestyle": KINDS[kind].line, "label": label, "gid": "ray"}
-    outlined = {"linewidth": 1.4, "path_effects": style.outline(2.6)}
-    ax.axline((0, 0), slope=slope, color=BLACK, **ray, **outlined)
-    thin = {"linewidth": 0.6, "alpha": 0.7, "gid": "dispersion"}
-    for other in (slope - spread, slope + spread) if spread > 0 else ():
-        ax.axline((0, 0), slope=other, color=BLACK, **thin)
-    # The number lies on the ray, before it leaves the axes.
-    x = 0.88 * min(right, top / abs(slope) if slope else right)
-    ax.text(
-        x, slope * x, label.partition(":")[0], ha="center", va="center",
-        fontsize="small", gid="number",
-        bbox={"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.6},
-    )  # fmt: skip
-
-
-def _direction(result, image):
-    """Return the label of the displacement, with its direction."""
-    if not on_sky(result):
-        jet = result.frame.axis_names[0] == "parallel"
-        return f"Displacement {'along the jet' if jet else 'outward'}"
-    angle = image.meta["position_angle"].to_value(u.deg)
-    axis, _, to_the_left = axis_words(result.cube)
-    if to_the_left:
-        return f"Displacement towards PA {angle:.0f}°"
-    return f"Displacement {angle:.0f}° from north to {axis}"
