@@ -360,6 +360,11 @@ def test_what_python_refuses_names_the_argument_in_one_line(name, value, reason)
     assert "\n" not in str(caught.value)
 
 
+def test_what_is_no_quantity_is_refused():
+    with pytest.raises(ValueError, match="max_speed = .* must be an angle per time"):
+        require("max_speed", object())
+
+
 def test_a_wrong_unit_is_an_error_of_units():
     with pytest.raises(u.UnitConversionError, match="max_speed = 2.0 km / s must be"):
         require("max_speed", 2 * u.km / u.s)
@@ -373,6 +378,7 @@ def test_a_wrong_unit_is_an_error_of_units():
         ("xyzzy = 1", "unknown key 'xyzzy'; see"),
         ("kappa = ", "is not a TOML file: "),
         ("versions = 3", "versions must be a table"),
+        ("alpha = 1.5", "alpha = 1.5 must be"),
     ],
 )
 def test_files_that_make_no_sense(tmp_path, text, reason):

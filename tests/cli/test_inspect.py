@@ -75,6 +75,10 @@ def test_speeds_that_inspect_refuses(jet, refused, speed, line):
     assert line in refused("inspect", *epochs(jet), f"--speed={speed}")
 
 
+def test_inspect_needs_epochs(refused):
+    assert "no epochs were given; name the FITS files" in refused("inspect")
+
+
 def test_inspect_says_what_is_wrong(series, astro_scc, here):
     paths = series([None, *[Beam(1 * u.mas, 1 * u.mas)] * 2])
     (here / "note.fits").write_text("no image")
