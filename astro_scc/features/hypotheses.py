@@ -1,0 +1,210 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Hypotheses: tracks that detections in nearly steady motion may form."""
+
+import numpy as np
+from scipy.special import gammaln
+
+#: A detection may lower the logarithmic likelihood ratio of a track by this much.
+LOWEST_GAIN = -4.0
+
+
+def log_t(square, variance, freedom, n_axes):
+    """Return the logarithm of the density of Student's t distribution."""
+    half = (freedom + n_axes) / 2
+    norm = gammaln(half) - gammaln(freedom / 2)
+    norm = norm - n_axes / 2 * np.log(freedom * np.pi * variance)
+    return norm - half * np.log1p(square / (freedom * variance))
+
+
+def position_scatter(detections, settings):
+    """Return the standard deviation of each position from steady motion, in beams."""
+    d, o = detections, settings
+    formal = d.place_error.mean(axis=1) / d.major
+    wide = o.size_scatter * d.size / d.major
+    far = o.far_scatter * np.hypot(*d.in_beams.T)
+    return np.sqrt(o.scatter**2 + wide**2 + far**2 + formal**2)
+
+
+def steady_hypotheses(detections, settings):
+    r"""
+    Return the tracks that a Kalman filter of nearly steady motion allows.
+
+    From each detection, forward and backward in time, a track is continued by the
+    most likely detections of each next epoch, or misses that epoch.  Its score is
+    the logarithm of the likelihood ratio of one feature to as many unrelated
+    detections (multiple hypothesis tracking, Reid 1979): each detection adds
+
+    .. math:: \ln\frac{P_D}{\lambda} + \ln t_\nu(\Delta x)
+              + \ln\frac{t_\nu(\Delta\ln S)}{p(\ln S)}
+
+    with the probability of detection :math:`P_D`, the density :math:`\lambda` of
+    other detections, and Student's distribution of the deviations of place and
+    flux S from their predictions; each epoch without one adds
+    :math:`\ln(1 - P_D)`.
+
+    Parameters
+    ----------
+    detections : `~astro_scc.features.Detections`
+    settings : `~astro_scc.features.TrackSettings`
+
+    Returns
+    -------
+    paths : list of tuple of int
+        Detections of each track, in the order of time.
+    score : `~numpy.ndarray`, shape (n,)
+        Positive.
+    """
+    found = {}
+    if len(np.unique(detections.epoch)) >= settings.least_epochs:
+        for way in (1, -1):
+            for path, score in _one_way(detections, settings, way):
+                found[path] = max(score, found.get(path, 0.0))
+    # The order of equal scores must not depend on the direction.
+    paths = sorted(found, key=lambda path: (-found[path], path))
+    return paths, np.array([found[path] for path in paths])
+
+
+class _Filter:
+    """Kalman filter of position and velocity, equal on both axes, in one direction."""
+
+    def __init__(self, d, o, way):
+        self.d, self.o, self.way = d, o, way
+        self.u, self.time = d.in_beams, d.time
+        self.scatter = position_scatter(d, o)
+        self.light = np.log(d.flux)
+        width = self.light.std() + 0.3
+        self.light_density = -0.5 * ((self.light - self.light.mean()) / width) ** 2
+        self.light_density -= np.log(width * np.sqrt(2 * np.pi))
+        step = np.median(np.diff(np.unique(self.time)))
+        self.speed = o.speed / max(step, 1e-3)
+        self.entry = np.log(o.detected / o.density)
+        # Each node is a detection after another node; hypotheses share them.
+        self.detection, self.parent, self.n_nodes = [], [], 0
+
+    def _nodes(self, detection, parent):
+        self.detection.append(detection)
+        self.parent.append(parent)
+        first = self.n_nodes
+        self.n_nodes += len(detection)
+        return np.arange(first, self.n_nodes)
+
+    def start(self, own):
+        """Return a new track from each detection of an epoch."""
+        n = len(own)
+        variance = np.zeros((n, 3))
+        variance[:, 0], variance[:, 2] = self.scatter[own] ** 2, self.speed**2
+        score = np.full(n, self.entry)
+        return {
+            "x": self.u[own],
+            "v": np.zeros((n, 2)),
+            "variance": variance,
+            "time": self.time[own],
+            "light": self.light[own],
+            "score": score,
+            "best": score,
+            "root": own,
+            "missed": np.zeros(n, dtype=int),
+            "length": np.ones(n, dtype=int),
+            "node": self._nodes(own, np.full(n, -1)),
+        }
+
+    def continued(self, h, own):
+        """Return tracks continued by the most likely detections of an epoch."""
+        o = self.o
+        dt = np.abs(self.time[own[0]] - h["time"])
+        p0, p1, p2 = h["variance"].T
+        p0 = p0 + 2 * dt * p1 + dt**2 * p2 + o.wander * dt**3 / 3
+        p1 = p1 + dt * p2 + o.wander * dt**2 / 2
+        p2 = p2 + o.wander * dt
+        x = h["x"] + dt[:, None] * h["v"]
+        off = self.u[own] - x[:, None]
+        square = (off**2).sum(axis=-1)
+        variance = p0[:, None] + self.scatter[own] ** 2
+        gain = self.entry + log_t(square, variance, o.freedom, 2)
+        change = (self.light[own] - h["light"][:, None]) ** 2
+        gain += log_t(change, o.flux_step**2, o.freedom, 1) - self.light_density[own]
+        gain[square > o.gate**2 * variance] = -np.inf
+        n = min(o.branches, len(own))
+        k = np.argsort(-gain, axis=1, kind="stable")[:, :n].ravel()
+        i = np.repeat(np.arange(len(x)), n)
+        use = gain[i, k] > LOWEST_GAIN
+        i, k = i[use], k[use]
+        # An outlier affects the state less.
+        s = variance[i, k]
+        weight = 1 / np.maximum(1, square[i, k] / (o.freedom * s)) / s
+        by_place, by_speed = weight * p0[i], weight * p1[i]
+        parts = (1 - by_place) * p0[i], (1 - by_place) * p1[i], p2[i] - by_speed * p1[i]
+        score = h["score"][i] + gain[i, k]
+        return {
+            "x": x[i] + by_place[:, None] * off[i, k],
+            "v": h["v"][i] + by_speed[:, None] * off[i, k],
+            "variance": np.stack(parts, axis=1),
+            "time": self.time[own[k]],
+            "light": 0.5 * (h["light"][i] + self.light[own[k]]),
+            "score": score,
+            "best": score,
+            "root": h["root"][i],
+            "missed": np.zeros(len(i), dtype=int),
+            "length": h["length"][i] + 1,
+            "node": self._nodes(own[k], h["node"][i]),
+        }
+
+    def paths(self, node):
+        """Return the detections of each track, -1 after its end, last one first."""
+        detection, parent = np.concatenate(self.detection), np.concatenate(self.parent)
+        steps = []
+        while (node >= 0).any():
+            steps.append(np.where(node >= 0, detection[node], -1))
+            node = np.where(node >= 0, parent[node], -1)
+        return np.stack(steps, axis=1)
+
+
+def _select(tracks, keep):
+    return {name: values[keep] for name, values in tracks.items()}
+
+
+def _one_way(d, o, way):
+    """Yield the best tracks of each first and each last detection, and scores."""
+    tracks_of = _Filter(d, o, way)
+    epochs = np.unique(d.epoch)[::way]
+    live, ended = None, []
+    for epoch in epochs.tolist():
+        own = np.arange(*np.searchsorted(d.epoch, (epoch, epoch + 1)))
+        start = tracks_of.start(own)
+        if live is None:
+            live = start
+            continue
+        longer = tracks_of.continued(live, own)
+        lost = live["missed"] >= o.most_missed
+        ended.append(_select(live, lost & (live["length"] >= o.least_epochs)))
+        live = _select(live, ~lost)
+        live["missed"] = live["missed"] + 1
+        live["score"] = live["score"] + np.log(1 - o.detected)
+        live = {k: np.concatenate([longer[k], live[k]]) for k in live}
+        rank = _rank(-live["score"], live["root"])
+        live = _select(live, np.flatnonzero(rank < o.hypotheses))
+        live = {k: np.concatenate([live[k], start[k]]) for k in live}
+    ended.append(_select(live, live["length"] >= o.least_epochs))
+    node, best, root = (
+        np.concatenate([part[k] for part in ended]) for k in ("node", "best", "root")
+    )
+    # A track that then only misses epochs ends with its last detection.
+    node, first = np.unique(node, return_index=True)
+    best, root = best[first], root[first]
+    last = np.concatenate(tracks_of.detection)[node]
+    keep = (_rank(-best, root) < o.kept) | (_rank(-best, last) < o.kept)
+    keep &= best > 0
+    if keep.any():
+        paths = tracks_of.paths(node[keep])
+        for row, score in zip(paths.tolist(), best[keep].tolist(), strict=True):
+            path = [k for k in row if k >= 0]
+            yield tuple(path[::-way]), score
+
+
+def _rank(value, group):
+    """Return the rank of each value within its group, from 0."""
+    order = np.lexsort((value, group))
+    ordered = group[order]
+    rank = np.empty(len(order), dtype=int)
+    rank[order] = np.arange(len(order)) - np.searchsorted(ordered, ordered)
+    return rank

@@ -1,0 +1,242 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Motion of a feature: a straight line or a parabola through its positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Scatter of positions beyond noise in beams, and the number of positions that it
+#: counts as: a straight line through four positions has few degrees of freedom.
+SCATTER, PRIOR_FREEDOM = 0.06, 3.0
+#: Degrees of freedom of Student's t distribution of the residuals.
+FREEDOM = 4.0
+#: Change of position in beams by which features wander while they are seen, for one to
+#: twelve years alike, on features of MOJAVE (``benchmarks/features.py``).
+WANDER = 0.12
+#: A parabola needs so many positions, and an acceleration of so many errors.
+ACCELERATED_EPOCHS, ACCELERATED = 7, 3.0
+#: Largest angle between motion and radius, plus two standard errors, in degrees
+#: (Lister et al. 2019), and errors from which a speed is significant.
+RADIAL, SIGNIFICANT = 15.0, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """
+    The motion of a feature on two axes.
+
+    Attributes
+    ----------
+    date : float
+        Mean date in years, to which position and velocity refer.
+    place, place_err, velocity, velocity_err : `~numpy.ndarray`, shape (2,)
+        With their standard errors, in mas and mas/yr.
+    acceleration, acceleration_err : `~numpy.ndarray`, shape (2,)
+        In mas/yr^2; NaN unless a parabola is better than a line.
+    residual : `~numpy.ndarray`, shape (n, 2)
+        Positions less the fit.
+    used : `~numpy.ndarray` of bool, shape (n,)
+        Positions that the fit did not set aside as outliers.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.features import fit_motion
+    >>> time = np.arange(2000.0, 2006.0)
+    >>> place = np.stack([0.3 * (time - 2000), 2 - 0.1 * (time - 2000)], axis=1)
+    >>> fit = fit_motion(time, place, np.full((6, 2), 0.01), 1.0)
+    >>> fit.date, fit.place.round(2), fit.velocity.round(2)
+    (2002.5, array([0.75, 1.75]), array([ 0.3, -0.1]))
+    """
+
+    date: float
+    place: np.ndarray
+    place_err: np.ndarray
+    velocity: np.ndarray
+    velocity_err: np.ndarray
+    acceleration: np.ndarray
+    acceleration_err: np.ndarray
+    residual: np.ndarray
+    used: np.ndarray
+
+    @property
+    def speed(self) -> float:
+        """Length of the velocity in mas/yr."""
+        return float(np.hypot(*self.velocity))
+
+    @property
+    def speed_err(self) -> float:
+        """Standard error of the speed."""
+        return self.error_along(self.velocity)
+
+    @property
+    def accelerated(self) -> bool:
+        """Whether a parabola is better than a straight line."""
+        return bool(np.isfinite(self.acceleration).all())
+
+    def error_along(self, direction: np.ndarray) -> float:
+        """
+        Return the standard error of the velocity along a direction.
+
+        Parameters
+        ----------
+        direction : `~numpy.ndarray`, shape (2,)
+            Of any length.
+
+        Returns
+        -------
+        float
+        """
+        length = np.hypot(*direction)
+        share = direction / length if length > 0 else np.full(2, np.sqrt(0.5))
+        return float(np.hypot(*(share * self.velocity_err)))
+
+    def ejection(self, core_error: float, beam: float) -> tuple[float, float]:
+        r"""
+        Return the date at which the feature was at the core.
+
+        .. math:: t_\mathrm{ej} = t - \frac{\boldsymbol r \cdot \boldsymbol\mu}
+                                           {|\boldsymbol\mu|^2}
+
+        As in MOJAVE (Lister et al. 2019, ApJ 874, 43), only for a speed of three
+        standard errors or more, without acceleration, at an angle to the radius
+        that plus two standard errors is within 15 degrees; the line must also pass
+        the core within one beam.
+
+        Parameters
+        ----------
+        core_error : float
+            Standard error of the position of the core, in mas.
+        beam : float
+            Full width at half maximum, in mas.
+
+        Returns
+        -------
+        date, error : float
+            In years; NaN if the criteria are not met.
+        """
+        r, v = self.place, self.velocity
+        speed, distance = self.speed, np.hypot(*r)
+        if self.accelerated or speed < SIGNIFICANT * self.speed_err or distance == 0:
+            return np.nan, np.nan
+        cross = abs(r[0] * v[1] - r[1] * v[0])
+        turned = np.array([v[1], -v[0]]) / speed
+        of_motion = self.error_along(turned) / speed
+        of_radius = np.hypot(*(np.array([r[1], -r[0]]) * self.place_err)) / distance**2
+        angle = np.degrees(np.arctan2(cross, r @ v))
+        off = angle + 2 * np.degrees(np.hypot(of_motion, of_radius))
+        if cross / speed > beam or off > RADIAL:
+            return np.nan, np.nan
+        by_v = (2 * (r @ v) * v / speed**2 - r) / speed**2
+        parts = (v / speed**2 * self.place_err, by_v * self.velocity_err)
+        error = np.hypot(np.linalg.norm(parts), core_error / speed)
+        return float(self.date - r @ v / speed**2), float(error)
+
+
+def fit_motion(
+    time: np.ndarray, place: np.ndarray, error: np.ndarray, beam: float
+) -> Motion:
+    r"""
+    Fit a straight line to positions, and a parabola where it is better.
+
+    Residuals are distributed as Student's t with four degrees of freedom, so that
+    outliers count less.  The variance of a velocity has two parts,
+
+    .. math:: \frac{\sigma^2}{\sum w (t - \bar t)^2} + \left(\frac{0.12\,b}{T}\right)^2,
+
+    that of the residuals, drawn towards 0.06 beams, and one for features that
+    wander by about 0.12 beams b, however long the time span T is.  A parabola is
+    better if it has seven positions or more, an acceleration of three standard
+    errors, and a smaller Bayesian information criterion.
+
+    Parameters
+    ----------
+    time : `~numpy.ndarray`, shape (n,)
+        In years, at least two different ones.
+    place, error : `~numpy.ndarray`, shape (n, 2)
+        In mas.
+    beam : float
+        Full width at half maximum, in mas.
+
+    Returns
+    -------
+    `Motion`
+
+    Raises
+    ------
+    ValueError
+        If all positions are of one date.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.features import fit_motion
+    >>> time = np.arange(2000.0, 2010.0)
+    >>> dt = time - time.mean()
+    >>> place = np.stack([3 + 0.3 * dt + 0.05 * dt**2, 0 * dt], axis=1)
+    >>> fit_motion(time, place, np.full((10, 2), 0.01), 1.0).acceleration.round(2)
+    array([0.1, 0. ])
+    """
+    span = np.ptp(time)
+    if not span > 0:
+        raise ValueError("a motion needs positions of at least two dates")
+    scatter = np.sqrt((SCATTER * beam) ** 2 + (error**2).mean(axis=1))
+    dt = time - time.mean()
+    wander = WANDER * beam / span
+    line = _robust(dt, place, scatter, 1)
+    fit, bend = line, np.full((2, 2), np.nan)
+    if len(time) >= ACCELERATED_EPOCHS:
+        curve = _robust(dt, place, scatter, 2)
+        # White noise makes errors of slope and bend in this ratio.
+        bend_err = np.hypot(curve.errors[2], np.sqrt(60) / span * wander)
+        significance = np.linalg.norm(curve.coefficients[2] / bend_err)
+        if significance >= ACCELERATED and line.cost - curve.cost > np.log(len(time)):
+            fit, bend = curve, np.stack([curve.coefficients[2], bend_err])
+    # The mean velocity over the dates is that of the line.
+    return Motion(
+        date=float(time.mean()),
+        place=fit.coefficients[0],
+        place_err=fit.errors[0],
+        velocity=line.coefficients[1],
+        velocity_err=np.hypot(line.errors[1], wander),
+        acceleration=bend[0],
+        acceleration_err=bend[1],
+        residual=fit.residual,
+        used=fit.weight > 0.3,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A polynomial: coefficients and errors (degree + 1, 2), and its residuals."""
+
+    coefficients: np.ndarray
+    errors: np.ndarray
+    residual: np.ndarray
+    weight: np.ndarray
+    cost: float
+
+
+def _robust(dt, place, scatter, degree):
+    """Fit a polynomial with residuals distributed as Student's t."""
+    design = np.stack([dt**k / (1 if k < 2 else 2) for k in range(degree + 1)], axis=1)
+    weight = np.ones(len(dt))
+    for _ in range(10):
+        w = weight / scatter**2
+        inverse = np.linalg.pinv(design.T @ (w[:, None] * design))
+        solution = inverse @ design.T @ (w[:, None] * place)
+        residual = place - design @ solution
+        square = (residual**2).sum(axis=1) / scatter**2
+        weight = (FREEDOM + 2) / (FREEDOM + square)
+    weight = weight / weight.max()
+    # Variances in units of the square of the scatter.
+    free = max(weight.sum() - degree - 1, 0.0) + PRIOR_FREEDOM
+    parts = weight[:, None] * (residual / scatter[:, None]) ** 2
+    variance = (parts.sum(axis=0) + PRIOR_FREEDOM) / free
+    w = weight / scatter**2
+    inverse = np.linalg.pinv(design.T @ (w[:, None] * design))
+    errors = np.sqrt(inverse.diagonal()[:, None] * variance)
+    cost = (FREEDOM + 2) / 2 * np.log1p(square / FREEDOM).sum()
+    return _Fit(solution, errors, residual, weight, float(cost))

@@ -1,0 +1,210 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Tracks: detections of one feature at successive epochs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri
+
+from astro_scc.features.assignment import Assignment
+from astro_scc.features.detections import Detections
+from astro_scc.features.hypotheses import steady_hypotheses
+from astro_scc.features.track_settings import TrackSettings
+
+#: A track of another assignment is the same if it has so many of its detections...
+SAME_DETECTIONS = 0.5
+#: ... and has the same velocity, if that differs relatively by at most so much.
+SAME_VELOCITY = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """
+    Detections of one feature, one per epoch.
+
+    Attributes
+    ----------
+    detection : `~numpy.ndarray` of int, shape (n,)
+        In the order of the epochs.
+    agreement : `~numpy.ndarray`, shape (n - 1,)
+        Share of the disturbed assignments in which each detection is followed by
+        the next one.
+    same_speed : float
+        Share of them with a track of these detections, at the same dates, that has
+        the same velocity.
+    proven : bool
+        Whether the assignment was solved to the end.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.features import Track
+    >>> len(Track(np.array([0, 2, 3, 5]), np.ones(3), 1.0, True))
+    4
+    """
+
+    detection: np.ndarray
+    agreement: np.ndarray
+    same_speed: float
+    proven: bool
+
+    def __len__(self) -> int:
+        return len(self.detection)
+
+
+def find_tracks(
+    detections: Detections, settings: TrackSettings | None = None, *, seed: int = 0
+) -> list[Track]:
+    """
+    Assign detections to tracks, each to one track at most.
+
+    All tracks of nearly steady motion compete for the detections, and the
+    assignment with the largest likelihood is searched, together with others whose
+    links have disturbed likelihoods.  Tracks are made of the links that most
+    assignments agree upon.  What is left is assigned again, until nothing more is
+    found.
+
+    Parameters
+    ----------
+    detections : `Detections`
+        Without the core.
+    settings : `TrackSettings`, optional
+    seed : int, optional
+        Seed of the disturbances.
+
+    Returns
+    -------
+    list of `Track`
+        In the order of their first epochs.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.features import Detections, find_tracks
+    >>> epoch = np.repeat(np.arange(6), 2)
+    >>> place = np.stack([0.3 * epoch + [1, 4] * 6, 0.0 * epoch], axis=1)
+    >>> d = Detections(
+    ...     epoch=epoch, place=place, place_error=np.full((12, 2), 0.01),
+    ...     flux=np.array([1.0, 0.2] * 6), size=np.zeros(12), beam=np.eye(2) / 5.545,
+    ...     years=2000.0 + np.arange(6))
+    >>> [track.detection.tolist() for track in find_tracks(d)]
+    [[0, 2, 4, 6, 8, 10], [1, 3, 5, 7, 9, 11]]
+    """
+    settings = TrackSettings() if settings is None else settings
+    free, found = np.ones(len(detections), dtype=bool), []
+    for turn in range(settings.rounds):
+        left = np.flatnonzero(free)
+        new = _agreed(detections.select(left), settings, seed + turn)
+        if not new:
+            break
+        for track in new:
+            own = left[track.detection]
+            free[own] = False
+            found.append(
+                Track(own, track.agreement, track.same_speed, track.proven)
+            )
+    distance = np.hypot(*detections.in_beams.T)
+
+    def order(track):
+        first = track.detection[0]
+        return detections.epoch[first], distance[first]
+
+    return sorted(found, key=order)
+
+
+def _agreed(d, settings, seed):
+    """Return tracks of the links that most assignments agree upon."""
+    paths, score = steady_hypotheses(d, settings)
+    if not paths:
+        return []
+    assignment = Assignment(paths, len(d))
+    chosen, proven = assignment.best(score)
+    solutions = [chosen]
+    one = np.concatenate([path[:-1] for path in paths])
+    other = np.concatenate([path[1:] for path in paths])
+    owner = np.repeat(np.arange(len(paths)), [len(path) - 1 for path in paths])
+    for trial in range(settings.solutions):
+        noise = settings.disturbance * _normal(d, one, other, seed, trial)
+        disturbed = score + np.bincount(owner, noise, len(paths))
+        solutions.append(assignment.good(disturbed))
+    share = _link_shares(solutions, owner, one * len(d) + other)
+    follows = {
+        divmod(int(key), len(d)): value
+        for key, value in share.items()
+        if value > settings.agreed
+    }
+    tracks = []
+    for chain in _chains(follows):
+        if len(chain) < settings.least_epochs:
+            continue
+        agreement = np.array([follows[link] for link in zip(chain, chain[1:])])
+        detection = np.array(chain)
+        same = _same_speed(d, detection, paths, solutions)
+        tracks.append(Track(detection, agreement, same, proven))
+    return tracks
+
+
+def _link_shares(solutions, owner, key):
+    """Return the share of the assignments that each link is part of."""
+    share = {}
+    first = np.searchsorted(owner, np.arange(owner[-1] + 2))
+    for chosen in solutions:
+        for track in chosen.tolist():
+            for link in key[first[track] : first[track + 1]].tolist():
+                share[link] = share.get(link, 0.0) + 1 / len(solutions)
+    return share
+
+
+def _chains(follows):
+    """Yield chains of detections that follow each other."""
+    after = dict(follows.keys())
+    for start in sorted(after.keys() - set(after.values())):
+        chain = [start]
+        while chain[-1] in after:
+            chain.append(after[chain[-1]])
+        yield chain
+
+
+def _same_speed(d, detection, paths, solutions):
+    """Return the share of the assignments in which a track has the same velocity."""
+    time, place = d.time, d.place
+    first, last = time[detection[[0, -1]]]
+    own, velocity = set(detection.tolist()), _velocity(time, place, detection)
+    n_same = 0
+    for chosen in solutions:
+        common, best = max(
+            ((len(own.intersection(paths[k])), k) for k in chosen.tolist()),
+            default=(0, 0),
+        )
+        if common < SAME_DETECTIONS * len(own):
+            continue
+        same = np.array(paths[best])
+        same = same[(time[same] >= first) & (time[same] <= last)]
+        if len(same) > 2:
+            off = np.hypot(*(_velocity(time, place, same) - velocity))
+            n_same += off <= SAME_VELOCITY * np.hypot(*velocity)
+    return n_same / len(solutions)
+
+
+def _velocity(time, place, detection):
+    dt = time[detection] - time[detection].mean()
+    return dt @ place[detection] / (dt @ dt)
+
+
+def _normal(d, one, other, seed, trial):
+    """
+    Return a normally distributed number for each link.
+
+    It depends on the epochs and numbers of the two detections alone, so that more
+    epochs leave it as it is (mixing of bits: Steele, Lea & Flood 2014).
+    """
+    parts = d.epoch[one], d.number[one], d.epoch[other], d.number[other], seed, trial
+    bits = np.zeros(len(one), dtype=np.uint64)
+    for part in parts:
+        bits += np.asarray(part).astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15)
+        bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        bits ^= bits >> np.uint64(31)
+    return ndtri((bits >> np.uint64(11)).astype(float) / 2.0**53 + 2.0**-54)

@@ -1,0 +1,179 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Gaussian models of images."""
+
+import numpy as np
+import pytest
+
+from astro_scc.features.gaussians import Gaussians, fit_gaussians
+
+SHAPE = (80, 90)
+BEAM = np.array([[25.0, 3.0], [3.0, 6.0]])  # elliptical and rotated
+
+
+def sky(*components, beam=BEAM, shape=SHAPE):
+    """Return the image of components: convolved peak, y, x, variance."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    image = np.zeros(shape)
+    for peak, y0, x0, variance in components:
+        inverse = np.linalg.inv(beam + variance * np.eye(2))
+        offset = np.stack([y - y0, x - x0])
+        image += peak * np.exp(
+            -0.5 * np.einsum("iyx,ij,jyx->yx", offset, inverse, offset)
+        )
+    return image
+
+
+def beam_noise(rng, size=128):
+    """Return noise of unit variance that is correlated as the beam."""
+    ky, kx = np.meshgrid(*2 * [np.fft.fftfreq(size)], indexing="ij")
+    k = np.stack([ky, kx])
+    response = np.exp(-2 * np.pi**2 * np.einsum("iyx,ij,jyx->yx", k, BEAM, k))
+    white = np.fft.fft2(rng.normal(size=(size, size)))
+    noise = np.fft.ifft2(white * response).real / np.sqrt((response**2).mean())
+    return noise[: SHAPE[0], : SHAPE[1]]
+
+
+ONE = [(1.0, 30.3, 40.2, 4.0)]
+TWO = [(1.0, 30.3, 40.2, 0.0), (0.3, 52.4, 60.7, 9.0)]
+THREE = [*TWO, (0.1, 60.2, 25.8, 2.0)]
+
+
+@pytest.mark.parametrize("components", [ONE, TWO, THREE], ids=["one", "two", "three"])
+@pytest.mark.parametrize("beam", [BEAM, np.diag([9.0, 9.0])], ids=["rotated", "round"])
+def test_noiseless(components, beam):
+    found = fit_gaussians(sky(*components, beam=beam), beam, 1e-3, relative_error=0.0)
+    peak, y, x, variance = np.array(components).T
+    assert len(found) == len(components)
+    np.testing.assert_allclose(found.y, y, atol=1e-3)
+    np.testing.assert_allclose(found.x, x, atol=1e-3)
+    np.testing.assert_allclose(found.peak, peak, rtol=1e-3)
+    np.testing.assert_allclose(found.size, np.sqrt(8 * np.log(2) * variance), atol=0.05)
+    wider = [np.linalg.det(beam + v * np.eye(2)) for v in variance]
+    flux = peak * np.sqrt(wider / np.linalg.det(beam))
+    np.testing.assert_allclose(found.flux, flux, rtol=2e-3)
+
+
+def test_pair_one_beam_apart():
+    apart = np.sqrt(8 * np.log(2) * BEAM[0, 0])
+    true = [(1.0, 30.0, 40.0, 0.0), (0.4, 30.0 + apart, 40.0, 0.0)]
+    noise = 1e-3 * beam_noise(np.random.default_rng(1))
+    found = fit_gaussians(sky(*true) + noise, BEAM, 1e-3)
+    assert len(found) == 2
+    np.testing.assert_allclose(found.y, [30.0, 30.0 + apart], atol=0.2)
+    np.testing.assert_allclose(found.x, 40.0, atol=0.2)
+
+
+@pytest.mark.parametrize("variance", [0.0, 6.0])
+def test_errors_of_positions(variance):
+    rng = np.random.default_rng(2)
+    image = sky((30.0, 40.3, 45.2, variance))
+    pulls = []
+    for _ in range(100):
+        found = fit_gaussians(image + beam_noise(rng), BEAM, 1.0)
+        k = np.argmax(found.peak)
+        pulls.append((found.y[k] - 40.3) / found.y_err[k])
+        pulls.append((found.x[k] - 45.2) / found.x_err[k])
+    # 200 pulls have a standard deviation within 5% of its true value.
+    assert 0.8 < np.std(pulls) < 1.2
+    assert abs(np.mean(pulls)) < 0.25
+
+
+def test_error_of_an_isolated_point():
+    found = fit_gaussians(sky((20.0, 40.3, 45.2, 0.0)), BEAM, 1.0)
+    expected = np.sqrt(2 * np.diag(BEAM)) / 20
+    np.testing.assert_allclose([found.y_err[0], found.x_err[0]], expected, rtol=0.05)
+
+
+def test_no_scale():
+    image = sky(*THREE) + 1e-3 * beam_noise(np.random.default_rng(3))
+    one = fit_gaussians(image, BEAM, 1e-3)
+    small = fit_gaussians(1e-9 * image, BEAM, 1e-12)
+    for name in ("y", "x", "size", "y_err", "x_err"):
+        np.testing.assert_allclose(
+            getattr(small, name), getattr(one, name), rtol=1e-6, atol=1e-9
+        )
+    np.testing.assert_allclose(small.peak, 1e-9 * one.peak)
+    np.testing.assert_allclose(small.flux, 1e-9 * one.flux)
+
+
+def test_deterministic():
+    image = sky(*THREE) + 1e-3 * beam_noise(np.random.default_rng(4))
+    one, again = (fit_gaussians(image, BEAM, 1e-3) for _ in range(2))
+    np.testing.assert_array_equal(one.y, again.y)
+    np.testing.assert_array_equal(one.peak, again.peak)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e6, -1e6])
+def test_missing_pixels_do_not_spread(bad):
+    image = sky(*TWO)
+    mask = np.zeros(SHAPE, dtype=bool)
+    mask[28:31, 43:46] = mask[70:, :10] = True
+    image[mask] = bad
+    found = fit_gaussians(
+        image, BEAM, 1e-3, mask=mask if np.isfinite(bad) else None, relative_error=0.0
+    )
+    assert len(found) == 2
+    np.testing.assert_allclose(found.y, [30.3, 52.4], atol=1e-3)
+    np.testing.assert_allclose(found.x, [40.2, 60.7], atol=1e-3)
+
+
+def test_noise_of_each_pixel():
+    # Where the noise is larger, the faint component is not significant.
+    noise = np.full(SHAPE, 1e-3)
+    noise[:, 46:] = 0.2
+    found = fit_gaussians(sky(*TWO), BEAM, noise)
+    assert len(found) == 1
+    assert len(fit_gaussians(sky(*TWO), BEAM, np.full(SHAPE, 1e-3))) == 2
+    noise[:, 46:] = np.nan
+    assert len(fit_gaussians(sky(*TWO), BEAM, noise)) == 1
+
+
+@pytest.mark.parametrize("variance", [2.0, 40.0])
+def test_negative_sources_are_not_fitted(variance):
+    image = sky((-1.0, 30.0, 40.0, variance))
+    assert len(fit_gaussians(image, BEAM, 1e-3)) == 0
+    found = fit_gaussians(image + sky((0.5, 60.0, 60.0, 0.0)), BEAM, 1e-3)
+    assert (found.peak > 0).all()
+    np.testing.assert_allclose(found.y[0], 60, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("image", "noise", "mask"),
+    [
+        (np.zeros(SHAPE), 1.0, None),
+        (np.zeros(SHAPE), 0.0, None),
+        (np.full(SHAPE, np.nan), 1.0, None),
+        (sky(*ONE), 1e-3, np.ones(SHAPE, dtype=bool)),
+        (sky(*ONE), 1.0, None),
+        (np.zeros((0, 0)), 1.0, None),
+    ],
+    ids=["zero", "zero noise", "nan", "masked", "faint", "no pixels"],
+)
+def test_empty(image, noise, mask):
+    found = fit_gaussians(image, BEAM, noise, mask=mask)
+    assert isinstance(found, Gaussians)
+    assert len(found) == 0
+
+
+def test_noise_alone_has_no_components():
+    rng = np.random.default_rng(5)
+    found = [len(fit_gaussians(beam_noise(rng), BEAM, 1.0)) for _ in range(20)]
+    assert sum(found) == 0
+
+
+def test_limit():
+    assert len(fit_gaussians(sky(*THREE), BEAM, 1e-3, max_components=2)) <= 2
+
+
+def test_one_bright_pixel():
+    # A spike narrower than the beam, and a tiny image: no failure.
+    image = np.zeros(SHAPE)
+    image[5, 5] = 1.0
+    assert len(fit_gaussians(image, BEAM, 1e-3)) <= 20
+    assert len(fit_gaussians(np.ones((2, 3)), BEAM, 1e-3)) <= 6
+
+
+@pytest.mark.parametrize("beam", [np.zeros((2, 2)), np.eye(3), -np.eye(2)])
+def test_beam_without_area(beam):
+    with pytest.raises(ValueError, match="positive definite"):
+        fit_gaussians(np.zeros(SHAPE), beam, 1.0)
