@@ -32,6 +32,8 @@ AXES = {
 LONGITUDE = {
     r"\bpm_ra_cosdec": "pm_lon_coslat",
     r"\bpm_dec(?=_err|\b)": "pm_lat",
+    r"\bra_offset": "lon_offset",
+    r"\bdec_offset": "lat_offset",
     r"(\b|_)east(?=_|$)": r"\1lon_offset",
     r"(\b|_)north(?=_|$)": r"\1lat_offset",
 }

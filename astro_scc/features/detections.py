@@ -9,6 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+#: Distance from the origin within which the core lies if the epochs are not aligned,
+#: and its scatter if they are, in beams.
+FARTHEST_CORE, ALIGNED = 0.7, 0.08
+
 
 @dataclass(frozen=True, eq=False)
 class Detections:
@@ -116,3 +120,22 @@ class Detections:
         core = np.zeros(len(self), dtype=bool)
         core[first] = distance[first] <= radius
         return core
+
+    def aligned(self) -> Detections:
+        """
+        Return detections with offsets from the core of their own epoch.
+
+        Only if the core is seen in nine of ten epochs and scatters more than an
+        alignment on the core leaves; where it does not, its place varies with what
+        emerges from it, more than the alignment.
+        """
+        core = self.core(FARTHEST_CORE)
+        seen, place = self.epoch[core], self.place[core]
+        scatter = np.sqrt((self.in_beams[core] ** 2).mean()) if len(seen) else 0.0
+        if scatter <= ALIGNED or len(seen) < 0.9 * len(self.years):
+            return self
+        offset = np.zeros((len(self.years), 2))
+        offset[seen] = place
+        known = np.isin(self.epoch, seen)
+        moved = replace(self, place=self.place - offset[self.epoch])
+        return moved.select(known)

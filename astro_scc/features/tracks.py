@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import ndtri
@@ -102,9 +103,7 @@ def find_tracks(
         for track in new:
             own = left[track.detection]
             free[own] = False
-            found.append(
-                Track(own, track.agreement, track.same_speed, track.proven)
-            )
+            found.append(Track(own, track.agreement, track.same_speed, track.proven))
     distance = np.hypot(*detections.in_beams.T)
 
     def order(track):
@@ -139,7 +138,7 @@ def _agreed(d, settings, seed):
     for chain in _chains(follows):
         if len(chain) < settings.least_epochs:
             continue
-        agreement = np.array([follows[link] for link in zip(chain, chain[1:])])
+        agreement = np.array([follows[link] for link in pairwise(chain)])
         detection = np.array(chain)
         same = _same_speed(d, detection, paths, solutions)
         tracks.append(Track(detection, agreement, same, proven))

@@ -11,8 +11,8 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Column, QTable, Table, vstack
 from astropy.time import Time
-from astropy.utils.masked import Masked
 
+from astro_scc.columns import MOTION, build_table
 from astro_scc.quantities import with_error
 from astro_scc.units import PM_UNIT, round_to_errors
 
@@ -45,17 +45,6 @@ PAPER = {
 }
 P_FDR = "p_global adjusted for all searches: share of false discoveries up to it"
 
-#: Columns of a proper motion: unit, and meaning.
-MOTION = {
-    "pm_ra_cosdec": (PM_UNIT, "proper motion to the east"),
-    "pm_ra_cosdec_err": (PM_UNIT, "standard error of pm_ra_cosdec"),
-    "pm_dec": (PM_UNIT, "proper motion to the north"),
-    "pm_dec_err": (PM_UNIT, "standard error of pm_dec"),
-    "pm": (PM_UNIT, "proper motion, its length"),
-    "pm_err": (PM_UNIT, "standard error of pm"),
-    "pm_pa": (u.deg, "direction of the proper motion, north through east"),
-    "pm_pa_err": (u.deg, "standard error of pm_pa"),
-}
 #: Every column of the velocity components: unit or type, and meaning.
 COLUMNS = {
     "component": (int, "number of the component, as in the other tables"),
@@ -296,28 +285,6 @@ def velocity_columns(velocity, covariance, frame, position_angle):
     row["pm_pa"] = float(np.degrees(np.arctan2(*sky)) % 360)
     row["pm_pa_err"] = float(np.degrees(pa_err))
     return row
-
-
-def build_table(rows, columns):
-    """
-    Build a table from dicts, with the unit or type and description of each column.
-
-    Values that are None are masked.
-    """
-    table = QTable()
-    for name, (kind, text) in columns.items():
-        is_unit = isinstance(kind, u.UnitBase)
-        missing = np.array([row[name] is None for row in rows], dtype=bool)
-        values = [0.0 if row[name] is None else row[name] for row in rows]
-        column = np.array(values, dtype=float if is_unit else kind)
-        if is_unit:
-            column = column * kind
-        if missing.any():
-            masked = Masked if is_unit else np.ma.MaskedArray
-            column = masked(column, mask=missing)
-        table[name] = column
-        table[name].info.description = text
-    return table
 
 
 def stack_tables(tables, meta):

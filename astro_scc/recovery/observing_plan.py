@@ -9,11 +9,11 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Row
 
+from astro_scc.columns import build_table
 from astro_scc.epochs.beam import Beam
 from astro_scc.measurement import versions
 from astro_scc.measurement.products import plain_meta
 from astro_scc.measurement.stacking import seeded
-from astro_scc.measurement.tables import build_table
 from astro_scc.recovery.completeness import (
     check_trials,
     direction,

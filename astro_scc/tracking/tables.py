@@ -8,9 +8,9 @@ from astropy.table import QTable
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
+from astro_scc.columns import MOTION, build_table
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.kinematics.frames import axes_along
-from astro_scc.measurement.tables import MOTION, build_table
 from astro_scc.tracking.motion import (
     SIGNIFICANT,
     ejection_epoch,

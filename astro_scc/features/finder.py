@@ -1,0 +1,280 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Find and follow the features of a cube."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from astro_scc.correlation.parallel import in_order
+from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.epochs import EpochCube
+from astro_scc.epochs.positions import SCALES_PER_FWHM
+from astro_scc.features import tables
+from astro_scc.features.detections import Detections
+from astro_scc.features.gaussians import fit_gaussians
+from astro_scc.features.motion import Motion, fit_motion
+from astro_scc.features.track_settings import TrackSettings
+from astro_scc.features.tracks import Track, find_tracks
+from astro_scc.features.trust import false_probability, is_secure, moved
+from astro_scc.progress import progress
+from astro_scc.quantities import check_choice
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+#: SSPs nearer to each other than this, in sizes of the larger one, are one pattern.
+SAME_PATTERN = 0.7
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Features:
+    """
+    The features of a cube, followed from epoch to epoch.
+
+    Attributes
+    ----------
+    cube : `~astro_scc.EpochCube`
+    detections : `Detections`
+        Offsets from the core; the core itself is not among them.
+    core : `Detections`
+        The core of each epoch, if it is seen.
+    tracks : tuple of `Track`
+        In the order of their first epochs.
+
+    Examples
+    --------
+    >>> from astro_scc.features import find_features
+    >>> from astro_scc.simulation import simulate_jet
+    >>> features = find_features(simulate_jet(n_epochs=8, rng=3).cube)
+    >>> features.table["pm"].unit
+    Unit("mas / yr")
+    """
+
+    cube: EpochCube
+    detections: Detections
+    core: Detections
+    tracks: tuple[Track, ...]
+
+    def __len__(self) -> int:
+        return len(self.tracks)
+
+    def __repr__(self):
+        secure = int(np.sum(self.secure))
+        return (
+            f"<Features: {len(self)} in {len(self.cube)} epochs, {secure} of them "
+            f"secure, of {len(self.detections)} detections>"
+        )
+
+    @cached_property
+    def motions(self) -> tuple[Motion, ...]:
+        """Straight line or parabola of each feature."""
+        d = self.detections
+        return tuple(
+            fit_motion(
+                d.time[track.detection],
+                d.place[track.detection],
+                d.place_error[track.detection],
+                d.fwhm,
+            )
+            for track in self.tracks
+        )
+
+    @cached_property
+    def p_false(self) -> np.ndarray:
+        """Probability of each that it is no feature, or not one."""
+        return np.array(
+            [
+                false_probability(track, self.detections, motion)
+                for track, motion in zip(self.tracks, self.motions, strict=True)
+            ]
+        )
+
+    @cached_property
+    def moved(self) -> np.ndarray:
+        """Motion of each from its first to its last date, in beams."""
+        return np.array(
+            [
+                moved(track, self.detections, motion)
+                for track, motion in zip(self.tracks, self.motions, strict=True)
+            ]
+        )
+
+    @cached_property
+    def secure(self) -> np.ndarray:
+        """Whether each is vouched for: one feature that moves, with this speed."""
+        each = zip(self.p_false, self.moved, self.motions, strict=True)
+        return np.array([is_secure(*one) for one in each], dtype=bool)
+
+    @cached_property
+    def core_error(self) -> float:
+        """Scatter of the position of the core along an axis, in mas."""
+        place = self.core.place
+        return float(np.sqrt((place**2).mean())) if len(place) else 0.0
+
+    @cached_property
+    def table(self) -> QTable:
+        """One row a feature, a `~astropy.table.QTable`, see `feature_table`."""
+        return tables.feature_table(self)
+
+    @cached_property
+    def positions(self) -> QTable:
+        """One row for each feature and epoch, a `~astropy.table.QTable`."""
+        return tables.position_table(self)
+
+
+def find_features(
+    cube: EpochCube, *, detections: str = "gaussians", ssps: SSPs | None = None,
+    region: Any = None, settings: TrackSettings | None = None, seed: int = 0,
+    n_workers: int | str | Client = 1, progress_bar: bool = False,
+) -> Features:  # fmt: skip
+    """
+    Find the features of a cube and follow them through its epochs.
+
+    Each image is modelled by circular Gaussians convolved with its beam, see
+    `fit_gaussians`, or described by its SSPs.  These detections are assigned to
+    tracks, each to one at most, see `find_tracks`.  What stands at the reference
+    pixel is the core, and all offsets are from it.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.EpochCube`
+        Its epochs must be aligned on the core.
+    detections : {"gaussians", "ssp"}, optional
+        Cubes without beams always have detections from SSPs.
+    ssps : `~astro_scc.decomposition.SSPs`, optional
+        SSPs of all epochs, needed for ``"ssp"``; on several scales, the finest one
+        on which a pattern is seen is used.
+    region : optional
+        Anything that ``cube.region_mask`` takes: detections outside are not used.
+    settings : `TrackSettings`, optional
+    seed : int, optional
+        Seed of the disturbed assignments.
+    n_workers : int, str or `dask.distributed.Client`, optional
+        Number of processes that fit images, or a Dask scheduler.
+    progress_bar : bool, optional
+
+    Returns
+    -------
+    `Features`
+
+    Raises
+    ------
+    ValueError
+        If ``detections`` is unknown, or SSPs are needed and not given.
+
+    Examples
+    --------
+    >>> from astro_scc.features import find_features
+    >>> from astro_scc.simulation import simulate_jet
+    >>> features = find_features(simulate_jet(n_epochs=12, dispersion=0.1, rng=1).cube)
+    >>> bool(features.secure.any())
+    True
+    """
+    check_choice(detections, "gaussians", "ssp")
+    settings = TrackSettings() if settings is None else settings
+    if detections == "ssp" or cube.beams is None:
+        if ssps is None:
+            raise ValueError(
+                "features of SSPs need ssps, the SSPs of all epochs"
+                + ("" if cube.beams else "; without beams no Gaussians can be fitted")
+            )
+        found = _of_ssps(cube, ssps)
+    else:
+        found = _of_gaussians(cube, n_workers, progress_bar)
+    if region is not None:
+        found = found.select(_inside(found, cube, region))
+    found = found.aligned()
+    is_core = found.core(settings.core)
+    jet = found.select(~is_core)
+    return Features(
+        cube=cube,
+        detections=jet,
+        core=found.select(is_core),
+        tracks=tuple(find_tracks(jet, settings, seed=seed)),
+    )
+
+
+def _of_gaussians(cube, n_workers, progress_bar):
+    """Return the components of Gaussian models as detections."""
+    # From (y, x) in pixels to offsets on the two axes.
+    matrix = cube.pixel_matrix.value[:, ::-1]
+    inverse, noise = np.linalg.inv(matrix), cube.noise_rms().value
+    work = (
+        (image, mask, inverse @ beam.covariance.value @ inverse.T, rms)
+        for image, mask, beam, rms in zip(
+            cube.data, cube.mask, cube.beams, noise, strict=True
+        )
+    )
+    models = []
+    with progress(len(cube), "Fitting", show=progress_bar) as done:
+        for model in in_order(_fit, work, n_workers):
+            models.append(model)
+            done(1)
+    parts = {
+        name: np.concatenate([getattr(model, name) for model in models])
+        for name in ("y", "x", "y_err", "x_err", "flux", "size")
+    }
+    x0, y0 = cube.reference_pixel
+    errors = np.stack([parts["y_err"], parts["x_err"]], axis=1)
+    return Detections(
+        epoch=np.repeat(np.arange(len(cube)), [len(model) for model in models]),
+        place=np.stack([parts["y"] - y0, parts["x"] - x0], axis=1) @ matrix.T,
+        place_error=np.sqrt(errors**2 @ (matrix**2).T),
+        flux=parts["flux"],
+        size=parts["size"] * cube.pixel_scale.value,
+        years=cube.years.to_value(u.yr),
+        beam=np.mean([beam.covariance.value for beam in cube.beams], axis=0),
+    )
+
+
+def _fit(image_mask_beam_rms):
+    """Fit one image, given as the arguments of one task."""
+    image, mask, covariance, rms = image_mask_beam_rms
+    return fit_gaussians(image, covariance, rms, mask=mask)
+
+
+def _of_ssps(cube, ssps):
+    """Return SSPs as detections, each pattern on the finest of its scales."""
+    size = np.array([scale_size(scale) for scale in ssps.scale], dtype=float)
+    keep = np.zeros(len(ssps), dtype=bool)
+    at = np.stack([ssps.y, ssps.x], axis=1)
+    for k in np.lexsort((-ssps.snr, size)).tolist():
+        same = np.flatnonzero(keep & (ssps.epoch == ssps.epoch[k]))
+        off = np.hypot(*(at[same] - at[k]).T)
+        keep[k] = not (off <= SAME_PATTERN * size[k]).any()
+    own = np.flatnonzero(keep)
+    own = own[np.argsort(ssps.epoch[own], kind="stable")]
+    pixel = cube.pixel_scale.value
+    if cube.beams is None:
+        variance = (SCALES_PER_FWHM * size.min(initial=np.inf) * pixel) ** 2
+        beam = np.eye(2) * (variance if len(ssps) else 1.0) / (8 * np.log(2))
+    else:
+        beam = np.mean([b.covariance.value for b in cube.beams], axis=0)
+    width = np.sqrt(8 * np.log(2) * beam.trace() / 2)
+    matrix, (x0, y0) = cube.pixel_matrix.value[:, ::-1], cube.reference_pixel
+    error = width / (np.sqrt(2) * ssps.snr[own])
+    return Detections(
+        epoch=ssps.epoch[own],
+        place=(at[own] - (y0, x0)) @ matrix.T,
+        place_error=np.stack([error, error], axis=1),
+        flux=ssps.flux[own],
+        size=np.zeros(len(own)),
+        years=cube.years.to_value(u.yr),
+        beam=beam,
+    )
+
+
+def _inside(detections, cube, region):
+    """Return which detections lie in a region."""
+    mask = cube.region_mask(region)
+    east, north = detections.place.T * u.mas
+    x, y = (np.rint(v).astype(int) for v in cube.offset_to_pixel(east, north))
+    inside = (x >= 0) & (y >= 0) & (x < mask.shape[1]) & (y < mask.shape[0])
+    inside[inside] = mask[y[inside], x[inside]]
+    return inside

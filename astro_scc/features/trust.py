@@ -1,0 +1,119 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Trust: the probability that a track is no feature, or not one."""
+
+import numpy as np
+
+from astro_scc.features.detections import Detections
+from astro_scc.features.motion import Motion
+from astro_scc.features.tracks import Track
+
+#: Logistic regression of what the survey's positions confirm, on the properties in
+#: `properties`: constant, and coefficients (``benchmarks/features.py --trust``).
+CONSTANT = -5.6
+COEFFICIENTS = np.array([1.67, -0.66, 0.56, 0.43, 2.39, 1.23, -0.79, -5.81])
+#: A feature is vouched for if it is false with at most this probability, has moved so
+#: many beams, and its speed differs from zero by so many standard errors, or has moved
+#: so far and does not.
+MOST_FALSE, LEAST_MOTION, SIGNIFICANT = 0.25, 0.8, 3.0
+#: Beyond so many beams, other detections do not matter.
+FAR = 2.0
+
+
+def properties(track: Track, detections: Detections, motion: Motion) -> np.ndarray:
+    """
+    Return the properties of a track from which its probability follows.
+
+    Parameters
+    ----------
+    track : `~astro_scc.features.Track`
+    detections : `~astro_scc.features.Detections`
+    motion : `~astro_scc.features.Motion`
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (8,)
+        Logarithms of the number of its epochs, of its motion and of its distance
+        from the core in beams; cosine of the angle between motion and radius;
+        share of the epochs from first to last in which it is seen; distance of the
+        nearest other detection in beams; scatter of the logarithm of its flux
+        from epoch to epoch; scatter of its positions in beams.
+    """
+    d, own = detections, track.detection
+    epoch, place = d.epoch[own], d.in_beams
+    distance = np.hypot(*motion.place)
+    cosine = motion.velocity @ motion.place / max(distance * motion.speed, 1e-9)
+    nearest = []
+    for k in own.tolist():
+        same = np.arange(*np.searchsorted(d.epoch, (d.epoch[k], d.epoch[k] + 1)))
+        away = np.hypot(*(place[same[same != k]] - place[k]).T)
+        nearest.append(away.min(initial=FAR))
+    return np.array(
+        [
+            np.log(len(own)),
+            np.log(max(moved(track, detections, motion), 0.05)),
+            np.log(distance / d.fwhm + 0.3),
+            cosine,
+            len(own) / (epoch[-1] - epoch[0] + 1),
+            np.median(nearest),
+            np.diff(np.log(d.flux[own])).std(),
+            np.sqrt((motion.residual**2).mean()) / d.fwhm,
+        ]
+    )
+
+
+def moved(track: Track, detections: Detections, motion: Motion) -> float:
+    """
+    Return how far a feature moves from its first to its last date, in beams.
+
+    Parameters
+    ----------
+    track : `~astro_scc.features.Track`
+    detections : `~astro_scc.features.Detections`
+    motion : `~astro_scc.features.Motion`
+
+    Returns
+    -------
+    float
+    """
+    return (
+        motion.speed
+        * float(np.ptp(detections.time[track.detection]))
+        / (detections.fwhm)
+    )
+
+
+def false_probability(track: Track, detections: Detections, motion: Motion) -> float:
+    """
+    Return the probability that a track is no feature, or not one.
+
+    Parameters
+    ----------
+    track : `~astro_scc.features.Track`
+    detections : `~astro_scc.features.Detections`
+    motion : `~astro_scc.features.Motion`
+
+    Returns
+    -------
+    float
+    """
+    logit = CONSTANT + COEFFICIENTS @ properties(track, detections, motion)
+    return float(1 / (1 + np.exp(logit)))
+
+
+def is_secure(p_false: float, motion_beams: float, motion: Motion) -> bool:
+    """
+    Return whether a feature and its speed are vouched for.
+
+    Parameters
+    ----------
+    p_false : float
+    motion_beams : float
+        See `moved`.
+    motion : `~astro_scc.features.Motion`
+
+    Returns
+    -------
+    bool
+    """
+    moves = motion.speed >= SIGNIFICANT * motion.speed_err
+    return moves and p_false <= MOST_FALSE and motion_beams >= LEAST_MOTION
