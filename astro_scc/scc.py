@@ -354,7 +354,9 @@ class StackedCrossCorrelation(MeasurementSettings):
                 matches = correlator(*work, select=select, **how)
         provenance["selected"] = match_files.selection_digest(select)
         # Stacks need no planes, which are larger than everything else.
-        matched = MatchedEpochs(cube, decomposer, ssps, select, matches, provenance)
+        matched = MatchedEpochs(
+            cube, decomposer, ssps, select, matches, provenance, inside
+        )
         if cache is not None:
             cache.store(matched)
         plan.warn_of_none_inside(matched.ssps, matched.select, region)

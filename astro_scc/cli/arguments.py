@@ -236,14 +236,14 @@ def measure(parser):
           --distance "16.7 Mpc"
       astro-scc measure --config out/config.toml -o again
 
-    The folder gets components.ecsv and, for a paper, components.tex; features.ecsv,
-    sensitivity.ecsv, ssps.ecsv, scc.fits, report.html with its figures, and
-    config.toml, which reproduces the tables bit by bit from the same images.  A
-    configuration file may hold every option of a measurement, with _ for -, and some
-    settings that have no option (see the documentation).  The command line takes
-    precedence over the file.
+    The folder gets components.ecsv and, for a paper, components.tex; features.ecsv
+    and positions.ecsv, sensitivity.ecsv, ssps.ecsv, scc.fits, report.html with its
+    figures, and config.toml, which reproduces the tables bit by bit from the same
+    images.  A configuration file may hold every option of a measurement, with _ for
+    -, and some settings that have no option (see the documentation).  The command
+    line takes precedence over the file.
     """
-    what, files = "tables, maps and report", "components.vot and ssps.vot"
+    what, files = "tables, maps and report", "components.vot, features.vot and others"
     add_output(parser, what, default=OF_OBJECT, votable=files, report=True)
     add_switches(
         parser,
@@ -262,7 +262,7 @@ def explore(parser):
     See which features, in which epochs, make a speed.
 
     Write explore.html into the folder of a measurement: the velocity map, the images,
-    the distances against time and a table of the features in linked panels.  Selecting
+    the separations against time and a table of the features in linked panels.  Selecting
     a component or features in one panel selects them in all.  The page is one file that
     needs no network.
 

@@ -17,7 +17,7 @@ def run(args, reporter):
     """Write the page of a measurement according to the arguments."""
     folder = Path(args.folder)
     advice = "; name a folder that astro-scc measure has written"
-    names = ("components", "features", "ssps")
+    names = ("components", "features")
     tables = [read_table(folder / f"{name}.ecsv", advice) for name in names]
     try:
         hdus = fits.open(folder / "scc.fits")
@@ -25,7 +25,7 @@ def run(args, reporter):
         what = "does not exist" if error.filename else "is no FITS file"
         raise OSError(f"{folder / 'scc.fits'}: {what}; measure again") from None
     with hdus:
-        if "FEATURES" not in hdus or "pm_axis1" not in tables[1].colnames:
+        if "FEATURES" not in hdus or "pm_axis1" not in hdus["FEATURES"].columns.names:
             raise ValueError(
                 f"{folder}: is of an earlier version, without the positions of the "
                 "features; measure again"

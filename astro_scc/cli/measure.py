@@ -20,16 +20,17 @@ from astro_scc.report.page import flow_lines
 from astro_scc.writing import replace_when_complete
 
 PRODUCTS = (
-    "components.ecsv features.ecsv sensitivity.ecsv ssps.ecsv components.tex scc.fits "
-    "config.toml report.html streams.png diagram.png speeds.png distances.png "
-    "members.png velocity_map.png significance.png epochs.png intervals.png "
-    "sensitivity.png"
+    "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv ssps.ecsv "
+    "components.tex scc.fits config.toml report.html paths.png diagram.png speeds.png "
+    "separations.png members.png velocity_map.png significance.png epochs.png "
+    "intervals.png sensitivity.png"
 ).split()
 #: Products of an earlier measurement that must not remain beside new ones.
 STALE = (
     *PRODUCTS,
     *(name.replace(".png", ".pdf") for name in PRODUCTS if name.endswith(".png")),
-    *("components.vot", "ssps.vot", "ssp_regions", "explore.html"),
+    *(f"{name}.vot" for name in ("components", "features", "positions", "ssps")),
+    *("ssp_regions", "explore.html"),
 )
 SEED, MATCHES = "seed.txt", "matches.fits"
 

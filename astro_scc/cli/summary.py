@@ -3,7 +3,9 @@
 
 import math
 
-from astro_scc.kinematics.cosmology import cosmology_text
+import numpy as np
+
+from astro_scc.kinematics.cosmology import cosmology_text, table_in_c_as
 from astro_scc.measurement.sensitivity import sensitivity_line
 from astro_scc.quantities import with_error
 from astro_scc.units import in_easy_units, offset_unit
@@ -16,8 +18,8 @@ NOTHING = (
     "No pattern has a match in another epoch: other scales, a larger --max-speed or",
     "more epochs may show one.",
 )
-#: Of fewer features the speeds of each are shown.
-FEW = 5
+#: Largest number of features that are shown.
+MOST_FEATURES = 10
 #: Features seen over fewer days have the times of their epochs.
 SOME_DAYS = 3
 PROFILE_EXPLANATION = (
@@ -70,8 +72,7 @@ def component_lines(components, features=None, sensitivity=None):
     components : `~astropy.table.QTable`
         See `~astro_scc.measurement.SCCResult.components`.
     features : `~astropy.table.QTable`, optional
-        See `~astro_scc.measurement.SCCResult.features`; they are shown where the
-        components other than stationary ones have fewer than five.
+        See `~astro_scc.measurement.SCCResult.features`; the secure ones are shown.
     sensitivity : `~astropy.table.QTable`, optional
         See `~astro_scc.measurement.SCCResult.sensitivity`; choices that change the
         main speed by more than its error are named.
@@ -95,11 +96,8 @@ def component_lines(components, features=None, sensitivity=None):
         if math.isfinite(limit.value):
             text = f"{limit.value:.2g} {limit.unit}"
             lines.append(f"{number} is slower than {text} at 95% confidence")
-    tested = components[components["kind"] != "stationary"]
-    if features is not None and tested["n_features"].sum() < FEW:
-        numbers = set(tested["component"])
-        own = features[[row["component"] in numbers for row in features]]
-        lines += _feature_lines(own) if len(own) else []
+    if features is not None:
+        lines += feature_lines(table_in_c_as(features, components))
     return [*lines, *meta_lines(components.meta)]
 
 
@@ -136,24 +134,47 @@ def _answer(components):
     return f"{text}: all features are stationary within their errors."
 
 
-def _feature_lines(features):
-    """Return the features, each with the speed of its own straight line, as a table."""
-    features = in_easy_units(features)
-    far = offset_unit(abs(features["distance"].to_value("mas")).max())
+def feature_lines(features):
+    """
+    Return how many features there are, and the secure ones as a table.
+
+    Parameters
+    ----------
+    features : `~astropy.table.QTable`
+        See `~astro_scc.measurement.SCCResult.features`.
+
+    Returns
+    -------
+    list of str
+        At most ten features, those seen in most epochs.
+    """
+    secure = in_easy_units(features[np.asarray(features["secure"], dtype=bool)])
+    n = len(features)
+    said = f"{n} {'feature' if n == 1 else 'features'}, {len(secure)} of them secure"
+    if len(secure) == 0:
+        return [f"{said}."]
+    longest = np.argsort(-secure["n_epochs"], kind="stable")[:MOST_FEATURES]
+    if len(longest) < len(secure):
+        said += f"; the {MOST_FEATURES} that were seen in most epochs"
+    secure = secure[np.sort(longest)]
+    far = offset_unit(secure["separation"].to_value("mas").max())
     # Of less than some days, the times.
-    days = (features["last"] - features["first"]).to_value("day")
+    days = (secure["last"] - secure["first"]).to_value("day")
     shown = 10 if days.max() > SOME_DAYS else 16
     rows = [
         {
-            "feature of": str(row["component"]),
-            f"distance ({far})": f"{row['distance'].to_value(far):.2g}",
+            "feature": str(row["feature"]),
+            "component": str(row["component"]),
+            f"separation ({far})": f"{row['separation'].to_value(far):.2g}",
             "dates": f"{row['first'].isot[:shown]} to {row['last'].isot[:shown]}",
             "epochs": str(row["n_epochs"]),
-            f"speed ({features['pm'].unit})": plus_minus(row, "pm"),
+            f"speed ({secure['pm'].unit})": plus_minus(row, "pm"),
+            **_in_c(row),
+            "p_false": f"{row['p_false']:.2g}",
         }
-        for row in features
+        for row in secure
     ]
-    return ["", *table_lines(rows), ""]
+    return ["", f"{said}:", *table_lines(rows), ""]
 
 
 def profile_lines(components):

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 #: Redshift of the microwave background, beyond which nothing can be seen.
 LAST_SCATTERING = 1090
+#: What apparent speeds follow from, in the meta of tables.
+SOURCE = "redshift", "cosmology", "distance"
 _PARAMETER = re.compile(rf"\s*(\w+)\s*=\s*({NUMBER})\s*")
 
 
@@ -226,6 +228,26 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
     return round_to_errors(table)
 
 
+def table_in_c_as(table, other):
+    """
+    Return a table of proper motions with speeds in units of c as another one has.
+
+    Parameters
+    ----------
+    table : `~astropy.table.QTable`
+    other : `~astropy.table.QTable`
+        Of the same source.
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        The same table if the meta of the other has neither a redshift nor a distance,
+        see `table_in_c`.
+    """
+    how = {name: other.meta[name] for name in SOURCE if name in other.meta}
+    return table_in_c(table, **how) if how else table
+
+
 def beta_per_pm(table):
     """
     Return the speed in units of c of 1 mas/yr at the source of a table.
@@ -239,7 +261,7 @@ def beta_per_pm(table):
     float or None
         None if its meta has neither a redshift nor a distance, see `table_in_c`.
     """
-    how = {name: table.meta.get(name) for name in ("redshift", "cosmology", "distance")}
+    how = {name: table.meta.get(name) for name in SOURCE}
     known = any(value is not None for value in how.values())
     return float(apparent_speed(1 * PM_UNIT, **how)) if known else None
 

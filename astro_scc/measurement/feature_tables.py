@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The SSPs of a measurement, their matches and their features as tables."""
+"""SSPs and matches of a measurement as tables, and the components of features."""
 
 import astropy.units as u
 import numpy as np
@@ -8,24 +8,13 @@ from astropy.time import Time
 
 from astro_scc.decomposition import scale_size
 from astro_scc.epochs import positions
-from astro_scc.measurement.axes import projection_of
-from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.stacking.stack import sample_velocities
 from astro_scc.units import round_to_errors
 
-#: Columns of features: the attribute, its axis, and its unit in beams.
-PER_BEAM = {
-    "distance": ("place", 0, u.one),
-    "motion": ("motion", 0, u.one),
-    "pm": ("speed", 0, 1 / u.yr),
-    "pm_err": ("error", 0, 1 / u.yr),
-    "pm_transverse": ("across", 1, 1 / u.yr),
-    "pm_transverse_err": ("across_error", 1, 1 / u.yr),
-    "acceleration": ("acceleration", 0, 1 / u.yr**2),
-    "acceleration_err": ("acceleration_error", 0, 1 / u.yr**2),
-}
-#: A match within this many of its standard errors belongs to a component.
+#: A match or feature within this many of its standard errors belongs to a component.
 MEMBER_SIGMA = 2.0
+#: What is at rest is slower than this many standard errors.
+REST_SIGMA = 3.0
 
 
 def ssp_table(ssps, cube, *, select=None):
@@ -81,109 +70,65 @@ def ssp_table(ssps, cube, *, select=None):
     return positions.name_by_frame(round_to_errors(table), cube)
 
 
-def feature_table(result):
+def components_of(result, features):
     """
-    Return the features that were followed, each with its own speed.
+    Return the velocity component to which each feature belongs.
+
+    It is the one whose velocity is nearest in units of the errors, if it is within
+    two both along and across its direction.  The errors are those of the feature and
+    of the component, and along the component its dispersion.
 
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
+    features : `~astro_scc.features.Features`
 
     Returns
     -------
-    `~astropy.table.QTable`
-        One row per feature: its number, its ``component``, its ``scale``, the
-        number of epochs, its ``first`` and ``last`` date and its ``motion``
-        between them, its mean ``distance`` from the reference pixel along the
-        first component, its speed ``pm`` along and ``pm_transverse`` across it
-        with errors, its ``acceleration``, and its velocity on the two axes of
-        the velocity map, ``pm_axis1`` and ``pm_axis2``.  ``pm_err`` of features
-        that are seen only near standing ones includes the pull of these.
+    `~numpy.ndarray` of int, shape (n_features,)
+        Numbers of components, 0 for none: for features where the frame has no axes,
+        and for all that only a component that is not significant would suit.
+        Stationary ones take features slower than three standard errors alone.
     """
-    ssps, cube, project = result.matched.ssps, result.cube, projection_of(result)
-    number, features = _numbered(result)
-    angle = np.array([result.search.streams[n - 1].angle for n in number])
-    widths = {a: project.beam(a) for a in set(angle)}
-    beam = np.reshape([widths[a] for a in angle], (-1, 2)).T * u.mas
-    ends = np.reshape([ssps.epoch[f.ssp[[0, -1]]] for f in features], (-1, 2))
-    first, last = (Time(cube.times[k], format="isot") for k in ends.T.astype(int))
-    table = QTable(
-        {
-            "feature": np.arange(len(features)),
-            "component": number,
-            "scale": np.array([ssps.scale[f.ssp[0]] for f in features], dtype=float),
-            "n_epochs": np.array([len(f) for f in features], dtype=int),
-            "first": first,
-            "last": last,
-        }
-    )
-    for name, (attribute, axis, unit) in PER_BEAM.items():
-        values = np.array([getattr(f, attribute) for f in features], dtype=float)
-        if name != "motion" and not name.endswith("_err"):
-            values *= _sense(result)
-        table[name] = (values * beam[axis] * unit).to(unit * u.mas)
-    pulled = np.array([f.pulled for f in features], dtype=float)
-    table["pm_err"] = np.hypot(
-        table["pm_err"], DEFAULT.pulled_error * pulled * table["pm"]
-    )
-    along, across = (_sense(result) * table[name] for name in ("pm", "pm_transverse"))
-    on_map = {
-        "pm_axis1": np.cos(angle) * along - np.sin(angle) * across,
-        "pm_axis2": np.sin(angle) * along + np.cos(angle) * across,
-    }
-    for name, speed in on_map.items():
-        table[name] = speed.to(u.mas / u.yr)
-        table[name].info.description = f"along axis {name[-1]} of the velocity map"
-    table["pm"].info.description = "along the first component"
-    table["pm_transverse"].info.description = "across the first component"
-    return round_to_errors(table)
+    streams, velocities = result.search.streams, result.velocities
+    velocity, of_axes = frame_velocities(result.frame, features)
+    slow = [m.speed < REST_SIGMA * m.speed_err for m in features.motions]
+    away = np.full((len(streams) + 1, len(features)), np.inf)
+    away[0] = MEMBER_SIGMA
+    for k, (stream, own) in enumerate(zip(streams, velocities, strict=True), start=1):
+        cos, sin = np.cos(stream.angle), np.sin(stream.angle)
+        turn = np.array([[cos, sin], [-sin, cos]])
+        covariance = turn @ (of_axes + np.nan_to_num(own.covariance)) @ turn.T
+        variance = np.diagonal(covariance, axis1=1, axis2=2).copy()
+        variance[:, 0] += np.nan_to_num(own.dispersion) ** 2
+        off = np.abs((velocity - own.value) @ turn.T) / np.sqrt(variance)
+        suits = {"moving": True, "stationary": slow}.get(stream.kind, False)
+        away[k] = np.where(suits, np.nan_to_num(off.max(axis=1), nan=np.inf), np.inf)
+    return away.argmin(axis=0)
 
 
-def _numbered(result):
-    """Return the features of all streams, after the numbers of their components."""
-    streams = result.search.streams
-    number = np.repeat(np.arange(len(streams)) + 1, [len(s.features) for s in streams])
-    return number, [feature for stream in streams for feature in stream.features]
-
-
-def _sense(result):
-    """Return the sign of the first component's speed along the axis of the search."""
-    streams = result.search.streams
-    return -1.0 if streams and streams[0].along.mean < 0 else 1.0
-
-
-def feature_positions(result):
+def frame_velocities(frame, features):
     """
-    Return where each feature was seen.
+    Return the velocities of features along the axes of a frame.
 
     Parameters
     ----------
-    result : `~astro_scc.measurement.SCCResult`
+    frame : frame of `astro_scc.kinematics`
+    features : `~astro_scc.features.Features`
 
     Returns
     -------
-    `~astropy.table.QTable`
-        A row for each feature and epoch: ``component``, ``feature``, its number in
-        `feature_table`, ``ssp``, ``epoch``, ``date``, and the ``distance`` from the
-        reference pixel along the first component.
+    velocity, covariance : `~numpy.ndarray`, shapes (n, 2) and (n, 2, 2)
+        In mas/yr and its square; NaN where the frame has no axes.
     """
-    ssps, cube, project = result.matched.ssps, result.cube, projection_of(result)
-    along = [
-        project(stream.angle).position[:, 0] * project.beam(stream.angle)[0]
-        for stream in result.search.streams
-    ]
-    rows = [
-        (component, k, ssp, along[component - 1][ssp])
-        for k, (component, feature) in enumerate(zip(*_numbered(result), strict=True))
-        for ssp in feature.ssp
-    ]
-    *numbers, distance = np.reshape(rows, (-1, 4)).T
-    component, feature, ssp = np.array(numbers, dtype=int)
-    table = QTable({"component": component, "feature": feature, "ssp": ssp})
-    table["epoch"] = ssps.epoch[ssp]
-    table["date"] = Time(cube.times[ssps.epoch[ssp]], format="isot")
-    table["distance"] = _sense(result) * distance * u.mas
-    return round_to_errors(table)
+    motions = features.motions
+    place, velocity, error = (
+        np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
+        for name in ("place", "velocity", "velocity_err")
+    )
+    axes = np.asarray(frame.matrix(*place.T))
+    turned = axes * error[:, None, :]
+    return (axes @ velocity[..., None])[..., 0], turned @ turned.swapaxes(-1, -2)
 
 
 def member_table(result, number):

@@ -52,6 +52,8 @@ class MatchedEpochs:
     provenance : dict
         What determined the matches, see
         ``match_provenance``; `write` needs it.
+    region : `~numpy.ndarray` of bool, shape (ny, nx), optional
+        The pixels of the region; None for all.
 
     Examples
     --------
@@ -75,6 +77,7 @@ class MatchedEpochs:
     select: np.ndarray
     matches: Matches
     provenance: dict = field(default_factory=dict)
+    region: np.ndarray | None = None
 
     def __repr__(self):
         return (

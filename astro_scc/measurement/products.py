@@ -22,8 +22,11 @@ from astropy.time import Time
 
 from astro_scc import writing
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.kinematics.cosmology import table_in_c_as
+from astro_scc.measurement.feature_tables import frame_velocities
 from astro_scc.measurement.tables import latex_text, paper_table
 from astro_scc.stacking import SearchSettings
+from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:
     from astro_scc.measurement.result import SCCResult
@@ -187,9 +190,10 @@ def write_products(
     Returns
     -------
     list of `~pathlib.Path`
-        ``components.ecsv``, ``features.ecsv``, ``sensitivity.ecsv``,
-        ``ssps.ecsv``, ``components.tex``, a deluxetable for a paper, ``scc.fits``
-        and, if ``text`` is given, ``config.toml``.
+        ``components.ecsv``, ``features.ecsv``, with apparent speeds if the components
+        have them, ``positions.ecsv``, ``sensitivity.ecsv``, ``ssps.ecsv``,
+        ``components.tex``, a deluxetable for a paper, ``scc.fits`` and, if ``text`` is
+        given, ``config.toml``.
 
     Raises
     ------
@@ -213,12 +217,13 @@ def write_products(
     >>> result = scc(cube, n_trials=20, rng=1)
     >>> Path("out").mkdir()
     >>> [path.suffix for path in write_products(result, result.components, "out")]
-    ['.ecsv', '.ecsv', '.ecsv', '.ecsv', '.tex', '.fits']
+    ['.ecsv', '.ecsv', '.ecsv', '.ecsv', '.ecsv', '.tex', '.fits']
     """
     directory = Path(directory)
     tables = {
         "components.ecsv": components,
-        "features.ecsv": result.features,
+        "features.ecsv": table_in_c_as(result.features, components),
+        "positions.ecsv": result.feature_positions,
         "sensitivity.ecsv": result.sensitivity,
         "ssps.ecsv": result.ssps,
     }
@@ -297,8 +302,9 @@ def velocity_hdus(result, *, text=None):
         The stacked correlation coefficients, and the extension ``ZSCORE``,
         with a linear WCS in mas/yr along the velocity axes; the image
         ``DIAGRAM`` of `SCCResult.diagram`; the table ``INTERVALS``, which
-        describes the columns of that image; and the table ``FEATURES`` of
-        `SCCResult.feature_positions`.
+        describes the columns of that image; and the table ``FEATURES``, which is
+        `SCCResult.feature_positions` with the velocity of the feature on the axes of
+        the velocity map, ``pm_axis1`` and ``pm_axis2``, and dates as text.
     """
     hdus = []
     for which in ("coefficient", "z_score"):
@@ -313,11 +319,17 @@ def velocity_hdus(result, *, text=None):
         primary.add_history(_ascii(line))
     for line in (text or "").splitlines():
         primary.add_comment(_ascii(line) or " ")
+    return fits.HDUList([*hdus, *_diagram_hdus(result), _features_hdu(result)])
+
+
+def _features_hdu(result):
     features = result.feature_positions.copy()
     # Readers of FITS know dates as text.
-    features["date"] = features["date"].isot
-    table = fits.table_to_hdu(features, name="FEATURES")
-    return fits.HDUList([*hdus, *_diagram_hdus(result), table])
+    features["date"] = np.asarray(features["date"].isot, dtype="U23")
+    velocity, _ = frame_velocities(result.frame, result.tracked_features)
+    of_rows = velocity[features["feature"] - 1] * PM_UNIT
+    features["pm_axis1"], features["pm_axis2"] = of_rows.T
+    return fits.table_to_hdu(features, name="FEATURES")
 
 
 def _diagram_hdus(result):
@@ -389,15 +401,22 @@ def write_votables(result, components, directory):
     Returns
     -------
     list of `~pathlib.Path`
-        ``components.vot`` and ``ssps.vot``, see `write_votable`.
+        ``components.vot``, ``features.vot``, ``positions.vot`` and ``ssps.vot``, see
+        `write_votable`.
 
     Raises
     ------
     OSError
         If a file cannot be written.
     """
-    paths = [Path(directory, name) for name in ("components.vot", "ssps.vot")]
-    for path, table in zip(paths, (components, result.ssps), strict=True):
+    tables = {
+        "components": components,
+        "features": table_in_c_as(result.features, components),
+        "positions": result.feature_positions,
+        "ssps": result.ssps,
+    }
+    paths = [Path(directory, f"{name}.vot") for name in tables]
+    for path, table in zip(paths, tables.values(), strict=True):
         write_votable(table, path, overwrite=True)
     return paths
 

@@ -19,6 +19,8 @@ from astro_scc import stacking
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.epochs.serialize import read_object, write_object
+from astro_scc.features import Features, find_features
+from astro_scc.features.tables import feature_table
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import feature_tables
 from astro_scc.measurement.axes import projection_of
@@ -193,14 +195,31 @@ class SCCResult:
         )
 
     @cached_property
+    def tracked_features(self) -> Features:
+        """
+        The features that are followed from epoch to epoch.
+
+        They are `~astro_scc.features.Features` of Gaussian models of the images or,
+        without beams, of SSPs, inside the region.
+        """
+        matched = self.matched
+        return find_features(self.cube, ssps=matched.ssps, region=matched.region)
+
+    @cached_property
     def features(self) -> QTable:
-        """The features that were followed, a `~astropy.table.QTable`."""
-        return feature_tables.feature_table(self)
+        """
+        The features, a `~astropy.table.QTable` with a row for each.
+
+        Its ``component`` is that of `components` whose velocity the feature has within
+        two standard errors, the dispersion included, or 0.
+        """
+        own = feature_tables.components_of(self, self.tracked_features)
+        return feature_table(self.tracked_features, own)
 
     @cached_property
     def feature_positions(self) -> QTable:
-        """The features by epoch, with SSP and distance, a `~astropy.table.QTable`."""
-        return feature_tables.feature_positions(self)
+        """The features by epoch, a `~astropy.table.QTable`."""
+        return self.tracked_features.positions
 
     @cached_property
     def sensitivity(self) -> QTable:
@@ -429,5 +448,5 @@ class SCCResult:
         from astro_scc.measurement.products import velocity_hdus
         from astro_scc.visualization.explore import write_explore
 
-        tables = self.components, self.features, self.ssps
+        tables = self.components, self.features
         return write_explore(path, *tables, velocity_hdus(self), cube=self.cube)

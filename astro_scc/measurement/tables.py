@@ -30,7 +30,8 @@ PAPER = {
     "n_epochs": "Epochs",
     "first": "First",
     "last": "Last",
-    "distance": "Distance",
+    "separation": "Separation",
+    "position_angle": "PA",
     "r": "$r$",
     "pa": "PA",
     "pm": r"$\mu$",
@@ -38,6 +39,7 @@ PAPER = {
     "pm_pa": r"PA of $\mu$",
     "dispersion": r"$\sigma_\mu$",
     "t_ej": r"$t_\mathrm{ej}$",
+    "p_false": r"$p_\mathrm{false}$",
     "p_global": r"$p_\mathrm{global}$",
     "p_fdr": r"$p_\mathrm{FDR}$",
     "n_features": "Features",
@@ -169,7 +171,7 @@ def paper_table(table, *, latex=True):
             continue
         info = rounded[name].info
         cells = [cell_text(rounded, name, k, sign) for k in range(len(rounded))]
-        if name.startswith("p_"):
+        if name.startswith("p_") and "kind" in table.colnames:
             # What stands still is not tested.
             cells = np.where(table["kind"] == "stationary", "-", cells).tolist()
         if latex:

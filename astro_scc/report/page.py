@@ -12,7 +12,7 @@ from astropy.table import QTable
 
 from astro_scc.flow import feature_profile, measure_acceleration
 from astro_scc.flow.groups import compare_scales
-from astro_scc.kinematics.cosmology import beta_per_pm
+from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c_as
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.sensitivity import sensitivity_line
 from astro_scc.quantities import with_error
@@ -23,8 +23,9 @@ from astro_scc.writing import replace_when_complete
 
 #: Other products that the folder may hold, in the order of the page.
 PRODUCTS = (
-    "components.ecsv components.tex features.ecsv sensitivity.ecsv components.vot "
-    "ssps.ecsv ssps.vot scc.fits config.toml region.reg"
+    "components.ecsv components.tex features.ecsv positions.ecsv sensitivity.ecsv "
+    "ssps.ecsv components.vot features.vot positions.vot ssps.vot scc.fits "
+    "config.toml region.reg"
 ).split()
 #: Dots per inch of the figures, which are at most six inches wide.
 DPI = 150
@@ -47,8 +48,8 @@ def write_report(
     ----------
     result : `~astro_scc.measurement.SCCResult`
     directory : path
-        Folder for ``report.html``, and for ``streams.png``, ``diagram.png``,
-        ``speeds.png``, ``distances.png``, ``members.png``, ``velocity_map.png``,
+        Folder for ``report.html``, and for ``paths.png``, ``diagram.png``,
+        ``speeds.png``, ``separations.png``, ``members.png``, ``velocity_map.png``,
         ``significance.png``, ``epochs.png``, ``intervals.png`` and
         ``sensitivity.png``, which the page holds too.  It is made if need be; files
         of these names are replaced, each when the new one is complete.
@@ -109,6 +110,8 @@ def write_report(
         components=easy,
         tables=tables.component_tables(easy),
         epochs=tables.epoch_columns(result),
+        features=tables.feature_columns(table_in_c_as(result.features, components)),
+        zip=zip,
         settings=meta.pop("settings", {}) | meta,
         smallest_of_epochs=1 / number_of_permutations(len(result.cube)),
         fast=fast_components(result, easy),
@@ -210,9 +213,9 @@ def draw_figures(result, components, *, pdf=False):
         figures["members"] = show.plot_members(result, **shared)
     if len(result.features):
         profile = feature_profile(result)
-        figures["streams"] = show.plot_streams(result)
+        figures["paths"] = show.plot_feature_paths(result)
         figures["speeds"] = show.plot_feature_speeds(result, profile=profile, **per_pm)
-        figures["distances"] = show.plot_feature_distances(result)
+        figures["separations"] = show.plot_feature_separations(result)
     if len(result.sensitivity):
         figures["sensitivity"] = plot_sensitivity(result.sensitivity, **per_pm)
     found = {}

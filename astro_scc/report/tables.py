@@ -14,7 +14,14 @@ from astro_scc.flow.acceleration import LEAST, MOST_BINS
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement.tables import cell_text
 from astro_scc.quantities import with_error
-from astro_scc.units import PM_UNIT, offset_unit, round_to_errors, speed_unit, unit_name
+from astro_scc.units import (
+    PM_UNIT,
+    in_easy_units,
+    offset_unit,
+    round_to_errors,
+    speed_unit,
+    unit_name,
+)
 
 #: Headings of the columns of components, with {unit}.
 COLUMNS = {
@@ -43,6 +50,21 @@ COLUMNS = {
     "p_distinct": "p_distinct",
     "p_smallest": "smallest p_global",
     "note": "note",
+}
+#: Headings of the columns of features, with {unit}.
+FEATURES = {
+    "feature": "No.",
+    "component": "component",
+    "n_epochs": "epochs",
+    "first": "first",
+    "last": "last",
+    "separation": "separation ({unit})",
+    "position_angle": "PA ({unit})",
+    "pm": "speed ({unit})",
+    "beta_app": "speed (c)",
+    "t_ej": "t_ej",
+    "p_false": "p_false",
+    "secure": "secure",
 }
 #: Columns of the page of a survey.
 OVERVIEW = {
@@ -153,6 +175,20 @@ def epoch_columns(result):
         outside = np.bincount(epoch[~inside], minlength=len(table))
         columns["SSPs outside the region"] = outside
     return columns
+
+
+def feature_columns(features):
+    """Return the columns of the table of features as text, by their headings."""
+    table = in_easy_units(features)
+    columns = {
+        heading.format(unit=unit_name(table[name].info.unit or "")): [
+            cell_text(table, name, k) for k in range(len(table))
+        ]
+        for name, heading in FEATURES.items()
+        if name in table.colnames
+    }
+    columns["secure"] = ["yes" if secure else "no" for secure in table["secure"]]
+    return columns if len(table) else {}
 
 
 def setting_text(value):
@@ -273,18 +309,16 @@ def _span(first, last):
 
 
 def _small_profile(path, unit):
-    """Return the speeds of features against their distances as parts of an SVG."""
+    """Return the radial speeds of features against separations as parts of an SVG."""
     from astro_scc.visualization.features import LARGE_ERROR
 
     features = QTable.read(path, format="ascii.ecsv")
     if len(features) == 0:
         return None
-    error = features["pm_err"].value
+    error = features["pm_radial_err"].value
     features = features[error <= LARGE_ERROR * np.median(error)]
-    distance, component = features["distance"].to_value(u.mas), features["component"]
-    # Outward is positive, also along a component that points to the core.
-    speed = np.where(distance < 0, -1, 1) * features["pm"].to_value(unit)
-    distance = np.abs(distance)
+    distance, component = features["separation"].to_value(u.mas), features["component"]
+    speed = features["pm_radial"].to_value(unit)
     low, high, far = speed.min(initial=0.0), speed.max(initial=0.0), distance.max()
 
     def place(x, y):

@@ -10,9 +10,9 @@ from astro_scc.visualization.epochs import (
     write_animation,
 )
 from astro_scc.visualization.features import (
-    plot_feature_distances,
+    plot_feature_paths,
+    plot_feature_separations,
     plot_feature_speeds,
-    plot_streams,
 )
 from astro_scc.visualization.profiles import plot_profile, plot_track_profile
 from astro_scc.visualization.tracks import plot_members, plot_separation, plot_tracks
@@ -27,7 +27,8 @@ __all__ = [
     "plot_diagram",
     "plot_epoch",
     "plot_epochs",
-    "plot_feature_distances",
+    "plot_feature_paths",
+    "plot_feature_separations",
     "plot_feature_speeds",
     "plot_intervals",
     "plot_map_and_significance",
@@ -35,7 +36,6 @@ __all__ = [
     "plot_profile",
     "plot_separation",
     "plot_significance",
-    "plot_streams",
     "plot_track_profile",
     "plot_tracks",
     "plot_velocity_map",

@@ -312,11 +312,10 @@ def epoch_names(times):
     return names
 
 
-def ssp_place(table):
-    """Return the offsets of SSPs in a table, shape (2, n) in mas."""
-    names = ("east", "north")
-    if "lon_offset" in table.colnames:
-        names = ("lon_offset", "lat_offset")
+def sky_place(table):
+    """Return the offsets of SSPs or features in a table, shape (2, n) in mas."""
+    pairs = ("lon_offset", "lat_offset"), ("ra_offset", "dec_offset"), ("east", "north")
+    names = next(pair for pair in pairs if pair[0] in table.colnames)
     return np.stack([u.Quantity(table[name]).to_value(u.mas) for name in names])
 
 
@@ -337,7 +336,7 @@ def ssp_points(cube, ssps):
         place = np.stack(ssp_offsets(ssps, cube))
         epoch, scale, snr = ssps.epoch, ssps.scale, ssps.snr
     else:
-        place = ssp_place(ssps)
+        place = sky_place(ssps)
         epoch, scale, snr = (np.asarray(ssps[n]) for n in ("epoch", "scale", "snr"))
         if "in_region" in ssps.colnames:
             used = np.asarray(ssps["in_region"], bool)

@@ -47,7 +47,7 @@ YEAR = u.yr.to(u.ms)
 WIDE = {"sizing_mode": "stretch_width"}
 
 
-def write_explore(path, components, features, ssps, hdus, *, cube=None, notes=()):
+def write_explore(path, components, features, hdus, *, cube=None, notes=()):
     """
     Write a page with linked panels of velocities, images, times and features.
 
@@ -55,7 +55,7 @@ def write_explore(path, components, features, ssps, hdus, *, cube=None, notes=()
     ----------
     path : path
         The HTML file, which is replaced if it exists.
-    components, features, ssps : `~astropy.table.QTable`
+    components, features : `~astropy.table.QTable`
         As in the products of a measurement.
     hdus : `~astropy.io.fits.HDUList`
         The content of ``scc.fits``.
@@ -73,7 +73,7 @@ def write_explore(path, components, features, ssps, hdus, *, cube=None, notes=()
     OSError
         If the file cannot be written.
     """
-    page = Page(components, features, ssps, hdus, cube)
+    page = Page(components, features, hdus, cube)
     document = page.document()
     name = hdus[0].header.get("OBJECT", "")
     template = resources.files("astro_scc.visualization").joinpath("explore.html")
@@ -96,11 +96,11 @@ class Page:
     Each row of ``features`` is a feature, each row of ``points`` one at an epoch.
     """
 
-    def __init__(self, components, features, ssps, hdus, cube):
+    def __init__(self, components, features, hdus, cube):
         self.components, self.hdus, self.cube, self.notes = components, hdus, cube, []
         self.kinds = style.component_kinds(components)
-        angle = hdus["DIAGRAM"].header.get("DISPPA")
-        self.slopes = diagram.ray_slopes(components, self.kinds, angle)
+        self.angle = hdus["DIAGRAM"].header.get("DISPPA")
+        self.slopes = diagram.ray_slopes(components, self.kinds, self.angle)
         seen = QTable.read(hdus["FEATURES"])
         if len(features) > FEATURES:
             longest = np.argsort(-features["n_epochs"], kind="stable")[:FEATURES]
@@ -117,13 +117,9 @@ class Page:
         about = [components[k].info.description for k in sky_columns(components)]
         self.words = [re.sub(r"^.* to (the )?", "", text or "") for text in about]
         #: Offsets in mas, shape (2, n).
-        self.place = drawing.ssp_place(ssps)[:, seen["ssp"]]
+        self.place = drawing.sky_place(seen)
         self.sky_unit = offset_unit(np.abs(self.place).max(initial=0.0) or 1.0)
-        # Outward is positive, as in the figures.
-        distance = seen["distance"].to_value(u.mas)
-        total = np.bincount(self.row, distance, len(features))
-        self.sign = np.where(total < 0, -1.0, 1.0)
-        self.length = offset_unit(np.abs(distance).max(initial=0.0) or 1.0)
+        self.length = offset_unit(np.hypot(*self.place).max(initial=0.0) or 1.0)
         own = np.asarray(features["component"])
         #: Rows of the features of each component.
         self.rows = [np.flatnonzero(own == n).tolist() for n in components["component"]]
@@ -142,42 +138,57 @@ class Page:
         """Return columns for the look of what belongs to components."""
         kinds = dict(zip(self.components["component"], self.kinds, strict=True))
         return {
-            "color": [style.component_color(int(n)) for n in numbers],
-            "marker": [MARKERS[(int(n) - 1) % len(MARKERS)] for n in numbers],
-            "label": [f"{n}: {kinds[n]}" for n in numbers],
+            "color": [style.component_color(n) if n else style.GREY for n in numbers],
+            "marker": [MARKERS[(n - 1) % len(MARKERS)] if n else "x" for n in numbers],
+            "label": [f"{n}: {kinds[n]}" if n else "of no component" for n in numbers],
         }
 
     def _feature_columns(self, points):
-        table, speed = self.table, self.table["pm"].to_value(self.length / u.yr)
-        # Speeds are positive along the first component.
-        towards = -1.0 if np.any(self.slopes[:1] < 0) else 1.0
+        table, seen = self.table, self.seen
+        velocity = np.stack(
+            [table[name].to_value(PM_UNIT) for name in sky_columns(table)]
+        )
+        # One row of each feature has its velocity on the axes of the map.
+        first = np.searchsorted(self.row, np.arange(len(table)))
+        on_map = {f"pm_axis{k}": seen[f"pm_axis{k}"][first] for k in (1, 2)}
+        if self.angle is None:
+            along = on_map["pm_axis1"].to_value(PM_UNIT)
+        else:
+            along = np.sin(np.radians(self.angle)), np.cos(np.radians(self.angle))
+            along = np.array(along) @ velocity
+        to_length = u.mas.to(self.length)
         columns = {name: [] for name in ("xs", "ys", "ts", "ds", "lt", "ld", "ry")}
-        for k, sign in enumerate(self.sign):
-            x, y, t, d = (points[name][self.row == k] for name in "xytd")
-            moved = speed[k] * (t - t[0]) / YEAR
-            # Positions near a standing feature are not of the line.
-            line = sign * (np.median(sign * d - moved) + moved[[0, -1]])
-            parts = x, y, t, d, t[[0, -1]], line, towards * moved[[0, -1]]
+        for k, ray in enumerate(along):
+            own = self.row == k
+            x, y, t, d = (points[name][own] for name in "xytd")
+            years = (t - t[0]) / YEAR
+            moved = velocity[:, k, None] * years
+            # Outliers are not of the line.
+            start = np.median(self.place[:, own] - moved, axis=1)
+            line = np.hypot(*(start[:, None] + moved)) * to_length
+            parts = x, y, t, d, t, line, ray * years[[0, -1]] * to_length
             for name, values in zip(columns, parts, strict=True):
                 columns[name].append(np.round(values, 5).tolist())
-        for name in ("pm", "pm_err", "pm_transverse", "pm_axis1", "pm_axis2"):
+        for name in ("pm", "pm_err"):
             columns[name] = table[name].to_value(self.pm_unit)
+        columns |= {name: on_map[name].to_value(self.pm_unit) for name in on_map}
         columns["error"] = error_of_speed(columns["pm"], columns["pm_err"])
-        for name in ("feature", "component", "scale", "n_epochs"):
+        for name in ("feature", "component", "n_epochs", "p_false"):
             columns[name] = np.asarray(table[name])
+        columns["secure"] = ["yes" if secure else "no" for secure in table["secure"]]
         longest = max((t[-1] - t[0] for t in columns["ts"]), default=0.0)
         digits = 10 if longest > YEAR / 12 else 16
         for name in ("first", "last"):
             columns[name] = [str(day)[:digits].replace("T", " ") for day in table[name]]
-        columns["distance"] = np.abs(table["distance"].to_value(self.length))
+        columns["separation"] = table["separation"].to_value(self.length)
         return columns | self._look(table["component"])
 
     def _point_columns(self):
         x, y = (self.place * u.mas).to_value(self.sky_unit)
         time = np.array(self.seen["date"], "datetime64[ms]").astype(float)
-        distance = self.sign[self.row] * self.seen["distance"].to_value(self.length)
-        columns = {"row": self.row, "x": x, "y": y, "t": time, "d": distance}
-        return columns | self._look(self.seen["component"])
+        separation = np.hypot(*self.place) * u.mas.to(self.length)
+        columns = {"row": self.row, "x": x, "y": y, "t": time, "d": separation}
+        return columns | self._look(self.table["component"][self.row])
 
     # -- parts of panels -----------------------------------------------------------
 
@@ -216,9 +227,10 @@ class Page:
         """Let a box select, and say what is under the pointer."""
         speed = f"@pm{{0.000}} ± @pm_err{{0.000}} {unit_name(self.pm_unit)}"
         tips = {
-            "feature": "@feature of component @component, scale @scale",
+            "feature": "@feature of component @component",
             "seen": "@n_epochs times, @first to @last",
             "speed": speed,
+            "secure": "@secure, p_false @p_false{0.00}",
         }
         hover = models.HoverTool(renderers=[hovered], tooltips=list(tips.items()))
         plot.add_tools(hover)
@@ -404,7 +416,7 @@ class Page:
         return plot
 
     def _time(self):
-        label = f"Distance ({unit_name(self.length)})"
+        label = f"Core separation ({unit_name(self.length)})"
         plot = self._figure("Date", label, x_axis_type="datetime")
         self._lines(plot, "ts", "ds", 0.8)
         lines = self._lines(plot, "lt", "ld", 1.6, 0.7)
@@ -421,14 +433,14 @@ class Page:
         shown = (
             ("feature", "feature", "0", 55),
             ("component", "component", "0", 80),
-            ("scale", "scale", "0.[0]", 45),
             ("n_epochs", "epochs", "0", 55),
             ("first", "first", None, 95),
             ("last", "last", None, 95),
-            ("distance", f"distance ({length})", "0.00", 115),
+            ("separation", f"separation ({length})", "0.00", 115),
             ("pm", f"pm ({speed})", "0.000", 110),
             ("pm_err", "error", "0.000", 60),
-            ("pm_transverse", "across", "0.000", 60),
+            ("p_false", "p_false", "0.00", 60),
+            ("secure", "secure", None, 60),
         )
         columns = []
         for field, title, form, width in shown:

@@ -1,10 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The features of a measurement: their speeds and their distances."""
+"""The features of a measurement: their paths, speeds and separations from the core."""
 
 from __future__ import annotations
 
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -20,23 +20,23 @@ if TYPE_CHECKING:
 
     from astro_scc.measurement import SCCResult
 
-#: Length of the longest arrow, as a share of the longer side of the figure.
-LONGEST = 0.1
 #: Errors beyond so many times the median one are of features that say little.
 LARGE_ERROR = 4.0
 #: Most letters of a label beside a figure in one line.
 LABEL = 30
+#: Colour of features that are not vouched for.
+PALE = "#B8B8B8"
 
 
-def plot_streams(
+def plot_feature_paths(
     result: SCCResult, *, figure: Figure | None = None,
     unit: u.UnitBase | str | None = None,
 ) -> Figure:  # fmt: skip
     """
-    Draw the velocity of each feature on contours of the mean image.
+    Draw the paths of the features on contours of the mean image.
 
-    One arrow for each feature, at its mean position, as long as its speed.  Features
-    of stationary components are squares.
+    Each has its number at its last position; a line is the motion that was fitted.
+    Secure features have the colours of their components, others are pale.
 
     Parameters
     ----------
@@ -60,57 +60,21 @@ def plot_streams(
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
     >>> from astro_scc.simulation import simulate_jet
-    >>> from astro_scc.visualization import plot_streams
+    >>> from astro_scc.visualization import plot_feature_paths
     >>> scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
-    >>> figure = plot_streams(scc(simulate_jet(rng=1).cube, n_trials=50, rng=1))
+    >>> figure = plot_feature_paths(scc(simulate_jet(rng=1).cube, n_trials=50, rng=1))
     """
     view, figure, (ax,) = drawing.mean_image_panels(
         result.cube, result.ssps, 1, figure=figure, unit=unit
     )
     drawing.draw_contours(ax, view)
-    table, years = result.feature_positions, result.cube.years.to_value(u.yr)
-    rows = []
-    for feature in range(len(result.features)):
-        own = table[table["feature"] == feature]
-        time, here = years[own["epoch"]], view.place[:, own["ssp"]]
-        velocity = np.polyfit(time - time.mean(), here.T, 1)[0]
-        rows.append((int(own["component"][0]), *here.mean(axis=1), *velocity))
-    rows = np.reshape(rows, (-1, 5))
-    fastest = np.hypot(rows[:, 3], rows[:, 4]).max(initial=0.0)
-    # The longest arrow is a tenth of the jet.
-    scale = fastest / (LONGEST * np.ptp(view.limits, axis=1).max()) or 1.0
-    for number, stream in enumerate(result.search.streams, 1):
-        _, east, north, *motion = rows[rows[:, 0] == number].T
-        look = style.component_look(number, stream.kind)
-        if stream.kind == "stationary":
-            ax.plot(east, north, "s", ms=5, **look | {"mfc": "none"})
-            continue
-        ax.quiver(
-            east, north, *motion, angles="xy", scale_units="xy", scale=scale,
-            color=look["color"], width=0.004, headwidth=4, headlength=5, minlength=0.1,
-            zorder=3,
-        )  # fmt: skip
-        ax.plot([], [], **look)
-    if fastest:
-        _draw_key(ax, view, fastest, scale)
+    for feature in _Drawn.of(result):
+        place, fit = view.factor * feature.place, view.factor * feature.fit
+        ax.plot(*place, "o", ms=2, **feature.look | {"label": None})
+        ax.plot(*fit, lw=1.5, **feature.look)
+        feature.number_at(ax, *place[:, -1])
     style.legend_above(ax)
     return figure
-
-
-def _draw_key(ax, view, fastest, scale):
-    """Draw an arrow of a round speed above the axes, on the right, with its value."""
-    unit = speed_unit(fastest / view.factor)
-    speed = PM_UNIT.to(unit, fastest / view.factor)
-    size = 10.0 ** np.floor(np.log10(speed))
-    speed = size * max(k for k in (1, 2, 5) if k * size <= speed)
-    length = unit.to(PM_UNIT, speed) * view.factor / scale
-    ax.annotate(
-        f"{speed:g} {unit_name(unit)}  ", (1, 1.04),
-        (1 - length / np.ptp(ax.get_xlim()), 1.04), xycoords="axes fraction",
-        ha="right", va="center", fontsize="small",
-        arrowprops={"arrowstyle": "-|>", "color": BLACK, "lw": 1.2, "shrinkA": 0,
-                    "shrinkB": 0, "relpos": (1, 0.5)},
-    )  # fmt: skip
 
 
 def plot_feature_speeds(
@@ -118,7 +82,7 @@ def plot_feature_speeds(
     beta_per_pm: float | None = None, ax: Axes | None = None,
 ) -> Figure:  # fmt: skip
     """
-    Draw the speed of each feature against its distance.
+    Draw the radial speed of each feature against its separation from the core.
 
     Parameters
     ----------
@@ -148,48 +112,44 @@ def plot_feature_speeds(
     >>> scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
     >>> result = scc(simulate_jet(rng=1).cube, n_trials=50, rng=1)
     >>> plot_feature_speeds(result).axes[0].get_xlabel()
-    'Distance (mas)'
+    'Core separation (mas)'
     """
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
     table = result.features
-    distance = np.abs(table["distance"].to_value(u.mas))
-    unit = offset_unit(distance.max(initial=1.0))
-    speed, error = (table[k].to_value(PM_UNIT) for k in ("pm", "pm_err"))
-    # Outward is positive, also along a component that points to the core.
-    speed = np.where(table["distance"] < 0, -speed, speed)
+    separation = table["separation"].to_value(u.mas)
+    unit = offset_unit(separation.max(initial=1.0))
+    speed, error = (table[k].to_value(PM_UNIT) for k in ("pm_radial", "pm_radial_err"))
     if len(error):
         error = np.minimum(error, LARGE_ERROR * np.median(error))
-    for number, stream in enumerate(result.search.streams, 1):
-        own = np.asarray(table["component"]) == number
-        if own.any():
-            ax.errorbar(
-                distance[own] * u.mas.to(unit), speed[own], error[own], ms=4, lw=0.8,
-                fmt=style.KINDS[stream.kind].on_profile, zorder=2,
-                **style.component_look(number, stream.kind),
-            )  # fmt: skip
+    rows = zip(separation * u.mas.to(unit), speed, error, strict=True)
+    for feature, row in zip(_Drawn.of(result), rows, strict=True):
+        ax.errorbar(*row, fmt="o", ms=4, lw=0.8, **feature.look)
     if profile is not None and len(profile):
         look = {"fmt": "none", "color": BLACK, "elinewidth": 1.6, "zorder": 3}
         style.draw_bins(ax, profile, "pm_parallel", unit, label="mean of bin", **look)
     ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
     ax.set_xlim(left=0)
-    ax.set_xlabel(f"Distance ({unit_name(unit)})")
-    ax.set_ylabel(f"Proper motion ({unit_name(PM_UNIT)})")
+    ax.set_xlabel(f"Core separation ({unit_name(unit)})")
+    ax.set_ylabel(f"Radial proper motion ({unit_name(PM_UNIT)})")
     style.legend_above(ax)
     style.add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
     return figure
 
 
-def plot_feature_distances(
+def plot_feature_separations(
     result: SCCResult, *, unit: u.UnitBase | str | None = None, ax: Axes | None = None
 ) -> Figure:
     """
-    Draw the distances of the features against time, with their straight lines.
+    Draw the separations of the features from the core against time, with their fits.
+
+    Each has its number at its last date.  Secure features have the colours of their
+    components, others are pale; positions that the fit does not use are open.
 
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
     unit : `~astropy.units.Unit`, optional
-        Of the distances.
+        Of the separations.
     ax : `matplotlib.axes.Axes`, optional
         Drawn on these instead of a new figure.
 
@@ -207,41 +167,75 @@ def plot_feature_distances(
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
     >>> from astro_scc.simulation import simulate_jet
-    >>> from astro_scc.visualization import plot_feature_distances
+    >>> from astro_scc.visualization import plot_feature_separations
     >>> scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
     >>> result = scc(simulate_jet(rng=1).cube, n_trials=50, rng=1)
-    >>> plot_feature_distances(result).axes[0].get_xlabel()
-    'Year'
+    >>> plot_feature_separations(result).axes[0].get_ylabel()
+    'Core separation (mas)'
     """
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.2))
-    table, cube = result.feature_positions, result.cube
-    start, years = cube.times[0].jyear, cube.years.to_value(u.yr)
-    kinds = [stream.kind for stream in result.search.streams]
-    distance = table["distance"].to_value(u.mas)
-    unit = offset_unit(np.abs(distance).max(initial=1.0), unit)
-    named = set()
-    for feature, slope in enumerate(result.features["pm"].to_value(PM_UNIT)):
-        own = np.flatnonzero(table["feature"] == feature)
-        number = int(table["component"][own[0]])
-        kind = kinds[number - 1]
-        look = style.component_look(number, kind)
-        time, place = years[table["epoch"][own]], distance[own]
-        # Outward is positive, also along a component that points to the core.
-        factor = u.mas.to(unit) * (-1.0 if place.mean() < 0 else 1.0)
-        ax.plot(
-            start + time, factor * place, style.KINDS[kind].on_profile, ms=3, mew=0.6,
-            **look | ({"label": None} if number in named else {}),
-        )  # fmt: skip
-        named.add(number)
-        # Positions near a standing feature are not of the line.
-        ends = time[[0, -1]]
-        line = factor * (np.median(place - slope * time) + slope * ends)
-        ax.plot(start + ends, line, color=look["color"], lw=0.8)
-    style.show_years(ax, cube)
+    drawn = _Drawn.of(result)
+    farthest = max((np.hypot(*d.place).max() for d in drawn), default=1.0)
+    unit = offset_unit(farthest, unit)
+    factor, start = u.mas.to(unit), result.cube.times[0].jyear
+    for feature in drawn:
+        separation = factor * np.hypot(*feature.place)
+        outward = feature.place / np.hypot(*feature.place)
+        error = factor * np.hypot(*(outward * feature.error))
+        date = start + feature.years
+        for own, face in ((feature.used, {}), (~feature.used, {"mfc": "white"})):
+            look = {"fmt": "o", "ms": 3, "mew": 0.6, "elinewidth": 0.8, **face}
+            look |= feature.look | {"label": None}
+            ax.errorbar(date[own], separation[own], error[own], **look)
+        ax.plot(date, factor * np.hypot(*feature.fit), lw=1.0, **feature.look)
+        feature.number_at(ax, date[-1], separation[-1])
+    style.show_years(ax, result.cube)
     ax.set_ylim(bottom=0)
-    ax.set_ylabel(f"Distance ({unit_name(unit)})")
+    ax.set_ylabel(f"Core separation ({unit_name(unit)})")
     style.legend_above(ax)
     return figure
+
+
+class _Drawn(NamedTuple):
+    """What is drawn of a feature: positions (2, n) in mas, dates, and its look."""
+
+    number: int
+    years: np.ndarray
+    place: np.ndarray
+    error: np.ndarray
+    fit: np.ndarray
+    used: np.ndarray
+    look: dict
+
+    @classmethod
+    def of(cls, result):
+        """Return all features of a result, in the order of its table."""
+        tracked, drawn = result.tracked_features, []
+        kinds = [stream.kind for stream in result.search.streams]
+        d, years = tracked.detections, result.cube.years.to_value(u.yr)
+        rows = zip(result.features, tracked.tracks, tracked.motions, strict=True)
+        for row, track, motion in rows:
+            own, component = track.detection, int(row["component"])
+            look = {"color": PALE, "label": "not secure", "zorder": 2}
+            if row["secure"]:
+                look = {"color": BLACK, "label": "of no component", "zorder": 3}
+                if component:
+                    kind = kinds[component - 1]
+                    look |= style.component_look(component, kind)
+            place = d.place[own].T
+            fit = place - motion.residual.T
+            when = years[d.epoch[own]]
+            parts = place, d.place_error[own].T, fit, motion.used, look
+            drawn.append(cls(int(row["feature"]), when, *parts))
+        return drawn
+
+    def number_at(self, ax, x, y):
+        """Write the number of the feature beside a point."""
+        ax.annotate(
+            str(self.number), (x, y), (3, 2), textcoords="offset points",
+            color=self.look["color"], fontsize="small", zorder=4, annotation_clip=True,
+            path_effects=style.outline(),
+        )  # fmt: skip
 
 
 def plot_sensitivity(table, *, beta_per_pm=None, ax=None):

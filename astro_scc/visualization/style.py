@@ -103,11 +103,12 @@ def show_years(ax, cube):
 
 
 def legend_above(ax):
-    """Add the legend of axes above them, on the left, if anything has a label."""
-    if ax.get_legend_handles_labels()[0]:
+    """Add a legend above axes, on the left, with each label that they have once."""
+    handles, labels = ax.get_legend_handles_labels()
+    if each := dict(zip(labels, handles, strict=True)):
         ax.legend(
-            fontsize="small", frameon=False, loc="lower left", ncols=3,
-            bbox_to_anchor=(0, 1), borderaxespad=0,
+            each.values(), each.keys(), fontsize="small", frameon=False, ncols=3,
+            loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0,
         )  # fmt: skip
 
 
