@@ -21,7 +21,7 @@ from astro_scc.units import in_easy_units
 
 CHANCE = "permuted epochs give as strong a peak (p_global above alpha)"
 HOSTILE = "<script>alert('1')</script> & \"more\""
-FIGURES = ("streams", "diagram", "speeds", "distances", "members", "velocity_map",
+FIGURES = ("paths", "diagram", "speeds", "separations", "members", "velocity_map",
            "significance", "epochs", "intervals", "sensitivity")  # fmt: skip
 VOID = {"meta", "img", "br", "link", "hr"}
 
@@ -181,10 +181,10 @@ def test_the_answer_comes_first(page, components):
         "1 feature, ",
         "1: acceleration: ",
         "beware of",
-        "Velocities of the features.",
+        "Paths of the features.",
         "Displacement against interval.",
-        "Speed against distance.",
-        "Distance against time.",
+        "Speed against separation.",
+        "Separation against time.",
         "Patterns of each component.",
         "Velocity map.",
         "Statistical significance",
@@ -304,9 +304,17 @@ def test_what_does_not_move_is_no_discovery(result, tmp_path, quick):
 def test_each_feature_has_its_own_speed(result, folder):
     text = (folder / "report.html").read_text(encoding="utf-8")
     part = text.split("<h2>Features</h2>")[1].split("</section>")[0]
-    assert part.count("<tr>") == len(result.features) + 1
-    for row in result.features:
-        assert row["first"].strftime("%Y-%m-%d") in part
+    rows = re.findall(r"<tr(?: class=not-significant)?>(.*)</tr>", part)
+    head, *rows = [re.findall(r"<t[hd][^>]*>([^<]*)", row) for row in rows]
+    assert head[:2] == ["No.", "component"]
+    assert head[-3:] == ["t_ej", "p_false", "secure"]
+    assert "speed (c)" in head
+    for cells, row in zip(rows, result.features, strict=True):
+        assert cells[:3] == [str(row[k]) for k in ("feature", "component", "n_epochs")]
+        assert cells[3] == row["first"].strftime("%Y-%m-%d")
+        speed = with_error(row["pm"].value, row["pm_err"].value)
+        assert cells[head.index("speed (mas/yr)")] == speed
+        assert cells[-1] == ("yes" if row["secure"] else "no")
 
 
 def test_choices_that_change_the_speed_are_in_the_answer(result, tmp_path, quick):
@@ -352,7 +360,8 @@ def test_too_few_epochs_are_named(result, tmp_path, quick, monkeypatch):
     )
     ssps = result.ssps[result.ssps["epoch"] < 4]
     object.__setattr__(few, "ssps", ssps)
-    object.__setattr__(few, "features", result.features)
+    for name in ("features", "tracked_features"):
+        object.__setattr__(few, name, getattr(result, name))
     object.__setattr__(few, "sensitivity", result.sensitivity)
     assert line in words_of(few, table, tmp_path)
     # What stands still is told without an order of the epochs.

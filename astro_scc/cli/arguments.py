@@ -262,9 +262,9 @@ def explore(parser):
     See which features, in which epochs, make a speed.
 
     Write explore.html into the folder of a measurement: the velocity map, the images,
-    the separations against time and a table of the features in linked panels.  Selecting
-    a component or features in one panel selects them in all.  The page is one file that
-    needs no network.
+    the separations against time and a table of the features in linked panels.
+    Selecting a component or features in one panel selects them in all.  The page is
+    one file that needs no network.
 
     examples:
       astro-scc measure 3c273/*.fits -o out

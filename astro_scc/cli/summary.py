@@ -81,8 +81,11 @@ def component_lines(components, features=None, sensitivity=None):
     -------
     list of str
     """
+    followed = []
+    if features is not None:
+        followed = feature_lines(table_in_c_as(features, components))
     if len(components) == 0:
-        return [*NOTHING, *meta_lines(components.meta)]
+        return [*NOTHING, *followed, *meta_lines(components.meta)]
     components = in_easy_units(components)
     lines = [_answer(components)]
     if sensitivity is not None and (depends := sensitivity_line(sensitivity)):
@@ -96,9 +99,7 @@ def component_lines(components, features=None, sensitivity=None):
         if math.isfinite(limit.value):
             text = f"{limit.value:.2g} {limit.unit}"
             lines.append(f"{number} is slower than {text} at 95% confidence")
-    if features is not None:
-        lines += feature_lines(table_in_c_as(features, components))
-    return [*lines, *meta_lines(components.meta)]
+    return [*lines, *followed, *meta_lines(components.meta)]
 
 
 def _component_cells(row):

@@ -20,7 +20,9 @@ from astro_scc.simulation import simulate_jet, write_simulation
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
 #: What a measurement without a report writes.
 WITHOUT_REPORT = PRODUCTS[: PRODUCTS.index("report.html")]
-TABLES = ("components.ecsv", "features.ecsv", "sensitivity.ecsv", "ssps.ecsv")
+TABLES = [
+    f"{name}.ecsv" for name in "components features positions sensitivity ssps".split()
+]
 
 
 def epochs(folder):
@@ -71,7 +73,7 @@ def test_files_for_other_programs(measured, jet, astro_scc, here):
         "out",
     )
     assert astro_scc(*again, "--votable", "--ds9-regions")[0] == 0
-    for name in ("components", "ssps"):
+    for name in ("components", "features", "positions", "ssps"):
         table = QTable.read(here / "out" / f"{name}.vot")
         original = QTable.read(measured / f"{name}.ecsv")
         assert table.colnames == original.colnames

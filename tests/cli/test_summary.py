@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from astropy.table import Column, vstack
 
-from astro_scc.cli.summary import component_lines, plus_minus
+from astro_scc.cli.summary import component_lines, feature_lines, plus_minus
 
 
 @pytest.fixture(scope="module")
@@ -81,17 +81,34 @@ def test_choices_that_change_the_speed_follow_the_answer(jet_results):
     ]
 
 
-def test_few_features_are_shown_with_their_speeds(jet_results):
+def test_secure_features_are_shown_with_their_speeds(jet_results):
     result = jet_results["radial"]
-    table = result.components[:1].copy()
-    lines = component_lines(table, result.features)
-    assert not any(line.startswith("feature of") for line in lines)
-    table["n_features"] = 4
-    own = result.features[result.features["component"] == 1]
-    lines = component_lines(table, own)
-    (head,) = (k for k, line in enumerate(lines) if line.startswith("feature of"))
-    assert lines[head + 1].endswith(plus_minus(own[0], "pm"))
-    assert lines[head + len(own) + 1] == ""
+    components = result.components_in_c(redshift=0.1)
+    table, secure = result.features, np.asarray(result.features["secure"])
+    assert 0 < secure.sum() <= 10
+    lines = component_lines(components, table)
+    (head,) = (k for k, line in enumerate(lines) if line.startswith("feature "))
+    said = f"{len(table)} features, {secure.sum()} of them secure:"
+    assert lines[head - 2 : head] == ["", said]
+    assert "speed (c)" in lines[head]
+    for line, row in zip(lines[head + 1 :], table[secure], strict=False):
+        assert line.split()[:2] == [str(row["feature"]), str(row["component"])]
+        assert plus_minus(row, "pm") in line
+    assert lines[head + secure.sum() + 1] == ""
+
+
+def test_of_many_features_those_of_most_epochs_are_shown(jet_results):
+    features = vstack([jet_results["radial"].features[:1]] * 12)
+    features["secure"], features["feature"] = True, np.arange(1, 13)
+    features["n_epochs"] = [4, 4, *range(5, 15)]
+    _, said, _, *rows, _ = feature_lines(features)
+    assert said == (
+        "12 features, 12 of them secure; the 10 that were seen in most epochs:"
+    )
+    assert [row.split()[0] for row in rows] == [str(k) for k in range(3, 13)]
+    features["secure"] = False
+    assert feature_lines(features[:1]) == ["1 feature, 0 of them secure."]
+    assert feature_lines(features[:0]) == ["0 features, 0 of them secure."]
 
 
 def test_fast_motion_has_a_unit_that_can_be_read(radial):

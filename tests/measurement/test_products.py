@@ -291,6 +291,7 @@ def test_a_table_without_components_keeps_its_columns(cube, tmp_path):
     assert [path.name for path in paths] == [
         "components.ecsv",
         "features.ecsv",
+        "positions.ecsv",
         "sensitivity.ecsv",
         "ssps.ecsv",
         "components.tex",

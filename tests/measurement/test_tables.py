@@ -1,8 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Tables that keep their columns, units and meta, empty or not, on disk or not."""
 
-from types import SimpleNamespace
-
 import astropy.units as u
 import numpy as np
 import pytest
@@ -11,9 +9,8 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.decomposition import SSPs
-from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.measurement import component_table, versions
-from astro_scc.measurement.feature_tables import feature_table, ssp_table
+from astro_scc.measurement.feature_tables import ssp_table
 
 PM = u.mas / u.yr
 PROPER_MOTIONS = ["pm_ra_cosdec", "pm_dec", "pm", "pm_parallel", "pm_transverse"]
@@ -240,41 +237,3 @@ def test_an_empty_ssp_table_has_all_columns(sky_result, beams, tmp_path):
         assert getattr(empty[name], "unit", None) == unit
     empty.write(tmp_path / "ssps.ecsv")
     assert QTable.read(tmp_path / "ssps.ecsv").colnames == empty.colnames
-
-
-@pytest.mark.slow
-def test_features_are_those_of_the_streams(stacked, tmp_path):
-    result = stacked(270 * u.deg)
-    table = result.features
-    features = [f for s in result.search.streams for f in s.features]
-    assert len(table) == len(features) > 4
-    ssps, times = result.matched.ssps, result.cube.times
-    east, _ = ssp_offsets(ssps, result.cube)
-    for row, feature in zip(table, features, strict=True):
-        epochs = ssps.epoch[feature.ssp]
-        assert row["n_epochs"] == len(epochs)
-        assert abs(row["first"] - times[epochs.min()]) < 1 * u.s
-        assert abs(row["last"] - times[epochs.max()]) < 1 * u.s
-        # A straight line through the positions, west being along the jet.
-        years = result.cube.years[epochs].to_value(u.yr)
-        slope, middle = np.polyfit(years - years.mean(), -east[feature.ssp], 1)
-        assert abs(row["pm"].value - slope) < 0.02 * abs(slope) + 0.05
-        assert abs(row["distance"].value - middle) < 0.1
-        assert row["motion"].value == pytest.approx(
-            abs(row["pm"].value) * np.ptp(years)
-        )
-    table.write(tmp_path / "features.ecsv")
-    same(QTable.read(tmp_path / "features.ecsv"), table)
-
-
-def test_without_features_the_table_has_its_columns(stacked):
-    result = stacked(270 * u.deg)
-    nothing = SimpleNamespace(
-        matched=result.matched, cube=result.cube, frame=result.frame,
-        displacements=result.displacements, search=SimpleNamespace(streams=()),
-    )  # fmt: skip
-    table = feature_table(nothing)
-    assert len(table) == 0
-    assert table.colnames == result.features.colnames
-    assert table["pm"].unit == u.mas / u.yr
-    assert isinstance(table["first"], Time)

@@ -190,7 +190,7 @@ def small_table(rows):
 
 
 def test_the_overview_counts_sources(tmp_path):
-    features(tmp_path, 1.0, [1], [2.0], [0.1])
+    features(tmp_path, [1], [2.0], [0.1])
     rows = [
         ("A", "fine", "measured", "moving"),
         ("A", "coarse", "measured", "not significant"),
@@ -214,11 +214,11 @@ def test_the_overview_counts_sources(tmp_path):
     assert '"published">1.9</span><span class="more">+1.0 standard errors' in page
 
 
-def features(folder, sign, component, pm, pm_err):
+def features(folder, component, pm, pm_err):
     """Write a table of features at 1, 2, ... mas."""
     table = QTable({"component": component})
-    table["distance"] = sign * np.arange(1.0, len(pm) + 1) * u.mas
-    for name, values in (("pm", pm), ("pm_err", pm_err)):
+    table["separation"] = np.arange(1.0, len(pm) + 1) * u.mas
+    for name, values in (("pm_radial", pm), ("pm_radial_err", pm_err)):
         table[name] = np.asarray(values, float) * u.mas / u.yr
     path = folder / "features.ecsv"
     table.write(path, format="ascii.ecsv", overwrite=True)
@@ -228,7 +228,7 @@ def features(folder, sign, component, pm, pm_err):
 def test_profiles_of_the_overview(tmp_path):
     # The last one is too uncertain to set the scale.
     pm, error = [*range(1, 11), -2, 99], [0.1] * 11 + [5]
-    path = features(tmp_path, 1.0, [1] * 10 + [2, 1], pm, error)
+    path = features(tmp_path, [1] * 10 + [2, 1], pm, error)
     found = _small_profile(path, u.mas / u.yr)
     points = np.array(found["points"])
     width, height = 144, 34
@@ -243,12 +243,12 @@ def test_profiles_of_the_overview(tmp_path):
     line = [tuple(map(float, point.split(","))) for point in found["line"].split()]
     expected = [(r * width / 11, (10 - r) * height / 12) for r in (3, 8)]
     np.testing.assert_allclose(line, expected, atol=0.06)
-    # In a counter-jet, outward is positive.
-    features(tmp_path, -1.0, [1, 1], [-3, -4], [0.1, 0.1])
-    assert _small_profile(path, u.mas / u.yr)["range"] == "2 mas, 4 mas/yr"
-    features(tmp_path, 1.0, [1], [0], [0.1])
+    # Outward is positive.
+    features(tmp_path, [1, 0], [-3, -4], [0.1, 0.1])
+    assert _small_profile(path, u.mas / u.yr)["range"] == "2 mas, -4 mas/yr"
+    features(tmp_path, [1], [0], [0.1])
     assert _small_profile(path, u.mas / u.yr)["points"] == [(144.0, 0.0, 1)]
-    features(tmp_path, 1.0, np.zeros(0, int), [], [])
+    features(tmp_path, np.zeros(0, int), [], [])
     assert _small_profile(path, u.mas / u.yr) is None
 
 
