@@ -95,7 +95,8 @@ def components_of(result, features):
     slow = [m.speed < REST_SIGMA * m.speed_err for m in features.motions]
     away = np.full((len(streams) + 1, len(features)), np.inf)
     away[0] = MEMBER_SIGMA
-    for k, (stream, own) in enumerate(zip(streams, velocities, strict=True), start=1):
+    pairs = zip(streams, velocities, strict=False)
+    for k, (stream, own) in enumerate(pairs, start=1):
         cos, sin = np.cos(stream.angle), np.sin(stream.angle)
         turn = np.array([[cos, sin], [-sin, cos]])
         covariance = turn @ (of_axes + np.nan_to_num(own.covariance)) @ turn.T

@@ -303,8 +303,9 @@ def velocity_hdus(result, *, text=None):
         with a linear WCS in mas/yr along the velocity axes; the image
         ``DIAGRAM`` of `SCCResult.diagram`; the table ``INTERVALS``, which
         describes the columns of that image; and the table ``FEATURES``, which is
-        `SCCResult.feature_positions` with the velocity of the feature on the axes of
-        the velocity map, ``pm_axis1`` and ``pm_axis2``, and dates as text.
+        `SCCResult.feature_positions` without fluxes, with the velocity of the feature
+        on the axes of the velocity map, ``pm_axis1`` and ``pm_axis2``, and dates as
+        text.
     """
     hdus = []
     for which in ("coefficient", "z_score"):
@@ -324,6 +325,8 @@ def velocity_hdus(result, *, text=None):
 
 def _features_hdu(result):
     features = result.feature_positions.copy()
+    # The standard does not have DN, which solar images are in.
+    features.remove_column("flux")
     # Readers of FITS know dates as text.
     features["date"] = np.asarray(features["date"].isot, dtype="U23")
     velocity, _ = frame_velocities(result.frame, result.tracked_features)
