@@ -25,6 +25,7 @@ SIMULATED = {
         "profile",
     ),
     "tracks": (["jet", "--epochs", "6"], ["track"], "tracks"),
+    "features": (["jet", "--epochs", "8"], ["measure"], "features"),
 }
 BEAMS = {
     "0430+052": Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg),

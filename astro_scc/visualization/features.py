@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 LARGE_ERROR = 4.0
 #: Most letters of a label beside a figure in one line.
 LABEL = 30
-#: Colour of features that are not vouched for.
-PALE = "#B8B8B8"
+#: Colour of features that are not vouched for, and how many features there may be for
+#: these to have their numbers too.
+PALE, CROWDED = "#B8B8B8", 40
 
 
 def plot_feature_paths(
@@ -199,7 +200,7 @@ def plot_feature_separations(
 class _Drawn(NamedTuple):
     """What is drawn of a feature: positions (2, n) in mas, dates, and its look."""
 
-    number: int
+    number: str
     years: np.ndarray
     place: np.ndarray
     error: np.ndarray
@@ -226,13 +227,15 @@ class _Drawn(NamedTuple):
             fit = place - motion.residual.T
             when = years[d.epoch[own]]
             parts = place, d.place_error[own].T, fit, motion.used, look
-            drawn.append(cls(int(row["feature"]), when, *parts))
+            numbered = row["secure"] or len(tracked) <= CROWDED
+            number = str(row["feature"]) if numbered else ""
+            drawn.append(cls(number, when, *parts))
         return drawn
 
     def number_at(self, ax, x, y):
         """Write the number of the feature beside a point."""
         ax.annotate(
-            str(self.number), (x, y), (3, 2), textcoords="offset points",
+            self.number, (x, y), (3, 2), textcoords="offset points",
             color=self.look["color"], fontsize="small", zorder=4, annotation_clip=True,
             path_effects=style.outline(),
         )  # fmt: skip

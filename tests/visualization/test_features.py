@@ -91,6 +91,15 @@ def test_speeds_are_radial(result):
     assert "1: moving" in labels
 
 
+def test_of_many_features_the_secure_ones_have_numbers(result, monkeypatch):
+    monkeypatch.setattr("astro_scc.visualization.features.CROWDED", 3)
+    table = result.features
+    secure = [str(n) for n in table["feature"][table["secure"]]]
+    assert 3 < len(secure) < len(table)
+    for plot in (plot_feature_paths, plot_feature_separations):
+        assert numbers_of(plot(result).axes[0]) == secure
+
+
 def test_figures_without_features(bare):
     for plot in (plot_feature_paths, plot_feature_separations, plot_feature_speeds):
         assert numbers_of(plot(bare).axes[0]) == []
