@@ -87,13 +87,10 @@ def feature_table(features, component=None):
     table = build_table(rows, COLUMNS)
     years = np.array([row["date"] for row in rows], dtype=float)
     _with_dates(table, features.cube, ("first", "last"))
-    about, start = table["date"].info.description, features.cube.times[0]
-    # Dates of detections count from the first epoch.
-    table["date"] = Time(start + years * u.yr, format="isot")
+    about = table["date"].info.description
+    table["date"] = Time(years, format="jyear", scale="utc")
+    table["date"].format = "isot"
     table["date"].info.description = about
-    about = table["t_ej"].info.description
-    table["t_ej"] = table["t_ej"] + start.jyear * u.yr
-    table["t_ej"].info.description = about
     table["flux"] = table["flux"] * flux_unit(features.cube)
     table["flux"].info.description = COLUMNS["flux"][1]
     return round_to_errors(name_by_frame(table, features.cube))
