@@ -14,6 +14,7 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+from astro_scc.tracking.motion import track_profile
 from astropy.table import Table
 from bent import bent_jets
 from common import (
@@ -41,7 +42,6 @@ from astro_scc.flow import (
 )
 from astro_scc.kinematics import apparent_speed
 from astro_scc.measurement import select_ssps
-from astro_scc.tracking.motion import track_profile
 
 SOURCE = {source.name: source for source in SOURCES}
 VIEWING_ANGLE = 15 * u.deg

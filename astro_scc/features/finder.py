@@ -228,7 +228,7 @@ def _of_gaussians(cube, n_workers, progress_bar):
         place_error=np.sqrt(errors**2 @ (matrix**2).T),
         flux=parts["flux"],
         size=parts["size"] * cube.pixel_scale.value,
-        years=cube.years.to_value(u.yr),
+        years=cube.times.jyear,
         beam=np.mean([beam.covariance.value for beam in cube.beams], axis=0),
     )
 
@@ -265,7 +265,7 @@ def _of_ssps(cube, ssps):
         place_error=np.stack([error, error], axis=1),
         flux=ssps.flux[own],
         size=np.zeros(len(own)),
-        years=cube.years.to_value(u.yr),
+        years=cube.times.jyear,
         beam=beam,
     )
 
