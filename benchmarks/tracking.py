@@ -29,6 +29,9 @@ WINDOW = {
 }
 #: Seeds of our own dense jets; the defaults were chosen on seeds 101 to 112.
 SEEDS = range(201, 209)
+#: Largest distance of a detection from the true place of its feature, in pixels: half
+#: a beam.
+NEAR = 5.0
 
 
 def main():
@@ -74,7 +77,7 @@ def links(folder):
     header = [
         "images", "window", "slow", "fast", "wrong", "slow, a beam apart",
         "fast, a beam apart", "wrong, a beam apart", "links", "SSPs",
-        "in tracks", "features",
+        "in tracks", "right features",
     ]  # fmt: skip
     write_table("tracking_links", header, rows)
 
@@ -104,7 +107,8 @@ def compare(cube, x, y, seen, group, tracker):
     tracks = chains(links, ssps, min_epochs=tracker.min_epochs)
     counts = {"links": one.sum(), "ssps": len(ssps)}
     counts["share"] = sum(map(len, tracks)) / len(ssps)
-    counts["features"] = len(tracker(cube, decompositions))
+    features = tracker(cube, decompositions)
+    counts["features"] = right_features(features, x, y, seen)
     for key, owner in (
         ("segment", alone_in_segment(ssps, x, y, seen, cube.shape[2])),
         ("beam", alone_in_beam(ssps, x, y, seen, 10.0)),
@@ -158,6 +162,23 @@ def alone_in_beam(ssps, x, y, seen, beam):
     return owner
 
 
+def right_features(features, x, y, seen):
+    """Return which features are one true feature at three quarters of their epochs."""
+    d, right = features.detections, []
+    at = np.stack(features.cube.offset_to_pixel(*d.place.T * u.mas), axis=1)
+    for track in features.tracks:
+        names = []
+        for k in track.detection:
+            own = np.flatnonzero(seen[:, d.epoch[k]])
+            place = np.stack([x[own, d.epoch[k]], y[own, d.epoch[k]]], axis=1)
+            away = np.hypot(*(place - at[k]).T)
+            names.append(own[away.argmin()] if away.min() <= NEAR else -1)
+        feature, count = np.unique(names, return_counts=True)
+        most = count.argmax()
+        right.append(feature[most] >= 0 and count[most] >= 0.75 * len(names))
+    return np.array(right)
+
+
 def shares(found):
     """Return the cells of the table of links."""
     cells = []
@@ -168,7 +189,8 @@ def shares(found):
     cells.append(sum(int(f["links"]) for f in found))
     cells.append(sum(f["ssps"] for f in found))
     cells.append(f"{np.mean([f['share'] for f in found]):.2f}")
-    cells.append(sum(f["features"] for f in found))
+    right = np.concatenate([f["features"] for f in found])
+    cells.append(f"{right.mean():.2f} of {len(right)}")
     return cells
 
 

@@ -129,14 +129,22 @@ def feature_lines(features, table):
     if len(table) == 0:
         lines.append("No detections of four epochs or more are in steady motion.")
         return lines
-    best = table[np.argmin(table["p_false"])]
-    lines.append(
-        f"The most probable one, {best['feature']}, is false with {best['p_false']:.2g}"
-        f" and moves by {best['motion'].value:.2g} beams and "
-        f"{(best['pm'] / best['pm_err']).value:.2g} errors; more epochs or a longer "
-        "time may show more."
+    motion, errors = table["motion"].value, (table["pm"] / table["pm_err"]).value
+    best = np.argmax(
+        np.minimum.reduce(
+            [MOST_FALSE / table["p_false"], motion / LEAST_MOTION, errors / SIGNIFICANT]
+        )
     )
-    return lines
+    row = table[best]
+    text = (
+        f"The nearest to that, {row['feature']}, is false with {row['p_false']:.2g}, "
+        f"moves by {motion[best]:.2g} beams and by {errors[best]:.2g} errors"
+    )
+    if 0 < motion[best] < LEAST_MOTION:
+        years = (row["last"] - row["first"]).to_value("yr")
+        needed = f"{years * LEAST_MOTION / motion[best]:.2g} yr"
+        text += f"; at its speed {needed} would be long enough"
+    return [*lines, f"{text}."]
 
 
 def _rows(table):
