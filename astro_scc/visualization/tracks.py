@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from astro_scc.features import Features
     from astro_scc.measurement import SCCResult
 
-#: How features that are not secure are drawn.
-PALE = {"color": style.GREY, "alpha": 0.45, "zorder": 2}
+#: How features are drawn that are secure, and that are not.
+STRONG = {"alpha": 1.0, "zorder": 3, "linestyle": "-"}
+PALE = {"alpha": 0.5, "zorder": 2, "linestyle": ":"}
 
 
 def plot_members(
@@ -112,8 +113,8 @@ def plot_separation(
     """
     Draw the separations of features from the core against time, with their fits.
 
-    Secure features have strong colours, others are pale.  A line is the motion that is
-    fitted to a feature; at its end is the number of the feature.
+    A line is the motion that is fitted to a feature, with its number at the end; those
+    of features that are not secure are pale and dotted.
 
     Parameters
     ----------
@@ -153,7 +154,7 @@ def plot_separation(
         time = d.time[k]
         ax.errorbar(
             time, factor * distance[k], factor * error[k], fmt="o", markersize=3,
-            markeredgewidth=0, linewidth=0.8, **look,
+            markeredgewidth=0, linewidth=0.8, **look | {"linestyle": ""},
         )  # fmt: skip
         t = np.linspace(*time[[0, -1]], 50)
         fitted = factor * np.hypot(*_fitted(motion, t).T)
@@ -173,10 +174,9 @@ def _fitted(motion, time):
 
 
 def _look(features, number):
-    """Return the colour of a feature, pale unless it is secure."""
-    secure = bool(features.secure[number])
-    color = style.component_color(number + 1)
-    return {"color": color, "alpha": 1.0, "zorder": 3} if secure else PALE
+    """Return the look of a feature, pale unless it is secure."""
+    look = STRONG if features.secure[number] else PALE
+    return {"color": style.component_color(number + 1), **look}
 
 
 def _number(ax, number, place, look):
@@ -196,8 +196,8 @@ def plot_tracks(
     Draw the paths of features over the mean image.
 
     Each path is a line through the positions of a feature, with one dot per epoch, an
-    arrow head at the last one and the number of the feature.  Secure features have
-    strong colours, others are pale.
+    arrow head at the last one and the number of the feature.  Those of features that
+    are not secure are pale and dotted.
 
     Parameters
     ----------
@@ -237,7 +237,8 @@ def plot_tracks(
     for number, track in enumerate(features.tracks):
         look = _look(features, number)
         place = view.factor * d.place[track.detection].T
-        ax.plot(*place, "-o", markersize=2, markeredgewidth=0, linewidth=0.9, **look)
+        dots = {"marker": "o", "markersize": 2, "markeredgewidth": 0}
+        ax.plot(*place, linewidth=0.9, **dots, **look)
         arrow = head | look | {"linewidth": 0.9}
         ends = {"xy": place[:, -1], "xytext": place[:, -2]}
         ax.annotate("", arrowprops=arrow, annotation_clip=True, **ends)

@@ -42,7 +42,8 @@ def test_separations_are_those_of_the_positions(features):
     ]
     lines = [line for line in ax.lines if line.get_marker() != "o"]
     alpha = [line.get_alpha() for line in lines]
-    assert alpha == [0.45 if k == 1 else 1.0 for k in range(len(features))]
+    assert alpha == [0.5 if k == 1 else 1.0 for k in range(len(features))]
+    assert [line.get_linestyle() for line in lines].count(":") == 1
     figure.draw_without_rendering()
 
 
