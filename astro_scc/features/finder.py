@@ -228,9 +228,14 @@ def _of_gaussians(cube, n_workers, progress_bar):
         place_error=np.sqrt(errors**2 @ (matrix**2).T),
         flux=parts["flux"],
         size=parts["size"] * cube.pixel_scale.value,
-        years=cube.times.jyear,
+        years=_years(cube),
         beam=np.mean([beam.covariance.value for beam in cube.beams], axis=0),
     )
+
+
+def _years(cube):
+    """Return the dates as Julian years."""
+    return cube.times[0].jyear + cube.years.to_value(u.yr)
 
 
 def _fit(image_mask_beam_rms):
@@ -265,7 +270,7 @@ def _of_ssps(cube, ssps):
         place_error=np.stack([error, error], axis=1),
         flux=ssps.flux[own],
         size=np.zeros(len(own)),
-        years=cube.times.jyear,
+        years=_years(cube),
         beam=beam,
     )
 

@@ -64,10 +64,10 @@ class TrackSettings:
     size_scatter: float = 0.08
     far_scatter: float = 0.02
     wander: float = 0.0025
-    speed: float = 0.35
+    speed: float = 0.6
     freedom: float = 4.0
     flux_step: float = 0.35
-    detected: float = 0.85
+    detected: float = 0.75
     density: float = 0.2
     most_missed: int = 3
     gate: float = 5.0

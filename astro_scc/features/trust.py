@@ -14,7 +14,7 @@ COEFFICIENTS = np.array([1.67, -0.66, 0.56, 0.43, 2.39, 1.23, -0.79, -5.81])
 #: A feature is vouched for if it is false with at most this probability, has moved so
 #: many beams, and its speed differs from zero by so many standard errors, or has moved
 #: so far and does not.
-MOST_FALSE, LEAST_MOTION, SIGNIFICANT = 0.25, 0.8, 3.0
+MOST_FALSE, LEAST_MOTION, SIGNIFICANT = 0.3, 1.0, 3.0
 #: Beyond so many beams, other detections do not matter.
 FAR = 2.0
 

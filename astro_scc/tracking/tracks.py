@@ -84,7 +84,7 @@ def _detections(cube, ssps, own):
         place_error=position_errors(ssps.snr, fwhm, 0.0)[own],
         flux=ssps.flux[own],
         size=np.zeros(len(own)),
-        years=cube.times.jyear,
+        years=cube.times[0].jyear + cube.years.to_value(u.yr),
         beam=beam,
     )
 
