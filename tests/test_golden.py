@@ -24,7 +24,7 @@ SIMULATED = {
         ["profile", "--bins", "1 4 8 mas", "--position-angle", "270 deg"],
         "profile",
     ),
-    "tracks": (["jet", "--epochs", "6"], ["track"], "tracks"),
+    "tracks": (["jet", "--epochs", "6"], ["track"], "features"),
 }
 BEAMS = {
     "0430+052": Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg),
