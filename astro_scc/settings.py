@@ -32,7 +32,7 @@ GROUPS = {
     "images": ALL,
     "distances": ("profile",),
     "measurement": ALL,
-    "tracking": ("track",),
+    "features": ("track",),
     "trials": ALL,
     "speeds in units of c": ALL,
 }
@@ -68,7 +68,6 @@ POSITIVE = (q.check_number, 0, math.inf, "must be above 0")
 BEAMS = (q.check_number, 0, 5, "must be a part of the beam between 0 and 5")
 SPEED = (q.one_quantity, "an angle per time", "2 mas/yr")
 ANGLE = (q.one_quantity, "an angle", "2 mas")
-SPEEDS = (q.check_range, "a smallest and a largest speed", "-1 4 mas/yr")
 
 
 def _setting(group, check, text, metavar=None, default=None, *, unit=None, only=None):
@@ -87,7 +86,7 @@ _image = partial(_setting, "images")
 _measure = partial(_setting, "measurement")
 _stack = partial(_setting, "measurement", only=STACK)
 _distance_bin = partial(_setting, "distances")
-_track = partial(_setting, "tracking")
+_feature = partial(_setting, "features")
 _trial = partial(_setting, "trials")
 _in_c = partial(_setting, "speeds in units of c")
 
@@ -103,19 +102,19 @@ class MeasurementSettings:
         "of the size of the structures",
         "1,2,3",
     )
-    max_speed: u.Quantity | str | None = _measure(
+    max_speed: u.Quantity | str | None = _stack(
         SPEED,
         "largest proper motion; default 1.5 beams in the shorter intervals, four of "
-        "up to 20 epochs (track: four in the median interval)",
+        "up to 20 epochs",
         '"2 mas/yr"',
         unit="mas / yr",
     )
-    position_angle: Any = _measure(
+    position_angle: Any = _stack(
         q.check_position_angle,
         "direction of the jet, north through east: velocities along and across it; fit "
-        "for that of the mean image, ridge for along its ridge line (neither for "
-        "track), radial for away from the reference pixel, any for east and north; by "
-        "default fit for a one-sided jet, or else any",
+        "for that of the mean image, ridge for along its ridge line, radial for away "
+        "from the reference pixel, any for east and north; by default fit for a "
+        "one-sided jet, or else any",
         '"65 deg"|fit|ridge|radial|any',
         unit="deg",
     )
@@ -129,19 +128,16 @@ class MeasurementSettings:
     min_error_beams: float = _stack(
         BEAMS, "smallest error of a displacement, in beams; default 0.2", "0.2", 0.2
     )
-    kappa: float = _measure(
-        POSITIVE,
-        "smallest correlation of a match; default 0.6 (track: 0.5)",
-        "0.6",
-        0.6,
+    kappa: float = _stack(
+        POSITIVE, "smallest correlation of a match; default 0.6", "0.6", 0.6
     )
-    target: str = _measure(
+    target: str = _stack(
         (q.check_choice, "segments", "plane"),
         "what a pattern is correlated with: the patterns of the other epoch or its "
         'whole "plane"',
         default="segments",
     )
-    min_overlap: float = _measure(
+    min_overlap: float = _stack(
         POSITIVE, "part of a pattern that must lie on good pixels", default=0.8
     )
     wavelet: str = _measure(
@@ -255,48 +251,19 @@ class Settings(MeasurementSettings):
         "windows of this width about each of the --bins, instead of bins between",
         '"2 mas"',
     )
-    along: u.Quantity | Sequence[str] | None = _track(
-        SPEEDS,
-        "smallest and largest proper motion along the jet",
-        '"-1 4 mas/yr"',
-        unit="mas / yr",
-    )
-    across: u.Quantity | Sequence[str] | None = _track(
-        SPEEDS,
-        "smallest and largest proper motion across the jet",
-        '"-1 4 mas/yr"',
-        unit="mas / yr",
-    )
-    tolerance: float | None = _track(
-        BEAMS,
-        "scatter of displacements about steady motion, in beams; default 0.2",
-        "0.2",
-    )
-    max_gap: int | None = _track(
-        (q.check_integer, 0),
-        "consecutive epochs at which a feature may be missing; default 1",
-        "1",
-    )
-    max_interval: u.Quantity | str | None = _track(
-        (q.one_quantity, "a time", "1 yr"),
-        "longest time between two epochs that are linked",
-        '"1 yr"',
-        unit="yr",
-    )
-    min_epochs: int | None = _track(
-        (q.check_integer, 3), "smallest number of epochs of a track; default 3", "3"
-    )
-    half_width: u.Quantity | str | None = _track(
-        ANGLE,
-        "features this near a distance make the profile there; default 2 mas "
-        "(Mertens & Lobanov 2016), or a fifth of the longest distance if less",
-        '"2 mas"',
+    detections: str = _feature(
+        (q.check_choice, "gaussians", "ssp"),
+        "what features are made of: models of the images by gaussians, the default "
+        "where there are beams, or ssp, the patterns of all scales",
+        "gaussians|ssp",
+        "gaussians",
     )
     n_trials: int | None = _trial(
         (q.check_integer, 2, 10**9),
         "permutations of the epochs; the paper's z-score and error take 200 at most; "
-        "default 1000 (track: 20)",
+        "default 1000",
         "1000",
+        only=STACK,
     )
     seed: int | None = _trial(
         (q.check_integer, 0, 2**63 - 1),  # FITS and TOML keep integers of 64 bits

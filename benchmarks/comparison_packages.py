@@ -139,17 +139,17 @@ def members(result, numbers):
 
 def tracked(cube):
     """Return velocities of features from one epoch of a track to the next."""
-    from astro_scc.decomposition import Decomposer
+    from astro_scc.decomposition import Decomposer, SSPs
     from astro_scc.tracking import FeatureTracker
+    from astro_scc.tracking.linking import chains
 
     decompose = Decomposer(scales=(1, 2, 3))
     tracker = FeatureTracker(max_speed=LARGEST * pixel_an_epoch(cube))
-    tracking = tracker(cube, [decompose(image) for image in cube.data])
-    x, y = cube.offset_to_pixel(*(tracking.offsets * u.mas))
+    decompositions = [decompose(image) for image in cube.data]
+    ssps = SSPs.of_epochs(decompositions)
     parts = []
-    for number in range(tracking.n_tracks):
-        own = tracking.members(number)
-        parts += links(tracking.ssps.epoch[own], x[own], y[own])
+    for own in chains(tracker.link(cube, decompositions), ssps, min_epochs=3):
+        parts += links(ssps.epoch[own], ssps.x[own], ssps.y[own])
     return None, Sample.of(parts)
 
 

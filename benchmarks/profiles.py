@@ -30,6 +30,7 @@ from mojave import BEFORE, SOURCES
 from shells import two_rates
 
 from astro_scc import Beam, StackedCrossCorrelation
+from astro_scc.features import fit_motion
 from astro_scc.flow import (
     compare_positions,
     compare_speeds,
@@ -41,10 +42,13 @@ from astro_scc.flow import (
 )
 from astro_scc.kinematics import apparent_speed
 from astro_scc.measurement import select_ssps
-from astro_scc.tracking.motion import track_profile
+from astro_scc.stacking import random_effects
 
 SOURCE = {source.name: source for source in SOURCES}
 VIEWING_ANGLE = 15 * u.deg
+#: Fewest epochs, error of a position and width of the beam of the survey's features,
+#: both in mas.
+LEAST_EPOCHS, POSITION_ERROR, BEAM_FWHM = 3, 0.1, 0.8
 #: Speeds in c from the paper, Sect. 3.2, by the middle of the bin in mas.
 PAPER_3C120 = {1: "4.0 ± 0.2", 7: "6.0 ± 0.4", 8: "slower", 9: "slower", 10: "slower"}
 M87_DISTANCE = 16.7 * u.Mpc
@@ -84,12 +88,26 @@ def features_as_the_paper(folder, table, radii, *, before, half_width=2.0):
     seen = Table.read(folder / f"{table}.ecsv", format="ascii.ecsv")
     use = (np.asarray(seen["epoch"], dtype=str) < before) & (seen["feature"] > 0)
     seen = seen[use]
-    years = [_year(text) for text in seen["epoch"]]
+    years = np.array([_year(text) for text in seen["epoch"]])
     distance = np.asarray(seen["separation"], dtype=float)
-    return track_profile(
-        years, distance, np.full(len(seen), 0.1), np.asarray(seen["feature"]), radii,
-        half_width=half_width,
-    )  # fmt: skip
+    place = np.stack([distance, 0 * distance], axis=1)
+    speed, speed_err = np.zeros((2, len(radii)))
+    n_features = np.zeros(len(radii), dtype=int)
+    for k, radius in enumerate(radii):
+        near = np.abs(distance - radius) <= half_width
+        fits = []
+        for feature in np.unique(seen["feature"][near]):
+            own = near & (seen["feature"] == feature)
+            if own.sum() >= LEAST_EPOCHS:
+                error = np.full((own.sum(), 2), POSITION_ERROR)
+                fits.append(fit_motion(years[own], place[own], error, BEAM_FWHM))
+        if fits:
+            mean = random_effects(
+                np.array([fit.velocity[0] for fit in fits]),
+                np.array([fit.velocity_err[0] for fit in fits]),
+            )
+            speed[k], speed_err[k], n_features[k] = mean.mean, mean.error, len(fits)
+    return speed, speed_err, n_features
 
 
 def _year(text):

@@ -1,30 +1,25 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Measure the share of right links, compare speeds with MOJAVE's, and time the tracking.
+Measure the share of right links in the paper's dense jet of two streams.
 
-The links in the paper's dense jet of two streams are compared with the truth; tracks in
-3C 273 and 3C 120, restored from the features of MOJAVE, with the straight lines that
-were fitted to these features; and time is measured against the number of features::
+Links of SSPs, and the features that they make, are compared with the truth::
 
     python benchmarks/tracking.py ../shared/data
 """
 
 import argparse
 import json
-import time
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
-from astropy.table import Table
-from common import PM_UNIT, RESULTS, measured, mojave_images, write_table
+from common import PM_UNIT, write_table
 
-from astro_scc import Beam, EpochCube, StackedCrossCorrelation
-from astro_scc.decomposition import Decomposer
-from astro_scc.epochs import read_components
-from astro_scc.flow import measure_profile
+from astro_scc import EpochCube
+from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.simulation import simulate_two_fluid
-from astro_scc.tracking import FeatureTracker, assign
+from astro_scc.tracking import FeatureTracker
+from astro_scc.tracking.linking import chains
 
 #: Limits for the paper's jet, where 1 pixel per epoch is 1.2175 mas/yr.
 WINDOW = {
@@ -34,28 +29,17 @@ WINDOW = {
 }
 #: Seeds of our own dense jets; the defaults were chosen on seeds 101 to 112.
 SEEDS = range(201, 209)
-SOURCES = {
-    "3C 273": ("1226+023", Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg), 2.0),
-    "3C 120": ("0430+052", Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg), 4.0),
-}
-#: Largest distance of a position of MOJAVE's feature from its track, in mas.
-NEAR = 0.3
+#: Largest distance of a detection from the true place of its feature, in pixels: half
+#: a beam.
+NEAR = 5.0
 
 
 def main():
     """Print the tables and write them to ``results``."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument("folder", type=Path, help="of the data")
-    parser.add_argument("--only", choices=("links", "mojave", "profile", "cost"))
     args = parser.parse_args()
-    parts = {
-        "links": lambda: links(args.folder / "paper_test" / "two_fluid_dense"),
-        "mojave": lambda: mojave(args.folder / "mojave_xviii"),
-        "profile": lambda: profile(args.folder / "mojave_xviii"),
-        "cost": cost,
-    }
-    for name in [args.only] if args.only else parts:
-        parts[name]()
+    links(args.folder / "paper_test" / "two_fluid_dense")
 
 
 # -- links -------------------------------------------------------------------------
@@ -82,18 +66,18 @@ def links(folder):
         own.append((jet.cube, *true_positions(jet.truth, len(jet.cube))))
     jets.append((f"{len(own)} simulated jets", own))
     rows = []
-    for (name, cases), what, settings, n_trials in (
-        (jets[0], "along and across", WINDOW, 10),
-        (jets[0], "largest speed", {"max_speed": 36 * PM_UNIT}, 0),
-        (jets[1], "along and across", WINDOW, 0),
+    for (name, cases), what, settings in (
+        (jets[0], "along and across", WINDOW),
+        (jets[0], "largest speed", {"max_speed": 36 * PM_UNIT}),
+        (jets[1], "along and across", WINDOW),
     ):
         tracker = FeatureTracker(**settings)
-        found = [compare(*case, tracker, n_trials) for case in cases]
+        found = [compare(*case, tracker) for case in cases]
         rows.append([name, what, *shares(found)])
     header = [
         "images", "window", "slow", "fast", "wrong", "slow, a beam apart",
         "fast, a beam apart", "wrong, a beam apart", "links", "SSPs",
-        "in tracks", "if permuted",
+        "in tracks", "right features",
     ]  # fmt: skip
     write_table("tracking_links", header, rows)
 
@@ -112,17 +96,19 @@ def true_positions(truth, n_epochs):
     return x, y, seen, group
 
 
-def compare(cube, x, y, seen, group, tracker, n_trials):
+def compare(cube, x, y, seen, group, tracker):
     """Return the counts of right and wrong links in one jet."""
-    tracking = tracker(cube, decomposed(cube), n_trials=n_trials, rng=1)
-    ssps, links = tracking.ssps, tracking.links
+    decompositions = decomposed(cube)
+    ssps, links = SSPs.of_epochs(decompositions), tracker.link(cube, decompositions)
     one = links.kind == "link"
     next_of = np.full(len(ssps), -1)
     direct = one & (links.gap == 0)
     next_of[links.source[direct]] = links.target[direct]
+    tracks = chains(links, ssps, min_epochs=tracker.min_epochs)
     counts = {"links": one.sum(), "ssps": len(ssps)}
-    all_scales = tracking.shares[0]
-    counts["share"], counts["permuted"] = all_scales.share, all_scales.permuted
+    counts["share"] = sum(map(len, tracks)) / len(ssps)
+    features = tracker(cube, decompositions)
+    counts["features"] = right_features(features, x, y, seen)
     for key, owner in (
         ("segment", alone_in_segment(ssps, x, y, seen, cube.shape[2])),
         ("beam", alone_in_beam(ssps, x, y, seen, 10.0)),
@@ -176,6 +162,23 @@ def alone_in_beam(ssps, x, y, seen, beam):
     return owner
 
 
+def right_features(features, x, y, seen):
+    """Return which features are one true feature at three quarters of their epochs."""
+    d, right = features.detections, []
+    at = np.stack(features.cube.offset_to_pixel(*d.place.T * u.mas), axis=1)
+    for track in features.tracks:
+        names = []
+        for k in track.detection:
+            own = np.flatnonzero(seen[:, d.epoch[k]])
+            place = np.stack([x[own, d.epoch[k]], y[own, d.epoch[k]]], axis=1)
+            away = np.hypot(*(place - at[k]).T)
+            names.append(own[away.argmin()] if away.min() <= NEAR else -1)
+        feature, count = np.unique(names, return_counts=True)
+        most = count.argmax()
+        right.append(feature[most] >= 0 and count[most] >= 0.75 * len(names))
+    return np.array(right)
+
+
 def shares(found):
     """Return the cells of the table of links."""
     cells = []
@@ -186,184 +189,9 @@ def shares(found):
     cells.append(sum(int(f["links"]) for f in found))
     cells.append(sum(f["ssps"] for f in found))
     cells.append(f"{np.mean([f['share'] for f in found]):.2f}")
-    permuted = np.mean([f["permuted"] for f in found])
-    cells.append("" if np.isnan(permuted) else f"{permuted:.2f}")
+    right = np.concatenate([f["features"] for f in found])
+    cells.append(f"{right.mean():.2f} of {len(right)}")
     return cells
-
-
-# -- features of MOJAVE ------------------------------------------------------------
-
-
-def mojave(folder):
-    """Compare tracks with the straight lines of MOJAVE's features."""
-    rows, differences = [], []
-    for name, (table, beam, speed) in SOURCES.items():
-        components = read_components(folder / f"{table}.ecsv")
-        cube = mojave_images(folder, table, beam)
-        start = time.process_time()
-        decompositions = decomposed(cube, (1, 2, 3, 4))
-        tracker = FeatureTracker(max_speed=speed * PM_UNIT)
-        tracking = tracker(cube, decompositions)
-        spent = time.process_time() - start
-        fits = Table.read(folder / f"{table}.linear-fits.csv", format="ascii.csv")
-        fits = fits[fits["robust"] == "True"]
-        cells = [beside(tracking, components, fit) for fit in fits]
-        half = [c for c in cells if c["share"] >= 0.5]
-        z = np.array([c["z"] for c in half])
-        vector = np.array([c["vector"] for c in half])
-        relative = np.array([c["relative"] for c in half])
-        moving = np.array([c["mu"] > 3 * c["mu_err"] for c in half])
-        rows.append(
-            [
-                name, len(cube), tracking.n_tracks, len(fits),
-                f"{len(half) / len(fits):.2f}",
-                f"{np.median(z):.2f}", f"{np.percentile(z, 90):.1f}",
-                f"{np.median(vector):.2f}", f"{np.percentile(vector, 90):.1f}",
-                f"{100 * np.median(relative[moving]):.0f}%",
-                f"{spent:.0f}",
-            ]
-        )  # fmt: skip
-        differences += [
-            [name, c["feature"], c["n"], c["near"], c["length"],
-             measured(c["mu"], c["mu_err"]),
-             measured(c["speed"], c["speed_err"]) if c["near"] else "",
-             f"{c['z']:.1f}" if c["near"] else ""]
-            for c in cells
-        ]  # fmt: skip
-    header = [
-        "jet", "epochs", "tracks", "robust features", "with a track", "median z",
-        "90% z", "median, vectors", "90%, vectors", "median difference", "CPU (s)",
-    ]  # fmt: skip
-    write_table("tracking_mojave", header, rows)
-    header = ["jet", "feature", "epochs", "near the track", "epochs of the track",
-              "MOJAVE (mas/yr)", "track (mas/yr)", "z"]  # fmt: skip
-    write_table("tracking_mojave_features", header, differences)
-
-
-def beside(tracking, components, fit):
-    """Return the track near most positions of a feature, and how it differs."""
-    own = np.flatnonzero(components.feature == fit["feature"])
-    at = np.stack([components.east[own].value, components.north[own].value])
-    near = {}
-    for epoch, place in zip(components.epoch[own], at.T, strict=True):
-        away = np.hypot(*(tracking.offsets - place[:, None]))
-        here = (tracking.ssps.epoch == epoch) & (tracking.track >= 0) & (away <= NEAR)
-        for number in set(tracking.track[here].tolist()):
-            near[number] = near.get(number, 0) + 1
-    mu, mu_err = float(fit["mu_mas_yr"]), float(fit["mu_err"])
-    cells = {"feature": int(fit["feature"]), "n": len(own), "near": 0, "share": 0.0,
-             "mu": mu, "mu_err": mu_err, "length": 0}  # fmt: skip
-    if not near:
-        return cells
-    best = max(near, key=lambda k: (near[k], -k))
-    row = tracking.tracks[best]
-    speed, error = row["pm"].value, row["pm_err"].value
-    angle = np.radians(fit["pa_motion_deg"])
-    apart = np.array(
-        [
-            row["pm_ra_cosdec"].value - mu * np.sin(angle),
-            row["pm_dec"].value - mu * np.cos(angle),
-        ]
-    )
-    errors = np.array([row["pm_ra_cosdec_err"].value, row["pm_dec_err"].value])
-    total = np.hypot(errors, mu_err)
-    return cells | {
-        "near": near[best],
-        "share": near[best] / len(own),
-        "length": int(row["n_epochs"]),
-        "speed": speed,
-        "speed_err": error,
-        "z": abs(speed - mu) / np.hypot(error, mu_err),
-        # The mean over two axes, so that errors alone give 1 on average.
-        "vector": np.sqrt(np.mean((apart / total) ** 2)),
-        "relative": abs(speed / mu - 1) if mu else 0.0,
-    }
-
-
-def profile(folder):
-    """Measure the speed of tracks, and of the stack, against distance in 3C 120."""
-    from astro_scc.kinematics import apparent_speed, paper_cosmology
-    from astro_scc.visualization import plot_track_profile
-
-    table, beam, speed = SOURCES["3C 120"]
-    cube = mojave_images(folder, table, beam, before="2011-01-01")
-    tracker = FeatureTracker(max_speed=speed * PM_UNIT)
-    tracking = tracker(cube, decomposed(cube, (1, 2, 3, 4)))
-    found = tracking.profile(np.arange(1.0, 11.0) * u.mas)
-    per_pm = float(
-        apparent_speed(1 * PM_UNIT, redshift=0.033, cosmology=paper_cosmology())
-    )
-    rows = [
-        [f"{row['r'].value:g}", int(row["n_tracks"]),
-         measured(row["speed"].value, row["speed_err"].value),
-         measured(per_pm * row["speed"].value, per_pm * row["speed_err"].value, 1)]
-        for row in found
-    ]  # fmt: skip
-    write_table(
-        "tracking_profile", ["distance (mas)", "tracks", "mas/yr", "in c"], rows
-    )
-    scc = StackedCrossCorrelation(
-        max_speed=speed * PM_UNIT, position_angle=-112 * u.deg
-    )
-    bins = [0.5, 1.5, 2.5, 3.5, 5.5, 7.5, 10.5] * u.mas
-    stack = measure_profile(scc, scc.match(cube), bins, n_trials=200, rng=1).main
-    figure = plot_track_profile(found, stack=stack, beta_per_pm=per_pm)
-    figure.savefig(RESULTS / "tracking_profile.png", dpi=110)
-
-
-# -- cost --------------------------------------------------------------------------
-
-
-def long_jet(length, n_epochs=10):
-    """Simulate a dense jet with a length in units of the paper's jet."""
-    return simulate_two_fluid(
-        dense=True, n_epochs=n_epochs, rng=1, shape=(128, 56 + 200 * length),
-        extent=(20.0, 20.0 + 200 * length),
-    ).cube  # fmt: skip
-
-
-def seconds(function, *args, **options):
-    """Return the result and the processor time of a call."""
-    start = time.process_time()
-    result = function(*args, **options)
-    return result, time.process_time() - start
-
-
-def cost():
-    """Time the tracking for several numbers of features, and for large cases."""
-    rows, sizes, times = [], [], []
-    tracker = FeatureTracker(**WINDOW)
-    for length in (1, 2, 4, 8, 16):
-        cube = long_jet(length)
-        decompositions, decompose = seconds(decomposed, cube)
-        matches, match = seconds(tracker.match, cube, decompositions)
-        runs = [seconds(tracker, cube, decompositions, matches) for _ in range(3)]
-        tracking, spent = min(runs, key=lambda run: run[1])
-        sizes.append(len(tracking.ssps))
-        times.append((decompose, match, spent))
-        rows.append([f"{length} jets long, 10 epochs", len(tracking.ssps),
-                     *(f"{t:.2f}" for t in times[-1])])  # fmt: skip
-    n, spent = np.array(sizes, dtype=float), np.array(times)
-    growth = [np.polyfit(np.log(n), np.log(t), 1)[0] for t in spent.T]
-    like = np.polyfit(np.log(n), np.log(n * np.log(n)), 1)[0]
-    rows.append([f"power of n (n log n: {like:.2f})", "",
-                 *(f"{g:.2f}" for g in growth)])  # fmt: skip
-
-    cube = long_jet(3, n_epochs=100)
-    decompositions, decompose = seconds(decomposed, cube)
-    matches, match = seconds(tracker.match, cube, decompositions)
-    tracking, spent = seconds(tracker, cube, decompositions, matches)
-    rows.append([f"100 epochs of {len(tracking.ssps) / 100:.0f} SSPs",
-                 len(tracking.ssps),
-                 f"{decompose:.2f}", f"{match:.2f}", f"{spent:.2f}"])  # fmt: skip
-
-    row, column = (a.ravel() for a in np.mgrid[:50, :50])
-    weight = np.random.default_rng(1).uniform(5, 6, row.size)
-    chosen, spent = seconds(assign, row, column, weight)
-    rows.append(["50 features in 1 group, all pairs", int(chosen.sum()),
-                 "", "", f"{spent:.4f}"])  # fmt: skip
-    header = ["what", "SSPs", "decompose (s)", "correlate (s)", "track (s)"]
-    write_table("tracking_cost", header, rows)
 
 
 if __name__ == "__main__":

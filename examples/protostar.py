@@ -84,12 +84,11 @@ def measure(n_trials=200):
         position_angle=270 * u.deg, along=[-50, 400] * u.mas / u.yr,
         across=[-100, 100] * u.mas / u.yr,
     )  # fmt: skip
-    tracks = tracker(three, [decompose(image) for image in three.data]).tracks
-    in_jet = np.abs(tracks["north"]) < WIDTH / 2 * PIXEL
-    single = tracks["pm"][in_jet & (tracks["scale"] == 2)]
+    features = tracker(three, [decompose(image) for image in three.data]).table
+    single = features["pm"][np.abs(features["dec_offset"]) < WIDTH / 2 * PIXEL]
     error = single.std(ddof=1) / len(single) ** 0.5
     table = QTable({
-        "method": ["stack", "tracks"],
+        "method": ["stack", "features"],
         "n_epochs": [len(cube), len(three)],
         "n_features": [stream["n_features"], len(single)],
         "pm": u.Quantity([stream["pm"], single.mean()]),

@@ -45,8 +45,8 @@ def packages():
 ROOMS = sorted({"exceptions", "scc", *packages(), *LISTED})
 #: Rooms, and pages, about nouns of the method: what they compute is an equation.
 NOUNS = {
-    "correlation", "decomposition", "epochs", "kinematics", "measurement", "recovery",
-    "significance", "simulation", "stacking", "tracking",
+    "correlation", "decomposition", "epochs", "features", "kinematics", "measurement",
+    "recovery", "significance", "simulation", "stacking", "tracking",
 }  # fmt: skip
 
 

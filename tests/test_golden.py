@@ -24,7 +24,7 @@ SIMULATED = {
         ["profile", "--bins", "1 4 8 mas", "--position-angle", "270 deg"],
         "profile",
     ),
-    "tracks": (["jet", "--epochs", "6"], ["track"], "tracks"),
+    "tracks": (["jet", "--epochs", "6"], ["track"], "features"),
     "features": (["jet", "--epochs", "8"], ["measure"], "features"),
 }
 BEAMS = {

@@ -21,7 +21,6 @@ from astro_scc.settings import (
     read_config,
     require,
 )
-from astro_scc.tracking import FeatureTracker
 
 FULL = {
     "epochs": ["a.fits", "b c.fits"],
@@ -57,13 +56,7 @@ OTHERS = {
     "distance": "16.7 Mpc",
     "bins": "0.5 1.5 2.5 mas",
     "window": "1 mas",
-    "along": "-1 4 mas/yr",
-    "across": "-1 1 mas/yr",
-    "tolerance": 0.2,
-    "max_gap": 1,
-    "max_interval": "1 yr",
-    "min_epochs": 3,
-    "half_width": "2 mas",
+    "detections": "ssp",
 }
 
 
@@ -76,7 +69,6 @@ def same(a, b):
 def test_every_setting_is_declared_once():
     assert set(FULL) | set(OTHERS) == set(OPTIONS)
     assert {field.name for field in fields(StackedCrossCorrelation)} <= set(OPTIONS)
-    assert {field.name for field in fields(FeatureTracker)} <= set(OPTIONS)
     facts = OPTIONS["kappa"]
     assert (facts["metavar"], facts["default"]) == ("0.6", 0.6)
     facts = OPTIONS["noise"]
@@ -111,7 +103,7 @@ def test_a_command_keeps_its_own_settings(command):
     settings = Settings(epochs="a.fits", **OTHERS)
     plain = settings.to_dict(command)
     assert ("bins" in plain) == (command == "profile")
-    assert ("max_gap" in plain) == (command == "track")
+    assert ("detections" in plain) == (command == "track")
     assert ("min_error_beams" in plain) == (command == "profile")
     assert plain["distance"] == "16.7 Mpc"
     for name, value in Settings(**plain).to_dict(command).items():
@@ -289,11 +281,7 @@ def test_times():
         ("distance", "-1 Mpc", "finite and above 0"),
         ("alignment_error", "-0.1 mas", "0 or above"),
         ("outward", "yes", "must be true or false"),
-        ("along", "5 mas/yr", "a smallest and a largest speed, such as '-1 4 mas/yr'"),
-        ("along", "4 -1 mas/yr", "a smallest and a largest speed"),
-        ("min_epochs", "2", "must be 3 or more"),
-        ("max_interval", "3 mas", "a time with a unit, such as '1 yr'"),
-        ("tolerance", "x", "must be a number"),
+        ("detections", "clean", "must be one of gaussians, ssp"),
     ],
 )
 def test_values_that_make_no_sense(name, value, reason):
@@ -320,7 +308,6 @@ def test_values_that_make_no_sense(name, value, reason):
         ("baseline", [0.2 * u.yr, 365.25 * u.day], [0.2, 1.0] * u.yr),
         ("alignment_error", "0 mas", 0 * u.mas),
         ("alignment_error", "0.1 0.2 mas", [0.1, 0.2] * u.mas),
-        ("along", "-1 4 mas/yr", [-1, 4] * u.mas / u.yr),
         ("outward", np.False_, False),
         ("kappa", "0.7", 0.7),
         ("n_trials", np.int64(100), 100),

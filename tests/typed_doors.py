@@ -25,6 +25,7 @@ from astro_scc import (
     decomposition,
     epochs,
     expansion,
+    features,
     flow,
     interchange,
     kinematics,
@@ -137,16 +138,16 @@ def profile(
     return flow.write_profile(bins, bins.components_in_c(redshift=0.1), "profile")
 
 
-def track(cube: EpochCube, matched: MatchedEpochs) -> QTable:
+def track(cube: EpochCube, matched: MatchedEpochs) -> features.Features:
     tracker = tracking.FeatureTracker(max_speed="2 mas/yr", position_angle="radial")
-    found = tracker(cube, matched.decompositions, n_trials=20, rng=1)
+    found = tracker(cube, matched.decompositions)
     tracker(matched)  # type: ignore[arg-type, call-arg]
-    assert_type(found.fits, tuple[tracking.MotionFit, ...])
-    found.accelerated_fits[0].errors  # type: ignore[union-attr]  # noqa: B018
-    epoch, error = tracking.ejection_epoch(found.fits[0], 0.5)
-    assert_type(epoch, float | None)
-    assert_type(found.profile(u.Quantity([1, 2], u.mas)), QTable)
-    return tracking.plain_table(found.tracks)
+    links = tracker.link(cube, matched.decompositions)
+    assert_type(links.select(links.gap == 0).source, np.ndarray)
+    assert_type(found.motions, tuple[features.Motion, ...])
+    assert_type(found.table, QTable)
+    features.find_features(cube, settings={"gate": 5})  # type: ignore[arg-type]
+    return features.find_features(cube, detections="ssp", seed=1, n_workers=2)
 
 
 def expand(scc: StackedCrossCorrelation, matched: MatchedEpochs) -> QTable:
@@ -196,7 +197,7 @@ def simulate() -> list[Path]:
     return simulation.write_simulation(seen, "jet", overwrite=True)
 
 
-def draw(result: SCCResult, tracks: tracking.Tracking) -> Figure:
+def draw(result: SCCResult, found: features.Features) -> Figure:
     cube, components = result.cube, result.components
     visualization.plot_epoch(cube, 0, result.ssps, unit="mas", vmax=1.0)
     visualization.plot_epoch(result, 0)  # type: ignore[arg-type]
@@ -206,7 +207,7 @@ def draw(result: SCCResult, tracks: tracking.Tracking) -> Figure:
     assert_type(visualization.write_animation(animation, "jet.gif"), Path)
     page = report.write_report(result, "out", left_out=["a.fits", ("b.fits", "date")])
     assert_type(page, Path)
-    return visualization.plot_tracks(tracks, unit=u.arcsec)
+    return visualization.plot_tracks(found, unit=u.arcsec)
 
 
 def read_and_prepare(paths: list[str], table: Table) -> EpochCube:

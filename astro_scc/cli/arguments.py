@@ -304,26 +304,23 @@ def profile(parser):
 
 def track(parser):
     """
-    Follow individual features from epoch to epoch (WISE).
+    Find features, follow each from epoch to epoch, and measure its motion.
 
     Follow the features in images of one object at many dates.
 
     examples:
-      astro-scc track 3c120/*.fits -o tracks --align core --max-speed "4 mas/yr" \\
-          --redshift 0.033
-      astro-scc track *.fits -o tracks --align cores.ecsv --position-angle "-112 deg" \\
-          --along "0 4 mas/yr" --across "-1 1 mas/yr" --profile out/profile.ecsv
+      astro-scc track 3c120/*.fits -o tracks --align core --redshift 0.033
+      astro-scc track hh34/*.fits -o tracks --detections ssp --scales 1,2 \\
+          --distance "400 pc"
 
-    The folder gets features.ecsv, with a row for each feature and epoch; tracks.ecsv,
-    with a row for each feature; track_profile.ecsv, speed against distance; and figures
-    of all three.  A configuration file of astro-scc measure sets what both commands
-    have.
+    The folder gets features.ecsv, with a row for each feature: where it is, its motion
+    and whether it is secure; positions.ecsv, with a row for each feature and epoch; and
+    figures of both, separation.png and tracks.png.  A configuration file of astro-scc
+    measure sets what both commands have.
     """
-    files = "features.vot and tracks.vot"
+    files = "features.vot and positions.vot"
     add_output(parser, "the tables and figures", default=OF_OBJECT, votable=files)
     add_switches(parser, no_figures="write only the tables")
-    text = "profile of the stack, as of astro-scc profile, for the figure"
-    add_option(parser, "--profile", "FILE.ecsv", text)
     add_settings(parser, "track")
 
 

@@ -166,7 +166,7 @@ def override(given, own):
     return {name: value for name, value in given.items() if name not in out} | own
 
 
-def settings_of(args, reporter, *, unused=(), **defaults):
+def settings_of(args, reporter, **defaults):
     """
     Return the settings of the configuration file, overridden by the command line.
 
@@ -174,8 +174,6 @@ def settings_of(args, reporter, *, unused=(), **defaults):
     ----------
     args : `argparse.Namespace`
     reporter : `~astro_scc.cli.program.Reporter`
-    unused : sequence of str, optional
-        Settings of the file that the command does not use.
     **defaults
         Defaults of the command.
 
@@ -198,7 +196,6 @@ def settings_of(args, reporter, *, unused=(), **defaults):
     )
     if other:
         reporter.note(f"{args.config} was written with {other}: numbers may differ")
-    given = {name: value for name, value in given.items() if name not in unused}
     own = {k: v for k, v in vars(args).items() if k in OPTIONS and v not in (None, [])}
     settings = Settings(**defaults | override(given, own))
     if not settings.epochs:
@@ -210,7 +207,7 @@ def _ignore(text):
     """Tell nobody."""
 
 
-def read_epochs(settings, *, note=_ignore, direction=True):
+def read_epochs(settings, *, note=_ignore, features=False):
     """
     Read the epochs of a measurement.
 
@@ -219,7 +216,7 @@ def read_epochs(settings, *, note=_ignore, direction=True):
     settings : `~astro_scc.settings.Settings`
     note : callable, optional
         Called with a line of text on every decision.
-    direction : bool, optional
+    features : bool, optional
         See `prepare`.
 
     Returns
@@ -241,11 +238,11 @@ def read_epochs(settings, *, note=_ignore, direction=True):
     cube, left_out = select_epochs(cube, settings.after, settings.before)
     found = {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}
     settings = replace(settings, **found)
-    cube, settings, chosen = prepare(cube, settings, note=note, direction=direction)
+    cube, settings, chosen = prepare(cube, settings, note=note, features=features)
     return Inputs(cube, settings, left_out, chosen)
 
 
-def prepare(cube, settings, *, note=_ignore, direction=True):
+def prepare(cube, settings, *, note=_ignore, features=False):
     """
     Convolve and align epochs, and choose by them the settings that are not given.
 
@@ -255,8 +252,8 @@ def prepare(cube, settings, *, note=_ignore, direction=True):
     settings : `~astro_scc.settings.Settings`
     note : callable, optional
         Called with a line of text on beams.
-    direction : bool, optional
-        Whether to choose the direction of the jet, too.
+    features : bool, optional
+        Whether only features are followed, which needs no scales and no direction.
 
     Returns
     -------
@@ -276,10 +273,12 @@ def prepare(cube, settings, *, note=_ignore, direction=True):
         found["align"], reason = choices.choose_alignment(cube)
         chosen.append(f"--align {found['align']}: {reason}")
     cube = cube.align(found.get("align", settings.align))
+    if features:
+        return cube, replace(settings, **found), chosen
     if settings.scales is None:
         found["scales"], reason = choices.choose_scales(cube)
         chosen.append(f"--scales {','.join(map(str, found['scales']))}: {reason}")
-    if direction and settings.position_angle is None:
+    if settings.position_angle is None:
         angle, reason = choices.choose_direction(cube)
         found["position_angle"] = "any" if angle is None else angle
         angle = "any" if angle is None else f'"{angle:g}"'

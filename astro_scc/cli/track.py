@@ -1,169 +1,172 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Follow individual features from epoch to epoch (WISE)."""
+"""Find the features of a jet and follow each from epoch to epoch."""
 
-from dataclasses import fields, replace
-
-import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
 from astro_scc.cli.summary import plus_minus, speed_lines, table_lines
-from astro_scc.kinematics import apparent_speed
+from astro_scc.decomposition import SSPs
+from astro_scc.epochs.registration import warn_of_misalignment
+from astro_scc.exceptions import MeasurementWarning, warn
+from astro_scc.features import find_features
+from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
+from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import decomposing, product_folder, versions, write_votable
-from astro_scc.measurement.plan import mean_fwhm, warn_of_none_inside
 from astro_scc.measurement.products import plain_meta
-from astro_scc.tracking import FeatureTracker, plain_table
-from astro_scc.visualization import plot_separation, plot_track_profile, plot_tracks
-from astro_scc.visualization.profiles import missing_columns
+from astro_scc.units import in_easy_units
+from astro_scc.visualization import plot_separation, plot_tracks
 
 # Files of an earlier run that must not remain beside new ones.
 PRODUCTS = (
-    "features.ecsv tracks.ecsv track_profile.ecsv features.vot tracks.vot "
-    "separation.png tracks.png track_profile.png"
+    "features.ecsv positions.ecsv features.vot positions.vot separation.png tracks.png"
 ).split()
-KAPPA, N_TRIALS = 0.5, 20
 #: Dots per inch of the figures.
 DPI = 130
-#: Processor seconds to link an SSP in one order of the epochs
-#: (``benchmarks/scaling.py estimate``).
-LINK = 2e-4
-#: Quantile of the intervals of which the time is estimated.
-LONG_GAP = 0.9
-#: Number of points of the profile.
-N_RADII = 20
 
 
 def run(args, reporter):
-    """Track features according to the arguments."""
-    # The smallest correlation in a measurement's configuration is for stacks.
-    settings = inputs.settings_of(
-        args, reporter, unused=("kappa",), kappa=KAPPA, n_trials=N_TRIALS
-    )
-    if settings.along is None and settings.across is None:
-        # Ignore velocity axes of a measurement that tracking does not have.
-        if args.position_angle is None and isinstance(settings.position_angle, str):
-            settings = replace(settings, position_angle=None)
+    """Follow features according to the arguments."""
+    settings = inputs.settings_of(args, reporter)
     # Wrong --workers are refused before the images are read.
     inputs.workers_of(args)
     output = inputs.output_of(args, settings)
-    known = {own.name: getattr(settings, own.name) for own in fields(FeatureTracker)}
-    tracker = FeatureTracker(**{k: v for k, v in known.items() if v is not None})
-    stack = None if args.profile is None else inputs.read_table(args.profile)
-    if stack is not None and (missing := missing_columns(stack)):
-        raise ValueError(f"{args.profile}: is no profile, it has no {missing}")
     made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
     with made as folder:
-        epochs = inputs.read_epochs(settings, note=reporter.note, direction=False)
+        epochs = inputs.read_epochs(settings, note=reporter.note, features=True)
         cube, settings, *_ = epochs
         n_workers = inputs.workers_of(args, cube)
-        decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
-        work = cube, decomposer, tracker, settings
-        inputs.tell_time(reporter, n_workers, _tracking_time, *work)
-        tracking = _track(*work, reporter, n_workers)
-        profile = _write(tracking, settings, folder, votable=args.votable)
+        features = _find(cube, settings, reporter, n_workers)
+        table = _write(features, settings, folder, votable=args.votable)
         if not args.no_figures:
-            _draw(tracking, profile, settings, folder, stack)
+            _draw(features, folder)
     reporter.say(
-        *_summary(tracking),
+        *feature_lines(features, table),
         *speed_lines(settings.in_c),
         *epochs.found,
         f"\nTables{'' if args.no_figures else ' and figures'}: {output}",
     )
 
 
-def _tracking_time(cube, decomposer, tracker, settings):
-    """Estimate how long tracking takes, see `~astro_scc.cli.inputs.measuring_time`."""
-    scales, pixel = decomposer.scales, cube.pixel_scale
-    speeds = [s for s in (tracker.along, tracker.across) if s is not None]
-    speeds = speeds or [tracker.speed_limit(cube, scales)]
-    steps, years = tracker.max_gap + 1, cube.years
-    intervals = years[steps:] - years[:-steps] if len(cube) > steps else np.ptp(years)
-    farthest = max(np.abs(s).max() for s in speeds) * np.quantile(intervals, LONG_GAP)
-    beams = tracker.tolerance * mean_fwhm(cube, max(scales)) / pixel.to_value("mas")
-    reach = (farthest / pixel).to_value("") + beams
-    reach = np.minimum(reach, np.array(cube.shape[1:]) - 1)
-    orders = settings.n_trials + 1
-    number = {"n_targets": steps * orders, "region": settings.region}
-    shared, n_ssps = decomposing.matching_time(cube, decomposer, reach, **number)
-    alone = LINK * orders * n_ssps + inputs.REPORT + inputs.READ * len(cube)
-    what = f"{len(cube)} epochs with about {inputs.rounded(n_ssps)} patterns"
-    return shared, alone, what
-
-
-def _track(cube, decomposer, tracker, settings, reporter, n_workers):
-    """Decompose the epochs and link their features."""
-    region = settings.region
-    inside = None if region is None else cube.region_mask(region)
+def _find(cube, settings, reporter, n_workers):
+    """Return the features of a cube."""
+    warn_of_misalignment(cube)
     how = {"n_workers": n_workers, "progress_bar": reporter.progress}
-    decompositions = decomposing.decompose_epochs(cube, decomposer, **how)
-    ssps, select = decomposing.ssps_inside(decompositions, cube, inside)
-    warn_of_none_inside(ssps, select, region)
-    how |= {"n_trials": settings.n_trials, "rng": settings.seed}
-    return tracker(cube, decompositions, select=select, **how)
+    ssps = None
+    if settings.detections == "ssp" or cube.beams is None:
+        decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
+        ssps = SSPs.of_epochs(decomposing.decompose_epochs(cube, decomposer, **how))
+    features = find_features(
+        cube, detections=settings.detections, ssps=ssps, region=settings.region,
+        seed=settings.seed, **how,
+    )  # fmt: skip
+    if len(features.detections) == 0:
+        where = "" if settings.region is None else f" in {settings.region}"
+        warn(
+            f"no emission beside the core was detected in any epoch{where}",
+            MeasurementWarning,
+        )
+    return features
 
 
-def _write(tracking, settings, folder, *, votable):
-    """Write the tables, and return the profile."""
-    how = settings.in_c
-    tracks = tracking.tracks_in_c(**how) if how else tracking.tracks
-    longest = tracks["r"].to_value(u.mas).max(initial=0.0) * u.mas
-    half_width = settings.half_width
-    if half_width is None:
-        half_width = min(2 * u.mas, longest / 5) if longest > 0 else 2 * u.mas
-    radii = np.linspace(0, 1, N_RADII + 1)[1:] if longest > 0 else []
-    profile = tracking.profile(radii * longest, half_width=half_width)
+def _write(features, settings, folder, *, votable):
+    """Write the tables, and return that of the features."""
+    how, table = settings.in_c, features.table
+    tables = {
+        "features": table_in_c(table, **how) if how else table,
+        "positions": features.positions,
+    }
     meta = {
         "configuration": settings.to_dict("track"),
-        **plain_meta({**tracks.meta, **profile.meta}),
+        **plain_meta(tables["features"].meta),
+        "epochs": list(features.cube.labels),
+        "history": list(features.cube.meta.get("history", ())),
         "versions": versions(),
     }
-    tables = {"features": tracking.features, "tracks": tracks}
-    for name, table in (tables | {"track_profile": profile}).items():
-        table = QTable(table, copy=False)
-        table.meta = meta
-        table.write(folder / f"{name}.ecsv", format="ascii.ecsv", overwrite=True)
-        if votable and name in tables:
-            write_votable(plain_table(table), folder / f"{name}.vot", overwrite=True)
-    return profile
+    for name, own in tables.items():
+        own = QTable(own, copy=False)
+        own.meta = meta
+        own.write(folder / f"{name}.ecsv", format="ascii.ecsv", overwrite=True)
+        if votable:
+            write_votable(own, folder / f"{name}.vot", overwrite=True)
+    return tables["features"]
 
 
-def _draw(tracking, profile, settings, folder, stack):
-    """Write the figures, with the profile ``stack`` if it is not None."""
-    how = settings.in_c
-    per_pm = float(apparent_speed(1 * u.mas / u.yr, **how)) if how else None
-    figures = {
-        "separation": plot_separation(tracking),
-        "tracks": plot_tracks(tracking),
-        "track_profile": plot_track_profile(profile, stack=stack, beta_per_pm=per_pm),
-    }
-    for name, figure in figures.items():
+def _draw(features, folder):
+    """Write the figures."""
+    figures = {"separation": plot_separation, "tracks": plot_tracks}
+    for name, plot in figures.items():
+        figure = plot(features)
         figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={"Software": None})
 
 
-def _summary(tracking):
-    """Yield lines on what was found."""
-    tracks = tracking.tracks
-    rows = []
-    for share in tracking.shares:
-        own = tracks["scale"] == share.scale
-        rows.append(
-            {
-                "scale": "all" if share.scale is None else f"{share.scale:g}",
-                "tracks": str(len(tracks) if share.scale is None else np.sum(own)),
-                "SSPs": str(share.n_ssps),
-                "linked": f"{share.share:.2f} ± {share.share_err:.2f}",
-                "if permuted": f"{share.permuted:.2f} ± {share.permuted_err:.2f}",
-            }
+def feature_lines(features, table):
+    """
+    Return the number of features, a line for each secure one, or what they lack.
+
+    Parameters
+    ----------
+    features : `~astro_scc.features.Features`
+    table : `~astropy.table.QTable`
+        Its table, also with apparent speeds.
+
+    Returns
+    -------
+    list of str
+    """
+    secure = table[table["secure"]]
+    lines = [
+        f"{len(table)} feature{'' if len(table) == 1 else 's'} in "
+        f"{len(features.cube)} epochs, {len(secure)} of them secure"
+    ]
+    if len(secure):
+        return [*lines, "", *table_lines(_rows(in_easy_units(secure))), ""]
+    lines.append(
+        f"A secure feature is false with a probability of at most {MOST_FALSE:g}, "
+        f"moves by {LEAST_MOTION:g} beams and by {SIGNIFICANT:g} standard errors."
+    )
+    if len(table) == 0:
+        lines.append("No detections of four epochs or more are in steady motion.")
+        return lines
+    motion, errors = table["motion"].value, (table["pm"] / table["pm_err"]).value
+    best = np.argmax(
+        np.minimum.reduce(
+            [MOST_FALSE / table["p_false"], motion / LEAST_MOTION, errors / SIGNIFICANT]
         )
-    yield from table_lines(rows)
-    ejected = np.sum(~np.asarray(tracks["t_ej"].mask))
-    yield f"{len(tracks)} tracks, {ejected} with an ejection epoch"
-    if len(tracks):
-        speed, unit = tracks["pm"], tracks["pm"].unit
-        fastest = tracks[np.argmax(speed)]
-        yield (
-            f"speeds: median {np.median(speed).value:.3g} {unit}, fastest "
-            f"{plus_minus(fastest, 'pm')} {unit} ({fastest['track']})"
-        )
+    )
+    row = table[best]
+    text = (
+        f"The nearest to that, {row['feature']}, is false with {row['p_false']:.2g}, "
+        f"moves by {motion[best]:.2g} beams and by {errors[best]:.2g} errors"
+    )
+    if 0 < motion[best] < LEAST_MOTION:
+        years = (row["last"] - row["first"]).to_value("yr")
+        needed = f"{years * LEAST_MOTION / motion[best]:.2g} yr"
+        text += f"; at its speed {needed} would be long enough"
+    return [*lines, f"{text}."]
+
+
+def _rows(table):
+    """Return the cells of each feature under their headings."""
+    days = (table["last"] - table["first"]).to_value("day")
+    # Of less than some days, the times.
+    shown = 10 if days.max() > 3 else 16
+    far, fast = table["separation"].unit, table["pm"].unit
+    return [
+        {
+            "feature": str(row["feature"]),
+            "dates": f"{row['first'].isot[:shown]} to {row['last'].isot[:shown]}",
+            "epochs": str(row["n_epochs"]),
+            f"separation ({far})": f"{row['separation'].value:.3g}",
+            f"proper motion ({fast})": plus_minus(row, "pm"),
+            "PA (deg)": f"{row['pm_pa'].value:.0f}",
+            **(
+                {"speed (c)": plus_minus(row, "beta_app")}
+                if "beta_app" in table.colnames
+                else {}
+            ),
+            "p_false": f"{row['p_false']:.2g}",
+        }
+        for row in table
+    ]

@@ -14,7 +14,7 @@ SCATTER, PRIOR_FREEDOM = 0.06, 3.0
 FREEDOM = 4.0
 #: Change of position in beams by which features wander while they are seen, for one to
 #: twelve years alike, on features of MOJAVE (``benchmarks/features.py``).
-WANDER = 0.07
+WANDER = 0.09
 #: A parabola needs so many positions, and an acceleration of so many errors.
 ACCELERATED_EPOCHS, ACCELERATED = 7, 3.0
 #: Largest angle between motion and radius, plus two standard errors, in degrees
@@ -144,10 +144,10 @@ def fit_motion(
     Residuals are distributed as Student's t with four degrees of freedom, so that
     outliers count less.  The variance of a velocity has two parts,
 
-    .. math:: \frac{\sigma^2}{\sum w (t - \bar t)^2} + \left(\frac{0.07\,b}{T}\right)^2,
+    .. math:: \frac{\sigma^2}{\sum w (t - \bar t)^2} + \left(\frac{0.09\,b}{T}\right)^2,
 
     that of the residuals, drawn towards 0.06 beams, and one for features that
-    wander by about 0.07 beams b, however long the time span T is.  A parabola is
+    wander by about 0.09 beams b, however long the time span T is.  A parabola is
     better if it has seven positions or more, an acceleration of three standard
     errors, and a smaller Bayesian information criterion.
 

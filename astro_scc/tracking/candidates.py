@@ -86,8 +86,7 @@ class Candidates:
 
 def find_candidates(
     matches: Matches, target_ssp: ArrayLike, ssps: SSPs, years: ArrayLike, *,
-    place: ArrayLike | None = None, max_gap: int = 1,
-    inside: Callable | None = None,
+    max_gap: int = 1, inside: Callable | None = None,
 ) -> Candidates:  # fmt: skip
     """
     Return the candidates among the correlation peaks.
@@ -106,9 +105,6 @@ def find_candidates(
         Of all epochs.
     years : array_like, shape (n_epochs,)
         Dates in order, not decreasing.
-    place : array_like of int, shape (n_epochs,), optional
-        Place in time of each image in a permutation of the epochs; by default
-        the observed order.
     max_gap : int, optional
         Most epochs between source and target, 0 or more.
     inside : callable, optional
@@ -138,9 +134,8 @@ def find_candidates(
     ([0, 0, 1], [1, 2, 2], [6.0, 12.0, 6.0])
     """
     years = np.asarray(years, dtype=float)
-    place = np.arange(len(years)) if place is None else np.asarray(place)
     source, target = matches.ssp.astype(int), np.asarray(target_ssp, dtype=int)
-    at, to = place[ssps.epoch[source]], place[matches.target]
+    at, to = ssps.epoch[source], matches.target.astype(int)
     use = np.flatnonzero(
         (target >= 0) & (to > at) & (to - at <= max_gap + 1) & (years[to] > years[at])
     )
@@ -164,12 +159,12 @@ def find_candidates(
 
 def core_ssps(ssps, cube):
     """
-    Return a number for the SSPs that are the core of a jet, one per scale, or -1.
+    Return which SSPs are the core of a jet.
 
     On each scale and at each epoch, the core is the SSP nearest to the reference
     pixel of the cube, if it is within half the width of the beam.  A scale has a
     core only if there is such an SSP in at least half of the epochs, because a
-    feature that passes by is no core.  The numbers start from 0.
+    feature that passes by is no core.
     """
     offset = np.stack(ssp_offsets(ssps, cube), axis=1)
     distance = np.hypot(*offset.T)
@@ -181,8 +176,8 @@ def core_ssps(ssps, cube):
     _, number, count = np.unique(
         ssps.scale[nearest], return_inverse=True, return_counts=True
     )
-    core = np.full(len(ssps), -1)
-    core[nearest] = np.where(2 * count >= len(cube), np.arange(len(count)), -1)[number]
+    core = np.zeros(len(ssps), bool)
+    core[nearest] = 2 * count[number] >= len(cube)
     return core
 
 

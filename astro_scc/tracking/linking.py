@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,8 +19,6 @@ from astro_scc.tracking.likelihood import MERGE_COST, LinkLikelihood, chance_den
 
 #: Rounds in which candidates are evaluated, given the links of the previous round.
 ROUNDS = 5
-#: Number of bootstrap samples of the epochs for the errors of shares.
-N_BOOTSTRAP = 1000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -51,7 +48,7 @@ class Links(Candidates):
     >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
     >>> decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
     >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
-    >>> links = tracker(cube, decompositions).links
+    >>> links = tracker.link(cube, decompositions)
     >>> set(links.kind.tolist()) <= {"link", "merge", "split"}
     True
     >>> bool((links.interval > 0).all())
@@ -68,7 +65,7 @@ class Links(Candidates):
 
 def link(
     candidates: Candidates, ssps: SSPs, *, parent: ArrayLike | None = None,
-    place: ArrayLike | None = None, likelihood: LinkLikelihood | None = None,
+    likelihood: LinkLikelihood | None = None,
 ) -> Links:  # fmt: skip
     """
     Choose links among candidates.
@@ -89,8 +86,6 @@ def link(
     parent : array_like of int, shape (n_ssps,), optional
         The SSP of the next coarser scale in which each SSP lies, or -1.  Its
         motion is the prior for the smaller SSPs in it.
-    place : array_like of int, shape (n_epochs,), optional
-        Place in time of each image, see `find_candidates`.
     likelihood : `LinkLikelihood`, optional
 
     Returns
@@ -117,7 +112,7 @@ def link(
     ([0, 1], [1, 2])
     """
     likelihood = likelihood or LinkLikelihood()
-    step = ssps.epoch if place is None else np.asarray(place)[ssps.epoch]
+    step = ssps.epoch
     density = chance_density(ssps)
     similarity = likelihood.similarity(candidates, ssps)
     kind, gain = np.full(len(candidates), "", "U5"), np.zeros(len(candidates))
@@ -276,25 +271,18 @@ def _merges_and_splits(part, chosen, gain, ssps, likelihood):
     return kind
 
 
-def chain(links, core, *, min_epochs=1):
+def chains(links, ssps, *, min_epochs=1):
     """
-    Return the number of each SSP's track, a chain of one-to-one links, or -1.
+    Return the tracks of one-to-one links, each the SSPs of one in order of time.
 
-    Tracks are numbered in the order of their first SSPs; chains of fewer than
-    ``min_epochs`` SSPs are not tracks.  SSPs with the same number of ``core``,
-    if it is not negative, are one feature: all of them that have a link make
-    one track, however long the core is not seen.
+    Tracks are in the order of their first SSPs; shorter ones than ``min_epochs`` are
+    left out.
     """
-    own, n = links.kind == "link", len(core)
-    source, target = links.source[own], links.target[own]
-    # Each core is an additional node that connects its SSPs.
-    linked = np.union1d(source, target)
-    linked = linked[core[linked] >= 0]
-    source, target = np.r_[source, linked], np.r_[target, n + core[linked]]
-    # Labels are in the order of the first SSPs.
-    label = connected(source, target, n + core.max(initial=-1) + 1)[:n]
-    long = np.bincount(label) >= min_epochs
-    return np.where(long, np.cumsum(long) - 1, -1)[label]
+    own = links.kind == "link"
+    track = connected(links.source[own], links.target[own], len(ssps))
+    order = np.lexsort((ssps.epoch, track))
+    each = np.split(order, np.flatnonzero(np.diff(track[order])) + 1)
+    return [ssp for ssp in each if len(ssp) >= min_epochs]
 
 
 # -- optimal assignment ------------------------------------------------------------
@@ -351,62 +339,3 @@ def connected(one, other, n):
     """Return the number of each node's group, for n nodes connected in pairs."""
     graph = coo_array((np.ones(len(one)), (one, other)), shape=(n, n))
     return connected_components(graph, directed=False)[1]
-
-
-# -- shares of linked SSPs ---------------------------------------------------------
-
-
-class LinkedShare(NamedTuple):
-    """
-    The share of SSPs that tracks link to a later one, and what chance gives.
-
-    The ``scale`` is None for all scales together; ``n_ssps`` counts the SSPs that
-    have a later epoch.  The error of the share is its standard deviation over
-    bootstrap samples of the epochs.  ``permuted`` is the mean of the share over
-    permutations of the epochs, with its standard deviation.  ``p_value`` is the
-    fraction of permutations, including the observed order, that link as many.
-    These are NaN without permutations.
-    """
-
-    scale: float | None
-    n_ssps: int
-    n_linked: int
-    share: float
-    share_err: float
-    permuted: float
-    permuted_err: float
-    p_value: float
-
-
-def linked_shares(counts, permuted, scales, *, rng=None):
-    """
-    Return the `LinkedShare` of all scales together, and of each scale.
-
-    ``counts``, shape (2, n_scales, n), are the numbers of linked SSPs and of all
-    SSPs; ``permuted`` is a sequence of such counts for permuted epochs.  The
-    error is the standard deviation over 1000 bootstrap samples of the epochs
-    (Efron & Tibshirani 1993).
-    """
-    rng, n = np.random.default_rng(rng), counts.shape[2]
-    again = rng.integers(0, max(n, 1), (N_BOOTSTRAP, n))
-    # The sums over all scales come first.
-    counts, *trials = (
-        np.concatenate([c.sum(axis=1, keepdims=True), c], axis=1)
-        for c in (counts, *permuted)
-    )
-    share = _ratio(counts.sum(axis=2))
-    error = _ratio(counts[:, :, again].sum(axis=3)).std(axis=1)
-    chance = np.full((3, len(share)), np.nan)
-    if trials:
-        shares = np.stack([_ratio(c.sum(axis=2)) for c in trials], axis=1)
-        p_value = (1 + (shares >= share[:, None]).sum(axis=1)) / (1 + len(trials))
-        chance = shares.mean(axis=1), shares.std(axis=1), p_value
-    columns = (*counts.sum(axis=2)[::-1], share, error, *chance)
-    columns = [None, *map(float, scales)], *(column.tolist() for column in columns)
-    return tuple(LinkedShare(*row) for row in zip(*columns, strict=True))
-
-
-def _ratio(counts):
-    """Return the ratios of the first to the second counts, 0 where these are 0."""
-    part, whole = counts
-    return np.divide(part, whole, out=np.zeros(np.shape(whole)), where=whole != 0)

@@ -1,13 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Track the features of a cube: settings, search windows, and the call."""
+"""Link the SSPs of a cube: settings, search windows, and the call."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 
 import astropy.units as u
 import numpy as np
 from numpy.typing import ArrayLike
 
+from astro_scc import quantities as q
 from astro_scc.correlation import Correlator, Matches, target_ssps
 from astro_scc.correlation.matches import COLUMNS
 from astro_scc.decomposition import Decomposition, SSPs
@@ -16,14 +17,15 @@ from astro_scc.epochs import EpochCube
 from astro_scc.epochs.beam import require_common_beam
 from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.epochs.registration import warn_of_misalignment
+from astro_scc.features import Features
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
 from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.progress import progress
-from astro_scc.settings import require
+from astro_scc.settings import BEAMS, require
 from astro_scc.tracking.candidates import core_ssps, find_candidates
 from astro_scc.tracking.likelihood import LinkLikelihood, coarser_ssps
-from astro_scc.tracking.linking import chain, link, linked_shares
-from astro_scc.tracking.tracks import Tracking, mean_fwhm
+from astro_scc.tracking.linking import Links, link
+from astro_scc.tracking.tracks import linked_features, mean_fwhm
 from astro_scc.units import PM_UNIT
 
 #: Without a largest speed, displacements up to this many beams are searched.
@@ -33,6 +35,16 @@ MARGIN = 2.0
 #: Sizes of windows in pixels; few sizes mean few calls of the correlation.
 WINDOWS = (8, 12, 16, 20, 24, 32, 40, 48, 56, 64, 72, 80, 96, 112, 128, 160, 192, 224,
            256, 320, 384, 448, 512, 768, 1024)  # fmt: skip
+#: Checks of the settings that a measurement does not have, and their units.
+SPEEDS = (q.check_range, "a smallest and a largest speed", "-1 4 mas/yr")
+CHECKS = {
+    "along": (PM_UNIT, *SPEEDS),
+    "across": (PM_UNIT, *SPEEDS),
+    "tolerance": (None, *BEAMS),
+    "max_gap": (None, q.check_integer, 0),
+    "max_interval": (u.yr, q.one_quantity, "a time", "1 yr"),
+    "min_epochs": (None, q.check_integer, 3),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +53,9 @@ class FeatureTracker:
     Follow the SSPs of a cube from epoch to epoch.
 
     The object keeps the settings; calling it with a cube and its
-    decompositions tracks the cube.  Settings with a unit may be text, as on
-    the command line.
+    decompositions returns its features.  For dense flows whose speeds have known
+    limits; elsewhere `~astro_scc.features.find_features` follows more of them.
+    Settings with a unit may be text.
 
     Parameters
     ----------
@@ -88,8 +101,8 @@ class FeatureTracker:
     >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
     >>> decompositions = [Decomposer(scales=[1, 2])(image) for image in cube.data]
     >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
-    >>> tracking = tracker(cube, decompositions)
-    >>> len(tracking.tracks) > 5, tracking.tracks["pm"].unit
+    >>> features = tracker(cube, decompositions)
+    >>> len(features) > 5, features.table["pm"].unit
     (True, Unit("mas / yr"))
     """
 
@@ -108,7 +121,7 @@ class FeatureTracker:
 
     def __post_init__(self):
         for field in fields(self):
-            value = require(field.name, getattr(self, field.name))
+            value = _checked_setting(field.name, getattr(self, field.name))
             object.__setattr__(self, field.name, value)
         if isinstance(self.position_angle, str) and self.position_angle != "radial":
             raise ValueError(
@@ -155,30 +168,19 @@ class FeatureTracker:
         fwhm = mean_fwhm(cube, scales).value
         return BEAMS_PER_INTERVAL * fwhm / np.median(steps) * PM_UNIT
 
-    def _pairs(self, cube, permutations):
-        """
-        Return the pairs of epochs that may be linked, and their longest intervals.
-
-        Pairs, in time order, have the shape (n_pairs, 2); the interval is the
-        longest that a pair has in any permutation of the epochs, in years.
-        """
+    def _pairs(self, cube):
+        """Return the pairs of epochs that may be linked, and their intervals."""
         years = cube.years.to_value(u.yr)
-        n = len(years)
-        first, second = np.nonzero(~np.eye(n, dtype=bool))
-        longest = np.zeros(len(first))
+        first, second = np.triu_indices(len(years), 1)
+        interval = years[second] - years[first]
         limit = np.inf if self.max_interval is None else self.max_interval.value
-        for place in (np.arange(n), *permutations):
-            gap = place[second] - place[first]
-            interval = years[place[second]] - years[place[first]]
-            use = (gap > 0) & (gap <= self.max_gap + 1) & (interval <= limit)
-            longest = np.maximum(longest, np.where(use, interval, 0.0))
-        keep = longest > 0
-        return np.stack([first[keep], second[keep]], axis=1), longest[keep]
+        keep = (second - first <= self.max_gap + 1) & (0 < interval)
+        keep &= interval <= limit
+        return np.stack([first[keep], second[keep]], axis=1), interval[keep]
 
     def match(
         self, cube: EpochCube, decompositions: Sequence[Decomposition], *,
-        select: ArrayLike | None = None, permutations: Sequence[np.ndarray] = (),
-        n_workers: int = 1, progress_bar: bool = False,
+        select: ArrayLike | None = None, n_workers: int = 1, progress_bar: bool = False,
     ) -> Matches:  # fmt: skip
         """
         Correlate the SSPs of each epoch with the next epochs.
@@ -189,8 +191,6 @@ class FeatureTracker:
         decompositions : sequence of `~astro_scc.decomposition.Decomposition`
         select : array_like of bool, shape (n_ssps,), optional
             The SSPs that are tracked.
-        permutations : sequence of `~numpy.ndarray` of int, optional
-            Places in time of the images in permutations that are also linked.
         n_workers : int, optional
         progress_bar : bool, optional
 
@@ -199,7 +199,7 @@ class FeatureTracker:
         `~astro_scc.correlation.Matches`
             The window of each pair is as large as its interval requires.
         """
-        pairs, interval = self._pairs(cube, permutations)
+        pairs, interval = self._pairs(cube)
         scales = decompositions[0].scales
         margin = (MARGIN + 1) * self.tolerance * mean_fwhm(cube, scales)
         radius = self._fastest(cube, scales) * interval[:, None]
@@ -268,11 +268,43 @@ class FeatureTracker:
     def __call__(
         self, cube: EpochCube, decompositions: Sequence[Decomposition],
         matches: Matches | None = None, *, select: ArrayLike | None = None,
-        n_trials: int = 0, rng: np.random.Generator | int | None = None,
         n_workers: int = 1, progress_bar: bool = False,
-    ) -> Tracking:  # fmt: skip
+    ) -> Features:  # fmt: skip
         """
-        Track the features of a cube.
+        Return the features of a cube.
+
+        Parameters
+        ----------
+        cube, decompositions, matches, select, n_workers, progress_bar
+            See `link`.
+
+        Returns
+        -------
+        `~astro_scc.features.Features`
+            A pattern that is followed on several scales is one feature.  The core
+            is none.
+
+        Raises
+        ------
+        ValueError
+            See `link`.
+        """
+        links = self.link(
+            cube, decompositions, matches, select=select, n_workers=n_workers,
+            progress_bar=progress_bar,
+        )  # fmt: skip
+        ssps = SSPs.of_epochs(decompositions)
+        return linked_features(
+            cube, ssps, links, select=select, min_epochs=self.min_epochs
+        )
+
+    def link(
+        self, cube: EpochCube, decompositions: Sequence[Decomposition],
+        matches: Matches | None = None, *, select: ArrayLike | None = None,
+        n_workers: int = 1, progress_bar: bool = False,
+    ) -> Links:  # fmt: skip
+        """
+        Link the SSPs of a cube, on each scale.
 
         Parameters
         ----------
@@ -282,98 +314,59 @@ class FeatureTracker:
         decompositions : sequence of `~astro_scc.decomposition.Decomposition`
             One for each epoch.
         matches : `~astro_scc.correlation.Matches`, optional
-            Matches of at least the pairs of epochs that may be linked; with
-            permutations, of all pairs.  By default those of `match`.
+            Matches of at least the pairs of epochs that may be linked.  By default
+            those of `match`.
         select : array_like of bool, shape (n_ssps,), optional
-            The SSPs that are tracked.
-        n_trials : int, optional
-            Number of permutations of the epochs that are also linked, to
-            measure what chance gives.
-        rng : None, int or `~numpy.random.Generator`, optional
-            Seed of the permutations, and of the resampled epochs.
+            The SSPs that are linked.
         n_workers : int, optional
         progress_bar : bool, optional
 
         Returns
         -------
-        `~astro_scc.tracking.Tracking`
+        `~astro_scc.tracking.Links`
 
         Raises
         ------
         ValueError
             If ``decompositions`` has not one entry per epoch or ``select`` not
             one value per SSP, if no epoch shows an SSP, if no two epochs have
-            different dates, if ``n_trials`` is negative, or if beams differ and
-            ``common_beam`` is True.
+            different dates, or if beams differ and ``common_beam`` is True.
 
         Warns
         -----
         `~astro_scc.exceptions.MeasurementWarning`
             If the alignment of the epochs is as poor as 0.2 beams or worse.
         """
-        ssps, select = self._checked(cube, decompositions, select, n_trials)
-        rng = np.random.default_rng(rng)
-        permutations = [rng.permutation(len(cube)) for _ in range(n_trials)]
+        ssps, select = self._checked(cube, decompositions, select)
         if matches is None:
             matches = self.match(
-                cube, decompositions, select=select, permutations=permutations,
-                n_workers=n_workers, progress_bar=progress_bar,
+                cube, decompositions, select=select, n_workers=n_workers,
+                progress_bar=progress_bar,
             )  # fmt: skip
         scales = decompositions[0].scales
-        tracks_of = self._linker(cube, ssps, select, matches, scales)
-        links, track, counts = tracks_of(np.arange(len(cube)))
-        trials = []
-        with progress(n_trials, "Permuting epochs", show=progress_bar) as done:
-            for place in permutations:
-                trials.append(tracks_of(place)[2])
-                done(1)
-        shares, settings = linked_shares(counts, trials, scales, rng=rng), asdict(self)
-        return Tracking(cube, ssps, select, links, track, shares, n_trials, settings)
-
-    def _linker(self, cube, ssps, select, matches, scales):
-        """
-        Return a function that links the images, given their places in time.
-
-        The function returns the links, the track of each SSP, and for each scale
-        and epoch the numbers of SSPs that are linked to a later one and of all.
-        """
         matches = matches.of_ssps(select)
         matches = matches.select(matches.coefficient >= self.kappa)
         target = target_ssps(matches, ssps)
         target = np.where((target >= 0) & select[target], target, -1)
-        core, parent = core_ssps(ssps, cube), coarser_ssps(ssps, cube.shape[2])
-        years = cube.years.to_value(u.yr)
+        core = core_ssps(ssps, cube)
         fwhm = float(mean_fwhm(cube, scales) / cube.pixel_scale)
-        likelihood = LinkLikelihood(tolerance=self.tolerance * fwhm)
 
         def inside(found):
             # Features do not jump into the core or out of it.
             same = core[found.source] == core[found.target]
             return same & self._inside(found, ssps, cube, scales)
 
-        def tracks_of(place):
-            candidates = find_candidates(
-                matches, target, ssps, years, place=place, max_gap=self.max_gap,
-                inside=inside,
-            )  # fmt: skip
-            links = link(
-                candidates, ssps, parent=parent, place=place, likelihood=likelihood
-            )
-            track = chain(links, core, min_epochs=self.min_epochs)
-            linked = np.isin(np.arange(len(ssps)), links.source) & (track >= 0)
-            at = place[ssps.epoch]
-            counts = [
-                [np.bincount(at[own & (ssps.scale == scale)], minlength=len(cube))
-                 for scale in scales]
-                for own in (linked, select)
-            ]  # fmt: skip
-            # The last epoch has no later one.
-            return links, track, np.array(counts)[:, :, :-1]
+        candidates = find_candidates(
+            matches, target, ssps, cube.years.to_value(u.yr), max_gap=self.max_gap,
+            inside=inside,
+        )  # fmt: skip
+        return link(
+            candidates, ssps, parent=coarser_ssps(ssps, cube.shape[2]),
+            likelihood=LinkLikelihood(tolerance=self.tolerance * fwhm),
+        )  # fmt: skip
 
-        return tracks_of
-
-    def _checked(self, cube, decompositions, select, n_trials):
-        """Return the SSPs of all epochs, and which of them are tracked."""
+    def _checked(self, cube, decompositions, select):
+        """Return the SSPs of all epochs, and which of them are linked."""
         if self.common_beam:
             require_common_beam(cube)
         warn_of_misalignment(cube)
@@ -382,8 +375,6 @@ class FeatureTracker:
                 f"{len(decompositions)} decompositions for {len(cube)} epochs: "
                 "give one for each"
             )
-        if n_trials < 0:
-            raise ValueError(f"n_trials must be 0 or more, got {n_trials}")
         ssps = SSPs.of_epochs(decompositions)
         require_ssps(ssps, decompositions[0].scales)
         select = np.ones(len(ssps), bool) if select is None else np.asarray(select)
@@ -393,3 +384,12 @@ class FeatureTracker:
                 f"got {select.dtype} of shape {select.shape}"
             )
         return ssps, select
+
+
+def _checked_setting(name, value):
+    """Return the value of a setting in the unit of calculations."""
+    if name not in CHECKS:
+        return require(name, value)
+    unit, check, *more = CHECKS[name]
+    found = None if value is None else q.named(name, check, value, *more)
+    return found if unit is None or found is None else found.to(unit)

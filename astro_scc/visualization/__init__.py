@@ -14,7 +14,7 @@ from astro_scc.visualization.features import (
     plot_feature_separations,
     plot_feature_speeds,
 )
-from astro_scc.visualization.profiles import plot_profile, plot_track_profile
+from astro_scc.visualization.profiles import plot_profile
 from astro_scc.visualization.tracks import plot_members, plot_separation, plot_tracks
 from astro_scc.visualization.velocity import (
     plot_map_and_significance,
@@ -36,7 +36,6 @@ __all__ = [
     "plot_profile",
     "plot_separation",
     "plot_significance",
-    "plot_track_profile",
     "plot_tracks",
     "plot_velocity_map",
     "write_animation",

@@ -10,13 +10,12 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.kinematics.ridge_search import mean_width
-from astro_scc.units import PM_UNIT, offset_unit, unit_name
+from astro_scc.units import PM_UNIT, unit_name
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.velocity import draw_map
 
 if TYPE_CHECKING:
     from astropy.table import QTable
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from astro_scc.epochs import EpochCube
@@ -254,72 +253,4 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
     ax.set_ylabel("Share of the SSPs")
     if groups:
         ax.legend(fontsize="small")
-    return figure
-
-
-def missing_columns(stack):
-    """Return the names of the columns that the profile of a stack lacks, as text."""
-    wanted = ("r_mid", "pm_parallel", "pm_parallel_err")
-    return ", ".join(name for name in wanted if name not in stack.colnames)
-
-
-def plot_track_profile(
-    profile: QTable, *, stack: QTable | None = None, beta_per_pm: float | None = None,
-    ax: Axes | None = None,
-) -> Figure:  # fmt: skip
-    """
-    Draw the speeds of tracks against distance, and those of the stack over them.
-
-    Parameters
-    ----------
-    profile : `~astropy.table.QTable`
-        From `~astro_scc.tracking.Tracking.profile`.
-    stack : `~astropy.table.QTable`, optional
-        Result of stacked cross-correlation, with the columns ``r_mid``,
-        ``pm_parallel``, ``pm_parallel_err`` and, for bars, ``r_min`` and
-        ``r_max``.
-    beta_per_pm : float, optional
-        Apparent speed, in units of c, of a proper motion of 1 mas/yr, for a
-        second axis.
-    ax : `matplotlib.axes.Axes`, optional
-        Axes to draw on instead of a new figure.
-
-    Returns
-    -------
-    `matplotlib.figure.Figure`
-
-    Raises
-    ------
-    ValueError
-        If ``stack`` lacks a column, or ``beta_per_pm`` is not positive.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astropy.table import QTable
-    >>> from astro_scc.visualization import plot_track_profile
-    >>> pm = u.mas / u.yr
-    >>> profile = QTable({"r": [1, 2] * u.mas, "speed": [1.0, 1.2] * pm,
-    ...                   "speed_err": [0.1, 0.1] * pm, "n_tracks": [3, 4]})
-    >>> figure = plot_track_profile(profile)
-    >>> figure.axes[0].get_xlabel()
-    'Distance from the core (mas)'
-    """
-    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
-    unit = offset_unit(profile["r"].to_value(u.mas).max(initial=1.0))
-    r = profile["r"].to_value(unit)
-    speed, error = (profile[n].to_value(PM_UNIT) for n in ("speed", "speed_err"))
-    ax.fill_between(
-        r, speed - error, speed + error, color=style.ORANGE, alpha=0.3, lw=0
-    )
-    ax.plot(r, speed, "o-", color=style.ORANGE, markersize=4, label="tracks")
-    if stack is not None:
-        if missing := missing_columns(stack):
-            raise ValueError(f"the profile of the stack has no {missing}")
-        look = {"fmt": "s", "color": style.BLUE, "markersize": 4, "linewidth": 1}
-        style.draw_bins(ax, stack, "pm_parallel", unit, label="stack", **look)
-    ax.legend(fontsize="small", frameon=False)
-    ax.set_xlabel(f"Distance from the core ({unit_name(unit)})")
-    ax.set_ylabel(f"Speed ({unit_name(PM_UNIT)})")
-    style.add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
     return figure

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Figures of the features of components and tracks, on the mean image and in time."""
+"""Figures of features: matches of components, paths on the mean image, separations."""
 
 from __future__ import annotations
 
@@ -7,18 +7,21 @@ from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
+from astropy.table import QTable
 
-from astro_scc.decomposition import scale_size
 from astro_scc.units import PM_UNIT, offset_unit, speed_unit, unit_name
 from astro_scc.visualization import drawing, style
-from astro_scc.visualization.style import BLACK
 
 if TYPE_CHECKING:
-    from astropy.table import QTable
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from astro_scc.features import Features
     from astro_scc.measurement import SCCResult
-    from astro_scc.tracking import Tracking
+
+#: How features are drawn that are secure, and that are not.
+STRONG = {"alpha": 1.0, "zorder": 3, "linestyle": "-"}
+PALE = {"alpha": 0.5, "zorder": 2, "linestyle": ":"}
 
 
 def plot_members(
@@ -105,25 +108,21 @@ def _draw_members(ax, view, result, number, kind):
 
 
 def plot_separation(
-    tracking: Tracking, *, figure: Figure | None = None,
-    unit: u.UnitBase | str | None = None, min_epochs: int | None = None,
-) -> Figure:  # fmt: skip
+    features: Features, *, ax: Axes | None = None, unit: u.UnitBase | str | None = None
+) -> Figure:
     """
-    Draw the distances of tracked features against time, with their fits.
+    Draw the separations of features from the core against time, with their fits.
 
-    There is one panel per scale.  Solid lines are straight fits, dashed lines
-    accelerated fits if the acceleration is significant; dotted lines lead back
-    to the ejection epoch.
+    A line is the motion that is fitted to a feature, with its number at the end; those
+    of features that are not secure are pale and dotted.
 
     Parameters
     ----------
-    tracking : `~astro_scc.tracking.Tracking`
-    figure : `matplotlib.figure.Figure`, optional
-        Figure to draw on instead of a new one.
+    features : `~astro_scc.features.Features`
+    ax : `matplotlib.axes.Axes`, optional
+        Axes to draw on instead of a new figure.
     unit : `~astropy.units.Unit`, optional
-        Unit of the distances.
-    min_epochs : int, optional
-        Tracks with fewer epochs are not drawn.
+        Unit of the separations.
 
     Returns
     -------
@@ -136,76 +135,77 @@ def plot_separation(
 
     Examples
     --------
-    >>> import astropy.units as u
-    >>> from astro_scc.decomposition import Decomposer
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.tracking import FeatureTracker
+    >>> from astro_scc.features import find_features
+    >>> from astro_scc.simulation import simulate_jet
     >>> from astro_scc.visualization import plot_separation
-    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
-    >>> decompositions = [Decomposer(scales=[1, 2])(image) for image in cube.data]
-    >>> tracking = FeatureTracker(max_speed=36 * u.mas / u.yr)(cube, decompositions)
-    >>> figure = plot_separation(tracking)
-    >>> figure.axes[-1].get_xlabel()
+    >>> features = find_features(simulate_jet(n_epochs=8, rng=3).cube)
+    >>> plot_separation(features).axes[0].get_xlabel()
     'Year'
     """
-    n = len(_scales(tracking))
-    if figure is None:
-        figure = style.new_figure((style.WIDTH, max(1.0 + 1.9 * n, 2.8)))
-    axes = figure.subplots(n, 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    start = tracking.cube.times[0].jyear
-    years = tracking.cube.years.to_value(u.yr)
-    distance = np.hypot(*tracking.offsets)
-    tracked = distance[tracking.track >= 0]
-    unit = offset_unit(tracked.max(initial=1.0), unit)
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.5))
+    d = features.detections
+    distance = np.hypot(*d.place.T)
+    unit = offset_unit(distance.max(initial=1.0), unit)
     factor = u.mas.to(unit)
-    for ax, color, numbers in _panels(tracking, axes, unit, min_epochs):
-        for number in numbers:
-            ssps = tracking.members(number)
-            time = years[tracking.ssps.epoch[ssps]]
-            dots = {"color": color, "markersize": 3, "markeredgewidth": 0}
-            ax.plot(start + time, distance[ssps] * factor, "o", **dots)
-            _draw_fits(ax, tracking, number, time, start, factor)
-    # Leave room for the name above the features.
-    axes[0].set_ylim(0, 1.15 * factor * tracked.max(initial=0.0) or 1.0)
-    style.show_years(axes[-1], tracking.cube)
-    figure.supylabel(f"Distance from the core ({unit_name(unit)})", fontsize="medium")
+    outward = d.place / np.maximum(distance, 1e-30)[:, None]
+    error = np.hypot(*(outward * d.place_error).T)
+    for number, motion in enumerate(features.motions):
+        k, look = features.tracks[number].detection, _look(features, number)
+        time = d.time[k]
+        ax.errorbar(
+            time, factor * distance[k], factor * error[k], fmt="o", markersize=3,
+            markeredgewidth=0, linewidth=0.8, **look | {"linestyle": ""},
+        )  # fmt: skip
+        t = np.linspace(*time[[0, -1]], 50)
+        fitted = factor * np.hypot(*_fitted(motion, t).T)
+        ax.plot(t, fitted, linewidth=1.2, **look)
+        _number(ax, number, (time[-1], fitted[-1]), look)
+    ax.set_ylim(bottom=0)
+    style.show_years(ax, features.cube)
+    ax.set_ylabel(f"Separation from the core ({unit_name(unit)})")
     return figure
 
 
-def _draw_fits(ax, tracking, number, time, start, factor):
-    row, fit = tracking.tracks[number], tracking.fits[number]
-    first, last = time[[0, -1]]
-    curves = [(first, last, fit, "-")]
-    if row["accelerated"]:
-        curves.append((first, last, tracking.accelerated_fits[number], "--"))
-    if not np.any(row["t_ej"].mask):
-        born = row["t_ej"].unmasked.value - start
-        curves.append((min(born, first), first, fit, ":"))
-    for begin, end, curve, line in curves:
-        t = np.linspace(begin, end, 50)
-        distance = factor * np.hypot(*curve.at(t))
-        ax.plot(start + t, distance, line, color=BLACK, linewidth=0.8)
+def _fitted(motion, time):
+    """Return the places of a fitted motion, shape (n, 2) in mas."""
+    dt = (time - motion.date)[:, None]
+    bend = np.nan_to_num(motion.acceleration)
+    return motion.place + motion.velocity * dt + bend * dt**2 / 2
+
+
+def _look(features, number):
+    """Return the look of a feature, pale unless it is secure."""
+    look = STRONG if features.secure[number] else PALE
+    return {"color": style.component_color(number + 1), **look}
+
+
+def _number(ax, number, place, look):
+    """Write the number of a feature beside a place."""
+    ax.annotate(
+        f"{number + 1}", place, (4, 0), textcoords="offset points", va="center",
+        fontsize="small", color=look["color"], path_effects=style.outline(1.5),
+        annotation_clip=True, zorder=4,
+    )  # fmt: skip
 
 
 def plot_tracks(
-    tracking: Tracking, *, figure: Figure | None = None,
-    unit: u.UnitBase | str | None = None, min_epochs: int | None = None,
+    features: Features, *, figure: Figure | None = None,
+    unit: u.UnitBase | str | None = None,
 ) -> Figure:  # fmt: skip
     """
-    Draw the tracks over the mean image, one panel per scale.
+    Draw the paths of features over the mean image.
 
-    Each track is a line through the positions of its feature, with one dot
-    per epoch and an arrow head at the last one.
+    Each path is a line through the positions of a feature, with one dot per epoch, an
+    arrow head at the last one and the number of the feature.  Those of features that
+    are not secure are pale and dotted.
 
     Parameters
     ----------
-    tracking : `~astro_scc.tracking.Tracking`
+    features : `~astro_scc.features.Features`
     figure : `matplotlib.figure.Figure`, optional
         Figure to draw on instead of a new one.
     unit : `~astropy.units.Unit`, optional
         Unit of the offsets.
-    min_epochs : int, optional
-        Tracks with fewer epochs are not drawn.
 
     Returns
     -------
@@ -218,45 +218,29 @@ def plot_tracks(
 
     Examples
     --------
-    >>> import astropy.units as u
-    >>> from astro_scc.decomposition import Decomposer
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.tracking import FeatureTracker
+    >>> from astro_scc.features import find_features
+    >>> from astro_scc.simulation import simulate_jet
     >>> from astro_scc.visualization import plot_tracks
-    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
-    >>> decompositions = [Decomposer(scales=[1, 2])(image) for image in cube.data]
-    >>> tracking = FeatureTracker(max_speed=36 * u.mas / u.yr)(cube, decompositions)
-    >>> len(plot_tracks(tracking).axes)
-    2
+    >>> features = find_features(simulate_jet(n_epochs=8, rng=3).cube)
+    >>> len(plot_tracks(features).axes)
+    1
     """
-    view, figure, axes = drawing.mean_image_panels(
-        tracking.cube, tracking.ssps, len(_scales(tracking)), figure=figure, unit=unit
+    d = features.detections
+    east, north = np.concatenate([d.place, features.core.place]).T * u.mas
+    n = len(east)
+    points = QTable({"east": east, "north": north, "epoch": np.zeros(n, dtype=int),
+                     "scale": np.ones(n), "snr": np.ones(n)})  # fmt: skip
+    view, figure, (ax,) = drawing.mean_image_panels(
+        features.cube, points, 1, figure=figure, unit=unit
     )
-    for ax, color, numbers in _panels(tracking, axes, view.unit, min_epochs):
-        line = {"color": color, "linewidth": 0.9}
-        head = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
-        for number in numbers:
-            place = view.factor * tracking.offsets[:, tracking.members(number)]
-            ax.plot(*place, "-o", markersize=2, markeredgewidth=0, **line)
-            ends = {"xy": place[:, -1], "xytext": place[:, -2]}
-            ax.annotate("", arrowprops=head | line, annotation_clip=True, **ends)
+    head = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
+    for number, track in enumerate(features.tracks):
+        look = _look(features, number)
+        place = view.factor * d.place[track.detection].T
+        dots = {"marker": "o", "markersize": 2, "markeredgewidth": 0}
+        ax.plot(*place, linewidth=0.9, **dots, **look)
+        arrow = head | look | {"linewidth": 0.9}
+        ends = {"xy": place[:, -1], "xytext": place[:, -2]}
+        ax.annotate("", arrowprops=arrow, annotation_clip=True, **ends)
+        _number(ax, number, place[:, -1], look)
     return figure
-
-
-def _scales(tracking):
-    """Return the colour of each scale that SSPs have, at least one."""
-    return style.scale_colors(tracking.ssps.scale) or {1.0: style.BLUE}
-
-
-def _panels(tracking, axes, unit, min_epochs):
-    """Yield the axes, colour and long enough tracks of each scale; name the axes."""
-    table = tracking.tracks
-    long = np.asarray(table["n_epochs"]) >= (min_epochs or 0)
-    for ax, (scale, color) in zip(axes, _scales(tracking).items(), strict=True):
-        numbers = np.flatnonzero(long & (np.asarray(table["scale"]) == scale)).tolist()
-        yield ax, color, numbers
-        size = (scale_size(scale) * tracking.cube.pixel_scale).to_value(unit)
-        tracks = "track" if len(numbers) == 1 else "tracks"
-        text = f"scale {scale:g} ({size:.3g} {unit_name(unit)}), {len(numbers)} "
-        color = BLACK if numbers else style.VERMILLION
-        drawing.panel_text(ax, text + tracks, color=color)

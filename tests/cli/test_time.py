@@ -38,6 +38,8 @@ def command(jet, here):
         more = {"measure": ["--no-report"], "track": ["--no-figures"]}
         more["profile"] = ["--bins", "2 8 16 mas"]
         files = sorted(map(str, jet.glob("*.fits")))
+        if name == "track":
+            return [name, *files, "-o", "out", *more[name]]
         return [name, *files, "-o", "out", *QUICK, *more[name]]
 
     return words
@@ -94,7 +96,6 @@ def test_sources_are_shared_by_no_more_processes_than_sources(cores, capsys):
     [
         "measure",
         pytest.param("profile", marks=pytest.mark.slow),
-        pytest.param("track", marks=pytest.mark.slow),
         pytest.param("survey", marks=pytest.mark.slow),
     ],
 )
@@ -106,7 +107,6 @@ def test_a_long_run_says_so_before_it_begins(
 
     for long in ("StackedCrossCorrelation.match", "StackedCrossCorrelation.__call__"):
         monkeypatch.setattr(f"astro_scc.scc.{long}", stop)
-    monkeypatch.setattr("astro_scc.cli.track._track", stop)
     words = command(name)
     # These images take seconds.
     status, _, err = astro_scc(*words)
@@ -118,7 +118,6 @@ def test_a_long_run_says_so_before_it_begins(
     # A slow machine may tell its progress before.
     (first,) = [line for line in err.splitlines() if "this will take" in line]
     what = {
-        "track": r"6 epochs with about \d+ patterns",
         "survey": r"3 sources",
     }.get(name, r"6 epochs of 256 x 128 pixels with about \d+ patterns")
     assert re.fullmatch(
@@ -183,7 +182,7 @@ def test_every_long_command_tells_how_far_it_is(name, command, astro_scc, monkey
     labels = {
         "measure": {"Decomposing", "Correlating", "Searching"},
         "profile": {"Decomposing", "Correlating", "Searching"},
-        "track": {"Decomposing", "Correlating", "Permuting epochs"},
+        "track": {"Fitting"},
         "survey": {"Sources"},
     }[name]
     assert labels <= said

@@ -1,6 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """``astro-scc track``: what it writes, and what it refuses."""
 
+import re
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -8,18 +11,16 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.cli import main
-from astro_scc.cli.track import PRODUCTS
-from astro_scc.simulation import simulate_two_fluid, write_simulation
-
-QUICK = ["--scales", "2", "--position-angle", "-90 deg", "--along", "-6 36 mas/yr",
-         "--across", "-12 12 mas/yr", "--n-trials", "2", "--seed", "1",
-         "--max-gap", "0"]  # fmt: skip
+from astro_scc.cli.summary import plus_minus
+from astro_scc.cli.track import PRODUCTS, feature_lines
+from astro_scc.features import find_features
+from astro_scc.simulation import simulate_jet, simulate_static, write_simulation
 
 
 @pytest.fixture(scope="module")
 def jet(tmp_path_factory):
     folder = tmp_path_factory.mktemp("jet")
-    write_simulation(simulate_two_fluid(n_epochs=5, rng=1), folder)
+    write_simulation(simulate_jet(n_epochs=8, dispersion=0.1, rng=1), folder)
     return sorted(folder.glob("*.fits"))
 
 
@@ -35,57 +36,66 @@ def astro_scc(capsys, tmp_path, monkeypatch):
 
 
 def test_all_products_are_written(astro_scc, jet, tmp_path):
-    profile = QTable(
-        {"r_mid": [5.0], "pm_parallel": [6.0], "pm_parallel_err": [1.0]},
-        units=["mas", "mas/yr", "mas/yr"],
-    )
-    profile.write(tmp_path / "stack.ecsv")
     status, out, err = astro_scc(
-        *jet, "-o", "out", *QUICK, "--votable", "--redshift", "0.1",
-        "--profile", "stack.ecsv", "--half-width", "3 mas",
-    )  # fmt: skip
+        *jet, "-o", "out", "--votable", "--redshift", "0.1", "--seed", "1"
+    )
     assert (status, err) == (0, "")
     assert {path.name for path in (tmp_path / "out").iterdir()} == set(PRODUCTS)
-    tracks = QTable.read(tmp_path / "out" / "tracks.ecsv")
     features = QTable.read(tmp_path / "out" / "features.ecsv")
-    assert f"{len(tracks)} tracks" in out
-    assert set(features["track"]) == set(tracks["track"])
-    assert len(features) == np.sum(tracks["n_epochs"])
-    assert np.all(np.isfinite(tracks["beta_app"]))
-    assert tracks.meta["configuration"]["seed"] == 1
-    along = u.Quantity(tracks.meta["settings"]["along"])
-    assert np.all(along == [-6, 36] * u.mas / u.yr)
+    positions = QTable.read(tmp_path / "out" / "positions.ecsv")
+    secure = features[features["secure"]]
+    assert f"{len(features)} features in 8 epochs, {len(secure)} of them secure" in out
+    row = secure[0]
+    line = next(x for x in out.splitlines() if x.startswith(f"{row['feature']} "))
+    for word in (row["first"].isot[:10], plus_minus(row, "beta_app")):
+        assert word in line
+    assert set(positions["feature"]) == set(features["feature"])
+    assert len(positions) == np.sum(features["n_epochs"])
+    assert features.meta["configuration"]["seed"] == 1
     assert "speeds in c: redshift 0.1, FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0" in out
-    assert tracks.meta["cosmology"]["Om0"] == 0.27
-    assert isinstance(tracks["beta_app"], u.Quantity)
-    assert isinstance(features["date"], Time)
-    assert np.all(tracks["first"] < tracks["last"])
-    assert tracks.meta["versions"]
-    seen = QTable.read(tmp_path / "out" / "tracks.vot")
-    assert len(seen) == len(tracks)
+    assert features.meta["cosmology"]["Om0"] == 0.27
+    assert isinstance(features["beta_app"], u.Quantity)
+    assert isinstance(positions["date"], Time)
+    assert np.all(features["first"] < features["last"])
+    assert np.all(features["first"] < features["date"])
+    assert features.meta["versions"]
+    assert len(QTable.read(tmp_path / "out" / "features.vot")) == len(features)
+    assert len(QTable.read(tmp_path / "out" / "positions.vot")) == len(positions)
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_tables(astro_scc, jet, tmp_path):
-    for name in ("a", "b"):
-        assert astro_scc(*jet, "-o", name, *QUICK, "--no-figures")[0] == 0
-    for table in ("features.ecsv", "tracks.ecsv", "track_profile.ecsv"):
+@pytest.mark.parametrize("detections", ["gaussians", "ssp"])
+def test_the_same_seed_gives_the_same_tables(astro_scc, jet, tmp_path, detections):
+    for name, workers in (("a", "1"), ("b", "2")):
+        words = ["-o", name, "--seed", "1", "--no-figures", "--workers", workers]
+        assert astro_scc(*jet, *words, "--detections", detections)[0] == 0
+    for table in ("features.ecsv", "positions.ecsv"):
         one, other = ((tmp_path / f / table).read_bytes() for f in "ab")
         assert one == other
     assert not list((tmp_path / "a").glob("*.png"))
 
 
-@pytest.mark.slow
-def test_no_tracks_are_empty_tables(astro_scc, jet, tmp_path):
+def test_no_features_are_empty_tables(astro_scc, jet, tmp_path):
     status, out, _ = astro_scc(
-        *jet, "-o", "out", *QUICK, "--max-interval", "1 d", "--distance", "10 Mpc"
+        *jet[:3], "-o", "out", "--distance", "10 Mpc", "--votable"
     )
     assert status == 0
-    assert "0 tracks, 0 with an ejection epoch" in out
-    tracks = QTable.read(tmp_path / "out" / "tracks.ecsv")
-    assert len(tracks) == 0
-    assert {"pm", "t_ej", "beta_app"} <= set(tracks.colnames)
-    assert len(QTable.read(tmp_path / "out" / "features.ecsv")) == 0
+    assert "0 features in 3 epochs, 0 of them secure" in out
+    assert "No detections of four epochs or more are in steady motion." in out
+    features = QTable.read(tmp_path / "out" / "features.ecsv")
+    assert len(features) == 0
+    assert {"pm", "t_ej", "beta_app"} <= set(features.colnames)
+    assert len(QTable.read(tmp_path / "out" / "positions.ecsv")) == 0
+
+
+def test_what_secure_features_would_need_is_said():
+    features = find_features(simulate_static(n_epochs=6, rng=1).cube)
+    lines = feature_lines(features, features.table)
+    assert lines[0] == f"{len(features)} features in 6 epochs, 0 of them secure"
+    assert "moves by" in lines[1]
+    assert re.match(r"The nearest to that, \d+, is false with .* errors", lines[2])
+    (years,) = re.findall(r"at its speed (\S+) yr would be long enough", lines[2])
+    assert float(years) > features.cube.years[-1].to_value(u.yr)
 
 
 @pytest.mark.slow
@@ -96,38 +106,30 @@ def test_a_configuration_of_a_measurement_is_understood(astro_scc, jet, tmp_path
     )
     status, _, _ = astro_scc(*jet, "-o", "out", "--config", "jet.toml", "--no-figures")
     assert status == 0
-    settings = QTable.read(tmp_path / "out" / "tracks.ecsv").meta["settings"]
-    assert settings["max_speed"] == 30 * u.mas / u.yr
-    assert settings["kappa"] == 0.5
+    kept = QTable.read(tmp_path / "out" / "features.ecsv").meta["configuration"]
+    assert (kept["seed"], kept["detection"]) == (3, 5)
+    assert not {"max_speed", "kappa", "n_trials"} & set(kept)
+
+
+def test_images_without_beams_have_features_of_ssps(astro_scc, tmp_path):
+    cube = simulate_jet(n_epochs=8, dispersion=0.1, rng=1).cube
+    replace(cube, beams=None).write(tmp_path / "cube.fits")
+    assert astro_scc("cube.fits", "-o", "out", "--no-figures")[0] == 0
+    features = QTable.read(tmp_path / "out" / "features.ecsv")
+    assert features["secure"].any()
+    assert np.all(features["size"].value == 0)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (
-            ["--along", "5 mas/yr"],
-            "--along '5 mas/yr' must be a smallest and a largest",
-        ),
-        (["--across", "0 5"], "--across '0 5' has no unit at its end"),
-        (["--max-interval", "3 mas"], "must be a time with a unit, such as '1 yr'"),
-        (["--max-gap", "x"], "--max-gap 'x' must be a whole number"),
-        (["--tolerance", "x"], "--tolerance 'x' must be a number"),
-        (["--min-epochs", "1"], "--min-epochs '1' must be 3 or more"),
-        (
-            ["--half-width", "-1 mas"],
-            "--half-width '-1 mas' must be finite and above 0",
-        ),
-        (["--profile", "none.ecsv"], "none.ecsv: does not exist"),
-        (["--profile", "bad.ecsv"], "bad.ecsv: is no ECSV table"),
-        (["--profile", "other.ecsv"], "is no profile, it has no r_mid"),
-        (["--along", "0 5 mas/yr"], "--along and across need a --position-angle"),
+        (["--detections", "clean"], "'clean' must be one of gaussians, ssp"),
+        (["--scales", "1 yr"], "must be scale numbers such as 1,2,3 or angles"),
         (["--workers", "0"], "--workers must be at least 1"),
     ],
 )
 def test_what_is_wrong_is_said_in_a_line(astro_scc, jet, tmp_path, options, message):
-    (tmp_path / "bad.ecsv").write_text("nothing")
-    QTable({"a": [1]}).write(tmp_path / "other.ecsv")
-    status, out, err = astro_scc(*jet, "-o", "out", "--scales", "2", *options)
+    status, out, err = astro_scc(*jet, "-o", "out", *options)
     assert status == 2
     assert out == ""
     assert message in err.splitlines()[-1]
@@ -140,10 +142,18 @@ def test_no_epochs_are_refused(astro_scc):
     assert "no epochs were given" in err
 
 
-@pytest.mark.slow
-def test_a_region_without_patterns(astro_scc, jet, tmp_path):
+def test_a_region_without_emission(astro_scc, jet, tmp_path):
     (tmp_path / "r.reg").write_text("image\ncircle(3,3,2)\n")
-    status, out, err = astro_scc(*jet, "-o", "out", *QUICK, "--region", "r.reg")
+    status, out, err = astro_scc(*jet, "-o", "out", "--region", "r.reg")
     assert status == 0
-    assert "warning: r.reg: no significant pattern has its centroid inside, " in err
-    assert len(QTable.read(tmp_path / "out" / "tracks.ecsv")) == 0
+    assert (
+        "warning: no emission beside the core was detected in any epoch in r.reg" in err
+    )
+    assert len(QTable.read(tmp_path / "out" / "features.ecsv")) == 0
+
+
+def test_options_of_streams_are_none_of_features(astro_scc, jet, capsys):
+    for option in ("--max-speed", "--position-angle", "--n-trials", "--profile"):
+        with pytest.raises(SystemExit):
+            astro_scc(*jet, "-o", "out", option, "1")
+        assert f"unrecognized arguments: {option}" in capsys.readouterr().err

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from astro_scc.tracking import Candidates, LinkLikelihood, Links, link
 from astro_scc.tracking.candidates import equal_pairs
-from astro_scc.tracking.linking import chain, path_gains
+from astro_scc.tracking.linking import chains, path_gains
 
 
 def everything(ssps, *, most=20.0, max_gap=1):
@@ -71,18 +71,6 @@ def test_a_feature_that_is_missing_at_a_date_is_taken_up_again(catalogue):
     assert np.array_equal(feature[links.source], feature[links.target])
     own = feature[links.source] == 3
     assert sorted(links.gap[own]) == [0, 0, 0, 1]
-
-
-def test_images_in_another_order(catalogue):
-    rows, feature = streams()
-    place = np.array([3, 0, 5, 1, 4, 2])
-    shuffled = rows.copy()
-    shuffled[:, 0] = np.argsort(place)[rows[:, 0].astype(int)]
-    ssps = catalogue(shuffled)
-    plain = everything(catalogue(rows))
-    links = link(plain, ssps, place=place)
-    assert np.array_equal(feature[links.source], feature[links.target])
-    assert len(links) == 60
 
 
 def test_one_pattern_follows_the_larger_one_that_it_lies_in(catalogue):
@@ -219,7 +207,7 @@ def links_of(pairs, kinds=None):
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 4))
-def test_chains_are_what_links_connect(seed, least):
+def test_chains_are_what_links_connect(catalogue, seed, least):
     rng = np.random.default_rng(seed)
     # Fifteen SSPs in five epochs; one-to-one links onwards.
     pairs = [
@@ -228,7 +216,8 @@ def test_chains_are_what_links_connect(seed, least):
         for i, k in enumerate(rng.permutation(3))
         if rng.random() < 0.6
     ]
-    track = chain(links_of(pairs), np.full(15, -1), min_epochs=least)
+    ssps = catalogue([[k // 3, 50, 50 + k, 1] for k in range(15)])
+    found = chains(links_of(pairs), ssps, min_epochs=least)
     follower = dict(pairs)
     paths = []
     for start in sorted(set(range(15)) - set(follower.values())):
@@ -236,25 +225,13 @@ def test_chains_are_what_links_connect(seed, least):
         while path[-1] in follower:
             path.append(follower[path[-1]])
         paths.append(path)
-    wanted = np.full(15, -1)
-    for number, path in enumerate(p for p in paths if len(p) >= least):
-        wanted[path] = number
-    assert track.tolist() == wanted.tolist()
+    wanted = [path for path in paths if len(path) >= least]
+    assert [ssp.tolist() for ssp in found] == wanted
 
 
-def test_merges_and_splits_make_no_chains():
+def test_merges_and_splits_make_no_chains(catalogue):
     links = links_of(
         [(0, 2), (1, 2), (2, 3), (2, 4)], ["link", "merge", "link", "split"]
     )
-    assert chain(links, np.full(5, -1)).tolist() == [0, 1, 0, 0, 2]
-
-
-def test_pieces_of_one_feature_make_one_track():
-    source, target = np.array([0, 3, 5, 1, 7]), np.array([2, 4, 6, 8, 9])
-    links = links_of(np.stack([source, target], axis=1))
-    core = np.array([0, -1, 0, 0, 0, 1, 1, 1, -1, 1, 0])
-    # SSP 10 has no link at all.
-    wanted = [0, 1, 0, 0, 0, 2, 2, 2, 1, 2, -1]
-    assert chain(links, core, min_epochs=2).tolist() == wanted
-    wanted = [0, -1, 0, 0, 0, 1, 1, 1, -1, 1, -1]
-    assert chain(links, core, min_epochs=4).tolist() == wanted
+    ssps = catalogue([[k, 50, 50, 1] for k in (0, 0, 1, 2, 2)])
+    assert [ssp.tolist() for ssp in chains(links, ssps)] == [[0, 2, 3], [1], [4]]
