@@ -21,7 +21,7 @@ from astro_scc.units import in_easy_units
 
 CHANCE = "permuted epochs give as strong a peak (p_global above alpha)"
 HOSTILE = "<script>alert('1')</script> & \"more\""
-FIGURES = ("paths", "diagram", "speeds", "separations", "members", "velocity_map",
+FIGURES = ("tracks", "diagram", "speeds", "separation", "members", "velocity_map",
            "significance", "epochs", "intervals", "sensitivity")  # fmt: skip
 VOID = {"meta", "img", "br", "link", "hr"}
 

@@ -21,8 +21,8 @@ from astro_scc.writing import replace_when_complete
 
 PRODUCTS = (
     "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv ssps.ecsv "
-    "components.tex scc.fits config.toml report.html paths.png diagram.png speeds.png "
-    "separations.png members.png velocity_map.png significance.png epochs.png "
+    "components.tex scc.fits config.toml report.html tracks.png diagram.png speeds.png "
+    "separation.png members.png velocity_map.png significance.png epochs.png "
     "intervals.png sensitivity.png"
 ).split()
 #: Products of an earlier measurement that must not remain beside new ones.

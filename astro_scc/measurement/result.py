@@ -200,10 +200,10 @@ class SCCResult:
         The features that are followed from epoch to epoch.
 
         They are `~astro_scc.features.Features` of Gaussian models of the images or,
-        without beams, of SSPs, inside the region.
+        without beams, of SSPs, inside the region, with the seed of the result.
         """
-        matched = self.matched
-        return find_features(self.cube, ssps=matched.ssps, region=matched.region)
+        own, seed = self.matched, self.meta.get("seed") or 0
+        return find_features(self.cube, ssps=own.ssps, region=own.region, seed=seed)
 
     @cached_property
     def features(self) -> QTable:

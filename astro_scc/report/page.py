@@ -48,8 +48,8 @@ def write_report(
     ----------
     result : `~astro_scc.measurement.SCCResult`
     directory : path
-        Folder for ``report.html``, and for ``paths.png``, ``diagram.png``,
-        ``speeds.png``, ``separations.png``, ``members.png``, ``velocity_map.png``,
+        Folder for ``report.html``, and for ``tracks.png``, ``diagram.png``,
+        ``speeds.png``, ``separation.png``, ``members.png``, ``velocity_map.png``,
         ``significance.png``, ``epochs.png``, ``intervals.png`` and
         ``sensitivity.png``, which the page holds too.  It is made if need be; files
         of these names are replaced, each when the new one is complete.
@@ -213,9 +213,11 @@ def draw_figures(result, components, *, pdf=False):
         figures["members"] = show.plot_members(result, **shared)
     if len(result.features):
         profile = feature_profile(result)
-        figures["paths"] = show.plot_feature_paths(result)
+        tracked = result.tracked_features
+        own = {"component": result.features["component"]}
+        figures["tracks"] = show.plot_tracks(tracked, **own)
         figures["speeds"] = show.plot_feature_speeds(result, profile=profile, **per_pm)
-        figures["separations"] = show.plot_feature_separations(result)
+        figures["separation"] = show.plot_separation(tracked, **own)
     if len(result.sensitivity):
         figures["sensitivity"] = plot_sensitivity(result.sensitivity, **per_pm)
     found = {}

@@ -9,11 +9,7 @@ from astro_scc.visualization.epochs import (
     plot_intervals,
     write_animation,
 )
-from astro_scc.visualization.features import (
-    plot_feature_paths,
-    plot_feature_separations,
-    plot_feature_speeds,
-)
+from astro_scc.visualization.features import plot_feature_speeds
 from astro_scc.visualization.profiles import plot_profile
 from astro_scc.visualization.tracks import plot_members, plot_separation, plot_tracks
 from astro_scc.visualization.velocity import (
@@ -27,8 +23,6 @@ __all__ = [
     "plot_diagram",
     "plot_epoch",
     "plot_epochs",
-    "plot_feature_paths",
-    "plot_feature_separations",
     "plot_feature_speeds",
     "plot_intervals",
     "plot_map_and_significance",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
+from numpy.typing import ArrayLike
 
 from astro_scc.units import PM_UNIT, offset_unit, speed_unit, unit_name
 from astro_scc.visualization import drawing, style
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 #: How features are drawn that are secure, and that are not.
 STRONG = {"alpha": 1.0, "zorder": 3, "linestyle": "-"}
 PALE = {"alpha": 0.5, "zorder": 2, "linestyle": ":"}
+#: Of more features than these only the secure ones have numbers.
+CROWDED = 40
 
 
 def plot_members(
@@ -108,8 +111,9 @@ def _draw_members(ax, view, result, number, kind):
 
 
 def plot_separation(
-    features: Features, *, ax: Axes | None = None, unit: u.UnitBase | str | None = None
-) -> Figure:
+    features: Features, *, component: ArrayLike | None = None, ax: Axes | None = None,
+    unit: u.UnitBase | str | None = None,
+) -> Figure:  # fmt: skip
     """
     Draw the separations of features from the core against time, with their fits.
 
@@ -119,6 +123,8 @@ def plot_separation(
     Parameters
     ----------
     features : `~astro_scc.features.Features`
+    component : array_like of int, shape (n,), optional
+        Velocity component of each, 0 for none, which gives its colour.
     ax : `matplotlib.axes.Axes`, optional
         Axes to draw on instead of a new figure.
     unit : `~astropy.units.Unit`, optional
@@ -150,7 +156,8 @@ def plot_separation(
     outward = d.place / np.maximum(distance, 1e-30)[:, None]
     error = np.hypot(*(outward * d.place_error).T)
     for number, motion in enumerate(features.motions):
-        k, look = features.tracks[number].detection, _look(features, number)
+        k = features.tracks[number].detection
+        look = feature_look(features, number, component)
         time = d.time[k]
         ax.errorbar(
             time, factor * distance[k], factor * error[k], fmt="o", markersize=3,
@@ -159,7 +166,8 @@ def plot_separation(
         t = np.linspace(*time[[0, -1]], 50)
         fitted = factor * np.hypot(*_fitted(motion, t).T)
         ax.plot(t, fitted, linewidth=1.2, **look)
-        _number(ax, number, (time[-1], fitted[-1]), look)
+        _number(ax, features, number, (time[-1], fitted[-1]), look)
+    style.legend_above(ax)
     ax.set_ylim(bottom=0)
     style.show_years(ax, features.cube)
     ax.set_ylabel(f"Separation from the core ({unit_name(unit)})")
@@ -173,14 +181,20 @@ def _fitted(motion, time):
     return motion.place + motion.velocity * dt + bend * dt**2 / 2
 
 
-def _look(features, number):
+def feature_look(features, number, component=None):
     """Return the look of a feature, pale unless it is secure."""
     look = STRONG if features.secure[number] else PALE
-    return {"color": style.component_color(number + 1), **look}
+    if component is None:
+        return {"color": style.component_color(number + 1), **look}
+    own = int(component[number])
+    color = style.component_color(own) if own else style.BLACK
+    return {"color": color, "label": f"component {own}" if own else "none", **look}
 
 
-def _number(ax, number, place, look):
+def _number(ax, features, number, place, look):
     """Write the number of a feature beside a place."""
+    if len(features) > CROWDED and not features.secure[number]:
+        return
     ax.annotate(
         f"{number + 1}", place, (4, 0), textcoords="offset points", va="center",
         fontsize="small", color=look["color"], path_effects=style.outline(1.5),
@@ -189,8 +203,8 @@ def _number(ax, number, place, look):
 
 
 def plot_tracks(
-    features: Features, *, figure: Figure | None = None,
-    unit: u.UnitBase | str | None = None,
+    features: Features, *, component: ArrayLike | None = None,
+    figure: Figure | None = None, unit: u.UnitBase | str | None = None,
 ) -> Figure:  # fmt: skip
     """
     Draw the paths of features over the mean image.
@@ -202,6 +216,8 @@ def plot_tracks(
     Parameters
     ----------
     features : `~astro_scc.features.Features`
+    component : array_like of int, shape (n,), optional
+        Velocity component of each, 0 for none, which gives its colour.
     figure : `matplotlib.figure.Figure`, optional
         Figure to draw on instead of a new one.
     unit : `~astropy.units.Unit`, optional
@@ -235,12 +251,14 @@ def plot_tracks(
     )
     head = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
     for number, track in enumerate(features.tracks):
-        look = _look(features, number)
+        look = feature_look(features, number, component)
         place = view.factor * d.place[track.detection].T
         dots = {"marker": "o", "markersize": 2, "markeredgewidth": 0}
         ax.plot(*place, linewidth=0.9, **dots, **look)
-        arrow = head | look | {"linewidth": 0.9}
+        arrow = head | {k: v for k, v in look.items() if k != "label"}
+        arrow["linewidth"] = 0.9
         ends = {"xy": place[:, -1], "xytext": place[:, -2]}
         ax.annotate("", arrowprops=arrow, annotation_clip=True, **ends)
-        _number(ax, number, place[:, -1], look)
+        _number(ax, features, number, place[:, -1], look)
+    style.legend_above(ax)
     return figure
