@@ -149,7 +149,7 @@ def feature_lines(features):
     list of str
         At most ten features, those seen in most epochs.
     """
-    secure = in_easy_units(features[np.asarray(features["secure"], dtype=bool)])
+    secure = features[np.asarray(features["secure"], dtype=bool)]
     n = len(features)
     said = f"{n} {'feature' if n == 1 else 'features'}, {len(secure)} of them secure"
     if len(secure) == 0:
@@ -157,25 +157,44 @@ def feature_lines(features):
     longest = np.argsort(-secure["n_epochs"], kind="stable")[:MOST_FEATURES]
     if len(longest) < len(secure):
         said += f"; the {MOST_FEATURES} that were seen in most epochs"
-    secure = secure[np.sort(longest)]
-    far = offset_unit(secure["separation"].to_value("mas").max())
+    rows = feature_rows(secure[np.sort(longest)])
+    return ["", f"{said}:", *table_lines(rows), ""]
+
+
+def feature_rows(features):
+    """
+    Return the cells of features under their headings.
+
+    Parameters
+    ----------
+    features : `~astropy.table.QTable`
+        At least one.
+
+    Returns
+    -------
+    list of dict of str
+        With the component of each if there are any.
+    """
+    table = in_easy_units(features)
+    far = offset_unit(table["separation"].to_value("mas").max())
     # Of less than some days, the times.
-    days = (secure["last"] - secure["first"]).to_value("day")
+    days = (table["last"] - table["first"]).to_value("day")
     shown = 10 if days.max() > SOME_DAYS else 16
-    rows = [
+    of_any = np.any(table["component"])
+    return [
         {
             "feature": str(row["feature"]),
-            "component": str(row["component"]),
-            f"separation ({far})": f"{row['separation'].to_value(far):.2g}",
+            **({"component": str(row["component"])} if of_any else {}),
             "dates": f"{row['first'].isot[:shown]} to {row['last'].isot[:shown]}",
             "epochs": str(row["n_epochs"]),
-            f"speed ({secure['pm'].unit})": plus_minus(row, "pm"),
+            f"separation ({far})": f"{row['separation'].to_value(far):.3g}",
+            f"proper motion ({table['pm'].unit})": plus_minus(row, "pm"),
+            "PA (deg)": f"{row['pm_pa'].value:.0f}",
             **_in_c(row),
             "p_false": f"{row['p_false']:.2g}",
         }
-        for row in secure
+        for row in table
     ]
-    return ["", f"{said}:", *table_lines(rows), ""]
 
 
 def profile_lines(components):

@@ -6,7 +6,7 @@ from astropy.table import QTable
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
-from astro_scc.cli.summary import plus_minus, speed_lines, table_lines
+from astro_scc.cli.summary import feature_rows, speed_lines, table_lines
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.exceptions import MeasurementWarning, warn
@@ -15,7 +15,6 @@ from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import decomposing, product_folder, versions, write_votable
 from astro_scc.measurement.products import plain_meta
-from astro_scc.units import in_easy_units
 from astro_scc.visualization import plot_separation, plot_tracks
 
 # Files of an earlier run that must not remain beside new ones.
@@ -121,7 +120,7 @@ def feature_lines(features, table):
         f"{len(features.cube)} epochs, {len(secure)} of them secure"
     ]
     if len(secure):
-        return [*lines, "", *table_lines(_rows(in_easy_units(secure))), ""]
+        return [*lines, "", *table_lines(feature_rows(secure)), ""]
     lines.append(
         f"A secure feature is false with a probability of at most {MOST_FALSE:g}, "
         f"moves by {LEAST_MOTION:g} beams and by {SIGNIFICANT:g} standard errors."
@@ -145,28 +144,3 @@ def feature_lines(features, table):
         needed = f"{years * LEAST_MOTION / motion[best]:.2g} yr"
         text += f"; at its speed {needed} would be long enough"
     return [*lines, f"{text}."]
-
-
-def _rows(table):
-    """Return the cells of each feature under their headings."""
-    days = (table["last"] - table["first"]).to_value("day")
-    # Of less than some days, the times.
-    shown = 10 if days.max() > 3 else 16
-    far, fast = table["separation"].unit, table["pm"].unit
-    return [
-        {
-            "feature": str(row["feature"]),
-            "dates": f"{row['first'].isot[:shown]} to {row['last'].isot[:shown]}",
-            "epochs": str(row["n_epochs"]),
-            f"separation ({far})": f"{row['separation'].value:.3g}",
-            f"proper motion ({fast})": plus_minus(row, "pm"),
-            "PA (deg)": f"{row['pm_pa'].value:.0f}",
-            **(
-                {"speed (c)": plus_minus(row, "beta_app")}
-                if "beta_app" in table.colnames
-                else {}
-            ),
-            "p_false": f"{row['p_false']:.2g}",
-        }
-        for row in table
-    ]
