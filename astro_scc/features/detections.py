@@ -128,6 +128,10 @@ class Detections:
         Only if the core is seen in nine of ten epochs and scatters more than an
         alignment on the core leaves; where it does not, its place varies with what
         emerges from it, more than the alignment.
+
+        Returns
+        -------
+        `Detections`
         """
         core = self.core(FARTHEST_CORE)
         seen, place = self.epoch[core], self.place[core]

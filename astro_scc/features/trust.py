@@ -11,10 +11,13 @@ from astro_scc.features.tracks import Track
 #: `properties`: constant, and coefficients (``benchmarks/features.py --trust``).
 CONSTANT = -5.6
 COEFFICIENTS = np.array([1.67, -0.66, 0.56, 0.43, 2.39, 1.23, -0.79, -5.81])
-#: A feature is vouched for if it is false with at most this probability, has moved so
-#: many beams, and its speed differs from zero by so many standard errors, or has moved
-#: so far and does not.
-MOST_FALSE, LEAST_MOTION, SIGNIFICANT = 0.3, 1.0, 3.0
+#: A feature is vouched for if it is false with at most this probability, has the same
+#: speed in such a share of the disturbed assignments, has moved so many beams, and by
+#: so many standard errors of its speed: of static jets at most one in twenty then has
+#: one (``benchmarks/features.py``).
+MOST_FALSE, SAME_SPEED, LEAST_MOTION, SIGNIFICANT = 0.3, 0.5, 1.0, 3.0
+#: Fewest epochs of a feature that is vouched for.
+LEAST_EPOCHS = 4
 #: Beyond so many beams, other detections do not matter.
 FAR = 2.0
 
@@ -100,13 +103,16 @@ def false_probability(track: Track, detections: Detections, motion: Motion) -> f
     return float(1 / (1 + np.exp(logit)))
 
 
-def is_secure(p_false: float, motion_beams: float, motion: Motion) -> bool:
+def is_secure(
+    p_false: float, track: Track, motion_beams: float, motion: Motion
+) -> bool:
     """
     Return whether a feature and its speed are vouched for.
 
     Parameters
     ----------
     p_false : float
+    track : `~astro_scc.features.Track`
     motion_beams : float
         See `moved`.
     motion : `~astro_scc.features.Motion`
@@ -116,4 +122,7 @@ def is_secure(p_false: float, motion_beams: float, motion: Motion) -> bool:
     bool
     """
     moves = motion.speed >= SIGNIFICANT * motion.speed_err
-    return moves and p_false <= MOST_FALSE and motion_beams >= LEAST_MOTION
+    stable = track.same_speed >= SAME_SPEED and len(track) >= LEAST_EPOCHS
+    return bool(
+        moves and stable and motion_beams >= LEAST_MOTION and p_false <= MOST_FALSE
+    )
