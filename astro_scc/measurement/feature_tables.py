@@ -76,7 +76,7 @@ def components_of(result, features):
 
     It is the one whose velocity is nearest in units of the errors, if it is within
     two both along and across its direction.  The errors are those of the feature and
-    of the component, and along the component its dispersion.
+    of the component, and the component's dispersion: directions scatter as speeds do.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def components_of(result, features):
         turn = np.array([[cos, sin], [-sin, cos]])
         covariance = turn @ (of_axes + np.nan_to_num(own.covariance)) @ turn.T
         variance = np.diagonal(covariance, axis1=1, axis2=2).copy()
-        variance[:, 0] += np.nan_to_num(own.dispersion) ** 2
+        variance += np.nan_to_num(own.dispersion) ** 2
         off = np.abs((velocity - own.value) @ turn.T) / np.sqrt(variance)
         suits = {"moving": True, "stationary": slow}.get(stream.kind, False)
         away[k] = np.where(suits, np.nan_to_num(off.max(axis=1), nan=np.inf), np.inf)

@@ -65,7 +65,8 @@ ALONG = (
     [
         ((2.5, 0.0), 1),  # within the dispersion
         ((2.0, 0.1), 1),
-        ((2.0, 0.15), 0),  # which is not that across
+        ((2.0, 0.5), 1),  # which is that across as well
+        ((2.0, 0.7), 0),
         ((2.7, 0.0), 0),
         ((4.1, 0.0), 2),
         ((4.2, 0.0), 0),
