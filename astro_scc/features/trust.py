@@ -8,9 +8,9 @@ from astro_scc.features.motion import Motion
 from astro_scc.features.tracks import Track
 
 #: Logistic regression of what the survey's positions confirm, on the properties in
-#: `properties`: constant, and coefficients (``benchmarks/features.py --trust``).
-CONSTANT = -5.6
-COEFFICIENTS = np.array([1.67, -0.66, 0.56, 0.43, 2.39, 1.23, -0.79, -5.81])
+#: `properties`: constant, and coefficients (``benchmarks/features.py trust``).
+CONSTANT = -6.04
+COEFFICIENTS = np.array([1.41, -0.54, 0.82, 0.78, 3.03, 0.95, -0.39, -6.83])
 #: A feature is vouched for if it is false with at most this probability, has the same
 #: speed in such a share of the disturbed assignments, has moved so many beams, and by
 #: so many standard errors of its speed: of static jets at most one in twenty then has

@@ -1,0 +1,135 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Tracks that share no detection, against trying every choice."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from astro_scc.features import assignment
+from astro_scc.features.assignment import TOLERANCE, Assignment
+
+
+def best_total(paths, score):
+    """Largest sum of scores of disjoint paths, by trying every choice."""
+    if not paths:
+        return 0.0
+    free = [k for k in range(1, len(paths)) if not set(paths[k]) & set(paths[0])]
+    own = score[0] + best_total([paths[k] for k in free], [score[k] for k in free])
+    return max(own, best_total(paths[1:], score[1:]))
+
+
+def is_packing(paths, chosen):
+    """Whether chosen paths are different and share no detection."""
+    used = [k for track in chosen for k in paths[track]]
+    return len(used) == len(set(used)) and len(chosen) == len(set(chosen.tolist()))
+
+
+def hard(n_detections=60, n_tracks=1200):
+    """Short tracks that all compete; prices alone do not settle them."""
+    rng = np.random.default_rng(0)
+    choices = (rng.choice(n_detections, 3, replace=False) for _ in range(n_tracks))
+    paths = sorted({tuple(np.sort(path).tolist()) for path in choices})
+    return paths, rng.uniform(1, 1.2, len(paths))
+
+
+problems = st.lists(
+    st.tuples(
+        st.sets(st.integers(0, 7), min_size=1, max_size=4), st.floats(0.01, 10.0)
+    ),
+    min_size=1, max_size=12,
+)  # fmt: skip
+
+
+@settings(max_examples=80, deadline=None)
+@given(problems, st.integers(0, 99))
+def test_it_is_the_best_choice_and_others_are_valid(problem, seed):
+    paths = [tuple(sorted(path)) for path, _ in problem]
+    score = np.array([value for _, value in problem])
+    found = Assignment(paths, 8)
+    chosen, proven = found.best(score)
+    best = best_total(paths, score.tolist())
+    assert proven
+    assert is_packing(paths, chosen)
+    assert score[chosen].sum() >= (1 - 2 * TOLERANCE) * best
+    assert score[chosen].sum() <= best + 1e-9
+    # Disturbed scores may be negative; such tracks are not used.
+    other = score + np.random.default_rng(seed).normal(0, 3, len(score))
+    good = found.good(other)
+    assert is_packing(paths, good)
+    assert (other[good] > 0).all()
+    assert other[good].sum() <= best_total(paths, other.tolist()) + 1e-9
+
+
+@pytest.mark.parametrize("n_tracks", range(1, 7))
+def test_alternatives_of_one_detection(n_tracks):
+    score = np.arange(1.0, n_tracks + 1)
+    chosen, proven = Assignment([(0,)] * n_tracks, 1).best(score)
+    assert chosen.tolist() == [n_tracks - 1]
+    assert proven
+
+
+def test_prices_alone_do_not_solve_all_pairs(monkeypatch):
+    # Of all pairs of five only two are disjoint, but prices cannot exclude 2.5.
+    calls = []
+    solve = assignment.milp
+    monkeypatch.setattr(
+        assignment, "milp", lambda *a, **k: calls.append(1) or solve(*a, **k)
+    )
+    paths = list(combinations(range(5), 2))
+    chosen, proven = Assignment(paths, 5).best(np.ones(10))
+    assert calls
+    assert proven
+    assert len(chosen) == 2
+    assert is_packing(paths, chosen)
+
+
+def test_the_integer_program_finds_more_than_prices(monkeypatch):
+    paths, score = hard(30, 300)
+    chosen, proven = Assignment(paths, 30).best(score)
+    assert proven
+    monkeypatch.setattr(assignment, "LONGEST", 1e-4)
+    priced = Assignment(paths, 30).best(score)[0]
+    assert is_packing(paths, chosen)
+    assert is_packing(paths, priced)
+    assert score[chosen].sum() > score[priced].sum()
+
+
+OR = "`best` returns `proven or found.status == 0`: it must be `and`"
+
+
+@pytest.mark.xfail(reason=OR, strict=True)
+def test_a_solver_that_runs_out_of_time_proves_nothing(monkeypatch):
+    monkeypatch.setattr(assignment, "LONGEST", 1e-4)
+    paths, score = hard()
+    chosen, proven = Assignment(paths, 60).best(score)
+    assert is_packing(paths, chosen)
+    assert not proven
+
+
+@pytest.mark.xfail(reason=OR, strict=True)
+def test_nothing_is_proven_by_some_of_the_tracks(monkeypatch):
+    monkeypatch.setattr(assignment, "MOST_TRACKS", 40)
+    paths, score = hard()
+    chosen, proven = Assignment(paths, 60).best(score)
+    assert is_packing(paths, chosen)
+    assert not proven
+
+
+def test_neither_time_nor_tracks_enough(monkeypatch):
+    monkeypatch.setattr(assignment, "MOST_TRACKS", 100)
+    monkeypatch.setattr(assignment, "LONGEST", 1e-4)
+    paths, score = hard()
+    chosen, proven = Assignment(paths, 60).best(score)
+    assert is_packing(paths, chosen)
+    assert len(chosen) > 0
+    assert not proven
+
+
+def test_the_scale_of_the_scores_is_free():
+    paths, score = hard(30, 100)
+    one, _ = Assignment(paths, 30).best(score)
+    other, _ = Assignment(paths, 30).best(1024 * score)
+    assert score[one].sum() == pytest.approx(score[other].sum(), rel=2 * TOLERANCE)

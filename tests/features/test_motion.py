@@ -1,0 +1,189 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Straight lines and parabolas, their errors, and dates of ejection."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from astro_scc.features import Motion, fit_motion
+from astro_scc.features.motion import PRIOR_FREEDOM, SCATTER, WANDER
+
+TIME = 2000 + np.array([0.0, 0.7, 1.5, 3.0, 3.4, 5.1, 6.0, 7.7])
+ERROR = np.full((8, 2), 0.01)
+
+
+def on_line(time, place, velocity):
+    return np.add(place, np.multiply.outer(time - time.mean(), velocity))
+
+
+def test_a_straight_line():
+    place = on_line(TIME, (3.0, -1.0), (0.4, -0.2))
+    fit = fit_motion(TIME, place, ERROR, 1.0)
+    assert fit.date == pytest.approx(TIME.mean())
+    np.testing.assert_allclose(fit.place, [3, -1])
+    np.testing.assert_allclose(fit.velocity, [0.4, -0.2])
+    np.testing.assert_allclose(fit.residual, 0, atol=1e-12)
+    assert fit.speed == pytest.approx(np.hypot(0.4, 0.2))
+    assert fit.used.all()
+    assert not fit.accelerated
+    assert np.isnan(fit.acceleration).all()
+    assert np.isnan(fit.acceleration_err).all()
+
+
+def test_two_positions():
+    fit = fit_motion(TIME[:2], np.array([[1.0, 1], [1.7, 1]]), ERROR[:2], 1.0)
+    np.testing.assert_allclose(fit.velocity, [1, 0], atol=1e-12)
+    assert np.isfinite(fit.velocity_err).all()
+
+
+def test_a_parabola():
+    dt = TIME - TIME.mean()
+    place = on_line(TIME, (3.0, 0.0), (0.4, 0.0))
+    place += 0.5 * np.multiply.outer(dt**2, (0.1, -0.2))
+    fit = fit_motion(TIME, place, ERROR, 1.0)
+    assert fit.accelerated
+    np.testing.assert_allclose(fit.acceleration, [0.1, -0.2])
+    np.testing.assert_allclose(fit.place, [3, 0], atol=1e-9)
+    np.testing.assert_allclose(fit.residual, 0, atol=1e-9)
+    assert (fit.acceleration_err > 0).all()
+    # The velocity is the mean one over the dates, that of a line.
+    line = np.polyfit(dt, place, 1)[0]
+    np.testing.assert_allclose(fit.velocity, line, atol=0.05)
+    # Six positions are too few.
+    few = fit_motion(TIME[:6], place[:6], ERROR[:6], 1.0)
+    assert not few.accelerated
+
+
+def test_accelerations_are_rare_where_there_is_none():
+    rng = np.random.default_rng(1)
+    time = np.linspace(2000, 2008, 15)
+    place = on_line(time, (3, 0), (0.4, 0)) + rng.normal(0, 0.06, (200, 15, 2))
+    fits = [fit_motion(time, one, np.zeros((15, 2)), 1.0) for one in place]
+    assert np.mean([fit.accelerated for fit in fits]) < 0.05
+
+
+def test_errors_of_known_residuals():
+    # Residuals of equal length at right angles to constant and slope.
+    time, sign = 2000 + np.array([-3.0, -1, 1, 3]), np.array([1, -1, -1, 1])
+    beam, error, off = 2.0, 0.05, np.array([0.12, 0.05])
+    place = on_line(time, (1.0, 2.0), (0.5, 0.1)) + np.multiply.outer(sign, off)
+    fit = fit_motion(time, place, np.full((4, 2), error), beam)
+    scatter = np.hypot(SCATTER * beam, error)
+    variance = 4 * off**2 + PRIOR_FREEDOM * scatter**2
+    variance /= 4 - 2 + PRIOR_FREEDOM
+    np.testing.assert_allclose(fit.velocity, [0.5, 0.1])
+    np.testing.assert_allclose(fit.place_err, np.sqrt(variance / 4))
+    np.testing.assert_allclose(
+        fit.velocity_err, np.hypot(np.sqrt(variance / 20), WANDER * beam / 6)
+    )
+    north = fit.error_along(np.array([0.0, 3.0]))
+    assert north == pytest.approx(fit.velocity_err[1])
+    mean = np.sqrt((fit.velocity_err**2).mean())
+    assert fit.error_along(np.zeros(2)) == pytest.approx(mean)
+
+
+def test_errors_hold_for_the_scatter_that_they_assume():
+    rng = np.random.default_rng(2)
+    time = np.linspace(2000, 2006, 12)
+    noise = rng.normal(0, 0.06, (300, 12, 2))
+    # The drift of a feature that wanders, from the first to the last date.
+    drift = rng.normal(0, WANDER, (300, 1, 2)) * ((time - 2003) / 6)[:, None]
+    place = on_line(time, (4, 0), (0.3, 0)) + noise + drift
+    fits = [fit_motion(time, one, np.zeros((12, 2)), 1.0) for one in place]
+    pull = np.array([(fit.velocity - (0.3, 0)) / fit.velocity_err for fit in fits])
+    assert 0.9 < pull.std() < 1.1
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1000.0])
+def test_the_unit_of_length_is_free(factor):
+    rng = np.random.default_rng(4)
+    place = on_line(TIME, (3, -1), (0.4, -0.2)) + rng.normal(0, 0.1, (8, 2))
+    one = fit_motion(TIME, place, ERROR, 1.0)
+    other = fit_motion(TIME, factor * place, factor * ERROR, factor)
+    for name in ("place", "place_err", "velocity", "velocity_err", "residual"):
+        np.testing.assert_allclose(
+            getattr(other, name), factor * getattr(one, name), rtol=1e-9
+        )
+    np.testing.assert_array_equal(one.used, other.used)
+
+
+def test_an_outlier_is_set_aside():
+    rng = np.random.default_rng(3)
+    place = on_line(TIME, (3, -1), (0.4, -0.2)) + rng.normal(0, 0.01, (8, 2))
+    place[6] += 1.5
+    fit = fit_motion(TIME, place, ERROR, 1.0)
+    assert fit.used.tolist() == [k != 6 for k in range(8)]
+    np.testing.assert_allclose(fit.velocity, [0.4, -0.2], atol=0.02)
+    assert np.hypot(*fit.residual[6]) > 1
+
+
+@pytest.mark.parametrize("n", [1, 3])
+def test_one_date_has_no_motion(n):
+    with pytest.raises(ValueError, match="at least two dates"):
+        fit_motion(np.full(n, 2000.0), np.ones((n, 2)), np.ones((n, 2)), 1.0)
+
+
+# -- ejection ------------------------------------------------------------------------
+
+
+def motion(place=(4.0, 3.0), velocity=(0.4, 0.3), **changes):
+    """A motion that was at the core ten years ago."""
+    nan, small = np.full(2, np.nan), np.array([0.01, 0.01])
+    made = Motion(
+        date=2010.0, place=np.array(place), place_err=np.array([0.05, 0.1]),
+        velocity=np.array(velocity), velocity_err=small, acceleration=nan,
+        acceleration_err=nan, residual=np.zeros((4, 2)), used=np.ones(4, dtype=bool),
+    )  # fmt: skip
+    return replace(made, **changes)
+
+
+def test_a_radial_motion_was_at_the_core():
+    date, error = motion().ejection(0.0, 1.0)
+    assert date == pytest.approx(2000)
+    assert error > 0
+    time = np.arange(2004.0, 2012)
+    place = np.multiply.outer(time - 2001, (0.3, -0.4))
+    fitted = fit_motion(time, place, np.full((8, 2), 0.001), 1.0)
+    assert fitted.ejection(0.0, 1.0)[0] == pytest.approx(2001)
+
+
+@pytest.mark.parametrize("core_error", [0.0, 0.2])
+def test_its_error_is_that_of_many_draws(core_error):
+    rng = np.random.default_rng(5)
+    one = motion()
+    place = one.place + one.place_err * rng.normal(size=(20000, 2))
+    place += core_error * rng.normal(size=place.shape)
+    velocity = one.velocity + one.velocity_err * rng.normal(size=place.shape)
+    dates = one.date - (place * velocity).sum(axis=1) / (velocity**2).sum(axis=1)
+    _, error = one.ejection(core_error, 1.0)
+    # Half the range of the middle 68%, as dates have long tails.
+    low, high = np.quantile(dates, [0.1587, 0.8413])
+    assert error == pytest.approx((high - low) / 2, rel=0.04)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"velocity": np.array([0.3, 0.4])},
+        {"velocity": -np.array([0.4, 0.3])},
+        {"velocity_err": np.array([0.2, 0.2])},
+        {"velocity_err": np.array([0.05, 0.05])},
+        {"place_err": np.array([0.6, 0.6])},
+        {"acceleration": np.array([0.01, 0.0])},
+        {"place": np.zeros(2)},
+        {"place": 4 * np.array([4.3, 2.6])},
+    ],
+    ids=[
+        *("not radial", "inwards", "slow", "direction unsure", "radius unsure"),
+        *("accelerated", "at the core", "misses the core"),
+    ],
+)
+def test_dates_without_meaning_are_not_given(bad):
+    assert np.isnan(motion(**bad).ejection(0.0, 1.0)).all()
+
+
+def test_the_core_may_be_missed_by_one_beam():
+    aside = motion(place=4 * np.array([4.3, 2.6]), place_err=np.zeros(2))
+    assert np.isnan(aside.ejection(0.0, 0.9)[0])
+    assert np.isfinite(aside.ejection(0.0, 2.0)[0])
