@@ -81,7 +81,7 @@ class Assignment:
         )
         if found.x is not None and -found.fun > total:
             chosen = keep[found.x > 0.5]
-        return chosen, proven or found.status == 0
+        return chosen, proven and found.status == 0
 
     def good(self, score):
         """

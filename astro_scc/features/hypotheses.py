@@ -166,7 +166,7 @@ def _select(tracks, keep):
 def _one_way(d, o, way):
     """Yield the best tracks of each first and each last detection, and scores."""
     tracks_of = _Filter(d, o, way)
-    epochs = np.unique(d.epoch)[::way]
+    epochs = np.arange(d.epoch[0], d.epoch[-1] + 1)[::way]
     live, ended = None, []
     for epoch in epochs.tolist():
         own = np.arange(*np.searchsorted(d.epoch, (epoch, epoch + 1)))
@@ -174,7 +174,7 @@ def _one_way(d, o, way):
         if live is None:
             live = start
             continue
-        longer = tracks_of.continued(live, own)
+        longer = tracks_of.continued(live, own) if len(own) else start
         lost = live["missed"] >= o.most_missed
         ended.append(_select(live, lost & (live["length"] >= o.least_epochs)))
         live = _select(live, ~lost)
