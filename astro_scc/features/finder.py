@@ -88,6 +88,22 @@ class Features:
             for track in self.tracks
         )
 
+    @property
+    def number(self) -> np.ndarray:
+        """
+        Number of each feature, by which it is known.
+
+        A hundred times the number of the first epoch in which it is seen, from 1,
+        plus the number of its detection there: 503 begins with the third detection
+        of epoch 5, for Gaussians the third brightest.  Later epochs leave the numbers
+        as they are.
+        """
+        d = self.detections
+        first = np.array([track.detection[0] for track in self.tracks], dtype=int)
+        # Images of structure everywhere have more than a hundred detections.
+        step = 10 ** max(2, len(str(d.number.max(initial=0) + 1)))
+        return step * (d.epoch[first] + 1) + d.number[first] + 1
+
     @cached_property
     def p_false(self) -> np.ndarray:
         """Probability of each that it is no feature, or not one."""
@@ -116,9 +132,11 @@ class Features:
 
     @cached_property
     def core_error(self) -> float:
-        """Scatter of the position of the core along an axis, in mas."""
-        place = self.core.place
-        return float(np.sqrt((place**2).mean())) if len(place) else 0.0
+        """Scatter and error of the position of the core along an axis, in mas."""
+        if len(self.core) == 0:
+            return 0.0
+        square = self.core.place**2 + self.core.place_error**2
+        return float(np.sqrt(square.mean()))
 
     @cached_property
     def table(self) -> QTable:

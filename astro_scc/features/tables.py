@@ -12,7 +12,10 @@ from astro_scc.units import PM_UNIT, round_to_errors
 ACCELERATION = u.mas / u.yr**2
 #: Columns of features: unit or type, and meaning.
 COLUMNS = {
-    "feature": (int, "number of the feature, in the order of the first epochs"),
+    "feature": (
+        int,
+        "number: 100 times that of its first epoch, plus that of its detection there",
+    ),
     "component": (int, "stream that it belongs to, 0 for none"),
     "n_epochs": (int, "epochs at which it is seen"),
     "first": (int, "first of them"),
@@ -110,8 +113,8 @@ def position_table(features):
         A row for each feature and epoch.
     """
     d, rows = features.detections, []
-    pairs = zip(features.tracks, features.motions, strict=True)
-    for number, (track, motion) in enumerate(pairs, start=1):
+    each = zip(features.number, features.tracks, features.motions, strict=True)
+    for number, track, motion in each:
         for k, used in zip(track.detection.tolist(), motion.used, strict=True):
             rows.append(
                 {
@@ -167,7 +170,7 @@ def _row(features, number):
     pa_err = min(tangential / distance, np.pi) if distance > 0 else np.pi
     bend, bend_err = motion.acceleration, motion.acceleration_err
     return {
-        "feature": number + 1,
+        "feature": features.number[number],
         "n_epochs": len(own),
         "first": d.epoch[own[0]],
         "last": d.epoch[own[-1]],

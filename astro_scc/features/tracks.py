@@ -104,11 +104,10 @@ def find_tracks(
             own = left[track.detection]
             free[own] = False
             found.append(Track(own, track.agreement, track.same_speed, track.proven))
-    distance = np.hypot(*detections.in_beams.T)
 
     def order(track):
         first = track.detection[0]
-        return detections.epoch[first], distance[first]
+        return detections.epoch[first], detections.number[first]
 
     return sorted(found, key=order)
 

@@ -330,7 +330,8 @@ def _features_hdu(result):
     # Readers of FITS know dates as text.
     features["date"] = np.asarray(features["date"].isot, dtype="U23")
     velocity, _ = frame_velocities(result.frame, result.tracked_features)
-    of_rows = velocity[features["feature"] - 1] * PM_UNIT
+    row = np.searchsorted(result.tracked_features.number, features["feature"])
+    of_rows = velocity[row] * PM_UNIT
     features["pm_axis1"], features["pm_axis2"] = of_rows.T
     return fits.table_to_hdu(features, name="FEATURES")
 

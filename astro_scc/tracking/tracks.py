@@ -57,9 +57,8 @@ def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
         keep[k] |= jet[k] and is_new(k)
     number = np.cumsum(keep) - 1
     detections = _detections(cube, ssps, np.flatnonzero(keep))
-    distance = np.hypot(*detections.in_beams.T)
-    tracks = [number[track] for track in tracks]
-    tracks.sort(key=lambda own: (detections.epoch[own[0]], distance[own[0]]))
+    # Detections are in the order of the epochs.
+    tracks = sorted((number[track] for track in tracks), key=lambda own: own[0])
     cores = np.flatnonzero(core)
     return Features(
         cube=cube,

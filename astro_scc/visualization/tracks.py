@@ -196,8 +196,9 @@ def _number(ax, features, number, place, look):
     if len(features) > CROWDED and not features.secure[number]:
         return
     ax.annotate(
-        f"{number + 1}", place, (4, 0), textcoords="offset points", va="center",
-        fontsize="small", color=look["color"], path_effects=style.outline(1.5),
+        f"{features.number[number]}", place, (4, 0), textcoords="offset points",
+        va="center", fontsize="small", color=look["color"],
+        path_effects=style.outline(1.5),
         annotation_clip=True, zorder=4,
     )  # fmt: skip
 

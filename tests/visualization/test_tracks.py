@@ -37,9 +37,7 @@ def test_separations_are_those_of_the_positions(features):
     wanted = np.hypot(table["ra_offset"], table["dec_offset"]).to_value(u.uas)
     assert dots(ax)[:, 1] == pytest.approx(wanted)
     assert dots(ax)[:, 0] == pytest.approx(table["date"].jyear)
-    assert [t.get_text() for t in ax.texts] == [
-        f"{k}" for k in range(1, len(features) + 1)
-    ]
+    assert [t.get_text() for t in ax.texts] == [f"{k}" for k in features.number]
     lines = [line for line in ax.lines if line.get_marker() != "o"]
     alpha = [line.get_alpha() for line in lines]
     assert alpha == [0.5 if k == 1 else 1.0 for k in range(len(features))]

@@ -1,0 +1,205 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Columns of features and positions, for features whose motions are known."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+from astropy.time import Time
+
+from astro_scc.epochs import EpochCube
+from astro_scc.features import Features, Track
+from astro_scc.features.tables import COLUMNS, POSITIONS, feature_table, flux_unit
+
+N = 8
+
+
+@pytest.fixture(scope="module")
+def features(series):
+    """One feature to the east, one that stands in the north, one that bends."""
+    rows = []
+    for t in range(N):
+        rows += [(t, 1 + 0.4 * t, 0.0, 2.0), (t, 0.0, 3.0, 1.0)]
+        rows += [(t, -2.0 - 0.3 * t, -0.1 * t**2 - 1, 0.5)]
+    core = series([(t, 0.02 * (-1) ** t, 0.0) for t in range(N)])
+    dates = Time([f"{2000 + t}-01-01" for t in range(N)])
+    cube = EpochCube.from_arrays(
+        np.ones((N, 8, 8)), dates, pixel_scale=0.1 * u.mas, unit=u.Jy / u.beam
+    )
+    d = series(rows, years=dates.jyear)
+    tracks = [Track(np.arange(k, 3 * N, 3), np.ones(N - 1), 1.0, True) for k in (0, 1)]
+    late = Track(np.arange(5, 3 * N, 3), np.ones(N - 2), 0.2, False)
+    return Features(cube=cube, detections=d, core=core, tracks=(*tracks, late))
+
+
+@pytest.fixture(scope="module")
+def empty(features):
+    return replace(
+        features, tracks=(), detections=features.detections.select(np.arange(0))
+    )
+
+
+def in_sun(features):
+    wcs = features.cube.wcs.deepcopy()
+    wcs.wcs.ctype = "HPLN-TAN", "HPLT-TAN"
+    return replace(features, cube=replace(features.cube, wcs=wcs))
+
+
+def check_columns(table, columns):
+    assert table.colnames == list(columns)
+    for name, (kind, about) in columns.items():
+        column = table[name]
+        assert column.info.description == about
+        if name in ("first", "last", "date"):
+            assert isinstance(column, Time)
+        elif kind in (int, float, bool):
+            assert column.dtype.kind == np.dtype(kind).kind
+        elif kind is None:
+            assert column.unit == u.Jy
+        else:
+            assert column.unit == kind
+
+
+@pytest.mark.parametrize("name", ["features", "empty"])
+def test_each_column_has_a_unit_or_type_and_a_meaning(request, name):
+    found = request.getfixturevalue(name)
+    check_columns(found.table, COLUMNS)
+    check_columns(found.positions, POSITIONS)
+    assert len(found.table) == len(found.tracks)
+    assert len(found.positions) == sum(map(len, found.tracks))
+    assert all(COLUMNS[name][1] for name in COLUMNS)
+
+
+def test_the_motion_of_a_radial_feature(features):
+    row = features.table[0]
+    mas, speed = u.mas, u.mas / u.yr
+    assert (row["feature"], row["n_epochs"], row["component"]) == (101, N, 0)
+    assert row["ra_offset"].to_value(mas) == pytest.approx(2.4, abs=0.01)
+    assert row["dec_offset"].to_value(mas) == pytest.approx(0, abs=0.01)
+    assert row["separation"].to_value(mas) == pytest.approx(2.4, abs=0.01)
+    for name in ("position_angle", "pm_pa"):
+        assert row[name].to_value(u.deg) == pytest.approx(90, abs=0.5)
+    for name in ("pm", "pm_ra_cosdec", "pm_radial"):
+        assert row[name].to_value(speed) == pytest.approx(0.4, abs=2e-3)
+    assert row["pm_nonradial"].to_value(speed) == pytest.approx(0, abs=2e-3)
+    assert row["t_ej"].to_value(u.yr) == pytest.approx(1997.5, abs=0.05)
+    assert row["t_ej_err"] > 0
+    assert row["motion"].to_value(u.one) == pytest.approx(2.8, abs=0.01)
+    assert row["flux"] == 2 * u.Jy
+    assert row["first"].isot.startswith("2000-01-01")
+    assert row["last"].isot.startswith("2007-01-01")
+    assert abs(row["date"].jyear - features.motions[0].date) < 0.01
+    assert row["secure"]
+    assert np.isnan(row["acc_parallel"])
+
+
+def test_a_standing_feature(features):
+    row = features.table[1]
+    assert not row["secure"]
+    assert np.isnan(row["t_ej"])
+    assert row["position_angle"].to_value(u.deg) % 360 == pytest.approx(0, abs=0.5)
+    assert row["pm"] < 3 * row["pm_err"]
+    assert row["pm_pa_err"] <= 180 * u.deg
+    assert 0 < row["p_false"] < 1
+
+
+def test_a_bent_feature(features):
+    row = features.table[2]
+    assert row["n_epochs"] == N - 1
+    assert not row["proven"]
+    assert not row["secure"]
+    assert row["first"].isot.startswith("2001")
+    assert np.isnan(row["t_ej"])
+    total = np.hypot(row["acc_parallel"], row["acc_perpendicular"])
+    assert total.to_value(u.mas / u.yr**2) == pytest.approx(0.2, abs=0.02)
+    # It bends from west to south: towards smaller position angles.
+    assert row["acc_perpendicular"] < 0
+    assert row["acc_parallel"] > 0
+
+
+def test_numbers_are_those_of_motions(features):
+    for row, motion in zip(features.table, features.motions, strict=True):
+        for part, axis in zip(("pm_ra_cosdec", "pm_dec"), range(2), strict=True):
+            value, error = motion.velocity[axis], motion.velocity_err[axis]
+            assert abs(row[part].value - value) < 0.1 * error
+            assert row[f"{part}_err"].value == pytest.approx(error, rel=0.06)
+    core = features.core
+    square = 0.02**2 / 2 + np.mean(core.place_error**2)
+    assert features.core_error == pytest.approx(np.sqrt(square))
+
+
+def test_positions(features):
+    table, d = features.positions, features.detections
+    own = table[table["feature"] == features.number[2]]
+    track = features.tracks[2].detection
+    np.testing.assert_array_equal(own["epoch"], d.epoch[track])
+    np.testing.assert_allclose(own["ra_offset"].value, d.place[track, 0], atol=1e-2)
+    assert own["date"][0].isot.startswith("2001-01-01")
+    assert set(own["used"]) == {True}
+
+
+def test_a_feature_at_the_core_that_stands(features, series):
+    # Neither radius nor motion has a direction.
+    d = series([(t, 0.0, 0.0) for t in range(N)], years=features.detections.years)
+    track = Track(np.arange(N), np.ones(N - 1), 1.0, True)
+    row = replace(features, detections=d, tracks=(track,)).table[0]
+    assert row["pm_pa_err"] == row["position_angle_err"] == 180 * u.deg
+    assert row["separation"] == 0 * u.mas
+    assert np.isnan(row["t_ej"])
+
+
+def test_components_may_be_given(features):
+    table = feature_table(features, component=[2, 0, 1])
+    assert table["component"].tolist() == [2, 0, 1]
+
+
+@pytest.mark.parametrize("name", ["features", "empty"])
+@pytest.mark.parametrize("kind", ["table", "positions"])
+def test_files_keep_everything(request, tmp_path, name, kind):
+    table = getattr(request.getfixturevalue(name), kind)
+    table.write(tmp_path / "a.ecsv")
+    again = QTable.read(tmp_path / "a.ecsv")
+    assert again.colnames == table.colnames
+    assert len(again) == len(table)
+    for column in table.colnames:
+        one, other = table[column], again[column]
+        assert other.info.description == one.info.description
+        assert other.info.unit == one.info.unit
+        if isinstance(one, Time) and len(one):
+            assert (other.isot == one.isot).all()
+        elif len(one):
+            np.testing.assert_array_equal(other, one)
+
+
+@pytest.mark.parametrize("name", ["features", "empty"])
+def test_columns_of_the_sun(request, name):
+    sun = in_sun(request.getfixturevalue(name))
+    for table, columns in ((sun.table, COLUMNS), (sun.positions, POSITIONS)):
+        assert len(table.colnames) == len(columns)
+        assert not {n for n in table.colnames if "ra_" in n or "dec" in n}
+        assert {"lon_offset", "lon_offset_err", "lat_offset"} < set(table.colnames)
+        assert table["lon_offset"].info.description.endswith("solar west")
+        about = table["lat_offset_err"].info.description
+        assert about.startswith("standard error of lat_offset")
+    assert {"pm_lon_coslat", "pm_lat_err"} < set(sun.table.colnames)
+
+
+@pytest.mark.parametrize(
+    ("unit", "flux"),
+    [(u.Jy / u.beam, u.Jy), (u.mJy / u.beam, u.mJy), (u.K, u.K), ("", "")],
+)
+def test_fluxes_have_the_unit_of_the_image_times_beams(features, unit, flux):
+    cube = replace(features.cube, unit=u.Unit(unit))
+    assert flux_unit(cube) == u.Unit(flux)
+    assert (replace(features, cube=cube).table["flux"].unit or u.one) == u.Unit(flux)
+
+
+def test_its_summary(features, empty):
+    assert repr(features) == (
+        "<Features: 3 in 8 epochs, 1 of them secure, of 24 detections>"
+    )
+    assert repr(empty).startswith("<Features: 0 in 8 epochs, 0 of them secure")
+    assert len(empty) == 0
+    assert replace(empty, core=empty.detections).core_error == 0
