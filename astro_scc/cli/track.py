@@ -117,13 +117,14 @@ def feature_lines(features, table):
     secure = table[table["secure"]]
     lines = [
         f"{len(table)} feature{'' if len(table) == 1 else 's'} in "
-        f"{len(features.cube)} epochs, {len(secure)} of them secure"
+        f"{len(features.cube)} epoch{'' if len(features.cube) == 1 else 's'}, "
+        f"{len(secure)} of them secure"
     ]
     if len(secure):
         return [*lines, "", *table_lines(feature_rows(secure)), ""]
     lines.append(
-        f"A secure feature is false with a probability of at most {MOST_FALSE:g}, "
-        f"moves by {LEAST_MOTION:g} beams and by {SIGNIFICANT:g} standard errors."
+        f"A secure feature is false with a probability of at most {MOST_FALSE:g}, and "
+        f"moves by {LEAST_MOTION:.1f} beams and by {SIGNIFICANT:g} standard errors."
     )
     if len(table) == 0:
         lines.append("No detections of four epochs or more are in steady motion.")
