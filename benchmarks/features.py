@@ -240,7 +240,7 @@ def simulated(n_jets, n_jobs):
                  f"{inside / secure:.2f}"]
             )  # fmt: skip
     header = ["jets", "number", "features over 10 sigma", "followed", "ours, moving",
-              "right", "secure", "right ", "cover"]  # fmt: skip
+              "right", "secure", "right too", "cover"]  # fmt: skip
     write_table("features_simulated", header, rows)
 
 

@@ -140,7 +140,7 @@ class Features:
 
     @cached_property
     def table(self) -> QTable:
-        """One row a feature, a `~astropy.table.QTable`, see `feature_table`."""
+        """One row a feature, a `~astropy.table.QTable`; without any, all columns."""
         return tables.feature_table(self)
 
     @cached_property
