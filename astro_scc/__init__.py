@@ -26,6 +26,7 @@ _FOLDERS = frozenset(
         "decomposition",
         "epochs",
         "expansion",
+        "features",
         "flow",
         "interchange",
         "kinematics",
