@@ -35,12 +35,12 @@ COLUMNS = {
     "pa": (u.deg, "majorpa majpa pamaj phi posangle"),
     "position_angle": (u.deg, "positionangle pa theta"),
     "type": (u.one, "typeobj"),
-    "excluded": (None, "excludedfromfit excluded fid ffeature"),
+    "excluded": (None, "excludedfromfit excluded fid ffeature ff"),
 }
-# Content of a column -> a pattern for its explanation in a machine-readable table, if
-# its label is not among those above.
+# Content of a column -> a pattern for its explanation in a machine-readable table, which
+# tells what labels such as ID mean.
 EXPLANATIONS = {
-    "source": "source name|IAU name",
+    "source": "source name|IAU name|.*coordinate identifier",
     "feature": "(feature|component) (identification|number|ID)",
     "epoch": "(observation|observing) (date|epoch)|date of observation|epoch",
     "flux": "flux density",
@@ -166,14 +166,15 @@ def _dates(table, columns, date, path):
 def _find_columns(table):
     """Return the names of the table's columns, keyed by their content."""
     found = {}
-    for what, (_, labels) in COLUMNS.items():
-        for name in table.colnames:
-            if re.sub(r"[^a-z]", "", name.lower()) in labels.split():
-                found.setdefault(what, name)
     for what, pattern in EXPLANATIONS.items():
         for name in table.colnames:
             explanation = table[name].info.description or ""
             if name not in found.values() and re.match(pattern, explanation, re.I):
+                found.setdefault(what, name)
+    for what, (_, labels) in COLUMNS.items():
+        for name in table.colnames:
+            label = re.sub(r"[^a-z]", "", name.lower())
+            if name not in found.values() and label in labels.split():
                 found.setdefault(what, name)
     return found
 

@@ -714,3 +714,17 @@ def test_bad_arguments(tmp_path, monkeypatch, paths, options, error, message):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=message):
         read_components(paths, **options)
+
+
+def test_the_table_of_the_journal(shared_data):
+    # Its label ID is the source, and F the feature.
+    table = shared_data / "mojave_xviii" / "apjac230ft4_mrt.txt"
+    found = read_components(table, source="0003+380")
+    own = read_components(shared_data / "mojave_xviii" / "0003+380.ecsv")
+    assert len(found.times) == len(own.times) == 10
+    np.testing.assert_array_equal(found.feature, own.feature)
+    np.testing.assert_array_equal(found.excluded, own.excluded)
+    for name in ("flux", "east", "north", "major"):
+        assert u.allclose(getattr(found, name), getattr(own, name))
+    with pytest.raises(ValueError, match="67 sources in the table"):
+        read_components(table)
