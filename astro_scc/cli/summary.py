@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c_as
 from astro_scc.measurement.sensitivity import sensitivity_line
 from astro_scc.quantities import with_error
@@ -135,7 +136,7 @@ def _answer(components):
     return f"{text}: all features are stationary within their errors."
 
 
-def feature_lines(features):
+def feature_lines(features, most=MOST_FEATURES):
     """
     Return how many features there are, and the secure ones as a table.
 
@@ -143,22 +144,52 @@ def feature_lines(features):
     ----------
     features : `~astropy.table.QTable`
         See `~astro_scc.measurement.SCCResult.features`.
+    most : int, optional
+        Largest number of secure features in the table, those seen in most epochs.
 
     Returns
     -------
     list of str
-        At most ten features, those seen in most epochs.
+        If no feature is secure, they say what the nearest to it lacks.
     """
     secure = features[np.asarray(features["secure"], dtype=bool)]
     n = len(features)
     said = f"{n} {'feature' if n == 1 else 'features'}, {len(secure)} of them secure"
     if len(secure) == 0:
-        return [f"{said}."]
-    longest = np.argsort(-secure["n_epochs"], kind="stable")[:MOST_FEATURES]
+        return [f"{said}.", *_lacking(features)]
+    longest = np.argsort(-secure["n_epochs"], kind="stable")[:most]
     if len(longest) < len(secure):
-        said += f"; the {MOST_FEATURES} that were seen in most epochs"
+        said += f"; the {most} that were seen in most epochs"
     rows = feature_rows(secure[np.sort(longest)])
     return ["", f"{said}:", *table_lines(rows), ""]
+
+
+def _lacking(features):
+    """Return what makes a feature secure, and what the nearest to it lacks."""
+    if len(features) == 0:
+        return ["No detections of four epochs or more are in steady motion."]
+    motion = features["motion"].value
+    errors = (features["pm"] / features["pm_err"]).value
+    shares = (
+        MOST_FALSE / features["p_false"],
+        motion / LEAST_MOTION,
+        errors / SIGNIFICANT,
+    )
+    best = np.argmax(np.minimum.reduce(shares))
+    row = features[best]
+    text = (
+        f"The nearest to that is feature {row['feature']}: p_false {row['p_false']:.2g}, "
+        f"motion {motion[best]:.2g} beams, {errors[best]:.2g} standard errors"
+    )
+    if 0 < motion[best] < LEAST_MOTION:
+        years = (row["last"] - row["first"]).to_value("yr")
+        needed = f"{years * LEAST_MOTION / motion[best]:.2g} yr"
+        text += f"; at its speed it would have to be seen for {needed}"
+    return [
+        f"A secure feature has a p_false of at most {MOST_FALSE:g} and moves by at "
+        f"least {LEAST_MOTION:.1f} beams and {SIGNIFICANT:g} standard errors.",
+        f"{text}.",
+    ]
 
 
 def feature_rows(features):

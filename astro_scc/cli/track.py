@@ -1,17 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Find the features of a jet and follow each from epoch to epoch."""
 
-import numpy as np
 from astropy.table import QTable
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
-from astro_scc.cli.summary import feature_rows, speed_lines, table_lines
+from astro_scc.cli.summary import feature_lines, speed_lines
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import find_features
-from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import decomposing, product_folder, versions, write_votable
 from astro_scc.measurement.products import plain_meta
@@ -41,7 +39,7 @@ def run(args, reporter):
         if not args.no_figures:
             _draw(features, folder)
     reporter.say(
-        *feature_lines(features, table),
+        *feature_lines(table, most=len(table)),
         *speed_lines(settings.in_c),
         *epochs.found,
         f"\nTables{'' if args.no_figures else ' and figures'}: {output}",
@@ -98,50 +96,3 @@ def _draw(features, folder):
     for name, plot in figures.items():
         figure = plot(features)
         figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={"Software": None})
-
-
-def feature_lines(features, table):
-    """
-    Return the number of features, a line for each secure one, or what they lack.
-
-    Parameters
-    ----------
-    features : `~astro_scc.features.Features`
-    table : `~astropy.table.QTable`
-        Its table, also with apparent speeds.
-
-    Returns
-    -------
-    list of str
-    """
-    secure = table[table["secure"]]
-    lines = [
-        f"{len(table)} feature{'' if len(table) == 1 else 's'} in "
-        f"{len(features.cube)} epoch{'' if len(features.cube) == 1 else 's'}, "
-        f"{len(secure)} of them secure"
-    ]
-    if len(secure):
-        return [*lines, "", *table_lines(feature_rows(secure)), ""]
-    lines.append(
-        f"A secure feature is false with a probability of at most {MOST_FALSE:g}, and "
-        f"moves by {LEAST_MOTION:.1f} beams and by {SIGNIFICANT:g} standard errors."
-    )
-    if len(table) == 0:
-        lines.append("No detections of four epochs or more are in steady motion.")
-        return lines
-    motion, errors = table["motion"].value, (table["pm"] / table["pm_err"]).value
-    best = np.argmax(
-        np.minimum.reduce(
-            [MOST_FALSE / table["p_false"], motion / LEAST_MOTION, errors / SIGNIFICANT]
-        )
-    )
-    row = table[best]
-    text = (
-        f"The nearest to that, {row['feature']}, is false with {row['p_false']:.2g}, "
-        f"moves by {motion[best]:.2g} beams and by {errors[best]:.2g} errors"
-    )
-    if 0 < motion[best] < LEAST_MOTION:
-        years = (row["last"] - row["first"]).to_value("yr")
-        needed = f"{years * LEAST_MOTION / motion[best]:.2g} yr"
-        text += f"; at its speed {needed} would be long enough"
-    return [*lines, f"{text}."]

@@ -37,8 +37,8 @@ COLUMNS = {
     "type": (u.one, "typeobj"),
     "excluded": (None, "excludedfromfit excluded fid ffeature ff"),
 }
-# Content of a column -> a pattern for its explanation in a machine-readable table, which
-# tells what labels such as ID mean.
+# Content of a column -> a pattern for its explanation in a machine-readable table,
+# which tells what labels such as ID mean.
 EXPLANATIONS = {
     "source": "source name|IAU name|.*coordinate identifier",
     "feature": "(feature|component) (identification|number|ID)",

@@ -107,8 +107,8 @@ def test_of_many_features_those_of_most_epochs_are_shown(jet_results):
     )
     assert [row.split()[0] for row in rows] == [str(k) for k in range(3, 13)]
     features["secure"] = False
-    assert feature_lines(features[:1]) == ["1 feature, 0 of them secure."]
-    assert feature_lines(features[:0]) == ["0 features, 0 of them secure."]
+    assert feature_lines(features[:1])[0] == "1 feature, 0 of them secure."
+    assert feature_lines(features[:0])[0] == "0 features, 0 of them secure."
 
 
 def test_fast_motion_has_a_unit_that_can_be_read(radial):

@@ -11,8 +11,8 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.cli import main
-from astro_scc.cli.summary import plus_minus
-from astro_scc.cli.track import PRODUCTS, feature_lines
+from astro_scc.cli.summary import feature_lines, plus_minus
+from astro_scc.cli.track import PRODUCTS
 from astro_scc.features import find_features
 from astro_scc.simulation import simulate_jet, simulate_static, write_simulation
 
@@ -44,7 +44,7 @@ def test_all_products_are_written(astro_scc, jet, tmp_path):
     features = QTable.read(tmp_path / "out" / "features.ecsv")
     positions = QTable.read(tmp_path / "out" / "positions.ecsv")
     secure = features[features["secure"]]
-    assert f"{len(features)} features in 8 epochs, {len(secure)} of them secure" in out
+    assert f"{len(features)} features, {len(secure)} of them secure" in out
     row = secure[0]
     line = next(x for x in out.splitlines() if x.startswith(f"{row['feature']} "))
     for word in (row["first"].isot[:10], plus_minus(row, "beta_app")):
@@ -80,7 +80,7 @@ def test_no_features_are_empty_tables(astro_scc, jet, tmp_path):
         *jet[:3], "-o", "out", "--distance", "10 Mpc", "--votable"
     )
     assert status == 0
-    assert "0 features in 3 epochs, 0 of them secure" in out
+    assert "0 features, 0 of them secure." in out
     assert "No detections of four epochs or more are in steady motion." in out
     features = QTable.read(tmp_path / "out" / "features.ecsv")
     assert len(features) == 0
@@ -90,11 +90,11 @@ def test_no_features_are_empty_tables(astro_scc, jet, tmp_path):
 
 def test_what_secure_features_would_need_is_said():
     features = find_features(simulate_static(n_epochs=6, rng=1).cube)
-    lines = feature_lines(features, features.table)
-    assert lines[0] == f"{len(features)} features in 6 epochs, 0 of them secure"
-    assert "moves by" in lines[1]
-    assert re.match(r"The nearest to that, \d+, is false with .* errors", lines[2])
-    (years,) = re.findall(r"at its speed (\S+) yr would be long enough", lines[2])
+    lines = feature_lines(features.table)
+    assert lines[0] == f"{len(features)} features, 0 of them secure."
+    assert "moves by at least" in lines[1]
+    assert re.match(r"The nearest to that is feature \d+: p_false .* errors", lines[2])
+    (years,) = re.findall(r"would have to be seen for (\S+) yr", lines[2])
     assert float(years) > features.cube.years[-1].to_value(u.yr)
 
 
