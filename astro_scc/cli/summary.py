@@ -177,9 +177,10 @@ def _lacking(features):
     )
     best = np.argmax(np.minimum.reduce(shares))
     row = features[best]
+    number, false = row["feature"], row["p_false"]
     text = (
-        f"The nearest to that is feature {row['feature']}: p_false {row['p_false']:.2g}, "
-        f"motion {motion[best]:.2g} beams, {errors[best]:.2g} standard errors"
+        f"The nearest to that is feature {number}: p_false {false:.2g}, motion "
+        f"{motion[best]:.2g} beams, {errors[best]:.2g} standard errors"
     )
     if 0 < motion[best] < LEAST_MOTION:
         years = (row["last"] - row["first"]).to_value("yr")
