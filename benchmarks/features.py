@@ -211,7 +211,7 @@ def examples(task, *, shared, folder):
                 "err": motion.speed_err,
             }
             right = confirmed(one, known, beam)[0]
-            found.append([*properties(track, d, motion), right])
+            found.append([*properties(d, track, motion), right])
     return found
 
 

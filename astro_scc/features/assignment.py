@@ -39,9 +39,8 @@ class Assignment:
         shape = len(paths), n_detections
         self.uses = sparse.csr_array((one, (track, detection)), shape=shape)
         self.used_by = self.uses.T.tocsr()
-        self._first = np.zeros(n_detections)
-        self._share = detection, track, length
-        self.price = None
+        self._entries = detection, track, length
+        self.price = np.zeros(n_detections)
 
     def best(self, score):
         """
@@ -58,8 +57,8 @@ class Assignment:
             Whether no other is better by more than the tolerance; False if the
             integer program ran out of time.
         """
-        detection, track, length = self._share
-        first = self._first.copy()
+        detection, track, length = self._entries
+        first = np.zeros_like(self.price)
         np.maximum.at(first, detection, (score / length)[track])
         self.price, chosen, bound = self._priced(score, first / 2, ITERATIONS)
         total = score[chosen].sum()

@@ -11,28 +11,19 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from astro_scc.correlation.parallel import in_order
-from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.positions import SCALES_PER_FWHM
 from astro_scc.features import tables
+from astro_scc.features.detecting import finest_patterns, gaussians_of, ssps_of
 from astro_scc.features.detections import Detections
-from astro_scc.features.gaussians import fit_gaussians
 from astro_scc.features.motion import Motion, fit_motion
 from astro_scc.features.track_settings import TrackSettings
 from astro_scc.features.tracks import Track, find_tracks
-from astro_scc.features.trust import false_probability, is_secure, moved
-from astro_scc.progress import progress
+from astro_scc.features.trust import false_probability, is_secure
 from astro_scc.quantities import check_choice
 
 if TYPE_CHECKING:
     from distributed import Client
-
-#: SSPs nearer to each other than this, in sizes of the larger one, are one pattern.
-SAME_PATTERN = 0.7
-#: Ratio of the errors of positions to those of noise: in CLEANed images, blended
-#: components are off by about twice the formal errors (``benchmarks/features.py``).
-CLEANED = 2.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,27 +98,18 @@ class Features:
     @cached_property
     def p_false(self) -> np.ndarray:
         """Probability of each that it is no feature, or not one."""
-        return np.array(
-            [
-                false_probability(track, self.detections, motion)
-                for track, motion in zip(self.tracks, self.motions, strict=True)
-            ]
-        )
+        each = zip(self.tracks, self.motions, strict=True)
+        return np.array([false_probability(self.detections, *one) for one in each])
 
-    @cached_property
+    @property
     def moved(self) -> np.ndarray:
         """Motion of each from its first to its last date, in beams."""
-        return np.array(
-            [
-                moved(track, self.detections, motion)
-                for track, motion in zip(self.tracks, self.motions, strict=True)
-            ]
-        )
+        return np.array([m.moved for m in self.motions]) / self.detections.fwhm
 
     @cached_property
     def secure(self) -> np.ndarray:
         """Whether each is vouched for: one feature that moves, with this speed."""
-        each = zip(self.p_false, self.tracks, self.moved, self.motions, strict=True)
+        each = zip(self.p_false, self.moved, self.tracks, self.motions, strict=True)
         return np.array([is_secure(*one) for one in each], dtype=bool)
 
     @cached_property
@@ -205,9 +187,9 @@ def find_features(
                 "features of SSPs need ssps, the SSPs of all epochs"
                 + ("" if cube.beams else "; without beams no Gaussians can be fitted")
             )
-        found = _of_ssps(cube, ssps)
+        found = ssps_of(cube, ssps, finest_patterns(ssps))
     else:
-        found = _of_gaussians(cube, n_workers, progress_bar)
+        found = gaussians_of(cube, n_workers=n_workers, progress_bar=progress_bar)
     found = found.aligned()
     is_core = found.core(settings.core)
     jet = found.select(~is_core)
@@ -218,81 +200,6 @@ def find_features(
         detections=jet,
         core=found.select(is_core),
         tracks=tuple(find_tracks(jet, settings, seed=seed)),
-    )
-
-
-def _of_gaussians(cube, n_workers, progress_bar):
-    """Return the components of Gaussian models as detections."""
-    # From (y, x) in pixels to offsets on the two axes.
-    matrix = cube.pixel_matrix.value[:, ::-1]
-    inverse, noise = np.linalg.inv(matrix), cube.noise_rms().value
-    work = (
-        (image, mask, inverse @ beam.covariance.value @ inverse.T, rms)
-        for image, mask, beam, rms in zip(
-            cube.data, cube.mask, cube.beams, noise, strict=True
-        )
-    )
-    models = []
-    with progress(len(cube), "Fitting", show=progress_bar) as done:
-        for model in in_order(_fit, work, n_workers):
-            models.append(model)
-            done(1)
-    parts = {
-        name: np.concatenate([getattr(model, name) for model in models])
-        for name in ("y", "x", "y_err", "x_err", "flux", "size")
-    }
-    x0, y0 = cube.reference_pixel
-    errors = np.stack([parts["y_err"], parts["x_err"]], axis=1)
-    return Detections(
-        epoch=np.repeat(np.arange(len(cube)), [len(model) for model in models]),
-        place=np.stack([parts["y"] - y0, parts["x"] - x0], axis=1) @ matrix.T,
-        place_error=CLEANED * np.sqrt(errors**2 @ (matrix**2).T),
-        flux=parts["flux"],
-        size=parts["size"] * cube.pixel_scale.value,
-        years=_years(cube),
-        beam=np.mean([beam.covariance.value for beam in cube.beams], axis=0),
-    )
-
-
-def _years(cube):
-    """Return the dates as Julian years."""
-    return cube.times[0].jyear + cube.years.to_value(u.yr)
-
-
-def _fit(image_mask_beam_rms):
-    """Fit one image, given as the arguments of one task."""
-    image, mask, covariance, rms = image_mask_beam_rms
-    return fit_gaussians(image, covariance, rms, mask=mask)
-
-
-def _of_ssps(cube, ssps):
-    """Return SSPs as detections, each pattern on the finest of its scales."""
-    size = np.array([scale_size(scale) for scale in ssps.scale], dtype=float)
-    keep = np.zeros(len(ssps), dtype=bool)
-    at = np.stack([ssps.y, ssps.x], axis=1)
-    for k in np.lexsort((-ssps.snr, size)).tolist():
-        same = np.flatnonzero(keep & (ssps.epoch == ssps.epoch[k]))
-        off = np.hypot(*(at[same] - at[k]).T)
-        keep[k] = not (off <= SAME_PATTERN * size[k]).any()
-    own = np.flatnonzero(keep)
-    own = own[np.argsort(ssps.epoch[own], kind="stable")]
-    pixel = cube.pixel_scale.value
-    if cube.beams is None:
-        variance = (SCALES_PER_FWHM * size.min(initial=np.inf) * pixel) ** 2
-        beam = np.eye(2) * (variance if len(ssps) else 1.0) / (8 * np.log(2))
-    else:
-        beam = np.mean([b.covariance.value for b in cube.beams], axis=0)
-    width = np.sqrt(8 * np.log(2) * beam.trace() / 2)
-    matrix, (x0, y0) = cube.pixel_matrix.value[:, ::-1], cube.reference_pixel
-    error = width / (np.sqrt(2) * ssps.snr[own])
-    return Detections(
-        epoch=ssps.epoch[own],
-        place=(at[own] - (y0, x0)) @ matrix.T,
-        place_error=np.stack([error, error], axis=1),
-        flux=ssps.flux[own],
-        size=np.zeros(len(own)),
-        years=_years(cube),
-        beam=beam,
     )
 
 

@@ -35,6 +35,8 @@ class Motion:
         With their standard errors, in mas and mas/yr.
     acceleration, acceleration_err : `~numpy.ndarray`, shape (2,)
         In mas/yr^2; NaN unless a parabola is better than a line.
+    span : float
+        Time from the first to the last position in years.
     residual : `~numpy.ndarray`, shape (n, 2)
         Positions less the fit.
     used : `~numpy.ndarray` of bool, shape (n,)
@@ -58,6 +60,7 @@ class Motion:
     velocity_err: np.ndarray
     acceleration: np.ndarray
     acceleration_err: np.ndarray
+    span: float
     residual: np.ndarray
     used: np.ndarray
 
@@ -70,6 +73,11 @@ class Motion:
     def speed_err(self) -> float:
         """Standard error of the speed."""
         return self.error_along(self.velocity)
+
+    @property
+    def moved(self) -> float:
+        """Motion from the first to the last position in mas."""
+        return self.speed * self.span
 
     @property
     def accelerated(self) -> bool:
@@ -203,6 +211,7 @@ def fit_motion(
         velocity_err=np.hypot(line.errors[1], wander),
         acceleration=bend[0],
         acceleration_err=bend[1],
+        span=float(span),
         residual=fit.residual,
         used=fit.weight > 0.3,
     )

@@ -4,7 +4,7 @@
 import numpy as np
 
 from astro_scc.features.detections import Detections
-from astro_scc.features.motion import Motion
+from astro_scc.features.motion import SIGNIFICANT, Motion
 from astro_scc.features.tracks import Track
 
 #: Logistic regression of what the survey's positions confirm, on the properties in
@@ -12,24 +12,23 @@ from astro_scc.features.tracks import Track
 CONSTANT = -6.04
 COEFFICIENTS = np.array([1.41, -0.54, 0.82, 0.78, 3.03, 0.95, -0.39, -6.83])
 #: A feature is vouched for if it is false with at most this probability, has the same
-#: speed in such a share of the disturbed assignments, has moved so many beams, and by
-#: so many standard errors of its speed: of static jets at most one in twenty then has
-#: one (``benchmarks/features.py``).
-MOST_FALSE, SAME_SPEED, LEAST_MOTION, SIGNIFICANT = 0.3, 0.5, 1.0, 3.0
+#: speed in such a share of the disturbed assignments, and has moved so many beams: of
+#: static jets at most one in twenty then has one (``benchmarks/features.py``).
+MOST_FALSE, SAME_SPEED, LEAST_MOTION = 0.3, 0.5, 1.0
 #: Fewest epochs of a feature that is vouched for.
 LEAST_EPOCHS = 4
 #: Beyond so many beams, other detections do not matter.
 FAR = 2.0
 
 
-def properties(track: Track, detections: Detections, motion: Motion) -> np.ndarray:
+def properties(detections: Detections, track: Track, motion: Motion) -> np.ndarray:
     """
     Return the properties of a track from which its probability follows.
 
     Parameters
     ----------
-    track : `~astro_scc.features.Track`
     detections : `~astro_scc.features.Detections`
+    track : `~astro_scc.features.Track`
     motion : `~astro_scc.features.Motion`
 
     Returns
@@ -53,7 +52,7 @@ def properties(track: Track, detections: Detections, motion: Motion) -> np.ndarr
     return np.array(
         [
             np.log(len(own)),
-            np.log(max(moved(track, detections, motion), 0.05)),
+            np.log(max(motion.moved / d.fwhm, 0.05)),
             np.log(distance / d.fwhm + 0.3),
             cosine,
             len(own) / (epoch[-1] - epoch[0] + 1),
@@ -64,65 +63,40 @@ def properties(track: Track, detections: Detections, motion: Motion) -> np.ndarr
     )
 
 
-def moved(track: Track, detections: Detections, motion: Motion) -> float:
-    """
-    Return how far a feature moves from its first to its last date, in beams.
-
-    Parameters
-    ----------
-    track : `~astro_scc.features.Track`
-    detections : `~astro_scc.features.Detections`
-    motion : `~astro_scc.features.Motion`
-
-    Returns
-    -------
-    float
-    """
-    return (
-        motion.speed
-        * float(np.ptp(detections.time[track.detection]))
-        / (detections.fwhm)
-    )
-
-
-def false_probability(track: Track, detections: Detections, motion: Motion) -> float:
+def false_probability(detections: Detections, track: Track, motion: Motion) -> float:
     """
     Return the probability that a track is no feature, or not one.
 
     Parameters
     ----------
-    track : `~astro_scc.features.Track`
     detections : `~astro_scc.features.Detections`
+    track : `~astro_scc.features.Track`
     motion : `~astro_scc.features.Motion`
 
     Returns
     -------
     float
     """
-    logit = CONSTANT + COEFFICIENTS @ properties(track, detections, motion)
+    logit = CONSTANT + COEFFICIENTS @ properties(detections, track, motion)
     return float(1 / (1 + np.exp(logit)))
 
 
-def is_secure(
-    p_false: float, track: Track, motion_beams: float, motion: Motion
-) -> bool:
+def is_secure(p_false: float, moved: float, track: Track, motion: Motion) -> bool:
     """
     Return whether a feature and its speed are vouched for.
 
     Parameters
     ----------
     p_false : float
+    moved : float
+        Motion from the first to the last date, in beams.
     track : `~astro_scc.features.Track`
-    motion_beams : float
-        See `moved`.
     motion : `~astro_scc.features.Motion`
 
     Returns
     -------
     bool
     """
-    moves = motion.speed >= SIGNIFICANT * motion.speed_err
+    moves = motion.speed >= SIGNIFICANT * motion.speed_err and moved >= LEAST_MOTION
     stable = track.same_speed >= SAME_SPEED and len(track) >= LEAST_EPOCHS
-    return bool(
-        moves and stable and motion_beams >= LEAST_MOTION and p_false <= MOST_FALSE
-    )
+    return bool(moves and stable and p_false <= MOST_FALSE)

@@ -5,9 +5,13 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.decomposition import scale_size
-from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
-from astro_scc.features import Detections, Features, Track
-from astro_scc.features.finder import SAME_PATTERN
+from astro_scc.features import Features, Track
+from astro_scc.features.detecting import (
+    finest_patterns,
+    is_new,
+    ssp_sizes,
+    ssps_of,
+)
 from astro_scc.kinematics.ridge_search import mean_width
 from astro_scc.tracking.candidates import core_ssps, lowest
 from astro_scc.tracking.linking import chains
@@ -40,51 +44,26 @@ def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
     """
     core = core_ssps(ssps, cube)
     jet = ~core if select is None else np.asarray(select) & ~core
-    size = np.array([scale_size(scale) for scale in ssps.scale], dtype=float)
-    keep, at = np.zeros(len(ssps), bool), np.stack([ssps.y, ssps.x], axis=1)
-
-    def is_new(k):
-        same = np.flatnonzero(keep & (ssps.epoch == ssps.epoch[k]))
-        return not (np.hypot(*(at[same] - at[k]).T) <= SAME_PATTERN * size[k]).any()
-
+    size, keep = ssp_sizes(ssps), np.zeros(len(ssps), bool)
     tracks = []
     found = [t for t in chains(links, ssps, min_epochs=min_epochs) if jet[t].all()]
     for track in sorted(found, key=lambda track: size[track[0]]):
-        if np.mean([is_new(k) for k in track.tolist()]) > 0.5:
+        if np.mean([is_new(ssps, keep, k) for k in track.tolist()]) > 0.5:
             keep[track] = True
             tracks.append(track)
-    for k in np.lexsort((-ssps.snr, size)).tolist():
-        keep[k] |= jet[k] and is_new(k)
-    number = np.cumsum(keep) - 1
-    detections = _detections(cube, ssps, np.flatnonzero(keep))
+    own = finest_patterns(ssps, keep, jet)
+    number = np.full(len(ssps), -1)
+    number[own] = np.arange(len(own))
     # Detections are in the order of the epochs.
     tracks = sorted((number[track] for track in tracks), key=lambda own: own[0])
     cores = np.flatnonzero(core)
+    cores = cores[lowest(size[cores], ssps.epoch[cores])]
+    fwhm = mean_fwhm(cube, np.unique(ssps.scale)).value
     return Features(
         cube=cube,
-        detections=detections,
-        core=_detections(cube, ssps, cores[lowest(size[cores], ssps.epoch[cores])]),
+        detections=ssps_of(cube, ssps, own, fwhm),
+        core=ssps_of(cube, ssps, cores, fwhm),
         tracks=tuple(Track(own, np.ones(len(own) - 1), 1.0, False) for own in tracks),
-    )
-
-
-def _detections(cube, ssps, own):
-    """Return SSPs as detections, with the errors of positions from their SNR."""
-    place = np.stack(ssp_offsets(ssps, cube), axis=1)
-    fwhm = beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
-    if cube.beams is None:
-        variance = mean_fwhm(cube, np.unique(ssps.scale)).value ** 2 / (8 * np.log(2))
-        beam = variance * np.eye(2)
-    else:
-        beam = np.mean([one.covariance.value for one in cube.beams], axis=0)
-    return Detections(
-        epoch=ssps.epoch[own],
-        place=place[own],
-        place_error=position_errors(ssps.snr, fwhm, 0.0)[own],
-        flux=ssps.flux[own],
-        size=np.zeros(len(own)),
-        years=cube.times[0].jyear + cube.years.to_value(u.yr),
-        beam=beam,
     )
 
 

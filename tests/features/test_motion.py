@@ -133,7 +133,8 @@ def motion(place=(4.0, 3.0), velocity=(0.4, 0.3), **changes):
     made = Motion(
         date=2010.0, place=np.array(place), place_err=np.array([0.05, 0.1]),
         velocity=np.array(velocity), velocity_err=small, acceleration=nan,
-        acceleration_err=nan, residual=np.zeros((4, 2)), used=np.ones(4, dtype=bool),
+        acceleration_err=nan, span=1.0, residual=np.zeros((4, 2)),
+        used=np.ones(4, dtype=bool),
     )  # fmt: skip
     return replace(made, **changes)
 

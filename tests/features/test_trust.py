@@ -13,7 +13,6 @@ from astro_scc.features.trust import (
     FAR,
     false_probability,
     is_secure,
-    moved,
     properties,
 )
 
@@ -27,7 +26,7 @@ def track_of(series):
         own = np.flatnonzero(d.number == 0)
         args = (part[own] for part in (d.time, d.place, d.place_error))
         track = Track(own, np.ones(len(own) - 1), 1.0, True)
-        return track, d, fit_motion(*args, d.fwhm)
+        return d, track, fit_motion(*args, d.fwhm)
 
     return make
 
@@ -44,28 +43,28 @@ def straight(n, *, speed=0.5, start=2.0, others=(), flux=(1.0, 1.0), step=1):
 
 def test_properties(track_of):
     rows = straight(6, others=[0.7], step=2, flux=(1.0, np.e))
-    track, d, motion = track_of(rows)
-    found = properties(track, d, motion)
+    d, track, motion = track_of(rows)
+    found = properties(d, track, motion)
     # It moves by 2.5 mas and is at 3.25 mas in the middle.
     expected = [np.log(6), np.log(2.5), np.log(3.55), 1.0, 6 / 11, 0.7]
     assert found[:6] == pytest.approx(expected)
     assert found[6] == pytest.approx(np.std([1, -1, 1, -1, 1]))
     assert found[7] == pytest.approx(0, abs=1e-9)
     p = 1 / (1 + np.exp(CONSTANT + COEFFICIENTS @ found))
-    assert false_probability(track, d, motion) == pytest.approx(p)
+    assert false_probability(d, track, motion) == pytest.approx(p)
 
 
 def test_a_feature_alone_has_no_neighbour_in_reach(track_of):
-    track, d, motion = track_of(straight(6))
-    assert properties(track, d, motion)[5] == FAR
-    track, d, motion = track_of(straight(6, others=[50.0]))
-    assert properties(track, d, motion)[5] == FAR
+    d, track, motion = track_of(straight(6))
+    assert properties(d, track, motion)[5] == FAR
+    d, track, motion = track_of(straight(6, others=[50.0]))
+    assert properties(d, track, motion)[5] == FAR
 
 
 def test_standing_at_the_core_is_finite(track_of):
-    track, d, motion = track_of(straight(5, speed=0.0, start=0.0))
-    assert np.isfinite(properties(track, d, motion)).all()
-    assert 0 < false_probability(track, d, motion) < 1
+    d, track, motion = track_of(straight(5, speed=0.0, start=0.0))
+    assert np.isfinite(properties(d, track, motion)).all()
+    assert 0 < false_probability(d, track, motion) < 1
 
 
 def wobbling(n, by):
@@ -94,33 +93,33 @@ def test_what_makes_a_track_more_likely(track_of, better, worse):
 
 
 def test_the_unit_of_length_is_free(track_of):
-    track, d, motion = track_of(wobbling(8, 0.1))
-    p = false_probability(track, d, motion)
+    d, track, motion = track_of(wobbling(8, 0.1))
+    p = false_probability(d, track, motion)
     larger = replace(
         d, place=50 * d.place, place_error=50 * d.place_error, beam=2500 * d.beam
     )
     own = track.detection
     again = fit_motion(d.time, larger.place[own], larger.place_error[own], larger.fwhm)
-    assert false_probability(track, larger, again) == pytest.approx(p)
+    assert false_probability(larger, track, again) == pytest.approx(p)
 
 
 def test_motion_is_in_beams(track_of):
-    track, d, motion = track_of(straight(6, step=2))
-    assert moved(track, d, motion) == pytest.approx(2.5)
+    d, track, motion = track_of(straight(6, step=2))
+    assert motion.moved / d.fwhm == pytest.approx(2.5)
     wide = replace(d, beam=4 * d.beam)
-    assert moved(track, wide, motion) == pytest.approx(1.25)
+    assert motion.moved / wide.fwhm == pytest.approx(1.25)
 
 
 def test_what_is_vouched_for(track_of):
-    track, _, motion = track_of(straight(8))
-    assert is_secure(0.3, track, 1.0, motion)
-    assert not is_secure(0.301, track, 1.0, motion)
-    assert not is_secure(0.3, track, 0.999, motion)
-    assert is_secure(0.3, replace(track, same_speed=0.5), 1.0, motion)
-    assert not is_secure(0.3, replace(track, same_speed=0.499), 1.0, motion)
+    _, track, motion = track_of(straight(8))
+    assert is_secure(0.3, 1.0, track, motion)
+    assert not is_secure(0.301, 1.0, track, motion)
+    assert not is_secure(0.3, 0.999, track, motion)
+    assert is_secure(0.3, 1.0, replace(track, same_speed=0.5), motion)
+    assert not is_secure(0.3, 1.0, replace(track, same_speed=0.499), motion)
     short = replace(track, detection=track.detection[:3])
-    assert not is_secure(0.0, short, 9.0, motion)
-    assert is_secure(0.0, replace(short, detection=track.detection[:4]), 9.0, motion)
+    assert not is_secure(0.0, 9.0, short, motion)
+    assert is_secure(0.0, 9.0, replace(short, detection=track.detection[:4]), motion)
     for error, secure in ((motion.speed / 3.01, True), (motion.speed / 2.99, False)):
         other = replace(motion, velocity_err=np.full(2, error))
-        assert is_secure(0.0, track, 9.0, other) is secure
+        assert is_secure(0.0, 9.0, track, other) is secure
