@@ -154,7 +154,7 @@ def plot_separation(
     unit = offset_unit(distance.max(initial=1.0), unit)
     factor = u.mas.to(unit)
     outward = d.place / np.maximum(distance, 1e-30)[:, None]
-    error = np.hypot(*(outward * d.place_error).T)
+    error, ends = np.hypot(*(outward * d.place_error).T), []
     for number, motion in enumerate(features.motions):
         k = features.tracks[number].detection
         look = feature_look(features, number, component)
@@ -166,11 +166,12 @@ def plot_separation(
         t = np.linspace(*time[[0, -1]], 50)
         fitted = factor * np.hypot(*_fitted(motion, t).T)
         ax.plot(t, fitted, linewidth=1.2, **look)
-        _number(ax, features, number, (time[-1], fitted[-1]), look)
+        ends.append(((time[-1], fitted[-1]), look["color"]))
     style.legend_above(ax)
     ax.set_ylim(bottom=0)
     style.show_years(ax, features.cube)
     ax.set_ylabel(f"Separation from the core ({unit_name(unit)})")
+    _write_numbers(ax, features, ends)
     return figure
 
 
@@ -191,16 +192,32 @@ def feature_look(features, number, component=None):
     return {"color": color, "label": f"component {own}" if own else "none", **look}
 
 
-def _number(ax, features, number, place, look):
-    """Write the number of a feature beside a place."""
-    if len(features) > CROWDED and not features.secure[number]:
-        return
-    ax.annotate(
-        f"{features.number[number]}", place, (4, 0), textcoords="offset points",
-        va="center", fontsize="small", color=look["color"],
-        path_effects=style.outline(1.5),
-        annotation_clip=True, zorder=4,
-    )  # fmt: skip
+def _write_numbers(ax, features, ends):
+    """
+    Write the numbers of features beside places, given with colours.
+
+    Secure features and those seen in most epochs come first; a number that would cover
+    another one is left out.
+    """
+    ax.get_figure().draw_without_rendering()
+    frame, taken = ax.get_window_extent(), []
+    shown = [k for k in range(len(ends)) if features.secure[k] or len(ends) <= CROWDED]
+    for k in sorted(
+        shown, key=lambda k: (~features.secure[k], -len(features.tracks[k]))
+    ):
+        place, color = ends[k]
+        text = ax.annotate(
+            f"{features.number[k]}", place, (4, 0), textcoords="offset points",
+            va="center", fontsize="small", color=color, annotation_clip=True, zorder=4,
+            path_effects=style.outline(1.5),
+        )  # fmt: skip
+        if text.get_window_extent().x1 > frame.x1:
+            text.set(ha="right", position=(-4, 0))
+        box = text.get_window_extent()
+        if any(box.overlaps(other) for other in taken):
+            text.remove()
+        else:
+            taken.append(box)
 
 
 def plot_tracks(
@@ -251,6 +268,7 @@ def plot_tracks(
         features.cube, points, 1, figure=figure, unit=unit
     )
     head = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
+    last = []
     for number, track in enumerate(features.tracks):
         look = feature_look(features, number, component)
         place = view.factor * d.place[track.detection].T
@@ -260,6 +278,7 @@ def plot_tracks(
         arrow["linewidth"] = 0.9
         ends = {"xy": place[:, -1], "xytext": place[:, -2]}
         ax.annotate("", arrowprops=arrow, annotation_clip=True, **ends)
-        _number(ax, features, number, place[:, -1], look)
+        last.append((place[:, -1], look["color"]))
     style.legend_above(ax)
+    _write_numbers(ax, features, last)
     return figure
