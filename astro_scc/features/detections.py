@@ -123,11 +123,12 @@ class Detections:
 
     def aligned(self) -> Detections:
         """
-        Return detections with offsets from the core of their own epoch.
+        Return the detections with offsets from the core of their own epoch.
 
-        Only if the core is seen in nine of ten epochs and scatters more than an
-        alignment on the core leaves; where it does not, its place varies with what
-        emerges from it, more than the alignment.
+        This is done if the core is seen in at least nine of ten epochs and scatters
+        more than epochs do that are aligned on it; epochs without it are left out.
+        Otherwise the detections stay as they are: the fitted place of a core then
+        varies with what emerges from it rather than with the alignment.
 
         Returns
         -------

@@ -272,9 +272,9 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
     """
     Fit components by the method of Levenberg and Marquardt.
 
-    ``fixed`` is the sum of other components at the samples.  Three to
-    eight times faster than `scipy.optimize.least_squares`, which decomposes the
-    whole Jacobian.
+    ``fixed`` is the sum of other components at the samples.  The normal equations
+    are solved, which takes less time than the decomposition of the whole Jacobian
+    by `scipy.optimize.least_squares`.
     """
     y, x, weight = data.y[where], data.x[where], data.weight[where]
     value = (data.value[where] - fixed) * weight

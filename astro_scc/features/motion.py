@@ -12,8 +12,9 @@ import numpy as np
 SCATTER, PRIOR_FREEDOM = 0.06, 3.0
 #: Degrees of freedom of Student's t distribution of the residuals.
 FREEDOM = 4.0
-#: Change of position in beams by which features wander while they are seen, for one to
-#: twelve years alike, on features of MOJAVE (``benchmarks/features.py``).
+#: Features do not keep to a straight line: between its first and its last date each is
+#: off by about so many beams, whether that takes one year or twelve (development
+#: sources of ``benchmarks/features.py``).
 WANDER = 0.09
 #: A parabola needs so many positions, and an acceleration of so many errors.
 ACCELERATED_EPOCHS, ACCELERATED = 7, 3.0

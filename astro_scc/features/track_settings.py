@@ -9,8 +9,8 @@ class TrackSettings:
     """
     Constants of the assignment of detections to tracks; lengths are in beams.
 
-    They were chosen on half of the sources in ``benchmarks/features.py``; halving
-    or doubling any of them changes the recall by less than its error.
+    They were chosen on the development sources of ``benchmarks/features.py`` and on
+    simulated jets.
 
     Parameters
     ----------
