@@ -21,7 +21,7 @@ def position_scatter(detections, settings):
     d, o = detections, settings
     formal = d.place_error.mean(axis=1) / d.major
     wide = o.size_scatter * d.size / d.major
-    far = o.far_scatter * np.hypot(*d.in_beams.T)
+    far = o.far_scatter * np.minimum(np.hypot(*d.in_beams.T), o.far)
     return np.sqrt(o.scatter**2 + wide**2 + far**2 + formal**2)
 
 

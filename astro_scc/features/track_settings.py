@@ -20,6 +20,8 @@ class TrackSettings:
     size_scatter, far_scatter : float
         The same per beam of a feature's size, and per beam of its distance from
         the core.
+    far : float
+        Distance from the core from which the scatter grows no more.
     wander : float
         Variance of the velocity per year, in beam^2/yr^3: features bend.
     speed : float
@@ -63,6 +65,7 @@ class TrackSettings:
     scatter: float = 0.05
     size_scatter: float = 0.08
     far_scatter: float = 0.02
+    far: float = 5.0
     wander: float = 0.0025
     speed: float = 0.6
     freedom: float = 4.0
