@@ -97,8 +97,24 @@ class Detections:
     @cached_property
     def in_beams(self) -> np.ndarray:
         """Places in full widths of the beam along its axes, shape (n, 2)."""
+        return self.to_beams(self.place)
+
+    def to_beams(self, offset: ArrayLike) -> np.ndarray:
+        """
+        Return offsets in full widths of the beam along its axes.
+
+        Parameters
+        ----------
+        offset : array_like, shape (..., 2)
+            In mas.
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (..., 2)
+            Its length is that of the offset in full widths of the beam along it.
+        """
         variance, axes = np.linalg.eigh(self.beam)
-        return self.place @ axes / np.sqrt(8 * np.log(2) * variance)
+        return offset @ axes / np.sqrt(8 * np.log(2) * variance)
 
     def core(self, radius: float) -> np.ndarray:
         """

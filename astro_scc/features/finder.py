@@ -103,8 +103,9 @@ class Features:
 
     @property
     def moved(self) -> np.ndarray:
-        """Motion of each from its first to its last date, in beams."""
-        return np.array([m.moved for m in self.motions]) / self.detections.fwhm
+        """Motion of each in beams along it, from its first to its last date."""
+        moved = np.array([m.moved for m in self.motions]).reshape(-1, 2)
+        return np.hypot(*self.detections.to_beams(moved).T)
 
     @cached_property
     def secure(self) -> np.ndarray:

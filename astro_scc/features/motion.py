@@ -76,9 +76,9 @@ class Motion:
         return self.error_along(self.velocity)
 
     @property
-    def moved(self) -> float:
-        """Motion from the first to the last position in mas."""
-        return self.speed * self.span
+    def moved(self) -> np.ndarray:
+        """Motion from the first to the last position in mas, shape (2,)."""
+        return self.velocity * self.span
 
     @property
     def accelerated(self) -> bool:

@@ -45,7 +45,7 @@ COLUMNS = {
     "t_ej_err": (u.yr, "standard error of t_ej, with that of the core's position"),
     "flux": (None, "median of its fluxes"),
     "size": (u.mas, "median of its full widths at half maximum, without the beam"),
-    "motion": (u.one, "motion from the first to the last date, in beams"),
+    "motion": (u.one, "motion from the first to the last date, in beams along it"),
     "p_false": (float, "probability that it is no feature, or not one"),
     "secure": (bool, "whether it is one feature that moves, with this speed"),
     "proven": (bool, "whether no better assignment of the detections exists"),

@@ -9,8 +9,8 @@ from astro_scc.features.tracks import Track
 
 #: Logistic regression of what the survey's positions confirm, on the properties in
 #: `properties`: constant, and coefficients (``benchmarks/features.py trust``).
-CONSTANT = -6.04
-COEFFICIENTS = np.array([1.41, -0.54, 0.82, 0.78, 3.03, 0.95, -0.39, -6.83])
+CONSTANT = -5.88
+COEFFICIENTS = np.array([1.41, -0.60, 0.88, 0.82, 2.32, 1.44, -0.62, -7.23])
 #: A feature is vouched for if it is false with at most this probability, has the same
 #: speed in such a share of the disturbed assignments, and has moved so many beams: of
 #: static jets at most one in twenty then has one (``benchmarks/features.py``).
@@ -52,7 +52,7 @@ def properties(detections: Detections, track: Track, motion: Motion) -> np.ndarr
     return np.array(
         [
             np.log(len(own)),
-            np.log(max(motion.moved / d.fwhm, 0.05)),
+            np.log(max(np.hypot(*d.to_beams(motion.moved)), 0.05)),
             np.log(distance / d.fwhm + 0.3),
             cosine,
             len(own) / (epoch[-1] - epoch[0] + 1),
@@ -89,7 +89,7 @@ def is_secure(p_false: float, moved: float, track: Track, motion: Motion) -> boo
     ----------
     p_false : float
     moved : float
-        Motion from the first to the last date, in beams.
+        Motion from the first to the last date, in beams along it.
     track : `~astro_scc.features.Track`
     motion : `~astro_scc.features.Motion`
 

@@ -103,11 +103,11 @@ def test_the_unit_of_length_is_free(track_of):
     assert false_probability(larger, track, again) == pytest.approx(p)
 
 
-def test_motion_is_in_beams(track_of):
+def test_motion_is_in_beams_along_it(track_of):
     d, track, motion = track_of(straight(6, step=2))
-    assert motion.moved / d.fwhm == pytest.approx(2.5)
-    wide = replace(d, beam=4 * d.beam)
-    assert motion.moved / wide.fwhm == pytest.approx(1.25)
+    for beam, moved in (([1, 1], 2.5), ([4, 4], 1.25), ([4, 1], 1.25), ([1, 4], 2.5)):
+        other = replace(d, beam=np.diag(beam) @ d.beam)
+        assert properties(other, track, motion)[1] == pytest.approx(np.log(moved))
 
 
 def test_what_is_vouched_for(track_of):
