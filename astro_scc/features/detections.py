@@ -157,6 +157,5 @@ class Detections:
             return self
         offset = np.zeros((len(self.years), 2))
         offset[seen] = place
-        known = np.isin(self.epoch, seen)
-        moved = replace(self, place=self.place - offset[self.epoch])
-        return moved.select(known)
+        shifted = replace(self, place=self.place - offset[self.epoch])
+        return shifted.select(np.isin(self.epoch, seen))
