@@ -354,6 +354,11 @@ def _find(hdus, which):
         for hdu in hdus:
             if hdu.is_image and len(hdu.shape) >= 2 and 0 not in hdu.shape:
                 return hdu
+        if is_visibilities(hdus):
+            raise _NoImageError(
+                "holds visibilities and no image; make an image of them (difmap, CASA "
+                "or AIPS), or give the models that were fitted to them (.mod)"
+            )
         raise _NoImageError("holds no image")
     try:
         hdu = hdus[which]
@@ -362,6 +367,11 @@ def _find(hdus, which):
     if not hdu.is_image or len(hdu.shape) < 2:
         raise _NoImageError("holds no image of real numbers")
     return hdu
+
+
+def is_visibilities(hdus):
+    """Return whether an open file is UVFITS or FITS-IDI."""
+    return any(isinstance(h, fits.GroupsHDU) or h.name == "UV_DATA" for h in hdus)
 
 
 def _check_complete(hdu, path):
