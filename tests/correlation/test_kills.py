@@ -20,6 +20,7 @@ from astro_scc.cli import main, track
 from astro_scc.correlation.parallel import in_order
 
 when, context, n = sys.argv[1], sys.argv[2], int(sys.argv[3])
+since = None
 
 def work(dies):
     if dies:
@@ -28,15 +29,18 @@ def work(dies):
     return bytes(3_000_000)
 
 def kill(after):
+    global since
     time.sleep(after)
     while not (workers := multiprocessing.active_children()):
         time.sleep(0.01)
     worker = random.choice(workers)
     # By then it has replaced the handlers of the parent.
     ways = [worker.kill] if when == "random" else [worker.kill, worker.terminate]
+    since = time.monotonic()
     random.choice(ways)()
 
 def run(args, reporter):
+    global since
     # Random: while they start and while they work.
     longest = 0.2 if when == "pipe" else 1 if context == "fork" else 6
     thread = threading.Thread(target=kill, args=[random.uniform(0, longest)])
@@ -44,6 +48,8 @@ def run(args, reporter):
         thread.start()
     pieces = [when == "end"] * (6 if when == "end" else 10_000)
     for k, _ in enumerate(in_order(work, pieces, 2, context=context)):
+        if when == "end":
+            since = time.monotonic()
         if k == 0 and when == "pipe":
             thread.start()
             time.sleep(0.3)
@@ -52,10 +58,9 @@ if __name__ == "__main__":
     track.run = run
     for seed in range(n):
         random.seed(seed)
-        begin = time.monotonic()
         status = main(["track", "none.fits"])
         left = len(multiprocessing.active_children())
-        print(status, f"{time.monotonic() - begin:.2f}", left, flush=True)
+        print(status, f"{time.monotonic() - since:.2f}", left, flush=True)
 """
 
 
