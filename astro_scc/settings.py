@@ -63,6 +63,13 @@ def _cosmology(value):
     return value.strip()
 
 
+def _beam(value):
+    from astro_scc.epochs.beam import parse_beam
+
+    parse_beam(q.check_text(value))
+    return value.strip()
+
+
 # Checks, and their arguments after the value.
 POSITIVE = (q.check_number, 0, math.inf, "must be above 0")
 BEAMS = (q.check_number, 0, 5, "must be a part of the beam between 0 and 5")
@@ -214,9 +221,16 @@ class Settings(MeasurementSettings):
 
     epochs: Sequence[str] | None = _image(
         q.check_paths,
-        "one image per date, or a file that EpochCube.write made; in a file also "
+        "one image per date, a file that EpochCube.write made, or lists of components "
+        "(difmap .mod, AIPS CC, .ecsv, .mrt) to restore with --beam; in a file also "
         "patterns",
         "EPOCH.fits",
+    )
+    beam: str | None = _image(
+        _beam,
+        "beam of all images, instead of those in their headers, and that with which "
+        "lists of components are restored; default that of each file",
+        '"1.0 mas 0.5 mas -7 deg"',
     )
     after: str | None = _image(
         q.check_date, "take epochs of this date or later", "2001-01-01"

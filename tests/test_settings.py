@@ -27,6 +27,7 @@ FULL = {
     "after": "1995-01-01",
     "before": "2011.0",
     "align": "core",
+    "beam": "1.0 mas 0.5 mas -7 deg",
     "common_beam": True,
     "crop": "part.reg",
     "region": "jet.reg",

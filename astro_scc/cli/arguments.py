@@ -181,11 +181,7 @@ def restore(parser):
     text = "a table of many epochs, or one file per epoch"
     add_option(parser, "tables", "TABLE.ecsv|MODEL.mod", text, nargs="+")
     add_output(parser, "the images")
-    text = (
-        "major axis, minor axis (full widths at half maximum) and position angle; "
-        "one axis is a circle"
-    )
-    add_option(parser, "--beam", '"1.0 mas 0.5 mas -7 deg"', text, required=True)
+    add_setting(parser, "beam")
     add_option(parser, "--pixel", '"0.1 mas"', "side of a pixel", required=True)
     text = "rms of the noise to add, correlated by the beam; default none"
     add_option(parser, "--noise", '"0.3 mJy/beam"', text)

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from astropy.io import fits
 from astropy.table import QTable
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.beam import different_beam
+from astro_scc.epochs.beam import different_beam, parse_beam
 from astro_scc.epochs.cutout import refuse_pixels
-from astro_scc.epochs.fits import find_files
+from astro_scc.epochs.fits import find_files, read_plane
 from astro_scc.epochs.headers import first_line
 from astro_scc.measurement import choices, versions
 from astro_scc.measurement.decomposing import matching_time
@@ -234,7 +233,8 @@ def read_epochs(settings, *, note=_ignore, features=False):
     frame = "absolute" if settings.align == "wcs" else "offset"
     if settings.crop is not None and settings.region is not None:
         refuse_pixels(settings.region)
-    cube = EpochCube.read(files, frame=frame, region=settings.crop)
+    beam = None if settings.beam is None else parse_beam(settings.beam)
+    cube = EpochCube.read(files, frame=frame, region=settings.crop, beams=beam)
     cube, left_out = select_epochs(cube, settings.after, settings.before)
     found = {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}
     settings = replace(settings, **found)
@@ -313,7 +313,7 @@ def output_of(args, settings):
     name = ""
     # What cannot be read is refused where the epochs are.
     with suppress(Exception):
-        name = str(fits.getval(first, "OBJECT")).strip()
+        name = read_plane(first, pixels=False).facts.get("object", "").strip()
     name = re.sub(r"[^\w.+-]+", "_", name) or first.resolve().parent.name
     return Path(f"{name}-{args.command}")
 

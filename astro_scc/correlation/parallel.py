@@ -2,33 +2,29 @@
 """Work in several processes, on this machine or a Dask cluster."""
 
 import importlib
+import logging
 import math
 import multiprocessing
 import os
 import signal
 import threading
 import time
+import traceback
 import warnings
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    CancelledError,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from collections import deque
+from concurrent.futures import BrokenExecutor, CancelledError, Future
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from multiprocessing.connection import wait as wait_for_any
+from multiprocessing.reduction import ForkingPickler
 from numbers import Integral
 from pathlib import Path
 
 #: Pieces that wait for each process or thread; this limits memory, and the time that
 #: an interrupted run takes to end.
 WAITING = 2
-#: Seconds that a terminated worker has to send a result: the pool would wait for ever
-#: for the rest of a result that was sent in part.
-GRACE = 0.5
+#: Seconds that a process has to end.
+GRACE = 2
 #: Seconds to wait for a scheduler to answer.
 TIMEOUT = 15
 #: Seconds to wait for a cluster without workers, and seconds between two checks.
@@ -111,8 +107,9 @@ def in_order(function, pieces, n_workers, *, context=None):
             yield from map(function, pieces)
         elif isinstance(workers, int):
             with _processes(workers, context) as pool:
-                for _, future in _in_pool(pool, workers, function, enumerate(pieces)):
+                for _, future in _in_pool(pool, function, enumerate(pieces)):
                     yield _result(future)
+                pool.end()
         else:
             for _, future in _on_cluster(workers, function, pieces):
                 yield _result(future)
@@ -149,7 +146,7 @@ def _result(future):
     """Return the result of a future, or raise a uniform error for lost workers."""
     try:
         return future.result()
-    except BrokenProcessPool:
+    except BrokenExecutor:
         raise ChildProcessError(DIED) from None
     except CancelledError:
         raise OSError(LOST) from None
@@ -171,20 +168,15 @@ def _next_done(waiting, wait_for, ordered):
     return waiting.pop(next(done))
 
 
-def _in_pool(pool, n_workers, function, items, *, ordered=True):
+def _in_pool(pool, function, items, *, ordered=True):
     """Yield numbered pieces and their futures, once they are done."""
-    waiting, wait_for = [], partial(wait, return_when=FIRST_COMPLETED)
+    waiting = []
     for item in items:
-        try:
-            future = pool.submit(_work, function, item[1])
-        except BrokenProcessPool as error:
-            future = Future()
-            future.set_exception(error)
-        waiting.append((item, future))
-        if len(waiting) > WAITING * n_workers:
-            yield _next_done(waiting, wait_for, ordered)
+        waiting.append((item, pool.submit(function, item[1])))
+        if len(waiting) > WAITING * pool.n_workers:
+            yield _next_done(waiting, pool.wait, ordered)
     while waiting:
-        yield _next_done(waiting, wait_for, ordered)
+        yield _next_done(waiting, pool.wait, ordered)
 
 
 def _as_done(function, items, n_workers, context):
@@ -196,17 +188,17 @@ def _as_done(function, items, n_workers, context):
         lost = []
         with _processes(n_workers, context) as pool:
             # If processes cannot start at all, no piece is tried.
-            _result(pool.submit(os.getpid))
-            done = _in_pool(pool, n_workers, function, until_broken(), ordered=False)
+            pool.call(eval, "None")
+            done = _in_pool(pool, function, until_broken(), ordered=False)
             for item, future in done:
-                if isinstance(future.exception(), BrokenProcessPool):
+                if isinstance(future.exception(), BrokenExecutor):
                     lost.append(item)
                 else:
                     yield item[0], _outcome(_result, future)
         for index, piece in lost:
             # Alone, so that it cannot harm other pieces.
             with _processes(1, context) as pool:
-                yield index, _outcome(_result, pool.submit(_work, function, piece))
+                yield index, _outcome(pool.call, function, piece)
         if not lost:
             return
 
@@ -214,60 +206,161 @@ def _as_done(function, items, n_workers, context):
 @contextmanager
 def _processes(n_workers, context):
     """Open a pool of processes that end with it, even at work."""
-    context = multiprocessing.get_context(context)
-    before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(n_workers, context, initializer=_start)
+    pool = _Pool(n_workers, context)
     try:
         yield pool
-    except BaseException:
-        ours = set(multiprocessing.active_children()) - before
-        for process in ours:
-            process.terminate()
-        for process in ours:
-            process.join(4 * GRACE)
-            process.kill()
-        raise
     finally:
-        pool.shutdown(cancel_futures=True)
+        pool.kill()
+
+
+class _Worker:
+    """A process, the parent's ends of its two pipes, and the future of its task."""
+
+    def __init__(self, context):
+        theirs, self.tasks = context.Pipe(duplex=False)
+        self.results, results = context.Pipe(duplex=False)
+        self.future = None
+        self.process = context.Process(
+            target=_serve, args=(theirs, results), daemon=True
+        )
+        # The end of the file is only seen where nobody else can write.
+        with theirs, results:
+            self.process.start()
+
+
+class _Pool:
+    """
+    Processes that share nothing: each has a pipe for tasks and one for results.
+
+    One that is killed, at whatever moment, ends its own message and holds no lock, as
+    it would with the queues of `concurrent.futures`.  It breaks the pool: whatever is
+    not done fails with a BrokenExecutor, and the other processes are killed.
+    """
+
+    def __init__(self, n_workers, context):
+        self.n_workers = n_workers
+        self._context = multiprocessing.get_context(context)
+        self._workers, self._tasks = [], deque()
+
+    def submit(self, function, piece):
+        """Return the future of a call, of which `wait` gets the result."""
+        future = Future()
+        self._tasks.append((future, ForkingPickler.dumps((function, piece))))
+        self._send()
+        return future
+
+    def call(self, function, piece):
+        """Return the result of a call."""
+        future = self.submit(function, piece)
+        self.wait([future])
+        return _result(future)
+
+    def wait(self, futures):
+        """Wait until one of the futures is done."""
+        while not any(future.done() for future in futures):
+            ready = wait_for_any([worker.results for worker in self._workers])
+            for worker in [w for w in self._workers if w.results in ready]:
+                try:
+                    answer = worker.results.recv_bytes()
+                except (EOFError, OSError):
+                    self._break()
+                    break
+                future, worker.future = worker.future, None
+                try:
+                    error, result = ForkingPickler.loads(answer)
+                except Exception as wrong:
+                    error = wrong
+                if error is None:
+                    future.set_result(result)
+                else:
+                    future.set_exception(error)
+            self._send()
+
+    def _send(self):
+        """Send tasks to processes that have none."""
+        try:
+            # All start at once, for a task is sent no faster than its process starts.
+            while len(self._workers) < self.n_workers:
+                self._workers.append(_Worker(self._context))
+            for worker in self._workers:
+                if worker.future is None and self._tasks:
+                    worker.future, task = self._tasks.popleft()
+                    worker.tasks.send_bytes(task)
+        except (ConnectionError, EOFError):
+            self._break()
+
+    def _break(self):
+        futures = [w.future for w in self._workers] + [f for f, _ in self._tasks]
+        self._tasks.clear()
+        self.kill()
+        for future in futures:
+            if future is not None:
+                future.set_exception(BrokenExecutor())
+
+    def end(self):
+        """End idle processes, or raise a ChildProcessError if one was killed."""
+        for worker in self._workers:
+            with suppress(ConnectionError):
+                worker.tasks.send_bytes(b"")
+        for worker in self._workers:
+            worker.process.join(GRACE)
+        if any(worker.process.exitcode for worker in self._workers):
+            raise ChildProcessError(DIED)
+
+    def kill(self):
+        """Kill the processes."""
+        for worker in self._workers:
+            worker.process.kill()
+        while self._workers:
+            worker = self._workers.pop()
+            worker.process.join(GRACE)
+            worker.tasks.close()
+            worker.results.close()
+
+
+def _serve(tasks, results):
+    """Work in a process, until an empty task."""
+    _start()
+    # The parent may be killed.
+    with suppress(EOFError, ConnectionError):
+        while task := tasks.recv_bytes():
+            results.send_bytes(_answer(task))
+
+
+def _answer(task):
+    """Return the error and the result of a call, of which one is None, as bytes."""
+    try:
+        function, piece = ForkingPickler.loads(task)
+        return ForkingPickler.dumps((None, function(piece)))
+    except BaseException as error:
+        error.add_note(f"In a worker process:\n{traceback.format_exc()}")
+        try:
+            return ForkingPickler.dumps((error, None))
+        except Exception:
+            error = RuntimeError(f"{type(error).__name__}: {error}")
+            return ForkingPickler.dumps((error, None))
 
 
 def _start():
     """Prepare a worker process."""
     # The parent handles the signals of its terminal, and then ends its workers.
-    for name in ("SIGINT", "SIGHUP"):
+    for name, handler in (
+        ("SIGINT", signal.SIG_IGN),
+        ("SIGHUP", signal.SIG_IGN),
+        ("SIGTERM", signal.SIG_DFL),
+    ):
         if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
-    watched = [multiprocessing.parent_process().sentinel]
-    if hasattr(signal, "setitimer"):
-        # A handler in Python would wait for the main thread, which may wait for a
-        # lock that a killed worker held, or not be the thread that gets the signal.
-        told, tell = os.pipe()
-        os.set_blocking(tell, False)
-        signal.set_wakeup_fd(tell)
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.signal(signal.SIGTERM, lambda *_: None)
-        watched.append(told)
-    threading.Thread(target=_end_when_told, args=watched, daemon=True).start()
+            signal.signal(getattr(signal, name), handler)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     from threadpoolctl import threadpool_limits
 
     # The workers already share the processor.
     threadpool_limits(1)
 
 
-def _end_when_told(parent, *told):
-    """End this process with its parent, which may be killed, or soon after SIGTERM."""
-    while parent not in wait_for_any([parent, *told]):
-        if signal.SIGTERM in os.read(*told, 64):
-            signal.setitimer(signal.ITIMER_REAL, GRACE)
+def _end_with_parent():
+    wait_for_any([multiprocessing.parent_process().sentinel])
     os._exit(1)
-
-
-def _work(function, piece):
-    """Call the function in a worker, which ends afterwards if it was terminated."""
-    result = function(piece)
-    if hasattr(signal, "getitimer") and signal.getitimer(signal.ITIMER_REAL)[0]:
-        os._exit(1)
-    return result
 
 
 @contextmanager
@@ -281,7 +374,7 @@ def open_client(address):
     except (OSError, ValueError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise OSError(f"scheduler {address}: cannot be reached: {reason}") from None
-    with client:
+    with _without_logs(), client:
         yield client
 
 
@@ -294,8 +387,23 @@ def open_local(n_workers):
         # If the usual port of the dashboard is taken, it gets another one.
         warnings.filterwarnings("ignore", "Port 8787", UserWarning)
         cluster = distributed.LocalCluster(n_workers=n_workers, **options)
-    with cluster, distributed.Client(cluster, set_as_default=False) as client:
+    with (
+        _without_logs(),
+        cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
         yield client
+
+
+@contextmanager
+def _without_logs():
+    """Keep quiet about lost workers and schedulers, of which there is one error."""
+    with ExitStack() as stack:
+        for name in ("distributed", "distributed.client", "asyncio"):
+            log = logging.getLogger(name)
+            stack.callback(log.setLevel, log.level)
+            log.setLevel(logging.CRITICAL)
+        yield
 
 
 def _dask():
@@ -317,14 +425,19 @@ def _on_cluster(client, function, pieces, *, ordered=True):
     """
     _check_import(client, function)
     waiting, wait_for = [], partial(_wait_on_cluster, client)
+
+    def done():
+        item, future = _next_done(waiting, wait_for, ordered)
+        return item, _gathered(client, future)
+
     try:
         for item in enumerate(pieces):
             waiting.append((item, _submit(client, _one_thread, function, item[1])))
             threads = sum(_ask(client, client.nthreads).values())
             if len(waiting) > WAITING * max(threads, 1):
-                yield _next_done(waiting, wait_for, ordered)
+                yield done()
         while waiting:
-            yield _next_done(waiting, wait_for, ordered)
+            yield done()
     finally:
         if client.status == "running":
             client.cancel([future for _, future in waiting])
@@ -341,7 +454,7 @@ def _check_import(client, function):
     future = _submit(client, load)
     _wait_on_cluster(client, [future])
     try:
-        _result(future)
+        _result(_gathered(client, future))
     except ImportError as error:
         raise OSError(
             f"workers of the scheduler cannot import {name} ({error}); install there "
@@ -378,17 +491,35 @@ def _wait_on_cluster(client, futures):
     """Wait until one future is done, as long as there are workers."""
     from distributed import wait
 
+    def wait_for(timeout):
+        # All futures are cancelled when the scheduler is lost.
+        with client.as_current(), suppress(CancelledError):
+            wait(futures, timeout=timeout, return_when="FIRST_COMPLETED")
+
+    _while_workers(client, wait_for)
+
+
+def _gathered(client, future):
+    """Return a future with the result, which a worker may take with it when it ends."""
+    own = Future()
+    try:
+        own.set_result(_while_workers(client, future.result))
+    except Exception as error:
+        own.set_exception(error)
+    return own
+
+
+def _while_workers(client, ask):
+    """Ask with a timeout, again and again as long as there are workers."""
     last = time.monotonic()
     while True:
-        with suppress(TimeoutError), client.as_current():
-            # All futures are cancelled when the scheduler is lost.
-            with suppress(CancelledError):
-                wait(
-                    futures,
-                    timeout=min(LOOK, WITHOUT_WORKERS),
-                    return_when="FIRST_COMPLETED",
-                )
-            return
+        begin = time.monotonic()
+        try:
+            return ask(timeout=min(LOOK, WITHOUT_WORKERS))
+        except TimeoutError:
+            # The function may have raised it.
+            if time.monotonic() - begin < min(LOOK, WITHOUT_WORKERS):
+                raise
         if _ask(client, client.nthreads):
             last = time.monotonic()
         elif time.monotonic() - last >= WITHOUT_WORKERS:

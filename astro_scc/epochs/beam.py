@@ -12,6 +12,8 @@ import astropy.units as u
 import numpy as np
 from scipy import fft, optimize
 
+from astro_scc.quantities import parse_quantities
+
 if TYPE_CHECKING:
     from astro_scc.epochs.cube import EpochCube
 
@@ -123,6 +125,44 @@ class Beam:
         return bool(np.all(np.isclose(self.covariance, other.covariance, rtol=1e-6)))
 
     __hash__ = None
+
+
+def parse_beam(text):
+    """
+    Return a beam given as text.
+
+    Parameters
+    ----------
+    text : str
+        One axis, or major axis, minor axis and position angle.
+
+    Returns
+    -------
+    Beam
+
+    Raises
+    ------
+    ValueError
+        If the text is no beam.
+
+    Examples
+    --------
+    >>> from astro_scc.epochs.beam import parse_beam
+    >>> print(parse_beam("1.0 mas 0.5 mas -7 deg"))
+    1 x 0.5 mas at -7.0 deg
+    """
+    try:
+        major, *rest = parse_quantities(text)
+        if len(rest) > 2:
+            raise ValueError("has too many numbers")
+        if len(rest) == 1 and rest[0] != major:
+            raise ValueError("has no position angle")
+        return Beam(major, *rest) if rest else Beam(major, major)
+    except (ValueError, u.UnitConversionError) as error:
+        raise ValueError(
+            f"is no beam: {error}; give major axis, minor axis and position angle, "
+            "such as '1.0 mas 0.5 mas -7 deg'"
+        ) from None
 
 
 def different_beam(cube):

@@ -3,17 +3,20 @@
 
 import re
 import warnings
+from contextlib import suppress
 from difflib import get_close_matches
 from functools import partial
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from astropy.io import fits
 from astropy.table import Table
 from astropy.time import Time
 
-from astro_scc.epochs.fits import open_fits
-from astro_scc.epochs.headers import first_line, get, header_facts, parse_date, some
+from astro_scc.epochs.beam import parse_beam
+from astro_scc.epochs.fits import is_visibilities, open_fits
+from astro_scc.epochs.headers import first_line, get, parse_date, read_header, some
 from astro_scc.epochs.validation import as_times, naming
 
 CORE = 0  # feature number of the core
@@ -57,12 +60,19 @@ UNITS = {what: COLUMNS[what][0] for what in "flux east north major minor pa".spl
 UNDATED = {
     "difmap": "no date in the file's name; rename it like source_2006-03-09.mod, or "
     "give dates",
-    "aips-cc": "no DATE-OBS in the header; give dates",
+    "aips-cc": "no DATE-OBS in the header; write it there, or give dates",
 }
+#: Suffixes of files that may have an image, a list, or both.
+FITS = (".fits", ".fit", ".fts")
+#: What is wrong with a list where images are wanted.
+NO_IMAGE = (
+    "is a list of components and no image; give lists alone to astro-scc measure or "
+    "track, or make images of them with astro-scc restore"
+)
 NO = ("", "--", "n", "no", "f", "false", "0")
 #: Keys of the meta that name the source, and other keys that are kept.
 NAMES = ("source", "name", "object")
-FACTS = ("telescope", "filter", "stokes", "position")
+FACTS = ("telescope", "filter", "stokes", "position", "beam")
 #: Largest number of sources that a message lists.
 LISTED = 8
 FILE_DATE = re.compile(
@@ -115,7 +125,7 @@ def read_fields(path, kind, source, origin, date):
         "epoch": epoch,
         "feature": values.get("feature"),
         "labels": () if len(days) > 1 else (path.name,),
-        "meta": _meta(table, columns),
+        "meta": _meta(table, columns, path),
     }
 
 
@@ -189,7 +199,8 @@ def _select_source(table, columns, source, path):
         if source is None and len(names) > 1:
             raise ValueError(
                 f"{path}: {len(names)} sources in the table ({some(names, LISTED)}); "
-                "say which one with --source NAME (source= in Python)"
+                "say which one with --source NAME of astro-scc restore (source= in "
+                "Python)"
             )
         if source is not None:
             mine = [_plain(name) == _plain(source) for name in column]
@@ -269,7 +280,7 @@ def _sizes(values, path):
     return {name: np.where(types == 0, 0.0, size) for name, size in sizes.items()}
 
 
-def _meta(table, columns):
+def _meta(table, columns, path):
     """Return facts about the source, from the meta and the columns of a table."""
     own = table.meta
     meta = {name: own[name] for name in FACTS if name in own}
@@ -278,6 +289,9 @@ def _meta(table, columns):
         name = str(table[columns["source"]][0]).strip()
     if name is not None:
         meta["object"] = str(name)
+    if isinstance(text := own.get("beam"), str):
+        with naming(f"{path}, beam in its meta"):
+            meta["beam"] = parse_beam(text)
     if "redshift" in own:
         meta["redshift"] = float(own["redshift"])
     if "frequency" in own:
@@ -366,15 +380,20 @@ def _open_aips(path):
             # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file) as hdus:
                 header = hdus[0].header
-                found = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
+                found = _cc_tables(hdus)
                 table = _aips_table(max(found, key=lambda h: h.ver)) if found else None
+                tables = (h for h in hdus if isinstance(h, fits.BinTableHDU))
+                record = read_header(header, tables)
         except Exception as error:  # a damaged file can fail anywhere
             raise OSError(
                 f"{path}: not a readable FITS file: {first_line(error)}"
             ) from None
     if table is None:
-        raise ValueError(f"{path}: no AIPS CC table in the file; it cannot be restored")
-    table.meta = header_facts(header)
+        raise ValueError(
+            f"{path}: no AIPS CC table in the file; it is no list of components, leave "
+            "it out"
+        )
+    table.meta = record.facts | ({} if record.beam is None else {"beam": record.beam})
     centre = {}
     for i in range(1, (get(header, "NAXIS") or 0) + 1):
         axis = (get(header, f"CTYPE{i}", kind=str) or "").split("-")[0]
@@ -382,6 +401,24 @@ def _open_aips(path):
     if None not in (where := (centre.get("RA"), centre.get("DEC"))):
         table.meta["position"] = SkyCoord(*where, unit=u.deg)
     return table, get(header, "DATE-OBS", kind=str) or ""
+
+
+def _cc_tables(hdus):
+    return [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
+
+
+def is_component_list(path):
+    """Return whether a file has a list of components, and no image."""
+    suffix = path.suffix.lower()
+    if suffix not in FITS:
+        return any(suffix in suffixes for _, suffixes in FORMATS.values())
+    # What is wrong with a file is said where it is read.
+    with suppress(Exception), warnings.catch_warnings(action="ignore"):
+        with path.open("rb") as file, open_fits(file) as hdus:
+            images = (h for h in hdus if h.is_image and len(h.shape) >= 2)
+            none = next(images, None) is None and not is_visibilities(hdus)
+            return none and bool(_cc_tables(hdus))
+    return False
 
 
 def _aips_table(hdu):
@@ -401,5 +438,5 @@ FORMATS = {
     "ecsv": (partial(_open_ascii, kind="ascii.ecsv"), (".ecsv",)),
     "mrt": (_open_mrt, (".txt", ".dat", ".mrt")),
     "difmap": (_open_difmap, (".mod", ".mdl")),
-    "aips-cc": (_open_aips, (".fits", ".fit", ".fts")),
+    "aips-cc": (_open_aips, FITS),
 }

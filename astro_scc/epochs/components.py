@@ -13,9 +13,10 @@ from astropy.table import QTable
 from astropy.time import Time
 from numpy.typing import ArrayLike
 
+from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.component_tables import FORMATS, UNITS, read_fields
 from astro_scc.epochs.fits import find_files
-from astro_scc.epochs.validation import as_epoch_tuple, naming
+from astro_scc.epochs.validation import as_beams, as_epoch_tuple, naming
 from astro_scc.exceptions import warn
 from astro_scc.quantities import check_choice, named
 
@@ -48,6 +49,8 @@ class ComponentList:
         Components that their authors left out of their own fits.
     labels : sequence of str, length n_epochs, optional
         Names of the epochs, by default their dates.
+    beams : sequence of `Beam`, length n_epochs, optional
+        Beams of the images that the components describe.
     meta : dict, optional
         Facts about the source: object, redshift, frequency, position.
 
@@ -88,6 +91,7 @@ class ComponentList:
     feature: np.ndarray | None = None
     excluded: np.ndarray | None = None
     labels: tuple[str, ...] = ()
+    beams: tuple[Beam, ...] = ()
     meta: dict = field(default_factory=dict)
 
     def __post_init__(self):
@@ -97,6 +101,7 @@ class ComponentList:
             raise ValueError("components: epoch must be indices into an array of times")
         labels = as_epoch_tuple(self.labels, len(times), "labels", str)
         labels = labels or times.strftime("%Y-%m-%d").tolist()
+        beams = as_beams(self.beams, len(times)) or ()
         order = np.argsort(times.mjd, kind="stable")
         # Components without a size are points, those with one axis are round.
         default = {"major": np.zeros(n) * u.mas, "pa": np.zeros(n) * u.deg}
@@ -124,6 +129,7 @@ class ComponentList:
         columns |= {
             "times": times[order],
             "labels": tuple(labels[i] for i in order),
+            "beams": tuple(beams[i] for i in order if beams),
             "epoch": np.argsort(order)[epoch],
             "feature": columns["feature"].value.astype(int),
             "excluded": columns["excluded"].value.astype(bool),
@@ -189,6 +195,7 @@ class ComponentList:
             times=self.times[epochs],
             epoch=epoch,
             labels=tuple(self.labels[i] for i in epochs),
+            beams=tuple(self.beams[i] for i in epochs if self.beams),
             **{name: getattr(self, name)[keep] for name in COLUMNS},
         )
 
@@ -199,11 +206,15 @@ class ComponentList:
         Returns
         -------
         `~astropy.table.QTable`
-            One row per component, with offsets from the origin of this list.
+            One row per component, with offsets from the origin of this list.  Its
+            ``meta`` has the ``beam`` if all epochs have the same.
         """
         names = {"major": "major_fwhm", "minor": "minor_fwhm", "pa": "major_pa"}
         names["excluded"] = "excluded_from_fit"
         table = QTable({"epoch": self.times[self.epoch].isot}, meta=dict(self.meta))
+        if self.beams and all(beam == self.beams[0] for beam in self.beams):
+            axes = (getattr(self.beams[0], name) for name in ("major", "minor", "pa"))
+            table.meta["beam"] = " ".join(map(str, axes))
         for name in ("feature", *UNITS, "excluded"):
             table[names.get(name, name)] = getattr(self, name)
         return table
@@ -214,10 +225,12 @@ def _concatenate(lists):
     starts = np.cumsum([0] + [part.n_epochs for part in lists[:-1]])
     epochs = [part.epoch + start for part, start in zip(lists, starts, strict=True)]
     dates = np.concatenate([part.times.utc.isot for part in lists])
+    beams = tuple(beam for part in lists for beam in part.beams)
     return ComponentList(
         times=Time(dates, format="isot", scale="utc"),
         epoch=np.concatenate(epochs),
         labels=tuple(label for part in lists for label in part.labels),
+        beams=beams if len(beams) == len(dates) else (),
         meta={
             key: value
             for key, value in lists[0].meta.items()
@@ -231,6 +244,7 @@ def read_components(
     paths: Path | str | Sequence[Path | str], *, format: str | None = None,
     source: str | None = None, origin: str | None = None,
     dates: Time | Sequence[Time | str | None] | None = None,
+    beams: Beam | Sequence[Beam] | None = None,
 ) -> ComponentList:  # fmt: skip
     """
     Read the model components of one source from files.
@@ -255,6 +269,9 @@ def read_components(
     dates : sequence of `~astropy.time.Time` or str, optional
         Dates of the files.  Without them a difmap file must have its date in
         its name (2006-03-09, 2006_03_09 or 20060309).
+    beams : beam or sequence of beams, optional
+        Beam of all files or of each, instead of those in the header of a FITS file or
+        in the ``meta`` of a table, ``beam: 1.0 mas 0.5 mas -7 deg``.
 
     Returns
     -------
@@ -304,8 +321,11 @@ def read_components(
     if len(dates) != len(paths):
         raise ValueError(f"{len(dates)} dates for {len(paths)} component files")
     dates = [d.utc.isot if isinstance(d, Time) else d and str(d) for d in dates]
-    files = zip(paths, dates, strict=True)
-    lists = [_read_file(path, format, source, origin, date) for path, date in files]
+    beams = as_beams(beams, len(paths)) or [None] * len(paths)
+    lists = [
+        _read_file(path, format, source, origin, date, beam)
+        for path, date, beam in zip(paths, dates, beams, strict=True)
+    ]
     objects = sorted({part.meta["object"] for part in lists if "object" in part.meta})
     if len(objects) > 1:
         warn(
@@ -315,7 +335,7 @@ def read_components(
     return lists[0] if len(lists) == 1 else _concatenate(lists)
 
 
-def _read_file(path, kind, source, origin, date):
+def _read_file(path, kind, source, origin, date, beam):
     suffix = path.suffix.lower()
     kind = kind or next((k for k, (_, own) in FORMATS.items() if suffix in own), None)
     if kind is None:
@@ -324,5 +344,7 @@ def _read_file(path, kind, source, origin, date):
             f"{', '.join(FORMATS)}"
         )
     fields = read_fields(path, kind, source, origin, date)
+    own = fields["meta"].pop("beam", None)
+    beams = [b for b in (beam, own) if b is not None][:1] * len(fields["times"])
     with naming(path):
-        return ComponentList(**fields)
+        return ComponentList(**fields, beams=beams)

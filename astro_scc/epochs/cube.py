@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from astro_scc.epochs import positions, validation
 from astro_scc.epochs.alignment import align
 from astro_scc.epochs.beam import Beam, common_beam
+from astro_scc.epochs.component_tables import is_component_list
 from astro_scc.epochs.cutout import crop, region_mask
 from astro_scc.epochs.fits import CUBE_CREATOR, find_files, is_hdf5
 from astro_scc.epochs.grid import reproject_cube
@@ -53,7 +54,7 @@ def _picked(each, epochs):
 
 
 def _above(room):
-    """Return a subpackage that imports this one, so only when it is needed."""
+    """Return a module that imports this one, so only when it is needed."""
     return import_module(f"astro_scc.{room}")
 
 
@@ -154,9 +155,12 @@ class EpochCube:
         Read FITS images, one per epoch, or a file that `write` made.
 
         CASA images and HDF5 movies of eht-imaging are read too if the packages
-        for them are installed.  Images on one grid are stacked with their reference
-        pixels aligned.  Others are shifted by whole pixels, or resampled with a
-        warning, onto the finest grid, which is enlarged to hold all of them.
+        for them are installed.  Lists of components, as `read_components` reads
+        them, are restored with their beams or ``beams``.
+
+        Images on one grid are stacked with their reference pixels aligned.  Others,
+        also of another size, are shifted by whole pixels, or resampled with a warning,
+        onto the finest grid, which is enlarged to hold all of them.
 
         Parameters
         ----------
@@ -213,6 +217,9 @@ class EpochCube:
                     f"{first}: a movie; it has its dates, and no extension"
                 )
             cube = _above("interchange").read_movie(first, beams=beams)
+        elif is_component_list(first):
+            room = _above("epochs.restoring")
+            cube = room.restore_files(files, times=times, beams=beams)
         else:
             options = {"check": check, "hdu": hdu, "region": region, "pad": pad}
             return cls(**read_files(files, times, beams, frame, **options))

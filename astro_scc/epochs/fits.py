@@ -29,6 +29,8 @@ CUBE_CREATOR = "astro_scc EpochCube"
 CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
 #: Kinds of uncertainty by the names that astropy gives them in FITS (UTYPE).
 UNCERTAINTIES = {kind.__name__: kind for kind in POWERS}
+#: Bytes of a block of a FITS file.
+BLOCK = 2880
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 # Keywords of the array and its axes in the file; a CCDData has its own, for two
@@ -253,7 +255,7 @@ def open_fits(file, *, known=False, **options):
         packed = file.read(2) == b"\x1f\x8b"
         file.seek(0)
         if packed:
-            content = gzip.open(file).read(2880)
+            content = gzip.open(file).read(BLOCK)
         else:
             content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         if found := _AXES.search(content):
@@ -352,6 +354,11 @@ def _find(hdus, which):
         for hdu in hdus:
             if hdu.is_image and len(hdu.shape) >= 2 and 0 not in hdu.shape:
                 return hdu
+        if is_visibilities(hdus):
+            raise _NoImageError(
+                "holds visibilities and no image; make an image of them (difmap, CASA "
+                "or AIPS), or give the models that were fitted to them (.mod)"
+            )
         raise _NoImageError("holds no image")
     try:
         hdu = hdus[which]
@@ -362,15 +369,27 @@ def _find(hdus, which):
     return hdu
 
 
+def is_visibilities(hdus):
+    """Return whether an open file is UVFITS or FITS-IDI."""
+    return any(isinstance(h, fits.GroupsHDU) or h.name == "UV_DATA" for h in hdus)
+
+
 def _check_complete(hdu, path):
     """Refuse a truncated file before memory is reserved for its missing pixels."""
     info = hdu.fileinfo()
-    compressed = path.suffix.lower() in (".gz", ".bz2", ".xz", ".z", ".zip")
-    if info is None or compressed:
+    if info is None or info["file"].compression:
         return
-    missing = info["datLoc"] + hdu.size - path.stat().st_size
+    # A file may lack the zeros that fill its last block.  What a tile-compressed image
+    # takes in the file is known with them only.
+    packed = isinstance(hdu, fits.CompImageHDU)
+    size = info["datSpan"] - BLOCK + 1 if packed else hdu.size
+    missing = info["datLoc"] + size - path.stat().st_size
     if missing > 0:
-        raise _NoImageError(f"is truncated, {missing} bytes of its image are missing")
+        least = "at least " if packed else ""
+        raise _NoImageError(
+            f"is truncated, {least}{missing} bytes of its image are missing; copy it "
+            "again from where it came"
+        )
 
 
 def _plane_index(header):

@@ -16,6 +16,7 @@ from astropy.time import Time
 from numpy.typing import ArrayLike
 
 from astro_scc.epochs.beam import Beam, beam_columns
+from astro_scc.epochs.component_tables import NO_IMAGE, is_component_list
 from astro_scc.epochs.fits import find_files, looks_like_mask, read_plane
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.epochs.validation import as_beams
@@ -272,7 +273,8 @@ def _inspect(path, hdu):
     try:
         plane = read_plane(path, hdu=hdu)
     except (OSError, ValueError) as error:
-        row["problem"].append(str(error).removeprefix(f"{path}: "))
+        problem = str(error).removeprefix(f"{path}: ")
+        row["problem"].append(NO_IMAGE if is_component_list(path) else problem)
         return row, None
     row["date"], (row["ny"], row["nx"]) = plane.time, plane.shape
     row["object"] = plane.facts.get("object", "")

@@ -11,6 +11,7 @@ from astropy.wcs.utils import pixel_to_pixel
 
 from astro_scc.correlation.parallel import machine_memory
 from astro_scc.epochs import fits, inspection, validation
+from astro_scc.epochs.component_tables import FITS, NO_IMAGE, is_component_list
 from astro_scc.epochs.cutout import box, crop_line
 from astro_scc.epochs.grid import ONE_SHIFT, pixel_area, regrid, shared_grid
 from astro_scc.epochs.headers import get, read_header, some
@@ -32,6 +33,9 @@ MARGIN = 4
 def read_files(files, times, beams, frame, *, check, hdu, region, pad):
     """Return the fields of the cube in some files; see `EpochCube.read`."""
     given = _given(times, beams, len(files), frame)
+    for path in files:
+        if path.suffix.lower() not in FITS and is_component_list(path):
+            raise ValueError(f"{path}: {NO_IMAGE}")
     names = [path.name for path in files]
     if len(set(names)) < len(names):
         names = [str(path) for path in files]

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
 from scipy import fft
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam, gaussian_transfer
+from astro_scc.epochs.components import read_components
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.headers import FACTS
 from astro_scc.epochs.positions import pixel_side
@@ -18,13 +19,25 @@ from astro_scc.epochs.validation import as_beams, as_noise
 from astro_scc.exceptions import warn
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from astropy.coordinates import SkyCoord
+    from astropy.time import Time
 
     from astro_scc.epochs.components import ComponentList
 
 # East is left and north is up: (x, y) = FLIP (east, north) / pixel.
 FLIP = np.diag([-1.0, 1.0])
+#: What is wrong with components that cannot be restored.
+NO_BEAM = (
+    "is a list of components without a beam to restore it with; give --beam "
+    "'1.0 mas 0.5 mas -7 deg' (beams= in Python)"
+)
 MAX_SIDE = 20000
+# Of images that are made without a choice: pixels of the narrowest beam, and the
+# faintest component over the noise.
+PIXELS_A_BEAM = 5
+FAINTEST = 10.0
 # Half side of the box in which a Gaussian is evaluated, in standard
 # deviations: exp(-7**2 / 2) = 2e-11 of the peak is left out.
 REACH = 7.0
@@ -165,6 +178,64 @@ def restore(
         epoch_meta=[facts] * n_epochs,
         meta={**components.meta, "history": [line]},
     )
+
+
+def restore_files(
+    files: Sequence[Path], *, times: Time | Sequence[Any] | None = None,
+    beams: Beam | Sequence[Beam] | None = None,
+) -> EpochCube:  # fmt: skip
+    """
+    Return images of the components in files, with pixels and noise that suit them.
+
+    A pixel is a fifth of the narrowest beam.  Models have no noise, but without any
+    every ripple of an image would be significant: the faintest peak at the place of a
+    component, in the median over the epochs, is taken for ten times the noise.  It is
+    then found in nearly every epoch, and its place is uncertain by a twentieth of the
+    beam, FWHM / (2 SNR).  The images are the same whenever the files are read.
+
+    Parameters
+    ----------
+    files : sequence of path
+    times, beams : optional
+        See `~astro_scc.epochs.read_components`, by which the files are read.
+
+    Returns
+    -------
+    `EpochCube`
+
+    Raises
+    ------
+    OSError, ValueError
+        As `~astro_scc.epochs.read_components` and `restore`, and if there is no beam.
+
+    Warns
+    -----
+    EpochWarning
+        What beams, pixels and noise the images have.
+    """
+    components = read_components(files, dates=times, beams=beams)
+    if not components.beams:
+        raise ValueError(f"{files[0]}: {NO_BEAM}")
+    pixel = min(beam.minor for beam in components.beams) / PIXELS_A_BEAM
+    options = {"beam": components.beams, "pixel_scale": pixel}
+    cube = restore(components, **options)
+    x0, y0 = cube.reference_pixel
+    x = np.rint(x0 - (components.east / pixel).to_value(u.one)).astype(int)
+    y = np.rint(y0 + (components.north / pixel).to_value(u.one)).astype(int)
+    peaks = np.where(cube.data > 0, cube.data, np.inf)[components.epoch, y, x]
+    faintest = np.full(len(cube), np.inf)
+    np.minimum.at(faintest, components.epoch, peaks)
+    for i in np.flatnonzero(np.isinf(faintest)):
+        raise ValueError(f"{cube.labels[i]}: no component is positive; leave it out")
+    noise = np.median(faintest) / FAINTEST * cube.unit
+    first, *others = components.beams
+    differ = " and others" * any(beam != first for beam in others)
+    warn(
+        f"lists of components were restored with the beam {first}{differ}, pixels of "
+        f"{pixel:.3g} and noise of {noise:.2g}; make images with astro-scc restore to "
+        "choose these"
+    )
+    return restore(components, **options, noise=noise, rng=0)
 
 
 def in_pixels(beam, pixel_scale):

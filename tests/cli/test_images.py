@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc simulate`` and ``restore``: images to measure."""
+"""``astro-scc simulate`` and ``restore``, and what is measured besides images."""
 
 import re
 
@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import QTable
+from astropy.time import Time
 
 from astro_scc import EpochCube
-from astro_scc.epochs import Beam
+from astro_scc.epochs import (
+    Beam,
+    ComponentList,
+    read_components,
+    restore,
+    write_epochs,
+)
 
 
 def epochs(folder):
@@ -162,14 +169,23 @@ def test_restore_some_dates_with_a_round_beam(models, astro_scc, here):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        (["--beam", "1.0 0.5"], "--beam '1.0 0.5': has no unit at its end; give major"),
-        (["--beam", "1 mas 2 mas 0 deg"], "2 mas 0 deg': the beam's minor axis"),
-        (["--beam", "1 mas 0.5 mas"], "--beam '1 mas 0.5 mas': has no position angle"),
+        (
+            ["--beam", "1.0 0.5"],
+            "--beam '1.0 0.5' is no beam: has no unit at its end; give major",
+        ),
+        (
+            ["--beam", "1 mas 2 mas 0 deg"],
+            "2 mas 0 deg' is no beam: the beam's minor axis",
+        ),
+        (
+            ["--beam", "1 mas 0.5 mas"],
+            "--beam '1 mas 0.5 mas' is no beam: has no position angle",
+        ),
         (
             ["--beam", "1 mas 0.5 mas 3 deg", "--pixel", "0.6 mas"],
             "a pixel of 0.6 mas is larger than the beam of 0.5 mas; give a fifth",
         ),
-        (["--beam", "1 mas 1 mas 1 Jy"], "--beam '1 mas 1 mas 1 Jy': "),
+        (["--beam", "1 mas 1 mas 1 Jy"], "--beam '1 mas 1 mas 1 Jy' is no beam: "),
         (["--beam", "1 1 1 1 mas"], "has too many numbers"),
         (["--pixel", "0.1"], "--pixel '0.1' has no unit at its end; it must be one"),
         (["--pixel", "0.1 yr"], "--pixel '0.1 yr' must be one number with a unit"),
@@ -193,3 +209,87 @@ def test_restorations_that_are_refused(refused, models, here, options, reason):
     options = options if options[0].startswith("-") else []
     line = refused("restore", *files, "-o", "out", *given, *options)
     assert reason in line
+
+
+# -- what measure and track take besides images ------------------------------------
+
+
+@pytest.mark.slow
+def test_difmap_models_are_tracked(astro_scc, here):
+    for k in range(6):
+        text = f"1.0v 0.0v 0v 0.1v 1 0 1\n0.5v {1.5 + 0.3 * k}v 60v 0.3v 1 0 1\n"
+        (here / f"3c1_200{k}-03-09.mod").write_text(text)
+    beam = ["--beam", "0.8 mas", "--seed", "1", "--no-figures"]
+    status, out, err = astro_scc("track", *here.glob("*.mod"), "-o", "a", *beam)
+    assert status == 0
+    assert "restored with the beam 0.8 x 0.8 mas" in err
+    table = QTable.read(here / "a" / "features.ecsv")
+    (row,) = table[table["secure"]]
+    assert abs(row["pm"] - 0.3 * u.mas / u.yr) < 3 * row["pm_err"]
+    assert "beam: 0.8 mas" in (here / "a" / "features.ecsv").read_text()
+
+
+def test_models_without_beam_or_date(refused, models, here):
+    assert "--beam '1.0 mas 0.5 mas -7 deg'" in refused("measure", *models, "-o", "a")
+    (here / models[0]).rename(here / "model.mod")
+    line = refused("track", "model.mod", "-o", "a", "--beam", "1 mas")
+    assert "model.mod: no date in the file's name; rename it" in line
+    line = refused("measure", "model.mod", "-o", "a", "--beam", "1 mas 2 mas")
+    assert "--beam '1 mas 2 mas' is no beam: has no position angle; give" in line
+
+
+def test_restore_with_the_beam_of_the_table(models, astro_scc, refused, here):
+    words = ["restore", "--pixel", "0.1 mas", "-o"]
+    assert f"{models[0]}: is a list of" in refused(*words, "a", *models)
+    beam = Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg)
+    table = read_components(models, beams=beam).to_table()
+    table.write(here / "a.ecsv", format="ascii.ecsv")
+    status, _, err = astro_scc(*words, "b", "a.ecsv")
+    assert (status, err) == (0, "")
+    assert EpochCube.read(here / "b" / "*.fits").beams == (beam, beam)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "kind", ["GZIP_1", "GZIP_2", "RICE_1", "PLIO_1", "HCOMPRESS_1"]
+)
+def test_tables_from_tile_compressed_images(astro_scc, here, kind):
+    """The same as from the plain ones, within a sixteenth of the noise."""
+    times = Time([f"200{k}-03-09" for k in range(6)])
+    offsets = np.ravel([[0, 1.5 + 0.3 * k, 4 + 0.4 * k] for k in range(6)])
+    components = ComponentList(
+        times=times, epoch=np.repeat(np.arange(6), 3), flux=[1, 0.3, 0.2] * 6 * u.Jy,
+        east=offsets * u.mas, north=0.5 * offsets * u.mas,
+    )  # fmt: skip
+    cube = restore(
+        components, beam=Beam(0.8 * u.mas, 0.8 * u.mas), pixel_scale=0.1 * u.mas,
+        shape=(512, 512), noise=1 * u.mJy / u.beam, rng=1,
+    )  # fmt: skip
+    (here / "plain").mkdir()
+    (here / "packed").mkdir()
+    for path in write_epochs(cube, here / "own"):
+        with fits.open(path) as hdus:
+            data = hdus[0].data.astype(">f4")
+            if kind == "PLIO_1":
+                # Of numbers from 0 to 2^24.
+                data = np.rint((data + 0.01) * 1e5).astype(">i4")
+            header = hdus[0].header
+            fits.PrimaryHDU(data, header).writeto(here / "plain" / path.name)
+            image = fits.CompImageHDU(data, header, compression_type=kind)
+            image.writeto(here / "packed" / f"{path.name}.fz")
+    assert sum(p.stat().st_size for p in (here / "packed").iterdir()) < 6 * 700_000
+    tables = []
+    for name in ("plain", "packed"):
+        files = sorted((here / name).iterdir())
+        words = ["-o", f"{name}-out", "--seed", "1", "--no-figures"]
+        assert astro_scc("track", *files, *words)[0] == 0
+        tables.append(QTable.read(here / f"{name}-out" / "features.ecsv"))
+    one, other = tables
+    assert len(one) == len(other) >= 2
+    for column in ("pm", "pm_ra_cosdec", "pm_dec", "ra_offset", "dec_offset", "flux"):
+        error = one[f"{column}_err"] if f"{column}_err" in one.colnames else None
+        error = 0.01 * one[column] if error is None else error
+        assert np.all(abs(one[column] - other[column]) <= 0.25 * abs(error))
+    assert np.array_equal(one["secure"], other["secure"])
+    if kind == "PLIO_1":
+        assert np.array_equal(one["pm"], other["pm"])

@@ -8,7 +8,6 @@ cannot import a module of tests however the tests are started.
 
 import multiprocessing
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -17,7 +16,7 @@ from operator import truediv
 
 import pytest
 
-from astro_scc.correlation.parallel import _processes, as_done, in_order, workers_of
+from astro_scc.correlation.parallel import as_done, in_order, workers_of
 
 inverse = partial(truediv, 1)
 KILL = "__import__('os').kill(__import__('os').getpid(), 9)"
@@ -90,26 +89,6 @@ def test_a_pool_that_is_found_broken_with_the_next_piece():
     found = dict(as_done(eval, pieces(), 2))
     assert isinstance(found.pop(0), ChildProcessError)
     assert found == {1: 10, 2: 20, 3: 40}
-
-
-#: A thread of the worker gets SIGTERM when the main thread waits for the next piece.
-LATER = """
-import signal, threading, time
-def terminate():
-    time.sleep(0.3)
-    signal.pthread_kill(threading.get_ident(), signal.SIGTERM)
-threading.Thread(target=terminate).start()
-"""
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_a_worker_that_waits_ends_when_it_is_terminated():
-    """Otherwise a pool whose other worker has died waits for it for ever."""
-    with _processes(1, None) as pool:
-        pool.submit(exec, LATER, {}).result()
-        (process,) = multiprocessing.active_children()
-        process.join(10)
-        assert process.exitcode == -signal.SIGALRM
 
 
 UNGUARDED = """

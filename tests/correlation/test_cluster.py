@@ -2,10 +2,12 @@
 """Work on a real Dask cluster of two processes, one of which is killed."""
 
 import builtins
+import logging
 import operator
 import os
 import signal
 import sys
+import time
 import types
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -15,6 +17,7 @@ import pytest
 
 from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.correlation.parallel import (
+    _gathered,
     _result,
     as_done,
     in_order,
@@ -173,6 +176,34 @@ def test_a_scheduler_that_is_lost():
     with threads(1) as client:
         with pytest.raises(OSError, match="was lost; start it and this again"):
             list(in_order(operator.neg, pieces(client), client))
+
+
+class _LostResult:
+    """A future whose result was on a worker that has ended, or that has an error."""
+
+    def __init__(self, error):
+        self.error = error
+
+    def result(self, timeout):
+        time.sleep(timeout if self.error is None else 0)
+        raise self.error or TimeoutError
+
+
+def test_a_result_that_is_lost_with_the_last_worker(monkeypatch):
+    monkeypatch.setattr("astro_scc.correlation.parallel.WITHOUT_WORKERS", 0.05)
+    client = types.SimpleNamespace(nthreads=dict, status="running")
+    with pytest.raises(OSError, match="has had no workers"):
+        _gathered(client, _LostResult(None)).result()
+    with pytest.raises(TimeoutError, match="of the function"):
+        _gathered(client, _LostResult(TimeoutError("of the function"))).result()
+
+
+def test_a_client_of_ours_does_not_log(cluster):
+    log = logging.getLogger("distributed.client")
+    before = log.level
+    with open_client(cluster.scheduler.address):
+        assert log.level == logging.CRITICAL
+    assert log.level == before
 
 
 def test_work_that_is_not_done():

@@ -5,6 +5,7 @@ import math
 import multiprocessing
 import operator
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -19,6 +20,10 @@ STARTS = [
     pytest.param(name, marks=() if name != "forkserver" else pytest.mark.slow)
     for name in multiprocessing.get_all_start_methods()
 ]
+
+
+#: An error that is pickled, and raises another one when it is unpickled.
+AGAIN = "type('E', (), {'__reduce__': lambda self: (UnicodeDecodeError, ())})()"
 
 
 def test_in_this_process():
@@ -60,6 +65,26 @@ def test_pieces_are_taken_as_needed():
 def test_an_error_of_a_worker_is_raised_here():
     with pytest.raises(ZeroDivisionError):
         list(in_order((1).__floordiv__, [1, 0, 1], 2))
+    assert multiprocessing.active_children() == []
+
+
+def test_an_error_says_where_in_the_worker_it_was_raised():
+    with pytest.raises(ZeroDivisionError) as caught:
+        list(in_order(eval, ["1 // 0"], 2))
+    (note,) = caught.value.__notes__
+    assert note.startswith("In a worker process:\nTraceback")
+
+
+def test_what_cannot_be_sent_is_an_error():
+    # To the worker, from it, and as an error; and what cannot be made here again.
+    with pytest.raises((AttributeError, TypeError, pickle.PicklingError)):
+        list(in_order(lambda value: value, [1], 2))
+    with pytest.raises((AttributeError, TypeError, pickle.PicklingError)):
+        list(in_order(eval, ["lambda: 1"], 2))
+    with pytest.raises(RuntimeError, match="OSError: .*lambda"):
+        list(in_order(exec, ["raise OSError(lambda: 1)"], 2))
+    with pytest.raises(TypeError, match="UnicodeDecodeError|argument"):
+        list(in_order(eval, [AGAIN], 2))
     assert multiprocessing.active_children() == []
 
 

@@ -1,4 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+import bz2
+import gzip
+import lzma
 import warnings
 
 import astropy.units as u
@@ -302,11 +305,82 @@ def test_truncated_files(make_fits, keep):
     assert one_line_naming(caught.value, path)
 
 
+@pytest.fixture
+def packed(make_fits):
+    """An image of 512 x 512 pixels with noise of 10, plain and tile-compressed."""
+
+    def pack(kind):
+        y, x = np.mgrid[:512, :512]
+        image = 1000 * np.exp(-((x - 250) ** 2 + (y - 260) ** 2) / 50)
+        image = image + np.random.default_rng(1).normal(10, size=image.shape)
+        if kind == "PLIO_1":
+            image = np.rint(image.clip(0)).astype("int32")
+        plain = make_fits(data=image.astype(image.dtype.str.replace("f8", "f4")))
+        with fits.open(plain) as hdus:
+            # Without a seed, the rounding is random.
+            options = {"compression_type": kind, "dither_seed": 7}
+            image = fits.CompImageHDU(hdus[0].data, hdus[0].header, **options)
+            path = plain.with_suffix(".fits.fz")
+            image.writeto(path, overwrite=True)
+        return plain, path
+
+    return pack
+
+
+KINDS = ("GZIP_1", "GZIP_2", "RICE_1", "PLIO_1", "HCOMPRESS_1", "NOCOMPRESS")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_tile_compressed_images(packed, kind):
+    plain, path = packed(kind)
+    if kind != "NOCOMPRESS":
+        # Smaller than its pixels are, which it is not for being truncated.
+        assert path.stat().st_size < 0.7 * plain.stat().st_size
+    one, other = read_vlbi_fits(plain), read_vlbi_fits(path)
+    # Floats are rounded to a sixteenth of the noise.
+    error = 0 if kind == "PLIO_1" else 10 / 16
+    assert np.abs(one.data - other.data).max() <= error
+    assert other.unit == one.unit
+    assert other.wcs.wcs == one.wcs.wcs
+    for name in ("BMAJ", "BMIN", "BPA", "DATE-OBS", "OBJECT", "FREQ"):
+        assert other.meta.get(name) == one.meta.get(name)
+    window = read_plane(path, window=(slice(250, 270), slice(240, 300)))
+    assert np.array_equal(window.data, other.data[250:270, 240:300])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_truncated_tile_compressed_images(packed, kind):
+    _, path = packed(kind)
+    content = path.read_bytes()
+    whole, end = read_vlbi_fits(path).data, len(content.rstrip(b"\0"))
+    for keep in (3000, 9000, len(content) // 2, len(content) - 2881, end - 1):
+        path.write_bytes(content[:keep])
+        with pytest.raises(OSError, match=r"truncated|broken|no image") as caught:
+            read_vlbi_fits(path)
+        assert one_line_naming(caught.value, path)
+    path.write_bytes(content[: end + 8])
+    assert np.array_equal(read_vlbi_fits(path).data, whole)
+
+
 def test_missing_padding_is_no_loss(make_fits):
     path = make_fits()
     content = path.read_bytes()
     path.write_bytes(content.rstrip(b"\0"))
     assert np.array_equal(read_vlbi_fits(path).data, PIXELS[0, 0])
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, bz2.compress, lzma.compress])
+def test_truncated_compressed_files(make_fits, pack):
+    """Whatever their suffix."""
+    path = make_fits()
+    whole, content = read_vlbi_fits(path).data, pack(path.read_bytes())
+    path.write_bytes(content)
+    assert np.array_equal(read_vlbi_fits(path).data, whole)
+    for keep in (10, len(content) // 2, len(content) - 100):
+        path.write_bytes(content[:keep])
+        with pytest.raises(OSError, match="broken") as caught:
+            read_vlbi_fits(path)
+        assert one_line_naming(caught.value, path)
 
 
 @pytest.mark.parametrize("claim", [b"         99999", b"  999999999999"])
