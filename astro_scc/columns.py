@@ -1,5 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Columns of tables, with their units and meanings."""
+"""Columns of tables: units, meanings, UCDs and headings of papers."""
+
+import re
 
 import astropy.units as u
 import numpy as np
@@ -7,6 +9,80 @@ from astropy.table import QTable
 from astropy.utils.masked import Masked
 
 from astro_scc.units import PM_UNIT
+
+#: Columns of a table in a paper, in their order, and their headings in LaTeX.
+PAPER = {
+    "track": "Track",
+    "feature": "Feature",
+    "component": "Component",
+    "r_min": r"$r_\mathrm{min}$",
+    "r_max": r"$r_\mathrm{max}$",
+    "kind": "Kind",
+    "scale": "Scale",
+    "n_epochs": "Epochs",
+    "first": "First",
+    "last": "Last",
+    "separation": "Separation",
+    "position_angle": "PA",
+    "r": "$r$",
+    "pa": "PA",
+    "pm": r"$\mu$",
+    "beta_app": r"$\beta_\mathrm{app}$",
+    "pm_pa": r"PA of $\mu$",
+    "published": "Published",
+    "published_pm": r"$\mu_\mathrm{pub}$",
+    "dispersion": r"$\sigma_\mu$",
+    "t_ej": r"$t_\mathrm{ej}$",
+    "p_false": r"$p_\mathrm{false}$",
+    "p_global": r"$p_\mathrm{global}$",
+    "p_fdr": r"$p_\mathrm{FDR}$",
+    "n_features": "Features",
+    "n_pairs": "Pairs of epochs",
+    "secure": "Secure",
+}
+#: Patterns of names of columns, the first of which that fits tells the UCD.
+UCDS = {
+    "pm_ra_cosdec": "pos.pm;pos.eq.ra",
+    "pm_dec": "pos.pm;pos.eq.dec",
+    "pm_pa": "pos.posAng;pos.pm",
+    "published_pm": "pos.pm;meta.ref",
+    "pm(_.*)?|change": "pos.pm",
+    "beta_app": "phys.veloc",
+    "dispersion": "stat.stdev;pos.pm",
+    "acc_.*": "phys.acceleration",
+    "(ra_offset|east)(_centroid)?": "pos.eq.ra;arith.diff",
+    "(dec_offset|north)(_centroid)?": "pos.eq.dec;arith.diff",
+    "(lon|lat)_offset.*": "pos;arith.diff",
+    "separation|r(_min|_mid|_max)?|motion": "pos.angDistance",
+    "position_angle|pa": "pos.posAng",
+    "x": "pos.cartesian.x",
+    "y": "pos.cartesian.y",
+    "date|t_ej": "time.epoch",
+    "first": "time.start;obs",
+    "last": "time.end;obs",
+    "flux": "phot.flux.density",
+    "size|scale_size": "phys.angSize",
+    "p_.*": "stat.probability",
+    "snr": "stat.snr",
+    "coefficient": "stat.correlation",
+    "z_score|peak|coefficient_sum": "stat.value",
+    "n_.*": "meta.number",
+    "epoch": "meta.id;obs",
+    "published": "meta.id.cross",
+    "track|feature|component|ssp": "meta.id",
+    "kind": "meta.code.class",
+    "secure|proven|used|in_region|main|scale": "meta.code.qual",
+    "note": "meta.note",
+}
+
+
+def column_ucd(name):
+    """Return the UCD of a column, or None if it is of no table of this package."""
+    plain = re.sub("_err(?=_|$)", "", name)
+    found = (ucd for own, ucd in UCDS.items() if re.fullmatch(own, plain))
+    ucd = next(found, None)
+    return f"stat.error;{ucd}" if ucd and plain != name else ucd
+
 
 #: Columns of a proper motion: unit, and meaning.
 MOTION = {
@@ -19,6 +95,12 @@ MOTION = {
     "pm_pa": (u.deg, "direction of the proper motion, north through east"),
     "pm_pa_err": (u.deg, "standard error of pm_pa"),
 }
+
+
+def describe(table, meanings):
+    """Set the descriptions of the columns of a table that are among the meanings."""
+    for name in meanings.keys() & set(table.colnames):
+        table[name].info.description = meanings[name]
 
 
 def build_table(rows, columns):

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Units of proper motions, and units and tables that are easy to read."""
+"""Units that are easy to read, and formats of numbers with errors."""
 
 import astropy.units as u
 import numpy as np
@@ -7,6 +7,11 @@ import numpy as np
 from astro_scc.quantities import decimals
 
 PM_UNIT = u.mas / u.yr
+ACCELERATION = u.mas / u.yr**2
+#: Units of time, and how long a series must be for them; shorter ones are in hours.
+TIMES = {u.yr: 0.1 * u.yr, u.day: 2 * u.day}
+#: Proper motions are in arcsec if a beam in the median interval is so many.
+ARCSEC = 1.0
 #: Formats of numbers without errors in tables that are printed.
 FORMATS = {"coefficient": ".3f", "z_score": ".1f", "pm_limit": ".2g"}
 
@@ -14,22 +19,30 @@ FORMATS = {"coefficient": ".3f", "z_score": ".1f", "pm_limit": ".2g"}
 def offset_unit(span, unit=None):
     """Return a unit that is easy to read for offsets over a span in mas."""
     if unit is not None:
-        return _unit_like(u.mas, unit, "an angle, such as 'mas'")
+        return unit_like(u.mas, unit, "an angle, such as 'mas'")
     units = ((u.deg, 3.0), (u.arcmin, 5.0), (u.arcsec, 3.0), (u.mas, 0.3))
     large = (own for own, least in units if (span * u.mas).to_value(own) >= least)
     return next(large, u.uas)
 
 
-def speed_unit(fastest, unit=None):
-    """Return a unit that is easy to read for proper motions up to one in mas/yr."""
-    if unit is not None:
-        return _unit_like(PM_UNIT, unit, "an angle over a time, such as 'mas/yr'")
-    if (fastest * PM_UNIT).to_value(u.arcsec / u.h) >= 0.3:
-        return u.arcsec / u.h
-    return u.arcsec / u.yr if fastest >= 3000 else PM_UNIT
+def speed_unit(span, resolution, interval):
+    """
+    Return a unit that is easy to read for the proper motions of a series.
+
+    Parameters
+    ----------
+    span : `~astropy.units.Quantity`
+        Time from the first epoch to the last, which decides on the unit of time.
+    resolution, interval : `~astropy.units.Quantity`
+        A beam in the median interval decides on the unit of length.
+    """
+    time = next((own for own, least in TIMES.items() if span > least), u.h)
+    coarse = (resolution / interval).to_value(u.arcsec / time) >= ARCSEC
+    return (u.arcsec if coarse else u.mas) / time
 
 
-def _unit_like(kind, unit, wanted):
+def unit_like(kind, unit, wanted):
+    """Return a unit given by a user, which must be of some kind."""
     unit = u.Unit(unit)
     if not unit.is_equivalent(kind):
         raise ValueError(f"unit must be {wanted}, got {unit}")
@@ -41,11 +54,6 @@ def unit_name(unit):
     return u.Unit(unit).to_string().replace(" / ", "/")
 
 
-def time_unit(years):
-    """Return a unit that is easy to read for intervals up to one in years."""
-    return next((v for v in (u.yr, u.day, u.h) if years >= 0.3 * v.to(u.yr)), u.min)
-
-
 def comparable(value):
     """Return a value, or for a quantity what can be compared as a whole and hashed."""
     if isinstance(value, u.Quantity):
@@ -53,31 +61,16 @@ def comparable(value):
     return value
 
 
-def in_easy_units(table):
-    """
-    Return a table with proper motions in a unit that is easy to read.
-
-    Parameters
-    ----------
-    table : `~astropy.table.QTable`
-        With a column ``pm``, whose largest value decides.
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        The same table if it already has that unit.
-    """
-    own = table["pm"].unit
-    unit = speed_unit(table["pm"].to_value(PM_UNIT).max(initial=0))
-    if unit == own:
-        return table
-    easy = table.copy()
-    for name in table.colnames:
-        column = table[name]
-        if getattr(column, "unit", None) == own:
-            easy[name] = column.to(unit)
-            easy[name].info.description = column.info.description
-    return easy
+def in_speed_unit(table, unit):
+    """Convert proper motions in mas/yr, and accelerations, to a unit, in place."""
+    length, time = unit.bases
+    for own, wanted in ((PM_UNIT, unit), (ACCELERATION, length / time**2)):
+        for name in table.colnames if own != wanted else ():
+            if getattr(table[name], "unit", None) == own:
+                about = table[name].info.description
+                table[name] = table[name].to(wanted)
+                table[name].info.description = about
+    return table
 
 
 def round_to_errors(table):

@@ -608,7 +608,7 @@ def test_other_units_of_angle_and_time():
     found = measure(cube, scales=[4, 8] * u.arcsec, max_speed=8 * unit)
     motion = strongest(found) * (PIXEL / unit).to_value(u.one)
     np.testing.assert_allclose(motion, (3, 1), atol=0.15)
-    assert found.components["pm"].unit == PM
+    assert found.components["pm"].unit == u.arcsec / u.hour
 
 
 def test_expansion_about_the_reference_pixel():

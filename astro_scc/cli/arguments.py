@@ -72,9 +72,7 @@ def add_switches(parser, *, default=False, **texts):
         )
 
 
-def add_output(
-    parser, what, *, default=None, votable=None, overwrite=True, report=False
-):
+def add_output(parser, what, *, default=None, overwrite=True, report=False):
     """Add ``--output``, required without a default, and options on what is written."""
     parser.add_argument(
         *("-o", "--output"),
@@ -85,11 +83,21 @@ def add_output(
     )
     if overwrite:
         add_switches(parser, overwrite=OVERWRITE)
-    if votable:
-        text = f"write {votable} too, for TOPCAT, STILTS and Aladin"
-        add_switches(parser, votable=text)
     if report:
         add_switches(parser, no_report="write no report.html and figures")
+
+
+def add_figures(parser):
+    """Add options on the figures."""
+    text = (
+        "write the figures as PDF, too, for a column of a journal, with letters of 8 pt"
+    )
+    add_switches(parser, pdf=text)
+    text = (
+        "published features of the source by epoch, in the forms that restore takes: "
+        "in grey in the figures, and as columns of features.ecsv"
+    )
+    add_option(parser, "--compare", "TABLE", text)
 
 
 def add_workers(parser):
@@ -102,6 +110,26 @@ def add_workers(parser):
     add_option(group, "--workers", "N", text, type=int)
     text = "of a Dask cluster that works instead, tcp://node1:8786"
     add_option(group, "--scheduler", "ADDRESS", text)
+
+
+def add_restoring(parser, *, required):
+    """Add options on the images that are restored from components."""
+    add_setting(parser, "beam")
+    add_option(parser, "--pixel", '"0.1 mas"', "side of a pixel", required=required)
+    text = "rms of the noise to add, correlated by the beam; default none"
+    add_option(parser, "--noise", '"0.3 mJy/beam"', text)
+    for name in ("seed", "after", "before"):
+        add_setting(parser, name)
+    text = (
+        "source to take from a table of many; a wrong or missing one is refused with "
+        "the names that there are"
+    )
+    add_option(parser, "--source", "NAME", text)
+    text = (
+        "what is at the reference pixel, the core (feature 0) or the centre of the "
+        "map; default the core in tables that refer to it"
+    )
+    parser.add_argument("--origin", choices=("core", "map"), help=text)
 
 
 # -- the commands ----------------------------------------------------------------
@@ -181,22 +209,7 @@ def restore(parser):
     text = "a table of many epochs, or one file per epoch"
     add_option(parser, "tables", "TABLE.ecsv|MODEL.mod", text, nargs="+")
     add_output(parser, "the images")
-    add_setting(parser, "beam")
-    add_option(parser, "--pixel", '"0.1 mas"', "side of a pixel", required=True)
-    text = "rms of the noise to add, correlated by the beam; default none"
-    add_option(parser, "--noise", '"0.3 mJy/beam"', text)
-    for name in ("seed", "after", "before"):
-        add_setting(parser, name)
-    text = (
-        "source to take from a table of many; a wrong or missing one is refused with "
-        "the names that there are"
-    )
-    add_option(parser, "--source", "NAME", text)
-    text = (
-        "what is at the reference pixel, the core (feature 0) or the centre of the "
-        "map; default the core in tables that refer to it"
-    )
-    parser.add_argument("--origin", choices=("core", "map"), help=text)
+    add_restoring(parser, required=True)
 
 
 def inspect(parser):
@@ -232,18 +245,18 @@ def measure(parser):
           --distance "16.7 Mpc"
       astro-scc measure --config out/config.toml -o again
 
-    The folder gets components.ecsv and, for a paper, components.tex; features.ecsv
-    and positions.ecsv, sensitivity.ecsv, ssps.ecsv, scc.fits, report.html with its
-    figures, and config.toml, which reproduces the tables bit by bit from the same
-    images.  A configuration file may hold every option of a measurement, with _ for
-    -, and some settings that have no option (see the documentation).  The command
-    line takes precedence over the file.
+    The folder gets components.ecsv, features.ecsv and positions.ecsv,
+    sensitivity.ecsv, ssps.ecsv, scc.fits, report.html with its figures, and
+    config.toml, which reproduces the tables bit by bit from the same images.  Its
+    folder publication has the tables in LaTeX for AASTeX and A&A, in the forms of the
+    AAS and the CDS, and as VOTable.  A configuration file may hold every option of a
+    measurement, with _ for -, and some settings that have no option (see the
+    documentation).  The command line takes precedence over the file.
     """
-    what, files = "tables, maps and report", "components.vot, features.vot and others"
-    add_output(parser, what, default=OF_OBJECT, votable=files, report=True)
+    add_output(parser, "tables, maps and report", default=OF_OBJECT, report=True)
+    add_figures(parser)
     add_switches(
         parser,
-        pdf="write the figures of the report as PDF, too",
         ds9_regions="write ssp_regions too, a file per epoch that DS9 and CARTA open, "
         "with the outlines of its patterns",
         resume=f"keep the matches in {WORK} of the folder, go on from what an "
@@ -294,7 +307,7 @@ def profile(parser):
     ridge, distances are measured along the ridge line.
     """
     what = "the table and figures of the profile"
-    add_output(parser, what, default=OF_OBJECT, votable="profile.vot")
+    add_output(parser, what, default=OF_OBJECT)
     add_settings(parser, "profile")
 
 
@@ -314,9 +327,9 @@ def track(parser):
     figures of both, separation.png and tracks.png.  A configuration file of astro-scc
     measure sets what both commands have.
     """
-    files = "features.vot and positions.vot"
-    add_output(parser, "the tables and figures", default=OF_OBJECT, votable=files)
+    add_output(parser, "the tables and figures", default=OF_OBJECT)
     add_switches(parser, no_figures="write only the tables")
+    add_figures(parser)
     add_settings(parser, "track")
 
 
@@ -330,6 +343,8 @@ def survey(parser):
       astro-scc survey survey.toml -o out --workers 8
       astro-scc survey survey.toml -o out --scheduler tcp://node1:8786
       astro-scc survey survey.toml -o out --workers 8 --scheduler local
+      astro-scc survey apjac230ft4_mrt.txt -o out --beam "0.9 mas 0.6 mas 0 deg" \\
+          --pixel "0.1 mas" --noise "0.3 mJy/beam" --seed 1 --workers 8
 
     survey.toml:
       [defaults]
@@ -352,10 +367,17 @@ def survey(parser):
     each source, region, scale group and component, and p_fdr over all of them, or the
     reason why there is no component; and in sources/ a folder for each source with the
     products of astro-scc measure, including a report.
+
+    From a table of components, such as astro-scc restore reads, the images of all its
+    sources, or of --source, are restored into images/ of the folder and measured.  The
+    file survey.toml there names them; add redshifts to it, and give it to this command.
     """
-    parser.add_argument("survey", metavar="SURVEY.toml", help="what to measure")
+    text = "what to measure, or a table of components"
+    parser.add_argument("survey", metavar="SURVEY.toml|TABLE", help=text)
     what = "the table and the sources' products, new or of this survey"
     add_output(parser, what, overwrite=False, report=True)
+    group = parser.add_argument_group("images of a table of components")
+    add_restoring(group, required=False)
     add_workers(parser)
 
 

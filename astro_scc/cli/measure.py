@@ -14,14 +14,14 @@ from astro_scc.measurement import (
     write_epoch_regions,
     write_products,
 )
-from astro_scc.measurement.products import write_votables
+from astro_scc.measurement.published import published_positions
 from astro_scc.report import write_report
 from astro_scc.report.page import flow_lines
 from astro_scc.writing import replace_when_complete
 
 PRODUCTS = (
     "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv ssps.ecsv "
-    "components.tex scc.fits config.toml report.html tracks.png diagram.png speeds.png "
+    "scc.fits config.toml report.html tracks.png diagram.png speeds.png "
     "separation.png members.png velocity_map.png significance.png epochs.png "
     "intervals.png sensitivity.png"
 ).split()
@@ -29,8 +29,7 @@ PRODUCTS = (
 STALE = (
     *PRODUCTS,
     *(name.replace(".png", ".pdf") for name in PRODUCTS if name.endswith(".png")),
-    *(f"{name}.vot" for name in ("components", "features", "positions", "ssps")),
-    *("ssp_regions", "explore.html"),
+    *("publication", "ssp_regions", "explore.html"),
 )
 SEED, MATCHES = "seed.txt", "matches.fits"
 
@@ -50,15 +49,15 @@ def run(args, reporter):
             settings = replace(settings, seed=kept_seed(work))
         epochs = inputs.read_epochs(settings, note=reporter.note)
         cube, settings, left_out, chosen = epochs
+        published = args.compare and published_positions(args.compare, cube)
         n_workers = inputs.workers_of(args, cube)
         if not (work and (work / MATCHES).exists()):
             inputs.tell_time(reporter, n_workers, inputs.measuring_time, cube, settings)
         result = measure(cube, settings, reporter, n_workers=n_workers, work=work)
         page = {"left_out": left_out, "chosen": chosen, "pdf": args.pdf}
+        page["published"] = published
         page |= {"report": not args.no_report, "warnings": reporter.warnings}
         components = write_measurement(result, settings, folder, output=output, **page)
-        if args.votable:
-            write_votables(result, components, folder)
         if args.ds9_regions:
             write_epoch_regions(result.matched.ssps, cube, folder)
     reporter.say(
@@ -102,7 +101,9 @@ def measure(cube, settings, reporter, *, region=None, n_workers=1, work=None):
     )
 
 
-def write_measurement(result, settings, folder, *, output, report=True, **page):
+def write_measurement(
+    result, settings, folder, *, output, report=True, published=None, **page
+):
     """
     Write tables, maps, settings and report of a measurement.
 
@@ -115,6 +116,8 @@ def write_measurement(result, settings, folder, *, output, report=True, **page):
     output : `~pathlib.Path`
         Final path of the folder.
     report : bool, optional
+    published : `~astropy.table.QTable`, optional
+        Published features to compare with.
     **page
         Arguments of `~astro_scc.report.write_report`.
 
@@ -126,12 +129,12 @@ def write_measurement(result, settings, folder, *, output, report=True, **page):
     how = settings.in_c
     components = result.components_in_c(**how) if how else result.components
     text = settings.to_toml(versions=versions())
-    write_products(
-        result, components, folder, configuration=settings.to_dict(), text=text
-    )
+    how = {"configuration": settings.to_dict(), "text": text, "published": published}
+    write_products(result, components, folder, **how)
     if report:
         rerun = f"astro-scc measure --config {output / 'config.toml'} -o FOLDER"
         page |= {"components": components, "rerun": rerun, "config_text": text}
+        page["published"] = published
         page["explore"] = f"astro-scc explore {output}"
         write_report(result, folder, **page)
     return components

@@ -9,12 +9,14 @@ from astro_scc.cli.summary import profile_lines
 from astro_scc.flow import measure_acceleration
 from astro_scc.flow.groups import compare_scales
 from astro_scc.flow.profile import bins_of, measure_profile, write_profile
-from astro_scc.measurement import product_folder, select_ssps, versions, write_votable
+from astro_scc.measurement import product_folder, select_ssps, versions
+from astro_scc.measurement.publication import write_publication
 from astro_scc.report.tables import scale_lines
+from astro_scc.units import in_speed_unit
 
 PRODUCTS = (
     "profile.ecsv scales.ecsv profile.png velocity_maps.png position_angles.png "
-    "config.toml profile.vot"
+    "config.toml publication"
 ).split()
 
 
@@ -36,8 +38,7 @@ def run(args, reporter):
             reporter, n_workers, inputs.measuring_time, cube, settings, n_bins
         )
         components, lines = _measure(cube, settings, folder, reporter, n_workers)
-        if args.votable:
-            write_votable(components, folder / "profile.vot")
+        write_publication({"profile": components}, folder)
     lines = [*profile_lines(components), "", *lines, *epochs.found]
     reporter.say(*lines, f"\nProfile: {output / 'profile.ecsv'}")
 
@@ -57,9 +58,11 @@ def _measure(cube, settings, folder, reporter, n_workers):
     r_min, r_max = profile.bins.min(), profile.bins.max()
     whole = scc.stack(select_ssps(matched, r_min=r_min, r_max=r_max), **trials)
     acceleration = measure_acceleration(whole)
+    components.meta |= cube.facts
     components.meta["acceleration"] = asdict(acceleration)
     lines = [str(acceleration)]
     if (of_scales := compare_scales(whole)) is not None:
+        in_speed_unit(of_scales, matched.cube.speed_unit)
         of_scales.write(folder / "scales.ecsv", format="ascii.ecsv")
         lines += scale_lines(of_scales)
     text = settings.to_toml("profile", versions=versions())

@@ -9,7 +9,7 @@ from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c_as
 from astro_scc.measurement.sensitivity import sensitivity_line
 from astro_scc.quantities import with_error
-from astro_scc.units import in_easy_units, offset_unit
+from astro_scc.units import offset_unit
 
 EXPLANATION = (
     "p_global: probability that epochs in permuted order would give an equally strong",
@@ -87,7 +87,6 @@ def component_lines(components, features=None, sensitivity=None):
         followed = feature_lines(table_in_c_as(features, components))
     if len(components) == 0:
         return [*NOTHING, *followed, *meta_lines(components.meta)]
-    components = in_easy_units(components)
     lines = [_answer(components)]
     if sensitivity is not None and (depends := sensitivity_line(sensitivity)):
         lines.append(f"{depends}.")
@@ -183,8 +182,9 @@ def _lacking(features):
         f"{motion[best]:.2g} beams, {errors[best]:.2g} standard errors"
     )
     if 0 < motion[best] < LEAST_MOTION:
-        years = (row["last"] - row["first"]).to_value("yr")
-        needed = f"{years * LEAST_MOTION / motion[best]:.2g} yr"
+        time = row["pm"].unit.bases[1]
+        span = (row["last"] - row["first"]).to_value(time)
+        needed = f"{span * LEAST_MOTION / motion[best]:.2g} {time}"
         text += f"; at its speed it would have to be seen for {needed}"
     return [
         f"A secure feature has a p_false of at most {MOST_FALSE:g} and moves by at "
@@ -207,7 +207,7 @@ def feature_rows(features):
     list of dict of str
         With the component of each if there are any.
     """
-    table = in_easy_units(features)
+    table = features
     far = offset_unit(table["separation"].to_value("mas").max())
     # Of less than some days, the times.
     days = (table["last"] - table["first"]).to_value("day")

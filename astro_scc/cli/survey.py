@@ -25,6 +25,7 @@ from astro_scc.cli.inputs import read_epochs, workers_of
 from astro_scc.cli.measure import WORK, write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.summary import table_lines
+from astro_scc.cli.survey_table import survey_of
 from astro_scc.correlation import parallel
 from astro_scc.epochs.cutout import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text
@@ -66,8 +67,11 @@ class Outcome:
 def run(args, reporter):
     """Run a survey according to the arguments."""
     n_workers, output = workers_of(args), Path(args.output)
-    survey = sources.read_survey(args.survey)
     reporter.resumes = True
+    if Path(args.survey).suffix.lower() == ".toml":
+        survey = sources.read_survey(args.survey)
+    else:
+        survey = survey_of(args, output, reporter)
 
     def done(name, outcomes, before):
         name = name if name.isprintable() else ascii(name)

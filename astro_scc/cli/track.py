@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Find the features of a jet and follow each from epoch to epoch."""
 
+from functools import partial
+
 from astropy.table import QTable
 
 from astro_scc import StackedCrossCorrelation
@@ -10,17 +12,18 @@ from astro_scc.decomposition import SSPs
 from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import find_features
-from astro_scc.kinematics.cosmology import table_in_c
-from astro_scc.measurement import decomposing, product_folder, versions, write_votable
+from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
+from astro_scc.measurement import decomposing, product_folder, versions
 from astro_scc.measurement.products import plain_meta
-from astro_scc.visualization import plot_separation, plot_tracks
+from astro_scc.measurement.publication import write_publication
+from astro_scc.measurement.published import published_positions, with_published
+from astro_scc.visualization import plot_separation, plot_tracks, style
 
 # Files of an earlier run that must not remain beside new ones.
 PRODUCTS = (
-    "features.ecsv positions.ecsv features.vot positions.vot separation.png tracks.png"
+    "features.ecsv positions.ecsv publication separation.png tracks.png "
+    "separation.pdf tracks.pdf"
 ).split()
-#: Dots per inch of the figures.
-DPI = 130
 
 
 def run(args, reporter):
@@ -34,10 +37,11 @@ def run(args, reporter):
         epochs = inputs.read_epochs(settings, note=reporter.note, features=True)
         cube, settings, *_ = epochs
         n_workers = inputs.workers_of(args, cube)
+        published = args.compare and published_positions(args.compare, cube)
         features = _find(cube, settings, reporter, n_workers)
-        table = _write(features, settings, folder, votable=args.votable)
+        table = _write(features, settings, folder, published)
         if not args.no_figures:
-            _draw(features, folder)
+            _draw(features, folder, beta_per_pm(table), published, pdf=args.pdf)
     reporter.say(
         *feature_lines(table, most=len(table)),
         *speed_lines(settings.in_c),
@@ -67,9 +71,11 @@ def _find(cube, settings, reporter, n_workers):
     return features
 
 
-def _write(features, settings, folder, *, votable):
+def _write(features, settings, folder, published):
     """Write the tables, and return that of the features."""
     how, table = settings.in_c, features.table
+    if published is not None:
+        table = with_published(table, features, published)
     tables = {
         "features": table_in_c(table, **how) if how else table,
         "positions": features.positions,
@@ -85,14 +91,17 @@ def _write(features, settings, folder, *, votable):
         own = QTable(own, copy=False)
         own.meta = meta
         own.write(folder / f"{name}.ecsv", format="ascii.ecsv", overwrite=True)
-        if votable:
-            write_votable(own, folder / f"{name}.vot", overwrite=True)
+        tables[name] = own
+    write_publication(tables, folder)
     return tables["features"]
 
 
-def _draw(features, folder):
+def _draw(features, folder, per_pm, published, *, pdf):
     """Write the figures."""
-    figures = {"separation": plot_separation, "tracks": plot_tracks}
-    for name, plot in figures.items():
-        figure = plot(features)
-        figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={"Software": None})
+    own = {"published": published}
+    figures = {
+        "separation": partial(plot_separation, features, beta_per_pm=per_pm, **own),
+        "tracks": partial(plot_tracks, features, **own),
+    }
+    for name, content in style.figure_files(figures, pdf=pdf).items():
+        (folder / name).write_bytes(content)

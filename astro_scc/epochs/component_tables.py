@@ -80,13 +80,22 @@ FILE_DATE = re.compile(
 )
 
 
-def read_fields(path, kind, source, origin, date):
+def source_names(table):
+    """Return the names of the sources of a table, None without a column of them."""
+    column = _find_columns(table).get("source")
+    if column is None:
+        return None
+    return list(dict.fromkeys(str(name).strip() for name in table[column]))
+
+
+def read_fields(path, kind, source, origin, date, opened=None):
     """
     Return the fields of the `~astro_scc.epochs.ComponentList` in a file.
 
-    A ``date``, as text, replaces the date of the file or of all rows.
+    A ``date``, as text, replaces the date of the file or of all rows.  A file that is
+    ``opened`` is not read again.
     """
-    table, own_date = FORMATS[kind][0](path)
+    table, own_date = opened or FORMATS[kind][0](path)
     date = date or own_date
     if date == "":
         raise ValueError(f"{path}: {UNDATED[kind]}")

@@ -14,7 +14,7 @@ from astropy.time import Time
 from numpy.typing import ArrayLike
 
 from astro_scc.epochs.beam import Beam
-from astro_scc.epochs.component_tables import FORMATS, UNITS, read_fields
+from astro_scc.epochs.component_tables import FORMATS, UNITS, read_fields, source_names
 from astro_scc.epochs.fits import find_files
 from astro_scc.epochs.validation import as_beams, as_epoch_tuple, naming
 from astro_scc.exceptions import warn
@@ -335,16 +335,76 @@ def read_components(
     return lists[0] if len(lists) == 1 else _concatenate(lists)
 
 
+def read_sources(
+    path: Path | str, *, source: str | None = None, origin: str | None = None,
+    beams: Beam | None = None,
+) -> dict[str, ComponentList]:  # fmt: skip
+    """
+    Read the model components of all sources of a table.
+
+    Parameters
+    ----------
+    path : path
+        A table that `read_components` reads.
+    source : str, optional
+        Only this one.
+    origin : {'core', 'map'}, optional
+    beams : `Beam`, optional
+        See `read_components`.
+
+    Returns
+    -------
+    dict of `ComponentList`
+        By the names of the sources; that of a table without names is its stem.  A
+        source that cannot be read is left out with a warning.
+
+    Raises
+    ------
+    OSError, ValueError
+        See `read_components`.
+    """
+    path = Path(path)
+    if source is not None:
+        return {
+            source: read_components(path, source=source, origin=origin, beams=beams)
+        }
+    (path,) = find_files(path)
+    kind = _kind_of(path)
+    opened = FORMATS[kind][0](path)
+    found = {}
+    for name in source_names(opened[0]) or (None,):
+        try:
+            fields = read_fields(path, kind, name, origin, None, opened)
+            with naming(path):
+                found[name or path.stem] = _with_beam(fields, beams)
+        except ValueError as error:
+            reason = error
+            warn(f"{error}; the source {name or path.stem} is left out")
+    if not found:
+        raise reason
+    return found
+
+
 def _read_file(path, kind, source, origin, date, beam):
+    fields = read_fields(path, kind or _kind_of(path), source, origin, date)
+    with naming(path):
+        return _with_beam(fields, beam)
+
+
+def _with_beam(fields, beam):
+    """Return components with a beam, or with that of their file."""
+    own = fields["meta"].pop("beam", None)
+    beams = [b for b in (beam, own) if b is not None][:1] * len(fields["times"])
+    return ComponentList(**fields, beams=beams)
+
+
+def _kind_of(path):
+    """Return the format of a file, which its suffix tells."""
     suffix = path.suffix.lower()
-    kind = kind or next((k for k, (_, own) in FORMATS.items() if suffix in own), None)
+    kind = next((k for k, (_, own) in FORMATS.items() if suffix in own), None)
     if kind is None:
         raise ValueError(
             f"{path}: the suffix {path.suffix!r} tells no format; give one of "
             f"{', '.join(FORMATS)}"
         )
-    fields = read_fields(path, kind, source, origin, date)
-    own = fields["meta"].pop("beam", None)
-    beams = [b for b in (beam, own) if b is not None][:1] * len(fields["times"])
-    with naming(path):
-        return ComponentList(**fields, beams=beams)
+    return kind

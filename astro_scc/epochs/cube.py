@@ -348,6 +348,8 @@ class EpochCube:
     pixel_matrix: ClassVar[u.Quantity] = property(positions.pixel_matrix)
     pixel_scale: ClassVar[u.Quantity] = property(positions.pixel_scale)
     reference_pixel: ClassVar[tuple[float, float]] = property(positions.reference_pixel)
+    speed_unit: ClassVar[u.UnitBase] = property(positions.speed_unit)
+    facts: ClassVar[dict[str, Any]] = property(positions.facts)
     pixel_to_offset = positions.pixel_to_offset
     offset_to_pixel = positions.offset_to_pixel
     offsets = positions.offsets

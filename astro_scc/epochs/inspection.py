@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike
 from astro_scc.epochs.beam import Beam, beam_columns
 from astro_scc.epochs.component_tables import NO_IMAGE, is_component_list
 from astro_scc.epochs.fits import find_files, looks_like_mask, read_plane
-from astro_scc.epochs.positions import readable_angle
+from astro_scc.epochs.positions import readable_angle, resolution
 from astro_scc.epochs.validation import as_beams
+from astro_scc.units import speed_unit
 
 if TYPE_CHECKING:
     from astro_scc.epochs.cube import EpochCube
@@ -46,8 +47,6 @@ COLUMNS = {
 # the range in which pairs of epochs work best, in beams.
 SMALLEST_SHIFT = 0.2
 GOOD_SHIFTS = (0.3, 1.5)
-# Resolution of images without a beam, in pixels.
-PIXELS_RESOLVED = 3.0
 
 
 def measure_noise(image: ArrayLike, *, mask: ArrayLike | None = None) -> float:
@@ -453,9 +452,8 @@ def plan_intervals(
     gaps = np.diff(days) * u.day
     median = np.median(gaps)
     span = (days[-1] - days[0]) * u.day
-    time = u.day if span > 2 * u.day else u.hour
-    time = u.yr if span > 0.1 * u.yr else time
-    speed = (u.mas if resolution < 0.1 * u.arcsec else u.arcsec) / time
+    speed = speed_unit(span, resolution, median)
+    time = speed.bases[1]
     return IntervalPlan(
         n_epochs=int(np.size(times)),
         span=span.to(time),
@@ -472,9 +470,8 @@ def plan_intervals(
 def _resolution(cube, beam):
     if beam is None and isinstance(cube, Time):
         raise ValueError("dates alone need a beam, or the resolution as an angle")
-    if beam is None and cube.beams is None:
-        return PIXELS_RESOLVED * cube.pixel_scale
-    beam = cube.beams if beam is None else beam
+    if beam is None:
+        return resolution(cube)
     if isinstance(beam, u.Quantity) and not hasattr(beam, "major"):
         return beam
     beams = as_beams(beam, 1 if hasattr(beam, "major") else len(beam))

@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.wcs import WCS
+from astropy.wcs.utils import wcs_to_celestial_frame
 from numpy.typing import ArrayLike
 
+from astro_scc import units
 from astro_scc.decomposition import scale_size
 from astro_scc.quantities import named, one_quantity
 
@@ -37,7 +39,11 @@ LONGITUDE = {
     r"(\b|_)east(?=_|$)": r"\1lon_offset",
     r"(\b|_)north(?=_|$)": r"\1lat_offset",
 }
-#: Resolution of images without a beam, in sizes of the SSP's scale.
+#: Longitude and latitude of a source whose position is not known.
+UNKNOWN = (180.0, 0.0)
+#: Resolution of images without a beam, in pixels.
+PIXELS_RESOLVED = 3
+#: Resolution of their SSPs, in sizes of the scale.
 SCALES_PER_FWHM = 2.0
 
 
@@ -70,7 +76,7 @@ def offset_wcs(pixel_scale, reference_pixel, position=None):
         Celestial position of the origin; by default (180 deg, 0 deg).
     """
     step = pixel_side(pixel_scale).to_value(u.deg)
-    position = SkyCoord(180 * u.deg, 0 * u.deg) if position is None else position.icrs
+    position = SkyCoord(*UNKNOWN, unit=u.deg) if position is None else position.icrs
     wcs = WCS(naxis=2)
     wcs.wcs.ctype = "RA---SIN", "DEC--SIN"
     wcs.wcs.cunit = "deg", "deg"
@@ -101,6 +107,38 @@ def reference_pixel(cube: EpochCube) -> tuple[float, float]:
     """(x, y) of the origin of offsets, counted from 0."""
     x, y = cube.wcs.wcs.crpix - 1
     return float(x), float(y)
+
+
+def speed_unit(cube: EpochCube) -> u.UnitBase:
+    """Unit of proper motions that suits the dates and the resolution."""
+    days = np.unique((cube.times - cube.times[0]).jd) * u.day
+    if len(days) < 2:
+        return units.PM_UNIT
+    return units.speed_unit(days[-1], resolution(cube), np.median(np.diff(days)))
+
+
+def facts(cube: EpochCube) -> dict[str, Any]:
+    """Name and position of the source, dates and beam, for the meta of tables."""
+    first, last = cube.times[[0, -1]].strftime("%Y-%m-%d").tolist()
+    found = {"n_epochs": len(cube), "first_epoch": first, "last_epoch": last}
+    if name := cube.meta.get("object"):
+        found["object"] = str(name)
+    place = tuple(cube.wcs.wcs.crval)
+    if place != UNKNOWN and axis_words(cube)[0] == "east":
+        sky = SkyCoord(*place, unit="deg", frame=wcs_to_celestial_frame(cube.wcs))
+        found["position"] = sky.icrs.to_string("hmsdms", precision=5)
+    if cube.beams is not None:
+        beam, n = cube.beams[0], len(set(cube.beams))
+        several = f", that of the first of {len(cube)} epochs" if n > 1 else ""
+        found["beam"] = f"{beam}{several}"
+    return found
+
+
+def resolution(cube: EpochCube) -> u.Quantity:
+    """Return the median width of the beams, or three pixels without beams."""
+    if cube.beams is None:
+        return PIXELS_RESOLVED * cube.pixel_scale
+    return np.median(u.Quantity([np.sqrt(b.major * b.minor) for b in cube.beams]))
 
 
 def pixel_to_offset(

@@ -7,9 +7,8 @@ from astropy.time import Time
 
 from astro_scc.columns import MOTION, build_table
 from astro_scc.epochs.positions import name_by_frame
-from astro_scc.units import PM_UNIT, round_to_errors
+from astro_scc.units import ACCELERATION, PM_UNIT, in_speed_unit, round_to_errors
 
-ACCELERATION = u.mas / u.yr**2
 #: Columns of features: unit or type, and meaning.
 COLUMNS = {
     "feature": (
@@ -96,6 +95,18 @@ def feature_table(features, component=None):
     table["date"].info.description = about
     table["flux"] = table["flux"] * flux_unit(features.cube)
     table["flux"].info.description = COLUMNS["flux"][1]
+    unit = features.cube.speed_unit
+    if unit.bases[1] != u.yr:
+        years = table["t_ej"].value
+        known = np.isfinite(years)
+        table["t_ej"], table["t_ej_err"] = years * u.day, table["t_ej_err"].to(u.day)
+        table["t_ej"][known] = (
+            Time(years[known], format="jyear", scale="utc").mjd * u.day
+        )
+        table["t_ej"].info.description = "MJD at which it was at the core"
+        table["t_ej_err"].info.description = COLUMNS["t_ej_err"][1]
+    in_speed_unit(table, unit)
+    table.meta.update(features.cube.facts)
     return round_to_errors(name_by_frame(table, features.cube))
 
 
@@ -134,6 +145,7 @@ def position_table(features):
     _with_dates(table, features.cube, ("date",))
     table["flux"] = table["flux"] * flux_unit(features.cube)
     table["flux"].info.description = POSITIONS["flux"][1]
+    table.meta.update(features.cube.facts)
     return round_to_errors(name_by_frame(table, features.cube))
 
 

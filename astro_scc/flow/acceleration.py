@@ -19,7 +19,7 @@ from astro_scc.stacking.dispersion import (
     scattered_fit,
 )
 from astro_scc.stacking.search_settings import DEFAULT
-from astro_scc.units import PM_UNIT, offset_unit, speed_unit
+from astro_scc.units import PM_UNIT, offset_unit
 
 #: Distance in beams below which the core shifts features.
 CORE = 2.0
@@ -75,7 +75,7 @@ class FlowAcceleration:
                 f"acceleration: unknown, {self.n_features} features are seen beyond "
                 "two beams, of which four are needed, or two over five epochs"
             )
-        length, time = speed_unit(self.speed.to_value(PM_UNIT)).bases
+        length, time = self.speed.unit.bases
         both = self.acceleration, self.acceleration_err
         value = with_error(*(a.to_value(length / time**2) for a in both), "+-")
         far = offset_unit(self.centre.to_value(u.mas))
@@ -104,7 +104,8 @@ def measure_acceleration(result: SCCResult, row: int = 0) -> FlowAcceleration:
     Returns
     -------
     ``FlowAcceleration``
-        ``speed`` in mas/yr and ``centre`` in mas, the means of the features;
+        ``speed`` in the unit of proper motions and ``centre`` in mas, the means of
+        the features;
         ``gradient`` of the speed with distance in 1/yr and ``acceleration`` in
         mas/yr^2, each with ``_err``; ``p_value`` and ``n_features``.  It prints
         as one line.
@@ -131,10 +132,10 @@ def measure_acceleration(result: SCCResult, row: int = 0) -> FlowAcceleration:
         raise ValueError(f"row must be from 0 to {len(streams) - 1}, got {row}")
     stream = streams[row]
     beam = float(projection_of(result).beam(stream.angle)[0]) * u.mas
-    return fit_gradient(stream.features, beam)
+    return fit_gradient(stream.features, beam, result.cube.speed_unit)
 
 
-def fit_gradient(features, beam):
+def fit_gradient(features, beam, unit=PM_UNIT):
     """
     Fit the gradient of the speed along a flow to its features.
 
@@ -166,15 +167,17 @@ def fit_gradient(features, beam):
         gradient = (weight * values).sum() / weight.sum() / speed
         error = np.hypot(1 / np.sqrt(weight.sum()) / speed, BLENDS)
         p_value = 2 * stdtr(freedom.sum(), -abs(gradient) / error)
-    speed = speed * beam / u.yr
-    gradient, error = (u.Quantity(x / beam * speed, "1/yr") for x in (gradient, error))
+    (length, time), speed = unit.bases, speed * beam / u.yr
+    gradient, error = (
+        u.Quantity(x / beam * speed, 1 / time) for x in (gradient, error)
+    )
     return FlowAcceleration(
-        speed=speed.to(u.mas / u.yr),
+        speed=speed.to(unit),
         centre=centre * beam,
         gradient=gradient,
         gradient_err=error,
-        acceleration=(gradient * speed).to(u.mas / u.yr**2),
-        acceleration_err=(error * speed).to(u.mas / u.yr**2),
+        acceleration=(gradient * speed).to(length / time**2),
+        acceleration_err=(error * speed).to(length / time**2),
         p_value=float(p_value),
         n_features=n,
     )

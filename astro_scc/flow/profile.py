@@ -322,7 +322,10 @@ def _figures(profile, components):
             beta_per_pm=beta_per_pm(components),
         ),
         "velocity_maps": plot_scale_maps(
-            maps, grid, axis_names=tuple(first.frame.axis_names)
+            maps,
+            grid,
+            axis_names=tuple(first.frame.axis_names),
+            unit=first.cube.speed_unit,
         ),
         "position_angles": plot_position_angles(_angles_of_scales(results)),
     }

@@ -6,8 +6,8 @@ from astro_scc.measurement.plan import select_ssps
 from astro_scc.measurement.products import (
     product_folder,
     write_products,
-    write_votable,
 )
+from astro_scc.measurement.publication import write_votable
 from astro_scc.measurement.regions import (
     ssp_regions,
     ssp_segmentation,

@@ -6,11 +6,42 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
+from astro_scc.columns import describe
 from astro_scc.decomposition import scale_size
 from astro_scc.epochs import positions
 from astro_scc.stacking.stack import sample_velocities
 from astro_scc.units import round_to_errors
 
+#: Meanings of the columns of SSPs; errors are standard errors.
+SSP_COLUMNS = {
+    "ssp": "number of the SSP, from 0",
+    "epoch": "number of the image, from 0",
+    "date": "date of the image",
+    "scale": "wavelet scale, from 1 for the finest",
+    "scale_size": "size of the structure of the scale",
+    "x": "pixel of the maximum, from 0",
+    "y": "pixel of the maximum, from 0",
+    "east": "offset of the maximum from the reference pixel to the east",
+    "north": "offset of the maximum from the reference pixel to the north",
+    "east_err": "standard error of east from noise",
+    "north_err": "standard error of north from noise",
+    "east_centroid": "offset of the centroid from the reference pixel to the east",
+    "north_centroid": "offset of the centroid from the reference pixel to the north",
+    "peak": "largest wavelet coefficient",
+    "coefficient_sum": "sum of the wavelet coefficients of the pixels, no flux density",
+    "snr": "largest wavelet coefficient over the noise of the scale",
+    "n_pixels": "number of pixels",
+    "in_region": "whether it was used",
+}
+#: Further columns of the matches of a component.
+MEMBER_COLUMNS = {
+    "match": "index in the displacements",
+    "target_ssp": "SSP on which the match lies, or -1",
+    "target_epoch": "number of the image of the match",
+    "target_date": "date of the image of the match",
+    "interval": "time from the SSP to the match",
+    "weight": "correlation coefficient",
+}
 #: A match or feature within this many of its standard errors belongs to a component.
 MEMBER_SIGMA = 2.0
 #: What is at rest is slower than this many standard errors.
@@ -60,13 +91,13 @@ def ssp_table(ssps, cube, *, select=None):
             "east_centroid": east_centroid * u.mas,
             "north_centroid": north_centroid * u.mas,
             "peak": ssps.peak * cube.unit,
-            "flux": ssps.flux * cube.unit,
+            "coefficient_sum": ssps.flux * cube.unit,
             "snr": ssps.snr,
             "n_pixels": ssps.n_pixels,
             "in_region": select,
         }
     )
-    table["flux"].info.description = "sum of the wavelet coefficients of the pixels"
+    describe(table, SSP_COLUMNS)
     return positions.name_by_frame(round_to_errors(table), cube)
 
 
@@ -176,8 +207,11 @@ def member_table(result, number):
     for name, (values, errors) in zip(result.frame.axis_names, axes, strict=True):
         table[f"displacement_{name}"] = values[match] * u.mas
         table[f"displacement_{name}_err"] = errors[match] * u.mas
+        about = f"displacement_{name}"
+        describe(table, {about: f"displacement of the match, {name}"})
+        describe(table, {f"{about}_err": f"standard error of {about}"})
     table["weight"] = d.weight[match]
-    table["weight"].info.description = "correlation coefficient"
+    describe(table, SSP_COLUMNS | MEMBER_COLUMNS)
     return positions.name_by_frame(round_to_errors(table), cube)
 
 

@@ -224,14 +224,19 @@ def search_reach(cube, pairs, radius, fwhm, max_speed):
     side, shape = np.hypot(*cube.pixel_matrix.value), np.array(cube.shape[1:])
     if max_speed is not None:
         shortest, longest = pairs.interval.min(), pairs.interval.max()
+        unit = cube.speed_unit.bases[1]
+
+        def easy(interval):
+            return f"{(interval * u.yr).to(unit):.3g}"
+
         least, most = max_speed * shortest, max_speed * longest
         if least > MOST_MOTION * np.hypot(*(side * shape[::-1])):
             raise ValueError(
                 f"max_speed moves {least:.3g} mas in the shortest interval "
-                f"({shortest:.3g} yr), more than {MOST_MOTION} times the image: give "
+                f"({easy(shortest)}), more than {MOST_MOTION} times the image: give "
                 "a smaller one"
             )
-        in_longest = f"{most:.3g} mas in the longest interval ({longest:.3g} yr)"
+        in_longest = f"{most:.3g} mas in the longest interval ({easy(longest)})"
         if most < LEAST_MOTION * side.min():
             raise ValueError(
                 f"max_speed moves {in_longest}, less than {LEAST_MOTION:g} of a pixel: "

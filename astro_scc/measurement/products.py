@@ -15,16 +15,14 @@ from typing import TYPE_CHECKING, Any
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
-from astropy.io.votable import from_table
-from astropy.io.votable.tree import Param
-from astropy.table import Column, QTable, Table
-from astropy.time import Time
+from astropy.table import QTable
 
 from astro_scc import writing
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics.cosmology import table_in_c_as
 from astro_scc.measurement.feature_tables import frame_velocities
-from astro_scc.measurement.tables import latex_text, paper_table
+from astro_scc.measurement.publication import write_publication
+from astro_scc.measurement.published import with_published
 from astro_scc.stacking import SearchSettings
 from astro_scc.units import PM_UNIT
 
@@ -33,6 +31,8 @@ if TYPE_CHECKING:
 
 # Errors of the disk, which do not always name a file.
 DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
+#: Tables in forms of journals and archives.
+PRINTED = ("components", "features", "positions")
 MOTION = "direction of the proper motion"
 #: What the header of the diagram says about it.
 DIAGRAM = (
@@ -170,6 +170,7 @@ def _move(folder, target, stale=()):
 def write_products(
     result: SCCResult, components: QTable, directory: Path | str, *,
     configuration: dict[str, Any] | None = None, text: str | None = None,
+    published: QTable | None = None,
 ) -> list[Path]:  # fmt: skip
     """
     Write tables and maps of a measurement.
@@ -186,13 +187,18 @@ def write_products(
         replace the settings of the stack alone.
     text : str, optional
         The same settings as TOML, for ``config.toml``.
+    published : `~astropy.table.QTable`, optional
+        Published features, see
+        `~astro_scc.measurement.published.published_positions`, of which the table of
+        features has columns.
 
     Returns
     -------
     list of `~pathlib.Path`
         ``components.ecsv``, ``features.ecsv``, with apparent speeds if the components
         have them, ``positions.ecsv``, ``sensitivity.ecsv``, ``ssps.ecsv``,
-        ``components.tex``, a deluxetable for a paper, ``scc.fits`` and, if ``text`` is
+        ``scc.fits``, the folder ``publication``, see
+        `~astro_scc.measurement.publication.write_publication`, and, if ``text`` is
         given, ``config.toml``.
 
     Raises
@@ -216,13 +222,17 @@ def write_products(
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
     >>> result = scc(cube, n_trials=20, rng=1)
     >>> Path("out").mkdir()
-    >>> [path.suffix for path in write_products(result, result.components, "out")]
-    ['.ecsv', '.ecsv', '.ecsv', '.ecsv', '.ecsv', '.tex', '.fits']
+    >>> paths = write_products(result, result.components, "out")
+    >>> [path.suffix for path in paths if path.parent.name == "out"]
+    ['.ecsv', '.ecsv', '.ecsv', '.ecsv', '.ecsv', '.fits']
     """
     directory = Path(directory)
+    features = table_in_c_as(result.features, components)
+    if published is not None:
+        features = with_published(features, result.tracked_features, published)
     tables = {
         "components.ecsv": components,
-        "features.ecsv": table_in_c_as(result.features, components),
+        "features.ecsv": features,
         "positions.ecsv": result.feature_positions,
         "sensitivity.ecsv": result.sensitivity,
         "ssps.ecsv": result.ssps,
@@ -233,29 +243,15 @@ def write_products(
         table = table.copy(copy_data=False)
         note = {key: table.meta[key] for key in ("note",) if key in table.meta}
         table.meta = plain_meta(meta | note)
+        tables[name] = table
         table.write(directory / name, format="ascii.ecsv", overwrite=True)
-    latex, maps = directory / "components.tex", directory / "scc.fits"
-    how = {"format": "ascii.aastex", "latexdict": _paper_texts(result)}
-    paper_table(components).write(latex, overwrite=True, **how)
+    printed = {name: tables[f"{name}.ecsv"] for name in PRINTED}
+    published = write_publication(printed, directory, {"ssps": result.ssps})
+    maps = directory / "scc.fits"
     hdus = velocity_hdus(result, text=text)
     hdus.writeto(maps, output_verify="exception", overwrite=True)
-    paths = [*(directory / name for name in tables), latex, maps]
+    paths = [*(directory / name for name in tables), maps, *published]
     return paths + write_configuration(directory, text)
-
-
-def _paper_texts(result):
-    """Return the caption and the comments of a table in a paper."""
-    name = latex_text(_ascii(result.cube.meta.get("object", "")))
-    first, last = result.cube.times[[0, -1]].strftime("%Y-%m-%d")
-    return {
-        "caption": f"Velocity components{name and f' of {name}'}",
-        "tablefoot": (
-            rf"\tablecomments{{{len(result.cube)} epochs from {first} to {last}. "
-            r"$\sigma_\mu$: dispersion of the features' speeds without their errors. "
-            r"$p_\mathrm{global}$: probability that epochs in permuted order would "
-            "give an equally strong peak at any velocity.}"
-        ),
-    }
 
 
 def with_configuration(meta, configuration):
@@ -325,6 +321,7 @@ def velocity_hdus(result, *, text=None):
 
 def _features_hdu(result):
     features = result.feature_positions.copy()
+    features.meta.clear()
     # The standard does not have DN, which solar images are in.
     features.remove_column("flux")
     # Readers of FITS know dates as text.
@@ -388,91 +385,3 @@ def _facts(result):
 
 def _ascii(text):
     return " ".join(str(text).split()).encode("ascii", "replace").decode()
-
-
-def write_votables(result, components, directory):
-    """
-    Write the tables of a measurement as VOTable.
-
-    Parameters
-    ----------
-    result : `SCCResult`
-    components : `~astropy.table.QTable`
-        `SCCResult.components`, with apparent speeds if there are any.
-    directory : path
-        A folder that exists.  Files of these names are replaced.
-
-    Returns
-    -------
-    list of `~pathlib.Path`
-        ``components.vot``, ``features.vot``, ``positions.vot`` and ``ssps.vot``, see
-        `write_votable`.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written.
-    """
-    tables = {
-        "components": components,
-        "features": table_in_c_as(result.features, components),
-        "positions": result.feature_positions,
-        "ssps": result.ssps,
-    }
-    paths = [Path(directory, f"{name}.vot") for name in tables]
-    for path, table in zip(paths, tables.values(), strict=True):
-        write_votable(table, path, overwrite=True)
-    return paths
-
-
-def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) -> None:
-    """
-    Write a table as VOTable, which TOPCAT, STILTS and Aladin read.
-
-    Parameters
-    ----------
-    table : `~astropy.table.Table`
-        Any table of this package, in memory or read from its ECSV file.
-    path : path
-        A file, commonly ``.vot`` or ``.xml``.
-    overwrite : bool, optional
-
-    Raises
-    ------
-    OSError
-        If the file exists and ``overwrite`` is False, or cannot be written.
-
-    Notes
-    -----
-    Columns keep their units and descriptions.  Dates become ISO text.  Single
-    numbers and texts in the meta become parameters; ECSV keeps the whole meta.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astropy.table import QTable
-    >>> from astro_scc.measurement import write_votable
-    >>> write_votable(QTable({"pm": [0.5] * u.mas / u.yr}), "components.vot")
-    >>> QTable.read("components.vot")["pm"].unit
-    Unit("mas / yr")
-    """
-    plain = Table(table)
-    for name in table.colnames:
-        values = plain[name]
-        if isinstance(values, Time):
-            # An empty array of dates does not have the type of text.
-            dates = np.asarray(values.isot, dtype=str if len(values) else "U23")
-            plain[name] = Column(dates, description=values.info.description)
-        elif values.dtype == np.int8:
-            # VOTable has no type for signed 8-bit integers.
-            plain[name] = values.astype(np.int16)
-    votable = from_table(plain)
-    params = votable.get_first_table().params
-    datatype = {bool: "boolean", int: "long", float: "double"}
-    for key, value in table.meta.items():
-        if isinstance(value, bool | int | float | str) and value != "":
-            kind = datatype.get(type(value), "unicodeChar")
-            size = {"arraysize": "*"} if kind == "unicodeChar" else {}
-            params.append(Param(votable, name=key, datatype=kind, value=value, **size))
-    with writing.replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
-        votable.to_xml(str(part))

@@ -174,7 +174,7 @@ class SCCResult:
         text = f"<p>{'<br>'.join(map(escape, lines))}</p>"
         if not kinds:
             return text
-        shown = paper_table(table, latex=False)
+        shown = paper_table(table)
         return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))
 
     @property
@@ -253,7 +253,10 @@ class SCCResult:
         rows = [
             component_row(self, number) for number in range(1, len(self.maxima) + 1)
         ]
-        return name_by_frame(component_table(rows, meta=dict(self.meta)), self.cube)
+        table = component_table(
+            rows, meta=self.meta | self.cube.facts, unit=self.cube.speed_unit
+        )
+        return name_by_frame(table, self.cube)
 
     def components_in_c(
         self, *, redshift: float | str | u.Quantity | None = None,

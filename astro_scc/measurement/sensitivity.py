@@ -19,10 +19,9 @@ from astro_scc.stacking.errors import (
 from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.units import (
     PM_UNIT,
-    in_easy_units,
+    in_speed_unit,
     offset_unit,
     round_to_errors,
-    time_unit,
 )
 
 #: Share of a distribution below one standard deviation above its mean.
@@ -59,10 +58,11 @@ def sensitivity_table(result):
     """
     streams, alpha = result.search.streams, result.meta["settings"]["alpha"]
     if streams and streams[0].kind == "moving":
-        return _table_of(_Main.of(result), alpha)
-    table = build_table([], COLUMNS)
-    table.meta["note"] = "nothing moves significantly"
-    return table
+        table = _table_of(_Main.of(result), alpha)
+    else:
+        table = build_table([], COLUMNS)
+        table.meta["note"] = "nothing moves significantly"
+    return round_to_errors(in_speed_unit(table, result.cube.speed_unit))
 
 
 def _table_of(main, alpha):
@@ -78,7 +78,7 @@ def _table_of(main, alpha):
         row["significant"] = large and row["p_value"] <= alpha
     measured |= {"change": 0.0, "change_err": 0.0, "change_sigma": 0.0, "p_value": 1.0}
     measured["significant"] = False
-    return round_to_errors(build_table([measured, *rows], COLUMNS))
+    return build_table([measured, *rows], COLUMNS)
 
 
 def sensitivity_line(table):
@@ -98,7 +98,7 @@ def sensitivity_line(table):
     parts = [
         f"{with_error(row['pm'].value, row['pm_err'].value, '+-')} {row['pm'].unit} "
         f"({row['choice']})"
-        for row in in_easy_units(table)[table["significant"]]
+        for row in table[table["significant"]]
     ]
     what = "The main speed changes by more than its error: "
     return what + ", ".join(parts) if parts else ""
@@ -152,9 +152,9 @@ class _Line:
 class _Main:
     """The first component: its stream, and the lines of its features."""
 
-    def __init__(self, stream, samples, beam, misaligned, ssps, dates):
+    def __init__(self, stream, samples, beam, misaligned, ssps, dates, time=u.yr):
         self.stream, self.beam, self.misaligned = stream, beam, misaligned
-        self.epoch, self.dates = ssps.epoch, list(dates)
+        self.epoch, self.dates, self.time = ssps.epoch, list(dates), time
         self.lines = [_Line(feature, samples) for feature in stream.features]
         self.scale = np.array([ssps.scale[f.ssp[0]] for f in stream.features])
         self.peak = np.array([np.mean(ssps.peak[f.ssp]) for f in stream.features])
@@ -171,7 +171,8 @@ class _Main:
         error = result.meta["settings"].get("alignment_error")
         misaligned, ssps = alignment_errors(result.cube, error), result.matched.ssps
         of = project(stream.angle), project.beam(stream.angle)
-        return cls(stream, *of, misaligned, ssps, dates)
+        time = result.cube.speed_unit.bases[1]
+        return cls(stream, *of, misaligned, ssps, dates, time)
 
     def row(self, choice, use):
         """
@@ -256,8 +257,7 @@ def _choices(main):
     apart = [np.abs(line.intervals) for line in lines]
     used = [np.triu(_both(line.used), 1) for line in lines]
     limit = np.median(np.concatenate([a[k] for a, k in zip(apart, used, strict=True)]))
-    unit = time_unit(limit)
-    shown = f"{(limit * u.yr).to_value(unit):.2g} {unit}"
+    shown = f"{(limit * u.yr).to_value(main.time):.2g} {main.time}"
     yield f"intervals shorter than {shown}", [a < limit for a in apart]
     yield f"intervals of {shown} or more", [a >= limit for a in apart]
     middle = len(main.dates) // 2

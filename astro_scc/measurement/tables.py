@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Velocity components as a table, tables for papers, and adjusted p-values."""
+"""Velocity components as a table, its cells as text, and adjusted p-values."""
 
-import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
@@ -12,45 +11,21 @@ import numpy as np
 from astropy.table import Column, QTable, Table, vstack
 from astropy.time import Time
 
-from astro_scc.columns import MOTION, build_table
+from astro_scc.columns import MOTION, PAPER, build_table
 from astro_scc.quantities import with_error
-from astro_scc.units import PM_UNIT, round_to_errors
+from astro_scc.units import PM_UNIT, in_speed_unit, round_to_errors
 
 #: Standard errors above the mean at the one-sided 95% limit of a normal distribution.
 LIMIT = 1.645
-#: Columns of a table in a paper, and their headings in LaTeX.
-PAPER = {
-    "track": "Track",
-    "feature": "Feature",
-    "component": "Component",
-    "r_min": r"$r_\mathrm{min}$",
-    "r_max": r"$r_\mathrm{max}$",
-    "kind": "Kind",
-    "scale": "Scale",
-    "n_epochs": "Epochs",
-    "first": "First",
-    "last": "Last",
-    "separation": "Separation",
-    "position_angle": "PA",
-    "r": "$r$",
-    "pa": "PA",
-    "pm": r"$\mu$",
-    "beta_app": r"$\beta_\mathrm{app}$",
-    "pm_pa": r"PA of $\mu$",
-    "dispersion": r"$\sigma_\mu$",
-    "t_ej": r"$t_\mathrm{ej}$",
-    "p_false": r"$p_\mathrm{false}$",
-    "p_global": r"$p_\mathrm{global}$",
-    "p_fdr": r"$p_\mathrm{FDR}$",
-    "n_features": "Features",
-    "n_pairs": "Pairs of epochs",
-}
 P_FDR = "p_global adjusted for all searches: share of false discoveries up to it"
 
 #: Every column of the velocity components: unit or type, and meaning.
 COLUMNS = {
     "component": (int, "number of the component, as in the other tables"),
     "kind": ("U15", "moving, stationary (within its errors) or not significant"),
+    # Terminals show the first and the last columns if they have no room for all.
+    "pm": MOTION["pm"],
+    "pm_err": MOTION["pm_err"],
     **MOTION,
     "pm_parallel": (PM_UNIT, "proper motion along the jet"),
     "pm_parallel_err": (PM_UNIT, "standard error of pm_parallel"),
@@ -70,14 +45,14 @@ COLUMNS = {
     "coefficient": (float, "stacked correlation coefficient"),
     "z_score": (float, "(coefficient - mean) / std of permuted epochs (paper)"),
     "p_local": (float, "p-value of permuted epochs at this velocity alone"),
-    "p_global": (float, "p-value of permuted epochs, largest peak at any velocity"),
-    "p_global_err": (float, "Monte Carlo standard error of p_global"),
     "p_distinct": (float, "p-value of one stream fewer, by parametric bootstrap"),
     "p_smallest": (float, "smallest p_global that permutations and epochs allow"),
+    "note": (str, "why it is not significant, or -"),
     "n_ssp": (int, "SSPs with a match at the component's velocity"),
     "n_pairs": (int, "pairs of epochs with a match at the component's velocity"),
     "n_features": (int, "number of features that were followed"),
-    "note": (str, "why it is not significant, or -"),
+    "p_global_err": (float, "Monte Carlo standard error of p_global"),
+    "p_global": (float, "p-value of permuted epochs, largest peak at any velocity"),
 }
 
 
@@ -105,8 +80,9 @@ def versions() -> dict[str, str]:
 
 
 def component_table(
-    rows: Sequence[dict[str, Any]], *, meta: dict[str, Any] | None = None
-) -> QTable:
+    rows: Sequence[dict[str, Any]], *, meta: dict[str, Any] | None = None,
+    unit: u.UnitBase = PM_UNIT,
+) -> QTable:  # fmt: skip
     """
     Return velocity components as a table.
 
@@ -116,6 +92,8 @@ def component_table(
         One per component: the columns as plain numbers, proper motions in
         mas/yr and angles in degrees.  May be empty.
     meta : dict, optional
+    unit : `~astropy.units.Unit`, optional
+        Unit of the proper motions of the table.
 
     Returns
     -------
@@ -129,12 +107,12 @@ def component_table(
     >>> len(empty), empty["pm"].unit
     (0, Unit("mas / yr"))
     """
-    table = build_table(rows, COLUMNS)
+    table = in_speed_unit(build_table(rows, COLUMNS), unit)
     table.meta.update(meta or {})
     return round_to_errors(table)
 
 
-def paper_table(table, *, latex=True):
+def paper_table(table, *, sign="±"):
     """
     Return the main columns of a table as text, values with their errors.
 
@@ -142,15 +120,14 @@ def paper_table(table, *, latex=True):
     ----------
     table : `~astropy.table.Table`
         Components, features, tracks or a profile.
-    latex : bool, optional
-        Write for ``format="ascii.aastex"`` and ``format="ascii.latex"``, otherwise
-        for a screen.
+    sign : str, optional
+        What stands between a value and its error.
 
     Returns
     -------
     `~astropy.table.Table`
         Of the columns in `PAPER` those that the table has.  Values are rounded to
-        two significant digits of their own errors.
+        two significant digits of their own errors; "-" is what is not known.
 
     Examples
     --------
@@ -158,15 +135,13 @@ def paper_table(table, *, latex=True):
     >>> from astropy.table import QTable
     >>> from astro_scc.measurement.tables import paper_table
     >>> table = QTable({"pm": [2.1279], "pm_err": [0.072]}, units=[u.mas / u.yr] * 2)
-    >>> paper_table(table).write("speeds.tex", format="ascii.aastex")
-    >>> print(paper_table(table, latex=False)["pm"][0])
+    >>> print(paper_table(table)["pm"][0])
     2.128 ± 0.072
     """
     rounded, paper = round_to_errors(table.copy(copy_data=False)), Table()
     if "p_global_err" in rounded.colnames:
         rounded.remove_column("p_global_err")
-    sign = r"\pm" if latex else "±"
-    for name, heading in PAPER.items():
+    for name in PAPER:
         if name not in table.colnames:
             continue
         info = rounded[name].info
@@ -174,11 +149,8 @@ def paper_table(table, *, latex=True):
         if name.startswith("p_") and "kind" in table.colnames:
             # What stands still is not tested.
             cells = np.where(table["kind"] == "stationary", "-", cells).tolist()
-        if latex:
-            cells = map(_latex_number if info.dtype.kind in "if" else latex_text, cells)
         unit = None if info.unit == u.one else info.unit
-        cells = np.array(list(cells), dtype=str)
-        paper[heading if latex else name] = Column(cells, unit=unit)
+        paper[name] = Column(np.array(cells, dtype=str), unit=unit)
     return paper
 
 
@@ -190,6 +162,8 @@ def cell_text(table, name, k, sign="±"):
     if np.any(getattr(value, "mask", False)):
         return "-"
     value = _plain(value)
+    if np.asarray(value).dtype.kind == "b":
+        return "yes" if value else "no"
     if np.asarray(value).dtype.kind != "f":
         return str(value)
     if not np.isfinite(value):
@@ -203,16 +177,6 @@ def _plain(value):
     """Return an entry without unit and mask."""
     value = getattr(value, "unmasked", value)
     return getattr(value, "value", value)
-
-
-def latex_text(text):
-    """Return text in which what LaTeX reads as commands is escaped."""
-    return re.sub(r"([&%#_${}])", r"\\\1", text.replace("\\", "/"))
-
-
-def _latex_number(text):
-    text = r"\ldots" if text == "-" else text.replace("(error unknown)", r"\pm \ldots")
-    return f"${text}$" if "\\" in text or text[0] == "-" else text
 
 
 def component_row(result, number):

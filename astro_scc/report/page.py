@@ -1,9 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Write a measurement, or a survey, as one page; the templates have the sentences."""
 
-import io
 from base64 import b64encode
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import astropy.units as u
@@ -18,17 +18,14 @@ from astro_scc.measurement.sensitivity import sensitivity_line
 from astro_scc.quantities import with_error
 from astro_scc.report import tables
 from astro_scc.stacking.permutations import number_of_permutations
-from astro_scc.units import in_easy_units, unit_name
+from astro_scc.units import in_speed_unit, unit_name
 from astro_scc.writing import replace_when_complete
 
 #: Other products that the folder may hold, in the order of the page.
 PRODUCTS = (
-    "components.ecsv components.tex features.ecsv positions.ecsv sensitivity.ecsv "
-    "ssps.ecsv components.vot features.vot positions.vot ssps.vot scc.fits "
-    "config.toml region.reg"
+    "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv "
+    "ssps.ecsv scc.fits publication config.toml region.reg"
 ).split()
-#: Dots per inch of the figures, which are at most six inches wide.
-DPI = 150
 #: Speeds above this fraction of the largest one searched are pointed out.
 EDGE = 0.9
 NUMBERS = "no one two three four five six seven eight nine".split()
@@ -39,7 +36,7 @@ def write_report(
     title: str | None = None, warnings: Sequence[str] = (),
     left_out: Sequence[str | tuple[str, str]] = (), chosen: Sequence[str] = (),
     rerun: str | None = None, explore: str | None = None,
-    config_text: str | None = None, pdf: bool = False,
+    config_text: str | None = None, pdf: bool = False, published: QTable | None = None,
 ) -> Path:  # fmt: skip
     """
     Write a self-contained HTML page on a measurement, and its figures.
@@ -72,7 +69,11 @@ def write_report(
     config_text : str, optional
         The configuration as text.
     pdf : bool, optional
-        Write each figure as a PDF file, too.
+        Write each figure as a PDF file, too, as wide as a column of a journal and
+        with letters of 8 pt.
+    published : `~astropy.table.QTable`, optional
+        Published features to compare with, see
+        `~astro_scc.measurement.published.published_positions`.
 
     Returns
     -------
@@ -102,19 +103,19 @@ def write_report(
         directory.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
         raise OSError(f"{directory}: is a file; choose another folder") from None
-    files = draw_figures(result, components, pdf=pdf)
-    easy, meta = in_easy_units(components), {**result.meta, **components.meta}
+    files = draw_figures(result, components, pdf=pdf, published=published)
+    meta = {**result.meta, **components.meta}
     page = _template("report.html").render(
         result=result,
         title=title or result.cube.meta.get("object") or "Velocity components",
-        components=easy,
-        tables=tables.component_tables(easy),
+        components=components,
+        tables=tables.component_tables(components),
         epochs=tables.epoch_columns(result),
         features=tables.feature_columns(table_in_c_as(result.features, components)),
         zip=zip,
         settings=meta.pop("settings", {}) | meta,
         smallest_of_epochs=1 / number_of_permutations(len(result.cube)),
-        fast=fast_components(result, easy),
+        fast=fast_components(result, components),
         flow=flow_lines(result),
         depends=sensitivity_line(result.sensitivity),
         files=files,
@@ -125,7 +126,7 @@ def write_report(
         explore=explore,
         has_explore=(directory / "explore.html").is_file(),
         config_text=config_text,
-        products=[name for name in PRODUCTS if (directory / name).is_file()],
+        products=[name for name in PRODUCTS if (directory / name).exists()],
     )
     files["report.html"] = page.encode("utf-8")
     for name, content in files.items():
@@ -195,39 +196,33 @@ def _listed(words):
     return f"{', '.join(most)} and {last}" if most else last
 
 
-def draw_figures(result, components, *, pdf=False):
+def draw_figures(result, components, *, pdf=False, published=None):
     """Return the figures as PNG files, and as PDF, without those that are empty."""
     from astro_scc import visualization as show
+    from astro_scc.visualization import style
     from astro_scc.visualization.features import plot_sensitivity
 
     per_pm = {"beta_per_pm": beta_per_pm(components)}
     shared = {"components": components}
     figures = {
-        "diagram": show.plot_diagram(result, **shared),
-        "velocity_map": show.plot_velocity_map(result, **shared, **per_pm),
-        "significance": show.plot_significance(result, **shared, **per_pm),
-        "epochs": show.plot_epochs(result.cube, result.ssps),
-        "intervals": show.plot_intervals(result.cube, result.pairs),
+        "diagram": partial(show.plot_diagram, result, **shared),
+        "velocity_map": partial(show.plot_velocity_map, result, **shared, **per_pm),
+        "significance": partial(show.plot_significance, result, **shared, **per_pm),
+        "epochs": partial(show.plot_epochs, result.cube, result.ssps),
+        "intervals": partial(show.plot_intervals, result.cube, result.pairs),
     }
     if len(components):
-        figures["members"] = show.plot_members(result, **shared)
+        figures["members"] = partial(show.plot_members, result, **shared)
     if len(result.features):
-        profile = feature_profile(result)
-        tracked = result.tracked_features
-        own = {"component": result.features["component"]}
-        figures["tracks"] = show.plot_tracks(tracked, **own)
-        figures["speeds"] = show.plot_feature_speeds(result, profile=profile, **per_pm)
-        figures["separation"] = show.plot_separation(tracked, **own)
+        profile = {"profile": feature_profile(result)} | per_pm
+        own = {"component": result.features["component"], "published": published}
+        of = result.tracked_features
+        figures["tracks"] = partial(show.plot_tracks, of, **own)
+        figures["speeds"] = partial(show.plot_feature_speeds, result, **profile)
+        figures["separation"] = partial(show.plot_separation, of, **own, **per_pm)
     if len(result.sensitivity):
-        figures["sensitivity"] = plot_sensitivity(result.sensitivity, **per_pm)
-    found = {}
-    metadata = {"png": None, "pdf": {"CreationDate": None}}
-    for name, figure in figures.items():
-        for kind in ("png", "pdf") if pdf else ("png",):
-            buffer = io.BytesIO()
-            figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata[kind])
-            found[f"{name}.{kind}"] = buffer.getvalue()
-    return found
+        figures["sensitivity"] = partial(plot_sensitivity, result.sensitivity, **per_pm)
+    return style.figure_files(figures, pdf=pdf)
 
 
 def flow_lines(result):
@@ -246,6 +241,7 @@ def flow_lines(result):
     moving = [k for k, s in enumerate(result.search.streams) if s.kind == "moving"]
     lines = [f"{k + 1}: {measure_acceleration(result, row=k)}" for k in moving]
     if moving and (of_scales := compare_scales(result)) is not None:
+        in_speed_unit(of_scales, result.cube.speed_unit)
         # With two streams, scales whose speeds do not differ need not share one speed.
         differ = of_scales["p_value"] <= result.meta["settings"]["alpha"]
         lines += tables.scale_lines(of_scales[differ] if moving[1:] else of_scales)

@@ -15,11 +15,8 @@ from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement.tables import cell_text
 from astro_scc.quantities import with_error
 from astro_scc.units import (
-    PM_UNIT,
-    in_easy_units,
     offset_unit,
     round_to_errors,
-    speed_unit,
     unit_name,
 )
 
@@ -179,7 +176,7 @@ def epoch_columns(result):
 
 def feature_columns(features):
     """Return the columns of the table of features as text, by their headings."""
-    table = in_easy_units(features)
+    table = round_to_errors(features.copy(copy_data=False))
     columns = {
         heading.format(unit=unit_name(table[name].info.unit or "")): [
             cell_text(table, name, k) for k in range(len(table))
@@ -187,7 +184,6 @@ def feature_columns(features):
         for name, heading in FEATURES.items()
         if name in table.colnames
     }
-    columns["secure"] = ["yes" if secure else "no" for secure in table["secure"]]
     return columns if len(table) else {}
 
 
@@ -229,8 +225,7 @@ def overview(table, parts, folder, published):
         of the sources; ``speeds``, the range of those that move; ``compared``,
         their differences from published speeds in standard errors.
     """
-    every = np.ma.filled(np.ma.asarray(table["pm"].to_value(PM_UNIT)), np.nan)
-    unit = speed_unit(np.nanmax(every, initial=0.0))
+    unit = table["pm"].unit
     every_kind = defaultdict(set)
     for row in table:
         kind = "kind" if row["status"] == "measured" else "status"

@@ -9,7 +9,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.positions import axis_words, sky_columns
-from astro_scc.units import PM_UNIT, offset_unit, speed_unit, time_unit, unit_name
+from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import style
 from astro_scc.visualization.drawing import edges
 from astro_scc.visualization.style import BLACK, GREY, KINDS
@@ -84,7 +84,8 @@ def plot_diagram(
     seen = image.meta["n_pairs"] > 0
     years, excess = image.meta["interval"].to_value(u.yr)[seen], image.data[:, seen]
     longest = longest_interval(years, slopes, kinds, displacement[-1])
-    time = time_unit(longest)
+    speed_in = result.cube.speed_unit
+    time = speed_in.bases[1]
     highest = highest_excess(years, excess, longest)
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.2))
     drawn = ax.pcolormesh(
@@ -96,7 +97,6 @@ def plot_diagram(
     top = u.mas.to(unit, displacement[-1])
     ax.set(xlim=(0, u.yr.to(time, longest)), ylim=(-top, top))
     factor = PM_UNIT.to(unit / time)
-    speed_in = speed_unit(components["pm"].to_value(PM_UNIT).max(initial=0.0))
     for row, kind, slope in zip(components, kinds, slopes, strict=True):
         label = f"{row['component']}: {speed_text(row, kind, speed_in)}"
         spread = np.nan_to_num(row["dispersion"].to_value(PM_UNIT))

@@ -13,9 +13,10 @@ from astro_scc.visualization import style
 MASKED = "#BFDFF2"
 #: Brightness up to which the asinh stretch is linear, in units of the noise.
 LINEAR_NOISE = 3.0
-#: Lowest contour of a mean image, in its noise; of more contours than these each is
-#: four times the one before, of fewer twice.
-LOWEST, MOST_CONTOURS = 5.0, 8
+#: Lowest contour of a mean image, in its noise; each is twice the one before.
+LOWEST = 3.0
+#: Share of the width and height of a figure that counts as a corner.
+CORNER = 0.25
 #: Share of the SSPs' weight that lies beyond each side of a zoomed figure.
 EDGE = 0.015
 
@@ -138,8 +139,8 @@ def edges(middle):
 # -- images ------------------------------------------------------------------------
 
 
-def draw_image(ax, view, image, epoch=None):
-    """Draw an image, and the beam of an epoch; set the limits."""
+def draw_image(ax, view, image, epoch=None, corner=None):
+    """Draw an image, and the beam of an epoch in an empty corner; set the limits."""
     import matplotlib
 
     greys = matplotlib.colormaps["Greys"].with_extremes(bad=MASKED)
@@ -150,8 +151,33 @@ def draw_image(ax, view, image, epoch=None):
     _, _, to_the_left = axis_words(view.cube)
     ax.set(xlim=view.limits[0, :: -1 if to_the_left else 1], ylim=view.limits[1])
     ax.set_aspect("equal")
-    draw_beam(ax, view, epoch)
+    draw_beam(ax, view, epoch, corner or empty_corners(view, image)[0])
     return drawn
+
+
+def empty_corners(view, image):
+    """
+    Return the corners, (right, top) each 0 or 1, those with the least light first.
+
+    Those with noise alone are alike: left before right, and bottom before top.
+    """
+    _, _, to_the_left = axis_words(view.cube)
+    sides = np.linspace(0, CORNER, 12)
+    light = {}
+    noise = 2 * LOWEST * np.median(view.cube.noise_rms().value)
+    for right, top in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        east = 1 - sides if right != to_the_left else sides
+        north = 1 - sides if top else sides
+        place = [low + (high - low) * f for (low, high), f in
+                 zip(view.limits, (east, north), strict=True)]  # fmt: skip
+        x, y = view.cube.offset_to_pixel(
+            place[0] * view.unit, place[1][:, None] * view.unit
+        )
+        ny, nx = image.shape
+        x = np.clip(np.rint(x).astype(int), 0, nx - 1)
+        y = np.clip(np.rint(y).astype(int), 0, ny - 1)
+        light[right, top] = max(noise, float(np.ma.filled(image[y, x], 0.0).max()))
+    return sorted(light, key=light.get)
 
 
 def _to_offsets(view):
@@ -164,8 +190,8 @@ def _to_offsets(view):
     return Affine2D(to_offset)
 
 
-def draw_beam(ax, view, epoch):
-    """Draw the beam of an epoch, if there is one, in the lower left corner."""
+def draw_beam(ax, view, epoch, corner):
+    """Draw the beam of an epoch, if there is one, in a corner."""
     from matplotlib.patches import Ellipse
 
     if epoch is None or view.cube.beams is None:
@@ -173,8 +199,13 @@ def draw_beam(ax, view, epoch):
     beam = view.cube.beams[epoch]
     half = beam.fwhm_along([90, 0] * u.deg).to_value(view.unit) / 2
     half += 0.03 * np.ptp(view.limits, axis=1).min()
+    _, _, to_the_left = axis_words(view.cube)
+    east, top = corner[0] != to_the_left, corner[1]
     ellipse = Ellipse(
-        (view.limits[0, 1] - half[0], view.limits[1, 0] + half[1]),
+        (
+            view.limits[0, int(east)] + (-half[0] if east else half[0]),
+            view.limits[1, top] + (-half[1] if top else half[1]),
+        ),
         width=beam.minor.to_value(view.unit), height=beam.major.to_value(view.unit),
         # matplotlib's angle and the position angle have opposite senses.
         angle=-beam.pa.to_value(u.deg), facecolor="white", edgecolor=style.BLACK,
@@ -185,6 +216,8 @@ def draw_beam(ax, view, epoch):
 
 def axis_labels(what, words, unit):
     """Return the labels of two axes on the sky, of which the words give the names."""
+    if what == "Offset" and list(words[:2]) == ["east", "north"]:
+        return [f"Relative {name} ({unit_name(unit)})" for name in ("R.A.", "Decl.")]
     names = (word if " " in word else f"the {word}" for word in words[:2])
     return [f"{what} to {name} ({unit_name(unit)})" for name in names]
 
@@ -236,25 +269,26 @@ def mean_image_panels(cube, ssps, n, *, figure, unit):
 
 
 def draw_contours(ax, view):
-    """Draw contours of the image on axes, a mean, from five times its noise on."""
+    """Draw contours of the image on axes, a mean, from three times its noise on."""
     image, cube = ax.images[0].get_array(), view.cube
     lowest = LOWEST * np.median(cube.noise_rms().value) / np.sqrt(len(cube))
     peak = float(image.max()) / lowest if lowest > 0 else 0.0
     if not peak > 1:
         return
-    ratio = 2.0 if np.log2(peak) < MOST_CONTOURS else 4.0
     ax.contour(
-        np.ma.filled(image, np.nan), colors=style.GREY, linewidths=0.6,
-        levels=lowest * ratio ** np.arange(np.log(peak) / np.log(ratio)),
+        np.ma.filled(image, np.nan), colors=style.GREY, linewidths=0.4,
+        levels=lowest * 2.0 ** np.arange(np.log2(peak)),
         transform=_to_offsets(view) + ax.transData,
     )  # fmt: skip
 
 
-def panel_text(ax, text, x=0.02, y=0.95, color=style.BLACK):
-    """Write text in a panel, by default in its upper left corner."""
+def panel_text(ax, text, corner=(0, 1)):
+    """Write text into a corner of a panel, by default the upper left one."""
+    right, top = corner
     ax.text(
-        x, y, text, transform=ax.transAxes, va="top", fontsize="small", color=color,
-        path_effects=style.outline(),
+        0.97 if right else 0.03, 0.96 if top else 0.04, text, transform=ax.transAxes,
+        ha="right" if right else "left", va="top" if top else "bottom",
+        fontsize="small", path_effects=style.outline(),
     )  # fmt: skip
 
 

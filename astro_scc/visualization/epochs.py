@@ -82,7 +82,7 @@ def plot_epoch(
     >>> cube = simulate_static(n_epochs=2, rng=1).cube
     >>> figure = plot_epoch(cube, 0)
     >>> figure.axes[0].get_xlabel()
-    'Offset to the east (mas)'
+    'Relative R.A. (mas)'
     """
     index = operator.index(epoch)
     if not -len(cube) <= index < len(cube):
@@ -148,10 +148,11 @@ def plot_epochs(
     view = drawing.View(cube, ssps, images, epochs=chosen, **view)
     figure, axes = drawing.image_panels(view, len(chosen), figure, aside=1.4, above=0.4)
     dates = drawing.epoch_names(cube.times)
+    of_beam, of_date, *_ = drawing.empty_corners(view, images.max(axis=0))
     for ax, index, image in zip(axes, chosen, images, strict=True):
-        drawn = drawing.draw_image(ax, view, image, index)
+        drawn = drawing.draw_image(ax, view, image, index, of_beam)
         drawing.draw_ssps(ax, view, ssps, index, size=0.5)
-        drawing.panel_text(ax, dates[index], 0.03, 0.96)
+        drawing.panel_text(ax, dates[index], of_date)
     label = drawing.brightness_label(cube.unit)
     bar = figure.colorbar(drawn, ax=figure.axes, label=label, pad=0.02, aspect=40)
     style.set_ticks(bar, drawing.ticks_of(view.norm))
@@ -290,7 +291,7 @@ def animate_epochs(
         ax.plot([], [], label="before", **dot)
     _name_axes(ax, view, shown[0])
     dates = drawing.epoch_names(cube.times)
-    drawn = []
+    corner, drawn = drawing.empty_corners(view, images.max(axis=0))[0], []
 
     def draw(index):
         while drawn:
@@ -298,7 +299,7 @@ def animate_epochs(
         picture.set_data(images[index])
         ax.title.set_text(dates[index])
         before = {id(artist) for artist in ax.get_children()}
-        drawing.draw_beam(ax, view, index)
+        drawing.draw_beam(ax, view, index, corner)
         if ssps is not None:
             _draw_trail(ax, view, index, trail)
         drawing.draw_ssps(ax, view, ssps, index)

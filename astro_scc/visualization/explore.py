@@ -13,7 +13,7 @@ from astropy.wcs import WCS
 from astro_scc.epochs.positions import sky_columns
 from astro_scc.quantities import with_error
 from astro_scc.stacking.dispersion import error_of_speed
-from astro_scc.units import PM_UNIT, offset_unit, speed_unit, time_unit, unit_name
+from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import diagram, drawing, style
 from astro_scc.visualization.velocity import MAP_LABELS, velocity_labels
 from astro_scc.writing import replace_when_complete
@@ -111,8 +111,7 @@ class Page:
         self.table, self.seen = features, seen
         #: Row in the table of each point.
         self.row = np.searchsorted(features["feature"], seen["feature"])
-        speeds = [t["pm"].to_value(PM_UNIT) for t in (components, features)]
-        self.pm_unit = speed_unit(np.abs(np.concatenate(speeds)).max(initial=0.0))
+        self.pm_unit = components["pm"].unit
         #: Where longitude and latitude increase, as the columns describe it.
         about = [components[k].info.description for k in sky_columns(components)]
         self.words = [re.sub(r"^.* to (the )?", "", text or "") for text in about]
@@ -386,7 +385,7 @@ class Page:
         years, excess = bins["interval"][used].astype(float), hdu.data[:, used]
         half = hdu.header["CDELT2"] * len(excess) / 2
         longest = diagram.longest_interval(years, self.slopes, self.kinds, half)
-        time = time_unit(longest)
+        time = self.pm_unit.bases[1]
         right, top = u.yr.to(time, longest), u.mas.to(self.length, half)
         plot = self._figure(
             f"Interval between epochs ({unit_name(time)})",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
-from astro_scc.units import PM_UNIT, offset_unit, speed_unit, unit_name
+from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import style
 from astro_scc.visualization.style import BLACK
 from astro_scc.visualization.tracks import feature_look
@@ -70,7 +70,8 @@ def plot_feature_speeds(
     table = result.features
     separation = table["separation"].to_value(u.mas)
     unit = offset_unit(separation.max(initial=1.0))
-    speed, error = (table[k].to_value(PM_UNIT) for k in ("pm_radial", "pm_radial_err"))
+    speed, error = (table[k].value for k in ("pm_radial", "pm_radial_err"))
+    speeds = table["pm"].unit
     if len(error):
         error = np.minimum(error, LARGE_ERROR * np.median(error))
     for k, place in enumerate(separation * u.mas.to(unit)):
@@ -79,13 +80,14 @@ def plot_feature_speeds(
         ax.errorbar(place, speed[k], error[k], **look)
     if profile is not None and len(profile):
         look = {"fmt": "none", "color": BLACK, "elinewidth": 1.6, "zorder": 3}
-        style.draw_bins(ax, profile, "pm_parallel", unit, label="mean of bin", **look)
+        look["label"] = "mean of bin"
+        style.draw_bins(ax, profile, "pm_parallel", unit, speeds, **look)
     ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
     ax.set_xlim(left=0)
     ax.set_xlabel(f"Core separation ({unit_name(unit)})")
-    ax.set_ylabel(f"Radial proper motion ({unit_name(PM_UNIT)})")
+    ax.set_ylabel(f"Radial proper motion ({unit_name(speeds)})")
     style.legend_above(ax)
-    style.add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
+    style.add_speed_axis(ax, speeds, beta_per_pm, "right")
     return figure
 
 
@@ -125,7 +127,7 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None):
         raise ValueError("the table has no rows: nothing moves significantly")
     height = 0.8 + 0.36 * len(table)
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
-    unit = speed_unit(np.abs(table["pm"].to_value(PM_UNIT)).max())
+    unit = table["pm"].unit
     speed, error = (table[name].to_value(unit) for name in ("pm", "pm_err"))
     low, high = speed[0] - error[0], speed[0] + error[0]
     ax.axvspan(low, high, color=style.GREY, alpha=0.2, lw=0)

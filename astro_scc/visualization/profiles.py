@@ -75,7 +75,7 @@ def plot_profile(
     ...                 "kind": ["moving", "not significant"],
     ...                 "pm_parallel": speed, "pm_parallel_err": 0.1 * speed})
     >>> plot_profile(table).axes[0].get_xlabel()
-    'Distance from the core (mas)'
+    'Core separation (mas)'
     """
     above = cube is not None and line is not None
     if figure is None:
@@ -85,11 +85,12 @@ def plot_profile(
         strip, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1, 3))
     else:
         ax = figure.add_subplot()
+    speeds = table[column].unit
     far = float(table["r_max"].to_value(u.mas).max()) if len(table) else 1.0
     for name, *values in others:
         r, speed, error = (
             u.Quantity(value).to_value(unit)
-            for value, unit in zip(values, (u.mas, PM_UNIT, PM_UNIT), strict=True)
+            for value, unit in zip(values, (u.mas, speeds, speeds), strict=True)
         )
         look = {"fmt": "D", "color": style.GREY, "ms": 3, "lw": 0.8, "zorder": 1}
         ax.errorbar(r, speed, error, label=name, **look)
@@ -98,22 +99,22 @@ def plot_profile(
     grid = np.linspace(0, far, 200)[1:] * u.mas
     for k, fit in enumerate(fits):
         ax.plot(
-            grid.value, u.Quantity(fit(grid)).to_value(PM_UNIT), lw=1.2, zorder=2,
+            grid.value, u.Quantity(fit(grid)).to_value(speeds), lw=1.2, zorder=2,
             color=style.component_color(k + 2), label=fit.model, ls=style.LINES[k % 3],
         )  # fmt: skip
     ax.set_xlim(0, 1.02 * far)
     if len(table):
         # Very large errors must not squeeze the rest.
-        speed = table[column].to_value(PM_UNIT)
+        speed = table[column].value
         low, high = speed.min(initial=0.0), speed.max(initial=0.0)
         margin = 0.35 * max(high - low, 1e-9)
         bottom, top = ax.get_ylim()
         ax.set_ylim(max(bottom, low - margin), min(top, high + margin))
-    ax.set_xlabel("Distance from the core (mas)")
-    ax.set_ylabel(f"Proper motion along the jet ({unit_name(PM_UNIT)})")
+    ax.set_xlabel("Core separation (mas)")
+    ax.set_ylabel(f"Proper motion along the jet ({unit_name(speeds)})")
     if ax.get_legend_handles_labels()[0]:
         ax.legend(fontsize="small", framealpha=0.85)
-    style.add_speed_axis(ax, PM_UNIT, beta_per_pm, "right")
+    style.add_speed_axis(ax, speeds, beta_per_pm, "right")
     if above:
         _draw_strip(strip, cube, line, far)
     return figure
@@ -127,8 +128,8 @@ def _draw_components(ax, table, column):
         for part, alpha in ((own & main, 1.0), (own & ~main, 0.45)):
             if part.any():
                 style.draw_bins(
-                    ax, table[part], column, u.mas, fmt=sign.on_profile, ms=5,
-                    alpha=alpha, lw=1.0, zorder=3,
+                    ax, table[part], column, u.mas, table[column].unit, ms=5,
+                    fmt=sign.on_profile, alpha=alpha, lw=1.0, zorder=3,
                     color=style.VERMILLION if kind == "stationary" else style.BLUE,
                     mfc="white" if kind == "not significant" else None,
                     label=sign.name if alpha == 1.0 or not (own & main).any() else None,
@@ -156,7 +157,9 @@ def _draw_strip(ax, cube, line, far):
     ax.set_ylabel("Across\n(mas)")
 
 
-def plot_scale_maps(maps, grid, *, axis_names=("parallel", "transverse"), figure=None):
+def plot_scale_maps(
+    maps, grid, *, axis_names=("parallel", "transverse"), unit=PM_UNIT, figure=None
+):
     """
     Draw the stacks of several groups of scales side by side.
 
@@ -167,6 +170,8 @@ def plot_scale_maps(maps, grid, *, axis_names=("parallel", "transverse"), figure
     grid : `~astro_scc.stacking.VelocityGrid`
         In mas/yr.
     axis_names : (str, str), optional
+    unit : `~astropy.units.Unit`, optional
+        Unit of the axes.
     figure : `matplotlib.figure.Figure`, optional
 
     Returns
@@ -195,14 +200,15 @@ def plot_scale_maps(maps, grid, *, axis_names=("parallel", "transverse"), figure
     figure = style.new_figure((style.WIDTH, 2.9 * rows)) if figure is None else figure
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for ax, (name, values) in zip(axes.flat, maps.items(), strict=False):
-        draw_map(ax, values, grid, PM_UNIT)
+        draw_map(ax, values, grid, unit)
         if np.max(values, initial=0.0) > 0:
             row, column = np.unravel_index(values.argmax(), values.shape)
-            ax.plot(grid.v1[column], grid.v2[row], "+", color="white", ms=8)
+            place = PM_UNIT.to(unit, [grid.v1[column], grid.v2[row]])
+            ax.plot(*place, "+", color="white", ms=8)
         ax.set_title(name)
     for ax in axes.flat[len(maps) :]:
         ax.set_axis_off()
-    unit = unit_name(PM_UNIT)
+    unit = unit_name(unit)
     figure.supxlabel(f"Proper motion, {axis_names[0]} ({unit})", fontsize="medium")
     figure.supylabel(f"Proper motion, {axis_names[1]} ({unit})", fontsize="medium")
     return figure

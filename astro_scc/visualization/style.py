@@ -1,8 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Style that the figures share: colours, markers, units of axes, and colour bars."""
 
+from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
+from io import BytesIO
 from typing import NamedTuple
 
+import astropy.units as u
 import numpy as np
 
 from astro_scc.units import PM_UNIT
@@ -22,6 +26,22 @@ LINES = ("-", "--", ":")
 #: Width and largest height of a figure in inches, for a page.
 WIDTH = 6.0
 HEIGHT = 9.5
+#: Width of a column of a journal in inches, and settings of figures for it: journals
+#: take letters of 8 pt and no fonts of Type 3.
+COLUMN = 3.46
+#: Figures of many panels, which need two columns.
+WIDE = ("epochs", "members")
+#: Dots per inch of a page.
+DPI = 150
+JOURNAL = {
+    "font.size": 8.0,
+    "axes.linewidth": 0.6,
+    "lines.linewidth": 0.8,
+    "lines.markersize": 3.0,
+    "pdf.fonttype": 42,
+    "ps.fonttype": 42,
+}
+_SCALE = ContextVar("scale", default=1.0)
 
 
 class Kind(NamedTuple):
@@ -63,7 +83,43 @@ def new_figure(figsize):
     """Return an empty figure that makes room for its labels."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=figsize, layout="compressed")
+    scale = min(_SCALE.get(), HEIGHT / figsize[1])
+    return Figure(figsize=[scale * side for side in figsize], layout="compressed")
+
+
+@contextmanager
+def for_journal(columns=1):
+    """Make new figures as wide as columns of a journal, with its letters and fonts."""
+    from matplotlib import rc_context
+
+    token = _SCALE.set(columns * COLUMN / WIDTH)
+    try:
+        with rc_context(JOURNAL):
+            yield
+    finally:
+        _SCALE.reset(token)
+
+
+def figure_files(figures, *, pdf=False):
+    """
+    Return figures as the contents of files by their names.
+
+    Parameters
+    ----------
+    figures : dict of callable
+        Functions without arguments that draw them, by their names.
+    pdf : bool, optional
+        Draw them for a column of a journal as well, as PDF; wide ones for two.
+    """
+    files = {}
+    metadata = {"png": None, "pdf": {"CreationDate": None}}
+    for name, plot in figures.items():
+        for kind in ("png", "pdf") if pdf else ("png",):
+            width = for_journal(2 if name in WIDE else 1)
+            with width if kind == "pdf" else nullcontext(), BytesIO() as buffer:
+                plot().savefig(buffer, format=kind, dpi=DPI, metadata=metadata[kind])
+                files[f"{name}.{kind}"] = buffer.getvalue()
+    return files
 
 
 def scale_colors(scales):
@@ -83,23 +139,45 @@ def component_look(number, kind):
     return {"color": component_color(number), "label": f"{number}: {kind}", **face}
 
 
-def draw_bins(ax, table, column, unit, **look):
-    """Draw the speeds in bins of distance, with bars for errors and widths of bins."""
+def draw_bins(ax, table, column, unit, speeds, **look):
+    """Draw speeds in bins of distance in units of both, with bars for their errors."""
     low, middle, high = (
         table[name if name in table.colnames else "r_mid"].to_value(unit)
         for name in ("r_min", "r_mid", "r_max")
     )
-    speed, error = (table[k].to_value(PM_UNIT) for k in (column, f"{column}_err"))
+    speed, error = (table[k].to_value(speeds) for k in (column, f"{column}_err"))
     error = np.where(np.isfinite(error), error, 0.0)
     ax.errorbar(middle, speed, error, [middle - low, high - middle], **look)
 
 
-def show_years(ax, cube):
-    """Limit the horizontal axis of axes to the dates of a cube, in years."""
-    first, last = cube.times.jyear[[0, -1]]
-    margin = 0.03 * ((last - first) or 1.0)
-    ax.set(xlabel="Year", xlim=(first - margin, last + margin))
-    ax.ticklabel_format(axis="x", useOffset=False)
+def date_axis(ax, cube, earliest=None, room=0.03):
+    """
+    Limit the horizontal axis of axes to the dates of a cube, and label it.
+
+    A series that is measured in years has decimal years, others the Modified Julian
+    Date or hours.  On the right there is ``room`` for labels, a share of the span.  The
+    function that converts Julian years to the axis is returned.
+    """
+    unit = cube.speed_unit.bases[1]
+    first, last = cube.times[[0, -1]]
+    factor, zero, label = 1.0, 0.0, "Year"
+    if unit != u.yr:
+        factor, zero, label = 365.25, 2000.0 - 51544.5 / 365.25, "MJD"
+    if unit == u.h:
+        midnight = first.strftime("%Y-%m-%d")
+        factor *= 24
+        zero += np.floor(first.mjd) / 365.25
+        label = f"Hours since {midnight} 00:00 UTC"
+
+    def convert(years):
+        return (np.asarray(years) - zero) * factor
+
+    low, high = convert([first.jyear, last.jyear])
+    low = low if earliest is None else min(low, convert(earliest))
+    span = (high - low) or 1.0
+    ax.set(xlabel=label, xlim=(low - 0.03 * span, high + room * span))
+    ax.ticklabel_format(axis="x", useOffset=False, style="plain")
+    return convert
 
 
 def legend_above(ax):

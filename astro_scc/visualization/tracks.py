@@ -10,7 +10,7 @@ import numpy as np
 from astropy.table import QTable
 from numpy.typing import ArrayLike
 
-from astro_scc.units import PM_UNIT, offset_unit, speed_unit, unit_name
+from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import drawing, style
 
 if TYPE_CHECKING:
@@ -23,8 +23,12 @@ if TYPE_CHECKING:
 #: How features are drawn that are secure, and that are not.
 STRONG = {"alpha": 1.0, "zorder": 3, "linestyle": "-"}
 PALE = {"alpha": 0.5, "zorder": 2, "linestyle": ":"}
-#: Of more features than these only the secure ones have numbers.
+#: Of more features than these only the secure ones have numbers, and none its speed.
 CROWDED = 40
+#: Where a number may stand: its alignment, and its shift in points.
+BESIDE = ("left", 4, 0), ("right", -4, 0), ("center", 0, 7), ("center", 0, -7)
+#: Ejections are shown so long before the first image, in spans of the images.
+EARLIER = 0.3
 
 
 def plot_members(
@@ -105,28 +109,35 @@ def _draw_members(ax, view, result, number, kind):
         width=0.0035, headwidth=4, headlength=5, minlength=0.5, alpha=0.75,
     )  # fmt: skip
     speed = result.components["pm"][number - 1]
-    speed = speed.to(speed_unit(speed.to_value(PM_UNIT)))
     text = f"{number}: {speed.value:.3g} {unit_name(speed.unit)}, {n_ssp} SSPs"
     drawing.panel_text(ax, text + ("" if strong else ", not significant"))
 
 
 def plot_separation(
-    features: Features, *, component: ArrayLike | None = None, ax: Axes | None = None,
-    unit: u.UnitBase | str | None = None,
+    features: Features, *, component: ArrayLike | None = None,
+    beta_per_pm: float | None = None, published: QTable | None = None,
+    ax: Axes | None = None, unit: u.UnitBase | str | None = None,
 ) -> Figure:  # fmt: skip
     """
-    Draw the separations of features from the core against time, with their fits.
+    Draw the core separations of features against time, with their fits.
 
     A line is the motion that is fitted to a feature, with its number at the end; those
-    of features that are not secure are pale and dotted.
+    of features that are not secure are pale and dotted.  Dashes lead back to the
+    ejection of a feature, a triangle with its error.  Below are the residuals.
 
     Parameters
     ----------
     features : `~astro_scc.features.Features`
     component : array_like of int, shape (n,), optional
         Velocity component of each, 0 for none, which gives its colour.
+    beta_per_pm : float, optional
+        Apparent speed in units of c of 1 mas/yr; with it, secure features have their
+        speeds beside their numbers.
+    published : `~astropy.table.QTable`, optional
+        Features to compare with, in grey, see
+        `~astro_scc.measurement.published.published_positions`.
     ax : `matplotlib.axes.Axes`, optional
-        Axes to draw on instead of a new figure.
+        Axes to draw on instead of a new figure, without residuals.
     unit : `~astropy.units.Unit`, optional
         Unit of the separations.
 
@@ -145,34 +156,81 @@ def plot_separation(
     >>> from astro_scc.simulation import simulate_jet
     >>> from astro_scc.visualization import plot_separation
     >>> features = find_features(simulate_jet(n_epochs=8, rng=3).cube)
-    >>> plot_separation(features).axes[0].get_xlabel()
-    'Year'
+    >>> plot_separation(features).axes[0].get_ylabel()
+    'Core separation (mas)'
     """
-    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.5))
+    lower = None
+    if ax is None:
+        figure = style.new_figure((style.WIDTH, 5.4))
+        ax, lower = figure.subplots(2, 1, sharex=True, height_ratios=(7, 3))
+    figure, ax = style.figure_and_axes(ax, None)
     d = features.detections
     distance = np.hypot(*d.place.T)
     unit = offset_unit(distance.max(initial=1.0), unit)
     factor = u.mas.to(unit)
     outward = d.place / np.maximum(distance, 1e-30)[:, None]
     error, ends = np.hypot(*(outward * d.place_error).T), []
+    ejected = _ejections(features)
+    earliest = min((date for date, _ in ejected.values()), default=None)
+    room = 0.32 if beta_per_pm and len(features) <= CROWDED else 0.12
+    on_axis = style.date_axis(lower or ax, features.cube, earliest, room)
+    if published is not None:
+        _draw_published(ax, published, features.cube, lambda p: (
+            on_axis(p["date"].jyear), p["separation"].to_value(unit)))  # fmt: skip
     for number, motion in enumerate(features.motions):
         k = features.tracks[number].detection
         look = feature_look(features, number, component)
         time = d.time[k]
-        ax.errorbar(
-            time, factor * distance[k], factor * error[k], fmt="o", markersize=3,
-            markeredgewidth=0, linewidth=0.8, **look | {"linestyle": ""},
-        )  # fmt: skip
+        dots = {"fmt": "o", "ms": 3, "mew": 0, "lw": 0.8, **look, "linestyle": ""}
+        ax.errorbar(on_axis(time), factor * distance[k], factor * error[k], **dots)
         t = np.linspace(*time[[0, -1]], 50)
         fitted = factor * np.hypot(*_fitted(motion, t).T)
-        ax.plot(t, fitted, linewidth=1.2, **look)
-        ends.append(((time[-1], fitted[-1]), look["color"]))
+        ax.plot(on_axis(t), fitted, linewidth=1.2, **look)
+        ends.append(((on_axis(time[-1]), fitted[-1]), look["color"]))
+        if number in ejected:
+            date, date_error = ejected[number]
+            back = {"color": look["color"], "lw": 0.6, "ls": "--", "zorder": 1}
+            ax.plot(on_axis([date, time[0]]), [0, fitted[0]], gid="ejection", **back)
+            bar = {"fmt": "^", "ms": 4, "elinewidth": 0.8, "clip_on": False}
+            width = on_axis(date + date_error) - on_axis(date)
+            ax.errorbar(on_axis(date), 0, xerr=width, color=look["color"], **bar)
+        if lower is not None:
+            left = distance[k] - np.hypot(*_fitted(motion, time).T)
+            lower.errorbar(on_axis(time), factor * left, factor * error[k], **dots)
     style.legend_above(ax)
     ax.set_ylim(bottom=0)
-    style.show_years(ax, features.cube)
-    ax.set_ylabel(f"Separation from the core ({unit_name(unit)})")
-    _write_numbers(ax, features, ends)
+    ax.set_ylabel(f"Core separation ({unit_name(unit)})")
+    if lower is not None:
+        ax.set_xlabel("")
+        lower.axhline(0, color=style.GREY, lw=0.6, zorder=0)
+        lower.set_ylabel(f"Residual ({unit_name(unit)})")
+        figure.align_ylabels()
+    _write_numbers(ax, features, ends, beta_per_pm)
     return figure
+
+
+def _ejections(features):
+    """Return date and error of the ejections that are not long before the images."""
+    years = features.cube.times.jyear
+    earliest = years[0] - EARLIER * (years[-1] - years[0])
+    fwhm = features.detections.fwhm
+    dates = (motion.ejection(features.core_error, fwhm) for motion in features.motions)
+    secure = zip(features.secure, dates, strict=True)
+    # What is not known compares as false.
+    return {k: own for k, (known, own) in enumerate(secure)
+            if known and own[0] >= earliest}  # fmt: skip
+
+
+def _draw_published(ax, published, cube, place):
+    """Draw published features during a cube in grey, where ``place`` says."""
+    # Published dates are often rounded to days.
+    first, last = cube.times[0] - 1 * u.day, cube.times[-1] + 1 * u.day
+    published = published[(published["date"] >= first) & (published["date"] <= last)]
+    look = {"color": style.GREY, "lw": 0.5, "marker": ".", "ms": 2.5, "mew": 0}
+    for number in np.unique(published["published"]):
+        own = published[published["published"] == number]
+        line = {"alpha": 0.6, "zorder": 1, "label": "published"}
+        ax.plot(*place(own), gid=f"published {number}", **look, **line)
 
 
 def _fitted(motion, time):
@@ -192,9 +250,11 @@ def feature_look(features, number, component=None):
     return {"color": color, "label": f"component {own}" if own else "none", **look}
 
 
-def _write_numbers(ax, features, ends):
+def _write_numbers(ax, features, ends, beta_per_pm=None):
     """
     Write the numbers of features beside places, given with colours.
+
+    If the speed in units of c of 1 mas/yr is known, secure features have theirs.
 
     Secure features and those seen in most epochs come first; a number that would cover
     another one is left out.
@@ -206,28 +266,36 @@ def _write_numbers(ax, features, ends):
         shown, key=lambda k: (~features.secure[k], -len(features.tracks[k]))
     ):
         place, color = ends[k]
+        name = f"{features.number[k]}"
+        if beta_per_pm and features.secure[k] and len(ends) <= CROWDED:
+            name += f" ({beta_per_pm * features.motions[k].speed:.2g} c)"
         text = ax.annotate(
-            f"{features.number[k]}", place, (4, 0), textcoords="offset points",
-            va="center", fontsize="small", color=color, annotation_clip=True, zorder=4,
+            name, place, (0, 0), textcoords="offset points", fontsize="small",
+            va="center", color=color, annotation_clip=True, zorder=4,
             path_effects=style.outline(1.5),
         )  # fmt: skip
-        if text.get_window_extent().x1 > frame.x1:
-            text.set(ha="right", position=(-4, 0))
-        box = text.get_window_extent()
-        if any(box.overlaps(other) for other in taken):
-            text.remove()
+        for side, *shift in BESIDE:
+            text.set(ha=side, position=shift)
+            box = text.get_window_extent()
+            inside = frame.x0 < box.x0 and box.x1 < frame.x1
+            inside &= frame.y0 < box.y0 and box.y1 < frame.y1
+            if inside and not any(box.overlaps(other) for other in taken):
+                taken.append(box)
+                break
         else:
-            taken.append(box)
+            text.remove()
 
 
 def plot_tracks(
     features: Features, *, component: ArrayLike | None = None,
-    figure: Figure | None = None, unit: u.UnitBase | str | None = None,
+    published: QTable | None = None, figure: Figure | None = None,
+    unit: u.UnitBase | str | None = None,
 ) -> Figure:  # fmt: skip
     """
     Draw the paths of features over the mean image.
 
-    Each path is a line through the positions of a feature, with one dot per epoch, an
+    Contours begin at three times its noise, and each is twice the one before.  Each
+    path is a line through the positions of a feature, with one dot per epoch, an
     arrow head at the last one and the number of the feature.  Those of features that
     are not secure are pale and dotted.
 
@@ -236,6 +304,8 @@ def plot_tracks(
     features : `~astro_scc.features.Features`
     component : array_like of int, shape (n,), optional
         Velocity component of each, 0 for none, which gives its colour.
+    published : `~astropy.table.QTable`, optional
+        Features to compare with, in grey, see `plot_separation`.
     figure : `matplotlib.figure.Figure`, optional
         Figure to draw on instead of a new one.
     unit : `~astropy.units.Unit`, optional
@@ -267,6 +337,11 @@ def plot_tracks(
     view, figure, (ax,) = drawing.mean_image_panels(
         features.cube, points, 1, figure=figure, unit=unit
     )
+    drawing.draw_contours(ax, view)
+    if published is not None:
+        _draw_published(
+            ax, published, features.cube, lambda p: drawing.sky_place(p) * view.factor
+        )
     head = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
     last = []
     for number, track in enumerate(features.tracks):

@@ -10,7 +10,7 @@ import numpy as np
 
 from astro_scc.epochs.positions import axis_words, sky_columns
 from astro_scc.quantities import with_error
-from astro_scc.units import PM_UNIT, speed_unit, unit_name
+from astro_scc.units import PM_UNIT, unit_like, unit_name
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.style import BLACK, GREY, KINDS
 
@@ -59,8 +59,7 @@ def plot_velocity_map(
     which : {"coefficient", "z_score"}
         The map that is drawn.
     unit : `~astropy.units.Unit`, optional
-        Unit of the axes, by default mas/yr, or arcsec/yr or arcsec/h for large
-        speeds.
+        Unit of the axes, by default that of the tables.
     beta_per_pm : float, optional
         Apparent speed, in units of c, of a proper motion of 1 mas/yr, for a
         second axis.
@@ -90,7 +89,7 @@ def plot_velocity_map(
     """
     if which not in MAP_LABELS:
         raise ValueError(f"unknown map {which!r}: use 'coefficient' or 'z_score'")
-    unit = speed_unit(max(result.grid.v_max), unit)
+    unit = _unit(result, unit)
     components = result.components if components is None else components
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 5.2))
     drawn = draw_map(ax, getattr(result, which), result.grid, unit)
@@ -111,6 +110,13 @@ def plot_velocity_map(
     if colorbar:
         style.add_colorbar(ax, drawn, MAP_LABELS[which])
     return figure
+
+
+def _unit(result, unit):
+    """Return the unit of the axes, by default that of the tables."""
+    if unit is None:
+        return result.cube.speed_unit
+    return unit_like(PM_UNIT, unit, "an angle over a time, such as 'mas/yr'")
 
 
 def draw_map(ax, values, grid, unit):
@@ -237,7 +243,7 @@ def plot_significance(
     >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
     >>> figure = plot_significance(result)
     """
-    unit = speed_unit(max(result.grid.v_max), unit)
+    unit = _unit(result, unit)
     components = result.components if components is None else components
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
     speed, axis, highest = _along_jet(result)

@@ -27,7 +27,7 @@ def here(tmp_path, monkeypatch):
 @pytest.fixture
 def no_figures(monkeypatch):
     """Reports without the time that figures take."""
-    monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_, pdf: {})
+    monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_, **_k: {})
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from astro_scc.simulation import simulate_jet, write_simulation
 
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
 #: What a measurement without a report writes.
-WITHOUT_REPORT = PRODUCTS[: PRODUCTS.index("report.html")]
+WITHOUT_REPORT = [*PRODUCTS[: PRODUCTS.index("report.html")], "publication"]
 TABLES = [
     f"{name}.ecsv" for name in "components features positions sensitivity ssps".split()
 ]
@@ -72,9 +72,9 @@ def test_files_for_other_programs(measured, jet, astro_scc, here):
         "-o",
         "out",
     )
-    assert astro_scc(*again, "--votable", "--ds9-regions")[0] == 0
+    assert astro_scc(*again, "--ds9-regions")[0] == 0
     for name in ("components", "features", "positions", "ssps"):
-        table = QTable.read(here / "out" / f"{name}.vot")
+        table = QTable.read(here / "out" / "publication" / f"{name}.vot")
         original = QTable.read(measured / f"{name}.ecsv")
         assert table.colnames == original.colnames
         assert len(table) == len(original)
@@ -290,13 +290,17 @@ def test_overwriting_leaves_nothing_of_the_old_measurement(jet, astro_scc, here)
     out = here / "out"
     out.mkdir()
     for name in (*STALE, "notes.txt"):
-        (out / name).write_text("old")
+        if "." in name:
+            (out / name).write_text("old")
+        else:
+            (out / name).mkdir()
     status, _, _ = astro_scc(
         "measure", *epochs(jet)[:5], *QUICK, "-o", out, "--overwrite", "--no-report"
     )
     assert status == 0
     assert {path.name for path in out.iterdir()} == {*WITHOUT_REPORT, "notes.txt"}
-    assert all((out / name).read_bytes() != b"old" for name in WITHOUT_REPORT)
+    files = [out / name for name in WITHOUT_REPORT if "." in name]
+    assert all(path.read_bytes() != b"old" for path in files)
 
 
 @pytest.mark.slow

@@ -53,7 +53,7 @@ def test_profile(cube_file, tmp_path, capsys):
     names = sorted(path.name for path in out.iterdir())
     assert names == [
         "config.toml", "position_angles.png", "profile.ecsv", "profile.png",
-        "velocity_maps.png",
+        "publication", "velocity_maps.png",
     ]  # fmt: skip
     table = QTable.read(out / "profile.ecsv", format="ascii.ecsv")
     assert table.colnames[:3] == ["r_min", "r_max", "r_mid"]
@@ -100,11 +100,11 @@ def test_no_epochs_and_no_workers(cube_file, tmp_path, capsys):
 def test_along_the_ridge_with_windows(cube_file, tmp_path):
     out = tmp_path / "out"
     command = ["profile", cube_file, "-o", str(out), "--bins", "8 14 mas", "--quiet",
-               "--window", "10 mas", "--votable", *OPTIONS]  # fmt: skip
+               "--window", "10 mas", *OPTIONS]  # fmt: skip
     command[command.index("270 deg")] = "ridge"
     assert main(command) == 0
     table = QTable.read(out / "profile.ecsv", format="ascii.ecsv")
-    assert QTable.read(out / "profile.vot").colnames == table.colnames
+    assert QTable.read(out / "publication" / "profile.vot").colnames == table.colnames
     assert table.meta["along"] == "ridge"
     assert set(table["r_max"].to_value(u.mas)) <= {13.0, 19.0}
 

@@ -109,11 +109,3 @@ def test_of_many_features_those_of_most_epochs_are_shown(jet_results):
     features["secure"] = False
     assert feature_lines(features[:1])[0] == "1 feature, 0 of them secure."
     assert feature_lines(features[:0])[0] == "0 features, 0 of them secure."
-
-
-def test_fast_motion_has_a_unit_that_can_be_read(radial):
-    table = radial[:1].copy()
-    table["pm"], table["pm_err"] = [50_000] * u.mas / u.yr, [300] * u.mas / u.yr
-    head, line = component_lines(table)[2:4]
-    assert "proper motion (arcsec / yr)" in head
-    assert "50.00 +- 0.30" in line

@@ -37,7 +37,7 @@ def astro_scc(capsys, tmp_path, monkeypatch):
 
 def test_all_products_are_written(astro_scc, jet, tmp_path):
     status, out, err = astro_scc(
-        *jet, "-o", "out", "--votable", "--redshift", "0.1", "--seed", "1"
+        *jet, "-o", "out", "--redshift", "0.1", "--seed", "1", "--pdf"
     )
     assert (status, err) == (0, "")
     assert {path.name for path in (tmp_path / "out").iterdir()} == set(PRODUCTS)
@@ -59,8 +59,12 @@ def test_all_products_are_written(astro_scc, jet, tmp_path):
     assert np.all(features["first"] < features["last"])
     assert np.all(features["first"] < features["date"])
     assert features.meta["versions"]
-    assert len(QTable.read(tmp_path / "out" / "features.vot")) == len(features)
-    assert len(QTable.read(tmp_path / "out" / "positions.vot")) == len(positions)
+    assert len(QTable.read(tmp_path / "out" / "publication" / "features.vot")) == len(
+        features
+    )
+    assert len(QTable.read(tmp_path / "out" / "publication" / "positions.vot")) == len(
+        positions
+    )
 
 
 @pytest.mark.slow
@@ -76,9 +80,7 @@ def test_the_same_seed_gives_the_same_tables(astro_scc, jet, tmp_path, detection
 
 
 def test_no_features_are_empty_tables(astro_scc, jet, tmp_path):
-    status, out, _ = astro_scc(
-        *jet[:3], "-o", "out", "--distance", "10 Mpc", "--votable"
-    )
+    status, out, _ = astro_scc(*jet[:3], "-o", "out", "--distance", "10 Mpc")
     assert status == 0
     assert "0 features, 0 of them secure." in out
     assert "No detections of four epochs or more are in steady motion." in out

@@ -16,7 +16,6 @@ from astro_scc.features import find_features
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.measurement import MatchedEpochs, write_products
 from astro_scc.measurement.feature_tables import components_of
-from astro_scc.measurement.products import write_votables
 
 
 def motion(velocity, place=(3.0, 0.0), error=0.05):
@@ -164,11 +163,10 @@ def test_files_hold_the_tables(what, sky_result, tmp_path):
     assert (len(result.features) > 0) == (what == "some")
     object.__setattr__(result, "sensitivity", sky_result.sensitivity)
     write_products(result, components, tmp_path)
-    write_votables(result, components, tmp_path)
     tables = {"features": result.features, "positions": result.feature_positions}
     for name, table in tables.items():
-        for path in (tmp_path / f"{name}.ecsv", tmp_path / f"{name}.vot"):
-            read = QTable.read(path)
+        for path in (f"{name}.ecsv", f"publication/{name}.vot"):
+            read = QTable.read(tmp_path / path)
             speeds = ["beta_app", "beta_app_err"] if name == "features" else []
             assert read.colnames == table.colnames + speeds
             assert len(read) == len(table)

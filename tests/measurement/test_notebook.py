@@ -35,7 +35,7 @@ def test_components(sky_result):
     html = sky_result._repr_html_()
     page = Page(html)
     assert not page.open
-    table = paper_table(sky_result.components, latex=False)
+    table = paper_table(sky_result.components)
     assert len(page.cells) == len(table.colnames) * len(table)
     assert page.cells[0] == "1"
     assert table["pm"][0] in page.cells

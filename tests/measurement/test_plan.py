@@ -180,7 +180,9 @@ def test_windows_reach_as_far_as_is_searched_whatever_the_dates():
 def test_windows_of_pixels_that_are_not_square():
     cube = cube_of(shape=(200, 300))
     wide = SimpleNamespace(
-        pixel_matrix=np.array([[-0.2, 0.0], [0.0, 0.1]]) * u.mas, shape=cube.shape
+        pixel_matrix=np.array([[-0.2, 0.0], [0.0, 0.1]]) * u.mas,
+        shape=cube.shape,
+        speed_unit=cube.speed_unit,
     )
     pairs = consecutive_pairs([0.0, 1.0])
     assert search_reach(wide, pairs, 0.1, 0.1, 1.9) == (20, 10)

@@ -4,6 +4,7 @@
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -288,13 +289,12 @@ def test_a_table_without_components_keeps_its_columns(cube, tmp_path):
     components = result.components_in_c(distance=16.7 * u.Mpc)
     assert len(components) == 0
     paths = write_products(result, components, tmp_path)
-    assert [path.name for path in paths] == [
+    assert [path.name for path in paths if path.parent == tmp_path] == [
         "components.ecsv",
         "features.ecsv",
         "positions.ecsv",
         "sensitivity.ecsv",
         "ssps.ecsv",
-        "components.tex",
         "scc.fits",
     ]
     table = QTable.read(paths[0])
@@ -367,5 +367,6 @@ def test_the_same_measurement_gives_the_same_bytes(result, tmp_path):
             result, result.components, tmp_path / name, text="seed = 1\n"
         ):
             assert path.is_file()
-    for path in (tmp_path / "a").iterdir():
-        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+    for path in filter(Path.is_file, (tmp_path / "a").rglob("*")):
+        other = tmp_path / "b" / path.relative_to(tmp_path / "a")
+        assert path.read_bytes() == other.read_bytes()

@@ -299,7 +299,7 @@ def test_without_features_members_are_the_matches_at_the_velocity(matched):
         result = scc_of_two(matched)
     (row,), d = result.components, result.displacements
     assert row["n_features"] == 0
-    velocity = row["pm_ra_cosdec"].value, row["pm_dec"].value
+    velocity = [row[k].to_value(PM) for k in ("pm_ra_cosdec", "pm_dec")]
     interval = np.diff(result.cube.years.value)[0]
     expected = [
         k

@@ -202,7 +202,7 @@ def test_ssp_table_has_sky_positions_with_thermal_errors(sky_result):
     np.testing.assert_allclose(table["east_err"].to_value(u.mas), expected)
     np.testing.assert_allclose(table["north_err"].to_value(u.mas), expected)
     assert set(np.unique(table["scale_size"].to_value(u.mas)).round(6)) == {0.2, 0.4}
-    assert table["peak"].unit == table["flux"].unit == cube.unit
+    assert table["peak"].unit == table["coefficient_sum"].unit == cube.unit
     for epoch in range(len(cube)):
         dates = table["date"][table["epoch"] == epoch]
         assert isinstance(dates, Time)

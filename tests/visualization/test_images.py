@@ -58,8 +58,8 @@ def test_east_is_left_and_north_is_up(result):
     assert left > right
     assert bottom < top
     assert ax.get_aspect() == 1
-    assert ax.get_xlabel() == "Offset to the east (mas)"
-    assert ax.get_ylabel() == "Offset to the north (mas)"
+    assert ax.get_xlabel() == "Relative R.A. (mas)"
+    assert ax.get_ylabel() == "Relative Decl. (mas)"
     assert ax.get_title() == "2000-01-31"
 
 
@@ -252,7 +252,7 @@ def test_all_epochs_have_a_panel_of_the_same_colours(result):
     assert dates_of(figure) == list(result.cube.times.strftime("%Y-%m-%d"))
     norms = {id(ax.images[0].norm) for ax in figure.axes if ax.images}
     assert len(norms) == 1
-    assert figure.get_supxlabel() == "Offset to the east (mas)"
+    assert figure.get_supxlabel() == "Relative R.A. (mas)"
 
 
 @pytest.mark.slow

@@ -122,12 +122,15 @@ def test_the_arrow_points_where_features_go(of_the_sun, results):
 
 
 @pytest.mark.parametrize(
-    ("speed", "unit"),
+    ("span", "resolution", "interval", "unit"),
     [
-        (20 * u.mas / u.yr, u.mas / u.yr),
-        (0.2 * u.arcsec / u.h, u.arcsec / u.yr),
-        (20 * u.arcsec / u.h, u.arcsec / u.h),
+        (20 * u.yr, 1 * u.mas, 0.2 * u.yr, u.mas / u.yr),
+        (12 * u.yr, 0.1 * u.arcsec, 2 * u.yr, u.mas / u.yr),
+        (12 * u.yr, 2 * u.arcsec, 1 * u.yr, u.arcsec / u.yr),
+        (11 * u.d, 30 * u.mas, 1 * u.d, u.mas / u.d),
+        (8 * u.h, 20 * u.uas, 2 * u.min, u.mas / u.h),
+        (8 * u.h, 1.2 * u.arcsec, 12 * u.min, u.arcsec / u.h),
     ],
 )
-def test_speeds_have_units_that_are_easily_read(speed, unit):
-    assert speed_unit(speed.to_value(u.mas / u.yr)) == unit
+def test_speeds_have_units_that_are_easily_read(span, resolution, interval, unit):
+    assert speed_unit(span, resolution, interval) == unit

@@ -1,16 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 
 import itertools
+import re
 from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.table import QTable
+from astropy.time import Time
+from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 
+from astro_scc import Beam, EpochCube
 from astro_scc.features import find_features
 from astro_scc.simulation import simulate_jet
-from astro_scc.visualization import plot_separation, plot_tracks
+from astro_scc.visualization import plot_epochs, plot_separation, plot_tracks, style
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +36,11 @@ def dots(ax):
     return np.concatenate([np.stack(line.get_data(), axis=1) for line in own])
 
 
+def fits(ax):
+    """Lines of the fitted motions."""
+    return [k for k in ax.lines if k.get_marker() == "None" and not k.get_gid()]
+
+
 def test_separations_are_those_of_the_positions(features):
     figure = plot_separation(features, unit=u.uas)
     ax = figure.axes[0]
@@ -43,7 +53,7 @@ def test_separations_are_those_of_the_positions(features):
     assert len(boxes) >= 3
     assert all(box.x1 <= ax.get_window_extent().x1 for box in boxes)
     assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
-    lines = [line for line in ax.lines if line.get_marker() != "o"]
+    lines = fits(ax)
     alpha = [line.get_alpha() for line in lines]
     assert alpha == [0.5 if k == 1 else 1.0 for k in range(len(features))]
     assert [line.get_linestyle() for line in lines].count(":") == 1
@@ -52,7 +62,7 @@ def test_separations_are_those_of_the_positions(features):
 
 def test_lines_are_the_fitted_motions(features):
     ax = plot_separation(features, unit=u.mas).axes[0]
-    lines = [line for line in ax.lines if line.get_marker() != "o"]
+    lines = fits(ax)
     for line, motion in zip(lines, features.motions, strict=True):
         time, distance = line.get_data()
         dt = time[-1] - motion.date
@@ -86,3 +96,141 @@ def test_nothing_is_drawn_of_nothing(features, plot):
 def test_units_must_be_angles(features, plot):
     with pytest.raises(ValueError, match="unit must be an angle"):
         plot(features, unit="s")
+
+
+# -- for the literature ------------------------------------------------------------
+
+
+def lines_of(ax, gid):
+    return [line for line in ax.lines if line.get_gid() == gid]
+
+
+def test_residuals_are_what_the_fits_leave(features):
+    _, lower = plot_separation(features, unit=u.mas).axes
+    d, wanted = features.detections, []
+    for track, motion in zip(features.tracks, features.motions, strict=True):
+        own = track.detection
+        dt = (d.time[own] - motion.date)[:, None]
+        bend = np.nan_to_num(motion.acceleration)
+        place = motion.place + motion.velocity * dt + bend * dt**2 / 2
+        wanted.extend(np.hypot(*d.place[own].T) - np.hypot(*place.T))
+    assert dots(lower)[:, 1] == pytest.approx(np.array(wanted))
+
+
+def test_dashes_lead_to_the_ejections(features, monkeypatch):
+    monkeypatch.setattr("astro_scc.visualization.tracks.EARLIER", 20.0)
+    upper, _ = plot_separation(features).axes
+    t_ej = features.table["t_ej"].value
+    first, last = features.cube.times.jyear[[0, -1]]
+    known = features.secure & (t_ej >= first - 20.0 * (last - first))
+    assert known.any()
+    drawn = [line.get_data() for line in lines_of(upper, "ejection")]
+    assert [x[0] for x, _ in drawn] == pytest.approx(t_ej[known])
+    assert all(y[0] == 0 for _, y in drawn)
+    assert upper.get_xlim()[0] < t_ej[known].min()
+
+
+def test_speeds_stand_beside_the_numbers(features):
+    upper, _ = plot_separation(features, beta_per_pm=10.0).axes
+    texts = {text.get_text() for text in upper.texts}
+    for number, motion, secure in zip(
+        features.number, features.motions, features.secure, strict=True
+    ):
+        speed = f" ({10 * motion.speed:.2g} c)" if secure else ""
+        assert texts & {f"{number}{speed}"}
+
+
+def test_published_features_are_grey(features):
+    times = features.cube.times
+    later = np.array([*times[:3].jyear, times[-1].jyear + 9])
+    published = QTable(
+        {
+            "published": [7, 7, 7, 7],
+            "date": Time(later, format="jyear"),
+            "separation": [1.0, 2.0, 3.0, 4.0] * u.mas,
+            "ra_offset": [-1.0, -2.0, -3.0, -4.0] * u.mas,
+            "dec_offset": [0.0, 0.0, 0.0, 0.0] * u.mas,
+        }
+    )
+    upper, _ = plot_separation(features, published=published, unit=u.mas).axes
+    (line,) = lines_of(upper, "published 7")
+    assert line.get_color() == style.GREY
+    # Only what is seen during the images.
+    assert list(line.get_ydata()) == [1, 2, 3]
+    assert line.get_xdata() == pytest.approx(later[:3])
+    ax = plot_tracks(features, published=published, unit=u.mas).axes[0]
+    (line,) = lines_of(ax, "published 7")
+    assert list(line.get_xdata()) == [-1, -2, -3]
+
+
+@pytest.mark.parametrize(
+    ("step", "label", "first", "last"),
+    [
+        (0.2 * u.yr, "Year", 2020.0, 2020.6),
+        (1 * u.d, "MJD", 58849.5, 58852.5),
+        (2 * u.h, "Hours since 2020-01-01 00:00 UTC", 12.0, 18.0),
+    ],
+)
+def test_dates_have_the_unit_of_the_series(features, step, label, first, last):
+    times = Time("2020-01-01T12:00:00") + np.arange(4) * step
+    cube = features.cube[:4]
+    cube = EpochCube.from_arrays(
+        cube.data, times, pixel_scale=cube.pixel_scale, beams=cube.beams
+    )
+    ax = Figure().add_subplot()
+    on_axis = style.date_axis(ax, cube)
+    assert ax.get_xlabel() == label
+    assert on_axis(times.jyear[[0, -1]]) == pytest.approx([first, last], abs=2e-3)
+    low, high = ax.get_xlim()
+    assert low < on_axis(times.jyear[0]) < on_axis(times.jyear[-1]) < high
+
+
+def test_contours_double_from_three_times_the_noise(features):
+    ax = plot_tracks(features).axes[0]
+    (contours,) = (k for k in ax.collections if isinstance(k, QuadContourSet))
+    cube = features.cube
+    noise = np.median(cube.noise_rms().value) / np.sqrt(len(cube))
+    assert contours.levels[0] == pytest.approx(3 * noise)
+    assert contours.levels[1:] / contours.levels[:-1] == pytest.approx(2.0)
+    assert contours.levels[-1] <= np.nanmax(cube.mean_image().data)
+
+
+def test_the_beam_and_the_date_lie_where_there_is_no_light():
+    data = np.full((2, 40, 40), 1e-3)
+    data[:, :9, :9] = data[:, -9:, -9:] = 1.0
+    rng = np.random.default_rng(1)
+    cube = EpochCube.from_arrays(
+        data + rng.normal(0, 1e-4, data.shape), Time(["2000-01-01", "2001-01-01"]),
+        pixel_scale=1 * u.mas, beams=Beam(2 * u.mas, 2 * u.mas),
+    )  # fmt: skip
+    for ax in plot_epochs(cube).axes[:2]:
+        (beam,) = ax.patches
+        x, y = ax.transAxes.inverted().transform(ax.transData.transform(beam.center))
+        (text,) = ax.texts
+        a, b = text.get_position()
+        # East is to the left: light is in the lower left and the upper right.
+        assert {(x > 0.5, y > 0.5), (a > 0.5, b > 0.5)} == {
+            (True, False),
+            (False, True),
+        }
+
+
+def test_figures_for_a_journal(features):
+    import matplotlib
+
+    before = dict(matplotlib.rcParams)
+    figures = {
+        "separation": lambda: plot_separation(features),
+        "epochs": lambda: plot_epochs(features.cube),
+    }
+    files = style.figure_files(figures, pdf=True)
+    assert set(files) == {f"{n}.{k}" for n in figures for k in ("png", "pdf")}
+    assert dict(matplotlib.rcParams) == before
+    for name, columns in (("separation", 1), ("epochs", 2)):
+        pdf = files[f"{name}.pdf"]
+        width = float(re.search(rb"/MediaBox \[ 0 0 ([\d.]+)", pdf)[1]) / 72
+        assert width == pytest.approx(columns * style.COLUMN, abs=0.2)
+        assert b"/Type3" not in pdf
+        assert b"/FontFile2" in pdf
+    with style.for_journal():
+        assert plot_separation(features).axes[0].yaxis.label.get_fontsize() == 8

@@ -97,12 +97,6 @@ def test_speeds_have_the_unit_that_was_asked_for(result):
         plot_velocity_map(result, unit="mas")
 
 
-def test_large_speeds_are_in_arcseconds(result):
-    grid = replace(result.grid, v1=result.grid.v1 * 1e3, v2=result.grid.v2 * 1e3)
-    ax = plot_velocity_map(replace(result, grid=grid)).axes[0]
-    assert ax.get_xlabel().endswith("(arcsec/yr)")
-
-
 def test_an_unknown_map_is_refused(result):
     with pytest.raises(ValueError, match="unknown map 'p': use 'coefficient'"):
         plot_velocity_map(result, which="p")

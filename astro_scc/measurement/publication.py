@@ -1,0 +1,472 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Tables as journals and archives print them: LaTeX, CDS and MRT, VOTable."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from textwrap import wrap
+from typing import NamedTuple
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.io.votable import from_table
+from astropy.io.votable.tree import CooSys, Param, TimeSys
+from astropy.table import Column, QTable, Table
+from astropy.time import Time
+
+from astro_scc import writing
+from astro_scc.columns import PAPER, column_ucd
+from astro_scc.kinematics.cosmology import cosmology_text
+from astro_scc.measurement.tables import paper_table
+from astro_scc.units import round_to_errors
+
+FOLDER = "publication"
+#: Captions, with the name of the source in braces.
+CAPTIONS = {
+    "components": "Velocity components{}",
+    "features": "Features{} and their motions",
+    "positions": "Positions of the features{}",
+    "profile": "Velocity components{} in bins of core separation",
+}
+#: Longer tables may break over pages.
+ONE_PAGE = 40
+#: Of longer VOTables the rows are binary.
+MANY_ROWS = 2000
+#: Most digits after the point of a number in an archive.
+DIGITS = 8
+RULE, LINE = "=" * 80, "-" * 80
+AASTEX = r"""% AASTeX, version 6.3.1 or later
+{long}\begin{{deluxetable*}}{{{align}}}
+\tablecaption{{{caption}\label{{tab:{name}}}}}
+\tablehead{{
+{heads} \\
+{units}
+}}
+\startdata
+{rows}
+\enddata
+\tablecomments{{{notes}}}
+\end{{deluxetable*}}
+"""
+AA = r"""% A&A, aa.cls
+\providecommand{{\nodata}}{{\ldots}}
+\begin{{table*}}
+\caption{{{caption}}}
+\label{{tab:{name}}}
+\centering
+\begin{{tabular}}{{{align}}}
+\hline\hline
+{heads} \\
+{units} \\
+\hline
+{rows} \\
+\hline
+\end{{tabular}}
+\tablefoot{{{notes}}}
+\end{{table*}}
+"""
+AA_LONG = r"""% A&A, aa.cls, with the packages longtable and lscape
+\providecommand{{\nodata}}{{\ldots}}
+\longtab[1]{{
+\begin{{longtable}}{{{align}}}
+\caption{{\label{{tab:{name}}}{caption}}}\\
+\hline\hline
+{heads} \\
+{units} \\
+\hline
+\endfirsthead
+\caption{{continued.}}\\
+\hline\hline
+{heads} \\
+{units} \\
+\hline
+\endhead
+\hline
+\endfoot
+{rows} \\
+\end{{longtable}}
+\tablefoot{{{notes}}}
+}}
+"""
+
+
+def write_publication(
+    tables: Mapping[str, QTable], directory: Path | str,
+    catalogues: Mapping[str, QTable] | None = None,
+) -> list[Path]:  # fmt: skip
+    """
+    Write tables in the forms of journals and archives.
+
+    Parameters
+    ----------
+    tables : dict of `~astropy.table.QTable`
+        Tables of this package by their names, which become those of the files.
+    directory : path
+        A folder that exists.
+    catalogues : dict of `~astropy.table.QTable`, optional
+        Further tables, which are written as VOTable alone.
+
+    Returns
+    -------
+    list of `~pathlib.Path`
+        For each table NAME, ``NAME_aastex.tex`` and ``NAME_aa.tex`` if it has proper
+        motions, ``NAME_mrt.txt`` for the AAS, ``NAME.dat`` for the CDS, of which
+        ``ReadMe`` describes all, and ``NAME.vot``, in the folder ``publication``.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> from astro_scc.measurement.publication import write_publication
+    >>> Path("out").mkdir()
+    >>> table = QTable({"pm": [0.5] * u.mas / u.yr})
+    >>> paths = write_publication({"speeds": table}, "out")
+    >>> sorted(path.name for path in paths)[:3]
+    ['ReadMe', 'speeds.dat', 'speeds.vot']
+    """
+    folder = Path(directory, FOLDER)
+    folder.mkdir(exist_ok=True)
+    texts, files = {}, {}
+    for name, table in tables.items():
+        if "pm" in table.colnames:
+            texts[f"{name}_aastex.tex"] = latex_text_of(table, name, "aastex")
+            texts[f"{name}_aa.tex"] = latex_text_of(table, name, "aa")
+        files[f"{name}.dat"] = table, name
+        texts[f"{name}_mrt.txt"] = machine_readable(table, name)
+        texts[f"{name}.dat"] = "".join(f"{row}\n" for row in fixed_width(table).rows)
+    texts["ReadMe"] = read_me(files)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    paths = [folder / name for name in texts]
+    for name, table in {**tables, **(catalogues or {})}.items():
+        paths.append(folder / f"{name}.vot")
+        write_votable(table, paths[-1], overwrite=True)
+    return paths
+
+
+def facts_of(meta):
+    """Return what the meta of a table says of source and images as sentences."""
+    facts = []
+    if "n_epochs" in meta:
+        facts.append(
+            f"{meta['n_epochs']} epochs from {meta['first_epoch']} to "
+            f"{meta['last_epoch']}."
+        )
+    if "beam" in meta:
+        facts.append(f"Beam {meta['beam']}.")
+    if "distance" in meta:
+        facts.append(f"Speeds in c are for a distance of {meta['distance']:g}.")
+    elif "redshift" in meta:
+        facts.append(
+            f"Speeds in c are for a redshift of {meta['redshift']:g} and "
+            f"{cosmology_text(meta['cosmology'])}."
+        )
+    return facts
+
+
+def _caption(table, name):
+    source = _plain(table.meta.get("object", ""))
+    caption = CAPTIONS.get(name, f"{name.capitalize()}{{}}")
+    return caption.format(f" of {source}" if source else "")
+
+
+def _plain(text):
+    """Return text in one line of ASCII."""
+    return " ".join(str(text).split()).encode("ascii", "replace").decode()
+
+
+# -- LaTeX -------------------------------------------------------------------------
+
+
+def escaped(text):
+    """Return text in which what LaTeX reads as commands is escaped."""
+    text = re.sub(r"([&%#_${}])", r"\\\1", _plain(text).replace("\\", "/"))
+    return text.replace("~", r"\textasciitilde{}").replace("^", r"\textasciicircum{}")
+
+
+def latex_text_of(table, name, journal):
+    """
+    Return the main columns of a table in LaTeX, for AASTeX or A&A.
+
+    Parameters
+    ----------
+    table : `~astropy.table.QTable`
+    name : str
+        Its name, for the caption and the label.
+    journal : {"aastex", "aa"}
+
+    Returns
+    -------
+    str
+        Values and errors are rounded to two digits of the error.
+    """
+    paper = paper_table(table, sign=r"\pm")
+    heads = [PAPER[column] for column in paper.colnames]
+    units = [_latex_unit(column, paper[column].unit) for column in paper.colnames]
+    if journal == "aastex":
+        heads, units = ([rf"\colhead{{{k}}}" for k in row] for row in (heads, units))
+    cells = zip(*(map(_latex_cell, paper[k]) for k in paper.colnames), strict=True)
+    rows = [" & ".join(row) for row in cells]
+    about = [
+        f"{PAPER[k]}: {escaped(table[k].info.description)}."
+        for k in paper.colnames
+        if table[k].info.description
+    ]
+    form, long = AASTEX, len(rows) > ONE_PAGE
+    if journal == "aa":
+        form = AA_LONG if long else AA
+    text = form.format(
+        align="l" * len(heads), caption=f"{escaped(_caption(table, name))}.",
+        name=name, long="\\startlongtable\n" * long,
+        heads=" & ".join(heads), units=" & ".join(units),
+        rows=" \\\\\n".join(rows),
+        notes=" ".join([*map(escaped, facts_of(table.meta)), *about]),
+    )  # fmt: skip
+    return text.removeprefix("\n")
+
+
+def _latex_cell(text):
+    text = str(text)
+    if text == "-":
+        return r"\nodata"
+    number = re.fullmatch(r"-?[\d.]+(e[+-]?\d+)?( \\pm .*)?", text.split(" (error")[0])
+    if number is None:
+        return escaped(text)
+    text = text.replace("(error unknown)", r"\pm \ldots")
+    text = re.sub(r"e([+-]?)0*(\d+)", lambda m: rf" \times 10^{{{m[1]}{m[2]}}}", text)
+    text = text.replace("{+", "{")
+    return f"${text}$" if text[0] == "-" or "\\" in text else text
+
+
+def _latex_unit(name, unit):
+    if name == "beta_app":
+        return "($c$)"
+    if name == "t_ej" and unit == u.day:
+        return "(MJD)"
+    if unit in (None, u.one):
+        return ""
+    return "(deg)" if unit == u.deg else f"({unit.to_string('latex_inline')})"
+
+
+# -- CDS and MRT -------------------------------------------------------------------
+
+
+class FixedWidth(NamedTuple):
+    """Rows of equal width, and the description of their bytes."""
+
+    rows: list[str]
+    description: list[str]
+
+
+def fixed_width(table):
+    """
+    Return a table in columns of fixed width, and their byte-by-byte description.
+
+    Standard errors are labelled ``e_`` and the name of their column, as archives do,
+    and what is not known is blank.  Floating-point numbers have as many digits after
+    the point as in print, at most eight.
+    """
+    table = round_to_errors(table.copy(copy_data=False))
+    columns, described, begin = [], [], 1
+    for name in table.colnames:
+        if table[name].ndim == 1:
+            cells, form = _cells(table[name])
+            width = max(map(len, cells), default=1) or 1
+            columns.append([f"{cell:>{width}}" for cell in cells])
+            end = begin + width - 1
+            place = f"{end:8d}" if width == 1 else f"{begin:3d}-{end:4d}"
+            label = re.sub(r"^(.*)_err(?=_|$)", r"e_\1", name)
+            unit, about = _cds_unit(table[name].info.unit)
+            about = f"{_plain(table[name].info.description or name)}{about}"
+            blank = "? " if any(not cell.strip() for cell in cells) else ""
+            head = f"{place} {form.format(width=width):6s} {unit:7s} {label:21s} "
+            described += wrap(
+                blank + about,
+                80,
+                initial_indent=head,
+                subsequent_indent=" " * len(head),
+            )
+            begin = end + 2
+    return FixedWidth([" ".join(row) for row in zip(*columns, strict=True)], described)
+
+
+def _cells(column):
+    """Return the cells of a column as text, and the format of Fortran."""
+    hidden = np.broadcast_to(getattr(column, "mask", False), len(column))
+    values = getattr(column, "unmasked", column)
+    values = np.asarray(values.isot if isinstance(values, Time) else _numbers(values))
+    if values.dtype.kind == "f":
+        known = np.isfinite(values) & ~hidden
+        form = column.info.format or ".6f"
+        size = np.abs(values[known & (values != 0)])
+        if form.endswith("g") and size.size:
+            form = f".{int(form[1:-1]) - 1 - int(np.floor(np.log10(size.min())))}f"
+        digits = int(np.clip(int(form[1:-1]), 1, DIGITS)) if form[-1] == "f" else 1
+        cells = [
+            f"{v:.{digits}f}" if k else "" for v, k in zip(values, known, strict=True)
+        ]
+        cells = [cell.rjust(digits + 2) for cell in cells]
+        return cells, f"F{{width}}.{digits}"
+    if values.dtype.kind == "b":
+        values = np.where(values, "Y", "N")
+    cells = ["" if bad else _plain(v) for v, bad in zip(values, hidden, strict=True)]
+    return cells, ("I{width}" if values.dtype.kind in "iu" else "A{width}")
+
+
+def _numbers(values):
+    return getattr(values, "value", values)
+
+
+def _cds_unit(unit):
+    """Return a unit as archives write it; of what they do not know, in words."""
+    if unit in (None, u.one, ""):
+        return "---", ""
+    try:
+        return u.Unit(unit).to_string("cds"), ""
+    except ValueError:
+        return "---", f" ({unit})"
+
+
+def _byte_by_byte(described, name):
+    head = "   Bytes Format Units   Label                 Explanations"
+    title = f"Byte-by-byte Description of file: {name}"
+    return [title, LINE, head, LINE, *described, LINE]
+
+
+def machine_readable(table, name):
+    """Return a table in the machine-readable form of the AAS."""
+    data = fixed_width(table)
+    file = f"{name}_mrt.txt"
+    notes = [f"Note: {fact}" for fact in facts_of(table.meta)]
+    return "\n".join(
+        [
+            *("Title: (title of the paper)", "Authors: (authors)"),
+            f"Table: {_caption(table, name)}",
+            *(RULE, *_byte_by_byte(data.description, file), *notes, LINE * bool(notes)),
+            *data.rows,
+            "",
+        ]
+    ).replace("\n\n", "\n")
+
+
+def read_me(files):
+    """
+    Return the file ReadMe of tables for the CDS.
+
+    Parameters
+    ----------
+    files : dict of (`~astropy.table.QTable`, str)
+        Tables and their names, by the names of their files.
+    """
+    data = {file: fixed_width(table) for file, (table, _) in files.items()}
+    first, _ = next(iter(files.values()))
+    lines = [
+        "(title of the paper)",
+        RULE,
+        "Description:",
+        *wrap(" ".join(facts_of(first.meta)), 80, initial_indent="    "),
+        "",
+        "File Summary:",
+        LINE,
+        f"{' FileName':18s}{'Lrecl':>8s}{'Records':>9s}   Explanations",
+        LINE,
+        f"{'ReadMe':18s}{80:8d}{'.':>9s}   This file",
+    ]
+    for file, (table, name) in files.items():
+        width = max(map(len, data[file].rows), default=0)
+        lines.append(f"{file:18s}{width:8d}{len(table):9d}   {_caption(table, name)}")
+    lines += [LINE, ""]
+    for file, own in data.items():
+        lines += [*_byte_by_byte(own.description, file), ""]
+    return "\n".join([*lines, RULE, ""])
+
+
+# -- VOTable -----------------------------------------------------------------------
+
+
+def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) -> None:
+    """
+    Write a table as VOTable, which TOPCAT, STILTS and Aladin read.
+
+    Parameters
+    ----------
+    table : `~astropy.table.Table`
+        Any table of this package, in memory or read from its ECSV file.
+    path : path
+        A file, commonly ``.vot`` or ``.xml``.
+    overwrite : bool, optional
+
+    Raises
+    ------
+    OSError
+        If the file exists and ``overwrite`` is False, or cannot be written.
+
+    Notes
+    -----
+    Columns keep their units and descriptions, and have UCDs.  Dates become ISO text
+    in a time system, UTC.  Single numbers and texts in the meta become parameters,
+    and so does the position of the source, if it is known, in the coordinate system
+    ICRS; ECSV keeps the whole meta.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> from astro_scc.measurement import write_votable
+    >>> write_votable(QTable({"pm": [0.5] * u.mas / u.yr}), "components.vot")
+    >>> QTable.read("components.vot")["pm"].unit
+    Unit("mas / yr")
+    """
+    plain, dates = Table(table), []
+    for name in table.colnames:
+        values = plain[name]
+        if isinstance(values, Time):
+            # An empty array of dates does not have the type of text.
+            texts = np.asarray(values.isot, dtype=str if len(values) else "U23")
+            plain[name] = Column(texts, description=values.info.description)
+            dates.append(name)
+        elif values.dtype == np.int8:
+            # VOTable has no type for signed 8-bit integers.
+            plain[name] = values.astype(np.int16)
+    votable = from_table(plain)
+    resource, written = votable.resources[0], votable.get_first_table()
+    written.description = " ".join(facts_of(table.meta)) or None
+    for field in written.fields:
+        field.ucd = column_ucd(field.name)
+        if field.name in dates:
+            field.ref, field.xtype = "utc", "timestamp"
+    if dates:
+        system = {"timescale": "UTC", "refposition": "TOPOCENTER"}
+        # Otherwise astropy warns that it does not know the version.
+        system["config"] = {"version_1_4_or_later": True}
+        resource.time_systems.append(TimeSys(ID="utc", **system))
+    position = table.meta.get("position")
+    if position is not None:
+        resource.coordinate_systems.append(CooSys(ID="icrs", system="ICRS"))
+        where = SkyCoord(position).icrs
+        number = {"datatype": "double", "unit": "deg", "ref": "icrs"}
+        for name, value in (("ra", where.ra.deg), ("dec", where.dec.deg)):
+            about = {"name": name, "ucd": f"pos.eq.{name};meta.main", "value": value}
+            written.params.append(Param(votable, **about, **number))
+    datatype = {bool: "boolean", int: "long", float: "double"}
+    for key, value in table.meta.items():
+        if isinstance(value, bool | int | float | str) and value not in ("", position):
+            kind = datatype.get(type(value), "unicodeChar")
+            size = {"arraysize": "*"} if kind == "unicodeChar" else {}
+            param = Param(votable, name=key, datatype=kind, value=value, **size)
+            param.ucd = "meta.id;src" if key == "object" else None
+            written.params.append(param)
+    if len(table) > MANY_ROWS:
+        written.format = "binary2"
+    with writing.replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
+        votable.to_xml(str(part))

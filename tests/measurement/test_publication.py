@@ -1,0 +1,225 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Tables in the forms of journals and archives."""
+
+import re
+import warnings
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io import ascii
+from astropy.io.votable import parse, validate
+from astropy.io.votable.ucd import check_ucd
+from astropy.table import QTable, vstack
+
+from astro_scc import columns
+from astro_scc.epochs import EpochCube
+from astro_scc.features import tables as feature_tables
+from astro_scc.kinematics.cosmology import table_in_c_as
+from astro_scc.measurement import tables
+from astro_scc.measurement.feature_tables import SSP_COLUMNS
+from astro_scc.measurement.publication import ONE_PAGE, latex_text_of, write_publication
+
+NAMES = ("components", "features", "positions")
+
+
+@pytest.fixture(scope="module")
+def printed(sky_result):
+    """Tables of a measurement with speeds in units of c and the name of a source."""
+    components = sky_result.components_in_c(redshift=0.158)
+    found = components, sky_result.features, sky_result.feature_positions
+    meta = components.meta | {"object": "3C_1 50%", "position": "1h00m00s +30d00m00s"}
+    made = {}
+    for name, table in zip(NAMES, found, strict=True):
+        own = table if name == "positions" else table_in_c_as(table, components)
+        made[name] = own.copy()
+        made[name].meta = meta
+    return made
+
+
+@pytest.fixture(scope="module")
+def folder(printed, tmp_path_factory):
+    out = tmp_path_factory.mktemp("out")
+    paths = write_publication(printed, out)
+    assert {path.parent for path in paths} == {out / "publication"}
+    assert sorted(path.name for path in paths) == sorted(
+        ["ReadMe"]
+        + [f"{n}_{k}.tex" for n in NAMES[:2] for k in ("aastex", "aa")]
+        + [f"{n}{end}" for n in NAMES for end in ("_mrt.txt", ".dat", ".vot")]
+    )
+    return out / "publication"
+
+
+# -- archives ----------------------------------------------------------------------
+
+
+def read(folder, name, form):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        if form == "mrt":
+            return ascii.read(folder / f"{name}_mrt.txt", format="mrt")
+        how = {"format": "cds", "readme": str(folder / "ReadMe")}
+        return ascii.read(str(folder / f"{name}.dat"), **how)
+
+
+@pytest.mark.parametrize("form", ["mrt", "cds"])
+@pytest.mark.parametrize("name", NAMES)
+def test_archives_read_the_numbers(folder, printed, name, form):
+    found, table = read(folder, name, form), printed[name]
+    assert len(found) == len(table)
+    assert len(found.colnames) == len(table.colnames)
+    for own, column in zip(found.colnames, table.colnames, strict=True):
+        stem = column.removesuffix("_err").replace("_err_", "_")
+        assert own == (f"e_{stem}" if "_err" in column else column)
+        one = table[column]
+        unit = getattr(one, "unit", None) or u.one
+        assert (found[own].unit or u.one) == unit
+        if getattr(one, "dtype", np.dtype(str)).kind != "f":
+            continue
+        values = np.asarray(getattr(one, "value", one), dtype=float)
+        known = np.isfinite(values)
+        got = np.ma.filled(np.ma.asarray(found[own], dtype=float), np.nan)
+        assert np.array_equal(np.isfinite(got), known)
+        error = table.columns.get(f"{column}_err")
+        near = (
+            1e-2 * np.abs(values) if error is None else 0.06 * u.Quantity(error).value
+        )
+        least = np.min(near[known & (near > 0)], initial=1.0)
+        # Errors and probabilities have two digits, and so have z-scores.
+        rough = "_err" in column or column.startswith(("p_", "z_"))
+        how = {"atol": least, "rtol": 0.05 if rough else 5e-4}
+        np.testing.assert_allclose(got[known], values[known], **how)
+
+
+def test_lines_of_descriptions_fit_the_standard(folder):
+    for path in (folder / "ReadMe", folder / "components_mrt.txt"):
+        text = path.read_text().split("Note: ")[0]
+        assert max(map(len, text.splitlines())) <= 80
+
+
+def test_tables_without_rows(printed, tmp_path):
+    empty = {name: table[:0] for name, table in printed.items()}
+    write_publication(empty, tmp_path)
+    out = tmp_path / "publication"
+    assert (out / "features.dat").read_text() == ""
+    assert len(QTable.read(out / "features.vot")) == 0
+    assert "features.dat" in (out / "ReadMe").read_text()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_votable_says_of_what_it_is(folder, name, capsys):
+    path = folder / f"{name}.vot"
+    assert validate(path), capsys.readouterr().out
+    votable = parse(path, verify="exception")
+    table, (resource,) = votable.get_first_table(), votable.resources
+    (frame,), times = resource.coordinate_systems, resource.time_systems
+    assert frame.system == "ICRS"
+    assert all(field.ucd for field in table.fields if field.name != "scale_groups")
+    params = {param.name: param for param in table.params}
+    assert params["object"].value == "3C_1 50%"
+    assert (params["ra"].value, params["dec"].value) == pytest.approx((15, 30))
+    assert params["ra"].ref == frame.ID
+    assert "epochs from" in str(table.description)
+    dates = [field for field in table.fields if field.ref]
+    assert len(dates) == {"components": 0, "features": 3, "positions": 1}[name]
+    assert [k.timescale for k in times] == ["UTC"] * bool(dates)
+
+
+def test_ucds_are_of_the_vocabulary():
+    every = {**tables.COLUMNS, **feature_tables.COLUMNS, **feature_tables.POSITIONS}
+    for name in (*every, *SSP_COLUMNS, "beta_app", "beta_app_err", "p_fdr", "r_mid"):
+        ucd = columns.column_ucd(name)
+        assert check_ucd(ucd, check_controlled_vocabulary=True), name
+        assert ucd.startswith("stat.error;") == ("_err" in name)
+    assert columns.column_ucd("unheard_of") is None
+
+
+def test_every_column_is_described(sky_result):
+    every = sky_result.components, sky_result.features, sky_result.feature_positions
+    for table in (
+        *every,
+        sky_result.ssps,
+        sky_result.sensitivity,
+        sky_result.members(1),
+    ):
+        assert [n for n in table.colnames if not table[n].info.description] == []
+
+
+def test_the_position_is_that_of_the_reference_pixel(sky_result):
+    cube = sky_result.cube
+    assert "position" not in cube.facts
+    known = EpochCube.from_arrays(
+        cube.data, cube.times, pixel_scale=0.1 * u.mas, beams=None,
+        position=tables_position(), meta={"object": "B2"},
+    )  # fmt: skip
+    assert known.facts["position"] == "01h00m00.00000s +30d00m00.00000s"
+    assert known.facts["object"] == "B2"
+    assert "beam" not in known.facts
+
+
+def tables_position():
+    from astropy.coordinates import SkyCoord
+
+    return SkyCoord(15 * u.deg, 30 * u.deg)
+
+
+# -- LaTeX -------------------------------------------------------------------------
+
+
+def environments(text):
+    begun = re.findall(r"\\begin\{(.*?)\}", text)
+    assert sorted(begun) == sorted(re.findall(r"\\end\{(.*?)\}", text))
+    return begun
+
+
+def balanced(text):
+    plain = re.sub(r"\\[{}]", "", text)
+    assert plain.count("{") == plain.count("}")
+    assert len(re.findall(r"(?<!\\)\$", text)) % 2 == 0
+    for special in "&%#_":
+        # Outside of tables and math nothing but a command's argument has them.
+        assert special != "%" or all(
+            line.startswith("%") or not re.search(r"(?<!\\)%", line)
+            for line in text.splitlines()
+        )
+
+
+@pytest.mark.parametrize("rows", [2, ONE_PAGE + 1])
+@pytest.mark.parametrize("journal", ["aastex", "aa"])
+def test_latex_of_both_journals(printed, journal, rows):
+    table = printed["components"]
+    meta = table.meta
+    table = vstack([table] * (rows // 2 + 1), metadata_conflicts="silent")[:rows]
+    table.meta = meta
+    text = latex_text_of(table, "components", journal)
+    balanced(text)
+    long = rows > ONE_PAGE
+    wanted = {"aastex": ["deluxetable*"], "aa": ["table*", "tabular"]}[journal]
+    assert environments(text) == (["longtable"] if long and journal == "aa" else wanted)
+    assert (r"\startlongtable" in text) == (long and journal == "aastex")
+    assert r"\label{tab:components}" in text
+    assert r"Velocity components of 3C\_1 50\%." in text
+    assert "redshift of 0.158" in text
+    assert "H0 = 71 km/s/Mpc" in text
+    assert re.search(r"\d+ epochs from \d{4}-\d\d-\d\d to", text)
+    assert r"(\mathrm{mas\,yr^{-1}}" in text.replace("$", "")
+    body = [line for line in text.splitlines() if re.match(r"\d+ & (mov|stat)", line)]
+    assert len(body) == rows
+    columns_of = {line.count("&") for line in body}
+    (align,) = set(re.findall(r"\{(l{3,})\}", text))
+    assert columns_of == {len(align) - 1}
+    for line, row in zip(body, table, strict=True):
+        value, error = map(float, re.search(r"\$(\S+) \\pm (\S+)\$", line).groups())
+        assert value == pytest.approx(row["pm"].value, abs=0.06 * row["pm_err"].value)
+        assert error == pytest.approx(row["pm_err"].value, rel=0.06)
+        if row["kind"] == "stationary":
+            # What stands still is not tested.
+            assert r"\nodata" in line
+    if journal == "aa":
+        assert r"\providecommand{\nodata}" in text
+
+
+def test_the_main_columns_come_first(sky_result):
+    for table in (sky_result.components, sky_result.components_in_c(redshift=0.1)):
+        shown = table.pformat(max_width=80)[0].split()
+        assert {"kind", "pm", "pm_err", "p_global"} <= {*shown}

@@ -1,0 +1,90 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""A survey of the sources of a table of components."""
+
+import pytest
+from astropy.table import QTable
+
+from astro_scc.cli import main
+
+BEAM = ["--beam", "0.9 mas 0.6 mas 0 deg", "--pixel", "0.2 mas"]
+OPTIONS = [*BEAM, "--noise", "0.5 mJy/beam", "--seed", "1", "--no-report", "--quiet"]
+
+
+@pytest.fixture(params=["mrt", "cds"])
+def table(request, shared_data, tmp_path):
+    """The head of the journal's own table, and rows of two sources, in both forms."""
+    text = (shared_data / "mojave_xviii" / "apjac230ft4_mrt.txt").read_text()
+    head, _, rows = text.rpartition("-" * 80 + "\n")
+    kept = [r for r in rows.splitlines() if r.startswith(("0003+380", "0010+405"))]
+    # A source that cannot be measured does not stop the others.
+    kept.append("9999+999  1   2006 Mar  9     7.2  3.98 121.8  0.72 1.       Y ")
+    rows = "\n".join([*kept, ""])
+    if request.param == "mrt":
+        path = tmp_path / "table_mrt.txt"
+        path.write_text(f"{head}{'-' * 80}\n{rows}")
+        return path
+    path = tmp_path / "table4.dat"
+    path.write_text(rows)
+    file = head.replace("file: apjac230ft4_mrt.txt", "file: table4.dat")
+    (tmp_path / "ReadMe").write_text(f"{file}{'-' * 80}\n")
+    return path
+
+
+@pytest.mark.slow
+def test_all_sources_are_restored_and_measured(table, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "out"
+    assert main(["survey", str(table), "-o", str(out), *OPTIONS]) == 0
+    survey = QTable.read(out / "survey.ecsv")
+    status = dict(zip(survey["source"], survey["status"], strict=True))
+    assert status == {
+        "0003+380": "measured",
+        "0010+405": "measured",
+        "9999+999": "failed",
+    }
+    first = sorted((out / "images" / "0003+380").glob("*.fits"))
+    assert len(first) == 10
+    before = [path.stat().st_mtime_ns for path in first]
+    # The same command goes on; with another beam, it begins again.
+    assert main(["survey", str(table), "-o", str(out), *OPTIONS]) == 0
+    assert [path.stat().st_mtime_ns for path in first] == before
+    other = [*OPTIONS, "--pixel", "0.25 mas", "--source", "0003+380"]
+    assert main(["survey", str(table), "-o", str(out), *other]) == 0
+    assert [path.stat().st_mtime_ns for path in first] != before
+    assert set(QTable.read(out / "survey.ecsv")["source"]) == {"0003+380"}
+    # The file can be changed, for a redshift, and given to the command.
+    plan = out / "survey.toml"
+    plan.write_text(plan.read_text() + "redshift = 0.229\n")
+    assert main(["survey", str(plan), "-o", str(out), "--no-report", "--quiet"]) == 0
+    assert "beta_app" in QTable.read(out / "survey.ecsv").colnames
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ([], "needs --beam and --pixel to restore images from it"),
+        (BEAM[:2], "needs --pixel to restore images"),
+        ([*BEAM, "--source", "0003+38"], "no source '0003+38'; it has 0003"),
+        ([*BEAM, "--source", "9999+999", "--origin", "map"], "no core component"),
+    ],
+)
+def test_refusals_are_one_line(table, tmp_path, capsys, more, message):
+    assert main(["survey", str(table), "-o", str(tmp_path / "out"), *more]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert message in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_another_folder_is_left_alone(table, tmp_path, capsys):
+    out = tmp_path / "out"
+    out.mkdir()
+    refused = "out: exists and is not of a survey of a table; choose another folder"
+    (out / "mine").write_text("mine")
+    assert main(["survey", str(table), "-o", str(out), *BEAM]) == 2
+    assert refused in capsys.readouterr().err
+    # A survey of other images has its own.
+    (out / "survey.toml").write_text("[sources.a]\nepochs = 'images/*.fits'\n")
+    (out / "images").mkdir()
+    assert main(["survey", str(table), "-o", str(out), *BEAM]) == 2
+    assert refused in capsys.readouterr().err
+    assert {path.name for path in out.iterdir()} == {"mine", "survey.toml", "images"}
