@@ -72,7 +72,7 @@ UCDS = {
     "track|feature|component|ssp": "meta.id",
     "kind": "meta.code.class",
     "secure|proven|used|in_region|main|scale": "meta.code.qual",
-    "note": "meta.note",
+    "caution": "meta.note",
 }
 
 

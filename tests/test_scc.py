@@ -709,7 +709,7 @@ def test_one_match():
     assert len(found.displacements) == 2
     (only,) = found.components
     assert (only["kind"], only["p_global"]) == ("not significant", 1)
-    assert only["note"] == "too few epochs or trials: no p_global below 1"
+    assert only["caution"] == "too few epochs or trials: no p_global below 1"
     assert np.isnan(only["pm_err"])
     row, column = np.unravel_index(found.coefficient.argmax(), found.grid.shape)
     assert found.grid.v1[column] / -PIXEL.value == pytest.approx(3, abs=0.6)

@@ -45,7 +45,7 @@ def run(args, reporter):
     reporter.say(
         *_truth_lines(jet),
         "\nMeasured:",
-        *component_lines(components, result.features, result.sensitivity),
+        *component_lines(components, result.features),
         f"\nReport: {output / 'report.html'}",
     )
 

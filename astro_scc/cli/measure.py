@@ -61,7 +61,7 @@ def run(args, reporter):
         if args.ds9_regions:
             write_epoch_regions(result.matched.ssps, cube, folder)
     reporter.say(
-        *component_lines(components, result.features, result.sensitivity),
+        *component_lines(components, result.features),
         *flow_lines(result),
         *epochs.found,
         f"\nTables and maps: {output}"

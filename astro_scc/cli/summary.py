@@ -7,7 +7,6 @@ import numpy as np
 
 from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c_as
-from astro_scc.measurement.sensitivity import sensitivity_line
 from astro_scc.quantities import with_error
 from astro_scc.units import offset_unit
 
@@ -64,7 +63,7 @@ def plus_minus(row, name):
     return with_error(float(value), float(error), "+-")
 
 
-def component_lines(components, features=None, sensitivity=None):
+def component_lines(components, features=None):
     """
     Return what was found in one sentence, and the components as a table.
 
@@ -74,9 +73,6 @@ def component_lines(components, features=None, sensitivity=None):
         See `~astro_scc.measurement.SCCResult.components`.
     features : `~astropy.table.QTable`, optional
         See `~astro_scc.measurement.SCCResult.features`; the secure ones are shown.
-    sensitivity : `~astropy.table.QTable`, optional
-        See `~astro_scc.measurement.SCCResult.sensitivity`; choices that change the
-        main speed by more than its error are named.
 
     Returns
     -------
@@ -88,15 +84,13 @@ def component_lines(components, features=None, sensitivity=None):
     if len(components) == 0:
         return [*NOTHING, *followed, *meta_lines(components.meta)]
     lines = [_answer(components)]
-    if sensitivity is not None and (depends := sensitivity_line(sensitivity)):
-        lines.append(f"{depends}.")
     rows = [_component_cells(row) for row in components]
     lines += ["", *table_lines(rows), *EXPLANATION]
     for row in components:
         limit, number = row["pm_limit"], row["component"]
-        if row["kind"] == "not significant":
-            lines.append(f"{number} is not significant: {row['note']}")
-        if math.isfinite(limit.value):
+        if row["caution"] != "-":
+            lines.append(f"{number} ({row['kind']}): {row['caution']}")
+        if math.isfinite(limit.value) and row["n_features"]:
             text = f"{limit.value:.2g} {limit.unit}"
             lines.append(f"{number} is slower than {text} at 95% confidence")
     return [*lines, *followed, *meta_lines(components.meta)]
@@ -120,19 +114,35 @@ def _component_cells(row):
 
 def _answer(components):
     """Return the result of a measurement as a sentence."""
-    speeds = []
-    for row in components[components["kind"] == "moving"]:
-        in_c = "".join(f" ({speed} c)" for speed in _in_c(row).values())
-        angle = row["pm_pa"].value
-        towards = f" towards PA {angle:.0f} deg" if math.isfinite(angle) else ""
-        speeds.append(f"{plus_minus(row, 'pm')} {row['pm'].unit}{in_c}{towards}")
-    if speeds:
-        return f"Significant motion: {' and '.join(speeds)}."
-    text = "No significant motion was found"
-    for row in components[components["kind"] == "not significant"]:
-        speed, p_value = f"{plus_minus(row, 'pm')} {row['pm'].unit}", row["p_global"]
-        return f"{text}: {speed}, the strongest, has p_global {p_value:.2g}."
+    kinds = np.asarray(components["kind"])
+    if moving := [_motion(row) for row in components[kinds == "moving"]]:
+        return f"Motion: {'; and '.join(moving)}."
+    if len(some := components[kinds == "not confirmed"]):
+        row = some[0]
+        why = f"p_global {row['p_global']:.2g}, but {row['caution']}"
+        if row["n_features"]:
+            why = f"{plus_minus(row, 'pm')} {row['pm'].unit} with {why}"
+        return f"Motion is not confirmed: {why}."
+    text = "No motion was found"
+    if len(some := components[kinds == "not significant"]):
+        return f"{text}: the strongest peak has p_global {some['p_global'][0]:.2g}."
     return f"{text}: all features are stationary within their errors."
+
+
+def _motion(row):
+    """Return the motion of a component in words."""
+    unit, n = row["pm"].unit, row["n_features"]
+    in_c = "".join(f" ({speed} c)" for speed in _in_c(row).values())
+    mean = f"{plus_minus(row, 'pm')} {unit}{in_c}"
+    angle = row["pm_pa"].value
+    towards = f" towards PA {angle:.0f} deg" if math.isfinite(angle) else ""
+    if "towards the core" in row["caution"]:
+        towards += ", which is towards the core"
+    spread, slow, fast = (row[k].value for k in ("dispersion", "pm_min", "pm_max"))
+    # The features differ by more than their errors.
+    if n > 1 and spread > 2 * row["dispersion_err"].value:
+        mean = f"{slow:.2g} to {fast:.2g} {unit}, mean {mean}"
+    return f"{mean}{towards}, {n} {'feature' if n == 1 else 'features'}"
 
 
 def feature_lines(features, most=MOST_FEATURES):

@@ -15,7 +15,7 @@ from astro_scc.scc import StackedCrossCorrelation
 
 #: Columns of the components that the table of sectors keeps.
 KEPT = ("kind", "coefficient", "z_score", "p_local", "p_global", "p_fdr", "n_ssp",
-        "n_pairs", "n_features", "note")  # fmt: skip
+        "n_pairs", "n_features", "caution")  # fmt: skip
 
 
 def expansion_speed(

@@ -168,7 +168,7 @@ def _in_bin(table, limits):
 def _main(table):
     """Return which row, if any, represents the bin."""
     chosen = np.zeros(len(table), dtype=bool)
-    for wanted in ("moving", "not significant"):
+    for wanted in ("moving", "not confirmed", "not significant"):
         moves = (table["kind"] == wanted) & (table["pm"] > table["pm_err"])
         if moves.any():
             chosen[np.where(moves, table["coefficient"], -np.inf).argmax()] = True

@@ -26,9 +26,9 @@ class AxisProjection:
     """
 
     def __init__(self, displacements, cube, frame):
-        self.displacements, self.cube = displacements, cube
+        self.displacements, self.cube, self.frame = displacements, cube, frame
         east, north = np.ascontiguousarray(displacements.position.T)
-        self._position = _positions(frame, east, north)
+        self._position = frame_positions(frame, east, north)
         self._axes = np.asarray(frame.matrix(east, north))
 
     def beam(self, angle):
@@ -45,7 +45,7 @@ class AxisProjection:
         `~numpy.ndarray`, shape (2,)
             In mas.
         """
-        axes, d = _turn(angle) @ self._axes, self.displacements
+        axes, d = turned(angle) @ self._axes, self.displacements
         known = np.isfinite(axes).all(axis=(-2, -1))
         keep = np.broadcast_to(known, len(d.epoch))
         if not keep.any():
@@ -67,7 +67,7 @@ class AxisProjection:
         -------
         `~astro_scc.stacking.VelocitySamples`
         """
-        d, turn, beam = self.displacements, _turn(angle), self.beam(angle)
+        d, turn, beam = self.displacements, turned(angle), self.beam(angle)
         along, across = (turn @ np.stack([d.d1, d.d2])) / beam[:, None]
         return replace(
             d,
@@ -85,11 +85,12 @@ def projection_of(result):
     return AxisProjection(result.displacements, result.cube, result.frame)
 
 
-def _turn(angle):
+def turned(angle):
+    """Return the matrix that turns two axes by an angle in radians."""
     return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
-def _positions(frame, east, north):
+def frame_positions(frame, east, north):
     """Return positions along the axes of a frame, in mas, shape (n, 2)."""
     if isinstance(frame, RidgeLine):
         s, n = frame.coordinates(east * u.mas, north * u.mas)

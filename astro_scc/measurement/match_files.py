@@ -8,6 +8,7 @@ import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from astro_scc.decomposition import Decomposer, Decomposition, SSPs
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, without_dates, write_object
 from astro_scc.exceptions import MeasurementWarning, warn
+from astro_scc.features import Features, find_features
 from astro_scc.measurement.decomposing import decompose_epochs, noise_facts
 from astro_scc.measurement.tables import versions
 from astro_scc.writing import replace_when_complete
@@ -94,6 +96,33 @@ class MatchedEpochs:
     def decompositions(self) -> Sequence[Decomposition]:
         """Decompositions of all epochs, which are computed again at each access."""
         return decompose_epochs(self.cube, self.decomposer)
+
+    @cached_property
+    def features(self) -> Features:
+        """
+        The features that are followed from epoch to epoch.
+
+        They are `~astro_scc.features.Features` of Gaussian models of the images or,
+        without beams, of SSPs, inside the region.
+        """
+        return find_features(self.cube, ssps=self.ssps, region=self.region)
+
+    def part(self, select: np.ndarray) -> MatchedEpochs:
+        """
+        Return the matches of some SSPs.
+
+        Parameters
+        ----------
+        select : `~numpy.ndarray` of bool, shape (n_ssps,)
+
+        Returns
+        -------
+        `MatchedEpochs`
+        """
+        found = replace(self, select=select)
+        # The same features, which are found only once.
+        vars(found)["features"] = self.features
+        return found
 
     def write(self, path: Path | str, *, overwrite: bool = False) -> None:
         """

@@ -2,7 +2,6 @@
 """Plan of a measurement: scales, pairs of dates, search radius, speeds and SSPs."""
 
 import os
-from dataclasses import replace
 from typing import Any
 
 import astropy.units as u
@@ -391,7 +390,7 @@ def select_ssps(
                 f"scale {what} was not decomposed; there are scales {there}"
             )
         select &= np.isin(matched.ssps.scale, numbers)
-    return replace(matched, select=select)
+    return matched.part(select)
 
 
 def warn_of_none_inside(ssps, select, region):

@@ -19,13 +19,13 @@ from astro_scc import stacking
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.epochs.serialize import read_object, write_object
-from astro_scc.features import Features, find_features
+from astro_scc.features import Features
 from astro_scc.features.tables import feature_table
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import feature_tables
 from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.match_files import MatchedEpochs
-from astro_scc.measurement.sensitivity import sensitivity_table
+from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
 from astro_scc.measurement.tables import (
     cell_text,
     component_row,
@@ -71,6 +71,8 @@ class SCCResult:
         The peak of the stack that is nearest to each velocity.
     jitters : tuple of ``JitteredVelocity``
         The velocity-jitter test, the paper's uncertainty.
+    choices : list of dict
+        Rows of `sensitivity`, as plain numbers.
     meta : dict
         Settings, seed and versions.
 
@@ -101,6 +103,7 @@ class SCCResult:
     velocities: tuple[StreamVelocity, ...]
     maxima: tuple[stacking.VelocityPeak, ...]
     jitters: tuple[JitteredVelocity, ...]
+    choices: list = field(default_factory=list)
     meta: dict = field(default_factory=dict)
 
     @classmethod
@@ -162,7 +165,7 @@ class SCCResult:
         kinds = table["kind"].tolist()
         found = ", ".join(
             f"{kinds.count(kind)} {kind}"
-            for kind in ("moving", "stationary", "not significant")
+            for kind in ("moving", "stationary", "not confirmed", "not significant")
             if kind in kinds
         )
         lines = [
@@ -194,16 +197,10 @@ class SCCResult:
             self.matched.ssps, self.cube, select=self.matched.select
         )
 
-    @cached_property
+    @property
     def tracked_features(self) -> Features:
-        """
-        The features that are followed from epoch to epoch.
-
-        They are `~astro_scc.features.Features` of Gaussian models of the images or,
-        without beams, of SSPs, inside the region, with the seed of the result.
-        """
-        own, seed = self.matched, self.meta.get("seed") or 0
-        return find_features(self.cube, ssps=own.ssps, region=own.region, seed=seed)
+        """The features that are followed, see `MatchedEpochs.features`."""
+        return self.matched.features
 
     @cached_property
     def features(self) -> QTable:
@@ -224,20 +221,23 @@ class SCCResult:
     @cached_property
     def sensitivity(self) -> QTable:
         """
-        The main speed with other choices of the data, a `~astropy.table.QTable`.
+        The main speed from parts of the data, a `~astropy.table.QTable`.
 
-        The first row is the speed of the first component, along itself.  The
-        others have its speed from short and from long intervals, from the first
-        and the second half of the epochs, from fine and coarse scales, from the
-        inner and the outer half and the brighter and the fainter half of its
-        features, and without the epoch that changes it most.  The straight lines
-        of its features are fitted again to the SSPs that are left; nothing is
-        searched again.  ``change_err`` is the error of the change, less than
-        that of either speed, as they share data, and ``p_value`` its p-value for
-        all rows and epochs together.  Without significant motion the table is
-        empty, and the ``note`` in its meta says so.
+        The first row is the speed of the first component, along itself.  The others
+        have its speed from short and from long intervals, from the first and the
+        second half of the epochs, from the inner and the outer half of its features,
+        and from fine and coarse scales.  Each part is searched again, from the matches
+        on, and NaN where nothing is found.  Where two parts differ by more than two
+        errors, ``significant`` says so, and the error of the component holds half of
+        the difference.  Without significant motion the table is empty, and the
+        ``note`` in its meta says so.
         """
-        return sensitivity_table(self)
+        return sensitivity_table(self.choices, self.cube.speed_unit)
+
+    @property
+    def sensitivity_line(self) -> str:
+        """On what the main speed depends, in words; empty if on nothing."""
+        return sensitivity_line(self.sensitivity)
 
     @cached_property
     def components(self) -> QTable:
@@ -247,7 +247,7 @@ class SCCResult:
         There is one row per stream: first those that move, the ones with more
         features first, then what stands still.  If nothing moves significantly,
         the first row is the strongest speed that was tested, "not significant",
-        and its ``note`` says why.  The meta holds the settings, the seed and
+        and its ``caution`` says why.  The meta holds the settings, the seed and
         the versions.
         """
         rows = [

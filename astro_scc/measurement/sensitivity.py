@@ -1,22 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""How the main speed depends on epochs, intervals, scales, places and features."""
+"""How the main speed depends on epochs, intervals, scales and places."""
 
 from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
-from scipy.special import stdtr, stdtrit
+from scipy.special import ndtr
 
-from astro_scc.measurement.axes import alignment_errors, projection_of
-from astro_scc.measurement.tables import build_table
+from astro_scc.columns import build_table
+from astro_scc.measurement.plan import ssp_distances
+from astro_scc.measurement.searching import search_matches
 from astro_scc.quantities import with_error
-from astro_scc.stacking import dispersion
-from astro_scc.stacking.errors import (
-    alignment_response,
-    feature_weights,
-    velocity_of,
-)
-from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.units import (
     PM_UNIT,
     in_speed_unit,
@@ -24,8 +18,12 @@ from astro_scc.units import (
     round_to_errors,
 )
 
-#: Share of a distribution below one standard deviation above its mean.
-ONE_SIGMA = 0.8413
+#: Permutations of a search in a part of the data, which only ranks speeds.
+TRIALS = 99
+#: Fewest epochs of half of the dates.
+FEWEST_EPOCHS = 4
+#: Speeds of two parts differ if their difference is larger than so many errors.
+DIFFERENT = 2.0
 #: Every column: unit or type, and meaning.
 COLUMNS = {
     "choice": (str, "what the speed is measured from"),
@@ -33,57 +31,113 @@ COLUMNS = {
     "pm": (PM_UNIT, "speed along the first component"),
     "pm_err": (PM_UNIT, "standard error of pm"),
     "change": (PM_UNIT, "difference from the speed as measured"),
-    "change_err": (PM_UNIT, "standard error of change, of data that partly are common"),
-    "change_sigma": (float, "change / change_err"),
-    "p_value": (float, "p-value of change, for all rows and epochs together"),
-    "significant": (
-        bool,
-        "change larger than the error of the speed, p_value <= alpha",
+    "change_err": (
+        PM_UNIT,
+        "standard error of change, as the data are in part the same",
     ),
+    "change_sigma": (float, "difference from the other part, in errors of both"),
+    "p_value": (float, "p-value of that difference"),
+    "significant": (bool, "whether the two parts differ by more than two errors"),
 }
 
 
-def sensitivity_table(result):
+def sensitivity_rows(found, matched, settings, rng):
+    """
+    Search parts of the data again, each from the matches on.
+
+    Parameters
+    ----------
+    found : ``Found``
+        The search in all data.
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    settings : `~astro_scc.StackedCrossCorrelation`
+    rng : `~numpy.random.Generator`
+
+    Returns
+    -------
+    rows : list of dict
+        Those of `SCCResult.sensitivity`, as plain numbers; empty if nothing moves.
+    """
+    streams = found.search.streams
+    if not streams or streams[0].kind != "moving":
+        return []
+    stream, velocity = streams[0], found.velocities[0]
+    axis = np.array([np.cos(stream.angle), np.sin(stream.angle)])
+    main = _measured(stream, velocity, axis)
+    sense = np.sign(main[0])
+    rows = [_row("as measured", main, sense)]
+    for pair in _pairs_of_parts(found, matched, stream):
+        own = []
+        for name, part, how in pair:
+            again = search_matches(part, settings, n_trials=TRIALS, rng=rng, **how)
+            some = [
+                _measured(*one, axis)
+                for one in zip(again.search.streams, again.velocities, strict=True)
+                if one[0].kind == "moving"
+            ]
+            # Of two streams, the one that is meant.
+            nearest = min(some, key=lambda m: abs(m[0] - main[0]), default=None)
+            own.append(_row(name, nearest, sense, *main[:2]))
+        one, other = own
+        sigma = abs(one["pm"] - other["pm"]) / np.hypot(one["pm_err"], other["pm_err"])
+        for row in own:
+            row["change_sigma"] = sigma
+            row["p_value"] = 2 * ndtr(-sigma)
+            row["significant"] = bool(sigma > DIFFERENT)
+        rows += own
+    return rows
+
+
+def with_choices(velocity, angle, rows):
+    """
+    Return the velocity of a stream whose error holds the differences of choices.
+
+    Parameters
+    ----------
+    velocity : ``StreamVelocity``
+    angle : float
+        Direction of the stream from the first axis of the frame, in radians.
+    rows : list of dict
+        See `sensitivity_rows`.
+
+    Returns
+    -------
+    ``StreamVelocity``
+    """
+    pm = [row["pm"] for row in rows if row["significant"]]
+    if not pm:
+        return velocity
+    parts = np.reshape(pm, (-1, 2))
+    half = np.abs(parts[:, 0] - parts[:, 1]).max() / 2
+    axis = np.array([np.cos(angle), np.sin(angle)])
+    return replace(velocity, choices=half**2 * np.outer(axis, axis))
+
+
+def sensitivity_table(rows, unit=PM_UNIT):
     """
     Return the speed of the first component with other choices of the data.
 
     Parameters
     ----------
-    result : `~astro_scc.measurement.SCCResult`
+    rows : list of dict
+        See `sensitivity_rows`.
+    unit : `~astropy.units.Unit`, optional
+        Of speeds.
 
     Returns
     -------
     `~astropy.table.QTable`
         See `SCCResult.sensitivity`.
     """
-    streams, alpha = result.search.streams, result.meta["settings"]["alpha"]
-    if streams and streams[0].kind == "moving":
-        table = _table_of(_Main.of(result), alpha)
-    else:
-        table = build_table([], COLUMNS)
+    table = in_speed_unit(build_table(rows, COLUMNS), unit)
+    if not rows:
         table.meta["note"] = "nothing moves significantly"
-    return round_to_errors(in_speed_unit(table, result.cube.speed_unit))
-
-
-def _table_of(main, alpha):
-    """Return the table of the speed of a first component."""
-    rows = [main.row(choice, use) for choice, use in _choices(main)]
-    # Two parts that make up the whole are one test; the worst epoch is another.
-    n_tests = len(rows) // 2 + 1
-    rows = [row for row in [*rows, _worst_epoch(main)] if row is not None]
-    measured = main.row("as measured", [True] * len(main.lines))
-    for row in rows:
-        row["p_value"] = min(1.0, n_tests * row["p_value"])
-        large = abs(row["change"]) > measured["pm_err"]
-        row["significant"] = large and row["p_value"] <= alpha
-    measured |= {"change": 0.0, "change_err": 0.0, "change_sigma": 0.0, "p_value": 1.0}
-    measured["significant"] = False
-    return build_table([measured, *rows], COLUMNS)
+    return round_to_errors(table)
 
 
 def sensitivity_line(table):
     """
-    Return a sentence on the choices that change the speed by more than its error.
+    Return on what the main speed depends, in words.
 
     Parameters
     ----------
@@ -93,218 +147,85 @@ def sensitivity_line(table):
     Returns
     -------
     str
-        Without a full stop; empty if there are none.
+        Empty if it depends on nothing that was tried.
     """
     parts = [
         f"{with_error(row['pm'].value, row['pm_err'].value, '+-')} {row['pm'].unit} "
         f"({row['choice']})"
         for row in table[table["significant"]]
     ]
-    what = "The main speed changes by more than its error: "
-    return what + ", ".join(parts) if parts else ""
+    return "differs with the data: " + ", ".join(parts) if parts else ""
 
 
-class _Line:
-    """The SSPs to which the straight line of a feature was fitted."""
+def _measured(stream, velocity, axis):
+    """Return the speed along an axis, its error, and the number of features."""
+    error = np.sqrt(axis @ velocity.covariance @ axis)
+    return float(axis @ velocity.value), float(error), len(stream.features)
 
-    def __init__(self, feature, samples):
-        self.feature, self.epoch = feature, samples.epoch[feature.ssp]
-        self.years = samples.years[self.epoch]
-        self.place = samples.position[feature.ssp, 0]
-        used = feature.response != 0
-        # At the mean date, an SSP does not affect the speed of the whole line.
-        self.used = used | np.isclose(self.years, self.years[used].mean(), atol=1e-6)
-        #: Time between all pairs of epochs of the feature, shape (n, n).
-        self.intervals = self.years[:, None] - self.years
-        #: Standard error of a position, in beams.
-        self.sigma = feature.error / np.linalg.norm(feature.response)
 
-    def refitted(self, use):
-        """
-        Return the feature with the speed that some pairs of its epochs give.
+def _row(choice, measured, sense, main=None, main_err=0.0):
+    """Return a row of the table."""
+    speed, error, number = measured or (np.nan, np.nan, 0)
+    change = 0.0 if main is None else sense * (speed - main)
+    return {
+        "choice": choice,
+        "n_features": number,
+        "pm": sense * speed,
+        "pm_err": error,
+        "change": change,
+        "change_err": np.sqrt(max(error**2 - main_err**2, (error / 2) ** 2)),
+        "change_sigma": 0.0,
+        "p_value": 1.0,
+        "significant": False,
+    }
 
-        The slope of a straight line is ``sum(d * t) / sum(t**2)`` over all pairs
-        of epochs, with their displacements d and intervals t.
 
-        Parameters
-        ----------
-        use : bool or `~numpy.ndarray` of bool, shape (n, n)
-            The pairs of epochs that are used.
-
-        Returns
-        -------
-        `~astro_scc.stacking.Feature` or None
-            None if no pair of epochs is left.
-        """
-        interval = self.intervals * (use & _both(self.used))
-        total = (interval**2).sum() / 2
-        if total == 0:
-            return None
-        response = interval.sum(axis=1) / total
-        return replace(
-            self.feature,
-            speed=float(response @ self.place),
-            error=float(self.sigma * np.linalg.norm(response)),
-            response=response,
+def _pairs_of_parts(found, matched, stream):
+    """Yield two parts of the data with their names and arguments of the search."""
+    cube, d = matched.cube, found.samples
+    limit = _middle_interval(d, stream)
+    unit = cube.speed_unit.bases[1]
+    shown = f"{(limit * u.yr).to_value(unit):.2g} {unit}"
+    yield (
+        (f"intervals up to {shown}", matched, {"intervals": (0.0, limit)}),
+        (f"intervals from {shown}", matched, {"intervals": (limit, np.inf)}),
+    )
+    middle, dates = len(cube) // 2, cube.times.strftime("%Y-%m-%d")
+    if middle >= FEWEST_EPOCHS:
+        yield (
+            (f"epochs before {dates[middle]}", matched, {"epochs": slice(middle)}),
+            (
+                f"epochs from {dates[middle]} on",
+                matched,
+                {"epochs": slice(middle, None)},
+            ),
         )
-
-
-class _Main:
-    """The first component: its stream, and the lines of its features."""
-
-    def __init__(self, stream, samples, beam, misaligned, ssps, dates, time=u.yr):
-        self.stream, self.beam, self.misaligned = stream, beam, misaligned
-        self.epoch, self.dates, self.time = ssps.epoch, list(dates), time
-        self.lines = [_Line(feature, samples) for feature in stream.features]
-        self.scale = np.array([ssps.scale[f.ssp[0]] for f in stream.features])
-        self.peak = np.array([np.mean(ssps.peak[f.ssp]) for f in stream.features])
-        #: Unit vector along the stream on the axes of the frame.
-        self.axis = np.array([np.cos(stream.angle), np.sin(stream.angle)])
-
-    @classmethod
-    def of(cls, result):
-        """Return the first component of a result."""
-        stream, times = result.search.streams[0], result.cube.times
-        project, dates = projection_of(result), times.strftime("%Y-%m-%d")
-        if len(set(dates)) < len(dates):
-            dates = times.strftime("%Y-%m-%d %H:%M")
-        error = result.meta["settings"].get("alignment_error")
-        misaligned, ssps = alignment_errors(result.cube, error), result.matched.ssps
-        of = project(stream.angle), project.beam(stream.angle)
-        time = result.cube.speed_unit.bases[1]
-        return cls(stream, *of, misaligned, ssps, dates, time)
-
-    def row(self, choice, use):
-        """
-        Return the speed that some pairs of epochs of each feature give.
-
-        Parameters
-        ----------
-        choice : str
-        use : sequence of bool or `~numpy.ndarray`
-            For each feature, the pairs of epochs that are used, see
-            `_Line.refitted`.
-
-        Returns
-        -------
-        dict or None
-            None if no feature is left.
-        """
-        new = [k.refitted(own) for k, own in zip(self.lines, use, strict=True)]
-        left = tuple(feature for feature in new if feature is not None)
-        if not left:
-            return None
-        along = dispersion.random_effects(*dispersion.feature_speeds(left))
-        stream = replace(self.stream, features=left, along=along)
-        (old, _), (speed, error) = map(self._speed, (self.stream, stream))
-        deviation, freedom = self._deviation(stream, new)
-        ratio = (speed - old) / deviation if deviation > 0 else 0.0
-        sense = np.sign(self.stream.along.mean)
-        # Half the width of the 68% interval, as in other errors.
-        one_sigma = stdtrit(freedom, ONE_SIGMA)
-        return {
-            "choice": choice,
-            "n_features": len(left),
-            "pm": sense * speed,
-            "pm_err": error,
-            "change": sense * (speed - old),
-            "change_err": deviation * one_sigma,
-            "change_sigma": sense * ratio / one_sigma,
-            "p_value": 2 * stdtr(freedom, -abs(ratio)),
-        }
-
-    def _speed(self, stream):
-        """Return the speed of a stream along itself, and its error, in mas/yr."""
-        velocity = velocity_of(stream, self.beam, self.misaligned, self.epoch)
-        error = np.sqrt(self.axis @ velocity.covariance @ self.axis)
-        return self.axis @ velocity.value, error
-
-    def _deviation(self, stream, new):
-        """
-        Return the standard deviation of the change of a speed by chance, in mas/yr.
-
-        The change is a sum over the features' own speeds, which have a dispersion,
-        and over the positions of their SSPs.  What both speeds have in common
-        cancels.  The degrees of freedom are returned as well, by Satterthwaite
-        (1946, Biometrics Bull. 2, 110).
-        """
-        n, settings, main = len(new), DEFAULT, self.stream.along
-        before, after = feature_weights(self.stream), iter(feature_weights(stream))
-        of_speeds, of_places, degrees = 0.0, 0.0, 0
-        scatter = dispersion.variance_with_prior(n, main.mean, main.dispersion)
-        for line, feature, old in zip(self.lines, new, before, strict=True):
-            weight, response = 0.0, -old * line.feature.response
-            if feature is not None:
-                weight = next(after)
-                response = response + weight * feature.response
-            core = settings.core_bias * line.feature.speed
-            of_speeds += (weight - old) ** 2 * (scatter + core**2)
-            error = settings.error_inflation * line.sigma * np.linalg.norm(response)
-            of_places += error**2
-            degrees += max(line.used.sum() - 2, 0) + settings.prior_freedom
-        of = self.epoch, len(self.misaligned)
-        shift = alignment_response(stream, *of) - alignment_response(self.stream, *of)
-        misaligned = shift**2 @ self.misaligned**2
-        total = of_speeds + of_places
-        freedom = total**2 / (of_speeds**2 / n + of_places**2 / degrees or 1.0)
-        variance = total * self.beam[0] ** 2 + misaligned @ self.axis**2
-        return np.sqrt(variance), max(freedom, 1.0)
-
-
-def _choices(main):
-    """Yield choices in words, with the pairs of epochs of each line that they leave."""
-    lines, n = main.lines, len(main.lines)
-    apart = [np.abs(line.intervals) for line in lines]
-    used = [np.triu(_both(line.used), 1) for line in lines]
-    limit = np.median(np.concatenate([a[k] for a, k in zip(apart, used, strict=True)]))
-    shown = f"{(limit * u.yr).to_value(main.time):.2g} {main.time}"
-    yield f"intervals shorter than {shown}", [a < limit for a in apart]
-    yield f"intervals of {shown} or more", [a >= limit for a in apart]
-    middle = len(main.dates) // 2
-    date = main.dates[middle]
-    yield f"epochs before {date}", [_both(k.epoch < middle) for k in lines]
-    yield f"epochs from {date} on", [_both(k.epoch >= middle) for k in lines]
-    if n < 2:
-        return
-    scales = np.unique(main.scale)
+    r = ssp_distances(matched)
+    place = [r[f.ssp].mean().to_value(u.mas) for f in stream.features]
+    if len(place) > 1:
+        border = np.median(place) * u.mas
+        unit = offset_unit(border.value)
+        text = f"{border.to_value(unit):.3g} {unit}"
+        select = matched.select
+        yield (
+            (f"inner half, up to {text}", matched.part(select & (r < border)), {}),
+            (f"outer half, from {text}", matched.part(select & (r >= border)), {}),
+        )
+    scales = np.array(matched.scales)
     if len(scales) > 1:
-        # The division with the most even numbers of features.
-        finer = [np.sum(main.scale < s) for s in scales[1:]]
-        first = scales[1 + np.argmin(np.abs(np.array(finer) - n / 2))]
-        for name, of in (("fine", np.less), ("coarse", np.greater_equal)):
-            numbers = ", ".join(f"{s:g}" for s in scales[of(scales, first)])
-            yield f"{name} scales only ({numbers})", of(main.scale, first)
-    # Distances from the reference pixel, in mas.
-    place = np.abs([f.place for f in main.stream.features]) * main.beam[0]
-    border = np.sort(place)[n // 2 - 1 : n // 2 + 1].mean() * u.mas
-    unit = offset_unit(border.value)
-    border = f"{border.to_value(unit):.3g} {unit}"
-    yield f"inner half, up to {border}", _lower_half(place)
-    yield f"outer half, from {border}", ~_lower_half(place)
-    yield "without the brighter half of features", _lower_half(main.peak)
-    yield "without the fainter half of features", ~_lower_half(main.peak)
-
-
-def _lower_half(values):
-    """Return which values are in the lower half of all."""
-    half = np.argsort(values, kind="stable")[: len(values) // 2]
-    return np.isin(np.arange(len(values)), half)
-
-
-def _both(chosen):
-    """Return the pairs of epochs of which both are chosen."""
-    return chosen & chosen[:, None]
-
-
-def _worst_epoch(main):
-    """Return the row of the epoch without which the speed changes most, or None."""
-    rows = [
-        main.row(
-            f"without {main.dates[k]}, the epoch that matters most",
-            [_both(line.epoch != k) for line in main.lines],
+        parts = np.array_split(scales, 2)
+        yield tuple(
+            (
+                f"{name} scales ({', '.join(f'{s:g}' for s in own)})",
+                matched.part(matched.select & np.isin(matched.ssps.scale, own)),
+                {},
+            )
+            for name, own in zip(("fine", "coarse"), parts, strict=True)
         )
-        for k in np.unique(np.concatenate([line.epoch for line in main.lines]))
-    ]
-    rows = [row for row in rows if row is not None]
-    worst = max(rows, key=lambda row: abs(row["change"]), default=None)
-    return worst and worst | {"p_value": len(rows) * worst["p_value"]}
+
+
+def _middle_interval(d, stream):
+    """Return the median of the intervals between the epochs of features, in years."""
+    dates = [d.years[d.epoch[f.ssp]] for f in stream.features]
+    apart = np.concatenate([np.subtract.outer(t, t).ravel() for t in dates])
+    return float(np.median(apart[apart > 0]))

@@ -6,14 +6,15 @@ import numpy as np
 
 from astro_scc import kinematics
 from astro_scc.exceptions import MeasurementWarning, warn
-from astro_scc.measurement import axes
 from astro_scc.measurement.plan import flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
+from astro_scc.measurement.searching import search_matches
+from astro_scc.measurement.sensitivity import sensitivity_rows, with_choices
 from astro_scc.measurement.tables import versions
 from astro_scc.progress import progress
 from astro_scc.settings import require
-from astro_scc.stacking import baseline_pairs, find_streams, stack
-from astro_scc.stacking.errors import jitter_positions, velocity_of
+from astro_scc.stacking import baseline_pairs, stack
+from astro_scc.stacking.errors import jitter_positions
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.permutations import number_of_permutations, permute_stacks
 from astro_scc.stacking.search_settings import DEFAULT
@@ -66,33 +67,20 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     """
     n_trials = require("n_trials", n_trials)
     rng, seed = seeded(rng)
-    paper_rng, search_rng, error_rng = np.random.default_rng(rng).spawn(3)
+    paper_rng, search_rng, error_rng, choice_rng = np.random.default_rng(rng).spawn(4)
     cube, baseline, alpha = matched.cube, settings.baseline, settings.alpha
     pairs, max_speed = settings.date_pairs(cube), settings.largest_speed
-    radius, fwhm = settings.search_radius(cube)
-    samples, frame = settings.displacements(matched)
-    angle = flow_direction(matched, frame)
-    project = axes.AxisProjection(samples, cube, frame)
-    known = not isinstance(frame, kinematics.SkyFrame)
-    n_axes = 1 if known else DEFAULT.n_axes
+    _, fwhm = settings.search_radius(cube)
     with progress(None, "Searching", show=progress_bar):
-        search = find_streams(
-            project,
-            np.arange(n_axes) * np.pi / n_axes,
-            radius,
-            alpha=alpha,
-            n_trials=n_trials,
-            rng=search_rng,
-            outward=settings.outward and known,
-            fastest=np.inf if max_speed is None else max_speed / project.beam(0.0)[0],
-            intervals=(0.0, np.inf) if baseline is None else baseline.to_value(u.yr),
-        )
+        found = search_matches(matched, settings, n_trials=n_trials, rng=search_rng)
+    choices = sensitivity_rows(found, matched, settings, choice_rng)
+    search, velocities, samples = found.search, found.velocities, found.samples
+    frame, radius = found.frame, found.radius
+    if choices:
+        first = with_choices(velocities[0], search.streams[0].angle, choices)
+        velocities = (first, *velocities[1:])
+    angle = flow_direction(matched, frame)
     _warn_of_limits(search.permutations.smallest_p, len(cube), n_trials, alpha)
-    misaligned = axes.alignment_errors(cube, settings.alignment_error)
-    velocities = tuple(
-        velocity_of(stream, project.beam(stream.angle), misaligned, matched.ssps.epoch)
-        for stream in search.streams
-    )
     if baseline is None and any(s.kind == "moving" for s in search.streams[:1]):
         pairs = _pairs_of_speed(cube, pairs, fwhm / np.hypot(*velocities[0].value))
     fastest = max((np.hypot(*v.value) for v in velocities), default=0.0)
@@ -118,6 +106,7 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     )
     return SCCResult(
         matched=matched,
+        choices=choices,
         frame=frame,
         position_angle=angle,
         pairs=pairs,

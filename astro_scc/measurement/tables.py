@@ -22,7 +22,10 @@ P_FDR = "p_global adjusted for all searches: share of false discoveries up to it
 #: Every column of the velocity components: unit or type, and meaning.
 COLUMNS = {
     "component": (int, "number of the component, as in the other tables"),
-    "kind": ("U15", "moving, stationary (within its errors) or not significant"),
+    "kind": (
+        "U15",
+        "moving, not confirmed, stationary or not significant",
+    ),
     # Terminals show the first and the last columns if they have no room for all.
     "pm": MOTION["pm"],
     "pm_err": MOTION["pm_err"],
@@ -39,6 +42,8 @@ COLUMNS = {
         "standard deviation of the features' speeds, without their errors",
     ),
     "dispersion_err": (PM_UNIT, "standard error of dispersion"),
+    "pm_min": (PM_UNIT, "speed of the slowest of its features"),
+    "pm_max": (PM_UNIT, "speed of the fastest of its features"),
     "pm_limit": (PM_UNIT, "95% upper limit of the speed of what is not seen to move"),
     "pm_err_jitter": (PM_UNIT, "standard error of pm from shifted SSPs (paper)"),
     "pm_err_alignment": (PM_UNIT, "part of pm_err by the alignment of the epochs"),
@@ -47,7 +52,7 @@ COLUMNS = {
     "p_local": (float, "p-value of permuted epochs at this velocity alone"),
     "p_distinct": (float, "p-value of one stream fewer, by parametric bootstrap"),
     "p_smallest": (float, "smallest p_global that permutations and epochs allow"),
-    "note": (str, "why it is not significant, or -"),
+    "caution": (str, "why it is not moving, and what its speed depends on, or -"),
     "n_ssp": (int, "SSPs with a match at the component's velocity"),
     "n_pairs": (int, "pairs of epochs with a match at the component's velocity"),
     "n_features": (int, "number of features that were followed"),
@@ -193,6 +198,10 @@ def component_row(result, number):
         for covariance in (velocity.covariance, jitter.covariance, velocity.alignment)
     )
     still = stream.kind != "moving"
+    cautions = [stream.reason, result.sensitivity_line if number == 1 else ""]
+    if not still and row["pm_parallel"] < -abs(row["pm_transverse"]):
+        cautions.insert(0, "moves towards the core")
+    cautions = [text for text in cautions if text]
     return row | {
         "component": number,
         "kind": stream.kind,
@@ -211,8 +220,10 @@ def component_row(result, number):
         "n_ssp": len(np.unique(member["ssp"])),
         "n_pairs": len(np.unique(epochs, axis=1).T),
         "n_features": len(stream.features),
+        "pm_min": velocity.slowest,
+        "pm_max": velocity.fastest,
         # ECSV reads empty text as a missing value.
-        "note": stream.reason or "-",
+        "caution": "; ".join(cautions) or "-",
     }
 
 

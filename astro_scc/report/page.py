@@ -14,7 +14,6 @@ from astro_scc.flow import feature_profile, measure_acceleration
 from astro_scc.flow.groups import compare_scales
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c_as
 from astro_scc.measurement import SCCResult
-from astro_scc.measurement.sensitivity import sensitivity_line
 from astro_scc.quantities import with_error
 from astro_scc.report import tables
 from astro_scc.stacking.permutations import number_of_permutations
@@ -117,7 +116,7 @@ def write_report(
         smallest_of_epochs=1 / number_of_permutations(len(result.cube)),
         fast=fast_components(result, components),
         flow=flow_lines(result),
-        depends=sensitivity_line(result.sensitivity),
+        depends=result.sensitivity_line,
         files=files,
         warnings=warnings,
         left_out=left_out,

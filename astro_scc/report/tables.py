@@ -46,7 +46,7 @@ COLUMNS = {
     "p_local": "p_local",
     "p_distinct": "p_distinct",
     "p_smallest": "smallest p_global",
-    "note": "note",
+    "caution": "caution",
 }
 #: Headings of the columns of features, with {unit}.
 FEATURES = {
@@ -78,7 +78,14 @@ OVERVIEW = {
     "profile": "profile",
 }
 #: Kinds of a source that has components of several, the first of those there are.
-OF_SOURCE = ("moving", "not significant", "stationary", "empty", "failed")
+OF_SOURCE = (
+    "moving",
+    "not confirmed",
+    "not significant",
+    "stationary",
+    "empty",
+    "failed",
+)
 #: Width and height of a small profile.
 SPARK = (144, 34)
 
@@ -275,7 +282,7 @@ def _part_cells(part, row, unit, published, folder):
         cells["published"] = f"{known:g}" if exact else with_error(known, known_error)
     if part.status != "measured":
         return cells
-    cells["kind"], more["kind"] = row["kind"], row["note"].removeprefix("-")
+    cells["kind"], more["kind"] = row["kind"], row["caution"].removeprefix("-")
     speed, error = (float(row[name].to_value(unit)) for name in ("pm", "pm_err"))
     cells |= {"pm": with_error(speed, error), "speed": speed}
     if published is not None:

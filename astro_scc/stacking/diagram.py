@@ -13,6 +13,8 @@ from astro_scc.stacking.search_settings import SearchSettings
 
 #: Grid points of the displacement in one blur.
 POINTS = 4
+#: Intervals that always count, in units of the shorter quarter of those between epochs.
+SHORT = 2.1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,8 +145,9 @@ class Rays:
     bins : ``IntervalBins``
     radius : float
         Largest displacement in beams.
-    shortest : float
-        Intervals up to this one count as the shortest, in years.
+    short : float
+        Intervals up to this one count in full while the motion is within the radius,
+        in years: 2.1 times the shorter quarter of the intervals between epochs.
     intervals : tuple of float
         Shortest and longest interval that is used.
     settings : `~astro_scc.stacking.SearchSettings`
@@ -168,7 +171,7 @@ class Rays:
     speed: np.ndarray
     bins: IntervalBins
     radius: float
-    shortest: float
+    short: float
     intervals: tuple[float, float]
     settings: SearchSettings
 
@@ -213,7 +216,7 @@ class Rays:
             speed=speed_grid(slowest, fastest, settings.speed_step),
             bins=bins,
             radius=radius,
-            shortest=1.05 * used,
+            short=SHORT * used,
             intervals=intervals,
             settings=settings,
         )
@@ -237,8 +240,8 @@ class Rays:
         soft = 0.25 * settings.nearest
         near = np.clip((motion - settings.nearest) / (2 * soft) + 0.5, 0, 1)
         far = np.clip((settings.farthest - motion) / (4 * soft) + 0.5, 0, 1)
-        # Speeds that move farther even in the shortest intervals are searched there.
-        far = np.where((interval <= self.shortest) & (motion <= self.radius), 1.0, far)
+        # With one interval alone, a speed that moves near the limit would be lost.
+        far = np.where((interval <= self.short) & (motion <= self.radius), 1.0, far)
         used = (interval >= self.intervals[0]) & (interval <= self.intervals[1])
         return near * far * used
 

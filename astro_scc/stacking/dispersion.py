@@ -7,9 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
+from scipy.optimize import brentq
+from scipy.special import ndtr
 
 from astro_scc.stacking.search_settings import DEFAULT, SearchSettings
+
+#: Number of dispersions that are tried, from zero to four standard deviations.
+TAUS = 80
 
 
 @dataclass(frozen=True)
@@ -43,13 +47,12 @@ def random_effects(
     """
     Return the mean and dispersion of values that differ by more than their errors.
 
-    The dispersion solves ``sum (x - m)^2 / (tau^2 + e^2) = n - 1`` (Paule &
-    Mandel 1982, J. Res. NBS 87, 377).  The error is that of the mean of the
-    features in the images, of which most are followed: half of the variance of
-    the dispersion counts (as for a sample of a finite population; Cochran 1977,
-    Sampling Techniques, Sect. 2.6), with Student's t at 68%.  Few values can
-    agree by chance: a dispersion of 15% counts as one more value, so this
-    variance is ``((n - 1) tau^2 + (0.15 m)^2) / n``, with n degrees of freedom.
+    Mean and dispersion have a Bayesian random-effects model: values are normal about
+    the mean with the variance ``tau^2 + e^2``, the prior of the mean is flat, and that
+    of tau half-normal (Gelman 2006, Bayesian Anal. 1, 515; Roever 2020, J. Stat. Softw.
+    93, 6) with a standard deviation of ``lone_dispersion`` times the median.  The
+    features are a sample of the flow, and their variance counts in full: one alone
+    knows the mean of the others no better than the prior does.
 
     Parameters
     ----------
@@ -68,18 +71,29 @@ def random_effects(
     (1.0, 0.16)
     """
     x, e = np.asarray(values, dtype=float), np.asarray(errors, dtype=float)
-    n = len(x)
-    if n == 1:
-        error = np.hypot(e[0], settings.lone_dispersion * x[0])
-        return Population(float(x[0]), float(error), np.nan, np.nan)
-    (m,), _, tau, w = scattered_fit(np.ones((n, 1)), x, e)
-    scatter = variance_with_prior(n, m, tau, settings)
-    variance = e**2 + settings.not_followed * scatter
-    error = np.sqrt((w**2 * variance).sum()) / w.sum() * stdtrit(n, 0.8413)
-    # The sum of squares is distributed as chi-square with n - 1 degrees of freedom.
-    total = 1 / w.mean()
-    tau_error = total / np.sqrt(2 * (n - 1)) / max(tau, np.sqrt(total) / 2)
-    return Population(float(m), float(error), float(tau), float(tau_error))
+    scale = settings.lone_dispersion * max(abs(np.median(x)), np.sqrt(np.mean(e**2)))
+    tau = 4 * scale * (np.arange(TAUS) + 0.5) / TAUS
+    w = 1 / (e**2 + tau[:, None] ** 2)
+    total = w.sum(axis=1)
+    means = (w @ x) / total
+    squares = (w * (x - means[:, None]) ** 2).sum(axis=1)
+    log = 0.5 * (np.log(w).sum(axis=1) - np.log(total) - squares - (tau / scale) ** 2)
+    posterior = np.exp(log - log.max())
+    posterior /= posterior.sum()
+    mean, width = posterior @ means, 1 / np.sqrt(total)
+
+    def outside(half):
+        below = ndtr((mean - half - means) / width)
+        above = ndtr((means - mean - half) / width)
+        return posterior @ (below + above) - 2 * ndtr(-1)
+
+    widest = 2 * (width.max() + np.ptp(means))
+    error = brentq(outside, 0, widest, xtol=1e-4 * widest)
+    if len(x) == 1:
+        return Population(float(mean), error, np.nan, np.nan)
+    spread = posterior @ tau
+    deviation = np.sqrt(posterior @ (tau - spread) ** 2)
+    return Population(float(mean), error, float(spread), float(deviation))
 
 
 def scattered_fit(design, values, errors):

@@ -30,6 +30,10 @@ class StreamVelocity:
         epoch together.
     dispersion, dispersion_error : float
         Dispersion of the features' speeds along the stream, in mas/yr.
+    slowest, fastest : float
+        Speeds along the stream of its slowest and its fastest feature, in mas/yr.
+    choices : float or `~numpy.ndarray`, shape (2, 2)
+        Covariance from the parts of the data that give different speeds.
     """
 
     value: np.ndarray
@@ -37,11 +41,14 @@ class StreamVelocity:
     alignment: np.ndarray
     dispersion: float
     dispersion_error: float
+    slowest: float = np.nan
+    fastest: float = np.nan
+    choices: float | np.ndarray = 0.0
 
     @property
     def covariance(self):
         """Total covariance, which is quoted."""
-        return self.features + self.alignment
+        return self.features + self.alignment + self.choices
 
 
 def velocity_of(stream, beam, misaligned, epoch):
@@ -66,12 +73,16 @@ def velocity_of(stream, beam, misaligned, epoch):
     own = np.array([stream.along.mean, stream.across.mean]) * beam
     errors = np.array([stream.along.error, stream.across.error]) * beam
     response = alignment_response(stream, epoch, len(misaligned))
+    sense = np.sign(stream.along.mean) * beam[0]
+    own_speeds = np.array([f.speed * sense for f in stream.features] or [np.nan])
     return StreamVelocity(
         value=to_frame @ own,
         features=to_frame @ np.diag(errors**2) @ to_frame.T,
         alignment=np.diag(response**2 @ misaligned**2),
         dispersion=stream.along.dispersion * beam[0],
         dispersion_error=stream.along.dispersion_error * beam[0],
+        slowest=float(own_speeds.min()),
+        fastest=float(own_speeds.max()),
     )
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from astro_scc.stacking.diagram import speed_grid
 from astro_scc.stacking.search_settings import DEFAULT, SearchSettings
 
 
@@ -35,6 +34,8 @@ class Feature:
         fewer than five SSPs.
     pulled : bool
         Whether standing features are so close that they affect the speed.
+    followed : bool
+        Whether it was followed from image to image, and not by matches of SSPs.
 
     Examples
     --------
@@ -57,6 +58,7 @@ class Feature:
     acceleration: float = np.nan
     acceleration_error: float = np.nan
     pulled: bool = False
+    followed: bool = False
 
     def __len__(self) -> int:
         return len(self.ssp)
@@ -116,50 +118,89 @@ class Feature:
         )
 
 
-def find_features(samples, rays, settings, prior):
+def find_features(samples, mixture, settings):
     """
     Find features that move, each with its own speed.
 
-    For each SSP and speed, the excess is the sum of its matches on the ray of
-    that speed less the sum expected under permutations of the epochs.  The SSP
-    with the largest excess begins a feature.  The SSPs to which its matches
-    lead along the ray join it, and those to which their matches lead, as long
-    as they lie on one line.  Then the next feature begins with the remaining
-    SSPs.  Where two epochs are so far apart that the feature moves beyond the
-    search radius, no match leads from one to the other: parts of one line before
+    The SSP whose matches most probably are true ones of a stream begins a feature, with
+    the speed that these matches give, drawn towards that of the stream.  The SSPs to
+    which its matches lead along the ray of that speed join it, and those to which their
+    matches lead, as long as they lie on one line.  Then the next feature begins with
+    the remaining SSPs.  Where two epochs are so far apart that the feature moves beyond
+    the search radius, no match leads from one to the other: parts of one line before
     and after such a gap are joined.
 
     Parameters
     ----------
     samples : `~astro_scc.stacking.VelocitySamples`
-    rays : `~astro_scc.stacking.Rays`
+    mixture : `~astro_scc.stacking.mixture.Mixture`
     settings : `~astro_scc.stacking.SearchSettings`
-    prior : callable
-        Returns weights between 0 and 1 for an array of speeds.
 
     Returns
     -------
-    list of `Feature`
+    features : list of `Feature`
         A feature that is seen on several scales is there only once.
+    taken : `~numpy.ndarray` of bool, shape (n_ssps,)
+        SSPs of features, on all scales.
     """
     d = samples
-    keep = (np.abs(d.d2) <= settings.across) & (np.abs(d.d1) <= rays.radius)
-    keep &= (d.target_ssp >= 0) & (d.interval != 0)
+    keep = (np.abs(d.d2) <= settings.across) & (d.target_ssp >= 0) & (d.interval != 0)
     links = _Links(d.select(keep))
-    # A wider range than for streams.
-    fastest, slowest = 1.1 * rays.speed.max(), 0.5 * np.abs(rays.speed).min()
-    speeds = speed_grid(slowest, fastest, settings.feature_speed_step)
-    excess = _excess(links, d, speeds, rays) * prior(speeds)
-    best, speed = excess.max(axis=1), speeds[excess.argmax(axis=1)]
-    seeds = np.argsort(-best, kind="stable")
-    seeds = seeds[best[seeds] >= settings.least_score]
+    score, speed = first_speeds(d, mixture, settings)
+    seeds = np.argsort(-score, kind="stable")
+    seeds = seeds[score[seeds] >= settings.least_score]
     found = []
     for chosen in _joined(_chains(seeds, speed, links, d, settings), d, settings):
         first, last = d.epoch[chosen[0]], d.epoch[chosen[-1]]
-        least = max(settings.least_epochs, settings.least_share * (last - first + 1))
-        if len(chosen) >= least:
-            found.append(_feature(chosen, d, settings))
-    return _different(found, d, settings)
+        if len(chosen) < settings.least_epochs - 1:
+            continue
+        feature = _feature(chosen, d, settings)
+        fewest = settings.least_epochs - (feature.motion >= settings.far_motion)
+        if len(chosen) >= max(fewest, settings.least_share * (last - first + 1)):
+            found.append(feature)
+    taken = np.zeros(len(d.epoch), dtype=bool)
+    taken[[ssp for feature in found for ssp in feature.ssp]] = True
+    return different(found, d, settings), taken
+
+
+def first_speeds(samples, mixture, settings):
+    """
+    Return the speed of each SSP, from the matches that are true of one stream.
+
+    Parameters
+    ----------
+    samples : `~astro_scc.stacking.VelocitySamples`
+    mixture : `~astro_scc.stacking.mixture.Mixture`
+    settings : `~astro_scc.stacking.SearchSettings`
+
+    Returns
+    -------
+    number, speed : `~numpy.ndarray`, shape (n_ssps,)
+        Expected number of true matches of the stream that has most of them, from and
+        to each SSP, and the speed along the axis that they give.
+    """
+    d, n = samples, len(samples.epoch)
+    at = mixture.match
+    x, dt = d.d1[at], d.interval[at]
+    ends = [d.ssp[at], d.target_ssp[at]]
+    both = np.concatenate([ends[0], np.where(ends[1] < 0, n, ends[1])])
+
+    def per_ssp(values):
+        return np.bincount(both, np.tile(values, 2), n + 1)[:n]
+
+    number = np.array([per_ssp(member) for member in mixture.membership])
+    own = []
+    for v, member, s in zip(
+        mixture.speed, mixture.membership, mixture.width, strict=True
+    ):
+        weight = member / s**2
+        # Where nothing moves, the fit may end at rest.
+        prior = (settings.first_dispersion * max(abs(v), 1e-9)) ** -2
+        total = per_ssp(weight * dt**2) + prior
+        own.append((per_ssp(weight * x * dt) + prior * v) / total)
+    which = number.argmax(axis=0)
+    every = np.arange(n)
+    return number[which, every], np.array(own)[which, every]
 
 
 def standing_features(samples, settings):
@@ -188,7 +229,7 @@ def standing_features(samples, settings):
     chains = _chains(seeds, np.zeros(len(d.epoch)), links, d, settings)
     found = [_feature(k, d, settings) for k in chains if len(k) >= least]
     found = [f for f in found if abs(f.speed) <= 2 * f.error]
-    return _different(found, d, settings)
+    return different(found, d, settings)
 
 
 def clear_of(features, standing, samples, settings):
@@ -244,37 +285,6 @@ class _Links:
     def of_ssps(self, ssps):
         """Return the indices of the links from some SSPs."""
         return np.concatenate([np.arange(*self.start[s : s + 2]) for s in ssps])
-
-
-def _excess(links, d, speeds, rays):
-    """Return the excess of each SSP's matches on rays over permutations."""
-    n, n_epochs, sigma = len(d.epoch), len(d.years), rays.settings.smoothing
-    step = sigma / 2
-    half = np.ceil(rays.radius / step) + 2
-    grid = np.arange(-half, half + 1) * step
-    cell = np.rint((links.along - grid[0]) / step).astype(int)
-    density = np.zeros((n, len(grid)))
-    np.add.at(density, (links.ssp, cell), links.weight)
-    kernel = np.exp(-0.5 * ((grid[:, None] - grid) / sigma) ** 2)
-    density = density @ kernel / (n_epochs - 1)
-    found = np.zeros((n, len(speeds)))
-    interval = d.years[:, None] - d.years
-    for k, speed in enumerate(speeds):
-        expected = speed * links.interval
-        weight = rays.weight(expected, links.interval)
-        use = np.flatnonzero(weight)
-        value = weight[use] * links.weight[use]
-        value *= np.exp(-0.5 * ((links.along[use] - expected[use]) / sigma) ** 2)
-        found[:, k] = np.bincount(links.ssp[use], value, n)
-        # Weight of each displacement cell from each date, summed over all others.
-        motion = speed * interval
-        share = np.where(interval == 0, 0.0, rays.weight(motion, interval))
-        cells = np.rint((np.clip(motion, grid[0], grid[-1]) - grid[0]) / step)
-        chance = np.zeros((n_epochs, len(grid)))
-        row = np.broadcast_to(np.arange(n_epochs), interval.shape)
-        np.add.at(chance, (row, cells.astype(int)), share)
-        found[:, k] -= np.einsum("sg,sg->s", density, chance[d.epoch])
-    return found
 
 
 def _chains(seeds, speed, links, d, settings):
@@ -405,13 +415,32 @@ def _feature(chosen, d, settings):
     return Feature.through(chosen, years, place, settings)
 
 
-def _different(features, d, settings):
-    """Return the features without those near the line of a longer one, on any scale."""
-    kept, lines = [], []
-    # Of two features of equal length, the one on the finer scale is blended less.
-    for feature in sorted(features, key=lambda f: (-len(f), d.scale[f.ssp[0]])):
+def different(features, samples, settings):
+    """
+    Return the features without those near the line of a better one, on any scale.
+
+    Those that were followed from image to image are better than chains, and longer
+    ones than shorter ones.
+
+    Parameters
+    ----------
+    features : sequence of `Feature`
+    samples : `~astro_scc.stacking.VelocitySamples`
+    settings : `~astro_scc.stacking.SearchSettings`
+
+    Returns
+    -------
+    list of `Feature`
+    """
+    kept, lines, d = [], [], samples
+
+    def rank(feature):
+        # Of two equally long ones, the one on the finer scale is blended less.
+        return not feature.followed, -len(feature), d.scale[feature.ssp[0]]
+
+    for feature in sorted(features, key=rank):
         years, place = d.years[d.epoch[feature.ssp]], d.position[feature.ssp]
-        if lines:
+        if lines and not feature.followed:
             parts = zip(*lines, strict=True)
             velocity, middle, when = (np.array(part)[:, None] for part in parts)
             line = middle + (years - when)[..., None] * velocity

@@ -75,8 +75,10 @@ class EpochPermutations:
     ----------
     speed : `~numpy.ndarray`, shape (n_v,)
         In beams/yr, in both directions.
+    weight : `~numpy.ndarray`, shape (n_v,)
+        Up to 1, less for slow speeds: blends of features whose fluxes vary drift.
     z : `~numpy.ndarray`, shape (n_axes, n_v)
-        ``E(v) / std E(v)``, where E is the sum of the excess along a ray and
+        ``weight E(v) / std E(v)``, where E is the sum of the excess along a ray and
         the standard deviation is over all orders, including the observed one.
     permuted : `~numpy.ndarray`, shape (n_orders - 1, n_axes, n_v)
         The same for each permutation.
@@ -104,6 +106,7 @@ class EpochPermutations:
     """
 
     speed: np.ndarray
+    weight: np.ndarray
     z: np.ndarray
     permuted: np.ndarray
     smallest_p: float
@@ -112,6 +115,7 @@ class EpochPermutations:
     def of(
         cls, axes: Sequence[VelocitySamples], rays: Rays, n_trials: int,
         rng: np.random.Generator, settings: SearchSettings, *, outward: bool = False,
+        one_way: bool = False,
     ) -> EpochPermutations:  # fmt: skip
         """
         Permute the epochs.
@@ -127,13 +131,16 @@ class EpochPermutations:
         settings : `~astro_scc.stacking.SearchSettings`
         outward : bool, optional
             Search positive speeds only.
+        one_way : bool, optional
+            Subtract from the excess at each speed that at the opposite one.  Fluxes
+            that vary slowly make both, as what is the same after their reversal in
+            time; motion makes one.
 
         Returns
         -------
         `EpochPermutations`
         """
-        years, bins = axes[0].years, rays.bins
-        speed = rays.speed[rays.speed > 0] if outward else rays.speed
+        years, bins, speed = axes[0].years, rays.bins, rays.speed
         orders = permutations_of_epochs(len(years), n_trials, rng, settings)
         orders = np.concatenate([np.arange(len(years))[None], orders])
         sums, largest = [], 1e-300
@@ -149,12 +156,20 @@ class EpochPermutations:
             sums.append(np.concatenate(parts, axis=1).T - chance)
             largest = max(largest, chance.max())
         sums = np.stack(sums, axis=1)
+        if one_way:
+            sums = sums - sums[..., ::-1]
         std = sums.std(axis=0)
         # The floor keeps rounding errors of identical epochs from counting.
         floor = settings.least_std * std.max(axis=0) + 1e-6 * largest
-        z = sums / np.maximum(std, floor)
+        # Slow drifts of blends are no motion, and permutations have none.
+        span = min(years[-1] - years[0], rays.intervals[1])
+        drift = np.sqrt(np.minimum(np.abs(speed) * span / settings.drift, 1.0))
+        z = drift * sums / np.maximum(std, floor)
+        use = speed > (0 if outward else -np.inf)
+        z = z[..., use]
         return cls(
-            speed=speed,
+            speed=speed[use],
+            weight=drift[use],
             z=z[0],
             permuted=z[1:].astype(np.float32),
             smallest_p=max(1 / len(orders), 1 / number_of_permutations(len(years))),
@@ -165,9 +180,14 @@ class EpochPermutations:
         """Largest z of each permutation over axes and speeds, ascending."""
         return np.sort(self.permuted.max(axis=(1, 2)))
 
-    def largest(self) -> tuple[int, float]:
+    def largest(self, other: ArrayLike | None = None) -> tuple[int, float]:
         """
         Return the axis and speed with the largest z.
+
+        Parameters
+        ----------
+        other : array_like of bool, shape (n_v,), optional
+            Speeds to consider; of these only maxima count, not slopes of others.
 
         Returns
         -------
@@ -175,13 +195,18 @@ class EpochPermutations:
         speed : float
             Interpolated between grid points by a parabola in the logarithm.
         """
-        axis, k = np.unravel_index(self.z.argmax(), self.z.shape)
+        z = self.z
+        if other is not None:
+            sides = np.pad(z, ((0, 0), (1, 1)), constant_values=-np.inf)
+            top = (z >= sides[:, :-2]) & (z >= sides[:, 2:])
+            z = np.where(other & top, z, -np.inf)
+        axis, k = np.unravel_index(z.argmax(), z.shape)
         speed = self.speed[k]
         if np.count_nonzero(self.speed[max(k - 1, 0) : k + 2] * speed > 0) == 3:
             below, here, above = self.z[axis, k - 1 : k + 2]
-            # argmax is the first of equal values, so the one below is smaller.
-            shift = 0.5 * (below - above) / (below - 2 * here + above)
-            speed *= np.exp(shift * np.log(abs(self.speed[k + 1] / speed)))
+            if (curvature := below - 2 * here + above) < 0:
+                shift = 0.5 * (below - above) / curvature
+                speed *= np.exp(shift * np.log(abs(self.speed[k + 1] / speed)))
         return int(axis), float(speed)
 
     def significance(self, axis: int, speed: ArrayLike) -> np.ndarray:

@@ -33,6 +33,9 @@ class SearchSettings:
     slowest : float
         Smallest motion of a speed within the time span: blends of standing
         features whose fluxes vary drift by up to about one beam.
+    drift : float
+        Motion within the time span up to which a speed counts less, by its root:
+        standing features whose fluxes vary slowly blend and drift.
     n_axes : int
         Number of directions, over half a turn, that are searched if the
         direction is unknown.
@@ -42,6 +45,8 @@ class SearchSettings:
         Error of an SSP's position beyond noise, due to blending.
     least_epochs : int
         Smallest number of epochs in which a feature is seen.
+    far_motion : float
+        Motion with which one epoch less is enough.
     least_share : float
         Smallest fraction of the epochs from its first to its last one in which
         a feature is seen.  The fraction is at least 0.7 for 95% of the features
@@ -52,13 +57,10 @@ class SearchSettings:
         quadrature: three features that move one beam, or one that moves
         farther than blends of standing features drift.
     least_score : float
-        Smallest excess of matches over chance with which a feature begins.
-    full_prior : float
-        Significance, in standard deviations of the permutations, from which
-        on a speed has full weight for single features.
-    least_prior : float
-        Weight, for single features, of a speed that the permutation test does
-        not support: features of any speed are followed, but never first.
+        Smallest expected number of true matches of an SSP with which a feature begins.
+    first_dispersion : float
+        Relative dispersion about the speed of a stream of the speeds with which its
+        features begin.
     least_z : float
         Smallest significance of the speed of a stream's feature, in standard
         deviations of the permutations.
@@ -79,12 +81,16 @@ class SearchSettings:
     apart : float
         Smallest difference of two streams, in standard deviations of the
         difference that a flow with ``lone_dispersion`` gives.
+    followed_share : float
+        Features that are followed from image to image stand for a flow if they are
+        at least this share of the chains of matches of other emission.
+    fewest_inward, inward : int, float
+        Number and share of the features that move against the flow from which on they
+        diffuse, and those that do not move count as well.
     same_speed : float
         Largest relative difference from the tested speed of the features
         that count if the mean of all is not significant, and of the parts of
         a feature before and after a long interval from its speed.
-    feature_speed_step : float
-        Relative step of the speeds that are tried for single SSPs.
     accelerated_epochs : int
         Fewest SSPs of a feature with an acceleration.
     prior_freedom : int
@@ -99,13 +105,9 @@ class SearchSettings:
         Relative error of a feature's speed from the remaining pull of the
         core, on simulated jets.
     lone_dispersion : float
-        Dispersion, relative to the speed, that counts as one more feature in
-        the error of a stream: that of the flows of blazars is 10 to 30%.
-    not_followed : float
-        Share of the variance of the dispersion that counts in the error of a
-        stream, because some of the features in the images are not followed; on
-        simulated jets the 68% intervals then hold the mean of all features in
-        76%, and twice the errors in 94%.
+        Standard deviation of the prior of the dispersion relative to the speed, which
+        is 0.29 for the sources of MOJAVE XVIII with three features or more that moved
+        by more than a beam (root mean square; ``benchmarks/streams.py``).
     fewest_of_two : int
         Fewest features with which two streams can be distinguished.
     one_dispersions, two_dispersions : tuple of float
@@ -135,30 +137,32 @@ class SearchSettings:
     interval_step: float = 0.08
     speed_step: float = 0.05
     slowest: float = 1.0
+    drift: float = 3.0
     n_axes: int = 12
     line: float = 0.3
     position_error: float = 0.06
     least_epochs: int = 4
+    far_motion: float = 1.5
     least_share: float = 0.6
     least_motion: float = 1.75
-    least_score: float = 1.5
-    full_prior: float = 6.0
-    least_prior: float = 0.15
+    least_score: float = 0.7
+    first_dispersion: float = 0.3
     least_z: float = 1.5
     max_turns: int = 4
     rest_errors: float = 1.645
     pull: float = 1.6
     pulled_error: float = 0.2
-    apart: float = 3.0
+    apart: float = 1.75
+    followed_share: float = 1 / 3
+    fewest_inward: int = 2
+    inward: float = 0.2
     same_speed: float = 0.35
-    feature_speed_step: float = 0.06
     accelerated_epochs: int = 5
     prior_freedom: int = 3
     same_feature: float = 0.5
     error_inflation: float = 1.3
     core_bias: float = 0.02
-    lone_dispersion: float = 0.15
-    not_followed: float = 0.5
+    lone_dispersion: float = 0.3
     fewest_of_two: int = 4
     one_dispersions: tuple[float, ...] = (
         0.01, 0.03, 0.05, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6,
@@ -167,6 +171,22 @@ class SearchSettings:
     two_dispersions: tuple[float, ...] = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25)
     least_std: float = 0.3
     all_orders_of: int = 6
+
+    def diffuse(self, n_outward: int, n: int) -> bool:
+        """
+        Return whether features diffuse, as so many move against the flow.
+
+        Parameters
+        ----------
+        n_outward, n : int
+            Number of features that move with it, and of all that move.
+
+        Returns
+        -------
+        bool
+        """
+        inward = n - n_outward
+        return inward >= max(self.fewest_inward, self.inward * n)
 
 
 #: Settings that are used if no others are given.

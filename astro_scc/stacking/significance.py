@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from astro_scc.stacking.diagram import Diagram, Rays
+from astro_scc.stacking.diagram import SHORT, Diagram, Rays
 from astro_scc.stacking.dispersion import (
     Population,
     feature_speeds,
@@ -29,9 +29,11 @@ from astro_scc.stacking.dispersion import (
 from astro_scc.stacking.features import (
     Feature,
     clear_of,
+    different,
     find_features,
     standing_features,
 )
+from astro_scc.stacking.mixture import fit_mixture
 from astro_scc.stacking.permutations import EpochPermutations
 from astro_scc.stacking.search_settings import SearchSettings
 from astro_scc.stacking.velocities import VelocitySamples
@@ -47,9 +49,10 @@ class Stream:
 
     Attributes
     ----------
-    kind : {"moving", "stationary", "not significant"}
+    kind : {"moving", "not confirmed", "stationary", "not significant"}
+        Not confirmed: ``p_global`` is at most alpha, but something holds it back.
     reason : str
-        Why it is not significant, or ''.
+        Why it is neither moving nor stationary, or ''.
     angle : float
         Direction of the axis from the first axis of the frame, in radians.
     along, across : ``Population``
@@ -133,7 +136,7 @@ def find_streams(
     alpha: float = 0.05, n_trials: int = 1000, rng: np.random.Generator,
     outward: bool = False, fastest: float = np.inf,
     intervals: tuple[float, float] = (0.0, np.inf),
-    settings: SearchSettings | None = None,
+    settings: SearchSettings | None = None, followed: Callable | None = None,
 ) -> Search:  # fmt: skip
     """
     Find the streams whose motion permuted epochs do not show.
@@ -166,6 +169,9 @@ def find_streams(
     intervals : tuple of float, optional
         Shortest and longest interval between epochs that is used, in years.
     settings : `~astro_scc.stacking.SearchSettings`, optional
+    followed : callable, optional
+        Returns features along an angle that were followed from image to image, and
+        which SSPs are theirs.
 
     Returns
     -------
@@ -203,17 +209,27 @@ def find_streams(
     rays = Rays.of(projected[0].years, radius, settings, fastest, intervals)
 
     def permuted(axes):
-        return EpochPermutations.of(
-            axes, rays, n_trials, test_rng, settings, outward=outward
-        )
+        how = {"outward": outward, "one_way": len(angles) == 1}
+        return EpochPermutations.of(axes, rays, n_trials, test_rng, settings, **how)
 
     # 1. The speed with the largest excess over the permutations, along any ray.
     permutations = permuted(projected)
     number, speed = permutations.largest()
-    axis = _Axis(angles[number], projected[number], rays, permutations, number)
+    axis = _Axis(
+        angles[number], projected[number], rays, permutations, number, followed
+    )
+    if permutations.p_values(number, speed)[1] > alpha:
+        axis, speed = _along_followed(axis, speed, projected, angles)
     # 2. The features that move at similar speeds, along their own direction.
-    axis, speed, features = _turn_to_features(axis, speed, project, len(angles))
-    # 3. Their streams: one, or two where a parametric bootstrap rejects one.
+    axis, speed, features, taken = _turn_to_features(axis, speed, project, len(angles))
+    # 3. A second speed, without the SSPs of these features, and both together.
+    test = permuted([axis.samples.without_ssps(taken)])
+    ratio = test.speed / speed
+    away = (ratio > 0) & (np.abs(ratio - 1) > settings.same_speed)
+    _, other = test.largest(away)
+    if away.any() and test.p_values(0, other)[1] <= alpha:
+        features, _ = axis.features([speed, other])
+    # 4. Their streams: one, or two where a parametric bootstrap rejects one.
     groups = _feature_groups(axis, features, speed, alpha, n_trials, model_rng)
     streams, tested = [], axis
     for group, p_distinct in groups:
@@ -222,14 +238,14 @@ def find_streams(
             rest = _without(axis.samples, streams[0].features)
             test = permuted([rest])
             tested = replace(axis, samples=rest, permutations=test, number=0)
-        # 4. The mean speed of a stream's features, and the permutation test at it.
+        # 5. The mean speed of a stream's features, and the permutation test at it.
         mean = _population(group, settings)
         streams.append(_stream(tested, *mean, group, alpha, p_distinct))
     if not streams and permutations.z.any():
         along = Population(float(speed), np.nan, np.nan, np.nan)
         across = Population(0.0, np.nan, np.nan, np.nan)
         streams.append(_stream(axis, along, across, (), alpha))
-    # 5. The standing features, without the features that move.
+    # 6. The standing features, without the features that move.
     streams += _standing_stream(axis, streams)
     return Search(
         streams=tuple(streams),
@@ -263,6 +279,9 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
     """
     smallest_p = permutations.smallest_p
     moved = np.hypot.reduce([f.motion for f in features])
+    # Features that diffuse were selected by their motion.
+    both = len({f.speed > 0 for f in features}) == 2
+    rest = settings.rest_errors * (2 if both else 1)
     if smallest_p > alpha:
         reason = f"too few epochs or trials: no p_global below {smallest_p:.2g}"
     elif p_global > alpha:
@@ -272,18 +291,19 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
             reason += f"; if it is real, {more:.1f} times as many epochs should show it"
     elif not features:
         reason = "no single feature is seen to move at this speed"
-    elif moved < settings.least_motion:
+    elif moved < settings.least_motion and not any(f.followed for f in features):
         reason = (
-            f"its features move {moved:.1f} beams, added in squares, less than "
+            f"its features move {moved:.1f} beams (root of the sum of squares), not "
             f"{settings.least_motion:g}: blends of standing features drift as far; "
             f"followed {np.ceil(10 * settings.least_motion / moved) / 10:.1f} times as "
             "long, they would move enough"
         )
-    elif abs(along.mean) <= settings.rest_errors * along.error:
-        reason = f"rest is within {settings.rest_errors:g} errors of the speed (95%)"
+    elif abs(along.mean) <= rest * along.error:
+        reason = f"rest is within {rest:g} errors of the speed"
     else:
         return "moving", ""
-    return "not significant", reason
+    passes = max(p_global, smallest_p) <= alpha
+    return "not confirmed" if passes else "not significant", reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,6 +319,7 @@ class _Axis:
     rays: Rays
     permutations: EpochPermutations
     number: int
+    followed: Callable | None = None
 
     @property
     def settings(self):
@@ -309,34 +330,84 @@ class _Axis:
         """Return the significance of speeds."""
         return self.permutations.significance(self.number, speed)
 
-    def p_values(self, speed):
-        """Return the local and the global p-value of a speed."""
-        return self.permutations.p_values(self.number, speed)
+    def p_values(self, features, mean):
+        """
+        Return the local p-value of a mean speed, and the global one of its features.
 
-    def features(self):
-        """Return the features; significant speeds have the larger weight."""
+        The features' speeds differ, so that few may move at their mean.  As the test
+        is against the largest value at any speed, the best one in their range counts.
+        """
+        local, p_global = self.permutations.p_values(self.number, mean)
+        own = np.array([f.speed for f in features])
+        error = max((f.error for f in features), default=0.0)
+        every = self.permutations.speed
+        within = np.abs(every - mean) <= np.abs(own - mean).max(initial=0.0) + error
+        within &= every * mean > 0
+        for speed in every[within].tolist():
+            p_global = min(p_global, self.permutations.p_values(self.number, speed)[1])
+        return local, p_global
+
+    def features(self, speeds):
+        """
+        Return the features of streams with some speeds, and which SSPs are theirs.
+
+        Where features move less than a beam between epochs they are followed from
+        image to image.  Others are chains of matches, and so are those of a flow in
+        which hardly any can be followed.
+        """
         samples, settings = self.samples, self.settings
-
-        def prior(speeds):
-            z = self.z(speeds) / settings.full_prior
-            return np.clip(z, settings.least_prior, 1.0)
-
-        found = find_features(samples, self.rays, settings, prior)
-        return clear_of(found, standing_features(samples, settings), samples, settings)
+        mixture = fit_mixture(samples, speeds, self.rays)
+        chains, taken = find_features(samples, mixture, settings)
+        if self.followed is None:
+            own = []
+        else:
+            own, theirs = self.followed(self.angle)
+            outward = [f for f in own if f.speed * speeds[0] > 0]
+            if settings.diffuse(len(outward), len(own)):
+                own, theirs = self.followed(self.angle, every=True)
+            else:
+                own = outward
+            taken = taken | theirs
+        if own:
+            fast = settings.farthest / (self.rays.short / SHORT)
+            chains = different([*own, *chains], samples, settings)[len(own) :]
+            if len(own) >= settings.followed_share * len(chains):
+                chains = [f for f in chains if abs(f.speed) > fast]
+        still = standing_features(samples, settings)
+        return own + clear_of(chains, still, samples, settings), taken
 
     def moving(self, features, speed):
         """Return the features in the direction of a speed with ``least_z`` or more."""
-        z = self.z(np.array([f.speed for f in features]))
+        if any(f.followed and f.speed * speed < 0 for f in features):
+            # They diffuse, and a mean of some would be biased.
+            return [f for f in features if f.followed]
+        own, test = np.array([f.speed for f in features]), self.permutations
+        least = self.settings.least_z * np.interp(own, test.speed, test.weight)
         return [
             f
-            for f, own in zip(features, z, strict=True)
-            if f.speed * speed > 0 and own >= self.settings.least_z
+            for f, high in zip(features, self.z(own) >= least, strict=True)
+            if f.speed * speed > 0 and (f.followed or high)
         ]
+
+
+def _along_followed(axis, speed, projected, angles):
+    """Return the axis along which features were followed, and their median speed."""
+    found = axis.followed(axis.angle)[0] if axis.followed else []
+    if not found:
+        return axis, speed
+    velocity = np.median([(f.speed, f.across) for f in found], axis=0)
+    if len(angles) == 1:
+        return axis, float(velocity[0])
+    angle = (axis.angle + np.arctan2(velocity[1], velocity[0])) % (2 * np.pi)
+    number = round(angle * len(angles) / np.pi) % len(angles)
+    sign = 1 if np.cos(angle - angles[number]) > 0 else -1
+    axis = replace(axis, angle=angles[number], samples=projected[number], number=number)
+    return axis, float(np.hypot(*velocity) * sign)
 
 
 def _turn_to_features(axis, speed, project, n_axes):
     """Turn an axis to the direction of its features, whose motion it foreshortens."""
-    features = axis.features()
+    features, taken = axis.features([speed])
     for _ in range(axis.settings.max_turns if n_axes > 1 else 0):
         near = [f for f in features if f.speed * speed > 0] or features
         if not near:
@@ -347,10 +418,10 @@ def _turn_to_features(axis, speed, project, n_axes):
         angle = axis.angle + (turn - half_turns * np.pi)
         speed = float(np.hypot(*mean) * np.sign(mean[0]) * (-1) ** half_turns)
         axis = replace(axis, angle=angle, samples=project(angle), number=number)
-        features = axis.features()
+        features, taken = axis.features([speed])
         if abs(turn) < np.pi / n_axes / 2:
             break
-    return axis, speed, features
+    return axis, speed, features, taken
 
 
 def _feature_groups(axis, features, speed, alpha, n_trials, rng):
@@ -358,6 +429,8 @@ def _feature_groups(axis, features, speed, alpha, n_trials, rng):
     moving, settings = axis.moving(features, speed), axis.settings
     if not moving:
         return []
+    if any(f.speed * speed < 0 for f in moving):
+        return [(moving, None)]
     p_two, is_fast = separate_streams(moving, n_trials, rng, settings)
     parts = [
         [f for f, fast in zip(moving, is_fast, strict=True) if fast == which]
@@ -372,7 +445,7 @@ def _feature_groups(axis, features, speed, alpha, n_trials, rng):
         first, second = sorted(parts, key=rank, reverse=True)
         return [(first, None), (second, p_two)]
     mean = _population(moving, settings)[0].mean
-    if axis.p_values(mean)[1] > max(alpha, axis.permutations.smallest_p):
+    if axis.p_values(moving, mean)[1] > max(alpha, axis.permutations.smallest_p):
         # The speeds differ so much that no feature moves at their mean.
         near = [f for f in moving if abs(f.speed / speed - 1) <= settings.same_speed]
         return [(near or moving, None)]
@@ -396,7 +469,7 @@ def _population(features, settings):
 
 def _stream(axis, along, across, features, alpha, p_distinct=None):
     """Return a stream, tested at its mean speed."""
-    p_local, p_global = axis.p_values(along.mean)
+    p_local, p_global = axis.p_values(features, along.mean)
     z = float(axis.z(along.mean))
     kind, reason = classify(
         along, z, p_global, features, axis.permutations, alpha, axis.settings

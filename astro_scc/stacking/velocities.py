@@ -115,6 +115,39 @@ class VelocitySamples:
         columns = [(name, getattr(self, name)) for name in COLUMNS]
         return replace(self, **{k: v[keep] for k, v in columns if v is not None})
 
+    def of_epochs(self, epochs: slice) -> VelocitySamples:
+        """
+        Return the samples within a range of epochs, with the SSPs and dates of these.
+
+        Parameters
+        ----------
+        epochs : slice
+            Consecutive epochs.
+
+        Returns
+        -------
+        `VelocitySamples`
+        """
+        first, last, _ = epochs.indices(len(self.years))
+        inside = (self.epoch >= first) & (self.epoch < last)
+        number = np.where(inside, np.cumsum(inside) - 1, -1)
+        own = self.select(
+            inside[self.ssp] & (self.target >= first) & (self.target < last)
+        )
+        there = np.where(own.target_ssp >= 0, number[own.target_ssp], -1)
+        return replace(
+            own,
+            ssp=number[own.ssp],
+            target_ssp=there,
+            reference=own.reference - first,
+            target=own.target - first,
+            position=self.position[inside],
+            epoch=self.epoch[inside] - first,
+            scale=self.scale[inside],
+            n_ssps=self.n_ssps[first:last],
+            years=self.years[first:last],
+        )
+
     def without_ssps(self, taken: np.ndarray) -> VelocitySamples:
         """
         Return the samples that neither start nor end at the ``taken`` SSPs.

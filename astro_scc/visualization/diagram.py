@@ -176,7 +176,7 @@ def ray_slopes(components, kinds, angle):
 def longest_interval(years, slopes, kinds, reach):
     """Return the longest interval that is shown, in years."""
     last = edges(years)[-1]
-    for shown in ("moving", "not significant"):
+    for shown in ("moving", "not confirmed", "not significant"):
         own = [abs(v) for v, kind in zip(slopes, kinds, strict=True) if kind == shown]
         if any(own):
             longest = BEYOND * reach / min(v for v in own if v > 0)

@@ -37,7 +37,12 @@ PIXELS, FEATURES = 2_200_000, 1000
 COLUMNS = 240
 #: Markers of the components in turn, so that colour is not all that tells them apart.
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
-DASHES = {"moving": "solid", "stationary": "dashed", "not significant": "dotted"}
+DASHES = {
+    "moving": "solid",
+    "stationary": "dashed",
+    "not confirmed": "dotted",
+    "not significant": "dotted",
+}
 #: Milliseconds for which each of two epochs is shown; the accessibility guidelines
 #: WCAG 2.3.1 allow at most three flashes a second.
 BLINK = 600

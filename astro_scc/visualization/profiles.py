@@ -131,7 +131,7 @@ def _draw_components(ax, table, column):
                     ax, table[part], column, u.mas, table[column].unit, ms=5,
                     fmt=sign.on_profile, alpha=alpha, lw=1.0, zorder=3,
                     color=style.VERMILLION if kind == "stationary" else style.BLUE,
-                    mfc="white" if kind == "not significant" else None,
+                    mfc="white" if kind.startswith("not") else None,
                     label=sign.name if alpha == 1.0 or not (own & main).any() else None,
                 )  # fmt: skip
 

@@ -57,6 +57,7 @@ class Kind(NamedTuple):
 KINDS = {
     "moving": Kind("+", "o", "o", "-", "component"),
     "stationary": Kind("s", "s", "s", "--", "stationary"),
+    "not confirmed": Kind("x", "x", "o", ":", "not confirmed"),
     "not significant": Kind("x", "x", "o", ":", "not significant"),
 }
 
@@ -135,7 +136,7 @@ def component_color(number):
 
 def component_look(number, kind):
     """Return the colour, the face and the label of the features of a component."""
-    face = {"mfc": "white"} if kind == "not significant" else {}
+    face = {"mfc": "white"} if kind.startswith("not") else {}
     return {"color": component_color(number), "label": f"{number}: {kind}", **face}
 
 

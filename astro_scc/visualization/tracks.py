@@ -79,7 +79,7 @@ def plot_members(
         raise ValueError(f"max_panels must be at least 1, got {max_panels}")
     components = result.components if components is None else components
     kinds = style.component_kinds(components)
-    order = sorted(range(len(kinds)), key=lambda k: kinds[k] == "not significant")
+    order = sorted(range(len(kinds)), key=lambda k: kinds[k].startswith("not"))
     panels = [(int(components["component"][k]), kinds[k]) for k in order[:max_panels]]
     view, figure, axes = drawing.mean_image_panels(
         result.cube, result.ssps, max(len(panels), 1), figure=figure, unit=unit
@@ -102,7 +102,7 @@ def _draw_members(ax, view, result, number, kind):
     # The matrix is orthogonal, so its transpose leads back to the sky.
     motion = np.stack([d.d1[member], d.d2[member]], axis=-1)
     motion = np.einsum("nai,na->in", axes, motion) * view.factor
-    strong = kind != "not significant"
+    strong = not kind.startswith("not")
     ax.quiver(
         *view.place[:, owner], *motion, angles="xy",
         scale_units="xy", scale=1, color=style.component_color(number),
@@ -110,7 +110,7 @@ def _draw_members(ax, view, result, number, kind):
     )  # fmt: skip
     speed = result.components["pm"][number - 1]
     text = f"{number}: {speed.value:.3g} {unit_name(speed.unit)}, {n_ssp} SSPs"
-    drawing.panel_text(ax, text + ("" if strong else ", not significant"))
+    drawing.panel_text(ax, text + ("" if strong else f", {kind}"))
 
 
 def plot_separation(

@@ -162,7 +162,7 @@ def _draw_components(ax, result, components, unit):
     kinds = style.component_kinds(components)
     effects = style.outline(2.5, BLACK)
     for k, kind in enumerate(kinds):
-        strong = kind != "not significant"
+        strong = not kind.startswith("not")
         if np.isfinite(error[k]).all():
             ellipse = Ellipse(
                 speed[k], *(2 * error[k]), facecolor="none", edgecolor="white",
@@ -343,7 +343,7 @@ def _mark_significance(ax, result, components, unit):
     for row, kind, (along, error, across, across_error) in zip(
         components, style.component_kinds(components), speeds, strict=True
     ):
-        strong = kind != "not significant"
+        strong = not kind.startswith("not")
         on_axis = abs(across) <= 3 * max(across_error, least)
         color = style.VERMILLION if strong else GREY
         ax.errorbar(

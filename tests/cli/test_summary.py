@@ -18,14 +18,15 @@ def radial(jet_results):
     table["kind"] = ["moving", "not significant", "stationary", "not significant"]
     table["p_global"] = [0.00099, 0.5, 1.0, 0.3]
     table["dispersion"][2] = np.nan * u.mas / u.yr
-    table.replace_column("note", Column(["-", "permuted", "-", "blends"]))
+    table.replace_column("caution", Column(["-", "permuted", "-", "blends"]))
     return table
 
 
 def test_summary(radial):
     lines = component_lines(radial)
     speed = plus_minus(radial[0], "pm")
-    assert lines[:2] == [f"Significant motion: {speed} mas / yr.", ""]
+    n = radial["n_features"][0]
+    assert lines[:2] == [f"Motion: {speed} mas / yr, {n} features.", ""]
     head = lines[2].replace(" (mas / yr)", "").replace("proper ", "")
     names = head.replace(" (deg)", "").replace("z score", "z").split()
     assert names == ["component", "kind", "motion", "PA", "dispersion", "p_global", "z",
@@ -42,43 +43,48 @@ def test_summary(radial):
     assert lines[7].startswith("p_global: probability that epochs in permuted order")
     number = radial["component"][0]
     assert lines[9:] == [
-        f"{number} is not significant: permuted", f"{number} is not significant: blends"
+        f"{number} (not significant): permuted", f"{number} (not significant): blends"
     ]  # fmt: skip
 
 
 def test_summary_of_chance(radial):
     table = radial[1:2].copy()
     lines = component_lines(table)
-    speed = plus_minus(table[0], "pm")
     p = f"{table['p_global'][0]:.2g}"
-    assert lines[0] == (
-        f"No significant motion was found: {speed} mas / yr, the strongest, has "
-        f"p_global {p}."
-    )
+    assert lines[0] == f"No motion was found: the strongest peak has p_global {p}."
     table["kind"] = "stationary"
     assert component_lines(table)[0] == (
-        "No significant motion was found: all features are stationary within their "
-        "errors."
+        "No motion was found: all features are stationary within their errors."
     )
     table["kind"] = "not significant"
-    assert lines[-1].endswith(" is not significant: permuted")
+    assert lines[-1].endswith(" (not significant): permuted")
     nothing = component_lines(table[:0])
     assert nothing[0].startswith("No pattern has a match in another epoch")
 
 
-def test_choices_that_change_the_speed_follow_the_answer(jet_results):
-    result = jet_results["radial"]
-    table = result.sensitivity.copy()
-    lines = component_lines(result.components, sensitivity=table)
-    assert lines == component_lines(result.components)
-    table["significant"][1] = True
-    lines = component_lines(result.components, sensitivity=table)
-    speed = plus_minus(table[1], "pm")
-    assert lines[1:3] == [
-        f"The main speed changes by more than its error: {speed} mas / yr "
-        f"({table['choice'][1]}).",
-        "",
-    ]
+def test_motion_that_is_not_confirmed(radial):
+    table = radial[:1].copy()
+    table["kind"], table["caution"] = ["not confirmed"], ["rest is near"]
+    speed, p = plus_minus(table[0], "pm"), f"{table['p_global'][0]:.2g}"
+    assert component_lines(table)[0] == (
+        f"Motion is not confirmed: {speed} mas / yr with p_global {p}, but rest is "
+        "near."
+    )
+
+
+def test_features_that_differ_have_their_range(radial):
+    table = radial[:1].copy()
+    n = table["n_features"][0]
+    for name, value in (("dispersion", 1.0), ("dispersion_err", 0.4)):
+        table[name] = value * u.mas / u.yr
+    for name, value in (("pm_min", 0.14), ("pm_max", 0.58)):
+        table[name] = value * u.mas / u.yr
+    mean = plus_minus(table[0], "pm")
+    assert component_lines(table)[0] == (
+        f"Motion: 0.14 to 0.58 mas / yr, mean {mean} mas / yr, {n} features."
+    )
+    table["caution"] = ["moves towards the core"]
+    assert "which is towards the core" in component_lines(table)[0]
 
 
 def test_secure_features_are_shown_with_their_speeds(jet_results):

@@ -205,7 +205,7 @@ def test_beams_units_and_meta_are_kept_and_noise_is_not():
         noise=[1, 2] * unit,
         labels=("a", "b"),
         epoch_meta=({"object": "x"}, {"object": "y"}),
-        meta={"history": ["made"], "note": 1},
+        meta={"history": ["made"], "caution": 1},
     )
     result = reproject_cube(cube, grid((41.5, 32)), (64, 80))
     assert result.noise is None
@@ -213,7 +213,7 @@ def test_beams_units_and_meta_are_kept_and_noise_is_not():
     assert result.beams == cube.beams
     assert result.labels == ("a", "b")
     assert result.epoch_meta[1] == {"object": "y"}
-    assert result.meta["note"] == 1
+    assert result.meta["caution"] == 1
     assert len(result.meta["history"]) == 2
 
 

@@ -185,7 +185,7 @@ def test_components_are_the_streams_in_their_order(sky_result):
         sky_result.errors,
         strict=True,
     ):
-        assert (row["kind"], row["note"]) == (stream.kind, stream.reason or "-")
+        assert (row["kind"], row["caution"]) == (stream.kind, stream.reason or "-")
         for name in ("p_local", "p_global", "p_distinct"):
             assert row[name] == getattr(stream, name)
         p = stream.p_global

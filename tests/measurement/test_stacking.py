@@ -41,7 +41,7 @@ def test_a_stream_and_what_stands_still(sky_result):
     assert moving["p_global"] <= 0.05
     assert still["pm"] < 0.5 * PM
     assert (still["p_global"], still["p_distinct"]) == (1, 1)
-    assert list(table["note"]) == ["-", "-"]
+    assert list(table["caution"]) == ["-", "-"]
 
 
 def test_the_probability_is_that_of_the_velocity_that_is_quoted(stacked):
@@ -66,7 +66,7 @@ def test_another_alpha_is_another_kind_of_the_same_numbers(sky_result, stacked):
     one, other = strict[0], sky_result.components[0]
     assert one["kind"] == "not significant"
     least = one["p_smallest"]
-    assert one["note"] == f"too few epochs or trials: no p_global below {least:.2g}"
+    assert one["caution"] == f"too few epochs or trials: no p_global below {least:.2g}"
     assert one["p_global"] == smallest
     assert one["pm"] == other["pm"]
 
@@ -148,7 +148,7 @@ def test_few_epochs_are_warned_of(still):
     ):
         table = scc().stack(still, n_trials=100, rng=1).components
     assert list(table["kind"]) == ["not significant", "stationary"]
-    assert table["note"][0] == "too few epochs or trials: no p_global below 0.083"
+    assert table["caution"][0] == "too few epochs or trials: no p_global below 0.083"
     np.testing.assert_allclose(table["p_smallest"], 2 / 24)
     assert table["pm"][1] < 0.5 * PM
 
@@ -190,7 +190,7 @@ def test_jets_without_common_speeds_do_not_move(seed):
     cube = simulate_unrelated(n_epochs=6, rng=seed).cube
     table = scc()(cube, n_trials=50, rng=1).components
     assert table["kind"][0] == "not significant"
-    assert table["note"][0].startswith("permuted epochs give as strong a peak")
+    assert table["caution"][0].startswith("permuted epochs give as strong a peak")
     assert "moving" not in list(table["kind"])
 
 
@@ -225,7 +225,7 @@ def test_one_or_two_ssps_have_a_finite_error_or_none_and_a_word(matched, which):
     # No error without features that were followed.
     np.testing.assert_array_equal(np.isfinite(table["pm_err"]), table["n_features"] > 0)
     for row in table:
-        assert (row["kind"] == "not significant") == (row["note"] != "-")
+        assert row["caution"] != "-" or not row["kind"].startswith("not")
 
 
 def test_without_an_ssp_there_is_no_component(matched):

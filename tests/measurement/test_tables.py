@@ -32,19 +32,21 @@ CONTRACT = [
     "p_distinct",
     "p_smallest",
     "dispersion",
+    "pm_min",
+    "pm_max",
     "pm_limit",
     "pm_err_jitter",
     "pm_err_alignment",
     "n_ssp",
     "n_pairs",
     "n_features",
-    "note",
+    "caution",
 ]
 
 
 def row(number):
     names = [*CONTRACT, *(f"{name}_err" for name in (*MOTIONS, "dispersion"))]
-    return {**dict.fromkeys(names, number), "kind": "not significant", "note": "few"}
+    return {**dict.fromkeys(names, number), "kind": "not significant", "caution": "few"}
 
 
 def same(read, written):
@@ -77,7 +79,7 @@ def test_components_have_all_columns_with_units_and_descriptions(n):
     assert table["pm_pa"].unit == table["pm_pa_err"].unit == u.deg
     assert table["pm_err"].info.description == "standard error of pm"
     assert table["pm_err_jitter"].unit == PM
-    for name, value in (("kind", "not significant"), ("note", "few")):
+    for name, value in (("kind", "not significant"), ("caution", "few")):
         assert list(table[name]) == [value] * n
         assert table[name].dtype.kind == "U"
     for name in ("component", "n_ssp", "n_pairs", "n_features"):

@@ -31,7 +31,13 @@ def test_components_and_ssps(sky_result, tmp_path):
 
 def test_empty_and_meta(tmp_path):
     path = tmp_path / "a.vot"
-    meta = {"seed": 1, "level": 0.05, "done": True, "note": "two words", "settings": {}}
+    meta = {
+        "seed": 1,
+        "level": 0.05,
+        "done": True,
+        "note": "two words",
+        "settings": {},
+    }
     write_votable(component_table([], meta=meta), path)
     votable = parse(path).get_first_table()
     params = {param.name: param.value for param in votable.params}

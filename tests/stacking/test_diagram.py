@@ -278,7 +278,7 @@ class TestRays:
             weight = rays.weight(speed * every, every)
             np.testing.assert_array_equal(weight, rays.weight(-motion, -every))
             inside = (motion >= 0.25) & (motion <= 0.9)
-            long = every > rays.shortest
+            long = every > rays.short
             np.testing.assert_array_equal(weight[inside], 1)
             assert not weight[(motion <= 0.15) | (long & (motion >= 1.1))].any()
             assert not weight[motion > 1.5].any()
@@ -330,7 +330,9 @@ class TestEpochPermutations:
             sums.append(total)
         sums = np.array(sums)
         np.testing.assert_allclose(sums.mean(axis=0), 0, atol=1e-10)
-        z = sums / sums.std(axis=0)
+        motion = np.abs(rays.speed) * np.ptp(YEARS)
+        drift = np.sqrt(np.minimum(motion / SEARCH.drift, 1))
+        z = drift * sums / sums.std(axis=0)
         np.testing.assert_allclose(test.z[0], z[0], atol=1e-8)
         np.testing.assert_allclose(test.permuted[:, 0], z[1:], atol=1e-5)
         np.testing.assert_allclose(test.maxima, np.sort(z[1:].max(axis=1)), atol=1e-5)
@@ -386,7 +388,7 @@ class TestEpochPermutations:
     ):
         """And with even dates the reversed order has the same maximum."""
         years = np.arange(4.0)
-        d = axis_matches(*lines([0.5] * 4, 3.0 * np.arange(4), years), years)
+        d = axis_matches(*lines([1.0] * 4, 4.0 * np.arange(4), years), years)
         test = permute(d, Rays.of(years, 1.5, SEARCH), n_trials=999)
         assert test.p_values(*test.largest())[1] == 2 / 24
         assert test.smallest_p == pytest.approx(2 / 24)
@@ -453,7 +455,9 @@ class TestEpochPermutations:
         speed = np.concatenate([-speed[::-1], speed])
         z = 5 - 9 * np.log(np.abs(speed / true)) ** 2
         z[speed * true < 0] = 0
-        test = EpochPermutations(speed, z[None], np.zeros((1, 1, 60)), 0.5)
+        test = EpochPermutations(
+            speed, np.ones(len(speed)), z[None], np.zeros((1, 1, 60)), 0.5
+        )
         assert test.largest() == (0, pytest.approx(true, rel=1e-9))
 
     @pytest.mark.parametrize("k", [0, 29, 30, 59])
@@ -461,13 +465,17 @@ class TestEpochPermutations:
         speed = np.geomspace(0.25, 2, 30)
         speed = np.concatenate([-speed[::-1], speed])
         z = np.where(np.arange(60) == k, 3.0, 1.0)[None]
-        test = EpochPermutations(speed, z, np.zeros((1, 1, 60)), 0.5)
+        test = EpochPermutations(
+            speed, np.ones(len(speed)), z, np.zeros((1, 1, 60)), 0.5
+        )
         assert test.largest() == (0, speed[k])
 
     def test_two_equal_neighbours_have_it_between_them(self):
         speed = np.array([-1.0, 0.5, 0.8, 1.0, 1.5, 2.0])
         z = np.array([[0, 0, 0, 1.0, 1.0, 0]])
-        test = EpochPermutations(speed, z, np.zeros((1, 1, 6)), 0.5)
+        test = EpochPermutations(
+            speed, np.ones(len(speed)), z, np.zeros((1, 1, 6)), 0.5
+        )
         assert test.largest() == (0, pytest.approx(1.5**0.5))
 
     def test_epochs_that_are_all_the_same_show_nothing(self, lines, axis_matches):

