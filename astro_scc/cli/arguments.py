@@ -254,6 +254,8 @@ def measure(parser):
     documentation).  The command line takes precedence over the file.
     """
     add_output(parser, "tables, maps and report", default=OF_OBJECT, report=True)
+    text = "draw the velocity map, epochs and more, too, which takes some seconds"
+    add_switches(parser, all_figures=text)
     add_figures(parser)
     add_switches(
         parser,

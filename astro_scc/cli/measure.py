@@ -20,8 +20,8 @@ from astro_scc.report.page import flow_lines
 from astro_scc.writing import replace_when_complete
 
 PRODUCTS = (
-    "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv ssps.ecsv "
-    "scc.fits config.toml report.html tracks.png diagram.png speeds.png "
+    "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv epochs.ecsv "
+    "ssps.ecsv scc.fits config.toml report.html tracks.png diagram.png speeds.png "
     "separation.png members.png velocity_map.png significance.png epochs.png "
     "intervals.png sensitivity.png"
 ).split()
@@ -55,7 +55,7 @@ def run(args, reporter):
             inputs.tell_time(reporter, n_workers, inputs.measuring_time, cube, settings)
         result = measure(cube, settings, reporter, n_workers=n_workers, work=work)
         page = {"left_out": left_out, "chosen": chosen, "pdf": args.pdf}
-        page["published"] = published
+        page |= {"published": published, "all_figures": args.all_figures}
         page |= {"report": not args.no_report, "warnings": reporter.warnings}
         components = write_measurement(result, settings, folder, output=output, **page)
         if args.ds9_regions:
@@ -133,8 +133,7 @@ def write_measurement(
     write_products(result, components, folder, **how)
     if report:
         rerun = f"astro-scc measure --config {output / 'config.toml'} -o FOLDER"
-        page |= {"components": components, "rerun": rerun, "config_text": text}
-        page["published"] = published
+        page |= {"components": components, "rerun": rerun, "published": published}
         page["explore"] = f"astro-scc explore {output}"
         write_report(result, folder, **page)
     return components

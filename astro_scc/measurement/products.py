@@ -34,11 +34,24 @@ DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
 #: Tables in forms of journals and archives.
 PRINTED = ("components", "features", "positions")
 MOTION = "direction of the proper motion"
+#: Meaning of the columns of the epochs.
+EPOCHS = {
+    "epoch": "number of the epoch, as in the other tables",
+    "label": "name of the epoch",
+    "date": "date of the observation",
+    "major": "major axis of the beam, FWHM",
+    "minor": "minor axis of the beam, FWHM",
+    "pa": "position angle of the beam",
+    "noise": "rms of the noise",
+    "object": "name of the object",
+    "frequency": "frequency of the observation",
+    "n_ssp": "SSPs that were compared with other epochs",
+}
 #: What the header of the diagram says about it.
 DIAGRAM = (
-    "Matches per pair of dates beyond those of permuted epochs, weighted by",
-    "their correlation coefficients, and smoothed along the displacement by",
-    "a Gaussian with a standard deviation of {blur:g} BEAM.  What moves at a",
+    "Matches per pattern (SSP) and beam of displacement beyond those of",
+    "permuted epochs, weighted by their correlation coefficients, and smoothed",
+    "by a Gaussian with a standard deviation of {blur:g} BEAM.  What moves at a",
     "constant speed is at displacement = speed * interval.",
     "INTV-LOG: interval = CRVAL1 * exp(CDELT1 * (pixel - CRPIX1) / CRVAL1).",
     "NaN: no two dates have this interval.  The table INTERVALS has the mean",
@@ -196,8 +209,8 @@ def write_products(
     -------
     list of `~pathlib.Path`
         ``components.ecsv``, ``features.ecsv``, with apparent speeds if the components
-        have them, ``positions.ecsv``, ``sensitivity.ecsv``, ``ssps.ecsv``,
-        ``scc.fits``, the folder ``publication``, see
+        have them, ``positions.ecsv``, ``sensitivity.ecsv``, ``epochs.ecsv``,
+        ``ssps.ecsv``, ``scc.fits``, the folder ``publication``, see
         `~astro_scc.measurement.publication.write_publication`, and, if ``text`` is
         given, ``config.toml``.
 
@@ -224,7 +237,7 @@ def write_products(
     >>> Path("out").mkdir()
     >>> paths = write_products(result, result.components, "out")
     >>> [path.suffix for path in paths if path.parent.name == "out"]
-    ['.ecsv', '.ecsv', '.ecsv', '.ecsv', '.ecsv', '.fits']
+    ['.ecsv', '.ecsv', '.ecsv', '.ecsv', '.ecsv', '.ecsv', '.fits']
     """
     directory = Path(directory)
     features = table_in_c_as(result.features, components)
@@ -235,6 +248,7 @@ def write_products(
         "features.ecsv": features,
         "positions.ecsv": result.feature_positions,
         "sensitivity.ecsv": result.sensitivity,
+        "epochs.ecsv": _epochs(result),
         "ssps.ecsv": result.ssps,
     }
     meta = with_configuration({**result.meta, **components.meta}, configuration)
@@ -252,6 +266,15 @@ def write_products(
     hdus.writeto(maps, output_verify="exception", overwrite=True)
     paths = [*(directory / name for name in tables), maps, *published]
     return paths + write_configuration(directory, text)
+
+
+def _epochs(result):
+    """Return the table of the epochs with the number of their SSPs."""
+    epochs, ssps = result.cube.epochs, result.ssps
+    own = ssps["epoch"][ssps["in_region"]]
+    epochs["n_ssp"] = np.bincount(own, minlength=len(epochs))
+    known = {k: about for k, about in EPOCHS.items() if k in epochs.colnames}
+    return QTable(epochs, descriptions=known)
 
 
 def with_configuration(meta, configuration):
@@ -338,6 +361,7 @@ def _diagram_hdus(result):
     along = result.frame.axis_names[0]
     along = "DISPPA" if along == "east" else along
     header = _header(image, ("between two dates", f"of patterns, along {along}"))
+    header["BUNIT"] = image.unit.to_string("fits")
     header["BEAM"] = image.meta["beam"].value, "[mas] FWHM along the displacement"
     if (angle := image.meta["position_angle"]) is not None:
         header["DISPPA"] = angle.value, "[deg] position angle of the displacement"

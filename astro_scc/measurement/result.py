@@ -333,10 +333,10 @@ class SCCResult:
         Returns
         -------
         `~astropy.nddata.NDData`
-            Matches per pair of dates beyond those of permuted epochs, weighted
-            by their coefficients, shape (n_displacements, n_intervals); NaN at
-            intervals that no two dates have.  The axes of the WCS are the
-            interval, logarithmic like its bins (FITS ``-LOG``), and the
+            Matches per pattern and beam of displacement beyond those of permuted
+            epochs, weighted by their coefficients, shape (n_displacements,
+            n_intervals); NaN at intervals that no two dates have.  The axes of the WCS
+            are the interval, logarithmic like its bins (FITS ``-LOG``), and the
             displacement in mas.  The meta holds the mean ``interval`` and the
             ``n_pairs`` of each bin, the ``beam`` along the displacement, the
             ``direction`` of the displacement on the axes of the frame, and its
@@ -345,7 +345,12 @@ class SCCResult:
         diagram, angle = self.search.diagram, self.search.angle
         beam = projection_of(self).beam(angle)[0]
         direction, position_angle = np.array([np.cos(angle), np.sin(angle)]), None
-        excess = (diagram.excess / diagram.n_pairs[:, None]).T
+        search = stacking.SearchSettings()
+        # Both patterns of a match look for each other, and each match is a Gaussian
+        # whose peak is one.
+        n_patterns = 2 * max(self.ssps["in_region"].sum(), 1) / len(self.cube)
+        area = np.sqrt(2 * np.pi) * search.blur
+        excess = (diagram.excess / diagram.n_pairs[:, None]).T / (n_patterns * area)
         if self.frame.uniform:
             sky = np.linalg.solve(self.frame.matrix(0.0, 0.0), direction)
             position_angle = np.degrees(np.arctan2(*sky)) * u.deg
@@ -354,7 +359,7 @@ class SCCResult:
                 direction, excess = -direction, excess[::-1]
                 position_angle += 180 * u.deg
             position_angle %= 360 * u.deg
-        step = stacking.SearchSettings().interval_step
+        step = search.interval_step
         # The first bin begins at the shortest interval that was used.
         baseline, years = self.meta["settings"]["baseline"], self.cube.years
         first, second = np.triu_indices(len(years), 1)
@@ -381,7 +386,7 @@ class SCCResult:
             "direction": direction,
             "position_angle": position_angle,
         }
-        return NDData(data, wcs=wcs, meta=meta)
+        return NDData(data, unit=1 / u.beam, wcs=wcs, meta=meta)
 
     def members(self, number: int) -> QTable:
         """

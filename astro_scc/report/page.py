@@ -22,7 +22,7 @@ from astro_scc.writing import replace_when_complete
 
 #: Other products that the folder may hold, in the order of the page.
 PRODUCTS = (
-    "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv "
+    "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv epochs.ecsv "
     "ssps.ecsv scc.fits publication config.toml region.reg"
 ).split()
 #: Speeds above this fraction of the largest one searched are pointed out.
@@ -34,8 +34,8 @@ def write_report(
     result: SCCResult, directory: Path | str, *, components: QTable | None = None,
     title: str | None = None, warnings: Sequence[str] = (),
     left_out: Sequence[str | tuple[str, str]] = (), chosen: Sequence[str] = (),
-    rerun: str | None = None, explore: str | None = None,
-    config_text: str | None = None, pdf: bool = False, published: QTable | None = None,
+    rerun: str | None = None, explore: str | None = None, all_figures: bool = False,
+    pdf: bool = False, published: QTable | None = None,
 ) -> Path:  # fmt: skip
     """
     Write a self-contained HTML page on a measurement, and its figures.
@@ -44,11 +44,9 @@ def write_report(
     ----------
     result : `~astro_scc.measurement.SCCResult`
     directory : path
-        Folder for ``report.html``, and for ``tracks.png``, ``diagram.png``,
-        ``speeds.png``, ``separation.png``, ``members.png``, ``velocity_map.png``,
-        ``significance.png``, ``epochs.png``, ``intervals.png`` and
-        ``sensitivity.png``, which the page holds too.  It is made if need be; files
-        of these names are replaced, each when the new one is complete.
+        Folder for ``report.html``, and for ``separation.png``, ``tracks.png``,
+        ``diagram.png`` and ``speeds.png``, which the page holds too.  It is made if
+        need be; files of these names are replaced, each when the new one is complete.
     components : `~astropy.table.QTable`, optional
         By default ``result.components``; the table of ``result.components_in_c``
         has apparent speeds too.
@@ -65,8 +63,10 @@ def write_report(
     explore : str, optional
         The command that writes ``explore.html`` beside the page; the page links to it
         if it is there.
-    config_text : str, optional
-        The configuration as text.
+    all_figures : bool, optional
+        Draw ``velocity_map.png``, ``significance.png``, ``members.png``,
+        ``epochs.png``, ``intervals.png`` and ``sensitivity.png``, too, which take
+        longer than the others.
     pdf : bool, optional
         Write each figure as a PDF file, too, as wide as a column of a journal and
         with letters of 8 pt.
@@ -102,16 +102,23 @@ def write_report(
         directory.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
         raise OSError(f"{directory}: is a file; choose another folder") from None
-    files = draw_figures(result, components, pdf=pdf, published=published)
+    core = core_components(result, components)
+    how = {"every": all_figures, "pdf": pdf, "published": published}
+    # The core is the reference of all positions, and no component of the jet.
+    jet = components[~np.isin(components["component"], core)]
+    files = draw_figures(result, jet, **how)
     meta = {**result.meta, **components.meta}
     page = _template("report.html").render(
         result=result,
         title=title or result.cube.meta.get("object") or "Velocity components",
         components=components,
-        tables=tables.component_tables(components),
-        epochs=tables.epoch_columns(result),
-        features=tables.feature_columns(table_in_c_as(result.features, components)),
+        core=core,
+        jet=jet,
+        limits=limit_lines(result, jet),
+        tables=tables.component_tables(components, core),
         zip=zip,
+        features=tables.feature_rows(table_in_c_as(result.features, components)),
+        notes=tables.component_notes(components),
         settings=meta.pop("settings", {}) | meta,
         smallest_of_epochs=1 / number_of_permutations(len(result.cube)),
         fast=fast_components(result, components),
@@ -124,7 +131,6 @@ def write_report(
         rerun=rerun,
         explore=explore,
         has_explore=(directory / "explore.html").is_file(),
-        config_text=config_text,
         products=[name for name in PRODUCTS if (directory / name).exists()],
     )
     files["report.html"] = page.encode("utf-8")
@@ -195,23 +201,19 @@ def _listed(words):
     return f"{', '.join(most)} and {last}" if most else last
 
 
-def draw_figures(result, components, *, pdf=False, published=None):
-    """Return the figures as PNG files, and as PDF, without those that are empty."""
+def draw_figures(result, components, *, every=False, pdf=False, published=None):
+    """
+    Return the figures as PNG files, and as PDF, without those that are empty.
+
+    Only the four that the page shows at once are drawn, unless ``every`` is True.
+    """
     from astro_scc import visualization as show
     from astro_scc.visualization import style
     from astro_scc.visualization.features import plot_sensitivity
 
     per_pm = {"beta_per_pm": beta_per_pm(components)}
     shared = {"components": components}
-    figures = {
-        "diagram": partial(show.plot_diagram, result, **shared),
-        "velocity_map": partial(show.plot_velocity_map, result, **shared, **per_pm),
-        "significance": partial(show.plot_significance, result, **shared, **per_pm),
-        "epochs": partial(show.plot_epochs, result.cube, result.ssps),
-        "intervals": partial(show.plot_intervals, result.cube, result.pairs),
-    }
-    if len(components):
-        figures["members"] = partial(show.plot_members, result, **shared)
+    figures = {"diagram": partial(show.plot_diagram, result, **shared)}
     if len(result.features):
         profile = {"profile": feature_profile(result)} | per_pm
         own = {"component": result.features["component"], "published": published}
@@ -219,9 +221,46 @@ def draw_figures(result, components, *, pdf=False, published=None):
         figures["tracks"] = partial(show.plot_tracks, of, **own)
         figures["speeds"] = partial(show.plot_feature_speeds, result, **profile)
         figures["separation"] = partial(show.plot_separation, of, **own, **per_pm)
-    if len(result.sensitivity):
+    if every:
+        figures |= {
+            "velocity_map": partial(show.plot_velocity_map, result, **shared, **per_pm),
+            "significance": partial(show.plot_significance, result, **shared, **per_pm),
+            "epochs": partial(show.plot_epochs, result.cube, result.ssps),
+            "intervals": partial(show.plot_intervals, result.cube, result.pairs),
+        }
+    if every and len(components):
+        figures["members"] = partial(show.plot_members, result, **shared)
+    if every and len(result.sensitivity):
         figures["sensitivity"] = partial(plot_sensitivity, result.sensitivity, **per_pm)
     return style.figure_files(figures, pdf=pdf)
+
+
+def core_components(result, components):
+    """Return the numbers of stationary components of which each SSP is at the core."""
+    from astro_scc.visualization import drawing
+
+    if result.cube.beams is None:
+        return []
+    near = max(beam.major for beam in result.cube.beams).to_value(u.mas) / 2
+    distance = np.hypot(*drawing.sky_place(result.ssps))
+    standing = components["component"][components["kind"] == "stationary"].tolist()
+    ssps = {n: result.displacements.ssp[result.members(n)["match"]] for n in standing}
+    return [n for n, k in ssps.items() if len(k) and distance[k].max() <= near]
+
+
+def limit_lines(result, components):
+    """Return upper limits of the mean speed of features, unless one is faster."""
+    features, lines = result.features, []
+    for row in components[np.isfinite(components["pm_limit"])]:
+        own = features[features["component"] == row["component"]]
+        limit = row["pm_limit"]
+        if len(own) and own["pm"].max() <= limit:
+            few = f" ({_listed(own['feature'])})" if len(own) < len(NUMBERS) else ""
+            lines.append(
+                f"The mean speed of the features of component {row['component']}{few} "
+                f"is below {limit.value:.2g} {unit_name(limit.unit)} (95%)"
+            )
+    return lines
 
 
 def flow_lines(result):

@@ -39,14 +39,13 @@ COLUMNS = {
     "pm_lon_coslat": "longitude ({unit})",
     "pm_lat": "latitude ({unit})",
     "coefficient": "coefficient",
-    "z_score": "z",
+    "z_score": "z-score (paper)",
     "pm_limit": "upper limit, 95% ({unit})",
     "pm_err_jitter": "paper's error of the speed ({unit})",
     "pm_err_alignment": "error by alignment ({unit})",
     "p_local": "p_local",
     "p_distinct": "p_distinct",
     "p_smallest": "smallest p_global",
-    "caution": "caution",
 }
 #: Headings of the columns of features, with {unit}.
 FEATURES = {
@@ -61,8 +60,9 @@ FEATURES = {
     "beta_app": "speed (c)",
     "t_ej": "t_ej",
     "p_false": "p_false",
-    "secure": "secure",
 }
+#: Largest number of features that are shown at once.
+MOST = 20
 #: Columns of the page of a survey.
 OVERVIEW = {
     "source": "source",
@@ -90,13 +90,15 @@ OF_SOURCE = (
 SPARK = (144, 34)
 
 
-def component_tables(components):
+def component_tables(components, core=()):
     """
     Return the columns of the two tables of components as text.
 
     Parameters
     ----------
     components : `~astropy.table.QTable`
+    core : sequence of int, optional
+        Numbers of those that are the core.
 
     Returns
     -------
@@ -109,8 +111,12 @@ def component_tables(components):
         name: _column(components, name)
         for name in dict.fromkeys([*COLUMNS, *components.colnames])
         if name in components.colnames and components[name].ndim == 1
+        if name not in ("caution",)
         if name in COLUMNS or name.removesuffix("_err") not in COLUMNS
     }
+    if core:
+        number, kinds = components["component"], columns["kind"][-1]
+        kinds[:] = np.where(np.isin(number, core), "core (reference)", kinds)
     first = [*columns, "pm_parallel"].index("pm_parallel")
     columns = list(columns.values())
     return [columns[:first], columns[:1] + columns[first:]]
@@ -155,43 +161,32 @@ def scale_lines(of_scales):
     return lines
 
 
-def epoch_columns(result):
-    """Return the columns of the table of the epochs as text, by their headings."""
-    table = result.cube.epochs
-    days = list(table["date"].strftime("%Y-%m-%d"))
-    times = list(table["date"].strftime("%Y-%m-%d %H:%M"))
-    columns = {"Date": days if len(set(days)) == len(days) else times}
-    labels = [str(label) for label in table["label"]]
-    if labels != days:
-        columns = {"Epoch": labels} | columns
-    if "major" in table.colnames:
-        columns["Beam (mas, deg)"] = [
-            f"{row['major'].to_value(u.mas):.3g} x {row['minor'].to_value(u.mas):.3g} "
-            f"at {row['pa'].to_value(u.deg):.0f}"
-            for row in table
-        ]
-    noise = u.Quantity(table["noise"])
-    unit = unit_name(noise.unit)
-    columns[f"Noise ({unit})" if unit else "Noise"] = [f"{v:.2g}" for v in noise.value]
-    epoch, inside = result.ssps["epoch"], result.ssps["in_region"]
-    columns["SSPs"] = np.bincount(epoch[inside], minlength=len(table))
-    if not inside.all():
-        outside = np.bincount(epoch[~inside], minlength=len(table))
-        columns["SSPs outside the region"] = outside
-    return columns
+def component_notes(components):
+    """Return what has to be known of each component that needs a note, as lines."""
+    return [
+        f"Component {row['component']}: {row['caution']}"
+        for row in components
+        if row["caution"] != "-"
+    ]
 
 
-def feature_columns(features):
-    """Return the columns of the table of features as text, by their headings."""
+def feature_rows(features, most=MOST):
+    """
+    Return headings, rows of secure features, and other rows, and which are secure.
+
+    Of more than ``most`` secure features, the first are those seen in most epochs.
+    """
     table = round_to_errors(features.copy(copy_data=False))
-    columns = {
-        heading.format(unit=unit_name(table[name].info.unit or "")): [
-            cell_text(table, name, k) for k in range(len(table))
-        ]
-        for name, heading in FEATURES.items()
-        if name in table.colnames
-    }
-    return columns if len(table) else {}
+    names = [name for name in FEATURES if name in table.colnames]
+    units = (unit_name(table[name].info.unit or "") for name in names)
+    heads = [FEATURES[k].format(unit=own) for k, own in zip(names, units, strict=True)]
+    rows = [[cell_text(table, k, row.index) for k in names] for row in table]
+    secure = np.asarray(table["secure"], bool)
+    first = np.argsort(-(secure * table["n_epochs"]), kind="stable")[:most]
+    first = set(first[secure[first]])
+    shown = [row for k, row in enumerate(rows) if k in first]
+    others = [(row, secure[k]) for k, row in enumerate(rows) if k not in first]
+    return heads, shown, others
 
 
 def setting_text(value):
@@ -285,7 +280,7 @@ def _part_cells(part, row, unit, published, folder):
     cells["kind"], more["kind"] = row["kind"], row["caution"].removeprefix("-")
     speed, error = (float(row[name].to_value(unit)) for name in ("pm", "pm_err"))
     cells |= {"pm": with_error(speed, error), "speed": speed}
-    if published is not None:
+    if published is not None and np.isfinite(error):
         difference = (speed - known) / np.hypot(error, np.nan_to_num(known_error))
         cells["difference"] = difference
         more["published"] = f"{difference:+.1f} standard errors"

@@ -114,7 +114,7 @@ def plot_diagram(
         above = ax.inset_axes((0.0, 1.03, 1.0, 0.035))
         figure.colorbar(
             drawn, cax=above, orientation="horizontal", ticklocation="top",
-            extend="both", label="Matches per pair of epochs, beyond chance",
+            extend="both", label="Matches per pattern and beam, beyond chance",
         )  # fmt: skip
     return figure
 

@@ -121,18 +121,19 @@ def plot_profile(
 
 
 def _draw_components(ax, table, column):
+    """Draw the components by kind, those that do not represent their bin smaller."""
     kinds = np.asarray(table["kind"], dtype=str)
     main = table["main"] if "main" in table.colnames else np.ones(len(table), bool)
     for kind, sign in style.KINDS.items():
         own = kinds == kind
-        for part, alpha in ((own & main, 1.0), (own & ~main, 0.45)):
+        for part, size in ((own & main, 5), (own & ~main, 3)):
             if part.any():
                 style.draw_bins(
-                    ax, table[part], column, u.mas, table[column].unit, ms=5,
-                    fmt=sign.on_profile, alpha=alpha, lw=1.0, zorder=3,
+                    ax, table[part], column, u.mas, table[column].unit, ms=size,
+                    fmt=sign.on_profile, lw=1.0, zorder=3,
                     color=style.VERMILLION if kind == "stationary" else style.BLUE,
                     mfc="white" if kind.startswith("not") else None,
-                    label=sign.name if alpha == 1.0 or not (own & main).any() else None,
+                    label=sign.name if size == 5 or not (own & main).any() else None,
                 )  # fmt: skip
 
 

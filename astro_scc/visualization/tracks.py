@@ -259,7 +259,9 @@ def _write_numbers(ax, features, ends, beta_per_pm=None):
     Secure features and those seen in most epochs come first; a number that would cover
     another one is left out.
     """
-    ax.get_figure().draw_without_rendering()
+    # Numbers need the final place of the axes; nothing need be drawn for that.
+    if engine := ax.get_figure().get_layout_engine():
+        engine.execute(ax.get_figure())
     frame, taken = ax.get_window_extent(), []
     shown = [k for k in range(len(ends)) if features.secure[k] or len(ends) <= CROWDED]
     for k in sorted(

@@ -76,10 +76,15 @@ def test_each_column_is_of_the_pairs_with_its_interval(name, results):
     )
 
 
-def test_values_are_the_excess_per_pair_of_dates(results):
-    image, diagram = results["jet"].diagram(), results["jet"].search.diagram
+def test_values_are_the_excess_per_pattern_and_beam(results):
+    result = results["jet"]
+    image, diagram = result.diagram(), result.search.diagram
     seen = image.meta["n_pairs"] > 0
-    total = (image.data * image.meta["n_pairs"])[:, seen]
+    assert image.unit == 1 / u.beam
+    # Two epochs have this number of patterns, and each match the area of a Gaussian.
+    patterns = 2 * result.ssps["in_region"].sum() / len(result.cube)
+    area = np.sqrt(2 * np.pi) * 0.2
+    total = patterns * area * (image.data * image.meta["n_pairs"])[:, seen]
     np.testing.assert_allclose(total, diagram.excess.T, atol=1e-12)
     np.testing.assert_array_equal(
         image.meta["interval"][seen].to_value(u.yr), diagram.interval
@@ -182,7 +187,8 @@ def test_the_fits_file_holds_the_diagram(name, results, tmp_path):
 def test_the_header_says_what_the_diagram_is(results):
     header = velocity_hdus(results["jet"])["DIAGRAM"].header
     text = " ".join(header["COMMENT"])
-    for part in ("per pair of dates", "0.2 BEAM", "speed * interval", "INTERVALS"):
+    assert header["BUNIT"] == "beam-1"
+    for part in ("per pattern (SSP)", "0.2 BEAM", "speed * interval", "INTERVALS"):
         assert part in text
     assert max(map(len, header["COMMENT"])) <= 72
 

@@ -294,6 +294,7 @@ def test_a_table_without_components_keeps_its_columns(cube, tmp_path):
         "features.ecsv",
         "positions.ecsv",
         "sensitivity.ecsv",
+        "epochs.ecsv",
         "ssps.ecsv",
         "scc.fits",
     ]

@@ -15,6 +15,7 @@ from astro_scc.visualization.profiles import (
     plot_profile,
     plot_scale_maps,
 )
+from astro_scc.visualization.style import BLUE
 
 PM = u.mas / u.yr
 WEST = SimpleNamespace(
@@ -56,6 +57,16 @@ def test_components_fits_and_others_have_names(table, cube):
     assert ax.get_xlim()[1] == pytest.approx(1.02 * 4)
     assert ax.get_ylim()[1] < 2
     plot_profile(table[:0]).draw_without_rendering()
+
+
+def test_only_what_is_not_significant_has_open_symbols(table):
+    table["kind"][1] = "moving"
+    (ax,) = plot_profile(table).axes
+    dots = [line for line in ax.lines if line.get_marker() == "o"]
+    assert [line.get_markerfacecolor() for line in dots] == 2 * [BLUE]
+    # Those that do not represent their bin are smaller.
+    assert [line.get_markersize() for line in dots] == [5, 3]
+    assert {line.get_alpha() for line in dots} == {None}
 
 
 def test_images_without_beams_have_a_strip(table, cube):
