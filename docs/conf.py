@@ -1,11 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Configuration of Sphinx."""
 
+import argparse
 import ast
 import csv
 import json
 import os
 from pathlib import Path
+from textwrap import indent
+from unittest import mock
 
 from docutils import nodes
 from docutils.utils.math import MathError
@@ -14,6 +17,7 @@ from sphinx.util import logging
 
 import astro_scc
 from astro_scc.cli.arguments import option_name
+from astro_scc.cli.program import build_parser
 from astro_scc.settings import OPTIONS
 
 LOGGER = logging.getLogger(__name__)
@@ -136,6 +140,34 @@ def write_settings(app):
         csv.writer(file).writerows(rows)
 
 
+def write_help(app):
+    """Write what ``--help`` of each command prints, folded, as a page includes it."""
+    commands = next(
+        action.choices
+        for action in build_parser()._actions
+        if isinstance(action, argparse._SubParsersAction)
+    )
+    lines = []
+    with mock.patch.dict(os.environ, COLUMNS="90"):
+        for name, parser in commands.items():
+            lines += [f".. dropdown:: astro-scc {name}", ""]
+            lines += ["   .. code-block:: text", ""]
+            lines += [indent(parser.format_help(), "      "), ""]
+    path = Path(app.srcdir, "_build", "help.rst")
+    path.write_text("\n".join(lines), encoding="utf-8")
+
+
+def write_paper_test(app):
+    """Write the table of the paper's jets without a program of unknown version."""
+    source = Path(app.srcdir).parent / "benchmarks" / "results" / "paper_test.csv"
+    with open(source, encoding="utf-8", newline="") as file:
+        rows = list(csv.reader(file))
+    other = rows[0].index("authors' program")
+    path = Path(app.srcdir, "_build", "paper_test.csv")
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows(row[:other] + row[other + 1 :] for row in rows)
+
+
 def write_explore(app):
     """Write the page with linked panels that the documentation embeds."""
     import astropy.units as u
@@ -239,6 +271,8 @@ def setup(app):
     Path(app.srcdir, "_build", "explore").mkdir(parents=True, exist_ok=True)
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math, None))
     app.connect("builder-inited", write_settings)
+    app.connect("builder-inited", write_help)
+    app.connect("builder-inited", write_paper_test)
     app.connect("builder-inited", write_explore)
     app.connect("builder-inited", write_notebooks)
     app.connect("missing-reference", resolve_top_level)

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Every public name is documented with an example; every room has its page."""
+"""Every public name stands in the reference with an example; the pages are short."""
 
 import ast
 import builtins
@@ -43,10 +43,16 @@ def packages():
 
 
 ROOMS = sorted({"exceptions", "scc", *packages(), *LISTED})
-#: Rooms, and pages, about nouns of the method: what they compute is an equation.
+#: Pages about what is computed: with equations, sources and a figure.
 NOUNS = {
-    "correlation", "decomposition", "epochs", "features", "kinematics", "measurement",
-    "recovery", "significance", "simulation", "stacking", "tracking",
+    "epochs", "features", "flow", "kinematics", "method", "recovery", "simulation",
+}  # fmt: skip
+#: All pages together, in words with their examples and equations.
+LONGEST = 22_500
+#: Labels of the sections of the page on the method, one for each step.
+STEPS = {
+    "decomposition", "correlation", "displacements", "significance", "stacking",
+    "method-features", "differences",
 }  # fmt: skip
 
 
@@ -175,8 +181,22 @@ def test_every_error_is_documented():
     assert missing == []
 
 
-def test_every_room_is_on_one_page():
+def test_every_room_is_in_the_reference_once():
     assert sorted(LISTED) == ROOMS
+    assert page("reference").count("automodapi::") == len(ROOMS)
+
+
+def test_every_step_of_the_method_has_its_section():
+    assert STEPS <= set(re.findall(r"^\.\. _([\w-]+):$", page("method"), re.MULTILINE))
+
+
+def test_documentation_is_short():
+    pages = [*DOCS.glob("*.rst"), REPOSITORY / "README.rst"]
+    words = sum(len(path.read_text(encoding="utf-8").split()) for path in pages)
+    assert words < LONGEST
+    (first, _) = page("start").split("Get the table of 3C 120\n", 1)
+    assert len(first.split()) < 300
+    assert "Your own images" in first
 
 
 def test_every_page_is_in_the_table_of_contents():
@@ -208,7 +228,7 @@ def limits(text):
 
 def test_what_is_said_of_the_calibration_is_what_it_found():
     """The page has words beside the tables; these are the numbers."""
-    text = " ".join(page("calibration").split())
+    text = " ".join(page("validation").split())
     assert "at most one in twenty should have a ``moving`` row" in text
     for row in calibrated("static"):
         assert limits(row["moving row"])[0] <= 0.05, row

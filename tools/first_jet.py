@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Run the commands of the page "Get started" on 3C 120, and keep what it shows.
+Run the commands of the page "Quick start" on 3C 120, and keep what it shows.
 
 The commands are read from ``docs/start.rst``; what they print, the figures that they
 write, and two more of one epoch replace those in ``docs/images/start``::
@@ -85,8 +85,8 @@ def plot_dates(cube):
         ax.set(xlabel="", ylabel="", title="", **INNER)
         ax.text(0.97, 0.9, cube.times[epoch].strftime("%Y-%m-%d"), ha="right",
                 va="top", transform=ax.transAxes)  # fmt: skip
-    axes[len(axes) // 2].set_ylabel("Offset to the north (mas)")
-    axes[-1].set_xlabel("Offset to the east (mas)")
+    axes[len(axes) // 2].set_ylabel("Relative Decl. (mas)")
+    axes[-1].set_xlabel("Relative R.A. (mas)")
     return figure
 
 
@@ -122,8 +122,8 @@ def plot_planes(cube, epoch, scales=(1, 2, 3)):
         size = 2**scale * cube.pixel_scale
         ax.set(xlabel="", ylabel="", **INNER)
         ax.set_title(f"Scale {scale}: {size:.1f}", fontsize="medium")
-    figure.supxlabel("Offset to the east (mas)", fontsize="medium")
-    figure.supylabel("Offset to the north (mas)", fontsize="medium")
+    figure.supxlabel("Relative R.A. (mas)", fontsize="medium")
+    figure.supylabel("Relative Decl. (mas)", fontsize="medium")
     return figure
 
 

@@ -212,7 +212,7 @@ def feature_profile(result: SCCResult) -> QTable:
     >>> scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
     >>> profile = feature_profile(scc(simulate_jet(rng=1).cube, n_trials=99, rng=1))
     >>> profile["n_features"].tolist()
-    [9]
+    [6, 6]
     """
     project = projection_of(result)
     rows = []

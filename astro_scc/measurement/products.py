@@ -202,7 +202,7 @@ def write_products(
         The same settings as TOML, for ``config.toml``.
     published : `~astropy.table.QTable`, optional
         Published features, see
-        `~astro_scc.measurement.published.published_positions`, of which the table of
+        ``astro_scc.measurement.published.published_positions``, of which the table of
         features has columns.
 
     Returns
@@ -211,7 +211,7 @@ def write_products(
         ``components.ecsv``, ``features.ecsv``, with apparent speeds if the components
         have them, ``positions.ecsv``, ``sensitivity.ecsv``, ``epochs.ecsv``,
         ``ssps.ecsv``, ``scc.fits``, the folder ``publication``, see
-        `~astro_scc.measurement.publication.write_publication`, and, if ``text`` is
+        ``astro_scc.measurement.publication.write_publication``, and, if ``text`` is
         given, ``config.toml``.
 
     Raises

@@ -65,6 +65,8 @@ def sensitivity_rows(found, matched, settings, rng):
     axis = np.array([np.cos(stream.angle), np.sin(stream.angle)])
     main = _measured(stream, velocity, axis)
     sense = np.sign(main[0])
+    pairs = zip(streams, found.velocities, strict=True)
+    speeds = np.array([axis @ v.value for s, v in pairs if s.kind == "moving"])
     rows = [_row("as measured", main, sense)]
     for pair in _pairs_of_parts(found, matched, stream):
         own = []
@@ -75,7 +77,8 @@ def sensitivity_rows(found, matched, settings, rng):
                 for one in zip(again.search.streams, again.velocities, strict=True)
                 if one[0].kind == "moving"
             ]
-            # Of two streams, the one that is meant.
+            # What is nearer to another stream is not meant.
+            some = [m for m in some if np.abs(speeds - m[0]).argmin() == 0]
             nearest = min(some, key=lambda m: abs(m[0] - main[0]), default=None)
             own.append(_row(name, nearest, sense, *main[:2]))
         one, other = own

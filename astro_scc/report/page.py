@@ -72,7 +72,7 @@ def write_report(
         with letters of 8 pt.
     published : `~astropy.table.QTable`, optional
         Published features to compare with, see
-        `~astro_scc.measurement.published.published_positions`.
+        ``astro_scc.measurement.published.published_positions``.
 
     Returns
     -------

@@ -165,7 +165,7 @@ class Rays:
     >>> rays.bins.mean
     array([1., 2., 3., 4., 5.])
     >>> rays.weight(0.5 * rays.bins.mean, rays.bins.mean)
-    array([1. , 0.5, 0. , 0. , 0. ])
+    array([1., 1., 0., 0., 0.])
     """
 
     speed: np.ndarray

@@ -68,7 +68,7 @@ def random_effects(
     >>> from astro_scc.stacking import random_effects
     >>> stream = random_effects([0.8, 1.0, 1.2, 0.9, 1.1], [0.01] * 5)
     >>> round(stream.mean, 2), round(stream.dispersion, 2)
-    (1.0, 0.16)
+    (1.0, 0.2)
     """
     x, e = np.asarray(values, dtype=float), np.asarray(errors, dtype=float)
     scale = settings.lone_dispersion * max(abs(np.median(x)), np.sqrt(np.mean(e**2)))

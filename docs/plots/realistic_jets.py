@@ -1,0 +1,19 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+import matplotlib.pyplot as plt
+
+from astro_scc.simulation import observe, simulate_jet
+from astro_scc.visualization import plot_epoch
+
+jet = simulate_jet(n_epochs=4, rng=4, standing=1)
+cubes = {
+    "features in the beam": jet.cube,
+    "with ripples and bowls": simulate_jet(
+        n_epochs=4, rng=4, standing=1, ripple=0.002, bowl=0.003
+    ).cube,
+    "observed with the VLBA": observe(jet, rng=4).cube,
+}
+figure, axes = plt.subplots(3, 2, figsize=(8, 6.5), layout="constrained")
+for line, (name, cube) in zip(axes, cubes.items()):
+    for ax, i in zip(line, (0, 3)):
+        plot_epoch(cube, i, ax=ax)
+        ax.set_title(f"{name}, {cube.labels[i]}", fontsize="small")
