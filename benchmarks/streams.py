@@ -1,0 +1,120 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+# ruff: noqa: E402
+"""
+Count how many rows of ``components.ecsv`` are right on the sources of a survey.
+
+    python benchmarks/streams.py dispersion ../shared
+    python benchmarks/streams.py survey ../shared FOLDER [--jobs 2] [--only NAME ...]
+
+``dispersion`` prints how much the speeds of the features of one jet differ.  ``survey``
+measures the images of ``features.py survey`` by ``astro-scc measure`` without options,
+and compares the first row that moves with the mean of the survey's features.
+"""
+
+import argparse
+import os
+import sys
+import warnings
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+import numpy as np
+from common import write_table
+from features import KINDS, TABLE, images_of, source_sets
+
+from astro_scc.cli import main as astro_scc
+
+#: Fewest features of a jet of which the dispersion is taken.
+FEWEST = 3
+HEADER = ["images", "sources", "with motion", "rows", "right", "silent",
+          "inward"]  # fmt: skip
+
+
+def main():
+    """Run one of the parts."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument("part", choices=("dispersion", "survey"))
+    parser.add_argument("shared", type=Path, help="data and survey tools")
+    parser.add_argument("folder", type=Path, nargs="?", help="of images and tables")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--only", nargs="+", default=None)
+    args = parser.parse_args()
+    sys.path.insert(0, str(args.shared / "survey"))
+    {"survey": survey_rows, "dispersion": dispersion}[args.part](args)
+
+
+def moved(rows, beam):
+    """Return the robust features of a source that moved by more than a beam."""
+    import survey
+
+    return [
+        g
+        for g in survey.features(rows)
+        if g["robust"]
+        and g["mu"] > 3 * g["err"]
+        and g["mu"] * (g["last"] - g["first"]) > beam
+    ]
+
+
+def dispersion(args):
+    """Print the relative dispersion of the speeds of the features of one jet."""
+    import survey
+
+    found = []
+    for source, rows in survey.read(args.shared / TABLE).items():
+        features = moved(rows, survey.beam(source)[0])
+        if len(features) >= FEWEST:
+            speed, error = (np.array([g[k] for g in features]) for k in ("mu", "err"))
+            variance = max(speed.var(ddof=1) - np.mean(error**2), 0)
+            found.append(np.sqrt(variance) / speed.mean())
+    rms = np.sqrt(np.mean(np.square(found)))
+    print(f"{len(found)} sources, median {np.median(found):.2f}, rms {rms:.2f}")
+
+
+def measured(kind, source, *, shared, folder):
+    """Return the score of the rows of a source, and whether the first is inward."""
+    import score
+    import survey
+    from astropy.table import QTable
+
+    files, out = images_of(kind, source, shared, folder), folder / kind / source / "out"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        options = ["-o", str(out), "--overwrite", "--no-report", "--seed", "1"]
+        astro_scc(["measure", *files, *options, "--quiet"])
+    rows = survey.read(shared / TABLE)[source]
+    counts, _, _ = score.score(rows, out, survey.beam(source)[0])
+    inward = any("towards the core" in row["caution"]
+                 for row in QTable.read(out / "components.ecsv"))  # fmt: skip
+    return counts, bool(moved(rows, survey.beam(source)[0])), inward
+
+
+def survey_rows(args):
+    """Measure all sources, and write and print a row for each kind of images."""
+    import survey
+
+    sources = [
+        name
+        for some in source_sets(survey.read(args.shared / TABLE)).values()
+        for name in some
+        if args.only is None or name in args.only
+    ]
+    table = []
+    for kind in KINDS:
+        one = partial(measured, kind, shared=args.shared, folder=args.folder)
+        with ProcessPoolExecutor(args.jobs) as pool:
+            found = list(pool.map(one, sources))
+        total = [sum(c[k] for c, *_ in found) for k in ("rows", "row_right", "silent")]
+        moving, inward = (sum(f[k] for f in found) for k in (1, 2))
+        table.append([kind, len(found), moving, *total, inward])
+        print(*table[-1], sep="\t", flush=True)
+    if args.only is None:
+        write_table("streams_survey", HEADER, table)
+
+
+if __name__ == "__main__":
+    main()
