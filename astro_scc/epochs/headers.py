@@ -189,7 +189,9 @@ def parse_unit(text):
 def _unit(text):
     # For a text that is no unit astropy looks for similar ones, which takes long.
     with warnings.catch_warnings(action="ignore"), suppress(TypeError, ValueError):
-        return u.Unit(text)
+        unit = u.Unit(text)
+        # A comma makes a structured unit, which no image has.
+        return unit if isinstance(unit, u.UnitBase) else None
     return None
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.time import Time
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube
@@ -151,6 +151,7 @@ def test_units(text, unit):
 
 
 @settings(max_examples=20)
+@example("1,")
 @given(st.text(string.printable, max_size=20))
 def test_any_text_is_a_unit_or_none(text):
     parsed = parse_unit(text)
