@@ -42,7 +42,7 @@ def test_the_direction_is_that_of_the_jet(angle):
     ("cube", "reason"),
     [
         (lambda: spots((2, 0), beams=None), "without a beam"),
-        (lambda: spots(), "not on one side"),
+        (lambda: spots(), "nothing is seen beyond a beam"),
         (lambda: spots((0, 4.8)), "does not begin"),
         (lambda: spots((2, 0), (-2, 0.2)), "not on one side"),
         (lambda: spots((2, 0), (0, 2), (-1.5, -1.5)), "not on one side"),
