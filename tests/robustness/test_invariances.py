@@ -56,8 +56,9 @@ def of_cube(cube, speed=5):
     # All orders of five epochs.
     row = scc(cube, n_trials=119, rng=1).components[0]
     assert row["n_features"] > 0
-    error = np.hypot(row["pm_ra_cosdec_err"], row["pm_dec_err"])
-    return np.array([row[k].value for k in ("pm_ra_cosdec", "pm_dec")]), error.value
+    unit = u.mas / u.yr
+    error = np.hypot(row["pm_ra_cosdec_err"], row["pm_dec_err"]).to_value(unit)
+    return np.array([row[k].to_value(unit) for k in ("pm_ra_cosdec", "pm_dec")]), error
 
 
 @pytest.fixture(scope="module")
