@@ -17,6 +17,7 @@ import argparse
 import csv
 import os
 import warnings
+from functools import partial
 from pathlib import Path
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -29,7 +30,7 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc import simulation as sim
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.flow import compare_speeds, measure_acceleration, scale_groups
-from astro_scc.simulation import Flow
+from astro_scc.simulation import Flow, Stream
 
 RESULTS = Path(__file__).parent / "results"
 #: Smaller seeds were used to choose the constants of the search.
@@ -73,10 +74,32 @@ KINDS["static-ripple"] = static(ripple=0.004, bowl=0.01)
 KINDS |= {f"static-align{a}": static(alignment_error=a / 10) for a in (1, 2, 3)}
 KINDS["static-red"] = static(memory=5.0, flux_variation=0.8)
 KINDS["vlba"] = lambda seed: sim.observe(sim.simulate_jet(rng=seed), rng=seed)
-KINDS["two-fluid-dense"] = lambda seed: sim.simulate_two_fluid(dense=True, rng=seed)
+PAPER = {
+    f"two-fluid-{density}-{part}": density == "dense"
+    for density in ("sparse", "dense")
+    for part in ("region", "whole")
+}
+KINDS |= {
+    kind: partial(lambda dense, seed: sim.simulate_two_fluid(dense=dense, rng=seed), d)
+    for kind, d in PAPER.items()
+}
 KINDS["unrelated"] = lambda seed: sim.simulate_unrelated(rng=seed)
 
 
+def diffusing(drift, step):
+    """Return a function that simulates a random walk of features, in beams a step."""
+
+    def simulate(seed):
+        flow = Stream("walk", dx=10 * drift, jitter=10 * step, half_width=40.0,
+                      density=1.2)  # fmt: skip
+        walk = sim.JetSimulation(streams=[flow], n_epochs=30, shape=(128, 256))
+        return walk.run(rng=seed)
+
+    return simulate
+
+
+KINDS["static-walk"] = diffusing(0.0, 0.2)
+KINDS["drift-walk"] = diffusing(0.1, 0.2)
 LONG = {"n_epochs": 30, "n_features": 10, "dispersion": 0.1}
 #: Both have the same speeds at the middle.
 KINDS["accelerated"] = jet(acceleration=1.6, **LONG)
@@ -179,11 +202,11 @@ def measure(kind, seed, n_trials):
         return measure_sensitivity(kind, seed, n_trials)
     jet = KINDS[kind](seed)
     cube = jet.cube.to_common_beam() if kind == "vlba" else jet.cube
-    paper = kind in ("two-fluid-dense", "unrelated")
+    paper = kind in (*PAPER, "unrelated", "static-walk", "drift-walk")
     beam = np.sqrt(cube.beams[0].major * cube.beams[0].minor)
     unit = (beam / (30 * u.day if paper else 0.2 * u.yr)).to(u.mas / u.yr)
     region = None
-    if paper:
+    if kind.endswith("region") or kind == "unrelated":
         region = np.zeros(cube.shape[1:], dtype=bool)
         region[:, 60:160] = True
     scc = StackedCrossCorrelation(scales=[1, 2, 3], position_angle=270 * u.deg)
