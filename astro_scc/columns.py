@@ -14,7 +14,7 @@ from astro_scc.units import PM_UNIT
 PAPER = {
     "track": "Track",
     "feature": "Feature",
-    "component": "Component",
+    "component": "Stream",
     "r_min": r"$r_\mathrm{min}$",
     "r_max": r"$r_\mathrm{max}$",
     "kind": "Kind",

@@ -163,7 +163,7 @@ class MeasurementSettings:
     )
     alpha: float = _stack(
         (q.check_number, 0, 1, "must be between 0 and 1"),
-        "largest p_global of a significant component",
+        "largest p_global of motion",
         default=0.05,
     )
     outward: bool = _stack(

@@ -48,7 +48,7 @@ NOUNS = {
     "epochs", "features", "flow", "kinematics", "method", "recovery", "simulation",
 }  # fmt: skip
 #: All pages together, in words with their examples and equations.
-LONGEST = 22_800
+LONGEST = 20_000
 #: Labels of the sections of the page on the method, one for each step.
 STEPS = {
     "decomposition", "correlation", "displacements", "significance", "stacking",

@@ -13,10 +13,12 @@ from astropy.table import Column, vstack
 from hypothesis import given
 from hypothesis import strategies as st
 
+from astro_scc.cli.summary import component_lines
 from astro_scc.kinematics import paper_cosmology
+from astro_scc.measurement.feature_tables import core_streams
 from astro_scc.quantities import with_error
 from astro_scc.report import write_report
-from astro_scc.report.page import core_components, limit_lines
+from astro_scc.report.answer import headline, notes
 from astro_scc.report.tables import feature_rows
 
 CHANCE = "permuted epochs give as strong a peak (p_global above alpha)"
@@ -124,7 +126,7 @@ def test_who_cannot_see_it_hears_what_the_figures_show(page):
     alts = [img["alt"] for img in page.all("img")]
     assert alts[4] == (
         "Map of the stacked correlation over the velocities parallel and transverse, "
-        "2 components marked"
+        "2 streams marked"
     )
     assert (
         alts[7]
@@ -166,20 +168,16 @@ def test_nothing_that_was_given_is_code(page):
 
 def test_the_answer_comes_first(page, components):
     words = page.words
-    speed = with_error(components["pm"][0].value, components["pm_err"][0].value)
-    beta = with_error(components["beta_app"][0], components["beta_app_err"][0])
-    angle = with_error(components["pm_pa"][0].value, components["pm_pa_err"][0].value)
+    said = headline(components).replace("+-", "±")
+    assert said.startswith("Motion: ")
     order = [
-        "One significant velocity component.",
-        f"{speed} mas/yr = {beta} c",
-        f"towards position angle {angle} deg",
-        "; p_global 0.024; ",
+        said,
         "1: acceleration: ",
         "beware of",
-        f"Component 1: {CHANCE}.",
+        f"Stream 1 (not significant): {CHANCE}.",
         "epochs in permuted order would give an equally strong peak at any velocity; "
         "here it cannot be below 0.024.",
-        "Other columns of the components",
+        "Other columns of the velocity components",
         "Errors are from the alignment",
         "Separation against time.",
         "Paths of the features.",
@@ -187,7 +185,7 @@ def test_the_answer_comes_first(page, components):
         "Speed against separation.",
         "More figures",
         "Velocity map.",
-        "Patterns of each component.",
+        "Patterns of each stream.",
         "Main speed with other choices.",
         "astro-scc measure",
         "Sensitivity to the settings: no choice changes the main speed significantly "
@@ -207,7 +205,7 @@ def test_the_answer_comes_first(page, components):
 def test_the_table_has_a_row_for_each_component(page, components):
     kinds = [tr.get("class") for tr in page.all("tr") if tr.get("class")]
     # What the answer is made of, and the rest.
-    assert kinds[:6] == 2 * ["moving", "stationary", "not-significant"]
+    assert kinds[:4] == 2 * ["moving", "not-significant"]
     for name in ("speed (mas/yr)", "speed (c)", "PA (deg)", "p_global", "SSPs",
                  "z-score (paper)", "dispersion (mas/yr)", "p_distinct", "kind",
                  "paper's error of the speed (mas/yr)"):  # fmt: skip
@@ -262,8 +260,7 @@ def words_of(result, components, folder, **kwargs):
 def test_no_component_is_an_answer_too(result, tmp_path):
     empty = replace(result, maxima=(), velocities=(), jitters=())
     words = words_of(empty, empty.components, tmp_path)
-    assert "No significant motion." in words
-    assert "None: no pattern has a match in another epoch." in words
+    assert "No motion found: no pattern has a match in another epoch." in words
     assert "p_global is" not in words
     assert not (tmp_path / "members.png").exists()
 
@@ -273,21 +270,21 @@ def test_nor_need_any_be_more_than_chance(result, tmp_path, quick):
     table["kind"] = "not significant"
     table = with_notes(table, [CHANCE, CHANCE])
     words = words_of(result, table, tmp_path)
-    assert "No significant motion." in words
-    assert f"Component 1: {CHANCE}. Component 2: {CHANCE}." in words
+    assert "No motion found between" in words
+    said = [f"Stream {k} (not significant): {CHANCE}." for k in (1, 2)]
+    assert " ".join(said) in words
     table["caution"] = ["-", "of one feature"]
     words = words_of(result, table, tmp_path)
-    assert "Component 2: of one feature." in words
-    assert "Component 1: -" not in words
+    assert "Stream 2 (not significant): of one feature." in words
+    assert "): -" not in words
 
 
 def test_what_does_not_move_is_no_discovery(result, tmp_path, quick):
     table = result.components.copy()
     table["kind"] = "stationary"
     words = words_of(result, table, tmp_path)
-    assert "No significant motion: all features are stationary within their" in words
-    assert words.count("do not move by more than two errors of their lines") == 1
-    assert "2: not significant" not in words
+    assert "mas/yr: all features are stationary within their errors." in words
+    assert "not significant" not in words.partition("Rows in italics")[0]
 
 
 def test_each_feature_has_its_own_speed(result, folder):
@@ -296,7 +293,7 @@ def test_each_feature_has_its_own_speed(result, folder):
     rows = re.findall(r"<tr(?: class=not-significant)?>(.*)</tr>", part)
     head, *rows = [re.findall(r"<t[hd][^>]*>([^<]*)", row) for row in rows]
     rows = [cells for cells in rows if cells != head]
-    assert head[:2] == ["No.", "component"]
+    assert head[:2] == ["No.", "stream"]
     assert head[-2:] == ["t_ej", "p_false"]
     assert "speed (c)" in head
     # Those that are not secure are folded away.
@@ -331,7 +328,7 @@ def test_choices_that_change_the_speed_are_named(result, tmp_path, quick):
         row["significant"] = True
     other = replace(result, choices=choices)
     words = words_of(other, other.components, tmp_path)
-    assert "Component 1: differs with the data: " in words
+    assert "Stream 1 (moving): differs with the data: " in words
     assert f"({choices[1]['choice']})" in words
     other = replace(result, choices=[])
     assert "Sensitivity to" not in words_of(other, table, tmp_path)
@@ -344,27 +341,27 @@ def test_what_does_not_move_has_a_limit(result, tmp_path, quick):
     assert limit == table["pm"][1] + 1.645 * table["pm_err"][1]
     assert np.isnan(table["pm_limit"][0])
     # The core has none, and neither have features of which one is faster.
-    assert "The mean speed of" not in words_of(result, table, tmp_path)
+    assert "upper limit" not in words_of(result, table, tmp_path)
     own = result.features[result.features["component"] == 1]
     table["pm_limit"][0] = 1.1 * own["pm"].max()
     said = words_of(result, table, tmp_path)
-    assert "The mean speed of the features of component 1 (" in said
-    assert f"is below {table['pm_limit'][0].value:.2g} mas/yr (95%)." in said
+    assert f"Stream 1: {table['pm_limit'][0].value:.2g} mas/yr is the upper" in said
+    assert f"mean speed of these features ({own['feature'][0]}, " in said
     table["pm_limit"][0] = 0.9 * own["pm"].max()
-    assert limit_lines(result, table[:1]) == []
+    assert "upper limit" not in " ".join(notes(table[:1], result.features))
+    assert "is slower than" not in said
 
 
 def test_too_few_epochs_are_named(result, tmp_path, quick, monkeypatch):
     monkeypatch.setattr("astro_scc.report.page.flow_lines", lambda result: [])
-    monkeypatch.setattr("astro_scc.report.page.core_components", lambda *_: [])
     few = replace(result, matched=replace(result.matched, cube=result.cube[:4]))
     table = result.components.copy()
     assert "with so few" not in words_of(result, table, tmp_path)
     table["p_smallest"] = 2 / 24
     table["kind"] = ["not significant", "stationary"]
     line = (
-        "With 4 epochs p_global cannot be below 0.083 (2/N!): with so few no component "
-        "that moves can be significant; measure more epochs."
+        "With 4 epochs p_global cannot be below 0.083 (2/N!): with so few no motion "
+        "can be significant; measure more epochs."
     )
     ssps = result.ssps[result.ssps["epoch"] < 4]
     object.__setattr__(few, "ssps", ssps)
@@ -379,7 +376,7 @@ def test_too_few_trials_are_named(result, tmp_path, quick):
     table = result.components.copy()
     table["p_smallest"] = 1 / 11
     line = (
-        "With 10 trials p_global cannot be below 0.091: with so few no component can "
+        "With 10 trials p_global cannot be below 0.091: with so few no motion can "
         "be significant; measure with more."
     )
     short = replace(result, meta={**result.meta, "n_trials": 10})
@@ -393,40 +390,52 @@ def test_small_probabilities_are_not_rounded_to_nothing(result, tmp_path, quick)
 
 
 @pytest.mark.parametrize(
-    ("kinds", "headline"),
+    ("kinds", "begin"),
     [
-        (["not significant"], "No significant motion."),
-        (["moving"], "One significant velocity component."),
-        (
-            ["moving"] * 2 + ["not significant"],
-            "Two significant velocity components.",
-        ),
-        (["moving"] * 12, "12 significant velocity components."),
+        (["not significant"], "No motion found between "),
+        (["not confirmed", "not significant"], "Motion not confirmed: "),
+        (["moving", "not confirmed"], "Motion: "),
+        (["moving"] * 12, "Motion: "),
     ],
 )
-def test_headlines(result, tmp_path, quick, monkeypatch, kinds, headline):
+def test_headlines_are_those_of_the_terminal(
+    result, tmp_path, quick, monkeypatch, kinds, begin
+):
     monkeypatch.setattr("astro_scc.report.page.fast_components", lambda *_: [])
-    table = vstack([result.components[:1]] * len(kinds))
+    table = vstack([result.components[:1]] * len(kinds), metadata_conflicts="silent")
     table["kind"] = kinds
-    assert headline in words_of(result, table, tmp_path)
+    said = headline(table)
+    assert said.startswith(begin)
+    assert said.count("towards PA") == kinds.count("moving")
+    assert said.replace("+-", "±") in words_of(result, table, tmp_path)
+    assert component_lines(table, result.features)[0] == said
 
 
-def test_a_radial_speed_is_outward_or_inward(result, tmp_path, quick):
+def test_a_radial_speed_is_outward_or_inward(result):
     table = result.components.copy()
     table["kind"] = "moving"
     table["pm_pa"] = np.nan * u.deg
     table["pm_parallel"] = [5, -5] * u.mas / u.yr
+    said = headline(table)
+    assert said.index(" outward, ") < said.index(" inward, ")
+
+
+def test_without_features_there_is_no_speed(result, tmp_path, quick):
+    table = result.components[:1].copy()
+    table["kind"], table["n_features"] = ["not significant"], 0
     words = words_of(result, table, tmp_path)
-    assert "outward; dispersion" in words
-    # A single feature has none.
-    assert "inward; p_global" in words
+    speed = with_error(table["pm"][0].value, table["pm_err"][0].value)
+    rows = words.partition("Velocity components No.")[2].partition("Errors are")[0]
+    assert rows
+    assert speed not in rows
+    assert speed not in words.partition("Velocity components No.")[0]
 
 
 def test_a_component_as_fast_as_the_search_is_pointed_out(
     result, jet_stacked, tmp_path, quick
 ):
     line = (
-        "Component 1 is as fast as anything that was searched: measure with a larger "
+        "Stream 1 is as fast as anything that was searched: measure with a larger "
         "max_speed before you believe it."
     )
     table = result.components
@@ -466,22 +475,18 @@ def test_only_ssps_of_the_region_are_counted(result, tmp_path, quick):
 
 def test_the_core_is_no_component_of_the_jet(result, tmp_path, quick):
     table = result.components
-    assert core_components(result, table) == [2]
+    assert table.meta["core"] == [2]
     words = words_of(result, table, tmp_path)
-    assert "One significant velocity component." in words
-    assert "core (reference)" in words
-    assert "stationary: its" not in words
+    assert "Row 2 of components.ecsv is the core, the reference." in words
+    assert "2 stationary" not in words
     plain = replace(result.cube, beams=None)
     plain = replace(result, matched=replace(result.matched, cube=plain))
-    assert core_components(plain, table) == []
-    far, ssps = replace(result), result.ssps.copy()
-    own = result.displacements.ssp[result.members(2)["match"]]
-    ssps["north"][own[0]] = 0.6 * result.cube.beams[0].major
-    object.__setattr__(far, "ssps", ssps)
-    words = words_of(far, table, tmp_path)
-    assert "One significant velocity component, beside stationary features." in words
-    assert "stationary: its features do not move by more than two errors" in words
-    assert "core (reference)" not in words
+    assert core_streams(plain) == []
+    table = table.copy()
+    table.meta["core"] = []
+    words = words_of(result, table, tmp_path)
+    assert "2 stationary" in words
+    assert "is the core" not in words
 
 
 def test_only_four_figures_are_drawn_unless_all_are_wanted(result, tmp_path):

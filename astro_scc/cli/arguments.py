@@ -274,7 +274,7 @@ def explore(parser):
 
     Write explore.html into the folder of a measurement: the velocity map, the images,
     the separations against time and a table of the features in linked panels.
-    Selecting a component or features in one panel selects them in all.  The page is
+    Selecting a stream or features in one panel selects them in all.  The page is
     one file that needs no network.
 
     examples:
@@ -302,7 +302,7 @@ def profile(parser):
       astro-scc profile *.fits -o out --bins "1 2 3 4 5 mas" --window "2 mas"
 
     All images are matched once; for each bin, the matches of its patterns are stacked.
-    The folder gets profile.ecsv, with a row for each bin and component, p_fdr adjusted
+    The folder gets profile.ecsv, with a row for each bin and stream, p_fdr adjusted
     for all bins, and in its header the acceleration over all bins; scales.ecsv, which
     compares the speeds of the finest scale and of the others; profile.png,
     velocity_maps.png and position_angles.png; and config.toml.  With --position-angle
@@ -366,8 +366,8 @@ def survey(parser):
     that are finished with the same settings, files and versions are not measured again.
     published_pm of a source, "0.9 0.1 mas/yr", is shown beside the measured speed.  The
     folder gets overview.html, with a row for each source; survey.ecsv, with a row for
-    each source, region, scale group and component, and p_fdr over all of them, or the
-    reason why there is no component; and in sources/ a folder for each source with the
+    each source, region, scale group and stream, and p_fdr over all of them, or the
+    reason why there is no stream; and in sources/ a folder for each source with the
     products of astro-scc measure, including a report.
 
     From a table of components, such as astro-scc restore reads, the images of all its

@@ -7,17 +7,15 @@ import numpy as np
 
 from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c_as
-from astro_scc.quantities import with_error
+from astro_scc.measurement.tables import cell_text, printed
+from astro_scc.report import answer
 from astro_scc.units import offset_unit
 
 EXPLANATION = (
     "p_global: probability that epochs in permuted order would give an equally strong",
     "peak at any velocity",
 )
-NOTHING = (
-    "No pattern has a match in another epoch: other scales, a larger --max-speed or",
-    "more epochs may show one.",
-)
+NOTHING = "Other scales, a larger --max-speed or more epochs may show one."
 #: Largest number of features that are shown.
 MOST_FEATURES = 10
 #: Features seen over fewer days have the times of their epochs.
@@ -55,15 +53,7 @@ def table_lines(rows):
     return [shape.format(*row).rstrip() for row in cells]
 
 
-def plus_minus(row, name):
-    """Return a number of a row with its error in ASCII, without the unit."""
-    value, error = row[name], row[f"{name}_err"]
-    if hasattr(value, "unit"):
-        value, error = value.value, error.to_value(value.unit)
-    return with_error(float(value), float(error), "+-")
-
-
-def component_lines(components, features=None):
+def component_lines(components, features):
     """
     Return what was found in one sentence, and the components as a table.
 
@@ -71,28 +61,21 @@ def component_lines(components, features=None):
     ----------
     components : `~astropy.table.QTable`
         See `~astro_scc.measurement.SCCResult.components`.
-    features : `~astropy.table.QTable`, optional
+    features : `~astropy.table.QTable`
         See `~astro_scc.measurement.SCCResult.features`; the secure ones are shown.
 
     Returns
     -------
     list of str
     """
-    followed = []
-    if features is not None:
-        followed = feature_lines(table_in_c_as(features, components))
+    followed = feature_lines(table_in_c_as(printed(features), components))
+    lines, rows = [answer.headline(components)], printed(components)
     if len(components) == 0:
-        return [*NOTHING, *followed, *meta_lines(components.meta)]
-    lines = [_answer(components)]
-    rows = [_component_cells(row) for row in components]
-    lines += ["", *table_lines(rows), *EXPLANATION]
-    for row in components:
-        limit, number = row["pm_limit"], row["component"]
-        if row["caution"] != "-":
-            lines.append(f"{number} ({row['kind']}): {row['caution']}")
-        if math.isfinite(limit.value) and row["n_features"]:
-            text = f"{limit.value:.2g} {limit.unit}"
-            lines.append(f"{number} is slower than {text} at 95% confidence")
+        lines.append(NOTHING)
+    elif len(rows):
+        cells = [_component_cells(row) for row in rows]
+        lines += ["", *table_lines(cells), *EXPLANATION]
+    lines += answer.notes(components, features)
     return [*lines, *followed, *meta_lines(components.meta)]
 
 
@@ -100,49 +83,20 @@ def _component_cells(row):
     angle, spread = row["pm_pa"].value, row["dispersion"].value
     unit = row["pm"].unit
     return {
-        "component": str(row["component"]),
+        "stream": str(row["component"]),
         "kind": str(row["kind"]),
-        f"proper motion ({unit})": plus_minus(row, "pm"),
+        f"proper motion ({unit})": _plus_minus(row, "pm"),
         "PA (deg)": f"{angle:.0f}" if math.isfinite(angle) else "-",
         **_in_c(row),
         f"dispersion ({unit})": f"{spread:.2g}" if math.isfinite(spread) else "-",
         **_p_values(row, "p_global"),
-        "z score": f"{row['z_score']:.1f}",
         "features": str(row["n_features"]),
     }
 
 
-def _answer(components):
-    """Return the result of a measurement as a sentence."""
-    kinds = np.asarray(components["kind"])
-    if moving := [_motion(row) for row in components[kinds == "moving"]]:
-        return f"Motion: {'; and '.join(moving)}."
-    if len(some := components[kinds == "not confirmed"]):
-        row = some[0]
-        why = f"p_global {row['p_global']:.2g}, but {row['caution']}"
-        if row["n_features"]:
-            why = f"{plus_minus(row, 'pm')} {row['pm'].unit} with {why}"
-        return f"Motion is not confirmed: {why}."
-    text = "No motion was found"
-    if len(some := components[kinds == "not significant"]):
-        return f"{text}: the strongest peak has p_global {some['p_global'][0]:.2g}."
-    return f"{text}: all features are stationary within their errors."
-
-
-def _motion(row):
-    """Return the motion of a component in words."""
-    unit, n = row["pm"].unit, row["n_features"]
-    in_c = "".join(f" ({speed} c)" for speed in _in_c(row).values())
-    mean = f"{plus_minus(row, 'pm')} {unit}{in_c}"
-    angle = row["pm_pa"].value
-    towards = f" towards PA {angle:.0f} deg" if math.isfinite(angle) else ""
-    if "towards the core" in row["caution"]:
-        towards += ", which is towards the core"
-    spread, slow, fast = (row[k].value for k in ("dispersion", "pm_min", "pm_max"))
-    # The features differ by more than their errors.
-    if n > 1 and spread > 2 * row["dispersion_err"].value:
-        mean = f"{slow:.2g} to {fast:.2g} {unit}, mean {mean}"
-    return f"{mean}{towards}, {n} {'feature' if n == 1 else 'features'}"
+def _plus_minus(row, name):
+    """Return a number of a row with its error in ASCII, without the unit."""
+    return cell_text(row.table, name, row.index, "+-")
 
 
 def feature_lines(features, most=MOST_FEATURES):
@@ -226,11 +180,11 @@ def feature_rows(features):
     return [
         {
             "feature": str(row["feature"]),
-            **({"component": str(row["component"])} if of_any else {}),
+            **({"stream": str(row["component"])} if of_any else {}),
             "dates": f"{row['first'].isot[:shown]} to {row['last'].isot[:shown]}",
             "epochs": str(row["n_epochs"]),
             f"separation ({far})": f"{row['separation'].to_value(far):.3g}",
-            f"proper motion ({table['pm'].unit})": plus_minus(row, "pm"),
+            f"proper motion ({table['pm'].unit})": _plus_minus(row, "pm"),
             "PA (deg)": f"{row['pm_pa'].value:.0f}",
             **_in_c(row),
             "p_false": f"{row['p_false']:.2g}",
@@ -255,14 +209,14 @@ def profile_lines(components):
     unit = components["pm_parallel"].unit
     rows = [
         {
-            "distance (mas)": f"{row['r_min'].value:g} to {row['r_max'].value:g}",
-            f"along the jet ({unit})": plus_minus(row, "pm_parallel"),
+            "separation (mas)": f"{row['r_min'].value:g} to {row['r_max'].value:g}",
+            f"along the jet ({unit})": _plus_minus(row, "pm_parallel"),
             **_in_c(row),
             **_p_values(row, "p_global", "p_fdr"),
             "SSPs": str(row["n_ssp"]),
             "": "" if row["kind"] == "moving" else str(row["kind"]),
         }
-        for row in components
+        for row in printed(components)
         if row["kind"] != "not significant" or row["main"]
     ]
     if not rows:
@@ -331,7 +285,7 @@ def speed_lines(meta):
 def _in_c(row):
     """Return the speed of a row in units of c under its heading, if it has one."""
     known = "beta_app" in row.colnames
-    return {"speed (c)": plus_minus(row, "beta_app")} if known else {}
+    return {"speed (c)": _plus_minus(row, "beta_app")} if known else {}
 
 
 def _p_values(row, *names):

@@ -42,7 +42,7 @@ HEAD = {
     "region": "name of the region, all without one",
     "scale_group": "name of the scale group, all without one",
     "status": "measured, empty (searched, nothing to test) or failed",
-    "message": "why there is no component",
+    "message": "why there is no stream",
 }
 
 

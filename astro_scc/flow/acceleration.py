@@ -72,8 +72,8 @@ class FlowAcceleration:
     def __str__(self):
         if np.isnan(self.p_value):
             return (
-                f"acceleration: unknown, {self.n_features} features are seen beyond "
-                "two beams, of which four are needed, or two over five epochs"
+                "acceleration: unknown, as four features are needed beyond two beams, "
+                f"or two over five epochs, and there are {self.n_features}"
             )
         length, time = self.speed.unit.bases
         both = self.acceleration, self.acceleration_err

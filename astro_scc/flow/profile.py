@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Velocity profile: components in bins of distance, their table and figures."""
+"""Velocity profile: streams in bins of core separation, their table and figures."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ DESCRIPTIONS = {
     "r_min": "inner limit of the bin",
     "r_max": "outer limit of the bin",
     "r_mid": "middle of the bin",
-    "main": "main component of its bin",
+    "main": "main stream of its bin",
 }
 
 
@@ -102,7 +102,7 @@ class Profile:
     def __repr__(self):
         return (
             f"<Profile: {len(self)} bins from {self.bins.min():g} to "
-            f"{self.bins.max():g}, {len(self.components)} components>"
+            f"{self.bins.max():g}, {len(self.components)} streams>"
         )
 
     @cached_property

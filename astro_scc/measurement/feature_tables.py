@@ -139,6 +139,28 @@ def components_of(result, features):
     return away.argmin(axis=0)
 
 
+def core_streams(result):
+    """
+    Return the numbers of the stationary streams of which each SSP is at the core.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+
+    Returns
+    -------
+    list of int
+    """
+    if result.cube.beams is None:
+        return []
+    near = max(beam.major for beam in result.cube.beams).to_value(u.mas) / 2
+    distance = np.hypot(*positions.ssp_offsets(result.matched.ssps, result.cube))
+    kinds = enumerate([stream.kind for stream in result.search.streams], start=1)
+    standing = [n for n, kind in kinds if kind == "stationary"]
+    ssps = {n: result.displacements.ssp[_matches_of(result, n)] for n in standing}
+    return [n for n, k in ssps.items() if len(k) and distance[k].max() <= near]
+
+
 def frame_velocities(frame, features):
     """
     Return the velocities of features along the axes of a frame.
@@ -183,7 +205,7 @@ def member_table(result, number):
         If there is no such component.
     """
     if not 1 <= number <= len(result.maxima):
-        raise ValueError(f"no component {number}: there are {len(result.maxima)}")
+        raise ValueError(f"no stream {number}: there are {len(result.maxima)}")
     d, cube, ssps = result.displacements, result.cube, result.matched.ssps
     match = _matches_of(result, number)
     ssp, start, end = d.ssp[match], d.reference[match], d.target[match]

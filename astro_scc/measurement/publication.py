@@ -21,7 +21,7 @@ from astropy.time import Time
 from astro_scc import writing
 from astro_scc.columns import PAPER, column_ucd
 from astro_scc.kinematics.cosmology import cosmology_text
-from astro_scc.measurement.tables import paper_table
+from astro_scc.measurement.tables import paper_table, printed
 from astro_scc.units import round_to_errors
 
 FOLDER = "publication"
@@ -137,6 +137,10 @@ def write_publication(
     folder = Path(directory, FOLDER)
     folder.mkdir(exist_ok=True)
     texts, files = {}, {}
+    tables = {
+        name: printed(table) if "component" in table.colnames else table
+        for name, table in tables.items()
+    }
     for name, table in tables.items():
         if "pm" in table.colnames:
             texts[f"{name}_aastex.tex"] = latex_text_of(table, name, "aastex")

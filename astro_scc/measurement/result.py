@@ -31,9 +31,11 @@ from astro_scc.measurement.tables import (
     component_row,
     component_table,
     paper_table,
+    printed,
 )
 from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
 from astro_scc.stacking.permutations import PermutedStacks
+from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW
@@ -148,20 +150,20 @@ class SCCResult:
         write_object(self, path, creator=RESULT, overwrite=overwrite)
 
     def __repr__(self):
-        table = self.components
+        table = printed(self.components)
         unit = str(table["pm"].unit).replace(" ", "")
         speeds = [
             f"{cell_text(table, 'pm', k, '+-')} {unit} {kind}"
             for k, kind in enumerate(table["kind"])
         ]
-        found = ", ".join(speeds) or "no component"
+        found = ", ".join(speeds) or "no stream"
         return f"<{self._head()}{found}, {len(self.cube)} epochs>"
 
     def _head(self):
         return f"SCCResult {self.cube.meta.get('object', '')}".strip() + ": "
 
     def _repr_html_(self):
-        table = self.components
+        table = printed(self.components)
         kinds = table["kind"].tolist()
         found = ", ".join(
             f"{kinds.count(kind)} {kind}"
@@ -169,7 +171,7 @@ class SCCResult:
             if kind in kinds
         )
         lines = [
-            self._head() + (found or "no component"),
+            self._head() + (found or "no stream"),
             repr(self.cube)[1:-1],
             f"{len(self.pairs)} pairs of epochs, {np.sum(self.matched.select)} SSPs, "
             f"{self.meta.get('n_trials')} trials, seed {self.meta.get('seed')}",
@@ -211,7 +213,14 @@ class SCCResult:
         two standard errors, the dispersion included, or 0.
         """
         own = feature_tables.components_of(self, self.tracked_features)
-        return feature_table(self.tracked_features, own)
+        table = feature_table(self.tracked_features, own)
+        table.meta["core"] = self.core
+        return table
+
+    @cached_property
+    def core(self) -> list[int]:
+        """The rows of `components` that are the core, the reference of positions."""
+        return feature_tables.core_streams(self)
 
     @cached_property
     def feature_positions(self) -> QTable:
@@ -247,16 +256,21 @@ class SCCResult:
         There is one row per stream: first those that move, the ones with more
         features first, then what stands still.  If nothing moves significantly,
         the first row is the strongest speed that was tested, "not significant",
-        and its ``caution`` says why.  The meta holds the settings, the seed and
-        the versions.
+        and its ``caution`` says why.  The meta holds the settings, the seed, the
+        versions, the ``slowest_searched`` and ``fastest_searched`` speed along the
+        streams, and the numbers of the rows that are the ``core``.
         """
         rows = [
             component_row(self, number) for number in range(1, len(self.maxima) + 1)
         ]
-        table = component_table(
-            rows, meta=self.meta | self.cube.facts, unit=self.cube.speed_unit
-        )
-        return name_by_frame(table, self.cube)
+        meta, unit = self.meta | self.cube.facts, self.cube.speed_unit
+        if rows:
+            speed = np.abs(self.search.permutations.speed)
+            speed = speed[speed > 0] * projection_of(self).beam(self.search.angle)[0]
+            meta["slowest_searched"] = (speed.min() * PM_UNIT).to(unit)
+            meta["fastest_searched"] = (speed.max() * PM_UNIT).to(unit)
+            meta["core"] = self.core
+        return name_by_frame(component_table(rows, meta=meta, unit=unit), self.cube)
 
     def components_in_c(
         self, *, redshift: float | str | u.Quantity | None = None,

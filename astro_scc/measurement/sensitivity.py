@@ -28,7 +28,7 @@ DIFFERENT = 2.0
 COLUMNS = {
     "choice": (str, "what the speed is measured from"),
     "n_features": (int, "number of features that contribute"),
-    "pm": (PM_UNIT, "speed along the first component"),
+    "pm": (PM_UNIT, "speed along the first stream"),
     "pm_err": (PM_UNIT, "standard error of pm"),
     "change": (PM_UNIT, "difference from the speed as measured"),
     "change_err": (

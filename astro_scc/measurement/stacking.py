@@ -169,7 +169,7 @@ def _warn_of_limits(smallest, n_epochs, n_trials, level):
     if 1 / number_of_permutations(n_epochs) <= level:
         what = (
             f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, "
-            f"so no component can reach level {level:g}: give n_trials of "
+            f"so no stream can reach level {level:g}: give n_trials of "
             f"{int(np.ceil(1 / level))} or more"
         )
     else:

@@ -21,7 +21,7 @@ P_FDR = "p_global adjusted for all searches: share of false discoveries up to it
 
 #: Every column of the velocity components: unit or type, and meaning.
 COLUMNS = {
-    "component": (int, "number of the component, as in the other tables"),
+    "component": (int, "number of the stream, as in the other tables"),
     "kind": (
         "U15",
         "moving, not confirmed, stationary or not significant",
@@ -44,7 +44,7 @@ COLUMNS = {
     "dispersion_err": (PM_UNIT, "standard error of dispersion"),
     "pm_min": (PM_UNIT, "speed of the slowest of its features"),
     "pm_max": (PM_UNIT, "speed of the fastest of its features"),
-    "pm_limit": (PM_UNIT, "95% upper limit of the speed of what is not seen to move"),
+    "pm_limit": (PM_UNIT, "95% upper limit of the mean speed of its features"),
     "pm_err_jitter": (PM_UNIT, "standard error of pm from shifted SSPs (paper)"),
     "pm_err_alignment": (PM_UNIT, "part of pm_err by the alignment of the epochs"),
     "coefficient": (float, "stacked correlation coefficient"),
@@ -53,8 +53,8 @@ COLUMNS = {
     "p_distinct": (float, "p-value of one stream fewer, by parametric bootstrap"),
     "p_smallest": (float, "smallest p_global that permutations and epochs allow"),
     "caution": (str, "why it is not moving, and what its speed depends on, or -"),
-    "n_ssp": (int, "SSPs with a match at the component's velocity"),
-    "n_pairs": (int, "pairs of epochs with a match at the component's velocity"),
+    "n_ssp": (int, "SSPs with a match at the stream's velocity"),
+    "n_pairs": (int, "pairs of epochs with a match at the stream's velocity"),
     "n_features": (int, "number of features that were followed"),
     "p_global_err": (float, "Monte Carlo standard error of p_global"),
     "p_global": (float, "p-value of permuted epochs, largest peak at any velocity"),
@@ -115,6 +115,45 @@ def component_table(
     table = in_speed_unit(build_table(rows, COLUMNS), unit)
     table.meta.update(meta or {})
     return round_to_errors(table)
+
+
+def printed(table):
+    """
+    Return velocity components, or features, as they are printed.
+
+    The core is not among the components, as it is the reference; what has no feature
+    has no speed, and a limit that one of the features exceeds is none.  Features that
+    stand still like the core are of no stream.
+
+    Parameters
+    ----------
+    table : `~astropy.table.QTable`
+        See `SCCResult.components` and `SCCResult.features`.
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        A copy, with NaN for such speeds and limits.
+
+    Examples
+    --------
+    >>> from astro_scc.measurement import component_table
+    >>> from astro_scc.measurement.tables import printed
+    >>> len(printed(component_table([])))
+    0
+    """
+    core = np.isin(table["component"], table.meta.get("core", ()))
+    if "n_features" not in table.colnames:
+        shown = table.copy()
+        shown["component"][core] = 0
+        return shown
+    shown = table[~(core & (table["kind"] == "stationary"))]
+    blank = np.asarray(shown["n_features"]) == 0
+    for name in shown.colnames:
+        if name.startswith(("pm", "beta_app", "dispersion")):
+            shown[name][blank] = np.nan
+    shown["pm_limit"][shown["pm_max"] > shown["pm_limit"]] = np.nan
+    return shown
 
 
 def paper_table(table, *, sign="±"):

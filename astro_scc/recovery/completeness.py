@@ -50,7 +50,7 @@ COLUMNS = {
         None,
         "share of the found whose standard error reaches the true speed",
     ),
-    "own": (None, "whether the epochs have a component within the tolerance already"),
+    "own": (None, "whether the epochs have a stream within the tolerance already"),
 }
 
 

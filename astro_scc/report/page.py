@@ -14,8 +14,9 @@ from astro_scc.flow import feature_profile, measure_acceleration
 from astro_scc.flow.groups import compare_scales
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c_as
 from astro_scc.measurement import SCCResult
+from astro_scc.measurement.tables import printed
 from astro_scc.quantities import with_error
-from astro_scc.report import tables
+from astro_scc.report import answer, tables
 from astro_scc.stacking.permutations import number_of_permutations
 from astro_scc.units import in_speed_unit, unit_name
 from astro_scc.writing import replace_when_complete
@@ -27,7 +28,6 @@ PRODUCTS = (
 ).split()
 #: Speeds above this fraction of the largest one searched are pointed out.
 EDGE = 0.9
-NUMBERS = "no one two three four five six seven eight nine".split()
 
 
 def write_report(
@@ -102,23 +102,23 @@ def write_report(
         directory.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
         raise OSError(f"{directory}: is a file; choose another folder") from None
-    core = core_components(result, components)
     how = {"every": all_figures, "pdf": pdf, "published": published}
-    # The core is the reference of all positions, and no component of the jet.
-    jet = components[~np.isin(components["component"], core)]
+    shown = printed(components)
+    # Of all rows that the figures mark they need the places.
+    jet = components[np.isin(components["component"], shown["component"])]
     files = draw_figures(result, jet, **how)
     meta = {**result.meta, **components.meta}
     page = _template("report.html").render(
         result=result,
         title=title or result.cube.meta.get("object") or "Velocity components",
-        components=components,
-        core=core,
-        jet=jet,
-        limits=limit_lines(result, jet),
-        tables=tables.component_tables(components, core),
+        components=shown,
+        headline=answer.headline(components),
+        tables=tables.component_tables(shown),
         zip=zip,
-        features=tables.feature_rows(table_in_c_as(result.features, components)),
-        notes=tables.component_notes(components),
+        features=tables.feature_rows(
+            table_in_c_as(printed(result.features), components)
+        ),
+        notes=answer.notes(components, result.features),
         settings=meta.pop("settings", {}) | meta,
         smallest_of_epochs=1 / number_of_permutations(len(result.cube)),
         fast=fast_components(result, components),
@@ -150,15 +150,14 @@ def _template(name):
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.tests["finite"] = np.isfinite
     environment.filters |= {
         "address": lambda png: f"data:image/png;base64,{b64encode(png).decode()}",
         "listed": _listed,
         "plural": lambda word, n: word if n == 1 else f"{word}s",
         "text": tables.setting_text,
         "unit": unit_name,
+        "printed": lambda text: text.replace("+-", "±").replace("^2", "²"),
         "with_error": lambda *cells: with_error(*(u.Quantity(v).value for v in cells)),
-        "word": lambda n: NUMBERS[n] if n < len(NUMBERS) else n,
     }
     return environment.get_template(name)
 
@@ -216,10 +215,11 @@ def draw_figures(result, components, *, every=False, pdf=False, published=None):
     figures = {"diagram": partial(show.plot_diagram, result, **shared)}
     if len(result.features):
         profile = {"profile": feature_profile(result)} | per_pm
-        own = {"component": result.features["component"], "published": published}
+        own = {"component": printed(result.features)["component"]}
         of = result.tracked_features
+        figures["speeds"] = partial(show.plot_feature_speeds, result, **profile, **own)
+        own["published"] = published
         figures["tracks"] = partial(show.plot_tracks, of, **own)
-        figures["speeds"] = partial(show.plot_feature_speeds, result, **profile)
         figures["separation"] = partial(show.plot_separation, of, **own, **per_pm)
     if every:
         figures |= {
@@ -235,37 +235,9 @@ def draw_figures(result, components, *, every=False, pdf=False, published=None):
     return style.figure_files(figures, pdf=pdf)
 
 
-def core_components(result, components):
-    """Return the numbers of stationary components of which each SSP is at the core."""
-    from astro_scc.visualization import drawing
-
-    if result.cube.beams is None:
-        return []
-    near = max(beam.major for beam in result.cube.beams).to_value(u.mas) / 2
-    distance = np.hypot(*drawing.sky_place(result.ssps))
-    standing = components["component"][components["kind"] == "stationary"].tolist()
-    ssps = {n: result.displacements.ssp[result.members(n)["match"]] for n in standing}
-    return [n for n, k in ssps.items() if len(k) and distance[k].max() <= near]
-
-
-def limit_lines(result, components):
-    """Return upper limits of the mean speed of features, unless one is faster."""
-    features, lines = result.features, []
-    for row in components[np.isfinite(components["pm_limit"])]:
-        own = features[features["component"] == row["component"]]
-        limit = row["pm_limit"]
-        if len(own) and own["pm"].max() <= limit:
-            few = f" ({_listed(own['feature'])})" if len(own) < len(NUMBERS) else ""
-            lines.append(
-                f"The mean speed of the features of component {row['component']}{few} "
-                f"is below {limit.value:.2g} {unit_name(limit.unit)} (95%)"
-            )
-    return lines
-
-
 def flow_lines(result):
     """
-    Return the acceleration of the moving components and the speeds of their scales.
+    Return the acceleration of the moving streams and the speeds of their scales.
 
     Parameters
     ----------
@@ -277,7 +249,7 @@ def flow_lines(result):
         Sentences without a full stop; empty if nothing moves.
     """
     moving = [k for k, s in enumerate(result.search.streams) if s.kind == "moving"]
-    lines = [f"{k + 1}: {measure_acceleration(result, row=k)}" for k in moving]
+    lines = [f"Stream {k + 1}: {measure_acceleration(result, row=k)}" for k in moving]
     if moving and (of_scales := compare_scales(result)) is not None:
         in_speed_unit(of_scales, result.cube.speed_unit)
         # With two streams, scales whose speeds do not differ need not share one speed.
@@ -287,7 +259,7 @@ def flow_lines(result):
 
 
 def fast_components(result, components):
-    """Return the numbers of moving components near the largest speed searched."""
+    """Return the numbers of moving streams near the largest speed searched."""
     fastest = result.search.permutations.speed.max()
     moving = components["component"][components["kind"] == "moving"]
     streams = result.search.streams

@@ -40,7 +40,6 @@ COLUMNS = {
     "pm_lat": "latitude ({unit})",
     "coefficient": "coefficient",
     "z_score": "z-score (paper)",
-    "pm_limit": "upper limit, 95% ({unit})",
     "pm_err_jitter": "paper's error of the speed ({unit})",
     "pm_err_alignment": "error by alignment ({unit})",
     "p_local": "p_local",
@@ -50,7 +49,7 @@ COLUMNS = {
 #: Headings of the columns of features, with {unit}.
 FEATURES = {
     "feature": "No.",
-    "component": "component",
+    "component": "stream",
     "n_epochs": "epochs",
     "first": "first",
     "last": "last",
@@ -90,15 +89,13 @@ OF_SOURCE = (
 SPARK = (144, 34)
 
 
-def component_tables(components, core=()):
+def component_tables(components):
     """
     Return the columns of the two tables of components as text.
 
     Parameters
     ----------
     components : `~astropy.table.QTable`
-    core : sequence of int, optional
-        Numbers of those that are the core.
 
     Returns
     -------
@@ -111,12 +108,9 @@ def component_tables(components, core=()):
         name: _column(components, name)
         for name in dict.fromkeys([*COLUMNS, *components.colnames])
         if name in components.colnames and components[name].ndim == 1
-        if name not in ("caution",)
+        if name not in ("caution", "pm_limit")
         if name in COLUMNS or name.removesuffix("_err") not in COLUMNS
     }
-    if core:
-        number, kinds = components["component"], columns["kind"][-1]
-        kinds[:] = np.where(np.isin(number, core), "core (reference)", kinds)
     first = [*columns, "pm_parallel"].index("pm_parallel")
     columns = list(columns.values())
     return [columns[:first], columns[:1] + columns[first:]]
@@ -159,15 +153,6 @@ def scale_lines(of_scales):
             f"{speeds[1]} {unit_name(row['first_speed'].unit)}, p {row['p_value']:.2g}"
         )
     return lines
-
-
-def component_notes(components):
-    """Return what has to be known of each component that needs a note, as lines."""
-    return [
-        f"Component {row['component']}: {row['caution']}"
-        for row in components
-        if row["caution"] != "-"
-    ]
 
 
 def feature_rows(features, most=MOST):
@@ -244,7 +229,7 @@ def overview(table, parts, folder, published):
         for part in parts
     ]
     moving = [cells for cells in rows if cells["kind"] == "moving"]
-    speeds = [cells["speed"] for cells in moving]
+    speeds = [cells["speed"] for cells in moving if "speed" in cells]
     if speeds:
         middle, *ends = (f"{f(speeds):.2g}" for f in (np.median, np.min, np.max))
         speeds = f"{' to '.join(ends)} {unit_name(unit)}, median {middle}"
@@ -278,16 +263,18 @@ def _part_cells(part, row, unit, published, folder):
     if part.status != "measured":
         return cells
     cells["kind"], more["kind"] = row["kind"], row["caution"].removeprefix("-")
-    speed, error = (float(row[name].to_value(unit)) for name in ("pm", "pm_err"))
-    cells |= {"pm": with_error(speed, error), "speed": speed}
-    if published is not None and np.isfinite(error):
-        difference = (speed - known) / np.hypot(error, np.nan_to_num(known_error))
-        cells["difference"] = difference
-        more["published"] = f"{difference:+.1f} standard errors"
-    if "beta_app" in row.colnames:
-        beta = cell_text(row.table, "beta_app", row.index)
-        cells["beta_app"] = "" if beta == "-" else beta
     cells["n_features"] = str(row["n_features"])
+    # What has no feature has no speed.
+    if row["n_features"]:
+        speed, error = (float(row[name].to_value(unit)) for name in ("pm", "pm_err"))
+        cells |= {"pm": with_error(speed, error), "speed": speed}
+        if published is not None and np.isfinite(error + known):
+            difference = (speed - known) / np.hypot(error, np.nan_to_num(known_error))
+            cells["difference"] = difference
+            more["published"] = f"{difference:+.1f} standard errors"
+        if "beta_app" in row.colnames:
+            beta = cell_text(row.table, "beta_app", row.index)
+            cells["beta_app"] = "" if beta == "-" else beta
     for name in ("p_global", "p_fdr"):
         cells[name] = "-" if row["kind"] == "stationary" else f"{row[name]:.2g}"
     report = f"{part.folder}/report.html"

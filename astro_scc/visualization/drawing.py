@@ -36,6 +36,8 @@ class View:
         One or more images, which decide on the colours.
     zoom : bool, optional
         Show only the part with SSPs.
+    edge : float, optional
+        Share of the SSPs' weight that may lie beyond each side.
     unit : `~astropy.units.Unit`, optional
         Unit of the offsets.
     **colors
@@ -53,9 +55,9 @@ class View:
         Converts mas to the unit.
     """
 
-    def __init__(self, cube, ssps, image, *, zoom=True, unit=None, **colors):
+    def __init__(self, cube, ssps, image, *, zoom=True, edge=EDGE, unit=None, **colors):
         self.cube, self.points = cube, ssp_points(cube, ssps)
-        limits = image_limits(cube, self.points if zoom else None)
+        limits = image_limits(cube, self.points if zoom else None, edge)
         self.unit = offset_unit(np.ptp(limits, axis=1).max(), unit)
         self.factor = u.mas.to(self.unit)
         self.limits = limits * self.factor
@@ -63,7 +65,7 @@ class View:
         self.norm = plotting_norm(cube, image, **colors)
 
 
-def image_limits(cube, points=None):
+def image_limits(cube, points=None, edge=EDGE):
     """
     Return the range of offsets to show, shape (2, 2) in mas: east, then north.
 
@@ -77,10 +79,10 @@ def image_limits(cube, points=None):
     if points is None or points["place"].size == 0:
         return whole
     weights = {"weights": points["weight"], "method": "inverted_cdf"}
-    near = np.quantile(points["place"], [EDGE, 1 - EDGE], axis=1, **weights).T
+    near = np.quantile(points["place"], [edge, 1 - edge], axis=1, **weights).T
     margin = 12 * cube.pixel_scale.value
     if cube.beams is not None:
-        margin = max(margin, 1.5 * max(beam.major.value for beam in cube.beams))
+        margin = max(margin, 2.0 * max(beam.major.value for beam in cube.beams))
     near += [-margin, margin]
     # A narrow strip shows nothing, so the width is at least a third of the length.
     short = np.maximum(np.ptp(near, axis=1).max() / 3 - np.ptp(near, axis=1), 0)
@@ -256,11 +258,11 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     return figure, grid.flat[:n]
 
 
-def mean_image_panels(cube, ssps, n, *, figure, unit):
+def mean_image_panels(cube, ssps, n, *, figure, unit, **zoom):
     """Return a view, and a figure and its axes with the mean image in pale colours."""
     mean = cube.mean_image()
     image = np.ma.masked_array(mean.data, mean.mask)
-    view = View(cube, ssps, image, unit=unit)
+    view = View(cube, ssps, image, unit=unit, **zoom)
     figure, axes = image_panels(view, n, figure)
     common = cube.beams is not None and all(b == cube.beams[0] for b in cube.beams)
     for ax in axes:

@@ -11,11 +11,10 @@ from astropy.table import QTable
 from astropy.wcs import WCS
 
 from astro_scc.epochs.positions import sky_columns
-from astro_scc.quantities import with_error
 from astro_scc.stacking.dispersion import error_of_speed
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import diagram, drawing, style
-from astro_scc.visualization.velocity import MAP_LABELS, velocity_labels
+from astro_scc.visualization.velocity import MAP_LABELS, speed_text, velocity_labels
 from astro_scc.writing import replace_when_complete
 
 try:
@@ -35,7 +34,7 @@ except ImportError:
 PIXELS, FEATURES = 2_200_000, 1000
 #: Number of columns of the diagram, which is resampled to equal intervals.
 COLUMNS = 240
-#: Markers of the components in turn, so that colour is not all that tells them apart.
+#: Markers of the streams in turn, so that colour is not all that tells them apart.
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
 DASHES = {
     "moving": "solid",
@@ -78,6 +77,10 @@ def write_explore(path, components, features, hdus, *, cube=None, notes=()):
     OSError
         If the file cannot be written.
     """
+    # The core is the reference, and what stands still like it is of no stream.
+    core, features = components.meta.get("core", ()), features.copy()
+    features["component"][np.isin(features["component"], core)] = 0
+    components = components[~np.isin(components["component"], core)]
     page = Page(components, features, hdus, cube)
     document = page.document()
     name = hdus[0].header.get("OBJECT", "")
@@ -139,12 +142,12 @@ class Page:
     # -- data ----------------------------------------------------------------------
 
     def _look(self, numbers):
-        """Return columns for the look of what belongs to components."""
+        """Return columns for the look of what belongs to streams."""
         kinds = dict(zip(self.components["component"], self.kinds, strict=True))
         return {
             "color": [style.component_color(n) if n else style.GREY for n in numbers],
             "marker": [MARKERS[(n - 1) % len(MARKERS)] if n else "x" for n in numbers],
-            "label": [f"{n}: {kinds[n]}" if n else "of no component" for n in numbers],
+            "label": [f"{n}: {kinds[n]}" if n else "of no stream" for n in numbers],
         }
 
     def _feature_columns(self, points):
@@ -231,7 +234,7 @@ class Page:
         """Let a box select, and say what is under the pointer."""
         speed = f"@pm{{0.000}} ± @pm_err{{0.000}} {unit_name(self.pm_unit)}"
         tips = {
-            "feature": "@feature of component @component",
+            "feature": "@feature of stream @component",
             "seen": "@n_epochs times, @first to @last",
             "speed": speed,
             "secure": "@secure, p_false @p_false{0.00}",
@@ -275,13 +278,11 @@ class Page:
         return document
 
     def _choose(self, text):
-        """Return a button for each component, and the text on what is selected."""
+        """Return a button for each stream, and the text on what is selected."""
         everything = models.Button(label="all features")
         buttons = {everything: []}
         for row, kind, own in zip(self.components, self.kinds, self.rows, strict=True):
-            pm, error = (row[k].to_value(self.pm_unit) for k in ("pm", "pm_err"))
-            speed = with_error(pm, np.nan_to_num(error, posinf=0.0))
-            label = f"{row['component']}: {kind}, {speed} {unit_name(self.pm_unit)}"
+            label = f"{row['component']}: {speed_text(row, kind, self.pm_unit)}"
             buttons[models.Button(label=label, disabled=not own)] = own
         for button, own in buttons.items():
             args = {"selected": self.features.selected, "rows": own}
@@ -436,7 +437,7 @@ class Page:
         speed, length = unit_name(self.pm_unit), unit_name(self.length)
         shown = (
             ("feature", "feature", "0", 55),
-            ("component", "component", "0", 80),
+            ("component", "stream", "0", 80),
             ("n_epochs", "epochs", "0", 55),
             ("first", "first", None, 95),
             ("last", "last", None, 95),

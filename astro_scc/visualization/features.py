@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from astropy.table import QTable
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
     from astro_scc.measurement import SCCResult
 
@@ -29,20 +30,23 @@ LABEL = 30
 
 def plot_feature_speeds(
     result: SCCResult, *, profile: QTable | None = None,
-    beta_per_pm: float | None = None, ax: Axes | None = None,
+    beta_per_pm: float | None = None, component: ArrayLike | None = None,
+    ax: Axes | None = None,
 ) -> Figure:  # fmt: skip
     """
     Draw the radial speed of each feature against its separation from the core.
 
-    Features have the colours of their components; those that are not secure are pale.
+    Features have the colours of their streams; those that are not secure are pale.
 
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
     profile : `~astropy.table.QTable`, optional
-        Of `astro_scc.flow.feature_profile`: mean speeds in bins of distance.
+        Of `astro_scc.flow.feature_profile`: mean speeds in bins of core separation.
     beta_per_pm : float, optional
         Apparent speed in units of c of 1 mas/yr, for a second axis.
+    component : array_like of int, shape (n,), optional
+        Stream of each feature, 0 for none, by default that of ``result.features``.
     ax : `matplotlib.axes.Axes`, optional
         Drawn on these instead of a new figure.
 
@@ -68,6 +72,7 @@ def plot_feature_speeds(
     """
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
     table = result.features
+    component = table["component"] if component is None else component
     separation = table["separation"].to_value(u.mas)
     unit = offset_unit(separation.max(initial=1.0))
     speed, error = (table[k].value for k in ("pm_radial", "pm_radial_err"))
@@ -75,7 +80,7 @@ def plot_feature_speeds(
     if len(error):
         error = np.minimum(error, LARGE_ERROR * np.median(error))
     for k, place in enumerate(separation * u.mas.to(unit)):
-        look = feature_look(result.tracked_features, k, table["component"])
+        look = feature_look(result.tracked_features, k, component)
         look |= {"ms": 4, "lw": 0.8, "linestyle": "", "marker": "o"}
         ax.errorbar(place, speed[k], error[k], **look)
     if profile is not None and len(profile):

@@ -122,6 +122,9 @@ def plot_profile(
 
 def _draw_components(ax, table, column):
     """Draw the components by kind, those that do not represent their bin smaller."""
+    if "n_features" in table.colnames:
+        # What has no feature has no speed.
+        table = table[np.asarray(table["n_features"]) > 0]
     kinds = np.asarray(table["kind"], dtype=str)
     main = table["main"] if "main" in table.colnames else np.ones(len(table), bool)
     for kind, sign in style.KINDS.items():

@@ -31,6 +31,8 @@ HEIGHT = 9.5
 COLUMN = 3.46
 #: Figures of many panels, which need two columns.
 WIDE = ("epochs", "members")
+#: Label of features of no stream.
+NONE = "no stream"
 #: Dots per inch of a page.
 DPI = 150
 JOURNAL = {
@@ -55,7 +57,7 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "moving": Kind("+", "o", "o", "-", "component"),
+    "moving": Kind("+", "o", "o", "-", "moving"),
     "stationary": Kind("s", "s", "s", "--", "stationary"),
     "not confirmed": Kind("x", "x", "o", ":", "not confirmed"),
     "not significant": Kind("x", "x", "o", ":", "not significant"),
@@ -118,9 +120,35 @@ def figure_files(figures, *, pdf=False):
         for kind in ("png", "pdf") if pdf else ("png",):
             width = for_journal(2 if name in WIDE else 1)
             with width if kind == "pdf" else nullcontext(), BytesIO() as buffer:
-                plot().savefig(buffer, format=kind, dpi=DPI, metadata=metadata[kind])
+                figure = plot()
+                thin(figure)
+                figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata[kind])
                 files[f"{name}.{kind}"] = buffer.getvalue()
     return files
+
+
+def thin(figure):
+    """Draw lines and symbols of a narrow figure smaller."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.lines import Line2D
+
+    scale = min(_SCALE.get(), 1.0)
+    for ax in figure.axes if scale < 1 else ():
+        drawn = [*ax.lines, *ax.collections]
+        drawn += ax.get_legend().findobj() if ax.get_legend() else []
+        for artist in drawn:
+            if isinstance(artist, Line2D):
+                artist.set_markersize(scale * artist.get_markersize())
+            if isinstance(artist, Line2D | LineCollection):
+                artist.set_linewidth(scale * np.asarray(artist.get_linewidth()))
+        for text in ax.texts:
+            if arrow := getattr(text, "arrow_patch", None):
+                arrow.set_mutation_scale(scale * arrow.get_mutation_scale())
+
+
+def legend_columns(n):
+    """Return the number of columns of a legend: half of n in a narrow figure."""
+    return n if _SCALE.get() >= 1 else max(n // 2, 1)
 
 
 def scale_colors(scales):
@@ -132,12 +160,6 @@ def scale_colors(scales):
 def component_color(number):
     """Return the colour of the component with a number, from 1."""
     return SCALE_COLORS[(number - 1) % len(SCALE_COLORS)]
-
-
-def component_look(number, kind):
-    """Return the colour, the face and the label of the features of a component."""
-    face = {"mfc": "white"} if kind.startswith("not") else {}
-    return {"color": component_color(number), "label": f"{number}: {kind}", **face}
 
 
 def draw_bins(ax, table, column, unit, speeds, **look):
@@ -182,12 +204,17 @@ def date_axis(ax, cube, earliest=None, room=0.03):
 
 
 def legend_above(ax):
-    """Add a legend above axes, on the left, with each label that they have once."""
-    handles, labels = ax.get_legend_handles_labels()
-    if each := dict(zip(labels, handles, strict=True)):
+    """Add a legend above axes, on the left, with each label once, as it is darkest."""
+    pairs = zip(*ax.get_legend_handles_labels()[::-1], strict=True)
+    # The lines of an errorbar are in a container.
+    lines = ((text, [*k.get_children(), k][0], k) for text, k in pairs)
+    each = [(text, line.get_alpha() or 1.0, k) for text, line, k in lines]
+    each.sort(key=lambda k: (k[0] == NONE, *k[:2]))
+    if each := {text: handle for text, _, handle in each}:
         ax.legend(
-            each.values(), each.keys(), fontsize="small", frameon=False, ncols=3,
-            loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0,
+            each.values(), each.keys(), fontsize="small", frameon=False,
+            ncols=legend_columns(4), loc="lower left", bbox_to_anchor=(0, 1),
+            borderaxespad=0,
         )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import drawing, style
+from astro_scc.visualization.velocity import speed_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,8 +24,9 @@ if TYPE_CHECKING:
 #: How features are drawn that are secure, and that are not.
 STRONG = {"alpha": 1.0, "zorder": 3, "linestyle": "-"}
 PALE = {"alpha": 0.5, "zorder": 2, "linestyle": ":"}
-#: Of more features than these only the secure ones have numbers, and none its speed.
-CROWDED = 40
+#: Of more features than these only so many have numbers and ejections, those of most
+#: epochs, and none its speed.
+CROWDED, NAMED = 40, 20
 #: Where a number may stand: its alignment, and its shift in points.
 BESIDE = ("left", 4, 0), ("right", -4, 0), ("center", 0, 7), ("center", 0, -7)
 #: Ejections are shown so long before the first image, in spans of the images.
@@ -81,13 +83,18 @@ def plot_members(
     kinds = style.component_kinds(components)
     order = sorted(range(len(kinds)), key=lambda k: kinds[k].startswith("not"))
     panels = [(int(components["component"][k]), kinds[k]) for k in order[:max_panels]]
+    own = [result.members(number)["ssp"] for number, _ in panels]
+    # The core is seen, too: the most significant SSP.
+    core = result.ssps["snr"].argsort()[-1:]
+    own = np.unique(np.concatenate([core, *own]) if own else result.ssps["ssp"])
     view, figure, axes = drawing.mean_image_panels(
-        result.cube, result.ssps, max(len(panels), 1), figure=figure, unit=unit
-    )
+        result.cube, result.ssps[own], max(len(panels), 1), figure=figure, unit=unit,
+        edge=0.0 if panels else drawing.EDGE,
+    )  # fmt: skip
     for ax, (number, kind) in zip(axes, panels, strict=False):
         _draw_members(ax, view, result, number, kind)
     if not panels:
-        axes[0].set_title("no component")
+        axes[0].set_title(style.NONE)
     return figure
 
 
@@ -98,19 +105,20 @@ def _draw_members(ax, view, result, number, kind):
     member = member[np.argsort(d.target[member], kind="stable")]
     owner, first = np.unique(d.ssp[member], return_index=True)
     member = member[first]
-    axes = result.frame.matrix(*view.points["place"][:, owner])
+    place = drawing.sky_place(result.ssps[owner])
+    axes = result.frame.matrix(*place)
     # The matrix is orthogonal, so its transpose leads back to the sky.
     motion = np.stack([d.d1[member], d.d2[member]], axis=-1)
     motion = np.einsum("nai,na->in", axes, motion) * view.factor
-    strong = not kind.startswith("not")
     ax.quiver(
-        *view.place[:, owner], *motion, angles="xy",
+        *place * view.factor, *motion, angles="xy",
         scale_units="xy", scale=1, color=style.component_color(number),
         width=0.0035, headwidth=4, headlength=5, minlength=0.5, alpha=0.75,
     )  # fmt: skip
-    speed = result.components["pm"][number - 1]
-    text = f"{number}: {speed.value:.3g} {unit_name(speed.unit)}, {n_ssp} SSPs"
-    drawing.panel_text(ax, text + ("" if strong else f", {kind}"))
+    corner = drawing.empty_corners(view, ax.images[0].get_array())[1]
+    speed = speed_text(result.components[number - 1], kind, result.cube.speed_unit)
+    text = f"{number}: {speed}, {n_ssp} SSPs".replace("\n", " ")
+    drawing.panel_text(ax, text, corner)
 
 
 def plot_separation(
@@ -129,7 +137,7 @@ def plot_separation(
     ----------
     features : `~astro_scc.features.Features`
     component : array_like of int, shape (n,), optional
-        Velocity component of each, 0 for none, which gives its colour.
+        Stream of each, 0 for none, which gives its colour.
     beta_per_pm : float, optional
         Apparent speed in units of c of 1 mas/yr; with it, secure features have their
         speeds beside their numbers.
@@ -206,6 +214,9 @@ def plot_separation(
         lower.set_ylabel(f"Residual ({unit_name(unit)})")
         figure.align_ylabels()
     _write_numbers(ax, features, ends, beta_per_pm)
+    if lower is not None:
+        # The numbers stand where the axes are now, and a second layout takes time.
+        figure.set_layout_engine("none")
     return figure
 
 
@@ -213,12 +224,20 @@ def _ejections(features):
     """Return date and error of the ejections that are not long before the images."""
     years = features.cube.times.jyear
     earliest = years[0] - EARLIER * (years[-1] - years[0])
-    fwhm = features.detections.fwhm
-    dates = (motion.ejection(features.core_error, fwhm) for motion in features.motions)
-    secure = zip(features.secure, dates, strict=True)
+    fwhm, motions = features.detections.fwhm, features.motions
+    secure = [k for k in _named(features) if features.secure[k]]
+    dates = {k: motions[k].ejection(features.core_error, fwhm) for k in secure}
     # What is not known compares as false.
-    return {k: own for k, (known, own) in enumerate(secure)
-            if known and own[0] >= earliest}  # fmt: skip
+    return {k: own for k, own in dates.items() if own[0] >= earliest}
+
+
+def _named(features):
+    """Return the features with numbers, first the secure ones and of most epochs."""
+    n = [len(track) for track in features.tracks]
+    order = sorted(range(len(n)), key=lambda k: (~features.secure[k], -n[k]))
+    if len(order) <= CROWDED:
+        return order
+    return [k for k in order[:NAMED] if features.secure[k]]
 
 
 def _draw_published(ax, published, cube, place):
@@ -247,26 +266,21 @@ def feature_look(features, number, component=None):
         return {"color": style.component_color(number + 1), **look}
     own = int(component[number])
     color = style.component_color(own) if own else style.BLACK
-    return {"color": color, "label": f"component {own}" if own else "none", **look}
+    return {"color": color, "label": f"stream {own}" if own else style.NONE, **look}
 
 
 def _write_numbers(ax, features, ends, beta_per_pm=None):
     """
     Write the numbers of features beside places, given with colours.
 
-    If the speed in units of c of 1 mas/yr is known, secure features have theirs.
-
-    Secure features and those seen in most epochs come first; a number that would cover
-    another one is left out.
+    If the speed in units of c of 1 mas/yr is known, secure features have theirs.  A
+    number that would cover another one is left out.
     """
     # Numbers need the final place of the axes; nothing need be drawn for that.
     if engine := ax.get_figure().get_layout_engine():
         engine.execute(ax.get_figure())
     frame, taken = ax.get_window_extent(), []
-    shown = [k for k in range(len(ends)) if features.secure[k] or len(ends) <= CROWDED]
-    for k in sorted(
-        shown, key=lambda k: (~features.secure[k], -len(features.tracks[k]))
-    ):
+    for k in _named(features):
         place, color = ends[k]
         name = f"{features.number[k]}"
         if beta_per_pm and features.secure[k] and len(ends) <= CROWDED:
@@ -305,7 +319,7 @@ def plot_tracks(
     ----------
     features : `~astro_scc.features.Features`
     component : array_like of int, shape (n,), optional
-        Velocity component of each, 0 for none, which gives its colour.
+        Stream of each, 0 for none, which gives its colour.
     published : `~astropy.table.QTable`, optional
         Features to compare with, in grey, see `plot_separation`.
     figure : `matplotlib.figure.Figure`, optional
@@ -331,13 +345,13 @@ def plot_tracks(
     >>> len(plot_tracks(features).axes)
     1
     """
-    d = features.detections
+    d, own = features.detections, figure is None
     east, north = np.concatenate([d.place, features.core.place]).T * u.mas
     n = len(east)
     points = QTable({"east": east, "north": north, "epoch": np.zeros(n, dtype=int),
                      "scale": np.ones(n), "snr": np.ones(n)})  # fmt: skip
     view, figure, (ax,) = drawing.mean_image_panels(
-        features.cube, points, 1, figure=figure, unit=unit
+        features.cube, points, 1, figure=figure, unit=unit, edge=0.0
     )
     drawing.draw_contours(ax, view)
     if published is not None:
@@ -358,4 +372,6 @@ def plot_tracks(
         last.append((place[:, -1], look["color"]))
     style.legend_above(ax)
     _write_numbers(ax, features, last)
+    if own:
+        figure.set_layout_engine("none")
     return figure

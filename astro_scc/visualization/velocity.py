@@ -28,7 +28,7 @@ AXIS_LABELS = {
 }
 MAP_LABELS = {
     "coefficient": "Stacked correlation coefficient",
-    "z_score": "Significance z",
+    "z_score": "z-score",
 }
 #: Corners for the legend (the first preferred) and for the arrow (the second).
 CORNERS = {"upper right": (1, 1), "lower left": (0, 0)}
@@ -264,7 +264,8 @@ def plot_significance(
         label = f"Proper motion along position angle {angle:.0f} deg"
         label = f"{label} ({unit_name(unit)})"
     ax.set(xlabel=label, ylabel=MAP_LABELS["z_score"])
-    ax.legend(loc="upper left", fontsize="small", ncols=2, frameon=False)
+    columns = style.legend_columns(2)
+    ax.legend(loc="upper left", fontsize="small", ncols=columns, frameon=False)
     style.add_speed_axis(ax, unit, beta_per_pm)
     return figure
 
@@ -360,7 +361,9 @@ def _mark_significance(ax, result, components, unit):
 
 
 def speed_text(row, kind, unit):
-    """Return the speed of a component, its kind, or both as text."""
+    """Return the speed of a stream, its kind, or both as text."""
+    if not row["n_features"]:
+        return kind
     error = np.nan_to_num(row["pm_err"].to_value(unit), posinf=0.0)
     text = f"{with_error(row['pm'].to_value(unit), error)} {unit_name(unit)}"
     return {"moving": text, "stationary": kind}.get(kind, f"{text},\n{kind}")

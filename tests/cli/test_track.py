@@ -11,9 +11,10 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.cli import main
-from astro_scc.cli.summary import feature_lines, plus_minus
+from astro_scc.cli.summary import feature_lines
 from astro_scc.cli.track import PRODUCTS
 from astro_scc.features import find_features
+from astro_scc.measurement.tables import cell_text
 from astro_scc.simulation import simulate_jet, simulate_static, write_simulation
 
 
@@ -47,7 +48,10 @@ def test_all_products_are_written(astro_scc, jet, tmp_path):
     assert f"{len(features)} features, {len(secure)} of them secure" in out
     row = secure[0]
     line = next(x for x in out.splitlines() if x.startswith(f"{row['feature']} "))
-    for word in (row["first"].isot[:10], plus_minus(row, "beta_app")):
+    for word in (
+        row["first"].isot[:10],
+        cell_text(row.table, "beta_app", row.index, "+-"),
+    ):
         assert word in line
     assert set(positions["feature"]) == set(features["feature"])
     assert len(positions) == np.sum(features["n_epochs"])

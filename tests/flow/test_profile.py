@@ -177,7 +177,7 @@ def test_acceleration_of_what_is_not_there(accelerated):
     (row,) = np.flatnonzero(result.components["kind"] == "stationary")
     still = measure_acceleration(result, row)
     assert np.isnan(still.p_value)
-    assert "of which four are needed" in str(still)
+    assert "unknown, as four features are needed" in str(still)
     with pytest.raises(ValueError, match=f"row must be from 0 to {row}, got 9"):
         measure_acceleration(result, 9)
 

@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from astro_scc.measurement.tables import paper_table
+from astro_scc.measurement.tables import paper_table, printed
 
 
 class Page(HTMLParser):
@@ -35,7 +35,7 @@ def test_components(sky_result):
     html = sky_result._repr_html_()
     page = Page(html)
     assert not page.open
-    table = paper_table(sky_result.components)
+    table = paper_table(printed(sky_result.components))
     assert len(page.cells) == len(table.colnames) * len(table)
     assert page.cells[0] == "1"
     assert table["pm"][0] in page.cells
@@ -67,7 +67,7 @@ def test_text_is_escaped(sky_result):
 
 def test_without_components(sky_result):
     empty = replace(sky_result, maxima=(), velocities=(), jitters=())
-    assert "no component, 8 epochs>" in repr(empty)
+    assert "no stream, 8 epochs>" in repr(empty)
     html = empty._repr_html_()
-    assert "no component" in html
+    assert "no stream" in html
     assert "<table" not in html

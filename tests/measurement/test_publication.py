@@ -34,6 +34,7 @@ def printed(sky_result):
         own = table if name == "positions" else table_in_c_as(table, components)
         made[name] = own.copy()
         made[name].meta = meta
+    assert meta["core"] == [2]
     return made
 
 
@@ -66,6 +67,8 @@ def read(folder, name, form):
 @pytest.mark.parametrize("name", NAMES)
 def test_archives_read_the_numbers(folder, printed, name, form):
     found, table = read(folder, name, form), printed[name]
+    # The core is the reference, and in no paper.
+    table = tables.printed(table) if name == "components" else table
     assert len(found) == len(table)
     assert len(found.colnames) == len(table.colnames)
     for own, column in zip(found.colnames, table.colnames, strict=True):
@@ -205,9 +208,11 @@ def test_latex_of_both_journals(printed, journal, rows):
     assert r"(\mathrm{mas\,yr^{-1}}" in text.replace("$", "")
     body = [line for line in text.splitlines() if re.match(r"\d+ & (mov|stat)", line)]
     assert len(body) == rows
-    columns_of = {line.count("&") for line in body}
     (align,) = set(re.findall(r"\{(l{3,})\}", text))
-    assert columns_of == {len(align) - 1}
+    lines = [line for line in text.splitlines() if " & " in line]
+    assert {len(re.findall(r"(?<!\\)&", line)) for line in lines} == {len(align) - 1}
+    outside = re.sub(r"\$.*?\$|\\label\{.*?\}|^%.*", "", text, flags=re.MULTILINE)
+    assert not re.search(r"(?<!\\)[_^#]", outside)
     for line, row in zip(body, table, strict=True):
         value, error = map(float, re.search(r"\$(\S+) \\pm (\S+)\$", line).groups())
         assert value == pytest.approx(row["pm"].value, abs=0.06 * row["pm_err"].value)
@@ -217,6 +222,22 @@ def test_latex_of_both_journals(printed, journal, rows):
             assert r"\nodata" in line
     if journal == "aa":
         assert r"\providecommand{\nodata}" in text
+
+
+def test_without_features_there_is_no_speed_in_print(printed, tmp_path):
+    table = printed["components"].copy()
+    table["n_features"][0] = 0
+    write_publication({"components": table}, tmp_path)
+    for journal in ("aastex", "aa"):
+        text = (tmp_path / "publication" / f"components_{journal}.tex").read_text()
+        (row,) = (line for line in text.splitlines() if line.startswith("1 & moving"))
+        heads = next(line for line in text.splitlines() if "beta" in line).split("&")
+        cells = dict(zip(heads, row.split(" & "), strict=True))
+        blank = [cells[k] for k in heads if "mu" in k or "beta" in k]
+        assert len(blank) == 4
+        assert set(blank) == {r"\nodata"}
+        # The core is the reference.
+        assert "& stationary" not in text
 
 
 def test_the_main_columns_come_first(sky_result):

@@ -318,7 +318,7 @@ def scc_of_two(matched):
 
 def test_there_is_no_component_zero(sky_result):
     for number in (0, -1, len(sky_result.components) + 1):
-        with pytest.raises(ValueError, match=f"no component {number}: there are"):
+        with pytest.raises(ValueError, match=f"no stream {number}: there are"):
             sky_result.members(number)
 
 

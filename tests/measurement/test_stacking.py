@@ -61,7 +61,7 @@ def test_the_probability_is_that_of_the_velocity_that_is_quoted(stacked):
 
 def test_another_alpha_is_another_kind_of_the_same_numbers(sky_result, stacked):
     smallest = sky_result.components["p_global"][0]
-    with pytest.warns(MeasurementWarning, match="no component can reach level 0.01"):
+    with pytest.warns(MeasurementWarning, match="no stream can reach level 0.01"):
         strict = stacked(alpha=0.01).components
     one, other = strict[0], sky_result.components[0]
     assert one["kind"] == "not significant"
@@ -156,7 +156,7 @@ def test_few_epochs_are_warned_of(still):
 def test_few_trials_are_warned_of(matched):
     with pytest.warns(
         MeasurementWarning,
-        match=r"^10 trials allow no p_global below 0\.091, so no component can reach "
+        match=r"^10 trials allow no p_global below 0\.091, so no stream can reach "
         "level 0.05: give n_trials of 20 or more$",
     ):
         found = scc().stack(matched, n_trials=10, rng=1)

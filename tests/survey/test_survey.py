@@ -203,18 +203,25 @@ def test_the_overview_counts_sources(tmp_path):
         ("D", "all", "empty", ""),
         ("E", "all", "failed", ""),
         ("F", "all", "failed", ""),
+        ("G", "all", "measured", "not confirmed"),
     ]
     table, parts = small_table(rows)
-    known = dict.fromkeys("BCDEF") | {"A": [1.9] * u.mas / u.yr}
+    table["n_features"][-1], table["pm"][-1] = 0, 7 * u.mas / u.yr
+    known = dict.fromkeys("BCDEFG", [np.nan] * u.mas / u.yr) | {
+        "A": [1.9] * u.mas / u.yr
+    }
     path = write_overview(table, parts, tmp_path, published=known)
     page = path.read_text(encoding="utf-8")
     assert (
-        "Of 6 sources, 1 moves, 1 shows no significant motion, 1 is stationary, "
-        "1 has nothing to test and 2 failed." in page
+        "Of 7 sources, 1 moves, 1 has motion that is not confirmed, 1 shows no motion "
+        "(p above alpha), 1 is stationary, 1 has nothing to test and 2 failed." in page
     )
     assert "those that move: 2 to 2 mas/yr, median 2." in page
     assert "of the published one: 1 of 1." in page
     assert '"published">1.9</span><span class="more">+1.0 standard errors' in page
+    # Without features there is no speed, and no difference from a published one.
+    assert ">7.0" not in page
+    assert "nan standard errors" not in page
 
 
 def features(folder, component, pm, pm_err):

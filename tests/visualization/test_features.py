@@ -32,7 +32,7 @@ def test_speeds_are_radial(result):
     np.testing.assert_allclose(shown[:, 1], table["pm_radial"].to_value(PM_UNIT))
     labels = labels_of(ax)
     assert len(set(labels)) == len(labels)
-    assert labels[-1] == "mean of bin"
+    assert labels[0] == "mean of bin"
 
 
 @pytest.mark.parametrize("plot", [plot_separation, plot_tracks])
@@ -40,7 +40,7 @@ def test_colours_are_of_the_components(plot, result, monkeypatch):
     tracked = result.tracked_features
     component = np.arange(len(tracked)) % 3
     ax = plot(tracked, component=component).axes[0]
-    assert sorted(labels_of(ax)) == ["component 1", "component 2", "none"]
+    assert sorted(labels_of(ax)) == ["no stream", "stream 1", "stream 2"]
     colors = style.BLACK, style.component_color(1), style.component_color(2)
     lines = [line for line in ax.lines if line.get_marker() == "o"]
     shown = [to_hex(line.get_color()).upper() for line in lines]

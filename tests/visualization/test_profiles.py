@@ -51,7 +51,7 @@ def test_components_fits_and_others_have_names(table, cube):
     strip, ax = figure.axes
     assert strip.images
     labels = {text.get_text() for text in ax.get_legend().get_texts()}
-    wanted = {"component", "not significant", "stationary", "constant", "MOJAVE"}
+    wanted = {"moving", "not significant", "stationary", "constant", "MOJAVE"}
     assert labels == wanted
     # The farthest is that of others; the large error does not squeeze the rest.
     assert ax.get_xlim()[1] == pytest.approx(1.02 * 4)
@@ -67,6 +67,13 @@ def test_only_what_is_not_significant_has_open_symbols(table):
     # Those that do not represent their bin are smaller.
     assert [line.get_markersize() for line in dots] == [5, 3]
     assert {line.get_alpha() for line in dots} == {None}
+
+
+def test_without_features_there_is_no_speed(table):
+    table["n_features"] = [0, 2, 1]
+    (ax,) = plot_profile(table).axes
+    labels = {text.get_text() for text in ax.get_legend().get_texts()}
+    assert labels == {"not significant", "stationary"}
 
 
 def test_images_without_beams_have_a_strip(table, cube):

@@ -84,6 +84,51 @@ def test_paths_are_those_of_the_positions(features):
     own.draw_without_rendering()
 
 
+def test_paths_and_numbers_are_within_the_frame(features):
+    figure = plot_tracks(features, unit=u.mas)
+    (ax,) = figure.axes
+    figure.draw_without_rendering()
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    x, y = dots(ax).T
+    assert np.all((x < left) & (x > right) & (y > bottom) & (y < top))
+    frame = ax.get_window_extent()
+    for text in (text for text in ax.texts if text.get_text()):
+        box = text.get_window_extent()
+        assert frame.x0 < box.x0 < box.x1 < frame.x1
+
+
+@pytest.mark.parametrize("plot", [plot_separation, plot_tracks])
+def test_of_many_features_those_of_most_epochs_have_numbers(
+    features, monkeypatch, plot
+):
+    for name in ("CROWDED", "NAMED"):
+        monkeypatch.setattr(f"astro_scc.visualization.tracks.{name}", 2)
+    n = np.array([len(track) for track in features.tracks]) * features.secure
+    longest = features.number[np.argsort(-n, kind="stable")[:2]]
+    said = {text.get_text() for text in plot(features).axes[0].texts} - {""}
+    assert said == {str(number) for number in longest}
+
+
+def test_a_legend_has_each_stream_as_its_secure_features(features):
+    component = np.where(np.arange(len(features)) < 2, 1, 0)
+    legend = plot_tracks(features, component=component).axes[0].get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == ["stream 1", "no stream"]
+    # The second feature is pale.
+    assert {line.get_alpha() for line in legend.get_lines()} == {1.0}
+
+
+def test_a_narrow_figure_has_thin_lines(features):
+    def sizes(figure):
+        line = next(k for k in figure.axes[0].lines if k.get_marker() == "o")
+        return np.array([line.get_markersize(), line.get_linewidth()])
+
+    wide = sizes(plot_tracks(features))
+    with style.for_journal():
+        figure = plot_tracks(features)
+        style.thin(figure)
+    assert sizes(figure) == pytest.approx(wide * style.COLUMN / style.WIDTH)
+
+
 @pytest.mark.parametrize("plot", [plot_separation, plot_tracks])
 def test_nothing_is_drawn_of_nothing(features, plot):
     nothing = features.detections.select(np.zeros(len(features.detections), bool))
