@@ -5,9 +5,17 @@ import math
 import operator
 import re
 import warnings
+from datetime import datetime
 
 #: Number of the largest scale, far above that of any image.
 LARGEST_SCALE = 20
+_ISO = re.compile(
+    r"(\d{4})[-/. ]?(\d{1,2}|[A-Z]{3})[-/. ]?(\d{1,2})(?:[T ]+([\d:.]+))?$"
+)
+_OLD = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{2}|\d{4})$")
+_DECIMAL_YEAR = re.compile(r"\d{4}\.(\d{2,3}|\d{5,})$")
+#: Two-digit years below this are 20xx, as in the headers of digital images.
+_CENTURY = 50
 #: Regular expression of a number.
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 
@@ -192,6 +200,64 @@ def named(name, parse, value, *more):
         raise type(error)(f"{name} {text} {error}") from None
 
 
+def parse_date(text, scale="utc"):
+    """
+    Return the Time of a date in a header, a table or an option.
+
+    The date may be ``2006-03-09``, with a time of day of any precision and a
+    trailing ``Z``, ``2006/03/09``, ``2006_03_09``, ``20060309``, ``2006 Mar 09``,
+    the old ``21/03/95`` (day, month, year), or a decimal year, ``2006.185``.
+
+    Parameters
+    ----------
+    text : str
+    scale : str, optional
+        Time scale.
+
+    Returns
+    -------
+    `~astropy.time.Time`
+
+    Raises
+    ------
+    ValueError
+        If the text is not a date.
+    """
+    from astropy.time import Time
+
+    plain = re.sub(r"(Z|\+00:?00| ?UTC?)$", "", str(text).strip().upper())
+    plain, clock = plain.strip().replace("_", "-"), None
+    # ERFA warns of years whose leap seconds are unknown.
+    with warnings.catch_warnings(action="ignore"):
+        try:
+            if _DECIMAL_YEAR.match(plain):
+                time = Time(float(plain), format="decimalyear", scale=scale)
+                return Time(time, format="isot")
+            if match := _OLD.match(plain):
+                day, month, year = match.groups()
+                if len(year) == 2:
+                    year = f"{20 if int(year) < _CENTURY else 19}{year}"
+            elif match := _ISO.match(plain):
+                year, month, day, clock = match.groups()
+                if month.isalpha():
+                    month = datetime.strptime(month, "%b").month
+                if clock and ":" not in clock:
+                    clock += ":00"
+            else:
+                raise ValueError
+            iso = f"{year}-{int(month):02d}-{int(day):02d}T{clock or '00:00:00'}"
+            return Time(iso, format="isot", scale=scale)
+        except ValueError:
+            raise ValueError(f"{text!r} is no date; write it as 2006-03-09") from None
+
+
+def without_doubt(times):
+    """Return dates, in atomic time if leap seconds are unknown, as every use warns."""
+    with warnings.catch_warnings(record=True, action="always") as dubious:
+        atomic = times.tai
+    return atomic if dubious else times
+
+
 def to_time(text):
     """
     Return the date that a text gives.
@@ -199,8 +265,8 @@ def to_time(text):
     Parameters
     ----------
     text : str
-        Such as 2011-01-01, with or without a time of day, or a decimal
-        year, 2011.5.
+        Such as 2011-01-01, with or without a time of day, or in any form of
+        `parse_date`; or a Julian year, 2011.5.
 
     Returns
     -------
@@ -219,19 +285,13 @@ def to_time(text):
     """
     from astropy.time import Time
 
-    with warnings.catch_warnings(record=True) as dubious:
-        # ERFA warns of years whose leap seconds are unknown; in atomic time such
-        # dates can be compared.
-        warnings.simplefilter("always")
-        try:
-            if re.fullmatch(r"\d{4}(\.\d*)?", text.strip()):
-                time = Time(float(text), format="jyear", scale="utc")
-            else:
-                time = Time(text.strip(), scale="utc")
-        except ValueError:
-            raise ValueError("is no date such as 2011-01-01") from None
-        atomic = time.tai
-    return atomic if dubious else time
+    if re.fullmatch(r"\d{4}(\.\d*)?", text.strip()):
+        with warnings.catch_warnings(action="ignore"):
+            return without_doubt(Time(float(text), format="jyear", scale="utc"))
+    try:
+        return without_doubt(parse_date(text))
+    except ValueError:
+        raise ValueError("is no date such as 2011-01-01") from None
 
 
 def with_error(value, error, sign="\N{PLUS-MINUS SIGN}"):

@@ -13,7 +13,7 @@ from astropy.table import QTable
 
 from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.correlation.parallel import workers_of
-from astro_scc.decomposition import Decomposer
+from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.beam import require_common_beam
@@ -295,8 +295,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         cache : path, optional
             FITS file or folder in which matches are kept.  Matches of the same
             images, settings and versions are read instead of computed, others
-            are ignored.  After an interruption the next call continues with
-            what is finished.
+            are ignored.
         progress_bar : bool, optional
             Show the progress on standard error.
 
@@ -310,8 +309,6 @@ class StackedCrossCorrelation(MeasurementSettings):
             If ``cube`` is no cube.
         ValueError
             If the beams of the epochs differ, unless ``common_beam`` is False.
-        MemoryError
-            If the estimated memory of the work exceeds that of this machine.
 
         Warns
         -----
@@ -335,30 +332,28 @@ class StackedCrossCorrelation(MeasurementSettings):
         provenance = match_files.match_provenance(
             cube, decomposer, correlator, reach, inside
         )
+        matched = None
         if cache is not None:
-            cache = match_files.MatchCache(cache, provenance)
-            if (matched := cache.load(cube)) is not None:
-                plan.warn_of_none_inside(matched.ssps, matched.select, region)
-                return matched
-        with workers_of(n_workers) as workers:
-            decomposing.refuse_too_much(cube, decomposer, workers)
-            decompositions = decomposing.decompose_epochs(
-                cube, decomposer, n_workers=workers, progress_bar=progress_bar
-            )
-            ssps, select = decomposing.ssps_inside(decompositions, cube, inside)
-            windows = int(select.sum()) * (len(cube) - 1)
-            decomposing.refuse_too_much(cube, decomposer, workers, n_windows=windows)
-            with progress(len(cube), "Correlating", show=progress_bar) as done:
-                work = decompositions, all_pairs(len(cube)), reach
-                how = {"n_workers": workers, "progress": done, "done": cache}
-                matches = correlator(*work, select=select, **how)
-        provenance["selected"] = match_files.selection_digest(select)
-        # Stacks need no planes, which are larger than everything else.
-        matched = MatchedEpochs(
-            cube, decomposer, ssps, select, matches, provenance, inside
-        )
-        if cache is not None:
-            cache.store(matched)
+            cache = match_files.cache_file(cache, provenance)
+            matched = match_files.kept_matches(cache, cube, provenance)
+        if matched is None:
+            with workers_of(n_workers) as workers:
+                decompositions = decomposing.decompose_epochs(
+                    cube, decomposer, n_workers=workers, progress_bar=progress_bar
+                )
+                ssps = SSPs.of_epochs(decompositions)
+                select = decomposing.centroids_inside(ssps, cube, inside)
+                with progress(len(cube), "Correlating", show=progress_bar) as done:
+                    work = decompositions, all_pairs(len(cube)), reach
+                    how = {"n_workers": workers, "progress": done}
+                    matches = correlator(*work, select=select, **how)
+            provenance["selected"] = match_files.selection_digest(select)
+            # Stacks need no planes, which are larger than everything else.
+            of = cube, decomposer, ssps, select, matches, provenance, inside
+            matched = MatchedEpochs(*of)
+            if cache is not None:
+                cache.parent.mkdir(parents=True, exist_ok=True)
+                matched.write(cache, overwrite=True)
         plan.warn_of_none_inside(matched.ssps, matched.select, region)
         return matched
 

@@ -53,7 +53,7 @@ KNOWN = (
 KINDS = "restored", "cleaned"
 STATIC = ("flux", "comb", "ripple", "align1", "align2", "red")
 MOVING = ("single-20", "epochs8-20", "features4-20", "features16-20", "two-streams",
-          "lognormal-8", "vlba", "two-fluid-dense")  # fmt: skip
+          "lognormal-8", "vlba", "two-fluid-dense-whole")  # fmt: skip
 FIRST_SEED = 40_000
 #: Folds of the cross-validation, and bins of probability.
 FOLDS, BINS = 5, (0, 0.1, 0.2, 0.3, 0.5, 1)

@@ -32,10 +32,8 @@ from shells import two_rates
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.features import fit_motion
 from astro_scc.flow import (
-    compare_positions,
     compare_speeds,
     fit_profile,
-    lorentz_profile,
     measure_acceleration,
     measure_profile,
     scale_groups,
@@ -45,7 +43,6 @@ from astro_scc.measurement import select_ssps
 from astro_scc.stacking import random_effects
 
 SOURCE = {source.name: source for source in SOURCES}
-VIEWING_ANGLE = 15 * u.deg
 #: Fewest epochs, error of a position and width of the beam of the survey's features,
 #: both in mas.
 LEAST_EPOCHS, POSITION_ERROR, BEAM_FWHM = 3, 0.1, 0.8
@@ -154,22 +151,6 @@ def acceleration_of_3c120(args):
             rows.append([f"stack, {what}", model, text,
                          f"{fit.chi2:.1f} / {fit.n_free}",
                          p_text(fit.p_constant)])  # fmt: skip
-        gamma = lorentz_profile(
-            r, k * v.value, k * np.asarray(e.value), VIEWING_ANGLE,
-            angle_error=1 * u.deg, rng=1,
-        )  # fmt: skip
-        rows.append([f"stack, {what}", "Gamma = a z^k",
-                     f"k {measured(gamma.k, gamma.k_err)}, possible "
-                     f"{gamma.possible:.2f}", "", ""])  # fmt: skip
-    use = (n > 0) & (radii < 7.6)
-    gamma = lorentz_profile(
-        radii[use] * u.mas, k * speed[use], k * np.maximum(error[use], 0.05),
-        VIEWING_ANGLE, angle_error=1 * u.deg, rng=1,
-    )  # fmt: skip
-    rows.append(["features, 1 to 7", "Gamma = a z^k",
-                 f"k {measured(gamma.k, gamma.k_err)}, possible {gamma.possible:.2f}",
-                 "", ""])  # fmt: skip
-    rows.append(["paper", "Gamma = a z^k", "k ~ 0.3", "", ""])
     header = ["speeds", "model", "parameters (mas, yr)", "chi2 / free",
               "p of a constant"]  # fmt: skip
     write_table("profile_3c120_fits", header, rows)
@@ -261,7 +242,7 @@ def figure_along(profile, matched, position_angle, k, **kwargs):
 
 
 def streams_of_3c273(args):
-    """Compare the speeds and positions of small and large scales in 3C 273."""
+    """Compare the speeds of small and large scales in 3C 273."""
     source = SOURCE["3C 273"]
     k = source.per_c
     cube = mojave_images(
@@ -270,10 +251,9 @@ def streams_of_3c273(args):
     scc = settings(source)
     matched = scc.match(cube)
     groups = scale_groups(matched, {"1, 2": [1, 2], "3, 4": [3, 4]})
-    rows, places = [], []
+    rows = []
     for low, high in ((1, 6), (6, 11), (11, 16), (1, 16)):
-        limits = {"r_min": low * u.mas, "r_max": high * u.mas}
-        part = select_ssps(matched, **limits)
+        part = select_ssps(matched, r_min=low * u.mas, r_max=high * u.mas)
         result = scc.stack(part, n_trials=200, rng=args.seed)
         (row,) = compare_speeds(result, groups)
         cells = [
@@ -287,27 +267,13 @@ def streams_of_3c273(args):
         ]
         rows.append([f"{low} to {high}", *cells, p_text(row["p_value"]),
                      "about 7.5 and 9 c"])  # fmt: skip
-        table = compare_positions(
-            scc, matched, groups, **limits, speed=0.85 * PM_UNIT, n_trials=200,
-            rng=args.seed,
-        )  # fmt: skip
-        for r in table:
-            places.append([
-                f"{low} to {high}", r["quantity"], r["unit"],
-                measured(r["first_median"], r["first_spread"]),
-                measured(r["second_median"], r["second_spread"]),
-                p_text(r["p_ksamp"]), p_text(r["p_paired"]),
-            ])  # fmt: skip
     header = ["distance (mas)", "scales 1, 2 (c)", "scales 3, 4 (c)", "difference (c)",
               "p", "paper"]  # fmt: skip
     write_table("stratification_3c273", header, rows)
-    header = ["distance (mas)", "quantity", "unit", "scales 1, 2: median ± spread",
-              "scales 3, 4", "p, Anderson-Darling", "p, paired"]  # fmt: skip
-    write_table("stratification_3c273_places", header, places)
-    from astro_scc.flow.groups import ssp_places
+    from astro_scc.flow.profile import ssp_angles
     from astro_scc.visualization.profiles import plot_position_angles
 
-    angle, _, _ = ssp_places(scc, matched)
+    angle = ssp_angles(matched, scc.position_angle)
     inner = select_ssps(matched, r_min=1 * u.mas, r_max=6 * u.mas).select
     figure = plot_position_angles(
         {f"scales {name}": angle[inner & g] for name, g in groups.items()}

@@ -2,11 +2,10 @@
 """
 Measure the share of injected motion that is found in simulated and in real images.
 
-    python benchmarks/recovery.py ../shared/data [--parts simulated real plan]
+    python benchmarks/recovery.py ../shared/data [--parts simulated real]
 
-``simulated`` injects a second stream into a simulated jet that has one, ``real``
-injects features into ten epochs of the quasar 0003+380, and ``plan`` finds how many
-epochs a jet of two speeds needs.
+``simulated`` injects a second stream into a simulated jet that has one, and ``real``
+injects features into ten epochs of the quasar 0003+380.
 """
 
 import argparse
@@ -19,13 +18,11 @@ from common import PM_UNIT, write_table
 from real_images import MAX_SPEED, POSITION_ANGLE, SCALES, SOURCE, read
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.recovery import completeness, plan
+from astro_scc.recovery import completeness
 from astro_scc.simulation import JetSimulation, Stream
 
 HEADER = ["speed (mas/yr)", "peak / noise", "found", "of", "fraction", "95% interval",
           "bias", "scatter", "coverage"]  # fmt: skip
-PLAN_HEADER = ["epochs", "interval", "total", "slow, fast (beams)", "limit",
-               "jets", "slow found", "fast found", "both", "95% interval"]  # fmt: skip
 #: Half the width of the jet of 0003+380, and the range of distances used, in mas.
 HALF_WIDTH, NEAREST, FARTHEST = 1.0, 1.0, 6.0
 
@@ -36,7 +33,6 @@ def main():
     parser.add_argument("folder", type=Path, help="of all test data")
     parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=list(PARTS))
     parser.add_argument("--n-injections", type=int, default=10)
-    parser.add_argument("--n-jets", type=int, default=6)
     parser.add_argument("--n-trials", type=int, default=100)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seed", type=int, default=1)
@@ -84,36 +80,7 @@ def real(args):
     report("recovery_real", table)
 
 
-def campaigns(args):
-    """Find the epochs that distinguish 0.3 from 1.2 mas/yr with a beam of 0.8 mas."""
-    table = plan(
-        speeds=[0.3, 1.2] * PM_UNIT, beam=0.8 * u.mas, n_epochs=[4, 6, 10],
-        intervals=[1, 6, 12] * u.yr / 12, wanted=0.8, n_jets=args.n_jets,
-        n_trials=args.n_trials, rng=args.seed, n_workers=args.workers,
-    )  # fmt: skip
-    rows = []
-    for row in table:
-        done = row["n_jets"] > 0
-        shares = [f"{row[f'fraction_{name}']:.2f}" if done else ""
-                  for name in ("slow", "fast", "both")]  # fmt: skip
-        limits = row["fraction_both_low"], row["fraction_both_high"]
-        rows.append(
-            [
-                row["n_epochs"],
-                f"{row['interval'].value * 12:.0f} months",
-                f"{row['total_time'].value:.1f} yr",
-                f"{row['motion_slow']:.2f}, {row['motion_fast']:.2f}",
-                row["limit"],
-                row["n_jets"],
-                *shares,
-                interval(*limits) if done else "",
-            ]
-        )
-    write_table("recovery_plan", PLAN_HEADER, rows)
-    print("smallest with both in 0.8 of jets:", table.meta["smallest"])
-
-
-PARTS = {"simulated": simulated, "real": real, "plan": campaigns}
+PARTS = {"simulated": simulated, "real": real}
 
 
 def common(args):

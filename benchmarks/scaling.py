@@ -9,7 +9,6 @@ their processor times is given, so that a busy machine slows all alike.  The par
     python benchmarks/scaling.py workers    # two workers against one, minutes
     python benchmarks/scaling.py imports    # beside numpy and astropy.units
     python benchmarks/scaling.py whole      # 69 epochs of 512 x 512, some minutes
-    python benchmarks/scaling.py estimate   # what commands say beforehand, minutes
 
 The jet has about 90 SSPs per epoch on four scales, at uneven dates.
 """
@@ -18,7 +17,6 @@ import argparse
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from functools import partial
 from pathlib import Path
@@ -197,33 +195,10 @@ def whole(reach, n_epochs, n_trials, n_workers):
     print("|".join(row), end="")
 
 
-def estimate_part(runs):
-    """Compare the time that commands estimate with the time that they take."""
-    from astro_scc.cli import main as astro_scc
-    from astro_scc.cli.inputs import measuring_time, read_epochs
-    from astro_scc.settings import Settings
-
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for n_epochs in (15, 60):
-            files = f"{folder}/{n_epochs}"
-            words = ["simulate", "jet", files, "--epochs", str(n_epochs), "--seed", "1"]
-            astro_scc([*words, "--quiet"])
-            settings = Settings(epochs=[f"{files}/*.fits"], n_trials=1000, seed=1)
-            cube, settings, *_ = read_epochs(settings)
-            *parts, _ = measuring_time(cube, settings)
-            words = ["measure", f"{files}/*.fits", "-o", f"{files}-out", "--seed", "1"]
-            start = time.process_time()
-            astro_scc([*words, "--quiet", "--workers", "1"])
-            took = time.process_time() - start
-            rows.append([str(n_epochs), f"{sum(parts):.0f}", f"{took:.0f}"])
-    write_table("scaling_estimate", ["epochs", "estimated, s", "CPU seconds"], rows)
-
-
 def main():
     """Print the tables of the requested parts."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    names = ["doubling", "workers", "imports", "whole", "estimate"]
+    names = ["doubling", "workers", "imports", "whole"]
     parser.add_argument("parts", nargs="*", choices=names, default=[])
     parser.add_argument("--runs", type=int, default=5, help="of what is compared")
     parser.add_argument("--reach", type=int, nargs="+", default=[20, 40])

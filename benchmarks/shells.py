@@ -8,9 +8,10 @@ Measure errors of rates and centres of simulated shells, and the least possible 
 import astropy.units as u
 import numpy as np
 from common import RESULTS, measured, write_table
+from compact import remove_compact
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.expansion import fit_shell, remove_compact
+from astro_scc.expansion import fit_shell
 from astro_scc.simulation import simulate_shell
 
 RATE = u.percent / u.yr

@@ -13,10 +13,11 @@ import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 from common import RESULTS, mojave_images, write_table
+from vlbi import observe
 
 from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import Beam
-from astro_scc.simulation import observe, simulate_jet
+from astro_scc.simulation import simulate_jet
 
 BEAM = Beam(1.0 * u.mas, 0.5 * u.mas, -5 * u.deg)
 SOURCES = {

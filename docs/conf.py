@@ -58,7 +58,7 @@ if not os.environ.get("READTHEDOCS"):
     others = (
         "argparse|astropy|bokeh|collections|concurrent|contextlib|dask|glue|jinja2|"
         "matplotlib|multiprocessing|ndcube|numpy|pathlib|photutils|regions|reproject|"
-        "scipy|skimage|spectral_cube|sunpy|typing|warnings|xarray"
+        "scipy|skimage|spectral_cube|sunpy|typing|warnings"
     )
     nitpick_ignore_regex.append((r"py:.*", rf"({others})(\..*)?"))
 else:

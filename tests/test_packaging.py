@@ -19,7 +19,6 @@ HEAVY = (
     "dask",
     "matplotlib",
     "ndcube",
-    "numba",
     "numpy",
     "photutils",
     "regions",
@@ -31,7 +30,6 @@ HEAVY = (
 SLOW = (
     "astropy.cosmology",
     "matplotlib",
-    "numba",
     "photutils",
     "regions",
     "reproject",

@@ -151,8 +151,6 @@ def track(cube: EpochCube, matched: MatchedEpochs) -> features.Features:
 
 
 def expand(scc: StackedCrossCorrelation, matched: MatchedEpochs) -> QTable:
-    cube = expansion.remove_compact(matched.cube, 2 * u.arcsec)
-    expansion.remove_compact(cube, 2)  # type: ignore[arg-type]
     fit = expansion.fit_shell(scc, {"ring": matched, "knots": matched})
     speed = expansion.expansion_speed(fit.rate[0], fit.radius, 3.4 * u.kpc)
     assert_type(speed, u.Quantity)
@@ -165,15 +163,6 @@ def recover(cube: EpochCube, scc: StackedCrossCorrelation) -> QTable:
     paths = recovery.draw_paths(cube, area, speed=speed, position_angle=65 * u.deg)
     assert_type(recovery.inject(cube, paths, 5 * u.mJy / u.beam), EpochCube)
     recovery.completeness(cube, scc, speeds=1.0, fluxes=5)  # type: ignore[arg-type]
-    recovery.plan(speeds=speed, n_epochs=8)  # type: ignore[call-arg]
-    table = recovery.plan(
-        speeds=np.array([0.2, 1]) * speed,
-        beam=0.8 * u.mas,
-        n_epochs=[4, 8],
-        intervals=0.5 * u.yr,
-    )
-    if (row := recovery.smallest_plan(table)) is not None:
-        row["n_epochs"]
     return recovery.completeness(cube, scc, speeds=speed, fluxes=5 * u.mJy / u.beam)
 
 
@@ -191,10 +180,9 @@ def simulate() -> list[Path]:
     simulation.simulate_jet(interval=0.2)  # type: ignore[arg-type]
     assert_type(jet.truth, QTable)
     assert_type(simulation.simulate_shell().cube, EpochCube)
-    seen = simulation.observe(jet, declination=20 * u.deg)
     simulation.simulate_two_fluid(slow=5, fast=20 * MAS_PER_YEAR, n_epochs=5)
     simulation.JetSimulation(streams=[simulation.Stream("a", half_width=4)]).run()
-    return simulation.write_simulation(seen, "jet", overwrite=True)
+    return simulation.write_simulation(jet, "jet", overwrite=True)
 
 
 def draw(result: SCCResult, found: features.Features) -> Figure:
@@ -203,8 +191,6 @@ def draw(result: SCCResult, found: features.Features) -> Figure:
     visualization.plot_epoch(result, 0)  # type: ignore[arg-type]
     visualization.plot_velocity_map(result, components=components, which="z_score")
     visualization.plot_profile(components, fits=[1.0])  # type: ignore[list-item]
-    animation = visualization.animate_epochs(cube, interval=400 * u.ms)
-    assert_type(visualization.write_animation(animation, "jet.gif"), Path)
     page = report.write_report(result, "out", left_out=["a.fits", ("b.fits", "date")])
     assert_type(page, Path)
     return visualization.plot_tracks(found, unit=u.arcsec)
@@ -251,9 +237,7 @@ def inspect(paths: list[str], cube: EpochCube) -> epochs.ComponentList:
 
 
 def exchange(cube: EpochCube) -> EpochCube:
-    interchange.from_xarray(interchange.to_xarray(cube), unit="Jy / beam")
-    interchange.from_ndcube(interchange.to_ndcube(cube), times=cube.times)
-    return interchange.read_movie("movie.hdf5")
+    return interchange.from_ndcube(interchange.to_ndcube(cube), times=cube.times)
 
 
 def read_results(result: SCCResult, cube: EpochCube) -> dict[str, str]:

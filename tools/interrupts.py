@@ -182,8 +182,6 @@ def what_is_left(out):
     parts = [*out.parent.glob(f".{out.name}.partial-*"), *out.rglob("*partial-*")]
     if parts:
         found.append("a hidden folder")
-    if any(path.suffix == ".npz" for path in out.rglob("*")):
-        found.append("some of the matches")
     if any(WORK in path.parts for path in out.rglob("*.fits")):
         found.append("all matches")
     n = len(tables(out))

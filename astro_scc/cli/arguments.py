@@ -166,7 +166,7 @@ def simulate(parser):
 
     examples:
       astro-scc simulate two-fluid jet --seed 1 --epochs 10
-      astro-scc simulate jet jet --motion 0.4 --dispersion 0.2 --vlba
+      astro-scc simulate jet jet --motion 0.4 --dispersion 0.2
     """
     parser.add_argument("jet", choices=JETS, metavar="JET", help="one of those below")
     parser.add_argument("output", metavar="DIR", help="folder for the images")
@@ -182,8 +182,6 @@ def simulate(parser):
     group = parser.add_argument_group("options of the jet 'jet'")
     for name, (kind, text) in FLOW.items():
         add_option(group, option_name(name), "X", text, type=kind)
-    text = "image it from visibilities of the VLBA, with CLEAN"
-    add_switches(group, vlba=text, default=None)
 
 
 def restore(parser):
@@ -261,9 +259,8 @@ def measure(parser):
         parser,
         ds9_regions="write ssp_regions too, a file per epoch that DS9 and CARTA open, "
         "with the outlines of its patterns",
-        resume=f"keep the matches in {WORK} of the folder, go on from what an "
-        "interrupted run did there, and replace what an earlier one with --resume "
-        "wrote",
+        resume=f"keep the matches in {WORK} of the folder, go on from those of an "
+        "interrupted run, and replace what an earlier one with --resume wrote",
     )
     add_settings(parser, "measure")
 

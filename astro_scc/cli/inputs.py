@@ -12,36 +12,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from astropy.table import QTable
 
-from astro_scc import StackedCrossCorrelation
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.beam import different_beam, parse_beam
 from astro_scc.epochs.cutout import refuse_pixels
 from astro_scc.epochs.fits import find_files, read_plane
 from astro_scc.epochs.headers import first_line
 from astro_scc.measurement import choices, versions
-from astro_scc.measurement.decomposing import matching_time
-from astro_scc.measurement.stacking import stacking_time
 from astro_scc.quantities import to_time
 from astro_scc.settings import OPTIONS, Settings, read_config
-from astro_scc.stacking import SearchSettings
 
 #: Pixels of all epochs from which on more processes save more time than they take to
 #: start: some ten seconds of one.
 WORTH_PROCESSES = 3e6
-#: Seconds of a run from which on it says beforehand how long it will take.
-LONG = 300.0
-#: More processes are advised if a run takes less than this part of the time with them.
-WORTH_IT = 0.8
-#: What shortens the matching, on any number of processes.
-LESS = "a --region, a --crop or fewer --scales shorten it"
 #: Notes on ``common_beam``, as given, and whether beams differ, None without any.
 NOTES = {
     (None, None): "the epochs have no beams and are left as they are",
     (None, True): "the beams differ: convolving to a common one (--no-common-beam)",
     (False, True): "the beams differ and are left so, as --no-common-beam states",
 }
-#: Seconds of one core for the figures of a report, and to read an image.
-REPORT, READ = 7.0, 0.03
 
 
 class Inputs(NamedTuple):
@@ -83,79 +71,6 @@ def _n_cores():
     with suppress(AttributeError):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def measuring_time(cube, settings, n_bins=0):
-    """
-    Estimate how long a measurement takes on one core, within a factor of two.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.EpochCube`
-    settings : `~astro_scc.settings.Settings`
-    n_bins : int, optional
-        Bins of distance that are stacked besides the whole.
-
-    Returns
-    -------
-    shared, alone : float
-        Seconds of what several processes share, and of the rest.
-    what : str
-        What takes so long.
-    """
-    scc = StackedCrossCorrelation.from_settings(settings)
-    decomposer, region = scc.decomposer(cube), settings.region
-    shared, n_ssps = matching_time(cube, decomposer, scc.reach(cube), region=region)
-    known = settings.position_angle not in (None, "any")
-    n_axes = 1 if known else SearchSettings().n_axes
-    # A bin has a part of the matches.
-    stacks = 1 + n_bins / 2
-    alone = stacks * stacking_time(len(cube), settings.n_trials, n_axes)
-    n, ny, nx = cube.shape
-    what = f"{n} epochs of {nx} x {ny} pixels with about {rounded(n_ssps)} patterns"
-    return shared, alone + REPORT + READ * n, what
-
-
-def tell_time(reporter, n_workers, estimate, *more, less=LESS, most=None):
-    """
-    Say that a run will take long, if it takes over five minutes, and what shortens it.
-
-    Parameters
-    ----------
-    reporter : `~astro_scc.cli.program.Reporter`
-    n_workers : int or object
-        On a cluster, whose processes are not known, nothing is said.
-    estimate : callable
-        Returns what `measuring_time` returns; ``more`` are its arguments.
-    less : str, optional
-        What shortens the shared part besides processes.
-    most : int, optional
-        Most processes that can share it.
-    """
-    if reporter.quiet or not isinstance(n_workers, int):
-        return
-    shared, alone, what = estimate(*more)
-    n_cores = min(_n_cores(), most or _n_cores())
-    seconds = shared / min(n_workers, n_cores) + alone
-    if seconds <= LONG:
-        return
-    least = shared / n_cores + alone
-    advice = less if shared / n_cores > alone else "fewer --n-trials shorten it"
-    if n_workers < n_cores and least < WORTH_IT * seconds:
-        advice = f"--workers {n_cores} shortens it to {_duration(least)}"
-    reporter.note(f"this will take about {_duration(seconds)} ({what}); {advice}")
-
-
-def rounded(number):
-    """Return a number rounded to two digits, as text."""
-    return f"{float(f'{number:.2g}'):.0f}"
-
-
-def _duration(seconds):
-    """Return a time with two digits."""
-    units = (("d", 86400), ("h", 3600), ("min", 60))
-    unit, size = next((v for v in units if seconds >= 1.5 * v[1]), units[-1])
-    return f"{seconds / size:.2g} {unit}"
 
 
 def override(given, own):

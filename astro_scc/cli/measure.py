@@ -51,8 +51,6 @@ def run(args, reporter):
         cube, settings, left_out, chosen = epochs
         published = args.compare and published_positions(args.compare, cube)
         n_workers = inputs.workers_of(args, cube)
-        if not (work and (work / MATCHES).exists()):
-            inputs.tell_time(reporter, n_workers, inputs.measuring_time, cube, settings)
         result = measure(cube, settings, reporter, n_workers=n_workers, work=work)
         page = {"left_out": left_out, "chosen": chosen, "pdf": args.pdf}
         page |= {"published": published, "all_figures": args.all_figures}

@@ -25,18 +25,15 @@ def run(args, reporter):
     settings = inputs.settings_of(args, reporter, n_trials=1000)
     if settings.bins is None:
         raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
-    # Wrong --workers are refused before the images are read.
+    # Wrong --workers and --bins are refused before the images are read.
     inputs.workers_of(args)
+    bins_of(settings.bins, window=settings.window)
     output = inputs.output_of(args, settings)
-    n_bins = len(bins_of(settings.bins, window=settings.window))
     made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
     with made as folder:
         epochs = inputs.read_epochs(settings, note=reporter.note)
         cube, settings, *_ = epochs
         n_workers = inputs.workers_of(args, cube)
-        inputs.tell_time(
-            reporter, n_workers, inputs.measuring_time, cube, settings, n_bins
-        )
         components, lines = _measure(cube, settings, folder, reporter, n_workers)
         write_publication({"profile": components}, folder)
     lines = [*profile_lines(components), "", *lines, *epochs.found]

@@ -9,7 +9,7 @@ from astro_scc.cli.arguments import FLOW, option_name
 from astro_scc.cli.inputs import draw_seed
 from astro_scc.measurement import product_folder
 from astro_scc.settings import check_setting
-from astro_scc.simulation import observe, write_simulation
+from astro_scc.simulation import write_simulation
 
 #: Names of options in `~astro_scc.simulation.simulate_jet`.
 PARAMETERS = {"motion": "speed", "features": "n_features", "epochs": "n_epochs"}
@@ -20,14 +20,13 @@ def run(args, reporter):
     if args.epochs is not None and args.epochs < 1:
         raise ValueError(f"--epochs must be at least 1, got {args.epochs}")
     given = {}
-    for name in (*FLOW, "vlba", "dense", "epochs"):
+    for name in (*FLOW, "dense", "epochs"):
         if (value := getattr(args, name)) is None:
             continue
         whose = {"dense": "two-fluid", "epochs": args.jet}.get(name, "jet")
         if args.jet != whose:
             raise ValueError(f"{option_name(name)} is for {whose}, not for {args.jet}")
         given[PARAMETERS.get(name, name)] = value
-    vlba = given.pop("vlba", False)
     seed = draw_seed(check_setting("seed", args.seed))
     folder = Path(args.output)
     with product_folder(folder, overwrite=args.overwrite) as part:
@@ -37,8 +36,6 @@ def run(args, reporter):
         except ValueError as error:
             raise ValueError(_of_option(str(error))) from None
         jet.truth.meta["seed"] = seed
-        if vlba:
-            jet = observe(jet, rng=seed)
         *images, _ = write_simulation(jet, part)
     reporter.say(
         f"{len(images)} epochs and truth.ecsv in {folder} (seed {seed}); next:\n"

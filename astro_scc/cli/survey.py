@@ -94,7 +94,6 @@ def run(args, reporter):
             n_workers=n_workers,
             report=not args.no_report,
             done=done,
-            begin=lambda left: sources.tell_time_of(left, reporter, n_workers),
             progress_bar=reporter.progress,
         )
     reporter.say(*_summary(table))
@@ -134,7 +133,7 @@ def _summary(table):
 def run_survey(
     survey: sources.Survey, output: Path | str, *, n_workers: int | str | Client = 1,
     report: bool = False, done: Callable[..., Any] | None = None,
-    begin: Callable[..., Any] | None = None, progress_bar: bool = False,
+    progress_bar: bool = False,
 ) -> QTable:  # fmt: skip
     """
     Measure all sources of a survey and write one table.
@@ -154,8 +153,6 @@ def run_survey(
     done : callable, optional
         Called for each source that is done, with its name, the list of outcomes
         of its regions and scale groups, and whether it was finished before.
-    begin : callable, optional
-        Called with the sources that are left to measure.
     progress_bar : bool, optional
 
     Returns
@@ -207,7 +204,7 @@ def run_survey(
                 part.write_text(survey.text, encoding="utf-8")
             try:
                 found = _outcomes(
-                    survey.sources, output, report, n_workers, done, begin, progress_bar
+                    survey.sources, output, report, n_workers, done, progress_bar
                 )
             finally:
                 # Delete what terminated workers left.
@@ -225,7 +222,7 @@ def run_survey(
     return table
 
 
-def _outcomes(every, output, report, n_workers, done, begin, progress_bar):
+def _outcomes(every, output, report, n_workers, done, progress_bar):
     """Return the outcomes of the sources, in their order."""
     found = [finished_outcomes(source, output, report) for source in every]
     left = [k for k, outcomes in enumerate(found) if outcomes is None]
@@ -235,8 +232,6 @@ def _outcomes(every, output, report, n_workers, done, begin, progress_bar):
         parallel.workers_of(n_workers) as workers,
         progress(len(every), "Sources", show=progress_bar) as step,
     ):
-        if begin is not None:
-            begin([every[k] for k in left])
         new = parallel.as_done(measure, (every[k] for k in left), workers)
         for k, outcomes in chain(before, ((left[i], own) for i, own in new)):
             if isinstance(outcomes, Exception):

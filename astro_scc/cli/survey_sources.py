@@ -5,7 +5,6 @@ import glob
 import hashlib
 import json
 import re
-import warnings
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -72,10 +71,6 @@ class Source:
         known = settings, self.parts, self.regions, versions()
         text = json.dumps([*known, *map(_facts, sorted(files))], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
-
-    def size(self):
-        """Return the size of the epochs in bytes, at least 1."""
-        return max(sum(_facts(path)[1] for path in self._epochs()), 1)
 
     def _epochs(self):
         """Return the paths of the epochs; a pattern that matches nothing is one."""
@@ -230,44 +225,6 @@ def _source(name, folder, given, base):
     regions = {label: file and str(base / file) for label, file in regions.items()}
     groups = groups or {WHOLE: settings.scales}
     return Source(name, folder, settings, regions, groups, published)
-
-
-def tell_time_of(sources, reporter, n_workers):
-    """
-    Say how long sources will take, if that is over five minutes.
-
-    The time of the largest that can be read is estimated, and those of the others
-    from their sizes.
-
-    Parameters
-    ----------
-    sources : list of Source
-    reporter : `~astro_scc.cli.program.Reporter`
-    n_workers : int or object
-        On a cluster, whose processes are not known, nothing is said.
-    """
-    # A source is measured by one process.
-    how = {"less": "fewer scales or n_trials shorten it", "most": len(sources)}
-    inputs.tell_time(reporter, n_workers, _time_of, sources, **how)
-
-
-def _time_of(sources):
-    for first in sorted(sources, key=Source.size, reverse=True):
-        with suppress(Exception), warnings.catch_warnings():
-            # Whatever is wrong is told when the source is measured.
-            warnings.simplefilter("ignore")
-            epochs = inputs.read_epochs(first.settings)
-            shared, alone, _ = inputs.measuring_time(*epochs[:2])
-            break
-    else:
-        return 0.0, 0.0, ""
-    seconds, stacking = 0.0, alone - inputs.REPORT
-    for source in sources:
-        # The time grows with the square of the number of epochs.
-        part, n_parts = (source.size() / first.size()) ** 2, len(source.parts)
-        seconds += part * (shared + n_parts * stacking) + n_parts * inputs.REPORT
-    n = len(sources)
-    return seconds, 0.0, f"{n} {'source' if n == 1 else 'sources'}"
 
 
 def folder_names(names):

@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, MutableMapping, Sequence
-from dataclasses import dataclass, replace
-from importlib.util import find_spec
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
 BLOCK_WORK = 2**24
 #: Bytes of target planes that a block holds.
 STACK_BYTES = 2**26
-#: With fewer windows the loops are not compiled, which would take longer.
-COMPILE_FROM = 100_000
 #: Fewest pixels of an SSP: with two pixels anything matches anything.
 FEWEST_PIXELS = 3
 
@@ -68,20 +65,11 @@ class Correlator:
     min_overlap : float
         Fraction of the SSP's pixels that must fall on valid pixels of the
         target image, for a displacement and for its eight neighbours.
-    compiled : bool, optional
-        Whether small SSPs are correlated by loops that `numba
-        <https://numba.pydata.org>`_ compiles, instead of by transforms.  By
-        default they are if numba is installed (the extra ``fast``) and there
-        are more than 100 000 windows, because compiling takes some seconds
-        the first time.  Coefficients differ by rounding, so that of about 100 000
-        matches one at the threshold ``kappa`` may be missing or added.
 
     Raises
     ------
     ValueError
         If a setting is out of its range.
-    ImportError
-        If ``compiled`` is True and numba is not installed.
 
     Examples
     --------
@@ -98,7 +86,6 @@ class Correlator:
     kappa: float = 0.6
     target: str = "segments"
     min_overlap: float = 0.8
-    compiled: bool | None = None
 
     def __post_init__(self):
         if not 0 < self.kappa < 1:
@@ -111,17 +98,11 @@ class Correlator:
             raise ValueError(
                 f"min_overlap must be above 0 and at most 1, got {self.min_overlap}"
             )
-        if self.compiled and not find_spec("numba"):
-            raise ImportError(
-                "compiled loops need the package numba: "
-                "pip install 'astro_scc[fast]', or leave compiled at None"
-            )
 
     def __call__(
         self, decompositions: Sequence[Decomposition], pairs: ArrayLike,
         search_radius: int | tuple[int, int], *, select: ArrayLike | None = None,
         n_workers: int | str | Client = 1, progress: Callable[..., Any] | None = None,
-        done: MutableMapping[int, tuple[np.ndarray, ...]] | None = None,
     ) -> Matches:  # fmt: skip
         """
         Find the matches of SSPs for ordered pairs of epochs.
@@ -143,9 +124,6 @@ class Correlator:
             `multiprocessing`.
         progress : callable, optional
             Called with 1 for each reference epoch that is done.
-        done : mutable mapping of int to tuple of `~numpy.ndarray`, optional
-            Results of the `blocks` that were done before, by their number;
-            new results are added.
 
         Returns
         -------
@@ -174,31 +152,23 @@ class Correlator:
         array([ 6.5, -6.5], dtype=float32)
         """
         pairs, search_radius = _checked(decompositions, pairs, search_radius)
-        done = {} if done is None else done
         left = Counter(np.unique(pairs, axis=0)[:, 0].tolist())
-        references, at_work = [], deque()
-
-        def finish(number):
-            left.subtract(references[number])
-            for epoch in set(references[number]):
-                if left[epoch] == 0 and progress is not None:
-                    progress(1)
+        columns, at_work = [], deque()
 
         def begin():
-            blocks = self.blocks(decompositions, pairs, search_radius, select=select)
-            for number, block in enumerate(blocks):
-                references.append(block.pairs[:, 0].tolist())
-                if number in done:
-                    finish(number)
-                else:
-                    at_work.append(number)
-                    yield block
+            for block in self.blocks(
+                decompositions, pairs, search_radius, select=select
+            ):
+                at_work.append(block.pairs[:, 0].tolist())
+                yield block
 
         for found in in_order(match_block, begin(), n_workers):
-            number = at_work.popleft()
-            done[number] = found
-            finish(number)
-        columns = [done[number] for number in range(len(references))]
+            columns.append(found)
+            references = at_work.popleft()
+            left.subtract(references)
+            for epoch in set(references):
+                if left[epoch] == 0 and progress is not None:
+                    progress(1)
         return Matches.from_columns(columns, pairs, search_radius, self.kappa).sorted()
 
     def blocks(
@@ -250,11 +220,6 @@ class Correlator:
         most = STACK_BYTES // (4 * np.prod(size) * dense)
         targets = np.unique(pairs[:, 1])
         targets = np.array_split(targets, -(-len(targets) // max(BATCH, int(most))))
-        settings = self
-        if self.compiled is None:
-            number = np.bincount(ssps.epoch[chosen], minlength=n)[pairs[:, 0]].sum()
-            enough = bool(number > COMPILE_FROM) and find_spec("numba") is not None
-            settings = replace(self, compiled=enough)
         # Consecutive reference epochs, divided where their work reaches a limit.
         pixels = np.prod(boxes[:, 2:] - boxes[:, :2] + 2 * beyond, axis=1)
         work = np.cumsum(np.bincount(ssps.epoch[chosen], pixels, n)) * len(targets[0])
@@ -264,7 +229,7 @@ class Correlator:
                 here = pairs[(group == number) & np.isin(pairs[:, 1], some)]
                 if len(here):
                     of_all = chosen, patterns, decompositions, window
-                    yield PairBlock.of(settings, here, search_radius, *of_all)
+                    yield PairBlock.of(self, here, search_radius, *of_all)
 
 
 def _checked(decompositions, pairs, search_radius):
@@ -322,9 +287,8 @@ def _match_scale(block, patterns, scale, wanted):
         for some, overlap in stack.alike(
             np.flatnonzero(use), corner, template, settings.min_overlap
         ):
-            compiled = settings.compiled and overlap is None
             for targets, coefficient in stack.coefficients(
-                some, corner, template, overlap, compiled
+                some, corner, template, overlap
             ):
                 which, y, x, value = find_peaks(coefficient, settings.kappa)
                 share = np.ones(len(which))

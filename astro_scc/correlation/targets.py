@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 BATCH = 10
 #: Largest number of pixels in the transforms of a batch.
 BATCH_PIXELS = 2_000_000
-#: Windows that compiled loops process at once.
-COMPILED_BATCH = 64
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -186,22 +184,14 @@ class TargetStack:
             yield targets[number == k], overlap
         yield targets[whole], None
 
-    def coefficients(self, targets, corner, template, overlap, compiled):
+    def coefficients(self, targets, corner, template, overlap):
         """Yield the targets in batches, with their coefficients."""
         (y, x), (h, w) = corner, template.fft_shape
         batch = int(np.clip(BATCH_PIXELS // (h * w), 1, BATCH))
-        if compiled:
-            from astro_scc.correlation.compiled import compiled_coefficients, worth_it
-
-            compiled = worth_it(template)
-            batch = COMPILED_BATCH if compiled else batch
         for start in range(0, len(targets), batch):
             some = targets[start : start + batch]
-            if compiled:
-                yield some, compiled_coefficients(self.values, some, corner, template)
-            else:
-                windows = self.values[some, y : y + h, x : x + w].astype(float)
-                yield some, template.of_windows(windows, overlap)
+            windows = self.values[some, y : y + h, x : x + w].astype(float)
+            yield some, template.of_windows(windows, overlap)
 
     def snr(self, target, y, x):
         """Return the largest value in 3 x 3 pixels around positions, over the noise."""

@@ -16,8 +16,9 @@ from astropy.time import Time
 
 from astro_scc.epochs.beam import parse_beam
 from astro_scc.epochs.fits import is_visibilities, open_fits
-from astro_scc.epochs.headers import first_line, get, parse_date, read_header, some
+from astro_scc.epochs.headers import first_line, get, read_header, some
 from astro_scc.epochs.validation import as_times, naming
+from astro_scc.quantities import parse_date
 
 CORE = 0  # feature number of the core
 # Content of a column -> its unit, and its labels in tables.

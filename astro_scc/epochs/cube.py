@@ -24,7 +24,7 @@ from astro_scc.epochs.alignment import align
 from astro_scc.epochs.beam import Beam, common_beam
 from astro_scc.epochs.component_tables import is_component_list
 from astro_scc.epochs.cutout import crop, region_mask
-from astro_scc.epochs.fits import CUBE_CREATOR, find_files, is_hdf5
+from astro_scc.epochs.fits import CUBE_CREATOR, find_files
 from astro_scc.epochs.grid import reproject_cube
 from astro_scc.epochs.headers import epoch_header
 from astro_scc.epochs.inspection import epoch_table, noise_of_images, noise_rms
@@ -32,14 +32,18 @@ from astro_scc.epochs.positions import offset_wcs, readable_angle
 from astro_scc.epochs.reading import read_files, read_images
 from astro_scc.epochs.registration import misalignment
 from astro_scc.epochs.serialize import is_cube_file, read_object, write_cube
-from astro_scc.epochs.validation import as_celestial, as_epoch_tuple, date_labels
+from astro_scc.epochs.validation import (
+    as_celestial,
+    as_epoch_tuple,
+    date_labels,
+    epoch_index,
+)
 
 if TYPE_CHECKING:
     from astropy.coordinates import SkyCoord
     from astropy.table import QTable
     from matplotlib.figure import Figure
     from ndcube import NDCube, NDCubeSequence
-    from xarray import DataArray, Dataset
 
 
 def _picked(each, epochs):
@@ -154,9 +158,8 @@ class EpochCube:
         """
         Read FITS images, one per epoch, or a file that `write` made.
 
-        CASA images and HDF5 movies of eht-imaging are read too if the packages
-        for them are installed.  Lists of components, as `read_components` reads
-        them, are restored with their beams or ``beams``.
+        Lists of components, as `read_components` reads them, are restored with their
+        beams or ``beams``.
 
         Images on one grid are stacked with their reference pixels aligned.  Others,
         also of another size, are shifted by whole pixels, or resampled with a warning,
@@ -211,12 +214,6 @@ class EpochCube:
                 raise ValueError(f"{first}: an EpochCube; it has its dates and beams")
             lazy = region is not None
             cube = read_object(first, creator=CUBE_CREATOR, lazy=lazy)
-        elif only and is_hdf5(first):
-            if times is not None or hdu is not None:
-                raise ValueError(
-                    f"{first}: a movie; it has its dates, and no extension"
-                )
-            cube = _above("interchange").read_movie(first, beams=beams)
         elif is_component_list(first):
             room = _above("epochs.restoring")
             cube = room.restore_files(files, times=times, beams=beams)
@@ -273,25 +270,6 @@ class EpochCube:
         `EpochCube`
         """
         return _above("interchange").from_ndcube(ndcube, times=times, beams=beams)
-
-    @classmethod
-    def from_xarray(cls, source: Dataset | DataArray, **kwargs: Any) -> EpochCube:
-        """
-        Return the epochs of an xarray object.
-
-        See `~astro_scc.interchange.from_xarray`.
-
-        Parameters
-        ----------
-        source : `xarray.Dataset` or `xarray.DataArray`
-        **kwargs
-            ``times``, ``pixel_scale``, ``unit`` and ``beams`` that it lacks.
-
-        Returns
-        -------
-        `EpochCube`
-        """
-        return _above("interchange").from_xarray(source, **kwargs)
 
     @classmethod
     def from_arrays(
@@ -378,8 +356,7 @@ class EpochCube:
         return replace(self, **_picked({n: getattr(self, n) for n in names}, keep))
 
     def _image(self, index):
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"epoch {index} of a cube with {len(self)} epochs")
+        index = epoch_index(index, len(self))
         noise = self.noise
         if noise is not None:
             every = np.full(self.shape[1:], noise[index].value)
@@ -455,16 +432,6 @@ class EpochCube:
 
     def _repr_html_(self):
         return f"<p>{escape(repr(self)[1:-1])}</p>" + self.epochs._repr_html_()
-
-    def to_xarray(self) -> Dataset:
-        """
-        Return the cube as xarray, see `~astro_scc.interchange.to_xarray`.
-
-        Returns
-        -------
-        `xarray.Dataset`
-        """
-        return _above("interchange").to_xarray(self)
 
     def to_ndcube(self) -> NDCube:
         """

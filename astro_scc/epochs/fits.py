@@ -9,7 +9,6 @@ import re
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 
 import astropy.units as u
@@ -31,7 +30,6 @@ CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
 UNCERTAINTIES = {kind.__name__: kind for kind in POWERS}
 #: Bytes of a block of a FITS file.
 BLOCK = 2880
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 # Keywords of the array and its axes in the file; a CCDData has its own, for two
 # dimensions.
@@ -174,7 +172,7 @@ def find_files(paths, *, missing_ok=False):
             check_ordinary(name)
             found.append(name)
         elif matches := sorted(glob.glob(name, recursive=True)):
-            found += [m for m in matches if not os.path.isdir(m) or is_casa_image(m)]
+            found += [match for match in matches if not os.path.isdir(match)]
         else:
             what = "file matches this pattern" if glob.has_magic(name) else "such file"
             raise FileNotFoundError(f"{name}: no {what}")
@@ -190,18 +188,6 @@ def check_ordinary(path):
         raise OSError(f"{path}: is no ordinary file; give the name of one")
 
 
-def is_casa_image(path):
-    """Return whether a path is a CASA table, the format of CASA's images."""
-    return (Path(os.fspath(path)) / "table.dat").is_file()
-
-
-def is_hdf5(path):
-    """Return whether a file is HDF5, the format of eht-imaging's movies."""
-    with suppress(OSError), open(path, "rb") as file:
-        return file.read(len(_HDF5)) == _HDF5
-    return False
-
-
 def read_plane(path, hdu=None, *, window=None, pixels=True):
     """
     Return the `Plane` of a file; see `read_vlbi_fits` for its errors.
@@ -212,18 +198,16 @@ def read_plane(path, hdu=None, *, window=None, pixels=True):
     path = Path(os.fspath(path))
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
-    if path.is_dir() and not is_casa_image(path):
-        raise IsADirectoryError(f"{path}: is a directory; give {path}/*.fits")
+    if path.is_dir():
+        raise IsADirectoryError(
+            f"{path}: is a directory; give {path}/*.fits, or export a CASA image by "
+            "exportfits"
+        )
     check_ordinary(path)
     options = {"window": window, "pixels": pixels}
     # AIPS and difmap files break minor rules of the standard throughout.
     with warnings.catch_warnings(action="ignore"):
-        # Imported by name: a subpackage above this one, with optional dependencies.
-        casa = path.is_dir() and import_module("astro_scc.interchange.files")
-        hdus = casa and casa.read_casa_image(path)
         try:
-            if hdus:
-                return _plane(hdus, hdu, path, **options)
             # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file, known=bool(window)) as hdus:
                 return _plane(hdus, hdu, path, **options)

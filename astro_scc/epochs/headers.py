@@ -5,7 +5,6 @@ import re
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass, field
-from datetime import datetime
 from functools import cache
 
 import astropy.units as u
@@ -15,14 +14,8 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import Beam, as_beam
+from astro_scc.quantities import parse_date
 
-_ISO = re.compile(
-    r"(\d{4})[-/. ]?(\d{1,2}|[A-Z]{3})[-/. ]?(\d{1,2})(?:[T ]+([\d:.]+))?$"
-)
-_OLD = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{2}|\d{4})$")
-_DECIMAL_YEAR = re.compile(r"\d{4}\.(\d{2,3}|\d{5,})$")
-# Two-digit years below this are 20xx, as in the headers of digital images.
-_CENTURY = 50
 _DATES = ("DATE-OBS", "DATE_OBS", "DATE-BEG", "DATE-AVG")
 _MJDS = ("MJD-OBS", "MJD-BEG", "MJD-AVG", "EXPSTART", "MJD")
 _TIME_SCALES = {name.upper(): name for name in ("tai", "tt", "tdb", "tcb", "tcg")}
@@ -118,40 +111,6 @@ def get(header, *keywords, kind=None):
             if value if kind is str else kind is None or np.isfinite(value):
                 return value
     return None
-
-
-def parse_date(text, scale="utc"):
-    """
-    Return the Time of a date in a header or table, or raise a ValueError.
-
-    The date may be ``2006-03-09``, with a time of day of any precision and a
-    trailing ``Z``, ``2006/03/09``, ``2006_03_09``, ``20060309``, ``2006 Mar 09``,
-    the old ``21/03/95`` (day, month, year), or a decimal year, ``2006.185``.
-    """
-    plain = re.sub(r"(Z|\+00:?00| ?UTC?)$", "", str(text).strip().upper())
-    plain, clock = plain.strip().replace("_", "-"), None
-    # ERFA warns of years whose leap seconds are unknown.
-    with warnings.catch_warnings(action="ignore"):
-        try:
-            if _DECIMAL_YEAR.match(plain):
-                time = Time(float(plain), format="decimalyear", scale=scale)
-                return Time(time, format="isot")
-            if match := _OLD.match(plain):
-                day, month, year = match.groups()
-                if len(year) == 2:
-                    year = f"{20 if int(year) < _CENTURY else 19}{year}"
-            elif match := _ISO.match(plain):
-                year, month, day, clock = match.groups()
-                if month.isalpha():
-                    month = datetime.strptime(month, "%b").month
-                if clock and ":" not in clock:
-                    clock += ":00"
-            else:
-                raise ValueError
-            iso = f"{year}-{int(month):02d}-{int(day):02d}T{clock or '00:00:00'}"
-            return Time(iso, format="isot", scale=scale)
-        except ValueError:
-            raise ValueError(f"{text!r} is no date; write it as 2006-03-09") from None
 
 
 def first_line(error):

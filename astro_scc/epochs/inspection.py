@@ -15,6 +15,7 @@ from astropy.table import QTable
 from astropy.time import Time
 from numpy.typing import ArrayLike
 
+from astro_scc.decomposition.noise import MAD_TO_SIGMA
 from astro_scc.epochs.beam import Beam, beam_columns
 from astro_scc.epochs.component_tables import NO_IMAGE, is_component_list
 from astro_scc.epochs.fits import find_files, looks_like_mask, read_plane
@@ -25,7 +26,6 @@ from astro_scc.units import speed_unit
 if TYPE_CHECKING:
     from astro_scc.epochs.cube import EpochCube
 
-MAD_TO_SIGMA = 1.482602218505602
 CLIP = 3.0
 MAX_ITERATIONS = 50
 # Images with a larger fraction of exact zeros have been blanked with zeros.

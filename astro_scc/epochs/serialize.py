@@ -107,16 +107,6 @@ def without_dates(header):
     return header
 
 
-def pack_facts(facts):
-    """Return a value as text in which dictionaries, WCS and others keep their types."""
-    return yaml.dump(_pack(facts, "facts", None, {}, in_meta=True), allow_unicode=False)
-
-
-def unpack_facts(text):
-    """Return the value that `pack_facts` packed."""
-    return _Loader(str(text)).get_single_data()
-
-
 def write_object(value, path, *, creator, overwrite=False, headers=None, tables=None):
     """
     Write a dataclass, or a dictionary, and all that it holds to one FITS file.
@@ -213,7 +203,7 @@ def _pack(value, name, arrays, memo, *, in_meta=False):
     """
     Return what YAML can hold; append long arrays with their names to ``arrays``.
 
-    Without ``arrays`` they are a part of it.  Other objects in the meta become text.
+    Other objects in the meta become text.
     """
     kind = type(value)
     if id(value) in memo:
@@ -233,11 +223,7 @@ def _pack(value, name, arrays, memo, *, in_meta=False):
         shape = list(value.array_shape) if value.array_shape else None
         header = value.to_header_string(relax=EXACT)
         packed = {CLASS: "WCS", "header": header, "shape": shape}
-    elif (
-        arrays is not None
-        and kind is np.ndarray
-        and value.size > (0 if value.ndim > 2 else SHORT)
-    ):
+    elif kind is np.ndarray and value.size > (0 if value.ndim > 2 else SHORT):
         arrays.append((name, value))
         packed = {CLASS: "array", "hdu": len(arrays) + 1, "shape": list(value.shape)}
         packed["dtype"] = value.dtype.newbyteorder("=").str

@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Conversion of the arguments of an `EpochCube` into its fields."""
 
-import warnings
+import operator
 from contextlib import contextmanager
 from numbers import Integral
 
@@ -18,7 +18,7 @@ from astropy.utils.masked import Masked
 from astropy.wcs import WCS
 
 from astro_scc.epochs.beam import as_beam
-from astro_scc.epochs.headers import parse_date
+from astro_scc.quantities import parse_date, without_doubt
 
 #: Power that turns an uncertainty into a standard deviation.
 POWERS = {StdDevUncertainty: 1, VarianceUncertainty: 0.5, InverseVariance: -0.5}
@@ -42,10 +42,10 @@ def naming(name):
 def as_stack(data, mask, unit):
     """Return data as float64 (epoch, y, x), the mask and the unit."""
     images = data if isinstance(data, list | tuple) else [data]
-    if any(isinstance(image, NDData) or hasattr(image, "coords") for image in images):
+    if any(isinstance(image, NDData) for image in images):
         raise TypeError(
             "data are images with unit, mask and coordinates of their own; use "
-            "EpochCube.from_ccddata, from_ndcube or from_xarray, which keep them"
+            "EpochCube.from_ccddata or from_ndcube, which keep them"
         )
     try:
         unit = u.Unit("" if unit is None else unit)
@@ -107,10 +107,7 @@ def as_times(times, n):
         raise ValueError(f"{n} epochs need {n} times, got shape {times.shape}")
     if np.any(times.mask):
         raise ValueError("every epoch needs a date, times has missing values")
-    with warnings.catch_warnings(record=True, action="always") as dubious:
-        atomic = times.tai
-    # In UTC every use of older dates, such as of photographic plates, would warn.
-    return atomic if dubious else times
+    return without_doubt(times)
 
 
 def as_beams(beams, n):
@@ -241,6 +238,14 @@ def as_epoch_tuple(values, n, name, convert):
     if values and len(values) != n:
         raise ValueError(f"{n} epochs need {n} {name}, got {len(values)}")
     return values
+
+
+def epoch_index(epoch, n):
+    """Return the index of one of n epochs, which may be counted from the last."""
+    index = operator.index(epoch)
+    if not -n <= index < n:
+        raise IndexError(f"epoch {index} of a cube with {n} epochs")
+    return index % n
 
 
 def date_labels(times):

@@ -1,25 +1,17 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Flow: speed profiles of jets, acceleration, and groups of scales or limbs."""
+"""Flow: speed profiles of jets, acceleration, and groups of scales."""
 
 from astro_scc.flow.acceleration import feature_profile, measure_acceleration
-from astro_scc.flow.groups import (
-    compare_positions,
-    compare_speeds,
-    limb_groups,
-    scale_groups,
-)
-from astro_scc.flow.models import ProfileFit, fit_profile, lorentz_profile
+from astro_scc.flow.groups import compare_speeds, scale_groups
+from astro_scc.flow.models import ProfileFit, fit_profile
 from astro_scc.flow.profile import Profile, measure_profile, write_profile
 
 __all__ = [
     "Profile",
     "ProfileFit",
-    "compare_positions",
     "compare_speeds",
     "feature_profile",
     "fit_profile",
-    "limb_groups",
-    "lorentz_profile",
     "measure_acceleration",
     "measure_profile",
     "scale_groups",

@@ -1,30 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Groups of SSPs by scale or by limb, and tests whether they differ."""
+"""Groups of SSPs by scale, and a test whether their speeds differ."""
 
-import warnings
 from collections.abc import Mapping
 from itertools import combinations
 
-import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from numpy.typing import ArrayLike
 from scipy.special import stdtr
 
-from astro_scc.epochs.positions import ssp_offsets
-from astro_scc.kinematics import RadialFrame, RidgeLine, SkyFrame
-from astro_scc.kinematics.ridge_search import limb_masks, mean_width
+from astro_scc.kinematics import SkyFrame
 from astro_scc.measurement import MatchedEpochs, SCCResult, select_ssps
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.plan import flow_direction
-from astro_scc.measurement.stacking import velocity_frame
-from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.stacking.dispersion import feature_speeds, scattered_fit
 from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.units import PM_UNIT
 
-#: SSPs ejected within this length of the flow, in beams, count as one feature.
-FEATURE_BEAMS = 2.0
 #: Fewest features of a group that are divided from others by their brightness.
 FEWEST = 2
 #: Logarithms of shares that differ by more from the median do not divide better.
@@ -77,46 +68,6 @@ def scale_groups(
     return chosen
 
 
-def limb_groups(
-    matched: MatchedEpochs, ridge: RidgeLine, half_width: u.Quantity
-) -> dict[str, np.ndarray]:
-    """
-    Return groups of SSPs by the position of their centroids across the ridge line.
-
-    Parameters
-    ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
-    ridge : `~astro_scc.kinematics.RidgeLine`
-    half_width : `~astropy.units.Quantity`
-        Half the width of the spine.
-
-    Returns
-    -------
-    dict of `~numpy.ndarray` of bool, shape (n_ssps,)
-        "north", "spine" and "south", without groups that have no SSP.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.kinematics import find_ridge_line
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.flow import limb_groups
-    >>> cube = simulate_two_fluid(n_epochs=3, core=1.0, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> groups = limb_groups(scc.match(cube), find_ridge_line(cube), 0.3 * u.mas)
-    >>> set(groups) <= {"north", "spine", "south"}
-    True
-    """
-    groups = {
-        name: select_ssps(matched, region=mask).select
-        for name, mask in limb_masks(matched.cube, ridge, half_width).items()
-        # ``select_ssps`` refuses a region without pixels.
-        if mask.any()
-    }
-    return {name: select for name, select in groups.items() if select.any()}
-
-
 def _check_groups(groups):
     """Refuse fewer than two groups, and groups that share SSPs."""
     if len(groups) < 2:
@@ -142,7 +93,7 @@ def compare_speeds(result: SCCResult, groups: Mapping[str, np.ndarray]) -> QTabl
     result : `~astro_scc.measurement.SCCResult`
         With a ``position_angle``, "radial", "fit" or "ridge".
     groups : dict of `~numpy.ndarray` of bool, shape (n_ssps,)
-        Groups from `scale_groups` or `limb_groups`, or others that share no SSP.
+        Groups from `scale_groups`, or others that share no SSP.
 
     Returns
     -------
@@ -273,177 +224,3 @@ def _difference(first, second):
     error = np.hypot(e1, e2)
     freedom = error**4 / (e1**4 / n1 + e2**4 / n2)
     return m2 - m1, error, 2 * stdtr(freedom, -abs(m2 - m1) / error)
-
-
-def ssp_angles(matched, jet):
-    """
-    Return the positions of the centroids of SSPs relative to the reference pixel.
-
-    Returns
-    -------
-    angle, east, north : `~numpy.ndarray`, shape (n_ssps,)
-        Position angles in degrees, within half a turn of the jet's, and offsets
-        in mas.
-    """
-    east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True)
-    jet = jet.to_value(u.deg)
-    angle = np.degrees(np.arctan2(east, north))
-    return jet + (angle - jet + 180) % 360 - 180, east, north
-
-
-def ssp_places(scc, matched):
-    """
-    Return the positions of the centroids of SSPs relative to the jet.
-
-    Returns
-    -------
-    angle, offset, distance : `~astropy.units.Quantity`, shape (n_ssps,)
-        The position angle from the reference pixel, within half a turn of the
-        jet's; the offset across the jet, positive towards larger position
-        angles; and the distance along it.
-    """
-    frame = velocity_frame(matched, scc.position_angle)
-    jet = flow_direction(matched, frame)
-    angle, east, north = ssp_angles(matched, jet)
-    if isinstance(frame, RidgeLine):
-        distance, offset = (v.value for v in frame.coordinates(*[east, north] * u.mas))
-    elif isinstance(frame, RadialFrame):
-        distance = np.hypot(*np.subtract([east, north], frame.origin.value[:, None]))
-        offset = np.radians(angle - jet.to_value(u.deg)) * np.hypot(east, north)
-    else:
-        p = np.radians(jet.to_value(u.deg))
-        offset = east * np.cos(p) - north * np.sin(p)
-        distance = np.hypot(east, north)
-        if not isinstance(frame, SkyFrame):
-            distance = np.stack([east, north], axis=-1) @ frame.matrix()[0]
-    return angle * u.deg, offset * u.mas, distance * u.mas
-
-
-def compare_positions(
-    scc: StackedCrossCorrelation, matched: MatchedEpochs,
-    groups: Mapping[str, np.ndarray], *, speed: u.Quantity | None = None,
-    r_min: u.Quantity | None = None, r_max: u.Quantity | None = None,
-    n_trials: int = 999, rng: np.random.Generator | int | None = None,
-) -> QTable:  # fmt: skip
-    """
-    Compare the positions of groups of SSPs across the jet.
-
-    The position angles, the transverse offsets, and the distances of the
-    offsets from the median of both groups, which distinguish a spine from
-    limbs, are compared by the two-sample Anderson-Darling test (Scholz &
-    Stephens 1987, J. Am. Stat. Assoc. 82, 918).
-
-    Parameters
-    ----------
-    scc : `~astro_scc.StackedCrossCorrelation`
-        Its velocity axes define the direction across the jet.
-    matched : `~astro_scc.measurement.MatchedEpochs`
-    groups : dict of `~numpy.ndarray` of bool, shape (n_ssps,)
-    speed : `~astropy.units.Quantity`, optional
-        Speed of the flow, which decides which SSPs belong to one feature; by
-        default the flow is taken to be at rest.
-    r_min, r_max : `~astropy.units.Quantity`, optional
-    n_trials : int, optional
-    rng : None, int or `~numpy.random.Generator`, optional
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        A row for each pair of groups and each ``quantity`` ("position
-        angle", "offset", "from the middle"): the median and half the central
-        68% of each group, the ``statistic``, ``p_ksamp`` of
-        `scipy.stats.anderson_ksamp`, and ``p_paired``.
-
-    Raises
-    ------
-    ValueError
-        If groups share SSPs, or one has fewer than two in this part of the jet.
-
-    Notes
-    -----
-    ``p_ksamp`` treats every SSP as an independent sample, but a feature is
-    seen in many epochs.  It is therefore far too small, though never below
-    0.001.  ``p_paired`` is the p-value of a permutation test: SSPs are
-    collected into lengths of the flow of two beams, and in each length the
-    names of the two groups are kept or swapped.
-
-    Groups of scales can differ in position even in a jet that has no layers,
-    because separate patterns on a small scale are one pattern on a large one.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.flow import compare_positions
-    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,
-    ...                               position_angle=270 * u.deg)
-    >>> matched = scc.match(cube)
-    >>> ssps = matched.ssps
-    >>> groups = {"bright": ssps.snr >= 100, "faint": ssps.snr < 100}
-    >>> table = compare_positions(scc, matched, groups, n_trials=19, rng=1)
-    >>> table["quantity"].tolist()
-    ['position angle', 'offset', 'from the middle']
-    """
-    _check_groups(groups)
-    part = select_ssps(matched, r_min=r_min, r_max=r_max)
-    chosen = {name: part.select & member for name, member in groups.items()}
-    for name, own in chosen.items():
-        if own.sum() < 2:
-            raise ValueError(
-                f"group {name!r} has {own.sum()} SSPs in this part of the jet: a "
-                "comparison needs two or more"
-            )
-    angle, offset, distance = ssp_places(scc, part)
-    # Number the SSPs by their time of ejection.
-    v = 0.0 if speed is None else u.Quantity(speed).to_value(PM_UNIT)
-    start = distance.value - v * part.cube.years.to_value(u.yr)[part.ssps.epoch]
-    ejected = np.floor(start / (FEATURE_BEAMS * mean_width(part.cube)))
-    rows = []
-    rngs = np.random.default_rng(rng).spawn(3 * len(groups) ** 2)
-    for pair in combinations(groups, 2):
-        both = chosen[pair[0]] | chosen[pair[1]]
-        second = chosen[pair[1]][both]
-        quantities = {
-            "position angle": angle,
-            "offset": offset,
-            "from the middle": np.abs(offset - np.median(offset[both])),
-        }
-        for name, values in quantities.items():
-            v = values.value[both]
-            row = {"first": pair[0], "second": pair[1], "quantity": name}
-            # Angles and lengths cannot share a column with a unit.
-            for which, own in (("first", v[~second]), ("second", v[second])):
-                low, middle, high = np.percentile(own, [16, 50, 84])
-                row[f"{which}_median"] = float(middle)
-                row[f"{which}_spread"] = float(0.5 * (high - low))
-            row["unit"] = str(values.unit)
-            row |= _test(v, second, ejected[both], n_trials, rngs.pop())
-            rows.append(row)
-    return QTable(rows, meta={"n_trials": n_trials})
-
-
-def _test(values, second, ejected, n_trials, rng):
-    """Return the statistic, its p-value and that of the paired permutation test."""
-    from scipy.stats import anderson_ksamp
-
-    def statistic(names):
-        with warnings.catch_warnings():
-            # scipy warns that its table of p-values ends at 0.001 and 0.25.
-            warnings.simplefilter("ignore")
-            return anderson_ksamp([values[~names], values[names]])
-
-    found = statistic(second)
-    numbers, ejected = np.unique(ejected, return_inverse=True)
-    beyond = 0
-    for swap in rng.random((n_trials, len(numbers))) < 0.5:
-        names = second ^ swap[ejected]
-        compared = 1 < names.sum() < len(names) - 1
-        least = found.statistic - 1e-12
-        beyond += not compared or statistic(names).statistic >= least
-    return {
-        "statistic": float(found.statistic),
-        "p_ksamp": float(found.pvalue),
-        "p_paired": (int(beyond) + 1) / (n_trials + 1),
-    }

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Models of speed against distance, and Lorentz factors from apparent speeds."""
+"""Models of speed against distance."""
 
 from __future__ import annotations
 
@@ -7,12 +7,8 @@ from dataclasses import dataclass, field
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable
 from numpy.typing import ArrayLike
 from scipy.special import chdtrc
-
-from astro_scc.kinematics import beta_intrinsic, lorentz_factor
-from astro_scc.kinematics.relativistic import CENTRAL, in_units_of_c
 
 #: Parameters of each model; v0 is the speed at the mean distance.
 MODELS = {
@@ -227,129 +223,3 @@ def _solve_power_law(x, y, s):
         if np.all(np.abs(step) < 1e-10 * np.abs(values) + 1e-14):
             break
     return x0, values, covariance, _chi2(y - _model("power-law", x, x0, values), s)
-
-
-@dataclass(frozen=True, eq=False)
-class LorentzProfile:
-    """Lorentz factors at distances, and a power law through them."""
-
-    table: QTable
-    a: float
-    a_err: float
-    k: float
-    k_err: float
-    possible: float
-
-
-def lorentz_profile(
-    distance: u.Quantity, beta_app: ArrayLike, error: ArrayLike,
-    viewing_angle: u.Quantity, *, angle_error: u.Quantity | None = None,
-    n_trials: int = 10000, rng: np.random.Generator | int | None = None,
-) -> LorentzProfile:  # fmt: skip
-    r"""
-    Return Lorentz factors from apparent speeds at a viewing angle.
-
-    At every distance, :math:`\beta = \beta_\mathrm{app} / (\sin\theta +
-    \beta_\mathrm{app} \cos\theta)` and :math:`\Gamma = (1 - \beta^2)^{-1/2}`;
-    :math:`\Gamma = a\, r^k` is fitted by least squares of the logarithms.
-    Errors follow from trials with speeds and angle drawn from normal
-    distributions.  The angle is the same for all distances of a trial.
-
-    Parameters
-    ----------
-    distance : `~astropy.units.Quantity`, shape (n,)
-        Projected distances; a constant angle changes a, not k.
-    beta_app, error : array_like or `~astropy.units.Quantity`, shape (n,)
-        In units of c.
-    viewing_angle : `~astropy.units.Quantity`
-    angle_error : `~astropy.units.Quantity`, optional
-    n_trials : int, optional
-    rng : None, int or `~numpy.random.Generator`, optional
-
-    Returns
-    -------
-    ``LorentzProfile``
-        ``table`` with ``r``, ``gamma`` and the limits ``gamma_low`` and
-        ``gamma_high`` of the central 68%, infinite where the apparent speed is
-        not possible at the angle; ``a`` and ``k`` of ``Gamma = a (r / 1 mas)^k``
-        with ``a_err`` and ``k_err``, half the central 68% of the trials; and
-        ``possible``, the share of trials in which every speed was possible.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two speeds, if a distance, speed or angle is
-        not positive, or if no trial is possible because the angle is larger
-        than ``angle_max`` of `~astro_scc.kinematics.intrinsic_table`.
-
-    Examples
-    --------
-    The paper's speeds of 3C 120:
-
-    >>> import astropy.units as u
-    >>> from astro_scc.flow import lorentz_profile
-    >>> found = lorentz_profile(
-    ...     [1, 7] * u.mas, [4.0, 6.0], [0.2, 0.4], 15 * u.deg, rng=1)
-    >>> found.table["gamma"].round(2)
-    <Quantity [4.13, 7.48]>
-    >>> round(found.k, 2), round(found.k_err, 2)
-    (0.3, 0.08)
-    """
-    r = np.atleast_1d(u.Quantity(distance)).to_value(u.mas)
-    beta, s = (np.atleast_1d(in_units_of_c(v)) for v in (beta_app, error))
-    angle = u.Quantity(viewing_angle).to(u.deg)
-    if len(r) < 2:
-        raise ValueError(f"a power law needs two speeds or more, got {len(r)}")
-    if not (np.all(r > 0) and np.all(beta > 0) and 0 < angle.value < 180):
-        raise ValueError("distances, speeds and the viewing angle must be above 0")
-    if not np.all(np.isfinite(s) & (s >= 0)):
-        raise ValueError("the errors of the speeds must be finite")
-    rng = np.random.default_rng(rng)
-    spread = 0.0 if angle_error is None else u.Quantity(angle_error).to_value(u.deg)
-    turn = rng.normal(angle.value, spread, (n_trials, 1)) if spread else angle.value
-    trials = rng.normal(beta, s, (n_trials, len(beta)))
-    gamma = lorentz_factor(beta_intrinsic(trials, turn * u.deg)).value
-    whole = np.isfinite(gamma).all(axis=1)
-    if not whole.any():
-        raise ValueError(
-            f"no flow shows {beta.max():.3g} c at {angle:.3g}: the angle is too large, "
-            "see angle_max of intrinsic_table"
-        )
-    best = lorentz_factor(beta_intrinsic(beta, angle)).value
-    log = np.log(gamma[whole])
-    # Weights are inverse variances over the trials.
-    variance = log.var(axis=0)
-    weight = 1 / np.maximum(variance, 1e-6 * max(variance.max(), 1e-12))
-    k, ln_a = _line(np.log(r), log, weight)
-    k0, ln_a0 = np.median(k), np.median(ln_a)
-    if np.isfinite(best).all():
-        (k0,), (ln_a0,) = _line(np.log(r), np.log(best)[None], weight)
-    # Speeds that are impossible at the angle have an infinite Lorentz factor.
-    best, gamma = (np.where(np.isfinite(g), g, np.inf) for g in (best, gamma))
-    low, high = np.quantile(gamma, CENTRAL, axis=0, method="nearest")
-    table = QTable(
-        [r * u.mas, best * u.one, low * u.one, high * u.one],
-        names=["r", "gamma", "gamma_low", "gamma_high"],
-        meta={"viewing_angle": angle, "angle_error": spread * u.deg},
-    )
-    return LorentzProfile(
-        table=table,
-        a=float(np.exp(ln_a0)),
-        a_err=_half(np.exp(ln_a)),
-        k=float(k0),
-        k_err=_half(k),
-        possible=float(whole.mean()),
-    )
-
-
-def _line(x, y, weight):
-    """Return slopes and offsets of straight lines, one per row of y."""
-    x0 = np.average(x, weights=weight)
-    y0 = np.average(y, weights=weight, axis=1)
-    slope = ((y - y0[:, None]) * (x - x0)) @ weight / ((x - x0) ** 2 @ weight)
-    return slope, y0 - slope * x0
-
-
-def _half(values):
-    low, high = np.quantile(values, CENTRAL)
-    return float(0.5 * (high - low))

@@ -14,7 +14,7 @@ import numpy as np
 from astropy.table import QTable
 
 from astro_scc.epochs import EpochCube
-from astro_scc.flow.groups import ssp_angles
+from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.flow.models import fit_profile
 from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
@@ -34,8 +34,6 @@ from astro_scc.stacking import stack
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW
 
-#: Dots per inch of the figures.
-DPI = 150
 #: Columns that a profile adds to those of the components.
 DESCRIPTIONS = {
     "r_min": "inner limit of the bin",
@@ -295,6 +293,8 @@ def write_profile(
     >>> [path.name for path in write_profile(profile, profile.components, "out")]
     ['profile.ecsv', 'profile.png', 'velocity_maps.png', 'position_angles.png']
     """
+    from astro_scc.visualization import style
+
     directory = Path(directory)
     table = components.copy(copy_data=False)
     table.meta = with_configuration(components.meta, configuration)
@@ -302,7 +302,7 @@ def write_profile(
     table.write(paths[0], format="ascii.ecsv", overwrite=True)
     for name, figure in _figures(profile, components).items():
         paths.append(directory / f"{name}.png")
-        figure.savefig(paths[-1], dpi=DPI)
+        figure.savefig(paths[-1], dpi=style.DPI)
     return paths + write_configuration(directory, text)
 
 
@@ -349,11 +349,31 @@ def _angles_of_scales(results):
     """Return the position angles of the SSPs in the bins, by the name of the scale."""
     matched = results[0].matched
     select = np.any([r.matched.select for r in results], axis=0)
-    angle, _, _ = ssp_angles(matched, results[0].position_angle)
+    angle = ssp_angles(matched, results[0].position_angle)
     return {
-        f"scale {scale:g}": angle[select & (matched.ssps.scale == scale)] * u.deg
+        f"scale {scale:g}": angle[select & (matched.ssps.scale == scale)]
         for scale in np.unique(matched.ssps.scale)
     }
+
+
+def ssp_angles(matched, jet):
+    """
+    Return the position angles of the centroids of SSPs from the reference pixel.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    jet : `~astropy.units.Quantity`
+        Direction of the jet.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`, shape (n_ssps,)
+        Within half a turn of the jet's.
+    """
+    east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True)
+    angle, jet = np.degrees(np.arctan2(east, north)), jet.to_value(u.deg)
+    return (jet + (angle - jet + 180) % 360 - 180) * u.deg
 
 
 def _line_of(result, length):

@@ -1,12 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Interchange of epochs with the file formats and containers of other packages."""
+"""Interchange of epochs with the containers of other packages."""
 
-from astro_scc.interchange.containers import (
-    from_ndcube,
-    from_xarray,
-    to_ndcube,
-    to_xarray,
-)
-from astro_scc.interchange.files import read_movie
+from astro_scc.interchange.containers import from_ndcube, to_ndcube
 
-__all__ = ["from_ndcube", "from_xarray", "read_movie", "to_ndcube", "to_xarray"]
+__all__ = ["from_ndcube", "to_ndcube"]

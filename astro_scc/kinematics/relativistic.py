@@ -338,18 +338,3 @@ def two_sided_jet(
 def _motion(name, value):
     wanted = "must be an angle per time with a unit, such as '9 mas/d'"
     return named(name, to_quantity, value, "rad/s", wanted).to_value(u.rad / u.s)
-
-
-def two_sided_ratio(beta, viewing_angle, *, spectral_index=-0.7, blobs=True):
-    r"""
-    Return the brightness ratio of the approaching to the receding jet.
-
-    .. math:: R = \left(\frac{1 + \beta\cos\theta}{1 -
-              \beta\cos\theta}\right)^{p - \alpha},
-
-    where p = 3 for blobs that are seen at the same distance from the core and p = 2
-    for a steady jet (Scheuer & Readhead 1979, Nature 277, 182).  The flux density is
-    proportional to :math:`\nu^\alpha`.
-    """
-    cos = float(beta) * float(np.cos(u.Quantity(viewing_angle).to_value(u.rad)))
-    return float(((1 + cos) / (1 - cos)) ** ((3 if blobs else 2) - spectral_index))

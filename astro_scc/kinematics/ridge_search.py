@@ -179,22 +179,6 @@ def find_ridge_line(
     return RidgeLine(*(points.T * u.mas), error * u.mas, meta=meta)
 
 
-def limb_masks(cube, ridge, half_width):
-    """
-    Return the two limbs of a jet and its spine as masks, shape (ny, nx).
-
-    The spine lies within ``half_width`` of the ``ridge``; "north" is the side of the
-    line whose mean normal points north.
-    """
-    half = _length("half_width", half_width) * u.mas
-    _, n = ridge.coordinates(*cube.offsets())
-    angle = ridge.position_angle(ridge.distances).to_value(u.rad)
-    if np.mean(-np.sin(angle)) < 0:
-        n = -n
-    spine = np.abs(n) <= half
-    return {"north": (n > 0) & ~spine, "spine": spine, "south": (n < 0) & ~spine}
-
-
 def _follow(cube, image, start, direction, half, faintest, longest):
     """Return the points of slices from a start onwards, and the slices' maxima."""
     width = mean_width(cube)

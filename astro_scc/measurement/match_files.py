@@ -1,11 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Matches on disk: complete FITS files, or blocks of unfinished matches."""
+"""Matches, and their files."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -21,7 +20,6 @@ from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import Features, find_features
 from astro_scc.measurement.decomposing import decompose_epochs, noise_facts
 from astro_scc.measurement.tables import versions
-from astro_scc.writing import replace_when_complete
 
 #: What the files are, in their headers and in messages.
 MATCHES = "astro_scc matches"
@@ -198,12 +196,9 @@ class MatchedEpochs:
         return replace(parts, cube=cube)
 
 
-class MatchCache:
+def cache_file(path, provenance):
     """
-    Store of the matches of one provenance, complete or unfinished.
-
-    It maps the numbers of blocks of epoch pairs to their matches, as far as they are
-    computed, one file per block.  Adding a block deletes those of another provenance.
+    Return the file for the matches of a provenance.
 
     Parameters
     ----------
@@ -211,69 +206,46 @@ class MatchCache:
         A FITS file, or a folder for files of many provenances.
     provenance : dict
         See `match_provenance`.
+
+    Returns
+    -------
+    `~pathlib.Path`
     """
+    path = Path(path)
+    if path.suffix.lower() == ".fits":
+        return path
+    digest = _of_text(json.dumps(provenance, sort_keys=True))[:16]
+    return path / f"matches-{digest}.fits"
 
-    def __init__(self, path, provenance):
-        path = Path(path)
-        self.digest = _of_text(json.dumps(provenance, sort_keys=True))[:16]
-        if path.suffix.lower() != ".fits":
-            path = path / f"matches-{self.digest}.fits"
-        self.path, self.provenance = path, provenance
-        self.blocks = path.with_name(path.name + ".blocks")
 
-    def load(self, cube):
-        """
-        Return the stored matches if they have this provenance.
+def kept_matches(path, cube, provenance):
+    """
+    Return the matches in a file if they have a provenance.
 
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
+    Parameters
+    ----------
+    path : `~pathlib.Path`
+    cube : `~astro_scc.epochs.EpochCube`
+    provenance : dict
+        See `match_provenance`.
 
-        Returns
-        -------
-        `MatchedEpochs` or None
+    Returns
+    -------
+    `MatchedEpochs` or None
 
-        Warns
-        -----
-        `~astro_scc.exceptions.MeasurementWarning`
-            If there is a file but it cannot be used.
-        """
-        if not self.path.exists():
-            return None
-        try:
-            return MatchedEpochs.read(self.path, cube, wanted=self.provenance)
-        except (OSError, ValueError) as error:
-            reason = str(error).removesuffix("; match the epochs again")
-            warn(
-                f"{reason}; not used, the epochs are matched again",
-                MeasurementWarning,
-            )
+    Warns
+    -----
+    `~astro_scc.exceptions.MeasurementWarning`
+        If there is a file but it cannot be used.
+    """
+    if not path.exists():
         return None
-
-    def store(self, matched):
-        """Write the matches, and delete their blocks."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        matched.write(self.path, overwrite=True)
-        shutil.rmtree(self.blocks, ignore_errors=True)
-
-    def _file(self, number):
-        # The versions in the provenance cover how blocks are cut.
-        return self.blocks / f"{self.digest}-{number}.npz"
-
-    def __contains__(self, number):
-        return self._file(number).exists()
-
-    def __getitem__(self, number):
-        with np.load(self._file(number), allow_pickle=False) as arrays:
-            return tuple(arrays.values())
-
-    def __setitem__(self, number, columns):
-        self.blocks.mkdir(parents=True, exist_ok=True)
-        for path in self.blocks.glob("*.npz"):
-            if not path.name.startswith(self.digest):
-                path.unlink(missing_ok=True)
-        with replace_when_complete(self._file(number), overwrite=True) as part:
-            np.savez(part, *columns)
+    try:
+        return MatchedEpochs.read(path, cube, wanted=provenance)
+    except (OSError, ValueError) as error:
+        reason = str(error).removesuffix("; match the epochs again")
+        warn(f"{reason}; not used, the epochs are matched again", MeasurementWarning)
+    return None
 
 
 def image_provenance(cube):

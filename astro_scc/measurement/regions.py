@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import operator
 import os
 import re
 from pathlib import Path, PurePath
@@ -16,6 +15,7 @@ from skimage.measure import find_contours
 
 from astro_scc.decomposition import SSPs, scale_size
 from astro_scc.epochs import EpochCube
+from astro_scc.epochs.validation import epoch_index
 from astro_scc.writing import replace_when_complete
 
 if TYPE_CHECKING:
@@ -200,10 +200,7 @@ def ssp_segmentation(
 
 
 def _chosen(ssps, cube, epoch, scales):
-    index = operator.index(epoch)
-    if not -len(cube) <= index < len(cube):
-        raise IndexError(f"epoch {index} of a cube with {len(cube)} epochs")
-    here = ssps.epoch == index % len(cube)
+    here = ssps.epoch == epoch_index(epoch, len(cube))
     if scales is not None:
         here &= np.isin(ssps.scale, list(scales))
     return np.flatnonzero(here)

@@ -27,9 +27,6 @@ MAP_SPEEDS = 3.0
 #: Most permutations for the paper's z-score and trials for its error: they are standard
 #: deviations, known to 5% from 200.
 PAPER_TRIALS = 200
-#: Processor seconds for each trial and ordered pair of epochs: of a search, more for
-#: each direction, and of a permuted stack (``benchmarks/scaling.py estimate``).
-SEARCH, DIRECTION, PERMUTED = 3.5e-7, 1.2e-7, 4.6e-6
 #: Fewest pairs of dates of a map.
 FEWEST_PAIRS = 3
 
@@ -128,24 +125,6 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
             "misalignment_beams": cube.misalignment,
         },
     )
-
-
-def stacking_time(n_epochs, n_trials, n_axes=1):
-    """
-    Estimate the seconds that `stack_matches` takes on one core.
-
-    Parameters
-    ----------
-    n_epochs, n_trials : int
-    n_axes : int, optional
-        Directions that are searched.
-
-    Returns
-    -------
-    float
-    """
-    search = n_trials * (SEARCH + n_axes * DIRECTION)
-    return n_epochs**2 * (search + min(n_trials, PAPER_TRIALS) * PERMUTED)
 
 
 def seeded(rng):

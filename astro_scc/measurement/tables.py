@@ -68,7 +68,6 @@ def versions() -> dict[str, str]:
     Returns
     -------
     dict of str
-        numba is among them if it is installed.
 
     Examples
     --------
@@ -78,7 +77,7 @@ def versions() -> dict[str, str]:
     """
     needed = ("astro_scc", "numpy", "scipy", "astropy", "scikit-image")
     found = dict.fromkeys(needed, "unknown")
-    for name in (*needed, "numba"):
+    for name in needed:
         with suppress(PackageNotFoundError):
             found[name] = version(name)
     return found

@@ -176,7 +176,8 @@ def completeness(
     check_trials(n_trials, scc.alpha)
     position_angle, largest_part = _direction(position_angle, scc.position_angle)
     if fwhm is not None:
-        width = in_mas("fwhm", fwhm)
+        how = one_quantity, fwhm, "an angle", "1 mas"
+        width = named("fwhm", *how).to_value(u.mas)
     elif cube.beams is not None:
         _, width = scc.search_radius(cube)
     else:
@@ -236,8 +237,7 @@ def completeness(
         return axis @ velocity.value - speed, error
 
     cells = list(product(speeds.tolist(), peaks))
-    how = n_workers, "Recovering", progress_bar
-    outcomes = run_all(recover, cells, [n_injections] * len(cells), root, *how)
+    outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
     rows = []
     for (speed, peak), found in zip(cells, outcomes, strict=True):
         snr = peak / noise if noise > 0 else None
@@ -283,7 +283,8 @@ def _direction(position_angle, axis):
         )
     if radial:
         return position_angle, 1.0
-    angle = direction(position_angle).to(u.deg)
+    how = one_quantity, position_angle, "an angle", "65 deg", False
+    angle = named("position_angle", *how).to(u.deg)
     return angle, 1.0 if axis is None else float(abs(np.cos(angle - axis)))
 
 
@@ -329,16 +330,6 @@ def _counted(outcomes):
     }
 
 
-def in_mas(name, angle):
-    """Return one angle above 0, in mas."""
-    return named(name, one_quantity, angle, "an angle", "1 mas").to_value(u.mas)
-
-
-def direction(angle):
-    """Return a position angle."""
-    return named("position_angle", one_quantity, angle, "an angle", "65 deg", False)
-
-
 def positive_quantities(name, value, example):
     """Return one or more positive quantities in the unit of an example."""
     wanted = f"must be positive and finite, with a unit, such as {example!r}"
@@ -380,26 +371,26 @@ def share(number, of):
     return number / of, float(low), float(high)
 
 
-def run_all(function, cells, numbers, rng, n_workers=1, label="", progress_bar=False):
+def run_all(function, cells, number, rng, n_workers=1, progress_bar=False):
     """
     Call a function with each cell and each of its generators; return lists by cell.
 
-    The n-th cell has ``numbers[n]`` generators of its own, so the outcome is the same
-    for any number of threads.  Warnings about what the data support are not repeated.
+    Each cell has ``number`` generators of its own, so the outcome is the same for any
+    number of threads.  Warnings about what the data support are not repeated.
     """
     if n_workers < 1:
         raise ValueError(f"n_workers must be at least 1, got {n_workers}")
     jobs = [
         (cell, own)
-        for cell, n, root in zip(cells, numbers, rng.spawn(len(cells)), strict=True)
-        for own in root.spawn(n)
+        for cell, root in zip(cells, rng.spawn(len(cells)), strict=True)
+        for own in root.spawn(number)
     ]
     with (
         # Each measurement limits the threads of matrix products by itself; limits
         # that overlap in time would be restored in the wrong order.
         threadpool_limits(1),
         warnings.catch_warnings(),
-        progress(sum(numbers), label, show=progress_bar) as done,
+        progress(len(jobs), "Recovering", show=progress_bar) as done,
         ThreadPoolExecutor(n_workers) as pool,
     ):
         warnings.simplefilter("ignore", MeasurementWarning)
@@ -410,4 +401,4 @@ def run_all(function, cells, numbers, rng, n_workers=1, label="", progress_bar=F
             return result
 
         found = map(work, jobs) if n_workers == 1 else pool.map(work, jobs)
-        return [list(islice(found, n)) for n in numbers]
+        return [list(islice(found, number)) for _ in cells]

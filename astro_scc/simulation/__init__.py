@@ -12,14 +12,12 @@ from astro_scc.simulation.presets import (
     simulate_unrelated,
 )
 from astro_scc.simulation.streams import Flow, Stream
-from astro_scc.simulation.vlbi import observe
 
 __all__ = [
     "Flow",
     "JetSimulation",
     "SimulatedJet",
     "Stream",
-    "observe",
     "simulate_ballistic",
     "simulate_jet",
     "simulate_random_velocity",

@@ -159,12 +159,6 @@ def error_of_speed(speed, error, settings=DEFAULT):
     return np.hypot(settings.error_inflation * error, settings.core_bias * speed)
 
 
-def variance_with_prior(n, mean, dispersion, settings=DEFAULT):
-    """Return the variance of n speeds to which ``lone_dispersion`` is added as one."""
-    lone = settings.lone_dispersion * mean
-    return ((n - 1) * np.nan_to_num(dispersion) ** 2 + lone**2) / n
-
-
 def separate_streams(features, n_trials, rng, settings=DEFAULT):
     """
     Test whether the speeds of features are those of two streams rather than one.
@@ -211,6 +205,8 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
         return 1.0, np.zeros(len(speed), dtype=bool)
     order = np.argsort(np.abs(speed))
     y, e = np.log(np.abs(speed))[order], (error / np.abs(speed))[order]
+    # Larger errors tell as little, and their exponentials overflow.
+    e = np.minimum(e, 10.0)
     one, mean, tau, linear = (v[0] for v in _one(y[None], e[None], one_of))
     two, split = (v[0] for v in _two(y[None], e[None], two_of))
     width = np.sqrt(tau**2 * len(y) / (len(y) - 1) + e**2)

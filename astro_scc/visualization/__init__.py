@@ -3,11 +3,9 @@
 
 from astro_scc.visualization.diagram import plot_diagram
 from astro_scc.visualization.epochs import (
-    animate_epochs,
     plot_epoch,
     plot_epochs,
     plot_intervals,
-    write_animation,
 )
 from astro_scc.visualization.features import plot_feature_speeds
 from astro_scc.visualization.profiles import plot_profile
@@ -19,7 +17,6 @@ from astro_scc.visualization.velocity import (
 )
 
 __all__ = [
-    "animate_epochs",
     "plot_diagram",
     "plot_epoch",
     "plot_epochs",
@@ -32,5 +29,4 @@ __all__ = [
     "plot_significance",
     "plot_tracks",
     "plot_velocity_map",
-    "write_animation",
 ]

@@ -1,31 +1,26 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Figures and animations of the epochs with their SSPs, and a figure of dates."""
+"""Figures of the epochs with their SSPs, and a figure of dates."""
 
 from __future__ import annotations
 
-import operator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.positions import axis_words
+from astro_scc.epochs.validation import epoch_index
 from astro_scc.stacking import DatePairs, consecutive_pairs
 from astro_scc.visualization import drawing, style
-from astro_scc.writing import replace_when_complete
 
 if TYPE_CHECKING:
     from astropy.table import QTable
-    from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from astro_scc.decomposition import SSPs
     from astro_scc.epochs import EpochCube
 
-#: matplotlib's writer for each file suffix.
-WRITERS = {".gif": "pillow", ".mp4": "ffmpeg"}
 LEGEND = {"fontsize": "small", "frameon": False, "columnspacing": 1.0}
 LEGEND |= {"handletextpad": 0.3, "borderaxespad": 0.2, "ncols": 9}
 
@@ -84,10 +79,7 @@ def plot_epoch(
     >>> figure.axes[0].get_xlabel()
     'Relative R.A. (mas)'
     """
-    index = operator.index(epoch)
-    if not -len(cube) <= index < len(cube):
-        raise IndexError(f"epoch {index} of a cube with {len(cube)} epochs")
-    index %= len(cube)
+    index = epoch_index(epoch, len(cube))
     image = np.ma.masked_array(cube.data[index], cube.mask[index])
     view = drawing.View(
         cube, ssps, image, zoom=zoom, unit=unit, epochs=[index], stretch=stretch,
@@ -223,151 +215,6 @@ def plot_intervals(
     return figure
 
 
-def animate_epochs(
-    cube: EpochCube, ssps: QTable | SSPs | None = None, *, n_frames: int | None = None,
-    trail: int = 3, interval: u.Quantity = 400 * u.ms, ax: Axes | None = None,
-    **view: Any,
-) -> FuncAnimation:  # fmt: skip
-    """
-    Show the epochs one after the other, with their SSPs.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
-        As in `plot_epoch`.
-    n_frames : int, optional
-        Number of frames at equal steps of time, each of which shows the latest
-        epoch, so that speeds and gaps between epochs are in proportion.  By
-        default there is one frame per epoch.
-    trail : int, optional
-        Number of previous epochs whose SSPs are shown as dots.
-    interval : `~astropy.units.Quantity`, optional
-        Time between frames.
-    ax : `matplotlib.axes.Axes`, optional
-        Axes to draw on instead of a new figure.
-    **view
-        ``unit``, ``stretch``, ``vmin``, ``vmax`` and ``zoom``, see `plot_epoch`.
-
-    Returns
-    -------
-    `matplotlib.animation.FuncAnimation`
-        It must be kept in a variable.  In a notebook,
-        ``IPython.display.HTML(animation.to_jshtml())`` plays it;
-        `write_animation` saves it.
-
-    Raises
-    ------
-    ValueError
-        If ``n_frames`` is below 1, ``trail`` is negative, the interval is not
-        positive, the stretch is unknown, or the unit is not an angle.
-
-    Examples
-    --------
-    >>> from astro_scc.simulation import simulate_static
-    >>> from astro_scc.visualization import animate_epochs, write_animation
-    >>> cube = simulate_static(n_epochs=2, rng=1).cube
-    >>> animation = animate_epochs(cube)
-    >>> write_animation(animation, "jet.gif").name
-    'jet.gif'
-    """
-    from matplotlib.animation import FuncAnimation
-
-    if trail < 0:
-        raise ValueError(f"trail must be at least 0, got {trail}")
-    wait = u.Quantity(interval).to_value(u.ms)
-    if not wait > 0:
-        raise ValueError(f"interval must be positive, got {interval}")
-    shown = _epochs_shown(cube, n_frames)
-    images = np.ma.masked_array(cube.data, cube.mask)
-    view = drawing.View(cube, ssps, images, **view)
-    figure, ax = style.figure_and_axes(ax, _figsize(view))
-    picture = drawing.draw_image(ax, view, images[shown[0]])
-    _add_bar(ax, picture, view)
-    # The title and the legend fix the layout of all frames.
-    drawing.draw_ssps(ax, view, ssps, -1)
-    if ssps is not None and len(ssps) and trail:
-        dot = {"linestyle": "", "marker": "o", "ms": 3.125, "color": style.ORANGE}
-        ax.plot([], [], label="before", **dot)
-    _name_axes(ax, view, shown[0])
-    dates = drawing.epoch_names(cube.times)
-    corner, drawn = drawing.empty_corners(view, images.max(axis=0))[0], []
-
-    def draw(index):
-        while drawn:
-            drawn.pop().remove()
-        picture.set_data(images[index])
-        ax.title.set_text(dates[index])
-        before = {id(artist) for artist in ax.get_children()}
-        drawing.draw_beam(ax, view, index, corner)
-        if ssps is not None:
-            _draw_trail(ax, view, index, trail)
-        drawing.draw_ssps(ax, view, ssps, index)
-        drawn.extend(a for a in ax.get_children() if id(a) not in before)
-        return [picture, ax.title, *drawn]
-
-    return FuncAnimation(
-        figure, draw, frames=shown, init_func=lambda: draw(shown[0]), interval=wait,
-        cache_frame_data=False,
-    )  # fmt: skip
-
-
-def write_animation(
-    animation: FuncAnimation, path: Path | str, *, fps: float | None = None,
-    dpi: float = 100, overwrite: bool = False,
-) -> Path:  # fmt: skip
-    """
-    Save an animation as GIF or MP4.
-
-    Parameters
-    ----------
-    animation : `matplotlib.animation.FuncAnimation`
-        From `animate_epochs`.
-    path : path
-        The suffix gives the format: ``.gif``, or ``.mp4``, for which the
-        program ``ffmpeg`` is needed.
-    fps : float, optional
-        Frames per second, by default those of the animation.
-    dpi : float, optional
-        Pixels per inch; a figure is six inches wide.
-    overwrite : bool, optional
-        Replace a file that exists.
-
-    Returns
-    -------
-    `~pathlib.Path`
-
-    Raises
-    ------
-    ValueError
-        If the suffix is neither ``.gif`` nor ``.mp4``.
-    OSError
-        If the file exists and ``overwrite`` is False, if it cannot be written,
-        or if there is no ``ffmpeg``.
-
-    Examples
-    --------
-    >>> from astro_scc.simulation import simulate_static
-    >>> from astro_scc.visualization import animate_epochs, write_animation
-    >>> animation = animate_epochs(simulate_static(n_epochs=2, rng=1).cube)
-    >>> write_animation(animation, "jet.gif", dpi=40).name
-    'jet.gif'
-    """
-    from matplotlib.animation import writers
-
-    path = Path(path)
-    writer = WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise ValueError(f"{path}: animations are written as .gif or .mp4")
-    if not writers.is_available(writer):
-        raise OSError(
-            f"{path}: the program {writer} is not found; install it, or write a .gif"
-        )
-    with replace_when_complete(path, overwrite=overwrite) as part:
-        animation.save(part, writer=writer, fps=fps, dpi=dpi)
-    return path
-
-
 # -- parts of the figure of one epoch ----------------------------------------------
 
 
@@ -401,26 +248,3 @@ def _label_masked(ax, view, mask):
     low, high = view.limits.T[..., None]
     if np.any(np.all((offset > low) & (offset < high), axis=0)):
         ax.fill([], [], color=drawing.MASKED, label="masked")
-
-
-def _draw_trail(ax, view, index, trail):
-    """Draw the earlier positions of SSPs, paler for earlier epochs."""
-    epoch = view.points["epoch"]
-    past = view.points["used"] & (epoch < index) & (epoch >= index - trail)
-    if past.any():
-        ax.scatter(
-            *view.place[:, past], s=4.0, color=style.ORANGE, linewidths=0, gid="trail",
-            alpha=1 - (index - epoch[past]) / (trail + 1),
-        )  # fmt: skip
-
-
-def _epochs_shown(cube, n_frames):
-    """Return the index of the epoch that each frame shows."""
-    if n_frames is None:
-        return list(range(len(cube)))
-    if n_frames < 1:
-        raise ValueError(f"n_frames must be at least 1, got {n_frames}")
-    years = cube.years.value
-    # Rounding must not place the last frame before the last epoch.
-    dates = np.linspace(0.0, years[-1], n_frames) + 1e-9
-    return (np.searchsorted(years, dates, side="right") - 1).tolist()

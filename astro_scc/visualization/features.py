@@ -140,7 +140,7 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None):
     row, large = np.arange(len(table)), np.asarray(table["significant"])
     for own, color, marker in (
         (~large, style.BLUE, "o"),
-        (large, style.VERMILLION, "s"),
+        (large, style.VERMILION, "s"),
     ):
         if own.any():
             look = {"fmt": marker, "color": color, "ms": 4, "lw": 1}

@@ -134,7 +134,7 @@ def _draw_components(ax, table, column):
                 style.draw_bins(
                     ax, table[part], column, u.mas, table[column].unit, ms=size,
                     fmt=sign.on_profile, lw=1.0, zorder=3,
-                    color=style.VERMILLION if kind == "stationary" else style.BLUE,
+                    color=style.VERMILION if kind == "stationary" else style.BLUE,
                     mfc="white" if kind.startswith("not") else None,
                     label=sign.name if size == 5 or not (own & main).any() else None,
                 )  # fmt: skip

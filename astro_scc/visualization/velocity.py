@@ -346,7 +346,7 @@ def _mark_significance(ax, result, components, unit):
     ):
         strong = not kind.startswith("not")
         on_axis = abs(across) <= 3 * max(across_error, least)
-        color = style.VERMILLION if strong else GREY
+        color = style.VERMILION if strong else GREY
         ax.errorbar(
             along, row["z_score"], xerr=error if np.isfinite(error) else 0.0,
             fmt=KINDS[kind].on_slice, color=color, markersize=5,

@@ -16,6 +16,7 @@ the figures of the documentation from these files.
 import argparse
 import csv
 import os
+import sys
 import warnings
 from functools import partial
 from pathlib import Path
@@ -47,6 +48,14 @@ def jet(**options):
     return lambda seed: sim.simulate_jet(rng=seed, **options)
 
 
+def vlba(seed):
+    """Simulate CLEAN images of a jet."""
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    from vlbi import observe
+
+    return observe(sim.simulate_jet(rng=seed), rng=seed)
+
+
 def streams(*flows, **options):
     """Return a function that simulates a jet of several streams, given a seed."""
     return jet(streams=[Flow(name, **flow) for name, flow in flows], **options)
@@ -73,7 +82,7 @@ KINDS["static-comb"] = static(standing=tuple(1.5 * np.arange(1, 9)))
 KINDS["static-ripple"] = static(ripple=0.004, bowl=0.01)
 KINDS |= {f"static-align{a}": static(alignment_error=a / 10) for a in (1, 2, 3)}
 KINDS["static-red"] = static(memory=5.0, flux_variation=0.8)
-KINDS["vlba"] = lambda seed: sim.observe(sim.simulate_jet(rng=seed), rng=seed)
+KINDS["vlba"] = vlba
 PAPER = {
     f"two-fluid-{density}-{part}": density == "dense"
     for density in ("sparse", "dense")

@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 import matplotlib.pyplot as plt
 
-from astro_scc.simulation import observe, simulate_jet
+from astro_scc.simulation import simulate_jet
 from astro_scc.visualization import plot_epoch
 
 jet = simulate_jet(n_epochs=4, rng=4, standing=1)
@@ -10,9 +10,8 @@ cubes = {
     "with ripples and bowls": simulate_jet(
         n_epochs=4, rng=4, standing=1, ripple=0.002, bowl=0.003
     ).cube,
-    "observed with the VLBA": observe(jet, rng=4).cube,
 }
-figure, axes = plt.subplots(3, 2, figsize=(8, 6.5), layout="constrained")
+figure, axes = plt.subplots(2, 2, figsize=(8, 4.4), layout="constrained")
 for line, (name, cube) in zip(axes, cubes.items()):
     for ax, i in zip(line, (0, 3)):
         plot_epoch(cube, i, ax=ax)

@@ -46,18 +46,15 @@ def test_simulate_a_real_jet(astro_scc, here):
     options += ["--epochs", 3, "--dispersion", 0.2, "--distribution", "lognormal"]
     options += ["--flux-variation", 0]
     assert astro_scc("simulate", "jet", "a", *options)[::2] == (0, "")
-    assert astro_scc("simulate", "jet", "b", *options, "--vlba")[::2] == (0, "")
-    a, b = (QTable.read(here / name / "truth.ecsv") for name in "ab")
-    assert np.all(a["x"] == b["x"])
+    a = QTable.read(here / "a" / "truth.ecsv")
     flow, standing = a.meta["streams"]
     assert (flow["speed"], flow["dispersion"], flow["n_features"]) == (0.4, 0.2, 5.0)
     assert flow["distribution"] == "lognormal"
     assert standing["n_features"] == 2
     core = a["flux"][a["group"] == "core"]
     assert np.all(core == 1 * u.Jy)
-    cubes = [EpochCube.read(here / name / "*.fits") for name in "ab"]
-    assert cubes[0].beams[0] == cubes[0].beams[1] != cubes[1].beams[0]
-    assert cubes[1].data.max() == pytest.approx(cubes[0].data.max(), rel=0.1)
+    beams = EpochCube.read(here / "a" / "*.fits").beams
+    assert beams[0] == beams[1]
 
 
 @pytest.mark.parametrize(
@@ -74,7 +71,6 @@ def test_every_jet_is_simulated(astro_scc, here, jet):
     [
         (["static", "x", "--dense"], "--dense is for two-fluid, not for static"),
         (["static", "x", "--motion", "1"], "--motion is for jet, not for static"),
-        (["two-fluid", "x", "--vlba"], "--vlba is for jet, not for two-fluid"),
         (["jet", "x", "--dense"], "--dense is for two-fluid, not for jet"),
         (["jet", "x", "--motion", "-1"], "error: --motion must be zero or positive"),
         (["jet", "x", "--standing", "-1"], "error: --standing must be zero or"),

@@ -92,19 +92,3 @@ def test_pairs_more_than_once_are_once(masked):
     assert done == [1, 1, 1]
     for name in ("ssp", "target", "dy", "dx"):
         np.testing.assert_array_equal(getattr(found, name), getattr(once, name))
-
-
-def test_what_was_done_is_not_done_again(masked, monkeypatch):
-    for name in ("BLOCK_WORK", "STACK_BYTES", "BATCH"):
-        if name in Correlator.blocks.__globals__:
-            monkeypatch.setitem(Correlator.blocks.__globals__, name, 1)
-    done, counted = {}, []
-    whole = Correlator()(masked, all_pairs(3), 6, done=done)
-    assert len(done) > 1
-    kept = {number: done[number] for number in list(done)[::2]}
-    again = dict(kept)
-    found = Correlator()(masked, all_pairs(3), 6, done=again, progress=counted.append)
-    assert found.same_as(whole)
-    assert set(again) == set(done)
-    assert all(again[number] is kept[number] for number in kept)
-    assert counted == [1, 1, 1]

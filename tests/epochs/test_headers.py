@@ -19,10 +19,10 @@ from astro_scc.epochs.headers import (
     epoch_header,
     get,
     header_facts,
-    parse_date,
     parse_unit,
     read_header,
 )
+from astro_scc.quantities import parse_date
 
 
 def observing_time(header):

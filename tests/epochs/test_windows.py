@@ -13,8 +13,7 @@ from astropy.time import Time
 from numpy.testing import assert_array_equal
 from regions import CircleSkyRegion
 
-from astro_scc import interchange
-from astro_scc.epochs import Beam, EpochCube, cube, write_epochs
+from astro_scc.epochs import Beam, EpochCube, write_epochs
 from astro_scc.epochs.fits import read_plane
 from astro_scc.exceptions import EpochWarning
 
@@ -236,12 +235,3 @@ def test_only_the_part_is_in_memory(tmp_path):
     assert cube.shape == (6, 100, 100)
     assert_array_equal(cube.data[5], fits.getdata(paths[5])[400:500, 450:550])
     assert peak < 6e6
-
-
-def test_a_part_of_a_movie(tmp_path, monkeypatch):
-    path = tmp_path / "movie.h5"
-    path.write_bytes(b"movie")
-    monkeypatch.setattr(cube, "is_hdf5", lambda path: True)
-    monkeypatch.setattr(interchange, "read_movie", lambda path, beams: make())
-    same(EpochCube.read(path), make())
-    same(EpochCube.read(path, region=PART), make().crop(PART))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.flow import fit_profile, lorentz_profile
+from astro_scc.flow import fit_profile
 
 R = np.linspace(0.5, 10, 12) * u.mas
 PM = u.mas / u.yr
@@ -81,31 +81,3 @@ def test_fits_that_cannot_be():
         fit_profile(R[:2], [1, 2], [1, 1], model="broken")
     with pytest.raises(ValueError, match="above 0"):
         fit_profile(R, -np.ones(12), np.ones(12), model="power-law")
-
-
-def test_lorentz_factors_of_the_paper():
-    found = lorentz_profile([1, 7] * u.mas, [4.0, 6.0], [1e-6, 1e-6], 15 * u.deg, rng=1)
-    np.testing.assert_allclose(found.table["gamma"], [4.13, 7.48], atol=0.01)
-    assert found.k == pytest.approx(0.305, abs=0.001)
-    assert found.a == pytest.approx(4.13, abs=0.01)
-    assert found.possible == 1
-    angled = lorentz_profile(
-        [1, 7] * u.mas, [4.0, 6.0], [0.01, 0.01], 12 * u.deg, angle_error=1 * u.deg,
-        rng=1,
-    )  # fmt: skip
-    assert angled.k_err > 10 * found.k_err
-
-
-def test_speeds_that_are_not_possible():
-    found = lorentz_profile([1, 3] * u.mas, [4.0, 8.0], [0.1, 0.4], 15 * u.deg, rng=1)
-    assert np.isinf(found.table["gamma"][1])
-    assert 0 < found.possible < 0.5
-    assert np.isfinite(found.k)
-    with pytest.raises(ValueError, match="the angle is too large"):
-        lorentz_profile([1, 3] * u.mas, [4.0, 20.0], [0.1, 0.1], 15 * u.deg)
-    with pytest.raises(ValueError, match="two speeds"):
-        lorentz_profile([1] * u.mas, [4.0], [0.1], 15 * u.deg)
-    with pytest.raises(ValueError, match="must be above 0"):
-        lorentz_profile([1, 2] * u.mas, [4.0, -1.0], [0.1, 0.1], 15 * u.deg)
-    with pytest.raises(ValueError, match="must be finite"):
-        lorentz_profile([1, 2] * u.mas, [4.0, 5.0], [0.1, np.inf], 15 * u.deg)

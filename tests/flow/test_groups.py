@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Scale groups and limbs of simulated jets, and what must be refused."""
+"""Groups of SSPs by scale and by side of a simulated jet, and what must be refused."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,12 +10,8 @@ import pytest
 from scipy.stats import ttest_ind
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.flow import (
-    compare_positions,
-    compare_speeds,
-    limb_groups,
-    scale_groups,
-)
+from astro_scc.epochs.positions import ssp_offsets
+from astro_scc.flow import compare_speeds, scale_groups
 from astro_scc.flow.groups import _difference, _groups_of, _mean
 from astro_scc.kinematics import RidgeLine
 from astro_scc.simulation import JetSimulation, Stream
@@ -45,9 +41,14 @@ def matched(scc):
 
 
 @pytest.fixture(scope="module")
-def limbs(matched):
-    line = RidgeLine([0, -25] * u.mas, [0, 0] * u.mas)
-    return limb_groups(matched, line, 0.5 * u.mas)
+def sides(matched):
+    _, north = ssp_offsets(matched.ssps, matched.cube, centroid=True)
+    use = matched.select
+    return {
+        "south": use & (north < -0.5),
+        "spine": use & (abs(north) <= 0.5),
+        "north": use & (north > 0.5),
+    }
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +56,8 @@ def result(scc, matched):
     return scc.stack(matched, n_trials=20, rng=1)
 
 
-def test_limbs_have_their_speeds(matched, limbs, result):
-    two = {name: limbs[name] for name in ("south", "north")}
+def test_sides_have_their_speeds(matched, sides, result):
+    two = {name: sides[name] for name in ("south", "north")}
     (row,) = compare_speeds(result, two)
     assert row["p_value"] < 0.05
     error = row["difference_err"].value
@@ -99,36 +100,14 @@ def test_a_feature_is_of_the_group_that_has_more_of_its_brightness():
     assert belongs.tolist() == [0, 0, 1, 1, 0]
 
 
-def test_scales_of_one_flow_have_one_direction(scc, matched):
-    groups = scale_groups(matched, {"fine": [1], "coarse": [2]})
-    table = compare_positions(scc, matched, groups, speed=7 * PM, n_trials=99, rng=1)
-    assert table["quantity"].tolist() == ["position angle", "offset", "from the middle"]
-    assert table["p_paired"][0] > 0.01
+def test_three_groups_are_three_comparisons(result, sides):
+    assert len(compare_speeds(result, sides)) == 3
 
 
-def test_limbs_differ_in_place(scc, matched, limbs):
-    two = {name: limbs[name] for name in ("south", "north")}
-    table = compare_positions(scc, matched, two, n_trials=99, rng=1)
-    offset = table[table["quantity"] == "offset"][0]
-    assert offset["p_paired"] <= 0.02
-    assert offset["p_ksamp"] <= 0.001
-    assert offset["first_median"] < 0 < offset["second_median"]
-    for axes in ("radial", RidgeLine([0, -25] * u.mas, [0, 0] * u.mas), None):
-        other = compare_positions(
-            replace(scc, position_angle=axes), matched, two, n_trials=9, rng=1
-        )
-        row = other[other["quantity"] == "offset"][0]
-        assert row["first_median"] * row["second_median"] < 0
-
-
-def test_three_groups_are_three_comparisons(result, limbs):
-    assert len(compare_speeds(result, limbs)) == 3
-
-
-def test_what_is_not_seen_is_unknown(result, limbs):
+def test_what_is_not_seen_is_unknown(result, sides):
     none = {
-        "all": limbs["north"] | limbs["south"],
-        "none": np.zeros_like(limbs["north"]),
+        "all": sides["north"] | sides["south"],
+        "none": np.zeros_like(sides["north"]),
     }
     (row,) = compare_speeds(result, none)
     assert row["second_n_features"] == 0
@@ -136,7 +115,7 @@ def test_what_is_not_seen_is_unknown(result, limbs):
     assert np.isnan(row["p_value"])
 
 
-def test_refused(scc, matched, limbs, result):
+def test_refused(scc, matched, sides, result):
     everything = {"a": matched.select, "b": matched.select}
     with pytest.raises(ValueError, match="'a' and 'b' share SSPs"):
         compare_speeds(result, everything)
@@ -146,17 +125,14 @@ def test_refused(scc, matched, limbs, result):
         scale_groups(matched, {"a": [1, 2], "b": [2]})
     sky = replace(scc, position_angle=None).stack(matched, n_trials=30, rng=1)
     with pytest.raises(ValueError, match="direction of the flow is needed"):
-        compare_speeds(sky, limbs)
-    none = {"north": limbs["north"], "nothing": np.zeros_like(limbs["north"])}
-    with pytest.raises(ValueError, match="'nothing' has 0 SSPs"):
-        compare_positions(scc, matched, none)
+        compare_speeds(sky, sides)
 
 
 @pytest.mark.slow
-def test_other_axes(scc, matched, limbs):
+def test_other_axes(scc, matched, sides):
     for axes in ("radial", RidgeLine([0, -25] * u.mas, [0, 0] * u.mas)):
         found = replace(scc, position_angle=axes).stack(matched, n_trials=30, rng=1)
-        table = compare_speeds(found, limbs)
+        table = compare_speeds(found, sides)
         assert np.all(np.isfinite(table["difference"]))
 
 

@@ -1,9 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Epochs in the formats and containers of other packages."""
 
-import importlib.util
 import sys
-import types
 import warnings
 
 import astropy.units as u
@@ -12,18 +10,14 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.nddata import NDData
-from astropy.time import Time
 from astropy.wcs import WCS
 
-from astro_scc import Beam, EpochCube
-from astro_scc.epochs.fits import is_casa_image, is_hdf5
-from astro_scc.interchange import files, from_xarray, to_xarray
-from astro_scc.interchange.files import read_casa_image
+from astro_scc import EpochCube
 
 DATES = ["2000-01-01T03:04:05.678", "2000-06-01", "2001-01-01"]
 
 
-def make_cube(**changes):
+def make_cube():
     data = np.random.default_rng(1).normal(size=(3, 8, 12))
     values = {
         "data": data,
@@ -33,30 +27,8 @@ def make_cube(**changes):
         "position": SkyCoord(187.25 * u.deg, 2.05 * u.deg),
         "reference_pixel": (4, 3),
         "mask": data > 2,
-        **changes,
     }
     return EpochCube.from_arrays(**values)
-
-
-def full_cube():
-    from dataclasses import replace
-
-    turned = WCS(naxis=2)
-    turned.wcs.ctype = ["RA---SIN", "DEC--SIN"]
-    turned.wcs.crval = [187.25, 2.05]
-    turned.wcs.crpix = [5, 4]
-    turned.wcs.cd = np.array([[-0.8, 0.6], [0.6, 0.8]]) / 3.6e7
-    turned.wcs.set()
-    return replace(
-        make_cube(),
-        wcs=turned,
-        beams=[Beam(k * u.mas, 0.5 * u.mas, 10 * k * u.deg) for k in (1, 2, 3)],
-        noise=[1, 2, 3] * u.mJy / u.beam,
-        labels=("a.fits", "b.fits", "c.fits"),
-        epoch_wcs=[make_cube().wcs] * 3,
-        epoch_meta=[{"object": "3C 273", "frequency": k * 1e9} for k in (1, 2, 3)],
-        meta={"object": "3C 273", "history": ["one", "two"]},
-    )
 
 
 def assert_same(one, other):
@@ -78,114 +50,10 @@ def assert_same(one, other):
     assert (one.epoch_wcs is None) == (other.epoch_wcs is None)
 
 
-class TestXarray:
-    @pytest.fixture(autouse=True)
-    def _needs(self):
-        self.xarray = pytest.importorskip("xarray")
-
-    @pytest.mark.parametrize("make", [make_cube, full_cube])
-    def test_there_and_back(self, make):
-        cube = make()
-        dataset = cube.to_xarray()
-        assert dict(dataset.sizes) == {"time": 3, "y": 8, "x": 12}
-        assert all(isinstance(value, str) for value in dataset.attrs.values())
-        assert_same(cube, EpochCube.from_xarray(dataset))
-
-    def test_offsets_on_the_sun_are_no_east(self):
-        cube = make_cube()
-        cube.wcs.wcs.ctype = "HPLN-TAN", "HPLT-TAN"
-        dataset = cube.to_xarray()
-        assert "east" not in dataset.coords
-        assert dataset["lon_offset"].values[5] == pytest.approx(-0.1)
-        assert_same(cube, EpochCube.from_xarray(dataset))
-
-    def test_netcdf(self, tmp_path):
-        pytest.importorskip("h5netcdf")
-        cube = full_cube()
-        cube.to_xarray().to_netcdf(tmp_path / "cube.nc", engine="h5netcdf")
-        with self.xarray.open_dataset(tmp_path / "cube.nc", engine="h5netcdf") as read:
-            assert_same(cube, from_xarray(read))
-
-    def test_what_it_says(self):
-        dataset = make_cube().to_xarray()
-        assert dataset["brightness"].attrs["units"] == "Jy / beam"
-        assert dataset["east"].values[4] == 0
-        assert dataset["east"].values[5] == pytest.approx(-0.1)
-        assert dataset["north"].values[2] == pytest.approx(-0.1)
-        assert dataset["time"].values[0] == np.datetime64(DATES[0], "ns")
-        assert full_cube().to_xarray()["east"].dims == ("y", "x")
-
-    def test_selected_epochs_and_pixels(self):
-        cube = full_cube()
-        dataset = cube.to_xarray().isel(time=[0, 2], y=slice(2, 7), x=slice(1, 11))
-        back = from_xarray(dataset.transpose("x", "y", "time"))
-        expected = cube[[0, 2]].crop((slice(2, 7), slice(1, 11)))
-        assert np.array_equal(back.data, expected.data)
-        assert back.labels == ("a.fits", "c.fits")
-        assert np.array_equal(back.wcs.wcs.crpix, expected.wcs.wcs.crpix)
-        assert list(back.beams) == list(expected.beams)
-        with pytest.raises(ValueError, match="pixels x .* not one after the other"):
-            from_xarray(cube.to_xarray().isel(x=slice(None, None, 2)))
-        with pytest.raises(ValueError, match="has its dates, pixels, unit, beams"):
-            from_xarray(cube.to_xarray(), unit="K")
-
-    def test_images_of_others(self):
-        data = np.random.default_rng(2).normal(size=(12, 3, 8))
-        east = {"units": "arcsec"}
-        array = self.xarray.DataArray(
-            data,
-            dims=("ra", "t", "dec"),
-            coords={
-                "ra": ("ra", (5 - np.arange(12)) * 0.2, east),
-                "dec": ("dec", (np.arange(8) - 3) * 0.2, east),
-                "t": Time(DATES).to_value("datetime64"),
-            },
-            attrs={"units": "ct"},
-        )
-        cube = from_xarray(array)
-        assert np.array_equal(cube.data, data.transpose(1, 2, 0))
-        assert cube.unit == u.ct
-        assert cube.reference_pixel == pytest.approx((5, 3))
-        assert np.allclose(cube.pixel_matrix.value, [[-200, 0], [0, 200]])
-        assert cube.times[0].isot == DATES[0]
-        same = from_xarray(array.to_dataset(name="counts"))
-        assert np.array_equal(same.data, cube.data)
-        # A coordinate that runs to the east keeps its direction.
-        turned = from_xarray(array.isel(ra=slice(None, None, -1)))
-        assert np.allclose(turned.pixel_matrix.value, [[200, 0], [0, 200]])
-
-    def test_plain_arrays(self):
-        array = self.xarray.DataArray(np.ones((3, 8, 12)), dims=("time", "y", "x"))
-        cube = from_xarray(array, times=DATES, pixel_scale=1 * u.arcsec, unit="DN")
-        assert cube.reference_pixel == (5.5, 3.5)
-        assert np.allclose(cube.pixel_matrix.value, [[-1000, 0], [0, 1000]])
-        with pytest.raises(ValueError, match="axis time has no dates"):
-            from_xarray(array, pixel_scale=1 * u.arcsec)
-        with pytest.raises(ValueError, match="has no coordinate with an angle"):
-            from_xarray(array, times=DATES)
-        with pytest.raises(ValueError, match=r"rename\(\) the axes"):
-            from_xarray(array.rename(x="column"), times=DATES)
-        with pytest.raises(ValueError, match="one array of three axes"):
-            from_xarray(self.xarray.Dataset({"a": array, "b": array}))
-        uneven = array.assign_coords(
-            x=("x", np.arange(12.0) ** 2, {"units": "mas"}),
-            y=("y", np.arange(8.0), {"units": "mas"}),
-        )
-        with pytest.raises(ValueError, match="coordinate x is uneven"):
-            from_xarray(uneven, times=DATES)
-        long = uneven.assign_coords(x=("x", 2.0 * np.arange(12), {"units": "mas"}))
-        with pytest.raises(ValueError, match="pixels are 2 by 1 mas"):
-            from_xarray(long, times=DATES)
-
-    def test_another_kind(self):
-        with pytest.raises(TypeError, match="takes a Dataset or a DataArray"):
-            from_xarray(np.ones((3, 8, 12)))
-
-
-def test_xarray_is_not_installed(monkeypatch):
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(ImportError, match=r"to_xarray needs xarray; .*scc\[xarray\]"):
-        to_xarray(make_cube())
+def test_ndcube_is_not_installed(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ndcube", None)
+    with pytest.raises(ImportError, match=r"to_ndcube needs ndcube; .*scc\[ndcube\]"):
+        make_cube().to_ndcube()
 
 
 def test_spectral_cube_images():
@@ -216,138 +84,6 @@ def test_spectral_cube_images():
 def test_images_of_another_kind():
     with pytest.raises(TypeError, match="image 0: is a ndarray; give NDData"):
         EpochCube.from_ccddata([np.ones((8, 8))], times=DATES[:1])
-
-
-@pytest.fixture
-def casa_image(tmp_path):
-    folder = tmp_path / "a.image"
-    folder.mkdir()
-    (folder / "table.dat").write_bytes(b"\xbe\xbe\xbe\xbe")
-    return folder
-
-
-@pytest.fixture
-def casatools(monkeypatch):
-    """What of casatools is used, with an image of its own."""
-    module = types.ModuleType("casatools")
-    module.__spec__ = importlib.util.spec_from_loader("casatools", None)
-    data = np.random.default_rng(1).normal(size=(1, 1, 16, 32))
-
-    class image:
-        def open(self, path):
-            if "broken" in path:
-                raise RuntimeError("table.f0 is missing\nand more")
-
-        def tofits(self, outfile, **kwargs):
-            header = make_cube().wcs.to_header()
-            header.update({"DATE-OBS": DATES[0], "BMAJ": 1 / 3.6e6, "BMIN": 1e-7})
-            fits.PrimaryHDU(data, header).writeto(outfile)
-
-        def close(self):
-            pass
-
-    module.image = image
-    module.data = data[0, 0]
-    monkeypatch.setitem(sys.modules, "casatools", module)
-    return module
-
-
-def test_casa_image_by_casatools(casa_image, casatools):
-    cube = EpochCube.read(casa_image)
-    assert np.array_equal(cube.data[0], casatools.data)
-    assert cube.beams[0].major.to_value(u.mas) == pytest.approx(1)
-    assert cube.labels == ("a.image",)
-    # A pattern finds folders that are images, and no others.
-    (casa_image.parent / "b.image").mkdir()
-    assert len(EpochCube.read(casa_image.parent / "*.image")) == 1
-
-
-def test_broken_casa_image(casa_image, casatools):
-    broken = casa_image.rename(casa_image.parent / "broken.image")
-    with pytest.raises(OSError, match=r"image: casatools cannot .*: table\.f0 is miss"):
-        read_casa_image(broken)
-
-
-def test_casa_image_without_packages(casa_image, monkeypatch):
-    monkeypatch.setattr(files, "find_spec", lambda name: None)
-    with pytest.raises(OSError, match=r"a\.image: a CASA image; export it as FITS"):
-        EpochCube.read(casa_image)
-
-
-def test_casa_image_by_spectral_cube():
-    spectral_cube = pytest.importorskip("spectral_cube")
-    from pathlib import Path
-
-    path = Path(spectral_cube.__file__).parent / "tests" / "data" / "basic.image"
-    if not is_casa_image(path):
-        pytest.skip("spectral-cube is installed without its test data")
-    with pytest.raises(ValueError, match=r"basic\.image: has 3 planes on axis FREQ"):
-        EpochCube.read(path, times=DATES[0])
-
-
-@pytest.fixture
-def movie(tmp_path):
-    """Write a movie of four frames, an hour apart, and give its path."""
-    h5py = pytest.importorskip("h5py")
-
-    def make(name="m.hdf5", without=(), n_times=4, **changes):
-        head = {
-            "mjd": b"57850", "psize": b"9.69627362219072e-12", "source": b"SgrA",
-            "ra": b"17.761122472222223", "dec": b"-28.992189444444445",
-            "rf": b"230000000000.0", **changes,
-        }  # fmt: skip
-        frames = np.arange(4 * 6 * 8.0).reshape(4, 6, 8)
-        with h5py.File(tmp_path / name, "w") as file:
-            header = file.create_dataset("header", (0,), dtype="S10")
-            for key, value in head.items():
-                if key not in without:
-                    header.attrs[key] = np.bytes_(value)
-            if "I" not in without:
-                file["I"] = frames
-            file["times"] = np.arange(float(n_times))
-        return tmp_path / name, frames
-
-    return make
-
-
-def test_movie(movie):
-    path, frames = movie()
-    assert is_hdf5(path)
-    cube = EpochCube.read(path)
-    # The first row of a frame is in the north.
-    assert np.array_equal(cube.data, frames[:, ::-1])
-    assert cube.unit == u.Jy / u.pix
-    assert cube.pixel_scale.to_value(u.uas) == pytest.approx(2, rel=1e-3)
-    assert cube.times[1].isot == "2017-04-07T01:00:00.000"
-    assert cube.meta["object"] == "SgrA"
-    assert cube.epochs["frequency"][0] == 230 * u.GHz
-    assert cube.wcs.wcs.crval == pytest.approx([266.41683708, -28.99218944])
-    assert cube.reference_pixel == (3.5, 2.5)
-    blurred = EpochCube.read(path, beams=Beam(20 * u.uas, 20 * u.uas))
-    assert len(blurred.beams) == 4
-    assert EpochCube.read(movie(without=("rf", "source"))[0]).meta.get("object") is None
-    with pytest.raises(ValueError, match="a movie; it has its dates"):
-        EpochCube.read(path, times=DATES)
-
-
-def test_broken_movies(movie, monkeypatch):
-    for without in ("I", "psize", "ra"):
-        with pytest.raises(OSError, match=r"m\.hdf5: is no movie of eht-imaging"):
-            EpochCube.read(movie(without=(without,))[0])
-    with pytest.raises(OSError, match="is no movie"):
-        EpochCube.read(movie(mjd=b"soon")[0])
-    with pytest.raises(OSError, match=r"frames have shape \(4, 6, 8\) for 3 times"):
-        EpochCube.read(movie(n_times=3)[0])
-    path, _ = movie()
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(OSError, match=r"m\.hdf5: reading an HDF5 movie needs h5py"):
-        EpochCube.read(path)
-
-
-def test_what_is_no_hdf5(tmp_path):
-    (tmp_path / "a.txt").write_text("text")
-    assert not is_hdf5(tmp_path / "a.txt")
-    assert not is_hdf5(tmp_path / "missing")
 
 
 # Images without a beam: counts of a space telescope, and the Sun.

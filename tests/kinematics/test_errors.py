@@ -16,7 +16,6 @@ from astro_scc.kinematics import (
     lorentz_factor,
     two_sided_jet,
 )
-from astro_scc.kinematics.relativistic import two_sided_ratio
 
 DAY = u.mas / u.day
 
@@ -55,14 +54,6 @@ def test_numbers_of_a_two_sided_jet():
     assert at["beta"][0] == pytest.approx(1)
     same = two_sided_jet(2 * DAY, 2 * DAY)
     assert same["beta_cos"][0] == 0
-
-
-@pytest.mark.parametrize(("blobs", "power"), [(True, 3.5), (False, 2.5)])
-def test_ratio_of_brightness(blobs, power):
-    found = two_sided_ratio(0.8, 60 * u.deg, spectral_index=-0.5, blobs=blobs)
-    assert found == pytest.approx((1.4 / 0.6) ** power)
-    usual = two_sided_ratio(0.8, 60 * u.deg, blobs=blobs)
-    assert usual == pytest.approx((1.4 / 0.6) ** (power + 0.2))
 
 
 def test_limits_are_the_central_68_per_cent():

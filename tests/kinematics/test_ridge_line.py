@@ -16,7 +16,6 @@ from astro_scc.kinematics import (
     fit_position_angle,
 )
 from astro_scc.kinematics.frames import frame_displacements
-from astro_scc.kinematics.ridge_search import limb_masks
 
 RADIUS = 10.0
 
@@ -188,22 +187,10 @@ def test_line_leaves_the_image():
     assert line.length.value < 40
 
 
-def test_limbs():
+def test_options_are_lengths_and_angles():
     cube = bent_images()
-    masks = limb_masks(cube, circle(), 0.5 * u.mas)
-    assert np.array_equal(
-        sum(m.astype(int) for m in masks.values()), np.ones(cube.shape[1:])
-    )
-    for name, n in (("north", 1.0), ("spine", 0.0), ("south", -1.0)):
-        x, y = cube.offset_to_pixel(*(v * u.mas for v in on_circle(0.7, n)))
-        assert masks[name][round(float(y)), round(float(x))]
-    # The other way round, north stays north.
-    turned = RidgeLine(circle().east[::-1], circle().north[::-1])
-    again = limb_masks(cube, turned, 0.5 * u.mas)
-    x, y = cube.offset_to_pixel(*(v * u.mas for v in on_circle(0.7, 1.0)))
-    assert again["north"][round(float(y)), round(float(x))]
     with pytest.raises(ValueError, match="half_width = 0.0 mas must be finite and"):
-        limb_masks(cube, circle(), 0 * u.mas)
+        find_ridge_line(cube, half_width=0 * u.mas)
     for option in ("half_width", "smoothing", "r_max"):
         with pytest.raises(ValueError, match=f"{option} = nan mas must be finite"):
             find_ridge_line(cube, **{option: np.nan * u.mas})

@@ -7,14 +7,13 @@ import pytest
 
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.epochs.restoring import add_gaussians
-from astro_scc.kinematics import RidgeLine, find_ridge_line, fit_position_angle
+from astro_scc.kinematics import find_ridge_line, fit_position_angle
 from astro_scc.kinematics.ridge_search import (
     STEP,
     _jackknife,
     _met_again,
     _slice_point,
     _smoothed,
-    limb_masks,
 )
 
 
@@ -244,14 +243,3 @@ def test_without_beams_four_pixels_are_the_width():
     cube = along(-np.linspace(0, 9, 300), np.zeros(300), beam=None)
     line = find_ridge_line(cube, position_angle=270 * u.deg, half_width=1 * u.mas)
     assert line.meta["width"].to_value(u.mas) == pytest.approx(0.4)
-
-
-def test_limbs_are_on_their_sides():
-    cube = along(-np.linspace(0, 9, 10), np.zeros(10), reference=(100, 60))
-    for points in ([0.0, -9.0], [-9.0, 0.0]):
-        line = RidgeLine(points * u.mas, [0.0, 0.0] * u.mas)
-        masks = limb_masks(cube, line, 0.45 * u.mas)
-        _, north = cube.offsets()
-        np.testing.assert_array_equal(masks["north"], north > 0.45 * u.mas)
-        np.testing.assert_array_equal(masks["south"], north < -0.45 * u.mas)
-        np.testing.assert_array_equal(masks["spine"], np.abs(north) <= 0.45 * u.mas)

@@ -14,7 +14,6 @@ from astro_scc.correlation.correlate import match_block
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement import MatchedEpochs, select_ssps
-from astro_scc.measurement.match_files import MatchCache
 from astro_scc.simulation import simulate_two_fluid
 
 SETTINGS = {"scales": [1, 2], "max_speed": 30 * u.mas / u.yr}
@@ -202,50 +201,6 @@ def test_a_part_that_was_chosen_later_is_no_cache(scc, made, cube, tmp_path):
     same(part, MatchedEpochs.read(path, cube))
     with pytest.warns(MeasurementWarning, match="other region"):
         same(made, scc.match(cube, cache=path))
-
-
-@pytest.mark.slow
-def test_an_interrupted_run_goes_on(scc, cube, made, counted, tmp_path, monkeypatch):
-    path = tmp_path / "m.fits"
-    bad = [True]
-
-    def interrupted(block):
-        if bad and len(counted) == 2:
-            raise KeyboardInterrupt
-        counted.append(block)
-        return match_block(block)
-
-    monkeypatch.setattr("astro_scc.correlation.correlate.match_block", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        scc.match(cube, cache=path)
-    assert len(list(tmp_path.glob("m.fits.blocks/*.npz"))) == 2
-    assert not path.exists()
-    bad.clear()
-    # What others did is no part of this, and stays until this begins.
-    other = replace(scc, kappa=0.9)
-    other.match(cube, cache=tmp_path / "other.fits")
-    del counted[:]
-    counted += [None, None]
-    same(made, scc.match(cube, cache=path))
-    assert len(counted) == len(cube)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["m.fits", "other.fits"]
-
-
-def test_blocks_of_other_settings_go(made, tmp_path):
-    path = tmp_path / "m.fits"
-    columns = tuple(np.arange(3) for _ in range(7))
-    one = MatchCache(path, made.provenance)
-    one[0] = one[12] = columns
-    assert 0 in one
-    assert 1 not in one
-    assert [list(c) for c in one[12]] == [list(c) for c in columns]
-    other = MatchCache(path, {**made.provenance, "reach": [1, 1]})
-    assert 0 not in other
-    other[3] = columns
-    assert 0 not in one
-    for _ in "ab":
-        other.store(made)
-        assert list(tmp_path.iterdir()) == [path]
 
 
 def test_workers_decompose_the_same(scc, cube, made):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from astro_scc import Beam, EpochCube
 from astro_scc.decomposition import Decomposer, scale_size
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.decomposing import decompose_epochs, ssps_inside
+from astro_scc.measurement.decomposing import centroids_inside, decompose_epochs
 from astro_scc.measurement.plan import (
     flow_direction,
     map_grid,
@@ -265,25 +265,25 @@ def test_every_epoch_is_decomposed_with_its_mask_noise_and_beam(monkeypatch):
 
 
 def test_ssps_are_inside_if_their_centroid_is(matched):
-    decompositions, cube = matched.decompositions, matched.cube
-    ssps, everything = ssps_inside(decompositions, cube, None)
+    ssps, cube = matched.ssps, matched.cube
+    everything = centroids_inside(ssps, cube, None)
     assert everything.all()
     assert len(everything) == len(ssps) > 0
     region = np.zeros(cube.shape[1:], bool)
     region[:, 60:160] = True
-    _, inside = ssps_inside(decompositions, cube, region)
+    inside = centroids_inside(ssps, cube, region)
     x = np.rint(ssps.x_centroid)
     np.testing.assert_array_equal(inside, (x >= 60) & (x < 160))
     assert 0 < inside.sum() < len(ssps)
     empty = np.zeros(cube.shape[1:], bool)
     empty[0, 0] = True
-    assert not ssps_inside(decompositions, cube, empty)[1].any()
+    assert not centroids_inside(ssps, cube, empty).any()
 
 
 def test_a_region_without_a_pixel_is_refused(matched):
     cube = matched.cube
     with pytest.raises(ValueError, match="holds no pixel"):
-        ssps_inside(matched.decompositions, cube, np.zeros(cube.shape[1:], bool))
+        centroids_inside(matched.ssps, cube, np.zeros(cube.shape[1:], bool))
 
 
 def ssps_at(cube, x, y, flux):

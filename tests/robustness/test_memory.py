@@ -1,18 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Series that are larger than the memory, see ``benchmarks/memory.py``."""
 
-import re
-
 import pytest
 from astropy.table import QTable
 
 from astro_scc.cli import main
 from astro_scc.cli.survey import run_survey
 from astro_scc.cli.survey_sources import read_survey
-from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import EpochCube
-from astro_scc.measurement.decomposing import refuse_too_much, working_memory
-from astro_scc.simulation import simulate_two_fluid
 
 SKY = 'fk5\nbox(10d,0d,0.0036",0.0026",0)\n'
 
@@ -93,32 +88,6 @@ def test_parts_of_a_survey(epochs, tmp_path):
     (tmp_path / "part.reg").write_text("image\nbox(24,21,40,30,0)\n")
     run()
     assert told == [False, False, True, False]
-
-
-def test_a_correlation_that_is_more(epochs, measure, tmp_path, monkeypatch):
-    """The images fit, what is made of them does not."""
-    memory = "astro_scc.measurement.decomposing.machine_memory"
-    monkeypatch.setattr(memory, lambda: 5e8)
-    status, err = measure(*epochs, "-o", tmp_path / "out", "--workers", "4")
-    assert (status, len(err.splitlines())) == (2, 1)
-    assert re.fullmatch(
-        r"astro-scc measure: error: 5 epochs of 48 x 40 pixels on 2 scales take about "
-        r"1\.\d GB with 4 workers, this machine has 0.5; a part of the images "
-        r"\(--crop\), fewer scales or fewer workers take less\n",
-        err,
-    )
-    assert not (tmp_path / "out").exists()
-
-
-def test_matches_that_are_more(monkeypatch):
-    cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    decompose = Decomposer(scales=[1, 2])
-    known = working_memory(cube, decompose, 1)
-    memory = "astro_scc.measurement.decomposing.machine_memory"
-    monkeypatch.setattr(memory, lambda: known + 1e6)
-    refuse_too_much(cube, decompose, 1, n_windows=1000)
-    with pytest.raises(MemoryError, match="1e[+]04 windows of SSPs.* a region"):
-        refuse_too_much(cube, decompose, 1, n_windows=10_000)
 
 
 def test_more_than_the_machine_has(epochs, measure, tmp_path, monkeypatch, capsys):

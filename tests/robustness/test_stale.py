@@ -119,33 +119,6 @@ def test_of_other_versions(scc, cube, kept, monkeypatch, name):
     check_stale("versions", scc, cube, kept)
 
 
-@pytest.mark.parametrize("what", ["images", "masks"])
-def test_parts_of_an_interrupted_run_on_other_images(scc, cube, tmp_path, what):
-    """The blocks of pairs that were done, before there is a file."""
-    path = tmp_path / "m.fits"
-    done = []
-
-    from astro_scc.correlation.correlate import match_block
-
-    def interrupt(block):
-        if len(done) == 3:
-            raise KeyboardInterrupt
-        done.append(block)
-        return match_block(block)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("astro_scc.correlation.correlate.BLOCK_WORK", 1)
-        patch.setattr("astro_scc.correlation.correlate.match_block", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            scc.match(cube, cache=path)
-        assert len(list(tmp_path.rglob("*.npz"))) == 3
-        patch.undo()
-        patch.setattr("astro_scc.correlation.correlate.BLOCK_WORK", 1)
-        other = replace(cube, **IMAGES[what](cube))
-        same(scc.match(other, cache=path), scc.match(other))
-    assert [p.name for p in tmp_path.glob("m.*")] == ["m.fits"]
-
-
 # -- sources of a survey that are finished ------------------------------------------
 
 

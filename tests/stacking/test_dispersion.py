@@ -217,6 +217,10 @@ class TestSeparateStreams:
         assert p <= 0.05
         np.testing.assert_array_equal(second, order < n[1])
 
+    def test_speeds_far_below_their_errors_are_one_stream(self):
+        found = features_of([0.001, 0.002, 0.9, 1.0, 0.003], 9.0)
+        assert separate_streams(found, 999, np.random.default_rng(1))[0] == 1
+
     @pytest.mark.parametrize("n", [0, 1, 3])
     def test_three_features_are_one_stream(self, n):
         speed = np.array([0.1, 1.0, 1.1])[:n]

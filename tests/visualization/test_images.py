@@ -50,6 +50,12 @@ def turned_wcs(angle, scale):
     return wcs
 
 
+def test_plot_of_a_cube():
+    cube = small_cube()
+    assert cube.plot(1).axes[0].get_title() == "2000-07-01"
+    assert len(cube.plot().axes) >= 3
+
+
 def test_east_is_left_and_north_is_up(result):
     figure = plot_epoch(result.cube, 1, result.ssps)
     ax = figure.axes[0]

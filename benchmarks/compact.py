@@ -1,5 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Remove compact features from images."""
+"""
+Remove compact features from images.
+
+``shells.py`` shows with it how far the small features on a shell change its rate.
+"""
 
 import astropy.units as u
 import numpy as np
@@ -66,7 +70,7 @@ def remove_compact(
     --------
     >>> import astropy.units as u
     >>> import numpy as np
-    >>> from astro_scc.expansion import remove_compact
+    >>> from compact import remove_compact
     >>> from astro_scc.simulation import simulate_shell
     >>> shell = simulate_shell(n_epochs=2, n_clumps=0, rng=1)
     >>> smooth = remove_compact(shell.cube, 5 * u.arcsec)

@@ -1,5 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Observe simulated jets with the VLBA: visibilities and CLEAN images."""
+"""
+Observe simulated jets with the VLBA: visibilities and CLEAN images.
+
+Other benchmarks import this module.  Stations are those of Napier (1995, IEEE Proc. 82,
+658), u and v of the baselines are from Thompson, Moran & Swenson (2017, Sect. 4.1).
+"""
 
 from dataclasses import replace
 from itertools import combinations
@@ -11,9 +16,9 @@ from astropy.coordinates import EarthLocation
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam, beam_of
 from astro_scc.epochs.restoring import add_gaussians
-from astro_scc.simulation.jets import SimulatedJet
+from astro_scc.simulation import SimulatedJet
 
-# North latitude and west longitude in degrees, elevation in m (Napier 1995).
+#: North latitude and west longitude in degrees, elevation in m.
 STATIONS = {
     "SC": (17.7566, 64.5836, 16),
     "HN": (42.9336, 71.9866, 296),
@@ -26,10 +31,10 @@ STATIONS = {
     "BR": (48.1312, 119.6833, 250),
     "MK": (19.8014, 155.4555, 3763),
 }
-# Lowest elevation at which a station observes, in degrees.
+#: Lowest elevation at which a station observes, in degrees.
 LOWEST = 10.0
-# CLEAN: fraction of the peak that is subtracted; half width of the window around
-# the jet, in beams; and threshold, in root mean squares of the noise.
+#: CLEAN: fraction of the peak that is subtracted; half width of the window around
+#: the jet, in beams; and threshold, in root mean squares of the noise.
 LOOP_GAIN, WINDOW, STOP = 0.1, 3.0, 3.0
 
 
@@ -82,7 +87,8 @@ def observe(
 
     Examples
     --------
-    >>> from astro_scc.simulation import observe, simulate_jet
+    >>> from vlbi import observe
+    >>> from astro_scc.simulation import simulate_jet
     >>> jet = observe(simulate_jet(n_epochs=2, shape=(64, 160), rng=1), rng=1)
     >>> jet.cube.shape
     (2, 64, 160)
