@@ -12,6 +12,8 @@ from astro_scc.units import PM_UNIT
 
 #: Columns of a table in a paper, in their order, and their headings in LaTeX.
 PAPER = {
+    "source": "Source",
+    "redshift": "$z$",
     "track": "Track",
     "feature": "Feature",
     "component": "Stream",
@@ -45,8 +47,7 @@ UCDS = {
     "pm_ra_cosdec": "pos.pm;pos.eq.ra",
     "pm_dec": "pos.pm;pos.eq.dec",
     "pm_pa": "pos.posAng;pos.pm",
-    "published_pm": "pos.pm;meta.ref",
-    "pm(_.*)?|change": "pos.pm",
+    "(published_)?pm(_.*)?|change": "pos.pm",
     "beta_app": "phys.veloc",
     "dispersion": "stat.stdev;pos.pm",
     "acc_.*": "phys.acceleration",
@@ -69,7 +70,9 @@ UCDS = {
     "n_.*": "meta.number",
     "epoch": "meta.id;obs",
     "published": "meta.id.cross",
-    "track|feature|component|ssp": "meta.id",
+    "source": "meta.id;src;meta.main",
+    "redshift": "src.redshift",
+    "track|feature|component|ssp|region|scale_group": "meta.id",
     "kind": "meta.code.class",
     "secure|proven|used|in_region|main|scale": "meta.code.qual",
     "caution": "meta.note",

@@ -28,8 +28,8 @@ import numpy as np
 from astropy.io import fits
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
-#: Suffixes of tables and maps; other files hold settings and states.
-TABLES = (".ecsv", ".fits")
+#: Suffixes of tables, maps and pages; other files hold settings and states.
+TABLES = (".ecsv", ".fits", ".vot", ".dat", ".html")
 WORK = ".astro_scc-work"
 
 

@@ -342,8 +342,8 @@ def survey(parser):
       astro-scc survey survey.toml -o out --workers 8
       astro-scc survey survey.toml -o out --scheduler tcp://node1:8786
       astro-scc survey survey.toml -o out --workers 8 --scheduler local
-      astro-scc survey apjac230ft4_mrt.txt -o out --beam "0.9 mas 0.6 mas 0 deg" \\
-          --pixel "0.1 mas" --noise "0.3 mJy/beam" --seed 1 --workers 8
+      astro-scc survey apjac230ft4_mrt.txt -o out --workers 8
+      astro-scc survey images -o out --redshifts redshifts.csv
 
     survey.toml:
       [defaults]
@@ -361,21 +361,31 @@ def survey(parser):
     measure except region.  Paths are relative to the file.  A source that fails does
     not stop the others.  Run again with the same folder, the command resumes: sources
     that are finished with the same settings, files and versions are not measured again.
-    published_pm of a source, "0.9 0.1 mas/yr", is shown beside the measured speed.  The
-    folder gets overview.html, with a row for each source; survey.ecsv, with a row for
-    each source, region, scale group and stream, and p_fdr over all of them, or the
-    reason why there is no stream; and in sources/ a folder for each source with the
-    products of astro-scc measure, including a report.
+    published_pm of a source, "0.9 0.1 mas/yr", is shown beside the measured speed, and
+    published features of all, in a table that compare names, beside the measured ones.
+    The folder gets overview.html, with a row for each source and figures of all;
+    survey.ecsv, with a row for each source, region, scale group and stream, and
+    p_fdr over all of them, or the reason why there is no stream; features.ecsv, with
+    the features of all sources; both in the forms of archives in publication/; and in
+    sources/ a folder for each source with the products of astro-scc measure.
 
     From a table of components, such as astro-scc restore reads, the images of all its
-    sources, or of --source, are restored into images/ of the folder and measured.  The
-    file survey.toml there names them; add redshifts to it, and give it to this command.
+    sources, or of --source, are restored into images/ of the folder and measured; those
+    of a folder, with a folder for each source, are measured where they are.  The file
+    survey.toml of the folder names them; settings can be added to it.
     """
-    text = "what to measure, or a table of components"
-    parser.add_argument("survey", metavar="SURVEY.toml|TABLE", help=text)
-    what = "the table and the sources' products, new or of this survey"
-    add_output(parser, what, overwrite=False, report=True)
-    group = parser.add_argument_group("images of a table of components")
+    text = "what to measure, a table of components, or a folder of folders of images"
+    parser.add_argument("survey", metavar="SURVEY.toml|TABLE|DIR", help=text)
+    what = "the catalogues and the sources' products, new or of this survey"
+    add_output(parser, what, overwrite=False)
+    parser.add_argument(
+        "--report",
+        action=argparse.BooleanOptionalAction,
+        help="write a report of each source; default for a SURVEY.toml alone",
+    )
+    group = parser.add_argument_group("a table of components, or a folder of folders")
+    text = "redshifts of the sources: a table with the columns source and redshift"
+    add_option(group, "--redshifts", "TABLE", text)
     add_restoring(group, required=False)
     add_workers(parser)
 

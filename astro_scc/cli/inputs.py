@@ -233,11 +233,12 @@ def output_of(args, settings):
     return Path(f"{name}-{args.command}")
 
 
-def read_table(path, advice=""):
-    """Return an ECSV table; what is wrong with it is one line."""
+def read_table(path, advice="", name=None):
+    """Return an ECSV table, from a file or lines; what is wrong with it is one line."""
     try:
         return QTable.read(path, format="ascii.ecsv")
     except FileNotFoundError:
         raise OSError(f"{path}: does not exist{advice}") from None
     except Exception as error:
-        raise ValueError(f"{path}: is no ECSV table: {first_line(error)}") from None
+        what = f"{name or path}: is no ECSV table: {first_line(error)}"
+        raise ValueError(what) from None

@@ -100,8 +100,9 @@ def measure(cube, settings, reporter, *, region=None, n_workers=1, work=None):
 
 
 def write_measurement(
-    result, settings, folder, *, output, report=True, published=None, **page
-):
+    result, settings, folder, *, output, report=True, archives=True, published=None,
+    **page
+):  # fmt: skip
     """
     Write tables, maps, settings and report of a measurement.
 
@@ -114,6 +115,8 @@ def write_measurement(
     output : `~pathlib.Path`
         Final path of the folder.
     report : bool, optional
+    archives : bool, optional
+        Write the tables in the forms of journals and archives, too.
     published : `~astropy.table.QTable`, optional
         Published features to compare with.
     **page
@@ -128,6 +131,7 @@ def write_measurement(
     components = result.components_in_c(**how) if how else result.components
     text = settings.to_toml(versions=versions())
     how = {"configuration": settings.to_dict(), "text": text, "published": published}
+    how["archives"] = archives
     write_products(result, components, folder, **how)
     if report:
         rerun = f"astro-scc measure --config {output / 'config.toml'} -o FOLDER"

@@ -37,7 +37,8 @@ def run(args, reporter):
 def images_of(args):
     """Return how images are restored, from the arguments."""
     beam = check_setting("beam", args.beam)
-    pixel = named("--pixel", one_quantity, args.pixel, "one number", "0.1 mas")
+    if (pixel := args.pixel) is not None:
+        pixel = named("--pixel", one_quantity, pixel, "one number", "0.1 mas")
     if (noise := args.noise) is not None:
         noise = named("--noise", one_quantity, noise, "one number", "0.3 mJy/beam")
     given = {"after": args.after, "before": args.before}

@@ -30,6 +30,8 @@ from astro_scc.correlation import parallel
 from astro_scc.epochs.cutout import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement import select_ssps
+from astro_scc.measurement.publication import FOLDER, write_publication
+from astro_scc.measurement.published import published_positions
 from astro_scc.progress import progress
 from astro_scc.report.page import write_overview
 from astro_scc.scc import StackedCrossCorrelation
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
 __all__ = ["run_survey"]
 
 SOURCES, STATE, TABLE, PLAN = "sources", "source.json", "survey.ecsv", "survey.toml"
+FEATURES = "features.ecsv"
 #: Prefix of the folder of a source until it is complete.
 PARTIAL = "partial-"
 #: Why there is nothing to test.
@@ -69,8 +72,11 @@ def run(args, reporter):
     n_workers, output = workers_of(args), Path(args.output)
     reporter.resumes = True
     if Path(args.survey).suffix.lower() == ".toml":
-        survey = sources.read_survey(args.survey)
+        if args.redshifts:
+            raise ValueError("--redshifts is not for a .toml file; write them to it")
+        survey, report = sources.read_survey(args.survey), args.report is not False
     else:
+        report = bool(args.report)
         survey = survey_of(args, output, reporter)
 
     def done(name, outcomes, before):
@@ -92,7 +98,7 @@ def run(args, reporter):
             survey,
             output,
             n_workers=n_workers,
-            report=not args.no_report,
+            report=report,
             done=done,
             progress_bar=reporter.progress,
         )
@@ -100,9 +106,9 @@ def run(args, reporter):
     if set(table["status"]) == {"failed"}:
         raise ValueError(f"no source could be measured; {output / TABLE} says why")
     reporter.say(
-        f"\nTable: {output / TABLE}",
+        f"\nCatalogues: {output / TABLE}, {output / FEATURES}, {output / FOLDER}",
         f"Overview: {output / 'overview.html'}",
-        *([] if args.no_report else [f"Reports: {output / SOURCES}"]),
+        *([f"Reports: {output / SOURCES}"] if report else []),
     )
 
 
@@ -163,7 +169,8 @@ def run_survey(
         over all that was searched, see
         `~astro_scc.measurement.false_discovery_rate`; a region and scale group
         without a component has a row with masked numbers.  The table is written
-        to ``survey.ecsv``, and its overview to ``overview.html``.
+        to ``survey.ecsv``, that of all features to ``features.ecsv``, both for archives
+        to ``publication``, and an overview to ``overview.html``.
 
     Raises
     ------
@@ -209,11 +216,10 @@ def run_survey(
             finally:
                 # Delete what terminated workers left.
                 remove_left(work, PARTIAL)
-            table = sources.survey_table(found, output)
-            with replace_when_complete(output / TABLE, overwrite=True) as part:
-                table.write(part, format="ascii.ecsv")
+            table, features = sources.catalogues(found, survey.sources, output)
+            _write_catalogues(table, features, output)
             published = {source.name: source.published for source in survey.sources}
-            write_overview(table, found, output, published=published)
+            write_overview(table, features, found, output, published=published)
     except BlockingIOError:
         raise OSError(
             f"{output}: another run measures a survey here; wait for it, or choose "
@@ -222,11 +228,27 @@ def run_survey(
     return table
 
 
+def _write_catalogues(table, features, output):
+    """Write the components and features of all sources, also for archives."""
+    for name, own in ((TABLE, table), (FEATURES, features)):
+        with replace_when_complete(output / name, overwrite=True) as part:
+            own.write(part, format="ascii.ecsv")
+    measured = table[table["status"] == "measured"]
+    measured.remove_columns(["status", "message"])
+    with partial_folder(output / WORK, PARTIAL) as part:
+        write_publication({"components": measured, "features": features}, part)
+        if (output / FOLDER).exists():
+            os.replace(output / FOLDER, part / "old")
+        os.replace(part / FOLDER, output / FOLDER)
+
+
 def _outcomes(every, output, report, n_workers, done, progress_bar):
     """Return the outcomes of the sources, in their order."""
     found = [finished_outcomes(source, output, report) for source in every]
     left = [k for k, outcomes in enumerate(found) if outcomes is None]
     before = [pair for pair in enumerate(found) if pair[0] not in left]
+    # The largest first, so that no process waits for one at the end.
+    left.sort(key=lambda k: -every[k].size())
     measure = partial(measure_source, output=output, report=report)
     with (
         parallel.workers_of(n_workers) as workers,
@@ -254,7 +276,7 @@ def finished_outcomes(source, output, report):
         found = [Outcome(**outcome) for outcome in state["outcomes"]]
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    needed = ["components.ecsv", "report.html"][: 1 + report]
+    needed = ["components.ecsv", FEATURES, "report.html"][: 2 + report]
     there = all(
         outcome.status != "failed" and Path(output, outcome.folder, name).is_file()
         for outcome in found
@@ -318,6 +340,7 @@ def measure_source(source, output, report=False):
 def _measure(source, output, part, report, said):
     """Match a source and measure its parts."""
     cube, settings, left_out, _ = read_epochs(source.settings)
+    published = source.compare and published_positions(source.compare, cube)
     masks, failed, matched = {}, {}, None
     for name, path in source.regions.items():
         try:
@@ -347,6 +370,7 @@ def _measure(source, output, part, report, said):
         names = (name for name in (region, group) if name != sources.WHOLE)
         title = [source.name, *names]
         page = {"title": ", ".join(title), "report": report, "left_out": left_out}
+        page |= {"archives": report, "published": published}
         own, before = {"region": source.regions[region]}, len(said)
         if (scales := source.scale_groups[group]) is not None:
             own["scales"] = scales

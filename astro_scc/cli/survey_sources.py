@@ -12,12 +12,14 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
-from astropy.table import Column, QTable, vstack
+from astropy.io.misc import yaml
+from astropy.table import Column, MaskedColumn, QTable, vstack
 
 from astro_scc.cli import inputs
 from astro_scc.measurement import component_table, false_discovery_rate, versions
 from astro_scc.quantities import check_scales, finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
+from astro_scc.units import round_to_errors
 
 __all__ = ["read_survey"]
 
@@ -27,7 +29,7 @@ ALIGNMENTS = (None, "none", "core", "correlate", "wcs")
 #: Keys of the file that hold tables, and all keys of a source but published_pm.
 TABLES = ("regions", "scale_groups")
 KEYS = {name for name, facts in OPTIONS.items() if "measure" in facts["commands"]}
-KEYS = KEYS - {"region"} | {*TABLES}
+KEYS = KEYS - {"region"} | {*TABLES, "compare"}
 SEED, N_TRIALS = 1, 1000
 #: Longest name of a folder, without its check sum.
 LONGEST = 60
@@ -35,6 +37,10 @@ LONGEST = 60
 SUM = re.compile(r"-[0-9a-f]{6}$", re.IGNORECASE)
 #: Names that Windows reserves for devices.
 RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+#: A unit in the header of an ECSV file to which others refer.
+UNIT = re.compile(r"&(id\d+) (!astropy\.units\.Unit \{[^}]*\})")
+#: What the meta of a table says of speeds in c, and of columns that are objects.
+IN_C, SERIALIZED = ("redshift", "cosmology", "distance"), "__serialized_columns__"
 #: Columns that identify a row of the table, and their descriptions.
 HEAD = {
     "source": "name of the source",
@@ -55,6 +61,7 @@ class Source:
     regions: dict
     scale_groups: dict
     published: u.Quantity | None = None
+    compare: str | None = None
 
     @property
     def parts(self):
@@ -67,10 +74,15 @@ class Source:
         settings = [replace(self.settings, scales=scales) for scales in groups]
         settings = [own.to_dict() for own in (self.settings, *settings)]
         files = [*self.regions.values(), self.settings.crop, self.settings.align]
+        files.append(self.compare)
         files = self._epochs() | {path for path in files if path not in ALIGNMENTS}
         known = settings, self.parts, self.regions, versions()
         text = json.dumps([*known, *map(_facts, sorted(files))], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def size(self):
+        """Return the size of the epochs in bytes, at least 1."""
+        return max(sum(_facts(path)[1] for path in self._epochs()), 1)
 
     def _epochs(self):
         """Return the paths of the epochs; a pattern that matches nothing is one."""
@@ -104,7 +116,8 @@ def read_survey(path: Path | str) -> Survey:
     path : path
         A TOML file with a table ``[sources.NAME]`` for each source, with its
         ``epochs``, ``regions`` (a table of region files), ``scale_groups`` (a
-        table of scales), ``published_pm`` to compare with, and any setting of a
+        table of scales), ``published_pm`` and ``compare``, a speed and a table of
+        published features to compare with, and any setting of a
         measurement; and a table ``[defaults]`` for what a source does not set.
         Paths are relative to the file.
 
@@ -175,8 +188,8 @@ def _known(values, where, *more):
         if name not in (*KEYS, *more):
             raise ValueError(
                 f"{where}: {name} is no setting of a survey; they are regions, "
-                "scale_groups, published_pm of a source, and those of astro-scc "
-                "measure but region"
+                "scale_groups, compare, published_pm of a source, and those of "
+                "astro-scc measure but region"
             )
         if name in TABLES:
             _table(values[name], f"{where}: {name}")
@@ -196,10 +209,12 @@ def _source(name, folder, given, base):
     """Return a source from the values of its table; paths are relative to ``base``."""
     if (published := given.pop("published_pm", None)) is not None:
         published = named("published_pm", _published_pm, published)
+    compare = given.pop("compare", None)
     regions = given.pop("regions", None) or {WHOLE: None}
-    for label, file in regions.items():
+    files = {f"regions.{label}": file for label, file in regions.items()}
+    for label, file in (files | {"compare": compare}).items():
         if file is not None and not (isinstance(file, str) and file):
-            raise ValueError(f"regions.{label} must be the path of a region file")
+            raise ValueError(f"{label} must be the path of a file")
     groups = given.pop("scale_groups", None) or {}
     groups = {k: named(f"scale_groups.{k}", check_scales, v) for k, v in groups.items()}
     if "redshift" not in given:
@@ -224,7 +239,8 @@ def _source(name, folder, given, base):
     )
     regions = {label: file and str(base / file) for label, file in regions.items()}
     groups = groups or {WHOLE: settings.scales}
-    return Source(name, folder, settings, regions, groups, published)
+    compare = compare and str(base / compare)
+    return Source(name, folder, settings, regions, groups, published, compare)
 
 
 def folder_names(names):
@@ -255,55 +271,111 @@ def folder_names(names):
 # -- the table -------------------------------------------------------------------
 
 
-def survey_table(outcomes, output):
+def catalogues(outcomes, sources, output):
     """
-    Return the components of all sources as one table.
+    Return the components and the features of all sources.
 
     Parameters
     ----------
     outcomes : sequence of `~astro_scc.cli.survey.Outcome`
+    sources : sequence of `Source`
     output : path
         Folder of the survey.
 
     Returns
     -------
-    `~astropy.table.QTable`
+    components : `~astropy.table.QTable`
         See `~astro_scc.cli.survey.run_survey`.
+    features : `~astropy.table.QTable`
+        The tables of features of all sources, with the columns of ``HEAD`` that
+        identify them.
     """
-    tables = {
-        outcome: inputs.read_table(Path(output, outcome.folder, "components.ecsv"))
-        for outcome in outcomes
-        if outcome.folder
+    redshifts = {source.name: source.settings.redshift for source in sources}
+    empty = component_table([])
+    found, how = _stacked(outcomes, output, "components.ecsv", empty.copy())
+    features, _ = _stacked(outcomes, output, "features.ecsv", QTable())
+    searched = {k for k, outcome in enumerate(outcomes) if outcome.folder}
+    nothing = dict.fromkeys(searched - set(found["outcome"]), empty)
+    tested = false_discovery_rate({"all": found} | nothing)
+    rest = QTable({"outcome": [*({*range(len(outcomes))} - set(found["outcome"]))]})
+    rest["outcome"] = rest["outcome"].astype(int)
+    table = vstack([tested["all"], rest], metadata_conflicts="silent")
+    table = _with_head(table, outcomes, redshifts)
+    table.meta = {
+        "versions": versions(),
+        "false_discovery": {"method": "bh", "n_tests": len(found) + len(nothing)},
+        # A source has one redshift and cosmology, or one distance, in all its parts.
+        "speeds_in_c": {outcomes[k].source: own for k, own in how.items() if own},
     }
-    adjusted = false_discovery_rate(tables)
-    empty, *_ = false_discovery_rate([component_table([])])
-    if any("beta_app" in table.colnames for table in adjusted.values()):
-        for name in ("beta_app", "beta_app_err"):
-            empty[name] = [] * u.one
-    rows = [_with_head(adjusted.get(outcome, ()), outcome) for outcome in outcomes]
-    table = vstack([_with_head(empty), *rows], metadata_conflicts="silent")
-    table.meta.clear()
-    table.meta["versions"] = versions()
-    searched = sum(max(len(own), 1) for own in adjusted.values())
-    table.meta["false_discovery"] = {"method": "bh", "n_tests": searched}
-    # A source has one redshift and cosmology, or one distance, in all its parts.
-    how = ("redshift", "cosmology", "distance")
-    table.meta["speeds_in_c"] = {
-        outcome.source: {name: own.meta[name] for name in how if name in own.meta}
-        for outcome, own in tables.items()
-        if "beta_app" in own.colnames
-    }
-    return table
+    features = _with_head(features, outcomes, redshifts)
+    features.remove_columns(["status", "message"])
+    features.meta = {key: table.meta[key] for key in ("versions", "speeds_in_c")}
+    return table, features
 
 
-def _with_head(components, outcome=None):
-    """Return components, or one row without any, after the columns of ``HEAD``."""
-    table = QTable()
-    for name, text in HEAD.items():
-        values = [getattr(outcome, name, "")] * max(len(components), 1)
-        table[name] = Column(values, description=text)
-    if outcome is None:
-        table = table[:0]
-    for name in components.colnames if len(components) or outcome is None else ():
-        table[name] = components[name]
+def _stacked(outcomes, output, name, empty):
+    """
+    Return a table of all parts, with their numbers, and how each has speeds in c.
+
+    Most of the time to read an ECSV file is that for its header, and headers of
+    different sources differ only in the meta.  The rows under equal headers are
+    therefore read together.
+    """
+    parts, how = {}, {}
+    for number, outcome in enumerate(outcomes):
+        if not outcome.folder:
+            continue
+        path = Path(output, outcome.folder, name)
+        head, meta, rows = _split(path)
+        how[number] = yaml.load("".join(meta.get(k, "") for k in IN_C) or "[]")
+        how[number] = {k: v for item in how[number] for k, v in item.items()}
+        _, _, numbers, lines = parts.setdefault(head, (path, rows[0], [], []))
+        numbers += [number] * len(rows[1:])
+        lines += rows[1:]
+    empty["outcome"] = np.zeros(0, dtype=int)
+    tables = [empty]
+    for head, (path, names, numbers, lines) in parts.items():
+        table = inputs.read_table([*head.splitlines(), names, *lines], name=path)
+        table.meta.clear()
+        table["outcome"] = numbers
+        tables.append(table)
+    return round_to_errors(vstack(tables, metadata_conflicts="silent")), how
+
+
+def _split(path):
+    """Return the head of an ECSV file without meta, the items of this, and the rows."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        n = next(k for k, line in enumerate(lines) if line[:1] != "#")
+    except (OSError, ValueError, StopIteration):
+        # Says what is wrong.
+        inputs.read_table(path)
+        raise
+    head, _, meta = "\n".join(lines[:n]).partition("\n# meta: !!omap")
+    meta = meta.partition("\n# schema: ")[0]
+    # Numbers of digits are those of the source.
+    head = re.sub(r", format: [^,}]*", "", head)
+    # Items refer to units of others.
+    units = dict(UNIT.findall(meta))
+    meta = re.sub(r"\*(id\d+)", lambda m: units[m[1]], re.sub(r"&id\d+ ", "", meta))
+    items = re.split(r"\n# (?=- )", meta)[1:]
+    items = {re.match(r"- \{?(\w+)", own)[1]: own for own in items}
+    own = "\n# " + items.pop(SERIALIZED) if SERIALIZED in items else ""
+    head += f"\n# meta: !!omap{own}\n# schema: astropy-2.0" if own else ""
+    items = {k: re.sub(r"\n# ?", "\n", own) + "\n" for k, own in items.items()}
+    return head, items, lines[n:]
+
+
+def _with_head(table, outcomes, redshifts):
+    """Return rows in the order of their parts, after the columns of ``HEAD``."""
+    table = table[np.argsort(table["outcome"], kind="stable")]
+    number = np.asarray(table["outcome"], dtype=int)
+    table.remove_column("outcome")
+    for k, (name, text) in enumerate(HEAD.items()):
+        values = np.array([getattr(own, name) for own in outcomes], dtype=str)[number]
+        table.add_column(Column(values, description=text), index=k, name=name)
+    z = np.array([redshifts[own.source] or np.nan for own in outcomes])[number]
+    column = MaskedColumn(z, mask=np.isnan(z), format="g")
+    column.description = "redshift of the source, if it was given"
+    table.add_column(column, index=1, name="redshift")
     return table

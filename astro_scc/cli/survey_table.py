@@ -1,34 +1,48 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""A survey of the sources of a table of components, of which images are restored."""
+"""The survey of a table of components, or of folders of images: its file is made."""
 
+import glob
 import json
 import shutil
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.io import ascii
 
 from astro_scc.cli import restore
 from astro_scc.cli.survey_sources import folder_names, read_survey
+from astro_scc.epochs.beam import Beam
 from astro_scc.epochs.components import read_sources
+from astro_scc.epochs.headers import first_line
+from astro_scc.epochs.restoring import suited
 from astro_scc.writing import replace_when_complete
 
 #: Folder of the images in that of the survey, and the file that names them.
 IMAGES, PLAN = "images", "survey.toml"
 #: Beginning of that file.
 HEAD = "# Images from"
+#: Names of images in a folder of one source.
+PATTERNS = ("*.fits", "*.fit", "*.fits.gz", "*.fits.fz")
+#: Names of the columns of redshifts, in small letters.
+NAMES, REDSHIFTS = ("source", "name", "id", "object"), ("redshift", "z")
 
 
 def survey_of(args, output, reporter):
     """
-    Restore the images of the sources of a table, and return their survey.
+    Return the survey of a table of components, or of a folder of folders of images.
 
-    The folder of the survey gets the images of each source in ``images/NAME``, and
-    ``survey.toml``, which names them.  Images that an earlier run made from the same
-    table in the same way are kept.
+    The folder of the survey gets ``survey.toml``, which names the images of each
+    source.  Of a table, they are restored into ``images/NAME``; those that an earlier
+    run made from the same table in the same way are kept.
 
     Parameters
     ----------
     args : `~argparse.Namespace`
-        Its ``survey`` is a table that `~astro_scc.epochs.read_components` reads.
+        Its ``survey`` is a folder, or a table that `~astro_scc.epochs.read_components`
+        reads.
     output : `~pathlib.Path`
         Folder of the survey.
     reporter : `~astro_scc.cli.program.Reporter`
@@ -40,51 +54,149 @@ def survey_of(args, output, reporter):
     Raises
     ------
     ValueError
-        If the images are not described, if the table lacks the source that is asked
-        for, or if the images of no source can be restored.
+        If there are no images, if the table lacks the source that is asked for, or if
+        the images of no source can be restored.
     """
-    missing = [f"--{k}" for k in ("beam", "pixel") if getattr(args, k) is None]
-    if missing:
-        raise ValueError(
-            f"{args.survey}: a table of components needs {' and '.join(missing)} to "
-            "restore images from it, as for astro-scc restore; a survey of images is "
-            "a .toml file"
-        )
-    how = restore.images_of(args)
-    options = {"source": args.source, "origin": args.origin, "beams": how["beam"]}
-    found = read_sources(args.survey, **options)
-    folders, path = folder_names(list(found)), output / PLAN
-    state = Path(args.survey).stat()
-    made_of = [str(Path(args.survey).absolute()), state.st_size, state.st_mtime_ns]
-    asked = {k: str(v) for k, v in how.items() if k != "seed"}
-    asked |= {"seed": args.seed, "source": args.source}
-    head = f"{HEAD} {json.dumps([*made_of, asked])}"
+    source, found, how, published = Path(args.survey), {}, {}, ""
+    redshifts = read_redshifts(args.redshifts) if args.redshifts else {}
+    if source.is_dir():
+        epochs = _images_in(source)
+        head = f"{HEAD} {json.dumps(str(source.absolute()))}"
+    else:
+        found, how = _components(args, reporter)
+        folders = folder_names(list(found))
+        epochs = {k: f"{IMAGES}/{folders[k]}/*.fits" for k in found}
+        state = source.stat()
+        made_of = [str(source.absolute()), state.st_size, state.st_mtime_ns]
+        asked = {k: str(v) for k, v in how.items() if k != "seed"}
+        asked |= {"seed": args.seed, "source": args.source}
+        head = f"{HEAD} {json.dumps([*made_of, asked])}"
+        if any((own.feature > 0).any() for own in found.values()):
+            published = f"[defaults]\ncompare = {json.dumps(made_of[0])}\n"
+    if unknown := sorted(redshifts.keys() - epochs.keys()):
+        reporter.note(f"{args.redshifts}: {len(unknown)} sources are not of the survey")
+    path = output / PLAN
     before = path.read_text(encoding="utf-8") if path.is_file() else ""
     # Images that were not restored here must not be deleted.
     if output.is_dir() and any(output.iterdir()) and not before.startswith(HEAD):
         raise OSError(
             f"{output}: exists and is not of a survey of a table; choose another folder"
         )
+    same = before.startswith(f"{head}\n")
     # If the head is the same, redshifts may have been added to the file.
-    if not before.startswith(f"{head}\n"):
-        shutil.rmtree(output / IMAGES, ignore_errors=True)
+    if redshifts or not same:
+        if not same:
+            shutil.rmtree(output / IMAGES, ignore_errors=True)
         output.mkdir(parents=True, exist_ok=True)
+        tables = [
+            f"[sources.{json.dumps(name)}]\nepochs = {json.dumps(files)}\n"
+            + (f"redshift = {redshifts[name]}\n" if name in redshifts else "")
+            for name, files in epochs.items()
+        ]
         with replace_when_complete(path, overwrite=True) as part:
-            tables = (
-                f'[sources.{json.dumps(name)}]\nepochs = "{IMAGES}/{folder}/*.fits"\n'
-                for name, folder in folders.items()
-            )
-            part.write_text("\n".join([head, *tables]), encoding="utf-8")
-    for name, folder in folders.items():
-        target = output / IMAGES / folder
+            text = "\n".join(filter(None, [head, published, *tables]))
+            part.write_text(text, encoding="utf-8")
+    for name, own in found.items():
+        target = output / IMAGES / folders[name]
         if not target.is_dir():
             try:
-                restore.write_images(found[name], target, how)
+                given = {k: v for k, v in how.items() if v is not None}
+                if not given.keys() >= {"pixel_scale", "noise"}:
+                    given = suited(own) | given
+                restore.write_images(own, target, how | given)
             except ValueError as error:
                 reporter.warn(f"{name}: no images: {error}")
-    if not (output / IMAGES).is_dir():
+    if found and not (output / IMAGES).is_dir():
         with suppress(OSError):
             path.unlink()
             output.rmdir()
         raise ValueError(f"{args.survey}: the images of no source can be restored")
     return read_survey(path)
+
+
+def _components(args, reporter):
+    """Return the components of each source with a beam, and how to restore images."""
+    how = restore.images_of(args)
+    options = {"source": args.source, "origin": args.origin, "beams": how["beam"]}
+    found = read_sources(args.survey, **options)
+    if not all(own.beams for own in found.values()):
+        how["beam"] = beam = _typical_beam(found.values())
+        found = {k: replace(v, beams=[beam] * len(v.times)) for k, v in found.items()}
+        reporter.note(
+            f"{args.survey} has no beam: images are restored with one of "
+            f"{beam.major:.2g}, the median distance of neighbours in an epoch (--beam)"
+        )
+    left = [k for k, name in {"pixels": "pixel_scale", "noise": "noise"}.items()
+            if how[name] is None]  # fmt: skip
+    if left:
+        reporter.note(
+            f"images get {' and '.join(left)} that suit their components: a fifth of "
+            "the beam, and a tenth of the faintest peak (--pixel, --noise)"
+        )
+    return found, how
+
+
+def _typical_beam(lists):
+    """Return a circular beam that separates half of the components of an epoch."""
+    nearest = []
+    for own in lists:
+        east, north = own.east.to_value(u.mas), own.north.to_value(u.mas)
+        for epoch in range(len(own.times)):
+            k = np.flatnonzero(own.epoch == epoch)
+            if len(k) > 1:
+                apart = np.hypot(
+                    *(np.subtract.outer(a[k], a[k]) for a in (east, north))
+                )
+                np.fill_diagonal(apart, np.inf)
+                nearest += apart.min(axis=1).tolist()
+    size = np.median(nearest) if nearest else 0.0
+    if not size > 0:
+        raise ValueError("no epoch of the table has two components apart; give --beam")
+    size = float(f"{size:.2g}") * u.mas
+    return Beam(size, size, 0 * u.deg)
+
+
+def _images_in(folder):
+    """Return the patterns of the images in each folder of a folder, by its name."""
+    found = {}
+    for own in sorted(path for path in folder.iterdir() if path.is_dir()):
+        if own.name.startswith("."):
+            continue
+        here = Path(glob.escape(str(own.absolute())))
+        if kinds := [k for k in PATTERNS if next(own.glob(k), None)]:
+            found[own.name] = [str(here / kind) for kind in kinds]
+    if not found:
+        raise ValueError(
+            f"{folder}: has no folder of FITS images; a survey is a folder with one "
+            "for each source, a table of components or a .toml file"
+        )
+    return found
+
+
+def read_redshifts(path):
+    """
+    Return the redshifts of sources in a table that astropy reads, by their names.
+
+    Its columns are ``source``, ``name``, ``id`` or ``object``, and ``redshift`` or
+    ``z``.  Sources whose redshift is not known are left out.
+    """
+    try:
+        table = ascii.read(path)
+    except OSError as error:
+        raise OSError(f"{path}: cannot be read: {first_line(error)}") from None
+    except Exception as error:
+        raise ValueError(f"{path}: is no table: {first_line(error)}") from None
+    columns = {name.lower(): name for name in table.colnames}
+    names, values = (
+        next((columns[k] for k in kinds if k in columns), None)
+        for kinds in (NAMES, REDSHIFTS)
+    )
+    if names is None or values is None:
+        raise ValueError(
+            f"{path}: needs the columns source and redshift; it has "
+            f"{', '.join(table.colnames)}"
+        )
+    rows = zip(
+        table[names], np.ma.filled(table[values].astype(float), np.nan), strict=True
+    )
+    return {str(name): float(z) for name, z in rows if np.isfinite(z)}

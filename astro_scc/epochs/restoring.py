@@ -216,6 +216,19 @@ def restore_files(
     components = read_components(files, dates=times, beams=beams)
     if not components.beams:
         raise ValueError(f"{files[0]}: {NO_BEAM}")
+    how = suited(components)
+    first, *others = components.beams
+    differ = " and others" * any(beam != first for beam in others)
+    warn(
+        f"lists of components were restored with the beam {first}{differ}, pixels of "
+        f"{how['pixel_scale']:.3g} and noise of {how['noise']:.2g}; make images with "
+        "astro-scc restore to choose these"
+    )
+    return restore(components, **how, rng=0)
+
+
+def suited(components):
+    """Return the options of `restore` that suit components, see `restore_files`."""
     pixel = min(beam.minor for beam in components.beams) / PIXELS_A_BEAM
     options = {"beam": components.beams, "pixel_scale": pixel}
     cube = restore(components, **options)
@@ -227,15 +240,7 @@ def restore_files(
     np.minimum.at(faintest, components.epoch, peaks)
     for i in np.flatnonzero(np.isinf(faintest)):
         raise ValueError(f"{cube.labels[i]}: no component is positive; leave it out")
-    noise = np.median(faintest) / FAINTEST * cube.unit
-    first, *others = components.beams
-    differ = " and others" * any(beam != first for beam in others)
-    warn(
-        f"lists of components were restored with the beam {first}{differ}, pixels of "
-        f"{pixel:.3g} and noise of {noise:.2g}; make images with astro-scc restore to "
-        "choose these"
-    )
-    return restore(components, **options, noise=noise, rng=0)
+    return options | {"noise": np.median(faintest) / FAINTEST * cube.unit}
 
 
 def in_pixels(beam, pixel_scale):

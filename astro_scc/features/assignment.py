@@ -40,6 +40,7 @@ class Assignment:
         self.uses = sparse.csr_array((one, (track, detection)), shape=shape)
         self.used_by = self.uses.T.tocsr()
         self._entries = detection, track, length
+        self._paths = paths
         self.price = np.zeros(n_detections)
 
     def best(self, score):
@@ -116,7 +117,7 @@ class Assignment:
                 other = self._greedy(value, score)
                 if score[other].sum() > total:
                     chosen, total = other, score[other].sum()
-            slope = 1 - self.used_by @ take.astype(float)
+            slope = 1.0 - self._times_used(np.flatnonzero(take))
             slope[(price <= 0) & (slope > 0)] = 0
             length = slope @ slope
             if length == 0 or lowest - total <= 1e-6 * total:
@@ -128,11 +129,18 @@ class Assignment:
         """Return the tracks in the order of their values that share no detection."""
         order = np.flatnonzero((value > -3) & (score > 0))
         order = order[np.argsort(-value[order], kind="stable")]
-        first, detection = self.uses.indptr, self.uses.indices
-        free, chosen = np.ones(self.uses.shape[1], dtype=bool), []
+        used, chosen = set(), []
         for track in order.tolist():
-            own = detection[first[track] : first[track + 1]]
-            if free[own].all():
-                free[own] = False
+            if used.isdisjoint(self._paths[track]):
+                used.update(self._paths[track])
                 chosen.append(track)
         return np.array(chosen, dtype=int)
+
+    def _times_used(self, tracks):
+        """Return how many of some tracks have each detection."""
+        # Few tracks are taken: a product with the whole matrix takes longer.
+        detection, _, length = self._entries
+        n = length[tracks]
+        shift = self.uses.indptr[tracks] - np.cumsum(n) + n
+        entry = np.arange(n.sum()) + np.repeat(shift, n)
+        return np.bincount(detection[entry], minlength=len(self.price))

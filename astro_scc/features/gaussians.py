@@ -264,8 +264,10 @@ def _shapes(p, y, x, beam):
 def _derivatives(p, shape, gy, gx):
     """Return the derivatives of the components, shape (n, 4, number of positions)."""
     value = p[:, _PEAK, None] * shape
-    wider = 0.5 * value * (gy**2 + gx**2)
-    return np.stack([shape, value * gy, value * gx, wider], axis=1)
+    found = np.empty((len(p), 4, shape.shape[1]))
+    found[:, _PEAK], found[:, _Y], found[:, _X] = shape, value * gy, value * gx
+    found[:, _VARIANCE] = 0.5 * value * (gy**2 + gx**2)
+    return found
 
 
 def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
@@ -278,8 +280,10 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
     """
     y, x, weight = data.y[where], data.x[where], data.weight[where]
     value = (data.value[where] - fixed) * weight
-    largest_step = np.sqrt(np.diag(data.beam))
+    largest_step = np.array([np.inf, *np.sqrt(np.diag(data.beam)), np.inf])
     widest = np.ptp(data.y) ** 2 + np.ptp(data.x) ** 2
+    lowest = np.array([0.0, -np.inf, -np.inf, 0.0])
+    highest = np.array([np.inf, np.inf, np.inf, widest])
 
     def state(p):
         shape, gy, gx = _shapes(p, y, x, data.beam)
@@ -298,16 +302,13 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
         scale = np.sqrt(normal.diagonal()[free])
         # A component without samples stays as it is.
         scale = np.where(scale > 1e-9 * scale.max(), scale, 1.0)
-        normal = normal[np.ix_(free, free)] / np.outer(scale, scale)
+        normal = normal[free[:, None], free] / (scale[:, None] * scale)
         for _ in range(6):
-            step = np.zeros(p.size)
-            damped = normal + damping * np.eye(len(free))
+            step, damped = np.zeros(p.size), normal.copy()
+            damped.flat[:: len(free) + 1] += damping
             step[free] = np.linalg.solve(damped, gradient[free] / scale) / scale
-            step = step.reshape(p.shape)
-            step[:, [_Y, _X]] = np.clip(step[:, [_Y, _X]], -largest_step, largest_step)
-            new = p + step
-            new[:, _PEAK] = np.maximum(new[:, _PEAK], 0.0)
-            new[:, _VARIANCE] = np.clip(new[:, _VARIANCE], 0.0, widest)
+            step = np.clip(step.reshape(p.shape), -largest_step, largest_step)
+            new = np.clip(p + step, lowest, highest)
             after = state(new)
             if after[2] < cost:
                 break

@@ -183,7 +183,7 @@ def _move(folder, target, stale=()):
 def write_products(
     result: SCCResult, components: QTable, directory: Path | str, *,
     configuration: dict[str, Any] | None = None, text: str | None = None,
-    published: QTable | None = None,
+    published: QTable | None = None, archives: bool = True,
 ) -> list[Path]:  # fmt: skip
     """
     Write tables and maps of a measurement.
@@ -204,6 +204,8 @@ def write_products(
         Published features, see
         ``astro_scc.measurement.published.published_positions``, of which the table of
         features has columns.
+    archives : bool, optional
+        Write the folder ``publication``.
 
     Returns
     -------
@@ -259,8 +261,10 @@ def write_products(
         table.meta = plain_meta(meta | note)
         tables[name] = table
         table.write(directory / name, format="ascii.ecsv", overwrite=True)
-    printed = {name: tables[f"{name}.ecsv"] for name in PRINTED}
-    published = write_publication(printed, directory, {"ssps": result.ssps})
+    published = []
+    if archives:
+        printed = {name: tables[f"{name}.ecsv"] for name in PRINTED}
+        published = write_publication(printed, directory, {"ssps": result.ssps})
     maps = directory / "scc.fits"
     hdus = velocity_hdus(result, text=text)
     hdus.writeto(maps, output_verify="exception", overwrite=True)

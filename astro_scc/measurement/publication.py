@@ -142,12 +142,13 @@ def write_publication(
         for name, table in tables.items()
     }
     for name, table in tables.items():
+        rows = fixed_width(table)
         if "pm" in table.colnames:
             texts[f"{name}_aastex.tex"] = latex_text_of(table, name, "aastex")
             texts[f"{name}_aa.tex"] = latex_text_of(table, name, "aa")
-        files[f"{name}.dat"] = table, name
-        texts[f"{name}_mrt.txt"] = machine_readable(table, name)
-        texts[f"{name}.dat"] = "".join(f"{row}\n" for row in fixed_width(table).rows)
+        files[f"{name}.dat"] = table, name, rows
+        texts[f"{name}_mrt.txt"] = machine_readable(table, name, rows)
+        texts[f"{name}.dat"] = "".join(f"{row}\n" for row in rows.rows)
     texts["ReadMe"] = read_me(files)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -347,9 +348,8 @@ def _byte_by_byte(described, name):
     return [title, LINE, head, LINE, *described, LINE]
 
 
-def machine_readable(table, name):
-    """Return a table in the machine-readable form of the AAS."""
-    data = fixed_width(table)
+def machine_readable(table, name, data):
+    """Return a table in the form of the AAS; ``data`` is its `fixed_width`."""
     file = f"{name}_mrt.txt"
     notes = [f"Note: {fact}" for fact in facts_of(table.meta)]
     return "\n".join(
@@ -369,11 +369,10 @@ def read_me(files):
 
     Parameters
     ----------
-    files : dict of (`~astropy.table.QTable`, str)
+    files : dict of (`~astropy.table.QTable`, str, `FixedWidth`)
         Tables and their names, by the names of their files.
     """
-    data = {file: fixed_width(table) for file, (table, _) in files.items()}
-    first, _ = next(iter(files.values()))
+    first, *_ = next(iter(files.values()))
     lines = [
         "(title of the paper)",
         RULE,
@@ -386,12 +385,12 @@ def read_me(files):
         LINE,
         f"{'ReadMe':18s}{80:8d}{'.':>9s}   This file",
     ]
-    for file, (table, name) in files.items():
-        width = max(map(len, data[file].rows), default=0)
+    for file, (table, name, data) in files.items():
+        width = max(map(len, data.rows), default=0)
         lines.append(f"{file:18s}{width:8d}{len(table):9d}   {_caption(table, name)}")
     lines += [LINE, ""]
-    for file, own in data.items():
-        lines += [*_byte_by_byte(own.description, file), ""]
+    for file, (*_, data) in files.items():
+        lines += [*_byte_by_byte(data.description, file), ""]
     return "\n".join([*lines, RULE, ""])
 
 
@@ -447,6 +446,8 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
     written.description = " ".join(facts_of(table.meta)) or None
     for field in written.fields:
         field.ucd = column_ucd(field.name)
+        if field.unit is None and field.datatype == "double":
+            field.unit = u.one
         if field.name in dates:
             field.ref, field.xtype = "utc", "timestamp"
     if dates:

@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -75,6 +76,11 @@ def versions() -> dict[str, str]:
     >>> {"astro_scc", "numpy", "scipy"} <= set(versions())
     True
     """
+    return dict(_versions())
+
+
+@cache
+def _versions():
     needed = ("astro_scc", "numpy", "scipy", "astropy", "scikit-image")
     found = dict.fromkeys(needed, "unknown")
     for name in needed:

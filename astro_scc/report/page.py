@@ -162,7 +162,7 @@ def _template(name):
     return environment.get_template(name)
 
 
-def write_overview(table, parts, folder, *, published):
+def write_overview(table, features, parts, folder, *, published):
     """
     Write ``overview.html``, a page with a row for each source of a survey.
 
@@ -170,6 +170,8 @@ def write_overview(table, parts, folder, *, published):
     ----------
     table : `~astropy.table.QTable`
         Of `~astro_scc.cli.survey.run_survey`, which is in this folder too.
+    features : `~astropy.table.QTable`
+        The features of all sources.
     parts : sequence of `~astro_scc.cli.survey.Outcome`
         The regions and scale groups of the sources; their products are read.
     folder : path
@@ -182,16 +184,28 @@ def write_overview(table, parts, folder, *, published):
     `~pathlib.Path`
         Path of the page.
     """
-    path = Path(folder) / "overview.html"
+    from astro_scc.visualization import population, style
+
+    folder, files = Path(folder), {}
+    found = population.population(features)
+    if found["moving"].any():
+        plot = partial(population.plot_population, features)
+        files = style.figure_files({"population": plot})
+    names = ("survey.ecsv", "features.ecsv", "publication", "survey.toml")
     page = _template("survey.html").render(
-        **tables.overview(table, parts, path.parent, published),
+        **tables.overview(table, features, parts, folder, published),
         title="Survey of proper motions",
-        products=["survey.ecsv", "survey.toml"],
+        population={name: int(use.sum()) for name, use in found.items()},
+        figure=files.get("population.png"),
+        in_c="beta_app" in features.colnames,
+        products=[name for name in names if (folder / name).exists()],
         versions=table.meta.get("versions", {}),
     )
-    with replace_when_complete(path, overwrite=True) as part:
-        part.write_text(page, encoding="utf-8")
-    return path
+    files["overview.html"] = page.encode("utf-8")
+    for name, content in files.items():
+        with replace_when_complete(folder / name, overwrite=True) as part:
+            part.write_bytes(content)
+    return folder / "overview.html"
 
 
 def _listed(words):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.flow.acceleration import LEAST, MOST_BINS
@@ -74,8 +73,12 @@ OVERVIEW = {
     "p_global": "p_global",
     "p_fdr": "p_fdr",
     "n_features": "features",
+    "fastest": "fastest ({unit})",
+    "same": "as published",
     "profile": "profile",
 }
+#: Columns that name the part of a survey.
+PART = ("source", "region", "scale_group")
 #: Kinds of a source that has components of several, the first of those there are.
 OF_SOURCE = (
     "moving",
@@ -196,13 +199,13 @@ def setting_text(value):
 # -- surveys ---------------------------------------------------------------------
 
 
-def overview(table, parts, folder, published):
+def overview(table, features, parts, folder, published):
     """
     Return what the page of a survey shows.
 
     Parameters
     ----------
-    table, parts, folder, published
+    table, features, parts, folder, published
         See `~astro_scc.report.page.write_overview`.
 
     Returns
@@ -217,11 +220,15 @@ def overview(table, parts, folder, published):
     for row in table:
         kind = "kind" if row["status"] == "measured" else "status"
         every_kind[row["source"]].add(row[kind])
-    first = {tuple(row["source", "region", "scale_group"]): row for row in table[::-1]}
+    first = {tuple(row[list(PART)]): row for row in table[::-1]}
+    of_part = defaultdict(list)
+    for k, names in enumerate(features[list(PART)] if len(features) else ()):
+        of_part[tuple(names)].append(k)
     rows = [
         _part_cells(
             part,
             first[part.source, part.region, part.scale_group],
+            features[of_part[part.source, part.region, part.scale_group]],
             unit,
             published[part.source],
             folder,
@@ -246,7 +253,7 @@ def overview(table, parts, folder, published):
     }
 
 
-def _part_cells(part, row, unit, published, folder):
+def _part_cells(part, row, features, unit, published, folder):
     """Return the text of a region and scale group, its profile and its speed."""
     more = defaultdict(str, kind=part.message)
     cells = dict.fromkeys(OVERVIEW, "")
@@ -279,7 +286,14 @@ def _part_cells(part, row, unit, published, folder):
         cells[name] = "-" if row["kind"] == "stationary" else f"{row[name]:.2g}"
     report = f"{part.folder}/report.html"
     cells["link"] = report if Path(folder, report).is_file() else ""
-    cells["profile"] = _small_profile(Path(folder, part.folder, "features.ecsv"), unit)
+    from astro_scc.visualization.population import population
+
+    cells["profile"] = _small_profile(features, unit)
+    if len(features):
+        fastest = features["pm"][population(features)["moving"]].to_value(unit)
+        cells["fastest"] = f"{max(fastest):.3g}" if len(fastest) else ""
+        if "published" in features.colnames:
+            cells["same"] = str(np.ma.count(features["published"]))
     return cells
 
 
@@ -292,11 +306,10 @@ def _span(first, last):
     return f"{span.to_value(unit):.3g} {unit}", " to ".join(days)
 
 
-def _small_profile(path, unit):
+def _small_profile(features, unit):
     """Return the radial speeds of features against separations as parts of an SVG."""
     from astro_scc.visualization.features import LARGE_ERROR
 
-    features = QTable.read(path, format="ascii.ecsv")
     if len(features) == 0:
         return None
     error = features["pm_radial_err"].value

@@ -113,14 +113,14 @@ class IntervalBins:
 
     def sums(self, pairs, orders):
         """Return the densities of pairs summed over bins, (n_orders, n_tau, n_d)."""
-        n, n_bins = len(orders), len(self.mean)
-        rows = np.arange(n)[:, None] * n_bins + self.bin
+        n, n_bins, size = len(orders), len(self.mean), len(self.bin)
         columns = orders[:, self.first] * self.n_dates + orders[:, self.second]
-        where = rows.ravel(), columns.ravel()
-        sums = csr_array(
-            (np.ones(rows.size), where), shape=(n * n_bins, self.n_dates**2)
-        )
-        return (sums @ pairs).reshape(n, n_bins, -1)
+        # Each order has a row for each bin, in which its pairs are together.
+        columns = columns[:, np.argsort(self.bin, kind="stable")].ravel()
+        ends = np.cumsum(np.tile(self.number, n))
+        shape = n * n_bins, self.n_dates**2
+        parts = np.ones(n * size), columns, np.concatenate([[0], ends])
+        return (csr_array(parts, shape=shape) @ pairs).reshape(n, n_bins, -1)
 
 
 def speed_grid(slowest, fastest, step):

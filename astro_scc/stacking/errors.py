@@ -139,16 +139,12 @@ class JitteredVelocity:
     bias : `~numpy.ndarray`, shape (2,)
         Mean of the trials minus the observed velocity, which is that of the
         maximum in the box without shifts.
-    gaussian_p : float
-        p-value of D'Agostino and Pearson's test that the trials are
-        Gaussian, the smaller one of the two axes.
     share : float
         Fraction of the trials that have a maximum in the box.
     """
 
     covariance: np.ndarray
     bias: np.ndarray
-    gaussian_p: float
     share: float
 
 
@@ -220,10 +216,9 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
     share = len(found) / max(n_trials, 1)
     if len(found) < 3:
         unknown = np.full((2, 2), np.nan)
-        return JitteredVelocity(unknown, unknown[0], np.nan, share)
+        return JitteredVelocity(unknown, unknown[0], share)
     bias = np.mean(found, axis=0) - (centre if observed is None else observed)
-    covariance, p_value = np.cov(np.transpose(found)), _gaussian_p(np.array(found))
-    return JitteredVelocity(covariance, bias, p_value, share)
+    return JitteredVelocity(np.cov(np.transpose(found)), bias, share)
 
 
 def _maximum(scc, grid1, grid2):
@@ -234,12 +229,3 @@ def _maximum(scc, grid1, grid2):
     dy, dx, _ = quadratic_peak(scc[row - 1 : row + 2, column - 1 : column + 2])
     step1, step2 = grid1[1] - grid1[0], grid2[1] - grid2[0]
     return grid1[column] + dx * step1, grid2[row] + dy * step2
-
-
-def _gaussian_p(found):
-    from scipy.stats import normaltest
-
-    # With fewer trials the test's kurtosis part is not valid.
-    if len(found) < 20 or np.any(np.ptp(found, axis=0) == 0):
-        return float("nan")
-    return float(np.min(normaltest(found, axis=0).pvalue))

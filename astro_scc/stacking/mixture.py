@@ -118,8 +118,9 @@ def fit_mixture(samples: VelocitySamples, speeds: ArrayLike, rays: Rays) -> Mixt
         for row in range(k):
             # Sources of each bin, sums of memberships and of squares.
             own = bins[row]
-            first = np.unique(source * n_bins + own)
-            number = np.bincount(first % n_bins, minlength=n_bins)
+            seen = np.zeros((n, n_bins), dtype=bool)
+            seen[source, own] = True
+            number = seen.sum(axis=0)
             total = np.bincount(own, member[row], n_bins)
             square = np.bincount(own, member[row] * away[row], n_bins)
             some = total > 1

@@ -165,18 +165,21 @@ class PairMaps:
         """
         orders = np.asarray(orders)
         stretch = _Stretch(self, pairs, grid, shift)
+        # One stack at a time stays in the cache; where maps are made again for each
+        # block, blocks are large.
         size = max(1, BLOCK_BYTES // (8 * grid.shape[0] * grid.shape[1]))
+        size = 1 if self._everything is not None else size
         for start in range(0, len(orders), size):
             some = orders[start : start + size]
             reference, target = pairs.images(some)
             total = np.zeros((len(some), *grid.shape))
             for maps, rows in self._parts(reference * self.samples.n_epochs + target):
                 for own, row in zip(total, rows, strict=True):
-                    own += stretch(maps, row)
+                    stretch(maps, row, own)
                 # Freed before the next part is made.
                 del maps
-            number = number_of_ssps(self.samples, pairs, some)
-            yield total / number[:, None, None]
+            total /= number_of_ssps(self.samples, pairs, some)[:, None, None]
+            yield total
 
     def _parts(self, images):
         """Yield as many maps as fit into memory, and the rows of the pairs in them."""
@@ -211,21 +214,23 @@ class _Stretch:
         # stack, shape (n_intervals, n_pairs).
         self.share = share.astype(kind) * pairs.weight.astype(kind)
         # For each interval, the part of the map that is needed and the matrices along
-        # both axes.
-        self.steps = []
+        # both axes, of which the second are beside each other.
+        self.steps, twos, self.ends = [], [], [0]
         for interval in at:
             one = _basis(maps.axis1, grid.v1 * interval - shift[0])
             two = _basis(maps.axis2, grid.v2 * interval - shift[1])
             part = rows, columns = _support(two), _support(one)
             to1 = np.ascontiguousarray(one[:, columns].T, dtype=kind)
-            self.steps.append((part, to1, two[:, rows].astype(kind)))
+            self.steps.append((part, to1))
+            twos.append(two[:, rows].astype(kind))
+            self.ends.append(self.ends[-1] + twos[-1].shape[1])
+        self.to2 = np.concatenate(twos, axis=1)
 
-    def __call__(self, maps, row):
-        """Return the stack of one permutation, given the rows of its pairs."""
-        slots = np.flatnonzero(row >= 0)
-        total, kind = 0.0, self.share.dtype
+    def __call__(self, maps, row, total):
+        """Add the stack of one permutation, given the rows of its pairs, to a total."""
+        slots, kind = np.flatnonzero(row >= 0), self.share.dtype
         if len(slots) == 0:
-            return total
+            return
         # To save memory, only a few intervals and pairs of dates at a time.
         few = max(1, WORK_BYTES // (kind.itemsize * maps.shape[1]))
         for first in range(0, len(self.share), few):
@@ -235,11 +240,12 @@ class _Stretch:
                 values = maps[row[use]].astype(kind, copy=False)
                 added = added + self.share[some, use] @ values
             added = added.reshape(-1, *self.size)
-            parts, to1, to2 = zip(*self.steps[some], strict=True)
-            lines = [m[p] @ a for m, p, a in zip(added, parts, to1, strict=True)]
-            stretched = np.concatenate(to2, axis=1) @ np.concatenate(lines)
-            total = total + stretched.astype(float)
-        return total
+            steps = self.steps[some]
+            lines = np.concatenate(
+                [m[p] @ to1 for m, (p, to1) in zip(added, steps, strict=True)]
+            )
+            end = self.ends[first + len(steps)]
+            total += self.to2[:, self.ends[first] : end] @ lines
 
 
 def _support(matrix):

@@ -54,7 +54,6 @@ def test_independent_ssps(clump, n):
     assert abs(found.covariance[0, 1]) < 0.15 * np.prod(errors(found))
     assert abs(found.bias[0]) < 5 * expected / np.sqrt(1000)
     assert abs(found.bias[1]) < 5 * expected / np.sqrt(1000)
-    assert found.gaussian_p > 1e-4
 
 
 def test_one_ssp_that_all_matches_share(clump):
@@ -132,8 +131,8 @@ def test_a_maximum_at_the_border_of_the_box_is_compared_with_the_component(clump
     assert found.share < 0.6
 
 
-def test_two_clumps_are_not_gaussian(clump):
-    """Now the one is higher, now the other: the errors are no standard errors."""
+def test_two_clumps_have_a_wide_error(clump):
+    """Now the one is higher, now the other."""
     left, right = (clump(5, velocity=(v, 0.0), s=(0.05, 0.05)) for v in (0.6, 1.4))
     names = ("d1", "d2", "s1", "s2", "weight", "reference", "target", "target_ssp")
     d = replace(
@@ -143,23 +142,15 @@ def test_two_clumps_are_not_gaussian(clump):
         n_ssps=np.array([10, 10]),
     )
     found = jitter(d, at=component(1.0, 0.0))
-    assert found.gaussian_p < 1e-6
     assert errors(found)[0] > 0.3
 
 
 @pytest.mark.parametrize("n_trials", [0, 1, 2])
 def test_too_few_trials_have_no_error(clump, n_trials):
     found = jitter(clump(10), n_trials)
-    for name in ("covariance", "bias", "gaussian_p"):
+    for name in ("covariance", "bias"):
         assert np.all(np.isnan(getattr(found, name)))
     assert found.share == (1.0 if n_trials else 0.0)
-
-
-def test_few_trials_have_an_error_but_no_test_of_their_distribution(clump):
-    found = jitter(clump(10), 19)
-    assert errors(found)[0] > 0
-    assert np.isnan(found.gaussian_p)
-    assert np.isfinite(jitter(clump(10), 20).gaussian_p)
 
 
 def test_no_match_in_reach_no_maximum(clump):

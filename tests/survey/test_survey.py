@@ -193,7 +193,6 @@ def small_table(rows):
 
 
 def test_the_overview_counts_sources(tmp_path):
-    features(tmp_path, [1], [2.0], [0.1])
     rows = [
         ("A", "fine", "measured", "moving"),
         ("A", "coarse", "measured", "not significant"),
@@ -210,7 +209,7 @@ def test_the_overview_counts_sources(tmp_path):
     known = dict.fromkeys("BCDEFG", [np.nan] * u.mas / u.yr) | {
         "A": [1.9] * u.mas / u.yr
     }
-    path = write_overview(table, parts, tmp_path, published=known)
+    path = write_overview(table, QTable(), parts, tmp_path, published=known)
     page = path.read_text(encoding="utf-8")
     assert (
         "Of 7 sources, 1 moves, 1 has motion that is not confirmed, 1 shows no motion "
@@ -224,22 +223,20 @@ def test_the_overview_counts_sources(tmp_path):
     assert "nan standard errors" not in page
 
 
-def features(folder, component, pm, pm_err):
-    """Write a table of features at 1, 2, ... mas."""
+def features(component, pm, pm_err):
+    """Return a table of features at 1, 2, ... mas."""
     table = QTable({"component": component})
     table["separation"] = np.arange(1.0, len(pm) + 1) * u.mas
     for name, values in (("pm_radial", pm), ("pm_radial_err", pm_err)):
         table[name] = np.asarray(values, float) * u.mas / u.yr
-    path = folder / "features.ecsv"
-    table.write(path, format="ascii.ecsv", overwrite=True)
-    return path
+    return table
 
 
-def test_profiles_of_the_overview(tmp_path):
+def test_profiles_of_the_overview():
     # The last one is too uncertain to set the scale.
     pm, error = [*range(1, 11), -2, 99], [0.1] * 11 + [5]
-    path = features(tmp_path, [1] * 10 + [2, 1], pm, error)
-    found = _small_profile(path, u.mas / u.yr)
+    unit = u.mas / u.yr
+    found = _small_profile(features([1] * 10 + [2, 1], pm, error), unit)
     points = np.array(found["points"])
     width, height = 144, 34
     np.testing.assert_allclose(points[:, 0], np.arange(1, 12) * width / 11, atol=0.06)
@@ -254,12 +251,10 @@ def test_profiles_of_the_overview(tmp_path):
     expected = [(r * width / 11, (10 - r) * height / 12) for r in (3, 8)]
     np.testing.assert_allclose(line, expected, atol=0.06)
     # Outward is positive.
-    features(tmp_path, [1, 0], [-3, -4], [0.1, 0.1])
-    assert _small_profile(path, u.mas / u.yr)["range"] == "2 mas, -4 mas/yr"
-    features(tmp_path, [1], [0], [0.1])
-    assert _small_profile(path, u.mas / u.yr)["points"] == [(144.0, 0.0, 1)]
-    features(tmp_path, np.zeros(0, int), [], [])
-    assert _small_profile(path, u.mas / u.yr) is None
+    inward = _small_profile(features([1, 0], [-3, -4], [0.1, 0.1]), unit)
+    assert inward["range"] == "2 mas, -4 mas/yr"
+    assert _small_profile(features([1], [0], [0.1]), unit)["points"] == [(144.0, 0, 1)]
+    assert _small_profile(features(np.zeros(0, int), [], []), unit) is None
 
 
 @pytest.mark.parametrize(

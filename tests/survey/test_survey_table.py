@@ -1,10 +1,17 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """A survey of the sources of a table of components."""
 
+import io
+
+import astropy.units as u
+import numpy as np
 import pytest
-from astropy.table import QTable
+from astropy.io.votable import parse, validate
+from astropy.table import QTable, Table
 
 from astro_scc.cli import main
+from astro_scc.epochs import write_epochs
+from astro_scc.simulation import simulate_two_fluid
 
 BEAM = ["--beam", "0.9 mas 0.6 mas 0 deg", "--pixel", "0.2 mas"]
 OPTIONS = [*BEAM, "--noise", "0.5 mJy/beam", "--seed", "1", "--no-report", "--quiet"]
@@ -59,11 +66,73 @@ def test_all_sources_are_restored_and_measured(table, tmp_path, monkeypatch):
     assert "beta_app" in QTable.read(out / "survey.ecsv").colnames
 
 
+@pytest.mark.slow
+def test_without_options(table, tmp_path, capsys):
+    """Beam, pixels and noise suit the table; archives read the catalogues."""
+    out, redshifts = tmp_path / "out", tmp_path / "z.csv"
+    redshifts.write_text("Name,z\n0003+380,0.229\n0010+405,\nelsewhere,1\n")
+    argv = ["survey", str(table), "-o", str(out), "--redshifts", str(redshifts)]
+    assert main(argv) == 0
+    said = capsys.readouterr().err
+    assert "restored with one of" in said
+    assert "pixels and noise that suit" in said
+    assert not list(out.rglob("report.html"))
+    assert not list((out / "sources").rglob("publication"))
+    folder = out / "publication"
+    for name, file in (("components", "survey"), ("features", "features")):
+        ecsv = QTable.read(out / f"{file}.ecsv")
+        rows = [row for row in ecsv if file == "features" or row["status"] != "failed"]
+        assert set(ecsv["redshift"][ecsv["source"] == "0003+380"]) == {0.229}
+        assert np.all(ecsv["redshift"].mask[ecsv["source"] == "0010+405"])
+        readers = [
+            Table.read(folder / f"{name}_mrt.txt", format="mrt"),
+            Table.read(folder / f"{name}.dat", readme=folder / "ReadMe", format="cds"),
+            QTable.read(folder / f"{name}.vot"),
+        ]
+        for found in readers:
+            assert found["source"].tolist() == [row["source"] for row in rows]
+            # Without a feature there is no speed in print.
+            shown = [file == "features" or r["n_features"] > 0 for r in rows]
+            pm, known = u.Quantity(found["pm"])[shown], [r["pm"] for r in rows]
+            known = u.Quantity(known)[shown]
+            np.testing.assert_allclose(pm.value, known.value, atol=1e-3)
+        assert validate(folder / f"{name}.vot", output=io.StringIO())
+        for field in parse(folder / f"{name}.vot").get_first_table().fields:
+            assert field.ucd, field.name
+            assert field.description, field.name
+            assert field.unit is not None or field.datatype != "double", field.name
+    assert np.ma.count(ecsv["published"]) >= 5
+    page = (out / "overview.html").read_text(encoding="utf-8")
+    assert "as published" in page
+    assert "in units of c, of sources with a redshift" in page
+    assert (out / "population.png").is_file()
+
+
+def test_folders_of_images(tmp_path, capsys):
+    folder, out = tmp_path / "images", tmp_path / "out"
+    for name in ("one [1]", "two"):
+        cube = simulate_two_fluid(n_epochs=4, rng=1).cube
+        write_epochs(cube.crop((slice(70, 186), slice(20, 170))), folder / name)
+    (folder / "notes").mkdir()
+    argv = ["survey", str(folder), "-o", str(out), "--quiet"]
+    assert main(argv) == 0
+    table = QTable.read(out / "survey.ecsv")
+    assert set(table["source"]) == {"one [1]", "two"}
+    assert "failed" not in table["status"]
+    assert main([*argv, "--redshifts", "none.csv"]) == 2
+    assert "none.csv: cannot be read" in capsys.readouterr().err
+    (tmp_path / "z.txt").write_text("a b\n1 2\n")
+    assert main([*argv, "--redshifts", str(tmp_path / "z.txt")]) == 2
+    assert "needs the columns source and redshift; it has a, b" in (
+        capsys.readouterr().err
+    )
+    assert main(["survey", str(out), "-o", str(tmp_path / "other")]) == 2
+    assert "has no folder of FITS images" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ([], "needs --beam and --pixel to restore images from it"),
-        (BEAM[:2], "needs --pixel to restore images"),
         ([*BEAM, "--source", "0003+38"], "no source '0003+38'; it has 0003"),
         ([*BEAM, "--source", "9999+999", "--origin", "map"], "no core component"),
     ],
