@@ -5,9 +5,8 @@ Measure simulated jets, to check whether p-values, speeds and errors are right.
 
     python benchmarks/calibration/run.py KIND [KIND ...] [--jets 100] [--trials 199]
 
-``all`` stands for every kind but those of ``power``, in which one option varies (30
-jets of each show how the power grows), and of ``sensitivity``, whose main speed is
-compared with that of parts of the data.  Each jet of each kind has its own seed.
+``all`` stands for every kind but those of ``sensitivity``, whose main speed is compared
+with that of parts of the data.  Each jet of each kind has its own seed.
 Measured jets are kept in ``results/KIND.csv`` and not measured again, so a run can be
 stopped and resumed.  ``python benchmarks/calibration/summary.py`` makes the tables and
 the figures of the documentation from these files.
@@ -127,35 +126,6 @@ def layers(spine, sheath):
 
 KINDS["layers"] = layers(0.9, 0.3)
 KINDS["one-layer"] = layers(0.6, 0.6)
-#: Values of the option that varies; others are those of single-20 or two-streams.
-VARIED = {
-    "epochs": (5, 6, 8, 10, 15, 20, 30, 40),
-    "features": (3, 5, 8, 12, 20, 30),
-    "speed": (0.05, 0.1, 0.2, 0.4, 0.8, 1.2),
-    "dispersion": (0.05, 0.1, 0.2, 0.3, 0.5),
-    "noise": (0.1, 0.3, 1, 3, 10),
-    "ratio": (1.5, 2, 2.5, 3, 4),
-}
-
-
-def varied(option, value):
-    """Return a function that simulates jets with an option; noise is in mJy/beam."""
-    if option == "ratio":
-        speeds = {"slow": 0.3, "fast": 0.3 * value}
-        return streams(*((k, {"speed": v, "n_features": 5}) for k, v in speeds.items()))
-    if option in ("epochs", "features"):
-        return jet(**{"dispersion": 0.2, f"n_{option}": value})
-    if option == "noise":
-        value /= 1000
-    return jet(**{"dispersion": 0.2, option: value})
-
-
-POWER = {
-    f"power-{option}-{value:g}": (option, value)
-    for option, values in VARIED.items()
-    for value in values
-}
-KINDS |= {kind: varied(*which) for kind, which in POWER.items()}
 FLOW = ("accelerated", "steady", "layers", "one-layer")
 #: Jets whose main speed is compared with that of parts of the data.
 SENSITIVITY = {
@@ -250,16 +220,13 @@ def features(truth, unit):
 def main():
     """Measure the jets that have not been measured."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument(
-        "kinds", nargs="+", choices=[*KINDS, "all", "power", "sensitivity"]
-    )
+    parser.add_argument("kinds", nargs="+", choices=[*KINDS, "all", "sensitivity"])
     parser.add_argument("--jets", type=int, default=100)
     parser.add_argument("--trials", type=int, default=199)
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder")
     args = parser.parse_args()
-    others = {*POWER, *SENSITIVITY}
-    groups = {"all": [k for k in KINDS if k not in others], "power": list(POWER)}
+    groups = {"all": [k for k in KINDS if k not in SENSITIVITY]}
     groups["sensitivity"] = list(SENSITIVITY)
     kinds = [kind for name in args.kinds for kind in groups.get(name, [name])]
     args.results.mkdir(exist_ok=True)

@@ -6,18 +6,16 @@ Summarise the calibration in the tables and figures of the documentation.
 
 Reads ``results/*.csv``, which ``run.py`` writes, and writes in the same folder the
 tables ``speeds_table.csv``, ``streams_table.csv``, ``static_table.csv``,
-``flow_table.csv``, ``sensitivity_table.csv`` and ``power_table.csv``, and the figures
-``calibration.png`` and ``power.png``.
+``flow_table.csv`` and ``sensitivity_table.csv``, and the figure ``calibration.png``.
 """
 
 import csv
-import re
 from pathlib import Path
 
 import numpy as np
 from astropy.stats import binom_conf_interval
 from matplotlib.figure import Figure
-from run import FLOW, KINDS, PAPER, POWER, SENSITIVITY, VARIED
+from run import FLOW, KINDS, PAPER, SENSITIVITY
 
 RESULTS = Path(__file__).parent / "results"
 ALPHA = 0.05
@@ -137,24 +135,6 @@ def sensitivity_row(kind, jets):
             f"{np.sqrt(np.mean(change**2)):.2f}"]  # fmt: skip
 
 
-def power_row(kind, jets):
-    """Return how often the speeds are found for one value of an option."""
-    option, value = POWER[kind]
-    n = len(jets)
-    first = [(moving(jet) or [None])[0] for jet in jets]
-    found = [r for r in first if r is not None]
-    right = sum(abs(r["speed"] / r["true_mean"] - 1) <= RIGHT for r in found)
-    if option == "ratio":
-        right = sum(
-            all(
-                any(abs(r["speed"] / v - 1) <= RIGHT for r in moving(jet))
-                for v in (0.3, 0.3 * value)
-            )
-            for jet in jets
-        )
-    return [option, f"{value:g}", n, share(len(found), n), share(right, n)]
-
-
 def write(name, header, rows):
     """Write a table for the documentation, and print it."""
     with open(RESULTS / f"{name}.csv", "w", newline="", encoding="utf-8") as file:
@@ -183,41 +163,6 @@ def draw(kinds):
     right.set(xlabel="true dispersion / speed", ylabel="measured dispersion / speed",
               xlim=(0, 0.5), ylim=(0, 0.7))  # fmt: skip
     figure.savefig(RESULTS / "calibration.png", dpi=150)
-
-
-LABELS = {
-    "epochs": "number of epochs",
-    "features": "features at a time",
-    "speed": "speed (beams per interval)",
-    "dispersion": "dispersion / speed",
-    "noise": "noise (mJy/beam)",
-    "ratio": "ratio of the two speeds",
-}
-
-
-def draw_power(rows):
-    """Draw how the power grows with each option."""
-    figure = Figure(figsize=(7, 4.2), layout="constrained")
-    axes = figure.subplots(2, 3, sharey=True).flat
-    for axis, option in zip(axes, VARIED, strict=True):
-        own = [row for row in rows if row[0] == option]
-        x = [float(row[1]) for row in own]
-        for column, style, name in ((3, "s--", "moving"), (4, "o-", "right")):
-            shares = [list(map(float, re.findall(r"[\d.]+", r[column]))) for r in own]
-            y, low, high = np.reshape(shares, (-1, 3)).T
-            color = "#0072B2" if column == 4 else "0.6"
-            axis.errorbar(x, y, (y - low, high - y), fmt=style, ms=4, lw=1,
-                          color=color, label=name)  # fmt: skip
-        axis.set(xlabel=LABELS[option], ylim=(-0.03, 1.05))
-        axis.tick_params(axis="x", labelsize=8)
-        if option in ("epochs", "features", "speed", "noise"):
-            axis.set_xscale("log")
-            axis.set_xticks(x, [f"{v:g}" for v in x], minor=False)
-            axis.set_xticks([], minor=True)
-    for axis in figure.axes[::3]:
-        axis.set_ylabel("share of jets")
-    figure.axes[0].legend(loc="lower right", frameon=False)
-    figure.savefig(RESULTS / "power.png", dpi=150)
 
 
 def main():
@@ -262,11 +207,7 @@ def main():
         ["jets", "n", "depends", "by more than its error", "change / error"],
         [sensitivity_row(k, have[k]) for k in have if k in SENSITIVITY],
     )
-    power = [power_row(k, have[k]) for k in have if k in POWER]
     draw(single)
-    if power:
-        write("power_table", ["option", "value", "n", "moving", "right"], power)
-        draw_power(power)
 
 
 if __name__ == "__main__":
