@@ -160,7 +160,7 @@ def test_a_distance_in_the_file_gives_way_to_a_redshift(jet, astro_scc, here):
         "--config", "jet.toml", "--redshift", "0.1", "--cosmology", "Planck18",
     )  # fmt: skip
     assert status == 0
-    assert out.startswith("No pattern has a match in another epoch")
+    assert out.startswith("No motion found: no pattern has a match")
     assert "speeds in c: redshift 0.1, Planck18, FlatLambdaCDM with H0 = 67.66" in out
     table = QTable.read(here / "out" / "components.ecsv")
     assert len(table) == 0

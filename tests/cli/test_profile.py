@@ -47,7 +47,7 @@ def test_profile(cube_file, tmp_path, capsys):
                "--redshift", "0.1", "--seed", "1", *OPTIONS]  # fmt: skip
     assert main(command) == 0
     text = capsys.readouterr().out
-    assert "distance (mas)" in text
+    assert "separation (mas)" in text
     assert "p_fdr" in text
     assert "speeds in c: redshift 0.1, FlatLambdaCDM with H0 = 71 km/s/Mpc" in text
     names = sorted(path.name for path in out.iterdir())

@@ -154,7 +154,8 @@ def test_velocities_scale_with_time(usual, exponent):
     factor = 10**exponent
     times = TIMES[0] + (TIMES - TIMES[0]) * factor
     found, _ = velocity(images(), times=times, speed=5 / factor)
-    assert found * factor == pytest.approx(usual[0], rel=1e-3, abs=1e-3)
+    # The fits of the mixture end at other last digits.
+    assert np.hypot(*(found * factor - usual[0])) < 0.05 * usual[1]
 
 
 @pytest.mark.slow
