@@ -30,7 +30,7 @@ from astro_scc.measurement.choices import choose_scales
 from astro_scc.measurement.stacking import stack_matches, velocity_frame
 from astro_scc.progress import progress
 from astro_scc.settings import MeasurementSettings, Settings, require
-from astro_scc.stacking import DatePairs, VelocitySamples
+from astro_scc.stacking.velocities import DatePairs, VelocitySamples
 from astro_scc.units import PM_UNIT, comparable
 
 if TYPE_CHECKING:
@@ -210,7 +210,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Returns
         -------
-        `~astro_scc.stacking.DatePairs`
+        ``DatePairs``
 
         Raises
         ------
@@ -401,7 +401,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Returns
         -------
-        displacements : `~astro_scc.stacking.VelocitySamples`
+        displacements : ``VelocitySamples``
             In mas, for the selected SSPs.
         frame : frame of `astro_scc.kinematics`
         """

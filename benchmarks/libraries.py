@@ -24,7 +24,8 @@ from photutils.psf import GaussianPSF, PSFPhotometry
 from photutils.segmentation import SourceCatalog, deblend_sources, detect_sources
 from scipy.spatial import KDTree
 
-from astro_scc.decomposition import Decomposer, find_ssps
+from astro_scc.decomposition import Decomposer
+from astro_scc.decomposition.segmentation import find_ssps
 from astro_scc.epochs import Beam, ComponentList, core_positions, restore
 from astro_scc.simulation import simulate_two_fluid
 

@@ -19,7 +19,7 @@ import numpy as np
 from common import PM_UNIT, measured, p_text, plain, write_table
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.stacking import stack
+from astro_scc.stacking.stack import stack
 
 JETS = {
     "two_fluid": {"slow, 5 px": 5.0, "fast, 20 px": 20.0},

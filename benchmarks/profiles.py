@@ -30,7 +30,7 @@ from mojave import BEFORE, SOURCES
 from shells import two_rates
 
 from astro_scc import Beam, StackedCrossCorrelation
-from astro_scc.features import fit_motion
+from astro_scc.features.motion import fit_motion
 from astro_scc.flow import (
     compare_speeds,
     fit_profile,
@@ -40,7 +40,7 @@ from astro_scc.flow import (
 )
 from astro_scc.kinematics import apparent_speed
 from astro_scc.measurement import select_ssps
-from astro_scc.stacking import random_effects
+from astro_scc.stacking.dispersion import random_effects
 
 SOURCE = {source.name: source for source in SOURCES}
 #: Fewest epochs, error of a position and width of the beam of the survey's features,

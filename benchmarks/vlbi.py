@@ -16,7 +16,7 @@ from astropy.coordinates import EarthLocation
 
 from astro_scc.epochs.beam import FWHM_TO_SIGMA, Beam, beam_of
 from astro_scc.epochs.restoring import add_gaussians
-from astro_scc.simulation import SimulatedJet
+from astro_scc.simulation.jets import SimulatedJet
 
 #: North latitude and west longitude in degrees, elevation in m.
 STATIONS = {

@@ -15,7 +15,6 @@ from astropy.time import Time
 from common import brief, run
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.visualization import plot_members
 
 YEARS = np.arange(0, 12, 2)
 PIXEL = 25 * u.mas
@@ -58,7 +57,7 @@ def measure(n_trials=200):
     result = scc(cube, n_trials=n_trials, rng=1)
     columns = "pm_ra_cosdec", "pm_dec", "pm", "pm_err", "pm_pa", "p_global"
     table = brief(result.components, "kind", *columns, "n_features", digits=1)
-    return table, plot_members(result, max_panels=1)
+    return table, result.plot("members", max_panels=1)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ from regions import PixCoord, RectanglePixelRegion
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.tracking import FeatureTracker
-from astro_scc.visualization import plot_members
 
 DATES = [
     "2002-02-05",
@@ -99,7 +98,7 @@ def measure(n_trials=200):
     table["true_speed"] = SPEEDS.mean()
     columns = "pm", "pm_err", "speed", "speed_err", "true_speed", "p_global"
     table = brief(table, "method", "n_epochs", "n_features", *columns, digits=0)
-    return table, plot_members(result, max_panels=1)
+    return table, result.plot("members", max_panels=1)
 
 
 if __name__ == "__main__":

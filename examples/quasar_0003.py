@@ -11,7 +11,6 @@ from common import brief, run
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.epochs import distance_mask
 from astro_scc.kinematics import paper_cosmology
-from astro_scc.visualization import plot_members
 
 
 def measure(data, n_trials=1000):
@@ -26,7 +25,7 @@ def measure(data, n_trials=1000):
     result = scc(cube, region=ring, n_trials=n_trials, rng=1)
     table = result.components_in_c(redshift=0.229, cosmology=paper_cosmology())
     columns = "pm_parallel", "pm_parallel_err", "beta_app", "beta_app_err", "p_global"
-    return brief(table, "kind", *columns, "n_features"), plot_members(result)
+    return brief(table, "kind", *columns, "n_features"), result.plot("members")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import distance_mask, read_components, restore
 from astro_scc.flow import scale_groups
 from astro_scc.kinematics import paper_cosmology
-from astro_scc.visualization import plot_members
 
 
 def measure(data, before="2011-01-01", n_trials=200):
@@ -45,7 +44,7 @@ def measure(data, before="2011-01-01", n_trials=200):
         tables.append(table)
     columns = "pm_parallel", "pm_parallel_err", "beta_app", "beta_app_err", "p_global"
     table = vstack(tables, metadata_conflicts="silent")
-    figure = plot_members(result, max_panels=1)
+    figure = result.plot("members", max_panels=1)
     return brief(table, "scales", "kind", *columns, "n_features"), figure
 
 

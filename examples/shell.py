@@ -12,7 +12,6 @@ from common import brief, run
 from astro_scc import StackedCrossCorrelation
 from astro_scc.expansion import expansion_speed, fit_shell
 from astro_scc.simulation import simulate_shell
-from astro_scc.visualization import plot_epoch
 
 
 def measure():
@@ -34,7 +33,7 @@ def measure():
         "centre_east": u.Quantity([fit.centre[0]]).to(u.arcsec),
         "centre_north": u.Quantity([fit.centre[1]]).to(u.arcsec),
     })  # fmt: skip
-    figure = plot_epoch(shell.cube, 0, matched.ssps, zoom=False)
+    figure = shell.cube.plot(0, matched.ssps, zoom=False)
     return brief(table, *table.colnames, digits=3, speed=0), figure
 
 

@@ -16,7 +16,6 @@ from astropy.time import Time
 from common import brief, run
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.visualization import plot_members
 
 PIXEL = 0.5 * u.arcsec
 CADENCE = 60 * u.s
@@ -76,7 +75,7 @@ def measure(n_trials=200):
         table[f"speed{name}"] = (table[f"beta_app{name}"] * c).to(u.km / u.s)
     columns = "west", "north", "speed", "speed_err", "p_global", "n_features"
     table = brief(table, "kind", *columns)
-    return table, plot_members(result, max_panels=1)
+    return table, result.plot("members", max_panels=1)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from common import brief, run
 from scipy.ndimage import gaussian_filter, shift
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.visualization import plot_members
 
 #: Motion to the west and to the north per image, in pixels.
 STEP = np.array([1.3, 0.4])
@@ -55,7 +54,7 @@ def measure(n_trials=200):
         table[f"{name}_err"] = found[f"{column}_err"].to(true.unit)
     columns = "true_west", "west", "west_err", "true_north", "north", "north_err"
     table = brief(table, "kind", *columns, "p_global", "n_features", digits=3)
-    return table, plot_members(result, max_panels=1)
+    return table, result.plot("members", max_panels=1)
 
 
 if __name__ == "__main__":

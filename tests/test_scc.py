@@ -14,7 +14,7 @@ from astropy.wcs import WCS
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation, measure_velocities
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.simulation import simulate_static, simulate_two_fluid
-from astro_scc.stacking import find_velocity_peaks
+from astro_scc.stacking.stack import find_velocity_peaks
 
 PM = u.mas / u.yr
 DAYS = 30

@@ -27,7 +27,6 @@ from astro_scc import (
     expansion,
     features,
     flow,
-    interchange,
     kinematics,
     measure_velocities,
     measurement,
@@ -35,11 +34,15 @@ from astro_scc import (
     report,
     settings,
     simulation,
-    stacking,
     tracking,
     visualization,
 )
+from astro_scc.features.motion import Motion
 from astro_scc.measurement import MatchedEpochs, SCCResult
+from astro_scc.stacking import stack as paper
+from astro_scc.stacking import velocities
+from astro_scc.stacking.dispersion import random_effects
+from astro_scc.stacking.velocities import DatePairs, VelocitySamples
 
 MAS_PER_YEAR = u.mas / u.yr
 
@@ -51,7 +54,7 @@ def measure(cube: EpochCube) -> QTable:
     StackedCrossCorrelation(speed=2 * MAS_PER_YEAR)  # type: ignore[call-arg]
     assert_type(scc.scale_numbers(cube), tuple[float, ...])
     assert_type(scc.decomposer(cube), decomposition.Decomposer)
-    assert_type(scc.date_pairs(cube), stacking.DatePairs)
+    assert_type(scc.date_pairs(cube), DatePairs)
     assert_type(scc.speed_limit(cube), u.Quantity)
     matched = scc.match(cube, region="jet.reg", n_workers=2, cache=Path("matches"))
     assert_type(matched, MatchedEpochs)
@@ -72,30 +75,26 @@ def configure(path: Path) -> str:
 
 
 def decompose_and_correlate(image: np.ndarray) -> Table:
-    planes = decomposition.wavelet_planes(image, [1, 2], mask=image > 9)
-    sigma = decomposition.plane_noise(planes[0], 1)
-    ssps = decomposition.find_ssps(planes[0], 1, sigma, detection=4)
     decomposer = decomposition.Decomposer(scales=[1, 2])
     decomposer(image, beam=2.0)  # type: ignore[call-arg]
-    assert_type(decomposer(image).ssps, decomposition.SSPs)
+    ssps = decomposer(image).ssps
+    assert_type(ssps, decomposition.SSPs)
     assert_type(len(ssps.select(ssps.snr > 5)), int)
     both = [decomposer(image), decomposer(image)]
     matches = correlation.Correlator(kappa=0.6)(both, correlation.all_pairs(2), 5)
     correlation.Correlator(kappa="0.6")  # type: ignore[arg-type]
-    assert_type(correlation.zncc([1.0, 2.0], [2.0, 3.0]), float)
-    assert_type(correlation.target_ssps(matches, ssps), np.ndarray)
     return matches.to_table()
 
 
-def stack(samples: stacking.VelocitySamples) -> list[stacking.VelocityPeak]:
-    grid = stacking.VelocityGrid.covering(2.0, 0.1)
-    pairs = stacking.consecutive_pairs([0.0, 0.5, 1.0])
-    image = stacking.stack(samples, pairs, grid)
-    stacking.stack(samples, grid, pairs)  # type: ignore[arg-type]
-    average = stacking.random_effects([1.0, 1.2], [0.1, 0.1])
+def stack(samples: VelocitySamples) -> list[paper.VelocityPeak]:
+    grid = velocities.VelocityGrid.covering(2.0, 0.1)
+    pairs = velocities.consecutive_pairs([0.0, 0.5, 1.0])
+    image = paper.stack(samples, pairs, grid)
+    paper.stack(samples, grid, pairs)  # type: ignore[arg-type]
+    average = random_effects([1.0, 1.2], [0.1, 0.1])
     assert_type(average.dispersion, float)
     assert_type(grid.shape, tuple[int, int])
-    return stacking.find_velocity_peaks(image, grid, (0.3, 0.3))
+    return paper.find_velocity_peaks(image, grid, (0.3, 0.3))
 
 
 def speeds_in_c(result: SCCResult) -> u.Quantity:
@@ -125,7 +124,7 @@ def follow_the_ridge(cube: EpochCube) -> QTable:
 
 def profile(
     scc: StackedCrossCorrelation, matched: MatchedEpochs, result: SCCResult
-) -> list[Path]:
+) -> QTable:
     bins = flow.measure_profile(scc, matched, np.arange(4) * u.mas, rng=1)
     flow.measure_profile(scc, result, "0.5 1.5 2.5 mas")  # type: ignore[arg-type]
     assert_type(bins.results[0], SCCResult | None)
@@ -135,7 +134,7 @@ def profile(
     flow.measure_acceleration(result).p_value + 1.0
     groups = flow.scale_groups(matched, {"small": [1], "large": [2, 3]})
     assert_type(flow.compare_speeds(result, groups), QTable)
-    return flow.write_profile(bins, bins.components_in_c(redshift=0.1), "profile")
+    return bins.components_in_c(redshift=0.1)
 
 
 def track(cube: EpochCube, matched: MatchedEpochs) -> features.Features:
@@ -144,7 +143,7 @@ def track(cube: EpochCube, matched: MatchedEpochs) -> features.Features:
     tracker(matched)  # type: ignore[arg-type, call-arg]
     links = tracker.link(cube, matched.decompositions)
     assert_type(links.select(links.gap == 0).source, np.ndarray)
-    assert_type(found.motions, tuple[features.Motion, ...])
+    assert_type(found.motions, tuple[Motion, ...])
     assert_type(found.table, QTable)
     features.find_features(cube, settings={"gate": 5})  # type: ignore[arg-type]
     return features.find_features(cube, detections="ssp", seed=1, n_workers=2)
@@ -185,15 +184,16 @@ def simulate() -> list[Path]:
     return simulation.write_simulation(jet, "jet", overwrite=True)
 
 
-def draw(result: SCCResult, found: features.Features) -> Figure:
+def draw(result: SCCResult) -> Figure:
     cube, components = result.cube, result.components
-    visualization.plot_epoch(cube, 0, result.ssps, unit="mas", vmax=1.0)
-    visualization.plot_epoch(result, 0)  # type: ignore[arg-type]
-    visualization.plot_velocity_map(result, components=components, which="z_score")
+    cube.plot(0, result.ssps, unit="mas", vmax=1.0)
+    cube.plot("0")  # type: ignore[arg-type]
+    result.plot(0)  # type: ignore[arg-type]
+    result.plot("velocity_map", components=components, which="z_score")
     visualization.plot_profile(components, fits=[1.0])  # type: ignore[list-item]
     page = report.write_report(result, "out", left_out=["a.fits", ("b.fits", "date")])
     assert_type(page, Path)
-    return visualization.plot_tracks(found, unit=u.arcsec)
+    return result.plot("tracks", unit=u.arcsec)
 
 
 def read_and_prepare(paths: list[str], table: Table) -> EpochCube:
@@ -221,14 +221,12 @@ def read_and_prepare(paths: list[str], table: Table) -> EpochCube:
 
 def inspect(paths: list[str], cube: EpochCube) -> epochs.ComponentList:
     assert_type(epochs.inspect_epochs(paths), QTable)
-    assert_type(epochs.measure_noise(cube.data[0]), float)
     assert_type(epochs.plan_intervals(cube).span, u.Quantity)
     assert_type(epochs.core_positions(cube, max_shift=2 * u.mas), QTable)
     assert_type(epochs.distance_mask(cube, 0 * u.mas, 1 * u.mas), np.ndarray)
     epochs.distance_mask(cube, 0, 1)  # type: ignore[arg-type]
-    wcs, shape = epochs.shared_grid([cube, cube])
-    assert_type(epochs.reproject_cube(cube, wcs, shape), EpochCube)
-    beam = epochs.smallest_common_beam([Beam(2 * u.mas, 1 * u.mas)])
+    assert_type(cube.reproject_to(cube.wcs, cube.data.shape[1:]), EpochCube)
+    beam = Beam(2 * u.mas, 1 * u.mas)
     models = epochs.read_components("jet.mod", dates=["2000-01-01"])
     epochs.restore(models, pixel_scale=0.1 * u.mas)  # type: ignore[call-arg]
     restored = epochs.restore(models, beam=beam, pixel_scale=0.1 * u.mas, rng=1)
@@ -237,10 +235,10 @@ def inspect(paths: list[str], cube: EpochCube) -> epochs.ComponentList:
 
 
 def exchange(cube: EpochCube) -> EpochCube:
-    return interchange.from_ndcube(interchange.to_ndcube(cube), times=cube.times)
+    return EpochCube.from_ndcube(cube.to_ndcube(), times=cube.times)
 
 
-def read_results(result: SCCResult, cube: EpochCube) -> dict[str, str]:
+def read_results(result: SCCResult, cube: EpochCube) -> list[Path]:
     assert_type(result.components, QTable)
     assert_type(result.components_in_c(redshift=0.158, cosmology="Planck18"), QTable)
     result.components_in_c(z=0.158)  # type: ignore[call-arg]
@@ -253,6 +251,4 @@ def read_results(result: SCCResult, cube: EpochCube) -> dict[str, str]:
     measurement.select_ssps(matched, r_max=8)  # type: ignore[arg-type]
     regions = measurement.ssp_regions(inner.ssps, cube, 0, shape="circle")
     regions.write("ssps.reg")
-    with measurement.product_folder("out") as folder:
-        measurement.write_products(result, result.components, folder)
-    return measurement.versions()
+    return measurement.write_products(result, result.components, "out")

@@ -27,8 +27,7 @@ from astropy.table import Table
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import main
-from astro_scc.decomposition import wavelet_planes
-from astro_scc.visualization import plot_epoch
+from astro_scc.decomposition.wavelet import wavelet_planes
 
 DOCS = Path(__file__).parents[1] / "docs"
 #: The table as a reader of the page has it, and here.
@@ -81,7 +80,7 @@ def plot_dates(cube):
         len(cube), 1, figsize=(5, 7.8), sharex=True, sharey=True, layout="compressed"
     )
     for epoch, ax in enumerate(axes):
-        plot_epoch(cube, epoch, ax=ax, colorbar=False)
+        cube.plot(epoch, ax=ax, colorbar=False)
         ax.set(xlabel="", ylabel="", title="", **INNER)
         ax.text(0.97, 0.9, cube.times[epoch].strftime("%Y-%m-%d"), ha="right",
                 va="top", transform=ax.transAxes)  # fmt: skip
@@ -109,14 +108,14 @@ def plot_planes(cube, epoch, scales=(1, 2, 3)):
         2, 2, figsize=(7.5, 4), sharex=True, sharey=True, layout="compressed"
     )
     first, *others = axes.flat
-    plot_epoch(cube, epoch, ax=first, colorbar=False)
+    cube.plot(epoch, ax=first, colorbar=False)
     first.set(xlabel="", ylabel="", **INNER)
     first.set_title("Image", fontsize="medium")
     planes = wavelet_planes(cube.data[epoch], scales)
     for ax, plane, scale in zip(others, planes, scales, strict=True):
         limit = 0.05 * plane.max()
         part = replace(cube[epoch : epoch + 1], data=plane[None])
-        plot_epoch(part, 0, ax=ax, colorbar=False, stretch="linear", vmin=-limit,
+        part.plot(0, ax=ax, colorbar=False, stretch="linear", vmin=-limit,
                    vmax=limit)  # fmt: skip
         ax.images[0].set_cmap("RdBu_r")
         size = 2**scale * cube.pixel_scale
@@ -166,7 +165,7 @@ def keep(source, output, options=()):
     figures = {
         "epochs": plot_dates(shown),
         "wavelets": plot_planes(shown, 1),
-        "ssps": plot_epoch(shown, 1, ssps),
+        "ssps": shown.plot(1, ssps),
     }
     for name, figure in figures.items():
         figure.savefig(output / f"{name}.png", dpi=100)

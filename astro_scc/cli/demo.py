@@ -8,7 +8,7 @@ from pathlib import Path
 from astro_scc.cli.inputs import read_epochs
 from astro_scc.cli.measure import STALE, measure, write_measurement
 from astro_scc.cli.summary import component_lines, table_lines
-from astro_scc.measurement import product_folder
+from astro_scc.measurement.products import product_folder
 from astro_scc.settings import Settings
 from astro_scc.simulation import simulate_two_fluid, write_simulation
 

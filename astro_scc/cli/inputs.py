@@ -17,7 +17,8 @@ from astro_scc.epochs.beam import different_beam, parse_beam
 from astro_scc.epochs.cutout import refuse_pixels
 from astro_scc.epochs.fits import find_files, read_plane
 from astro_scc.epochs.headers import first_line
-from astro_scc.measurement import choices, versions
+from astro_scc.measurement import choices
+from astro_scc.measurement.tables import versions
 from astro_scc.quantities import to_time
 from astro_scc.settings import OPTIONS, Settings, read_config
 
@@ -98,8 +99,8 @@ def settings_of(args, reporter, **defaults):
     Raises
     ------
     ValueError
-        If a setting is invalid, settings contradict each other, or there are no
-        epochs.
+        If a setting is invalid, settings contradict each other, there are no epochs,
+        or ``--workers`` is wrong.
     """
     given, written_by = read_config(args.config) if args.config else ({}, {})
     now = versions()
@@ -114,6 +115,8 @@ def settings_of(args, reporter, **defaults):
     settings = Settings(**defaults | override(given, own))
     if not settings.epochs:
         raise ValueError("no epochs were given; name the FITS files, or a --config")
+    # Refused before the images are read.
+    workers_of(args)
     return settings
 
 

@@ -21,7 +21,7 @@ from astro_scc.epochs.serialize import is_cube_file
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.quantities import named, one_quantity
 from astro_scc.settings import Settings
-from astro_scc.stacking import baseline_pairs
+from astro_scc.stacking.velocities import baseline_pairs
 
 #: Number of speeds that are explained when none is given.
 N_SPEEDS = 4

@@ -8,28 +8,20 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
 from astro_scc.cli.arguments import WORK
 from astro_scc.cli.summary import component_lines
-from astro_scc.measurement import (
-    product_folder,
-    versions,
-    write_epoch_regions,
-    write_products,
-)
+from astro_scc.measurement import write_epoch_regions, write_products
+from astro_scc.measurement.products import product_folder
 from astro_scc.measurement.published import published_positions
+from astro_scc.measurement.tables import versions
 from astro_scc.report import write_report
-from astro_scc.report.page import flow_lines
+from astro_scc.report.page import PRODUCTS, flow_lines
+from astro_scc.visualization.results import FIGURES
 from astro_scc.writing import replace_when_complete
 
-PRODUCTS = (
-    "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv epochs.ecsv "
-    "ssps.ecsv scc.fits config.toml report.html tracks.png diagram.png speeds.png "
-    "separation.png members.png velocity_map.png significance.png epochs.png "
-    "intervals.png sensitivity.png"
-).split()
 #: Products of an earlier measurement that must not remain beside new ones.
 STALE = (
     *PRODUCTS,
-    *(name.replace(".png", ".pdf") for name in PRODUCTS if name.endswith(".png")),
-    *("publication", "ssp_regions", "explore.html"),
+    *(f"{kind}.{form}" for kind in FIGURES for form in ("png", "pdf")),
+    *("report.html", "ssp_regions", "explore.html"),
 )
 SEED, MATCHES = "seed.txt", "matches.fits"
 
@@ -37,8 +29,6 @@ SEED, MATCHES = "seed.txt", "matches.fits"
 def run(args, reporter):
     """Measure according to the arguments."""
     settings = inputs.settings_of(args, reporter, n_trials=1000)
-    # Wrong --workers are refused before the images are read.
-    inputs.workers_of(args)
     output, overwrite = inputs.output_of(args, settings), args.overwrite
     reporter.resumes = args.resume
     with (

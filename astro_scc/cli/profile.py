@@ -9,8 +9,10 @@ from astro_scc.cli.summary import profile_lines
 from astro_scc.flow import measure_acceleration
 from astro_scc.flow.groups import compare_scales
 from astro_scc.flow.profile import bins_of, measure_profile, write_profile
-from astro_scc.measurement import product_folder, select_ssps, versions
+from astro_scc.measurement import select_ssps
+from astro_scc.measurement.products import product_folder
 from astro_scc.measurement.publication import write_publication
+from astro_scc.measurement.tables import versions
 from astro_scc.report.tables import scale_lines
 from astro_scc.units import in_speed_unit
 
@@ -25,12 +27,10 @@ def run(args, reporter):
     settings = inputs.settings_of(args, reporter, n_trials=1000)
     if settings.bins is None:
         raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
-    # Wrong --workers and --bins are refused before the images are read.
-    inputs.workers_of(args)
+    # Wrong --bins are refused before the images are read.
     bins_of(settings.bins, window=settings.window)
     output = inputs.output_of(args, settings)
-    made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
-    with made as folder:
+    with product_folder(output, overwrite=args.overwrite, stale=PRODUCTS) as folder:
         epochs = inputs.read_epochs(settings, note=reporter.note)
         cube, settings, *_ = epochs
         n_workers = inputs.workers_of(args, cube)

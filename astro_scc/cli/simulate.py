@@ -7,7 +7,7 @@ from pathlib import Path
 from astro_scc import simulation
 from astro_scc.cli.arguments import FLOW, option_name
 from astro_scc.cli.inputs import draw_seed
-from astro_scc.measurement import product_folder
+from astro_scc.measurement.products import product_folder
 from astro_scc.settings import check_setting
 from astro_scc.simulation import write_simulation
 

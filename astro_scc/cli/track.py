@@ -13,11 +13,13 @@ from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import find_features
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
-from astro_scc.measurement import decomposing, product_folder, versions
-from astro_scc.measurement.products import plain_meta
+from astro_scc.measurement import decomposing
+from astro_scc.measurement.products import plain_meta, product_folder
 from astro_scc.measurement.publication import write_publication
 from astro_scc.measurement.published import published_positions, with_published
-from astro_scc.visualization import plot_separation, plot_tracks, style
+from astro_scc.measurement.tables import versions
+from astro_scc.visualization import style
+from astro_scc.visualization.tracks import plot_separation, plot_tracks
 
 # Files of an earlier run that must not remain beside new ones.
 PRODUCTS = (
@@ -29,11 +31,8 @@ PRODUCTS = (
 def run(args, reporter):
     """Follow features according to the arguments."""
     settings = inputs.settings_of(args, reporter)
-    # Wrong --workers are refused before the images are read.
-    inputs.workers_of(args)
     output = inputs.output_of(args, settings)
-    made = product_folder(output, overwrite=args.overwrite, stale=PRODUCTS)
-    with made as folder:
+    with product_folder(output, overwrite=args.overwrite, stale=PRODUCTS) as folder:
         epochs = inputs.read_epochs(settings, note=reporter.note, features=True)
         cube, settings, *_ = epochs
         n_workers = inputs.workers_of(args, cube)

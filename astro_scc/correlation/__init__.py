@@ -2,14 +2,6 @@
 """Correlation of SSPs with the images of other epochs, giving matches in pixels."""
 
 from astro_scc.correlation.correlate import Correlator, all_pairs
-from astro_scc.correlation.matches import Matches, target_ssps
-from astro_scc.correlation.zncc import correlate_windows, zncc
+from astro_scc.correlation.matches import Matches
 
-__all__ = [
-    "Correlator",
-    "Matches",
-    "all_pairs",
-    "correlate_windows",
-    "target_ssps",
-    "zncc",
-]
+__all__ = ["Correlator", "Matches", "all_pairs"]

@@ -15,7 +15,7 @@ from astro_scc.correlation.matches import Matches, join_columns
 from astro_scc.correlation.parallel import in_order
 from astro_scc.correlation.targets import BATCH, PairBlock, Patterns, TargetStack
 from astro_scc.correlation.zncc import fft_shape, find_peaks
-from astro_scc.decomposition import Decomposition
+from astro_scc.decomposition.decompose import Decomposition
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -109,7 +109,7 @@ class Correlator:
 
         Parameters
         ----------
-        decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+        decompositions : sequence of ``Decomposition``
             One for each epoch, with images of one shape and the same scales.
         pairs : array_like of int, shape (n_pairs, 2)
             Reference and target epoch.
@@ -184,7 +184,7 @@ class Correlator:
 
         Parameters
         ----------
-        decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+        decompositions : sequence of ``Decomposition``
         pairs : array_like of int, shape (n_pairs, 2)
         search_radius : int or tuple of int
         select : array_like of bool, optional

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.decomposition import SSPs
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.quantities import plain_table
 
 if TYPE_CHECKING:
@@ -238,7 +239,8 @@ def target_ssps(matches: Matches, ssps: SSPs) -> np.ndarray:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.correlation import Correlator, all_pairs, target_ssps
+    >>> from astro_scc.correlation import Correlator, all_pairs
+    >>> from astro_scc.correlation.matches import target_ssps
     >>> from astro_scc.decomposition import Decomposer, SSPs
     >>> y, x = np.mgrid[:64, :96]
     >>> def image(x0):

@@ -40,7 +40,7 @@ def zncc(a: ArrayLike, b: ArrayLike) -> float:
 
     Examples
     --------
-    >>> from astro_scc.correlation import zncc
+    >>> from astro_scc.correlation.zncc import zncc
     >>> round(zncc([1, 2, 3, 5], [2, 4, 6, 10]), 6)
     1.0
     """
@@ -217,7 +217,7 @@ def correlate_windows(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.correlation import correlate_windows
+    >>> from astro_scc.correlation.zncc import correlate_windows
     >>> window = np.random.default_rng(3).normal(size=(20, 20))
     >>> pattern = window[7:13, 9:15]
     >>> coefficient, _ = correlate_windows(

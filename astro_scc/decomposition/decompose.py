@@ -194,7 +194,7 @@ class Decomposer:
 
         Returns
         -------
-        `Decomposition`
+        ``Decomposition``
 
         Raises
         ------

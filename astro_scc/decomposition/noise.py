@@ -100,7 +100,7 @@ def plane_noise(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.decomposition import plane_noise
+    >>> from astro_scc.decomposition.noise import plane_noise
     >>> plane = np.random.default_rng(0).normal(size=(128, 128))
     >>> plane[60:68, 60:68] += 100
     >>> round(plane_noise(plane, 1), 1)
@@ -203,7 +203,7 @@ def propagated_noise(
 
     Examples
     --------
-    >>> from astro_scc.decomposition import propagated_noise
+    >>> from astro_scc.decomposition.noise import propagated_noise
     >>> propagated_noise(1.0, [0, 1, 2]).round(3)
     array([0.8  , 0.273, 0.12 ])
     """

@@ -154,7 +154,7 @@ class SSPs:
 
         Parameters
         ----------
-        decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+        decompositions : sequence of ``Decomposition``
 
         Returns
         -------
@@ -258,7 +258,7 @@ def find_ssps(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.decomposition import find_ssps
+    >>> from astro_scc.decomposition.segmentation import find_ssps
     >>> y, x = np.mgrid[:40, :60]
     >>> plane = np.exp(-((x - 20.3) ** 2 + (y - 15) ** 2) / 18)
     >>> ssps = find_ssps(plane, 1, 0.01)

@@ -35,7 +35,7 @@ def scale_size(scale: float) -> float:
 
     Examples
     --------
-    >>> from astro_scc.decomposition import scale_size
+    >>> from astro_scc.decomposition.wavelet import scale_size
     >>> scale_size(1), scale_size(1.5), scale_size(2)
     (2.0, 3.0, 4.0)
     """
@@ -167,7 +167,7 @@ def wavelet_planes(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.decomposition import wavelet_planes
+    >>> from astro_scc.decomposition.wavelet import wavelet_planes
     >>> wavelet_planes(np.eye(32), [1, 1.5, 2]).shape
     (3, 32, 32)
     """

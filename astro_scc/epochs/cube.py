@@ -256,20 +256,25 @@ class EpochCube:
         beams: Beam | Sequence[Beam] | None = None,
     ) -> EpochCube:  # fmt: skip
         """
-        Return the epochs of an NDCube, see `~astro_scc.interchange.from_ndcube`.
+        Return the epochs of an NDCube, which may be sliced or rebinned.
 
         Parameters
         ----------
         ndcube : `ndcube.NDCube` or `ndcube.NDCubeSequence`
+            It has two celestial axes, and one of the epochs if there are several;
+            each item of a sequence is an epoch.
         times : `~astropy.time.Time`, optional
-            By default those of the NDCube.
+            By default the coordinate of type Time, or the date in the meta.
         beams : beam or sequence of beams, optional
+            By default those in the meta, which `to_ndcube` keeps.
 
         Returns
         -------
         `EpochCube`
         """
-        return _above("interchange").from_ndcube(ndcube, times=times, beams=beams)
+        return _above("interchange.containers").from_ndcube(
+            ndcube, times=times, beams=beams
+        )
 
     @classmethod
     def from_arrays(
@@ -435,13 +440,15 @@ class EpochCube:
 
     def to_ndcube(self) -> NDCube:
         """
-        Return the cube as NDCube, see `~astro_scc.interchange.to_ndcube`.
+        Return the cube as NDCube of (epoch, latitude, longitude).
 
         Returns
         -------
         `ndcube.NDCube`
+            The dates are its extra coordinate ``time``, the noise its uncertainty; its
+            meta has the labels, beams and facts of all epochs.
         """
-        return _above("interchange").to_ndcube(self)
+        return _above("interchange.containers").to_ndcube(self)
 
     def plot(self, epoch: int | None = None, ssps: Any = None, **kwargs: Any) -> Figure:
         """
@@ -454,13 +461,16 @@ class EpochCube:
         ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
             SSPs to draw on the images.
         **kwargs
-            Passed to `~astro_scc.visualization.plot_epoch`, or ``plot_epochs``.
+            ``unit`` of the offsets; ``stretch``, "asinh", "log" or "linear"; ``vmin``
+            and ``vmax``, the brightness at the ends of the colours; ``zoom``, whether
+            to show only the part with SSPs.  Of one epoch also ``ax`` and ``colorbar``,
+            of several ``figure`` and ``max_panels``.
 
         Returns
         -------
         `matplotlib.figure.Figure`
         """
-        figures = _above("visualization")
+        figures = _above("visualization.epochs")
         if epoch is None:
             return figures.plot_epochs(self, ssps, **kwargs)
         return figures.plot_epoch(self, epoch, ssps, **kwargs)

@@ -77,7 +77,7 @@ def measure_noise(image: ArrayLike, *, mask: ArrayLike | None = None) -> float:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.epochs import measure_noise
+    >>> from astro_scc.epochs.inspection import measure_noise
     >>> image = np.random.default_rng(0).normal(scale=2.0, size=(128, 128))
     >>> image[50:70, 50:70] += 1000
     >>> round(measure_noise(image), 1)
@@ -141,7 +141,7 @@ def noise_rms(cube: EpochCube) -> u.Quantity:
     Returns
     -------
     `~astropy.units.Quantity`, shape (n_epochs,)
-        See `~astro_scc.epochs.measure_noise`.
+        See ``measure_noise``.
     """
     return cube.measured_noise if cube.noise is None else cube.noise
 

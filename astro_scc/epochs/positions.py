@@ -14,7 +14,7 @@ from astropy.wcs.utils import wcs_to_celestial_frame
 from numpy.typing import ArrayLike
 
 from astro_scc import units
-from astro_scc.decomposition import scale_size
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.quantities import named, one_quantity
 
 if TYPE_CHECKING:

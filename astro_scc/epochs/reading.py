@@ -88,7 +88,7 @@ def _plane_of(i, image, time, beam):
         return image
     if hasattr(image, "extra_coords"):
         # Imported by name: a subpackage above this one.
-        room = import_module("astro_scc.interchange")
+        room = import_module("astro_scc.interchange.containers")
         cube = room.from_ndcube(image, times=time, beams=beam)
         if len(cube) > 1:
             raise ValueError(

@@ -10,7 +10,7 @@ import numpy as np
 from astropy.table import QTable
 from scipy import ndimage, optimize
 
-from astro_scc.correlation import correlate_windows
+from astro_scc.correlation.zncc import correlate_windows
 from astro_scc.epochs.beam import FWHM_TO_SIGMA
 from astro_scc.epochs.grid import BAD_WEIGHT, fill_masked
 from astro_scc.exceptions import MeasurementWarning, warn

@@ -353,7 +353,7 @@ def correlated_noise(
     --------
     >>> import astropy.units as u
     >>> from astro_scc.epochs.beam import Beam
-    >>> from astro_scc.epochs import correlated_noise
+    >>> from astro_scc.epochs.restoring import correlated_noise
     >>> beam = Beam(1 * u.mas, 0.5 * u.mas)
     >>> noise = correlated_noise((64, 128), rms=0.3 * u.mJy / u.beam, beam=beam,
     ...                          pixel_scale=0.1 * u.mas, rng=1)

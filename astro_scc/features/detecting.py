@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.correlation.parallel import in_order
-from astro_scc.decomposition import scale_size
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs.positions import (
     SCALES_PER_FWHM,
     beam_fwhm,

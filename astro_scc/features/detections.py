@@ -38,7 +38,7 @@ class Detections:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.features import Detections
+    >>> from astro_scc.features.detections import Detections
     >>> d = Detections(
     ...     epoch=np.arange(3), place=np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]]),
     ...     place_error=np.full((3, 2), 0.01), flux=np.ones(3), size=np.zeros(3),

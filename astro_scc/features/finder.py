@@ -34,11 +34,11 @@ class Features:
     Attributes
     ----------
     cube : `~astro_scc.EpochCube`
-    detections : `Detections`
+    detections : ``Detections``
         Offsets from the core; the core itself is not among them.
-    core : `Detections`
+    core : ``Detections``
         The core of each epoch, if it is seen.
-    tracks : tuple of `Track`
+    tracks : tuple of ``Track``
         In the order of their first epochs.
 
     Examples
@@ -141,8 +141,8 @@ def find_features(
     Find the features of a cube and follow them through its epochs.
 
     Each image is modelled by circular Gaussians convolved with its beam, see
-    `fit_gaussians`, or described by its SSPs.  These detections are assigned to
-    tracks, each to one at most, see `find_tracks`.  What stands at the reference
+    ``fit_gaussians``, or described by its SSPs.  These detections are assigned to
+    tracks, each to one at most, see ``find_tracks``.  What stands at the reference
     pixel is the core, and all offsets are from it.
 
     Parameters

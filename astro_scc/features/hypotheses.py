@@ -44,7 +44,7 @@ def steady_hypotheses(detections, settings):
 
     Parameters
     ----------
-    detections : `~astro_scc.features.Detections`
+    detections : ``Detections``
     settings : `~astro_scc.features.TrackSettings`
 
     Returns

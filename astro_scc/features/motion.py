@@ -46,7 +46,7 @@ class Motion:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.features import fit_motion
+    >>> from astro_scc.features.motion import fit_motion
     >>> time = np.arange(2000.0, 2006.0)
     >>> place = np.stack([0.3 * (time - 2000), 2 - 0.1 * (time - 2000)], axis=1)
     >>> fit = fit_motion(time, place, np.full((6, 2), 0.01), 1.0)
@@ -181,7 +181,7 @@ def fit_motion(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.features import fit_motion
+    >>> from astro_scc.features.motion import fit_motion
     >>> time = np.arange(2000.0, 2010.0)
     >>> dt = time - time.mean()
     >>> place = np.stack([3 + 0.3 * dt + 0.05 * dt**2, 0 * dt], axis=1)

@@ -41,7 +41,7 @@ class Track:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.features import Track
+    >>> from astro_scc.features.tracks import Track
     >>> len(Track(np.array([0, 2, 3, 5]), np.ones(3), 1.0, True))
     4
     """
@@ -83,7 +83,8 @@ def find_tracks(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.features import Detections, find_tracks
+    >>> from astro_scc.features.detections import Detections
+    >>> from astro_scc.features.tracks import find_tracks
     >>> epoch = np.repeat(np.arange(6), 2)
     >>> place = np.stack([0.3 * epoch + [1, 4] * 6, 0.0 * epoch], axis=1)
     >>> d = Detections(

@@ -27,9 +27,9 @@ def properties(detections: Detections, track: Track, motion: Motion) -> np.ndarr
 
     Parameters
     ----------
-    detections : `~astro_scc.features.Detections`
-    track : `~astro_scc.features.Track`
-    motion : `~astro_scc.features.Motion`
+    detections : ``Detections``
+    track : ``Track``
+    motion : ``Motion``
 
     Returns
     -------
@@ -69,9 +69,9 @@ def false_probability(detections: Detections, track: Track, motion: Motion) -> f
 
     Parameters
     ----------
-    detections : `~astro_scc.features.Detections`
-    track : `~astro_scc.features.Track`
-    motion : `~astro_scc.features.Motion`
+    detections : ``Detections``
+    track : ``Track``
+    motion : ``Motion``
 
     Returns
     -------
@@ -90,8 +90,8 @@ def is_secure(p_false: float, moved: float, track: Track, motion: Motion) -> boo
     p_false : float
     moved : float
         Motion from the first to the last date, in beams along it.
-    track : `~astro_scc.features.Track`
-    motion : `~astro_scc.features.Motion`
+    track : ``Track``
+    motion : ``Motion``
 
     Returns
     -------

@@ -4,7 +4,7 @@
 from astro_scc.flow.acceleration import feature_profile, measure_acceleration
 from astro_scc.flow.groups import compare_speeds, scale_groups
 from astro_scc.flow.models import ProfileFit, fit_profile
-from astro_scc.flow.profile import Profile, measure_profile, write_profile
+from astro_scc.flow.profile import Profile, measure_profile
 
 __all__ = [
     "Profile",
@@ -15,5 +15,4 @@ __all__ = [
     "measure_acceleration",
     "measure_profile",
     "scale_groups",
-    "write_profile",
 ]

@@ -189,7 +189,7 @@ def feature_profile(result: SCCResult) -> QTable:
 
     The features of each moving component are sorted by their distance and divided
     into bins of equal numbers, at least five in each; the mean and the dispersion are
-    those of `~astro_scc.stacking.random_effects`.  Nothing is stacked again.
+    those of ``random_effects``.  Nothing is stacked again.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ def compare_speeds(result: SCCResult, groups: Mapping[str, np.ndarray]) -> QTabl
     others': of two groups, the shares are divided where the variance within the
     two parts is least (Otsu 1979, IEEE Trans. SMC 9, 62).  The mean speed of a
     group follows from a random-effects model of its features' speeds (see
-    `~astro_scc.stacking.random_effects`), the p-value of a difference from Welch's
+    ``random_effects``), the p-value of a difference from Welch's
     test (1947, Biometrika 34, 28).
 
     Parameters

@@ -102,7 +102,7 @@ def fit_profile(
 
     Returns
     -------
-    `ProfileFit`
+    `~astro_scc.flow.ProfileFit`
 
     Raises
     ------

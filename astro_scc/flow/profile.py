@@ -21,15 +21,14 @@ from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
 from astro_scc.measurement import (
     MatchedEpochs,
     SCCResult,
-    component_table,
     false_discovery_rate,
     select_ssps,
 )
 from astro_scc.measurement.products import with_configuration, write_configuration
-from astro_scc.measurement.tables import stack_tables
+from astro_scc.measurement.tables import component_table, stack_tables
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
-from astro_scc.stacking import stack
+from astro_scc.stacking.stack import stack
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW
@@ -281,7 +280,8 @@ def write_profile(
     >>> from pathlib import Path
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.flow import measure_profile, write_profile
+    >>> from astro_scc.flow import measure_profile
+    >>> from astro_scc.flow.profile import write_profile
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,

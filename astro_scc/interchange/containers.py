@@ -56,7 +56,7 @@ def to_ndcube(cube: EpochCube) -> NDCube:
 
     Examples
     --------
-    >>> from astro_scc.interchange import to_ndcube
+    >>> from astro_scc.interchange.containers import to_ndcube
     >>> from astro_scc.simulation import simulate_static
     >>> to_ndcube(simulate_static(n_epochs=2, rng=1).cube).shape
     (2, 128, 256)
@@ -118,7 +118,7 @@ def from_ndcube(
 
     Examples
     --------
-    >>> from astro_scc.interchange import from_ndcube, to_ndcube
+    >>> from astro_scc.interchange.containers import from_ndcube, to_ndcube
     >>> from astro_scc.simulation import simulate_static
     >>> made = to_ndcube(simulate_static(n_epochs=3, rng=1).cube)
     >>> from_ndcube(made[1:, 20:100].rebin((1, 2, 2)))

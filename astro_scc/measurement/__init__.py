@@ -3,10 +3,7 @@
 
 from astro_scc.measurement.match_files import MatchedEpochs
 from astro_scc.measurement.plan import select_ssps
-from astro_scc.measurement.products import (
-    product_folder,
-    write_products,
-)
+from astro_scc.measurement.products import write_products
 from astro_scc.measurement.publication import write_votable
 from astro_scc.measurement.regions import (
     ssp_regions,
@@ -15,18 +12,17 @@ from astro_scc.measurement.regions import (
     write_ssp_regions,
 )
 from astro_scc.measurement.result import SCCResult
-from astro_scc.measurement.tables import component_table, false_discovery_rate, versions
+from astro_scc.measurement.tables import component_table as component_table
+from astro_scc.measurement.tables import false_discovery_rate
+from astro_scc.measurement.tables import versions as versions
 
 __all__ = [
     "MatchedEpochs",
     "SCCResult",
-    "component_table",
     "false_discovery_rate",
-    "product_folder",
     "select_ssps",
     "ssp_regions",
     "ssp_segmentation",
-    "versions",
     "write_epoch_regions",
     "write_products",
     "write_ssp_regions",

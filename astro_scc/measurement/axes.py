@@ -6,11 +6,11 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 
-from astro_scc.correlation import target_ssps
+from astro_scc.correlation.matches import target_ssps
 from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics import ExpansionFrame, RidgeLine
 from astro_scc.kinematics.frames import frame_displacements
-from astro_scc.stacking import VelocitySamples
+from astro_scc.stacking.velocities import VelocitySamples
 
 
 class AxisProjection:
@@ -19,7 +19,7 @@ class AxisProjection:
 
     Parameters
     ----------
-    displacements : `~astro_scc.stacking.VelocitySamples`
+    displacements : ``VelocitySamples``
         In mas, along the axes of the frame.
     cube : `~astro_scc.epochs.EpochCube`
     frame : frame of `astro_scc.kinematics`
@@ -65,7 +65,7 @@ class AxisProjection:
 
         Returns
         -------
-        `~astro_scc.stacking.VelocitySamples`
+        ``VelocitySamples``
         """
         d, turn, beam = self.displacements, turned(angle), self.beam(angle)
         along, across = (turn @ np.stack([d.d1, d.d2])) / beam[:, None]
@@ -132,7 +132,7 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
 
     Returns
     -------
-    `~astro_scc.stacking.VelocitySamples`
+    ``VelocitySamples``
         SSPs at which the frame has no axes count as SSPs without a match.
     """
     select = np.ones(len(ssps), bool) if select is None else np.asarray(select, bool)

@@ -82,7 +82,7 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
 
     Returns
     -------
-    tuple of `~astro_scc.decomposition.Decomposition`
+    tuple of ``Decomposition``
     """
     facts = noise_facts(cube, decomposer)
     work = (

@@ -7,7 +7,7 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.columns import describe
-from astro_scc.decomposition import scale_size
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs import positions
 from astro_scc.stacking.stack import sample_velocities
 from astro_scc.units import round_to_errors

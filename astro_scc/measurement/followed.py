@@ -9,7 +9,7 @@ from astro_scc.features.motion import SIGNIFICANT, fit_motion
 from astro_scc.features.trust import LEAST_EPOCHS
 from astro_scc.kinematics import ExpansionFrame
 from astro_scc.measurement.axes import frame_positions, turned
-from astro_scc.stacking import Feature
+from astro_scc.stacking.features import Feature
 from astro_scc.stacking.search_settings import DEFAULT
 
 #: SSPs as near to a feature as this, in beams, are of its emission.
@@ -81,7 +81,7 @@ class FollowedFeatures:
 
         Returns
         -------
-        features : list of `~astro_scc.stacking.Feature`
+        features : list of ``Feature``
         taken : `~numpy.ndarray` of bool, shape (n_ssps,)
             SSPs of their emission, on all scales.
         """

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from astro_scc.correlation import Matches
-from astro_scc.decomposition import Decomposer, Decomposition, SSPs
+from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, without_dates, write_object
 from astro_scc.exceptions import MeasurementWarning, warn

@@ -9,15 +9,20 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from numpy.typing import ArrayLike
 
-from astro_scc import stacking
-from astro_scc.decomposition import scale_size
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.kinematics import PositionAngleFrame, RidgeLine
 from astro_scc.measurement.decomposing import centroids_inside
 from astro_scc.measurement.match_files import MatchedEpochs
 from astro_scc.settings import require
+from astro_scc.stacking.diagram import Rays
 from astro_scc.stacking.search_settings import DEFAULT
+from astro_scc.stacking.velocities import (
+    VelocityGrid,
+    baseline_pairs,
+    consecutive_pairs,
+)
 
 #: Largest relative difference between an angle and the size of the scale it names.
 SCALE_TOLERANCE = 0.2
@@ -85,7 +90,7 @@ def pairs_of_dates(cube, baseline):
 
     Returns
     -------
-    `~astro_scc.stacking.DatePairs`
+    ``DatePairs``
 
     Raises
     ------
@@ -96,14 +101,14 @@ def pairs_of_dates(cube, baseline):
     if len(years) < 2:
         raise ValueError("velocities need at least two epochs, the cube has one")
     if baseline is None:
-        pairs = stacking.consecutive_pairs(years)
+        pairs = consecutive_pairs(years)
         why = (
             f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
             "velocities need different dates"
         )
     else:
         shortest, longest = baseline.to_value(u.yr)
-        pairs = stacking.baseline_pairs(years, shortest, longest)
+        pairs = baseline_pairs(years, shortest, longest)
         why = (
             f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
             f"separations go from {np.diff(years).min():.3g} to "
@@ -189,7 +194,7 @@ def largest_speed(cube, radius, baseline=None):
     pairs_of_dates(cube, baseline)
     intervals = (0.0, np.inf) if baseline is None else baseline.to_value(u.yr)
     of = cube.years.to_value(u.yr), radius, DEFAULT
-    return float(stacking.Rays.of(*of, intervals=intervals).speed.max())
+    return float(Rays.of(*of, intervals=intervals).speed.max())
 
 
 def search_reach(cube, pairs, radius, fwhm, max_speed):
@@ -199,7 +204,7 @@ def search_reach(cube, pairs, radius, fwhm, max_speed):
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    pairs : `~astro_scc.stacking.DatePairs`
+    pairs : ``DatePairs``
     radius : float
         Largest displacement at which streams are searched for, in beams.
     fwhm : float
@@ -258,20 +263,20 @@ def map_grid(displacements, pairs, limit):
 
     Parameters
     ----------
-    displacements : `~astro_scc.stacking.VelocitySamples`
-    pairs : `~astro_scc.stacking.DatePairs`
+    displacements : ``VelocitySamples``
+    pairs : ``DatePairs``
     limit : float
         Largest velocity along either axis.
 
     Returns
     -------
-    `~astro_scc.stacking.VelocityGrid`
+    ``VelocityGrid``
         Spaced by half the narrowest kernel.
     """
     rate = 1 / pairs.interval.max()
     errors = displacements.s1, displacements.s2
     steps = [GRID_STEP * rate * s.min() if len(s) else limit / 20 for s in errors]
-    return stacking.VelocityGrid.covering(limit, steps)
+    return VelocityGrid.covering(limit, steps)
 
 
 def flow_direction(matched, frame=None):

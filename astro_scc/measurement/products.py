@@ -97,7 +97,7 @@ def product_folder(
     Examples
     --------
     >>> from pathlib import Path
-    >>> from astro_scc.measurement import product_folder
+    >>> from astro_scc.measurement.products import product_folder
     >>> with product_folder("out") as folder:
     ...     _ = (folder / "a.txt").write_text("done")
     >>> [path.name for path in Path("out").iterdir()]
@@ -194,7 +194,7 @@ def write_products(
     components : `~astropy.table.QTable`
         `SCCResult.components`, with apparent speeds if there are any.
     directory : path
-        A folder that exists, see `product_folder`.
+        A folder that exists, see ``product_folder``.
     configuration : dict, optional
         Settings as plain numbers and text.  In the meta of the tables, they
         replace the settings of the stack alone.

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from skimage.measure import find_contours
 
-from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.decomposition import SSPs
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.validation import epoch_index
 from astro_scc.writing import replace_when_complete

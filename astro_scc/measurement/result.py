@@ -15,7 +15,6 @@ from astropy.nddata import NDData
 from astropy.table import QTable
 from astropy.wcs import WCS
 
-from astro_scc import stacking
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.positions import axis_words, name_by_frame
 from astro_scc.epochs.serialize import read_object, write_object
@@ -33,8 +32,12 @@ from astro_scc.measurement.tables import (
     paper_table,
     printed,
 )
+from astro_scc.stacking import SearchSettings
 from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
 from astro_scc.stacking.permutations import PermutedStacks
+from astro_scc.stacking.significance import Search
+from astro_scc.stacking.stack import VelocityPeak
+from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
 from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:
@@ -57,19 +60,19 @@ class SCCResult:
         The two velocity axes.
     position_angle : `~astropy.units.Quantity`
         Direction of the jet, to which ``pm_parallel`` refers.
-    pairs : `~astro_scc.stacking.DatePairs`
-    displacements : `~astro_scc.stacking.VelocitySamples`
-    grid : `~astro_scc.stacking.VelocityGrid`
+    pairs : ``DatePairs``
+    displacements : ``VelocitySamples``
+    grid : ``VelocityGrid``
         In mas/yr.
     coefficient, z_score : `~numpy.ndarray`, shape ``grid.shape``
         The stack and its significance.
     permuted : ``PermutedStacks``
         Mean and standard deviation of the stacks of permuted epochs.
-    search : `~astro_scc.stacking.Search`
+    search : ``Search``
         The streams, and the displacement-interval diagram that shows them.
     velocities : tuple of ``StreamVelocity``
         Velocities of the streams, with their errors.
-    maxima : tuple of `~astro_scc.stacking.VelocityPeak`
+    maxima : tuple of ``VelocityPeak``
         The peak of the stack that is nearest to each velocity.
     jitters : tuple of ``JitteredVelocity``
         The velocity-jitter test, the paper's uncertainty.
@@ -95,15 +98,15 @@ class SCCResult:
     matched: MatchedEpochs
     frame: Any
     position_angle: u.Quantity
-    pairs: stacking.DatePairs
-    displacements: stacking.VelocitySamples
-    grid: stacking.VelocityGrid
+    pairs: DatePairs
+    displacements: VelocitySamples
+    grid: VelocityGrid
     coefficient: np.ndarray
     z_score: np.ndarray
     permuted: PermutedStacks
-    search: stacking.Search
+    search: Search
     velocities: tuple[StreamVelocity, ...]
-    maxima: tuple[stacking.VelocityPeak, ...]
+    maxima: tuple[VelocityPeak, ...]
     jitters: tuple[JitteredVelocity, ...]
     choices: list = field(default_factory=list)
     meta: dict = field(default_factory=dict)
@@ -359,7 +362,7 @@ class SCCResult:
         diagram, angle = self.search.diagram, self.search.angle
         beam = projection_of(self).beam(angle)[0]
         direction, position_angle = np.array([np.cos(angle), np.sin(angle)]), None
-        search = stacking.SearchSettings()
+        search = SearchSettings()
         # Both patterns of a match look for each other, and each match is a Gaussian
         # whose peak is one.
         n_patterns = 2 * max(self.ssps["in_region"].sum(), 1) / len(self.cube)
@@ -430,22 +433,43 @@ class SCCResult:
         """
         return feature_tables.member_table(self, number)
 
-    def plot(self, **kwargs: Any) -> Figure:
+    def plot(self, kind: str = "velocity_map", **options: Any) -> Figure:
         """
-        Draw the velocity map with its components.
+        Draw a figure of the measurement.
 
         Parameters
         ----------
-        **kwargs
-            Passed to `astro_scc.visualization.plot_velocity_map`.
+        kind : str
+            ``"velocity_map"``, the paper's stack with the components;
+            ``"significance"``, its z-score along the jet; ``"paper"``, both as in
+            Fig. 2 of Mertens & Lobanov (2016); ``"diagram"``, the displacement-interval
+            diagram with the rays of the streams; ``"members"``, the matches of each
+            component; ``"speeds"``, ``"tracks"`` and ``"separation"`` of the features;
+            ``"epochs"``, the images with their SSPs; ``"intervals"``, the pairs of
+            epochs; ``"sensitivity"``, the speed with other choices of the data.
+        **options
+            ``ax``, the axes to draw on, or for "paper", "members", "tracks" and
+            "epochs" ``figure``; ``unit`` of the axes, but for "speeds",
+            "intervals" and "sensitivity".  Of figures with components: their table
+            ``components``; of figures with speeds: ``beta_per_pm``, the apparent speed
+            in units of c of 1 mas/yr, for a second axis.  Also ``which``, the map
+            "coefficient" or "z_score"; ``colorbar``; ``max_panels`` of "members" and
+            "epochs"; ``profile`` of "speeds", see `astro_scc.flow.feature_profile`;
+            ``published`` features of "tracks" and "separation"; and what
+            `EpochCube.plot <astro_scc.epochs.EpochCube.plot>` takes for "epochs".
 
         Returns
         -------
         `matplotlib.figure.Figure`
-        """
-        from astro_scc.visualization import plot_velocity_map
 
-        return plot_velocity_map(self, **kwargs)
+        Raises
+        ------
+        ValueError
+            If there is no such figure, or an option has a wrong value.
+        """
+        from astro_scc.visualization.results import plot_result
+
+        return plot_result(self, kind, **options)
 
     def explore(self, path: Path | str) -> Path:
         """

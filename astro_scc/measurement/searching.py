@@ -10,9 +10,11 @@ import numpy as np
 from astro_scc import kinematics
 from astro_scc.measurement import axes
 from astro_scc.measurement.followed import FollowedFeatures
-from astro_scc.stacking import Search, VelocitySamples, find_streams
+from astro_scc.stacking import find_streams
 from astro_scc.stacking.errors import StreamVelocity, velocity_of
 from astro_scc.stacking.search_settings import DEFAULT
+from astro_scc.stacking.significance import Search
+from astro_scc.stacking.velocities import VelocitySamples
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,9 +24,9 @@ class Found:
 
     Attributes
     ----------
-    search : `~astro_scc.stacking.Search`
+    search : ``Search``
     velocities : tuple of ``StreamVelocity``
-    samples : `~astro_scc.stacking.VelocitySamples`
+    samples : ``VelocitySamples``
         The matches, in mas.
     frame : frame of `astro_scc.kinematics`
     radius : float

@@ -72,7 +72,7 @@ def versions() -> dict[str, str]:
 
     Examples
     --------
-    >>> from astro_scc.measurement import versions
+    >>> from astro_scc.measurement.tables import versions
     >>> {"astro_scc", "numpy", "scipy"} <= set(versions())
     True
     """
@@ -112,7 +112,7 @@ def component_table(
 
     Examples
     --------
-    >>> from astro_scc.measurement import component_table
+    >>> from astro_scc.measurement.tables import component_table
     >>> empty = component_table([])
     >>> len(empty), empty["pm"].unit
     (0, Unit("mas / yr"))
@@ -142,7 +142,7 @@ def printed(table):
 
     Examples
     --------
-    >>> from astro_scc.measurement import component_table
+    >>> from astro_scc.measurement.tables import component_table
     >>> from astro_scc.measurement.tables import printed
     >>> len(printed(component_table([])))
     0

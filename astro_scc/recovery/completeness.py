@@ -17,8 +17,8 @@ from astro_scc.columns import build_table
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import PositionAngleFrame
-from astro_scc.measurement import versions
 from astro_scc.measurement.stacking import seeded
+from astro_scc.measurement.tables import versions
 from astro_scc.progress import progress
 from astro_scc.quantities import finite_quantities, named, one_quantity
 from astro_scc.recovery import injection

@@ -28,7 +28,7 @@ def headline(components):
 
     Examples
     --------
-    >>> from astro_scc.measurement import component_table
+    >>> from astro_scc.measurement.tables import component_table
     >>> from astro_scc.report.answer import headline
     >>> headline(component_table([]))
     'No motion found: no pattern has a match in another epoch.'

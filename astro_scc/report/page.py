@@ -21,10 +21,10 @@ from astro_scc.stacking.permutations import number_of_permutations
 from astro_scc.units import in_speed_unit, unit_name
 from astro_scc.writing import replace_when_complete
 
-#: Other products that the folder may hold, in the order of the page.
+#: Products of a measurement beside report and figures, in the order of the page.
 PRODUCTS = (
     "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv epochs.ecsv "
-    "ssps.ecsv scc.fits publication config.toml region.reg"
+    "ssps.ecsv scc.fits publication config.toml"
 ).split()
 #: Speeds above this fraction of the largest one searched are pointed out.
 EDGE = 0.9
@@ -131,7 +131,7 @@ def write_report(
         rerun=rerun,
         explore=explore,
         has_explore=(directory / "explore.html").is_file(),
-        products=[name for name in PRODUCTS if (directory / name).exists()],
+        products=[k for k in (*PRODUCTS, "region.reg") if (directory / k).exists()],
     )
     files["report.html"] = page.encode("utf-8")
     for name, content in files.items():
@@ -220,32 +220,23 @@ def draw_figures(result, components, *, every=False, pdf=False, published=None):
 
     Only the four that the page shows at once are drawn, unless ``every`` is True.
     """
-    from astro_scc import visualization as show
     from astro_scc.visualization import style
-    from astro_scc.visualization.features import plot_sensitivity
 
-    per_pm = {"beta_per_pm": beta_per_pm(components)}
-    shared = {"components": components}
-    figures = {"diagram": partial(show.plot_diagram, result, **shared)}
+    per_pm, rows = {"beta_per_pm": beta_per_pm(components)}, {"components": components}
+    options = {"diagram": rows}
     if len(result.features):
-        profile = {"profile": feature_profile(result)} | per_pm
         own = {"component": printed(result.features)["component"]}
-        of = result.tracked_features
-        figures["speeds"] = partial(show.plot_feature_speeds, result, **profile, **own)
+        options["speeds"] = {"profile": feature_profile(result), **per_pm, **own}
         own["published"] = published
-        figures["tracks"] = partial(show.plot_tracks, of, **own)
-        figures["separation"] = partial(show.plot_separation, of, **own, **per_pm)
+        options |= {"tracks": own, "separation": own | per_pm}
     if every:
-        figures |= {
-            "velocity_map": partial(show.plot_velocity_map, result, **shared, **per_pm),
-            "significance": partial(show.plot_significance, result, **shared, **per_pm),
-            "epochs": partial(show.plot_epochs, result.cube, result.ssps),
-            "intervals": partial(show.plot_intervals, result.cube, result.pairs),
-        }
+        options |= dict.fromkeys(("velocity_map", "significance"), rows | per_pm)
+        options |= {"epochs": {}, "intervals": {}}
     if every and len(components):
-        figures["members"] = partial(show.plot_members, result, **shared)
+        options["members"] = rows
     if every and len(result.sensitivity):
-        figures["sensitivity"] = partial(plot_sensitivity, result.sensitivity, **per_pm)
+        options["sensitivity"] = per_pm
+    figures = {kind: partial(result.plot, kind, **how) for kind, how in options.items()}
     return style.figure_files(figures, pdf=pdf)
 
 

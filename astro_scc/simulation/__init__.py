@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Simulation: images of jets and shells with known velocities."""
 
-from astro_scc.simulation.jets import JetSimulation, SimulatedJet, write_simulation
+from astro_scc.simulation.jets import JetSimulation, write_simulation
 from astro_scc.simulation.presets import (
     simulate_ballistic,
     simulate_jet,
@@ -16,7 +16,6 @@ from astro_scc.simulation.streams import Flow, Stream
 __all__ = [
     "Flow",
     "JetSimulation",
-    "SimulatedJet",
     "Stream",
     "simulate_ballistic",
     "simulate_jet",

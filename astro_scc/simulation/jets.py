@@ -278,7 +278,8 @@ class JetSimulation:
 
         Returns
         -------
-        `SimulatedJet`
+        ``SimulatedJet``
+            Its ``cube``, and ``truth`` with a row for each feature and epoch.
         """
         rng = np.random.default_rng(rng)
         *stream_rngs, noise_rng = rng.spawn(len(self.streams) + 1)
@@ -430,7 +431,7 @@ def write_simulation(
 
     Parameters
     ----------
-    jet : `SimulatedJet`
+    jet : ``SimulatedJet``
     directory : path
         Made if needed.
     overwrite : bool, optional

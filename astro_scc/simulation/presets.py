@@ -50,7 +50,8 @@ def simulate_two_fluid(
 
     Returns
     -------
-    `SimulatedJet`
+    ``SimulatedJet``
+        Its ``cube``, and ``truth`` with a row for each feature and epoch.
 
     Examples
     --------
@@ -90,7 +91,8 @@ def simulate_random_velocity(
 
     Returns
     -------
-    `SimulatedJet`
+    ``SimulatedJet``
+        Its ``cube``, and ``truth`` with a row for each feature and epoch.
 
     Examples
     --------
@@ -128,7 +130,8 @@ def simulate_ballistic(
 
     Returns
     -------
-    `SimulatedJet`
+    ``SimulatedJet``
+        Its ``cube``, and ``truth`` with a row for each feature and epoch.
 
     Examples
     --------
@@ -160,7 +163,8 @@ def simulate_static(
 
     Returns
     -------
-    `SimulatedJet`
+    ``SimulatedJet``
+        Its ``cube``, and ``truth`` with a row for each feature and epoch.
 
     Examples
     --------
@@ -192,7 +196,8 @@ def simulate_unrelated(
 
     Returns
     -------
-    `SimulatedJet`
+    ``SimulatedJet``
+        Its ``cube``, and ``truth`` with a row for each feature and epoch.
 
     Examples
     --------
@@ -269,7 +274,8 @@ def simulate_jet(
 
     Returns
     -------
-    `SimulatedJet`
+    ``SimulatedJet``
+        Its ``cube``, and ``truth`` with a row for each feature and epoch.
 
     Raises
     ------

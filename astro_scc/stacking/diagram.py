@@ -53,7 +53,7 @@ class Diagram:
 
         Parameters
         ----------
-        samples : `~astro_scc.stacking.VelocitySamples`
+        samples : ``VelocitySamples``
         rays : `Rays`
         settings : `~astro_scc.stacking.SearchSettings`
 
@@ -158,7 +158,8 @@ class Rays:
     A speed of half a beam a year is searched in intervals of up to two years:
 
     >>> import numpy as np
-    >>> from astro_scc.stacking import Rays, SearchSettings
+    >>> from astro_scc.stacking import SearchSettings
+    >>> from astro_scc.stacking.diagram import Rays
     >>> rays = Rays.of(np.arange(6.0), 1.5, SearchSettings())
     >>> rays.speed[rays.speed > 0][[0, -1]]
     array([0.2, 1.5])

@@ -30,7 +30,7 @@ class Population:
 
     Examples
     --------
-    >>> from astro_scc.stacking import random_effects
+    >>> from astro_scc.stacking.dispersion import random_effects
     >>> random_effects([1.0, 1.1, 0.9, 1.0], [0.05] * 4).mean
     1.0
     """
@@ -65,7 +65,7 @@ def random_effects(
 
     Examples
     --------
-    >>> from astro_scc.stacking import random_effects
+    >>> from astro_scc.stacking.dispersion import random_effects
     >>> stream = random_effects([0.8, 1.0, 1.2, 0.9, 1.1], [0.01] * 5)
     >>> round(stream.mean, 2), round(stream.dispersion, 2)
     (1.0, 0.2)
@@ -172,7 +172,7 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
 
     Parameters
     ----------
-    features : sequence of `~astro_scc.stacking.Feature`
+    features : sequence of ``Feature``
         Features that move in one direction.
     n_trials : int
     rng : `~numpy.random.Generator`
@@ -188,7 +188,7 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import Feature
+    >>> from astro_scc.stacking.features import Feature
     >>> from astro_scc.stacking.dispersion import separate_streams
     >>> epoch = np.arange(4)
     >>> features = [

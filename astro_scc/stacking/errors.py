@@ -57,7 +57,7 @@ def velocity_of(stream, beam, misaligned, epoch):
 
     Parameters
     ----------
-    stream : `~astro_scc.stacking.Stream`
+    stream : ``Stream``
     beam : array_like, shape (2,)
         Width of the beam along the stream and across it, in mas.
     misaligned : `~numpy.ndarray`, shape (n_epochs, 2)
@@ -92,7 +92,7 @@ def alignment_response(stream, epoch, n_epochs):
 
     Parameters
     ----------
-    stream : `~astro_scc.stacking.Stream`
+    stream : ``Stream``
     epoch : `~numpy.ndarray` of int, shape (n_ssps,)
     n_epochs : int
 
@@ -172,9 +172,9 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
 
     Parameters
     ----------
-    samples : `~astro_scc.stacking.VelocitySamples`
-    pairs : `~astro_scc.stacking.DatePairs`
-    peak : `~astro_scc.stacking.VelocityPeak`
+    samples : ``VelocitySamples``
+    pairs : ``DatePairs``
+    peak : ``VelocityPeak``
     box : tuple of float
         Sides of the box around the peak in which the maximum is searched.
     n_trials : int

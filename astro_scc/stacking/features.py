@@ -40,7 +40,7 @@ class Feature:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import Feature
+    >>> from astro_scc.stacking.features import Feature
     >>> years = np.array([0.0, 1.0, 2.0])
     >>> place = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
     >>> Feature.through(np.arange(3), years, place).speed
@@ -132,7 +132,7 @@ def find_features(samples, mixture, settings):
 
     Parameters
     ----------
-    samples : `~astro_scc.stacking.VelocitySamples`
+    samples : ``VelocitySamples``
     mixture : `~astro_scc.stacking.mixture.Mixture`
     settings : `~astro_scc.stacking.SearchSettings`
 
@@ -169,7 +169,7 @@ def first_speeds(samples, mixture, settings):
 
     Parameters
     ----------
-    samples : `~astro_scc.stacking.VelocitySamples`
+    samples : ``VelocitySamples``
     mixture : `~astro_scc.stacking.mixture.Mixture`
     settings : `~astro_scc.stacking.SearchSettings`
 
@@ -209,7 +209,7 @@ def standing_features(samples, settings):
 
     Parameters
     ----------
-    samples : `~astro_scc.stacking.VelocitySamples`
+    samples : ``VelocitySamples``
     settings : `~astro_scc.stacking.SearchSettings`
 
     Returns
@@ -239,7 +239,7 @@ def clear_of(features, standing, samples, settings):
     Parameters
     ----------
     features, standing : sequence of `Feature`
-    samples : `~astro_scc.stacking.VelocitySamples`
+    samples : ``VelocitySamples``
     settings : `~astro_scc.stacking.SearchSettings`
 
     Returns
@@ -425,7 +425,7 @@ def different(features, samples, settings):
     Parameters
     ----------
     features : sequence of `Feature`
-    samples : `~astro_scc.stacking.VelocitySamples`
+    samples : ``VelocitySamples``
     settings : `~astro_scc.stacking.SearchSettings`
 
     Returns

@@ -67,11 +67,11 @@ def fit_mixture(samples: VelocitySamples, speeds: ArrayLike, rays: Rays) -> Mixt
 
     Parameters
     ----------
-    samples : `~astro_scc.stacking.VelocitySamples`
+    samples : ``VelocitySamples``
         Along one axis, in beams.
     speeds : sequence of float
         From which the fit starts, in beams/yr.
-    rays : `~astro_scc.stacking.Rays`
+    rays : ``Rays``
 
     Returns
     -------

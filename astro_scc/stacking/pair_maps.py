@@ -52,7 +52,7 @@ class PairMaps:
 
     Attributes
     ----------
-    samples : `~astro_scc.stacking.VelocitySamples`
+    samples : ``VelocitySamples``
     axis1, axis2 : `~numpy.ndarray`
         Displacements at which the maps are sampled.
     index : `~numpy.ndarray` of int, shape (n_matches,)
@@ -74,7 +74,7 @@ class PairMaps:
 
         Parameters
         ----------
-        samples : `~astro_scc.stacking.VelocitySamples`
+        samples : ``VelocitySamples``
         v_max : tuple of float
             Largest velocities of the stacks.
         longest : float

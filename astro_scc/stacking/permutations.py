@@ -88,8 +88,10 @@ class EpochPermutations:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import (
-    ...     EpochPermutations, Rays, SearchSettings, VelocitySamples)
+    >>> from astro_scc.stacking import SearchSettings
+    >>> from astro_scc.stacking.diagram import Rays
+    >>> from astro_scc.stacking.permutations import EpochPermutations
+    >>> from astro_scc.stacking.velocities import VelocitySamples
     >>> years = np.arange(6.0)
     >>> ssp, to = (k[~np.eye(6, dtype=bool)] for k in np.indices((6, 6)))
     >>> d = VelocitySamples(
@@ -122,7 +124,7 @@ class EpochPermutations:
 
         Parameters
         ----------
-        axes : sequence of `~astro_scc.stacking.VelocitySamples`
+        axes : sequence of ``VelocitySamples``
             The same matches along each axis that is searched.
         rays : `Rays`
         n_trials : int
@@ -279,8 +281,8 @@ def permute_stacks(pair_maps, pairs, grid, n_trials, *, rng, shift=None, progres
     Parameters
     ----------
     pair_maps : `~astro_scc.stacking.pair_maps.PairMaps`
-    pairs : `~astro_scc.stacking.DatePairs`
-    grid : `~astro_scc.stacking.VelocityGrid`
+    pairs : ``DatePairs``
+    grid : ``VelocityGrid``
     n_trials : int
     rng : `~numpy.random.Generator`
     shift : tuple of float, optional

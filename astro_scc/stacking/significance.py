@@ -65,11 +65,12 @@ class Stream:
     p_distinct : float
         Probability that one stream fewer gives features that separate as
         well; for the first stream its ``p_global``.
-    features : tuple of `~astro_scc.stacking.Feature`
+    features : tuple of ``Feature``
 
     Examples
     --------
-    >>> from astro_scc.stacking import Stream, random_effects
+    >>> from astro_scc.stacking.dispersion import random_effects
+    >>> from astro_scc.stacking.significance import Stream
     >>> still = random_effects([0.01, -0.02], [0.02, 0.02])
     >>> Stream("stationary", "", 0.0, still, still).kind
     'stationary'
@@ -102,14 +103,15 @@ class Search:
         Diagram along the direction of the first stream.
     angle : float
         Angle of that direction from the first axis of the frame, in radians.
-    permutations : `~astro_scc.stacking.EpochPermutations`
+    permutations : ``EpochPermutations``
 
     Examples
     --------
     One feature that moves half a beam a year through eight epochs:
 
     >>> import numpy as np
-    >>> from astro_scc.stacking import VelocitySamples, find_streams
+    >>> from astro_scc.stacking import find_streams
+    >>> from astro_scc.stacking.velocities import VelocitySamples
     >>> years = np.arange(8.0)
     >>> ssp, to = (k[~np.eye(8, dtype=bool)] for k in np.indices((8, 8)))
     >>> d = VelocitySamples(
@@ -150,7 +152,7 @@ def find_streams(
     Parameters
     ----------
     project : callable
-        Returns the `~astro_scc.stacking.VelocitySamples` along an angle in
+        Returns the ``VelocitySamples`` along an angle in
         radians from the first axis of the frame.
     angles : sequence of float
         Axes to search, evenly over half a turn from the first axis of the
@@ -175,7 +177,7 @@ def find_streams(
 
     Returns
     -------
-    `Search`
+    ``Search``
 
     Raises
     ------
@@ -187,7 +189,8 @@ def find_streams(
     Ten features that move half a beam a year through eight epochs:
 
     >>> import numpy as np
-    >>> from astro_scc.stacking import VelocitySamples, find_streams
+    >>> from astro_scc.stacking import find_streams
+    >>> from astro_scc.stacking.velocities import VelocitySamples
     >>> years = np.arange(8.0)
     >>> epoch, feature = (k.ravel() for k in np.indices((8, 10)))
     >>> place = 3.0 * feature + 0.5 * years[epoch]
@@ -268,8 +271,8 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
     along : ``Population``
     z, p_global : float
         Significance of the mean speed, and its probability.
-    features : sequence of `~astro_scc.stacking.Feature`
-    permutations : `~astro_scc.stacking.EpochPermutations`
+    features : sequence of ``Feature``
+    permutations : ``EpochPermutations``
     alpha : float
     settings : `~astro_scc.stacking.SearchSettings`
 

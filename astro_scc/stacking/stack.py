@@ -129,8 +129,9 @@ def stack(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import (
-    ...     VelocityGrid, VelocitySamples, consecutive_pairs, stack)
+    >>> from astro_scc.stacking.stack import stack
+    >>> from astro_scc.stacking.velocities import VelocityGrid, VelocitySamples
+    >>> from astro_scc.stacking.velocities import consecutive_pairs
     >>> one = np.ones(1)
     >>> match = VelocitySamples(
     ...     d1=one, d2=0 * one, s1=0.2 * one, s2=0.2 * one, weight=0.9 * one,
@@ -171,7 +172,8 @@ class VelocityPeak:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import VelocityGrid, find_velocity_peaks
+    >>> from astro_scc.stacking.stack import find_velocity_peaks
+    >>> from astro_scc.stacking.velocities import VelocityGrid
     >>> grid = VelocityGrid.covering(4.0, 0.25)
     >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
     >>> peak = find_velocity_peaks(scc, grid, (2.0, 2.0))[0]
@@ -265,7 +267,8 @@ def find_velocity_peaks(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import VelocityGrid, find_velocity_peaks
+    >>> from astro_scc.stacking.stack import find_velocity_peaks
+    >>> from astro_scc.stacking.velocities import VelocityGrid
     >>> grid = VelocityGrid.covering(4.0, 0.25)
     >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
     >>> [round(c.v1, 3) for c in find_velocity_peaks(scc, grid, (2.0, 2.0))]

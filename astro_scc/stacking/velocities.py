@@ -46,7 +46,7 @@ class VelocitySamples:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import VelocitySamples
+    >>> from astro_scc.stacking.velocities import VelocitySamples
     >>> one = np.ones(1)
     >>> samples = VelocitySamples(
     ...     d1=0.4 * one, d2=0 * one, weight=one, reference=np.array([0]),
@@ -205,7 +205,7 @@ class DatePairs:
 
     Examples
     --------
-    >>> from astro_scc.stacking import consecutive_pairs
+    >>> from astro_scc.stacking.velocities import consecutive_pairs
     >>> pairs = consecutive_pairs([2000.0, 2000.5, 2002.0])
     >>> len(pairs), pairs.interval.tolist()
     (2, [0.5, 1.5])
@@ -254,7 +254,7 @@ def consecutive_pairs(years: ArrayLike) -> DatePairs:
 
     Examples
     --------
-    >>> from astro_scc.stacking import consecutive_pairs
+    >>> from astro_scc.stacking.velocities import consecutive_pairs
     >>> consecutive_pairs([0.0, 0.5, 1.5]).interval
     array([0.5, 1. ])
     """
@@ -289,7 +289,7 @@ def baseline_pairs(years: ArrayLike, shortest: float, longest: float) -> DatePai
 
     Examples
     --------
-    >>> from astro_scc.stacking import baseline_pairs
+    >>> from astro_scc.stacking.velocities import baseline_pairs
     >>> pairs = baseline_pairs([0.0, 0.5, 1.5], 0.8, 1.2)
     >>> pairs.first, pairs.second
     (array([1]), array([2]))
@@ -324,7 +324,7 @@ class VelocityGrid:
 
     Examples
     --------
-    >>> from astro_scc.stacking import VelocityGrid
+    >>> from astro_scc.stacking.velocities import VelocityGrid
     >>> grid = VelocityGrid.covering(2.0, 0.5)
     >>> grid.shape, grid.v1.tolist()[:3]
     ((9, 9), [-2.0, -1.5, -1.0])
@@ -377,7 +377,7 @@ class VelocityGrid:
 
         Examples
         --------
-        >>> from astro_scc.stacking import VelocityGrid
+        >>> from astro_scc.stacking.velocities import VelocityGrid
         >>> VelocityGrid.covering(2.0, 0.3).v1.round(2)
         array([-2.  , -1.71, -1.43, -1.14, -0.86, -0.57, -0.29, 0.  ,
                0.29, 0.57, 0.86, 1.14, 1.43, 1.71, 2.  ])

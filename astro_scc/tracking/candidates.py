@@ -40,7 +40,7 @@ class Candidates:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.tracking import Candidates
+    >>> from astro_scc.tracking.candidates import Candidates
     >>> found = Candidates(
     ...     source=np.array([0, 1]), target=np.array([2, 2]), dy=np.zeros(2),
     ...     dx=np.array([5.0, -3.0]), interval=np.full(2, 0.1), gap=np.zeros(2, int),
@@ -100,7 +100,7 @@ def find_candidates(
     matches : `~astro_scc.correlation.Matches`
     target_ssp : array_like of int, shape (n_matches,)
         The SSP that each match falls on, or -1, see
-        `~astro_scc.correlation.target_ssps`.
+        ``target_ssps``.
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
     years : array_like, shape (n_epochs,)
@@ -118,9 +118,10 @@ def find_candidates(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.correlation import Correlator, all_pairs, target_ssps
+    >>> from astro_scc.correlation import Correlator, all_pairs
+    >>> from astro_scc.correlation.matches import target_ssps
     >>> from astro_scc.decomposition import Decomposer, SSPs
-    >>> from astro_scc.tracking import find_candidates
+    >>> from astro_scc.tracking.candidates import find_candidates
     >>> y, x = np.mgrid[:64, :96]
     >>> def image(x0):
     ...     return np.exp(-((x - x0) ** 2 + (y - 32) ** 2) / 30)

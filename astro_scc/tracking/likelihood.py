@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.decomposition import SSPs
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.tracking.candidates import Candidates, equal_pairs, lowest, rank_in_group
 
 #: Largest distance of neighbours, in units of the sum of their radii.
@@ -51,7 +52,7 @@ class LinkLikelihood:
 
     Examples
     --------
-    >>> from astro_scc.tracking import LinkLikelihood
+    >>> from astro_scc.tracking.likelihood import LinkLikelihood
     >>> likelihood = LinkLikelihood(variability=0.3)
     >>> likelihood.variability > LinkLikelihood().variability
     True

@@ -13,7 +13,8 @@ from scipy.sparse.csgraph import (
     min_weight_full_bipartite_matching,
 )
 
-from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.decomposition import SSPs
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.tracking.candidates import Candidates, equal_pairs, lowest, rank_in_group
 from astro_scc.tracking.likelihood import MERGE_COST, LinkLikelihood, chance_density
 
@@ -96,9 +97,11 @@ def link(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.correlation import Correlator, all_pairs, target_ssps
+    >>> from astro_scc.correlation import Correlator, all_pairs
+    >>> from astro_scc.correlation.matches import target_ssps
     >>> from astro_scc.decomposition import Decomposer, SSPs
-    >>> from astro_scc.tracking import find_candidates, link
+    >>> from astro_scc.tracking.candidates import find_candidates
+    >>> from astro_scc.tracking.linking import link
     >>> y, x = np.mgrid[:64, :96]
     >>> def image(x0):
     ...     return np.exp(-((x - x0) ** 2 + (y - 32) ** 2) / 30)
@@ -310,7 +313,7 @@ def assign(row: ArrayLike, column: ArrayLike, weight: ArrayLike) -> np.ndarray:
     --------
     Two rows prefer the same column, but their total is larger otherwise:
 
-    >>> from astro_scc.tracking import assign
+    >>> from astro_scc.tracking.linking import assign
     >>> assign([0, 0, 1], [0, 1, 0], [3.0, 2.5, 2.5]).tolist()
     [False, True, True]
     """

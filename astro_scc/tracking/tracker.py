@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from astro_scc import quantities as q
-from astro_scc.correlation import Correlator, Matches, target_ssps
-from astro_scc.correlation.matches import COLUMNS
-from astro_scc.decomposition import Decomposition, SSPs
+from astro_scc.correlation import Correlator, Matches
+from astro_scc.correlation.matches import COLUMNS, target_ssps
+from astro_scc.decomposition import SSPs
+from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.beam import require_common_beam
@@ -188,7 +189,7 @@ class FeatureTracker:
         Parameters
         ----------
         cube : `~astro_scc.epochs.EpochCube`
-        decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+        decompositions : sequence of ``Decomposition``
         select : array_like of bool, shape (n_ssps,), optional
             The SSPs that are tracked.
         n_workers : int, optional
@@ -311,7 +312,7 @@ class FeatureTracker:
         cube : `~astro_scc.epochs.EpochCube`
             Its epochs must be aligned.  Distances are measured from its
             reference pixel, and what stands there is the core.
-        decompositions : sequence of `~astro_scc.decomposition.Decomposition`
+        decompositions : sequence of ``Decomposition``
             One for each epoch.
         matches : `~astro_scc.correlation.Matches`, optional
             Matches of at least the pairs of epochs that may be linked.  By default
@@ -323,7 +324,7 @@ class FeatureTracker:
 
         Returns
         -------
-        `~astro_scc.tracking.Links`
+        ``Links``
 
         Raises
         ------

@@ -4,14 +4,15 @@
 import astropy.units as u
 import numpy as np
 
-from astro_scc.decomposition import scale_size
-from astro_scc.features import Features, Track
+from astro_scc.decomposition.wavelet import scale_size
+from astro_scc.features import Features
 from astro_scc.features.detecting import (
     finest_patterns,
     is_new,
     ssp_sizes,
     ssps_of,
 )
+from astro_scc.features.tracks import Track
 from astro_scc.kinematics.ridge_search import mean_width
 from astro_scc.tracking.candidates import core_ssps, lowest
 from astro_scc.tracking.linking import chains

@@ -1,10 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Draw the displacement-interval diagram with the rays of the streams."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import astropy.units as u
 import numpy as np
 
@@ -15,13 +11,6 @@ from astro_scc.visualization.drawing import edges
 from astro_scc.visualization.style import BLACK, GREY, KINDS
 from astro_scc.visualization.velocity import on_sky, speed_text
 
-if TYPE_CHECKING:
-    from astropy.table import QTable
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from astro_scc.measurement import SCCResult
-
 #: Intervals are shown up to this many times the one after which the slowest
 #: moving stream leaves the diagram, and at least this number of intervals.
 BEYOND = 1.3
@@ -30,10 +19,7 @@ FEWEST_INTERVALS = 4
 UNSATURATED = 0.995
 
 
-def plot_diagram(
-    result: SCCResult, *, ax: Axes | None = None, components: QTable | None = None,
-    unit: u.UnitBase | str | None = None, colorbar: bool = True,
-) -> Figure:  # fmt: skip
+def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     """
     Draw the displacement-interval diagram with the rays of the streams.
 
@@ -62,22 +48,9 @@ def plot_diagram(
     ------
     ValueError
         If the unit is not an angle.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.visualization import plot_diagram
-    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
-    >>> figure = plot_diagram(result)
-    >>> figure.axes[0].get_xlabel()
-    'Interval between epochs (yr)'
     """
     image = result.diagram()
-    components = result.components if components is None else components
-    kinds = style.component_kinds(components)
+    components, kinds = style.marked(result, components)
     slopes = ray_slopes(components, kinds, image.meta["position_angle"])
     _, displacement = image.wcs.pixel_to_world_values(0, np.arange(len(image.data)))
     unit = offset_unit(displacement[-1], unit)

@@ -4,7 +4,7 @@
 import astropy.units as u
 import numpy as np
 
-from astro_scc.decomposition import scale_size
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs.positions import axis_words, ssp_offsets
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import style

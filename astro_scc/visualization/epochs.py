@@ -1,36 +1,19 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Figures of the epochs with their SSPs, and a figure of dates."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
-
 import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs.positions import axis_words
 from astro_scc.epochs.validation import epoch_index
-from astro_scc.stacking import DatePairs, consecutive_pairs
+from astro_scc.stacking.velocities import consecutive_pairs
 from astro_scc.visualization import drawing, style
-
-if TYPE_CHECKING:
-    from astropy.table import QTable
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from astro_scc.decomposition import SSPs
-    from astro_scc.epochs import EpochCube
 
 LEGEND = {"fontsize": "small", "frameon": False, "columnspacing": 1.0}
 LEGEND |= {"handletextpad": 0.3, "borderaxespad": 0.2, "ncols": 9}
 
 
-def plot_epoch(
-    cube: EpochCube, epoch: int, ssps: QTable | SSPs | None = None, *,
-    ax: Axes | None = None, unit: u.UnitBase | str | None = None,
-    stretch: str = "asinh", vmin: float | None = None, vmax: float | None = None,
-    zoom: bool = True, colorbar: bool = True,
-) -> Figure:  # fmt: skip
+def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **view):
     """
     Draw one epoch in offsets from the reference pixel, east to the left.
 
@@ -69,36 +52,24 @@ def plot_epoch(
         If the stretch is unknown, or the unit is not an angle.
     IndexError
         If there is no such epoch.
-
-    Examples
-    --------
-    >>> from astro_scc.simulation import simulate_static
-    >>> from astro_scc.visualization import plot_epoch
-    >>> cube = simulate_static(n_epochs=2, rng=1).cube
-    >>> figure = plot_epoch(cube, 0)
-    >>> figure.axes[0].get_xlabel()
-    'Relative R.A. (mas)'
     """
     index = epoch_index(epoch, len(cube))
     image = np.ma.masked_array(cube.data[index], cube.mask[index])
-    view = drawing.View(
-        cube, ssps, image, zoom=zoom, unit=unit, epochs=[index], stretch=stretch,
-        vmin=vmin, vmax=vmax,
-    )  # fmt: skip
-    figure, ax = style.figure_and_axes(ax, _figsize(view))
+    view = drawing.View(cube, ssps, image, epochs=[index], **view)
+    width, height = np.ptp(view.limits, axis=1)
+    height = float(np.clip(4.6 * height / width + 1.0, 2.4, 8.0))
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
     drawn = drawing.draw_image(ax, view, image, index)
     drawing.draw_ssps(ax, view, ssps, index)
     _label_masked(ax, view, image.mask)
     _name_axes(ax, view, index)
     if colorbar:
-        _add_bar(ax, drawn, view)
+        label = drawing.brightness_label(cube.unit)
+        style.add_colorbar(ax, drawn, label, drawing.ticks_of(view.norm))
     return figure
 
 
-def plot_epochs(
-    cube: EpochCube, ssps: QTable | SSPs | None = None, *, figure: Figure | None = None,
-    max_panels: int = 12, **view: Any,
-) -> Figure:  # fmt: skip
+def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **view):
     """
     Draw up to ``max_panels`` epochs, evenly selected, with the same colours.
 
@@ -124,13 +95,6 @@ def plot_epochs(
     ValueError
         If ``max_panels`` is below 1, the stretch is unknown, or the unit is
         not an angle.
-
-    Examples
-    --------
-    >>> from astro_scc.simulation import simulate_static
-    >>> from astro_scc.visualization import plot_epochs
-    >>> cube = simulate_static(n_epochs=5, rng=1).cube
-    >>> figure = plot_epochs(cube, max_panels=4)
     """
     if max_panels < 1:
         raise ValueError(f"max_panels must be at least 1, got {max_panels}")
@@ -156,9 +120,7 @@ def plot_epochs(
     return figure
 
 
-def plot_intervals(
-    cube: EpochCube, pairs: DatePairs | None = None, *, ax: Axes | None = None
-) -> Figure:
+def plot_intervals(cube, pairs=None, *, ax=None):
     """
     Draw the dates of the epochs, and the pairs of epochs that are compared.
 
@@ -168,7 +130,7 @@ def plot_intervals(
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    pairs : `~astro_scc.stacking.DatePairs`, optional
+    pairs : ``DatePairs``, optional
         For example ``result.pairs``; by default consecutive epochs.
     ax : `matplotlib.axes.Axes`, optional
         Axes to draw on instead of a new figure.
@@ -176,14 +138,6 @@ def plot_intervals(
     Returns
     -------
     `matplotlib.figure.Figure`
-
-    Examples
-    --------
-    >>> from astro_scc.simulation import simulate_static
-    >>> from astro_scc.visualization import plot_intervals
-    >>> figure = plot_intervals(simulate_static(n_epochs=5, rng=1).cube)
-    >>> figure.axes[0].get_ylabel()
-    'Time between epochs (d)'
     """
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
@@ -218,12 +172,6 @@ def plot_intervals(
 # -- parts of the figure of one epoch ----------------------------------------------
 
 
-def _figsize(view):
-    """Return the size in inches of a figure of one image."""
-    width, height = np.ptp(view.limits, axis=1)
-    return style.WIDTH, float(np.clip(4.6 * height / width + 1.0, 2.4, 8.0))
-
-
 def _name_axes(ax, view, index):
     """Label the axes, and write the date above a line with the legend."""
     across, up = drawing.axis_labels("Offset", axis_words(view.cube), view.unit)
@@ -234,11 +182,6 @@ def _name_axes(ax, view, index):
     if handles:
         place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
         ax.legend(markerscale=0.8, **place, **LEGEND)
-
-
-def _add_bar(ax, drawn, view):
-    label = drawing.brightness_label(view.cube.unit)
-    style.add_colorbar(ax, drawn, label, drawing.ticks_of(view.norm))
 
 
 def _label_masked(ax, view, mask):

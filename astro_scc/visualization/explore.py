@@ -36,12 +36,9 @@ PIXELS, FEATURES = 2_200_000, 1000
 COLUMNS = 240
 #: Markers of the streams in turn, so that colour is not all that tells them apart.
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
-DASHES = {
-    "moving": "solid",
-    "stationary": "dashed",
-    "not confirmed": "dotted",
-    "not significant": "dotted",
-}
+#: Names of the lines of figures, and those of the kinds of streams.
+DASH = {"-": "solid", "--": "dashed", ":": "dotted"}
+DASHES = {kind: DASH[sign.line] for kind, sign in style.KINDS.items()}
 #: Milliseconds for which each of two epochs is shown; the accessibility guidelines
 #: WCAG 2.3.1 allow at most three flashes a second.
 BLINK = 600
@@ -315,7 +312,10 @@ class Page:
         dots = self._dots(plot, "pm_axis1", "pm_axis2", 8, self.features)
         for glyph in (dots.glyph, dots.selection_glyph):
             glyph.update(line_color="white", line_width=0.8)
-        columns = {"rows": self.rows, "dash": [DASHES[kind] for kind in self.kinds]}
+        columns = {
+            "rows": self.rows,
+            "dash": [DASHES[kind] for kind in self.kinds],
+        }
         columns["number"] = [str(n) for n in self.components["component"]]
         for field, width, name in zip(("v1", "v2"), "wh", names, strict=True):
             columns[field] = self.components[name].to_value(self.pm_unit)

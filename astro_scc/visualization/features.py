@@ -1,10 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The speeds of the features of a measurement, and of other choices of the data."""
 
-from __future__ import annotations
-
 from textwrap import fill
-from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
@@ -14,14 +11,6 @@ from astro_scc.visualization import style
 from astro_scc.visualization.style import BLACK
 from astro_scc.visualization.tracks import feature_look
 
-if TYPE_CHECKING:
-    from astropy.table import QTable
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from numpy.typing import ArrayLike
-
-    from astro_scc.measurement import SCCResult
-
 #: Errors beyond so many times the median one are of features that say little.
 LARGE_ERROR = 4.0
 #: Most letters of a label beside a figure in one line.
@@ -29,10 +18,8 @@ LABEL = 30
 
 
 def plot_feature_speeds(
-    result: SCCResult, *, profile: QTable | None = None,
-    beta_per_pm: float | None = None, component: ArrayLike | None = None,
-    ax: Axes | None = None,
-) -> Figure:  # fmt: skip
+    result, *, profile=None, beta_per_pm=None, component=None, ax=None
+):
     """
     Draw the radial speed of each feature against its separation from the core.
 
@@ -58,17 +45,6 @@ def plot_feature_speeds(
     ------
     ValueError
         If ``beta_per_pm`` is not positive.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.simulation import simulate_jet
-    >>> from astro_scc.visualization import plot_feature_speeds
-    >>> scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
-    >>> result = scc(simulate_jet(rng=1).cube, n_trials=50, rng=1)
-    >>> plot_feature_speeds(result).axes[0].get_xlabel()
-    'Core separation (mas)'
     """
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
     table = result.features

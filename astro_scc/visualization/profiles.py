@@ -171,7 +171,7 @@ def plot_scale_maps(
     ----------
     maps : dict of `~numpy.ndarray`, shape ``grid.shape``
         The stacks, by the names of the groups.
-    grid : `~astro_scc.stacking.VelocityGrid`
+    grid : ``VelocityGrid``
         In mas/yr.
     axis_names : (str, str), optional
     unit : `~astropy.units.Unit`, optional
@@ -190,7 +190,7 @@ def plot_scale_maps(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking import VelocityGrid
+    >>> from astro_scc.stacking.velocities import VelocityGrid
     >>> from astro_scc.visualization.profiles import plot_scale_maps
     >>> grid = VelocityGrid.covering(2.0, 0.5)
     >>> figure = plot_scale_maps({"scale 1": np.ones(grid.shape)}, grid)

@@ -224,6 +224,12 @@ def component_kinds(components):
     return list(map(str, components["kind"] if known else ["moving"] * len(components)))
 
 
+def marked(result, components):
+    """Return components, by default those of a result, and their kinds."""
+    components = result.components if components is None else components
+    return components, component_kinds(components)
+
+
 def add_colorbar(ax, drawn, label, ticks=None):
     """Add a colour bar beside axes, exactly as high as they are."""
     beside = ax.inset_axes((1.02, 0.0, 0.03, 1.0))

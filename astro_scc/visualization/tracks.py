@@ -1,25 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Figures of features: matches of components, paths on the mean image, separations."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
-from numpy.typing import ArrayLike
 
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.velocity import speed_text
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from astro_scc.features import Features
-    from astro_scc.measurement import SCCResult
 
 #: How features are drawn that are secure, and that are not.
 STRONG = {"alpha": 1.0, "zorder": 3, "linestyle": "-"}
@@ -33,11 +21,7 @@ BESIDE = ("left", 4, 0), ("right", -4, 0), ("center", 0, 7), ("center", 0, -7)
 EARLIER = 0.3
 
 
-def plot_members(
-    result: SCCResult, *, figure: Figure | None = None,
-    components: QTable | None = None, max_panels: int = 4,
-    unit: u.UnitBase | str | None = None,
-) -> Figure:  # fmt: skip
+def plot_members(result, *, figure=None, components=None, max_panels=4, unit=None):
     """
     Draw the displacements that belong to each component on the mean image.
 
@@ -66,21 +50,10 @@ def plot_members(
     ------
     ValueError
         If ``max_panels`` is below 1, or the unit is not an angle.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.visualization import plot_members
-    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
-    >>> figure = plot_members(result)
     """
     if max_panels < 1:
         raise ValueError(f"max_panels must be at least 1, got {max_panels}")
-    components = result.components if components is None else components
-    kinds = style.component_kinds(components)
+    components, kinds = style.marked(result, components)
     order = sorted(range(len(kinds)), key=lambda k: kinds[k].startswith("not"))
     panels = [(int(components["component"][k]), kinds[k]) for k in order[:max_panels]]
     own = [result.members(number)["ssp"] for number, _ in panels]
@@ -122,10 +95,8 @@ def _draw_members(ax, view, result, number, kind):
 
 
 def plot_separation(
-    features: Features, *, component: ArrayLike | None = None,
-    beta_per_pm: float | None = None, published: QTable | None = None,
-    ax: Axes | None = None, unit: u.UnitBase | str | None = None,
-) -> Figure:  # fmt: skip
+    features, *, component=None, beta_per_pm=None, published=None, ax=None, unit=None
+):
     """
     Draw the core separations of features against time, with their fits.
 
@@ -157,15 +128,6 @@ def plot_separation(
     ------
     ValueError
         If the unit is not an angle.
-
-    Examples
-    --------
-    >>> from astro_scc.features import find_features
-    >>> from astro_scc.simulation import simulate_jet
-    >>> from astro_scc.visualization import plot_separation
-    >>> features = find_features(simulate_jet(n_epochs=8, rng=3).cube)
-    >>> plot_separation(features).axes[0].get_ylabel()
-    'Core separation (mas)'
     """
     lower = None
     if ax is None:
@@ -302,11 +264,7 @@ def _write_numbers(ax, features, ends, beta_per_pm=None):
             text.remove()
 
 
-def plot_tracks(
-    features: Features, *, component: ArrayLike | None = None,
-    published: QTable | None = None, figure: Figure | None = None,
-    unit: u.UnitBase | str | None = None,
-) -> Figure:  # fmt: skip
+def plot_tracks(features, *, component=None, published=None, figure=None, unit=None):
     """
     Draw the paths of features over the mean image.
 
@@ -335,15 +293,6 @@ def plot_tracks(
     ------
     ValueError
         If the unit is not an angle.
-
-    Examples
-    --------
-    >>> from astro_scc.features import find_features
-    >>> from astro_scc.simulation import simulate_jet
-    >>> from astro_scc.visualization import plot_tracks
-    >>> features = find_features(simulate_jet(n_epochs=8, rng=3).cube)
-    >>> len(plot_tracks(features).axes)
-    1
     """
     d, own = features.detections, figure is None
     east, north = np.concatenate([d.place, features.core.place]).T * u.mas

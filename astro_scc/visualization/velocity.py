@@ -1,10 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Draw velocity maps and the significance along the jet."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import astropy.units as u
 import numpy as np
 
@@ -13,13 +9,6 @@ from astro_scc.quantities import with_error
 from astro_scc.units import PM_UNIT, unit_like, unit_name
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.style import BLACK, GREY, KINDS
-
-if TYPE_CHECKING:
-    from astropy.table import QTable
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from astro_scc.measurement import SCCResult
 
 AXIS_LABELS = {
     "parallel": "Proper motion parallel to the jet",
@@ -38,10 +27,9 @@ CORNER_SIZE = (0.34, 0.22)
 
 
 def plot_velocity_map(
-    result: SCCResult, *, ax: Axes | None = None, components: QTable | None = None,
-    which: str = "coefficient", unit: u.UnitBase | str | None = None,
-    beta_per_pm: float | None = None, colorbar: bool = True,
-) -> Figure:  # fmt: skip
+    result, *, ax=None, components=None, which="coefficient", unit=None,
+    beta_per_pm=None, colorbar=True,
+):  # fmt: skip
     """
     Draw the stacked cross-correlation as a map of velocities.
 
@@ -74,30 +62,18 @@ def plot_velocity_map(
     ValueError
         If the map is unknown, the unit is not that of a proper motion, or
         ``beta_per_pm`` is not positive.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.visualization import plot_velocity_map
-    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
-    >>> figure = plot_velocity_map(result)
-    >>> figure.axes[0].get_xlabel()
-    'Proper motion to the east (mas/yr)'
     """
     if which not in MAP_LABELS:
         raise ValueError(f"unknown map {which!r}: use 'coefficient' or 'z_score'")
     unit = _unit(result, unit)
-    components = result.components if components is None else components
+    components, kinds = style.marked(result, components)
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 5.2))
     drawn = draw_map(ax, getattr(result, which), result.grid, unit)
     if on_sky(result) and axis_words(result.cube)[2]:
         ax.invert_xaxis()
     across, up = velocity_labels(result.frame.axis_names, axis_words(result.cube), unit)
     ax.set(xlabel=across, ylabel=up)
-    place = _draw_components(ax, result, components, unit)
+    place = _draw_components(ax, result, components, kinds, unit)
     crowd = {
         name: np.sum(np.all(np.abs(place - corner) < CORNER_SIZE, axis=1))
         for name, corner in CORNERS.items()
@@ -146,7 +122,7 @@ def velocity_labels(names, words, unit):
     return [f"{name} ({unit_name(unit)})" for name in names]
 
 
-def _draw_components(ax, result, components, unit):
+def _draw_components(ax, result, components, kinds, unit):
     """Draw the components; return their positions as fractions of the axes, (n, 2)."""
     from matplotlib.patches import Ellipse
 
@@ -159,7 +135,6 @@ def _draw_components(ax, result, components, unit):
     )
     # Positions of the components as fractions of the axes place the text beside them.
     place = ax.transLimits.transform(speed)
-    kinds = style.component_kinds(components)
     effects = style.outline(2.5, BLACK)
     for k, kind in enumerate(kinds):
         strong = not kind.startswith("not")
@@ -204,10 +179,7 @@ def _draw_jet(ax, result, corner):
     )  # fmt: skip
 
 
-def plot_significance(
-    result: SCCResult, *, ax: Axes | None = None, components: QTable | None = None,
-    unit: u.UnitBase | str | None = None, beta_per_pm: float | None = None,
-) -> Figure:  # fmt: skip
+def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_pm=None):
     """
     Draw the significance along the jet, at zero speed across it.
 
@@ -232,19 +204,9 @@ def plot_significance(
     ValueError
         If the unit is not that of a proper motion, or ``beta_per_pm`` is not
         positive.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.visualization import plot_significance
-    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
-    >>> figure = plot_significance(result)
     """
     unit = _unit(result, unit)
-    components = result.components if components is None else components
+    components, kinds = style.marked(result, components)
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
     speed, axis, highest = _along_jet(result)
     speed = PM_UNIT.to(unit, speed)
@@ -254,7 +216,7 @@ def plot_significance(
         (axis, style.BLUE, 1.6, "at zero transverse speed"),
     ):
         ax.plot(speed, line, color=color, linewidth=width, label=label)
-    _mark_significance(ax, result, components, unit)
+    _mark_significance(ax, result, components, kinds, unit)
     ax.set_xlim(speed[0], speed[-1])
     top = max(np.nanmax(highest, initial=1.0), *components["z_score"], 1.0)
     ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
@@ -270,11 +232,7 @@ def plot_significance(
     return figure
 
 
-def plot_map_and_significance(
-    result: SCCResult, *, figure: Figure | None = None,
-    components: QTable | None = None, unit: u.UnitBase | str | None = None,
-    beta_per_pm: float | None = None,
-) -> Figure:  # fmt: skip
+def plot_map_and_significance(result, *, figure=None, beta_per_pm=None, **shared):
     """
     Draw the velocity map over its significance along the jet.
 
@@ -298,20 +256,9 @@ def plot_map_and_significance(
     ValueError
         If the unit is not that of a proper motion, or ``beta_per_pm`` is not
         positive.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.visualization import plot_map_and_significance
-    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
-    >>> figure = plot_map_and_significance(result)
     """
     figure = style.new_figure((style.WIDTH, 8.0)) if figure is None else figure
     upper, lower = figure.subplots(2, 1, height_ratios=(2.0, 1.0))
-    shared = {"components": components, "unit": unit}
     plot_velocity_map(result, ax=upper, beta_per_pm=beta_per_pm, **shared)
     plot_significance(result, ax=lower, **shared)
     return figure
@@ -337,12 +284,12 @@ def _along_jet(result):
     return speed, rows[middle], np.fmax.reduce(rows)
 
 
-def _mark_significance(ax, result, components, unit):
+def _mark_significance(ax, result, components, kinds, unit):
     names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
     speeds = np.stack([components[name].to_value(unit) for name in names], axis=-1)
     least = PM_UNIT.to(unit, max(result.grid.step))
     for row, kind, (along, error, across, across_error) in zip(
-        components, style.component_kinds(components), speeds, strict=True
+        components, kinds, speeds, strict=True
     ):
         strong = not kind.startswith("not")
         on_axis = abs(across) <= 3 * max(across_error, least)

@@ -4,7 +4,6 @@ import matplotlib.pyplot as plt
 
 from astro_scc.epochs import Beam
 from astro_scc.simulation import simulate_two_fluid
-from astro_scc.visualization import plot_epoch
 
 beams = [
     Beam(size * u.mas, 0.5 * u.mas, angle * u.deg)
@@ -16,6 +15,6 @@ figure, axes = plt.subplots(2, 2, figsize=(6, 3.6), layout="constrained")
 names = "each with its own beam", "the smallest common one"
 for column, images, name in zip(axes.T, (cube, smooth), names):
     for i, ax in enumerate(column):
-        plot_epoch(images, i, ax=ax)
+        images.plot(i, ax=ax)
         ax.set_title(name if i == 0 else "", fontsize="small")
         ax.set(xlabel="Relative R.A. (mas)", ylabel="Relative Decl. (mas)")

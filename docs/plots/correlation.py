@@ -2,7 +2,8 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from astro_scc.correlation import Correlator, correlate_windows
+from astro_scc.correlation import Correlator
+from astro_scc.correlation.zncc import correlate_windows
 from astro_scc.decomposition import Decomposer
 from astro_scc.simulation import simulate_two_fluid
 

@@ -2,12 +2,11 @@
 import matplotlib.pyplot as plt
 
 from astro_scc.simulation import simulate_random_velocity, simulate_two_fluid
-from astro_scc.visualization import plot_epoch
 
 figure, axes = plt.subplots(2, 1, figsize=(6, 5), layout="constrained")
 for ax, simulate in zip(axes, (simulate_two_fluid, simulate_random_velocity)):
     jet = simulate(n_epochs=2, rng=1)
-    plot_epoch(jet.cube, 0, ax=ax)
+    jet.cube.plot(0, ax=ax)
     first = jet.truth[(jet.truth["epoch"] == 0) & jet.truth["visible"]]
     fast = first["group"] == "fast"
     for part, color in ((~fast, "white"), (fast, "#E69F00")):

@@ -2,7 +2,6 @@
 import matplotlib.pyplot as plt
 
 from astro_scc.simulation import simulate_jet
-from astro_scc.visualization import plot_epoch
 
 jet = simulate_jet(n_epochs=4, rng=4, standing=1)
 cubes = {
@@ -14,5 +13,5 @@ cubes = {
 figure, axes = plt.subplots(2, 2, figsize=(8, 4.4), layout="constrained")
 for line, (name, cube) in zip(axes, cubes.items()):
     for ax, i in zip(line, (0, 3)):
-        plot_epoch(cube, i, ax=ax)
+        cube.plot(i, ax=ax)
         ax.set_title(f"{name}, {cube.labels[i]}", fontsize="small")

@@ -13,13 +13,14 @@ from regions import Regions
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import main
-from astro_scc.cli.measure import PRODUCTS, STALE
+from astro_scc.cli.measure import STALE
 from astro_scc.epochs import Beam
+from astro_scc.report.page import PRODUCTS
 from astro_scc.simulation import simulate_jet, write_simulation
 
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
 #: What a measurement without a report writes.
-WITHOUT_REPORT = [*PRODUCTS[: PRODUCTS.index("report.html")], "publication"]
+WITHOUT_REPORT = list(PRODUCTS)
 TABLES = [
     f"{name}.ecsv" for name in "components features positions sensitivity ssps".split()
 ]
@@ -160,7 +161,7 @@ def test_a_distance_in_the_file_gives_way_to_a_redshift(jet, astro_scc, here):
         "--config", "jet.toml", "--redshift", "0.1", "--cosmology", "Planck18",
     )  # fmt: skip
     assert status == 0
-    assert out.startswith("No motion found: no pattern has a match")
+    assert out.startswith("No motion found: no pattern has a match in another epoch")
     assert "speeds in c: redshift 0.1, Planck18, FlatLambdaCDM with H0 = 67.66" in out
     table = QTable.read(here / "out" / "components.ecsv")
     assert len(table) == 0

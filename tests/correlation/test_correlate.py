@@ -9,15 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from astro_scc.correlation import (
-    Correlator,
-    Matches,
-    all_pairs,
-    zncc,
-)
+from astro_scc.correlation import Correlator, Matches, all_pairs
 from astro_scc.correlation.correlate import match_block
 from astro_scc.correlation.parallel import in_order
-from astro_scc.correlation.zncc import find_peaks
+from astro_scc.correlation.zncc import find_peaks, zncc
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.simulation import simulate_two_fluid
 

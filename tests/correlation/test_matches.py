@@ -5,8 +5,10 @@ from astropy.table import Table
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.correlation import Correlator, Matches, all_pairs, target_ssps
-from astro_scc.decomposition import Decomposer, SSPs, scale_size
+from astro_scc.correlation import Correlator, Matches, all_pairs
+from astro_scc.correlation.matches import target_ssps
+from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.simulation import simulate_two_fluid
 
 

@@ -5,8 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from astro_scc.correlation import correlate_windows, zncc
-from astro_scc.correlation.zncc import Template, find_peaks
+from astro_scc.correlation.zncc import Template, correlate_windows, find_peaks, zncc
 
 
 def double_loop(values, footprint, window, reach, valid=None, min_overlap=0.8):

@@ -7,14 +7,9 @@ from astropy.io import fits
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.decomposition import (
-    Decomposer,
-    SSPs,
-    plane_noise,
-    propagated_noise,
-    wavelet_planes,
-)
-from astro_scc.decomposition.noise import local_noise
+from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.decomposition.noise import local_noise, plane_noise, propagated_noise
+from astro_scc.decomposition.wavelet import wavelet_planes
 
 
 def scene(seed=0, shape=(64, 96), n=6, noise=0.005):

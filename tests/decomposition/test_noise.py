@@ -3,13 +3,9 @@ import astropy.units as u
 import numpy as np
 import pytest
 
-from astro_scc.decomposition import (
-    Decomposer,
-    plane_noise,
-    propagated_noise,
-    wavelet_planes,
-)
-from astro_scc.decomposition.noise import local_noise
+from astro_scc.decomposition import Decomposer
+from astro_scc.decomposition.noise import local_noise, plane_noise, propagated_noise
+from astro_scc.decomposition.wavelet import wavelet_planes
 from astro_scc.epochs import Beam
 from astro_scc.epochs.restoring import correlated_noise
 from astro_scc.simulation import simulate_two_fluid

@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from astro_scc.decomposition import SSPs, find_ssps
-from astro_scc.decomposition.segmentation import quadratic_peak
+from astro_scc.decomposition import SSPs
+from astro_scc.decomposition.segmentation import find_ssps, quadratic_peak
 
 NY, NX = 48, 64
 

@@ -4,8 +4,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.decomposition import Decomposer, scale_size, wavelet_planes
-from astro_scc.decomposition.wavelet import KERNELS, atrous_transform
+from astro_scc.decomposition import Decomposer
+from astro_scc.decomposition.wavelet import (
+    KERNELS,
+    atrous_transform,
+    scale_size,
+    wavelet_planes,
+)
 
 
 def mirrored(index, n):

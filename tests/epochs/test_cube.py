@@ -14,9 +14,9 @@ from astropy.wcs import WCS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.epochs import Beam, EpochCube, measure_noise
+from astro_scc.epochs import Beam, EpochCube
 from astro_scc.epochs.fits import find_files, looks_like_mask
-from astro_scc.epochs.inspection import find_odd, find_same_dates
+from astro_scc.epochs.inspection import find_odd, find_same_dates, measure_noise
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.exceptions import EpochWarning
 

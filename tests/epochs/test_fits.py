@@ -12,8 +12,8 @@ from astropy.nddata import CCDData
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from astro_scc.epochs import EpochCube, read_vlbi_fits
-from astro_scc.epochs.fits import read_plane
+from astro_scc.epochs import EpochCube
+from astro_scc.epochs.fits import read_plane, read_vlbi_fits
 from astro_scc.exceptions import EpochWarning
 
 PIXELS = np.random.default_rng(1).normal(size=(1, 1, 16, 32))

@@ -9,7 +9,7 @@ import pytest
 from astropy.table import QTable
 from astropy.wcs import WCS
 
-from astro_scc.decomposition import scale_size
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.epochs.positions import (
     axis_words,

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from astro_scc.features import Detections
+from astro_scc.features.detections import Detections
 
 #: Covariance of a round beam of 1 mas.
 ROUND = np.eye(2) / (8 * np.log(2))

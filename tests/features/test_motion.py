@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astro_scc.features import Motion, fit_motion
-from astro_scc.features.motion import PRIOR_FREEDOM, SCATTER, WANDER
+from astro_scc.features.motion import PRIOR_FREEDOM, SCATTER, WANDER, Motion, fit_motion
 
 TIME = 2000 + np.array([0.0, 0.7, 1.5, 3.0, 3.4, 5.1, 6.0, 7.7])
 ERROR = np.full((8, 2), 0.01)

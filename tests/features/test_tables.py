@@ -10,8 +10,9 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.epochs import EpochCube
-from astro_scc.features import Features, Track
+from astro_scc.features import Features
 from astro_scc.features.tables import COLUMNS, POSITIONS, feature_table, flux_unit
+from astro_scc.features.tracks import Track
 
 N = 8
 

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.features import TrackSettings, find_tracks
+from astro_scc.features import TrackSettings
+from astro_scc.features.tracks import find_tracks
 
 #: Turns and mirrors of the sky.
 TURNS = {

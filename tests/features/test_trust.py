@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astro_scc.features import Track, fit_motion
+from astro_scc.features.motion import fit_motion
+from astro_scc.features.tracks import Track
 from astro_scc.features.trust import (
     COEFFICIENTS,
     CONSTANT,

@@ -9,8 +9,7 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.flow import feature_profile
 from astro_scc.measurement.axes import projection_of
 from astro_scc.simulation import simulate_jet, simulate_static
-from astro_scc.stacking import random_effects
-from astro_scc.stacking.dispersion import feature_speeds
+from astro_scc.stacking.dispersion import feature_speeds, random_effects
 
 
 @pytest.fixture(scope="module")

@@ -7,16 +7,11 @@ import pytest
 from astropy.table import QTable
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.flow import (
-    Profile,
-    measure_acceleration,
-    measure_profile,
-    write_profile,
-)
-from astro_scc.flow.profile import bins_of
+from astro_scc.flow import Profile, measure_acceleration, measure_profile
+from astro_scc.flow.profile import bins_of, write_profile
 from astro_scc.kinematics import RidgeLine, paper_cosmology
-from astro_scc.measurement import component_table, select_ssps
-from astro_scc.measurement.plan import ssp_distances
+from astro_scc.measurement.plan import select_ssps, ssp_distances
+from astro_scc.measurement.tables import component_table
 from astro_scc.simulation import simulate_jet
 from astro_scc.visualization.profiles import (
     plot_position_angles,

@@ -8,13 +8,9 @@ from astropy.time import Time
 from scipy import ndimage
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.decomposition import (
-    Decomposer,
-    plane_noise,
-    propagated_noise,
-    wavelet_planes,
-)
-from astro_scc.decomposition.noise import shared_variance
+from astro_scc.decomposition import Decomposer
+from astro_scc.decomposition.noise import plane_noise, propagated_noise, shared_variance
+from astro_scc.decomposition.wavelet import wavelet_planes
 from astro_scc.epochs import Beam, read_components, restore
 from astro_scc.epochs.restoring import correlated_noise
 from astro_scc.exceptions import MeasurementWarning

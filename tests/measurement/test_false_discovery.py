@@ -7,7 +7,8 @@ from astropy.table import QTable
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.measurement import component_table, false_discovery_rate
+from astro_scc.measurement import false_discovery_rate
+from astro_scc.measurement.tables import component_table
 
 
 def table(p, **columns):

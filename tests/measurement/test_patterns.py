@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from regions import Regions
 
 from astro_scc import EpochCube
-from astro_scc.decomposition import SSPs, scale_size
+from astro_scc.decomposition import SSPs
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.measurement import (
     ssp_regions,
     ssp_segmentation,

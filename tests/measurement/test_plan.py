@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc import Beam, EpochCube
-from astro_scc.decomposition import Decomposer, scale_size
+from astro_scc.decomposition import Decomposer
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.decomposing import centroids_inside, decompose_epochs
 from astro_scc.measurement.plan import (
@@ -25,7 +26,7 @@ from astro_scc.measurement.plan import (
     search_radius,
     search_reach,
 )
-from astro_scc.stacking import consecutive_pairs
+from astro_scc.stacking.velocities import consecutive_pairs
 
 YEAR = 365.25
 PIXEL = 0.1 * u.mas

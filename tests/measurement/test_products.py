@@ -17,8 +17,8 @@ from astropy.wcs import WCS
 from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics.cosmology import to_cosmology
-from astro_scc.measurement import product_folder, products, write_products
-from astro_scc.measurement.products import velocity_hdus
+from astro_scc.measurement import products, write_products
+from astro_scc.measurement.products import product_folder, velocity_hdus
 from astro_scc.simulation import simulate_two_fluid
 from astro_scc.writing import _machine
 

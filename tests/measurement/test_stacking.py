@@ -13,7 +13,7 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.stacking import _warn_of_limits
 from astro_scc.simulation import simulate_static, simulate_unrelated
-from astro_scc.stacking import baseline_pairs, consecutive_pairs
+from astro_scc.stacking.velocities import baseline_pairs, consecutive_pairs
 
 PM = u.mas / u.yr
 #: Speed of the features of the jet, 0.6 beam of 1 mas in 30 days.

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.stacking import Feature, Stream
 from astro_scc.stacking.dispersion import Population
 from astro_scc.stacking.errors import StreamVelocity, velocity_of
+from astro_scc.stacking.features import Feature
+from astro_scc.stacking.significance import Stream
 
 DAYS, PIXEL = 30.0, 0.1
 

@@ -11,7 +11,8 @@ from astropy.table import MaskedColumn, QTable
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
-from astro_scc.measurement import component_table, write_votable
+from astro_scc.measurement import write_votable
+from astro_scc.measurement.tables import component_table
 
 
 def test_components_and_ssps(sky_result, tmp_path):

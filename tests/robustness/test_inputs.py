@@ -11,7 +11,8 @@ import sys
 import pytest
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.epochs import EpochCube, read_components, read_vlbi_fits
+from astro_scc.epochs import EpochCube, read_components
+from astro_scc.epochs.fits import read_vlbi_fits
 
 
 @pytest.mark.slow

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from astro_scc.cli import main
-from astro_scc.cli.measure import PRODUCTS
+from astro_scc.report.page import PRODUCTS
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "fork"), reason="the system has no processes of this kind"
 )
-TABLES = PRODUCTS[: PRODUCTS.index("report.html")]
+TABLES = [name for name in PRODUCTS if name != "publication"]
 
 
 def start(argv, log):

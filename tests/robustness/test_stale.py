@@ -184,7 +184,7 @@ def test_a_finished_source_of_more_files(survey, inputs, tmp_path):
 
 
 def test_a_finished_source_of_other_versions(survey, monkeypatch):
-    from astro_scc.measurement import versions
+    from astro_scc.measurement.tables import versions
 
     now = versions()
     monkeypatch.setattr(

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from astro_scc.stacking import VelocitySamples
+from astro_scc.stacking.velocities import VelocitySamples
 
 
 def random_displacements(rng, n_epochs=4, n=60, *, reach=3.0, s1=(0.2, 0.6), s2=None):

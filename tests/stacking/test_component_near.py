@@ -6,8 +6,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from astro_scc.stacking import VelocityGrid, find_velocity_peaks
-from astro_scc.stacking.stack import velocity_peak_near
+from astro_scc.stacking.stack import find_velocity_peaks, velocity_peak_near
+from astro_scc.stacking.velocities import VelocityGrid
 
 GRID = VelocityGrid.covering((8.0, 6.0), (0.25, 0.2))
 BOX = (4.0, 2.0)

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.stacking import VelocityGrid, find_velocity_peaks
-from astro_scc.stacking.stack import fit_gaussian
+from astro_scc.stacking.stack import find_velocity_peaks, fit_gaussian
+from astro_scc.stacking.velocities import VelocityGrid
 
 GRID = VelocityGrid.covering((10.0, 8.0), (0.5, 0.4))
 BOX = (6.0, 6.0)

@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from astro_scc.stacking import VelocityGrid, find_velocity_peaks
-from astro_scc.stacking.stack import velocity_peak_near
+from astro_scc.stacking.stack import find_velocity_peaks, velocity_peak_near
+from astro_scc.stacking.velocities import VelocityGrid
 
 
 @pytest.mark.parametrize("height", [0.0, -1.0])

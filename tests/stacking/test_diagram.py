@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.stacking import EpochPermutations, Rays, SearchSettings, VelocitySamples
-from astro_scc.stacking.diagram import Diagram, IntervalBins, PairDensity
-from astro_scc.stacking.permutations import number_of_permutations
+from astro_scc.stacking import SearchSettings
+from astro_scc.stacking.diagram import Diagram, IntervalBins, PairDensity, Rays
+from astro_scc.stacking.permutations import EpochPermutations, number_of_permutations
+from astro_scc.stacking.velocities import VelocitySamples
 
 SEARCH = SearchSettings()
 YEARS = np.array([2000.0, 2000.4, 2001.3, 2001.9, 2003.2])

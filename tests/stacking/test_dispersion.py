@@ -8,9 +8,15 @@ from hypothesis import strategies as st
 from scipy.integrate import dblquad
 from scipy.stats import norm
 
-from astro_scc.stacking import Feature, SearchSettings, Stream, random_effects
-from astro_scc.stacking.dispersion import feature_speeds, separate_streams
+from astro_scc.stacking import SearchSettings
+from astro_scc.stacking.dispersion import (
+    feature_speeds,
+    random_effects,
+    separate_streams,
+)
 from astro_scc.stacking.errors import alignment_response
+from astro_scc.stacking.features import Feature
+from astro_scc.stacking.significance import Stream
 
 SEARCH = SearchSettings()
 

@@ -9,9 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.stacking import Feature, Rays, SearchSettings, find_streams
+from astro_scc.stacking import SearchSettings, find_streams
+from astro_scc.stacking.diagram import Rays
 from astro_scc.stacking.dispersion import feature_speeds, separate_streams
 from astro_scc.stacking.features import (
+    Feature,
     _on_line,
     clear_of,
     find_features,

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.stacking import VelocityGrid
+from astro_scc.stacking.velocities import VelocityGrid
 
 speed = st.floats(0.01, 100.0)
 

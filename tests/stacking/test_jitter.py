@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astro_scc.stacking import VelocityPeak, consecutive_pairs
 from astro_scc.stacking.errors import jitter_positions
+from astro_scc.stacking.stack import VelocityPeak
+from astro_scc.stacking.velocities import consecutive_pairs
 
 PAIRS = consecutive_pairs([0.0, 0.5])
 HALF_YEAR = 0.5
@@ -83,7 +84,7 @@ def test_errors_scale_with_the_axes_and_the_interval(clump):
 def chains(n, n_epochs):
     """SSPs that are matched from epoch to epoch, all at one velocity."""
     feature, epoch = np.mgrid[:n, : n_epochs - 1].reshape(2, -1)
-    from astro_scc.stacking import VelocitySamples
+    from astro_scc.stacking.velocities import VelocitySamples
 
     one = np.ones(feature.size)
     return VelocitySamples(

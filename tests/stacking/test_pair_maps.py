@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.stacking import (
+from astro_scc.stacking.pair_maps import PairMaps
+from astro_scc.stacking.permutations import random_permutations
+from astro_scc.stacking.stack import stack
+from astro_scc.stacking.velocities import (
     VelocityGrid,
     baseline_pairs,
     consecutive_pairs,
-    stack,
 )
-from astro_scc.stacking.pair_maps import PairMaps
-from astro_scc.stacking.permutations import random_permutations
 
 pair_maps = sys.modules[PairMaps.__module__]
 GRID = VelocityGrid.covering((4.0, 3.0), (0.25, 0.3))

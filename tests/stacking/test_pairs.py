@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.stacking import baseline_pairs, consecutive_pairs
+from astro_scc.stacking.velocities import baseline_pairs, consecutive_pairs
 
 dates = st.lists(
     st.integers(0, 4000).map(lambda day: day / 365.25), min_size=1, max_size=12

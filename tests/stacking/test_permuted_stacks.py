@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare
 
-from astro_scc.stacking import VelocityGrid, consecutive_pairs, stack
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.permutations import permute_stacks, random_permutations
+from astro_scc.stacking.stack import stack
+from astro_scc.stacking.velocities import VelocityGrid, consecutive_pairs
 
 GRID = VelocityGrid.covering((4.0, 3.0), (0.25, 0.3))
 YEARS = [0.0, 0.4, 1.2, 1.5, 2.6]

@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.stacking import (
-    EpochPermutations,
-    Feature,
-    Rays,
-    SearchSettings,
-    find_streams,
+from astro_scc.stacking import SearchSettings, find_streams
+from astro_scc.stacking.diagram import Diagram, Rays
+from astro_scc.stacking.dispersion import (
+    Population,
+    feature_speeds,
     random_effects,
+    separate_streams,
 )
-from astro_scc.stacking.diagram import Diagram
-from astro_scc.stacking.dispersion import Population, feature_speeds, separate_streams
+from astro_scc.stacking.features import Feature
+from astro_scc.stacking.permutations import EpochPermutations
 from astro_scc.stacking.significance import classify
 
 SEARCH = SearchSettings()

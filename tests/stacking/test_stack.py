@@ -9,14 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.stacking import (
+from astro_scc.stacking.stack import (
+    gaussian_sum,
+    number_of_ssps,
+    sample_velocities,
+    stack,
+)
+from astro_scc.stacking.velocities import (
     VelocityGrid,
     VelocitySamples,
     baseline_pairs,
     consecutive_pairs,
-    stack,
 )
-from astro_scc.stacking.stack import gaussian_sum, number_of_ssps, sample_velocities
 
 GRID = VelocityGrid.covering((4.0, 3.0), (0.5, 0.6))
 

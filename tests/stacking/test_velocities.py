@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.stacking import (
+from astro_scc.stacking.velocities import (
     VelocitySamples,
     baseline_pairs,
     consecutive_pairs,

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from astro_scc.tracking import assign
+from astro_scc.tracking.linking import assign
 
 
 def best_total(row, column, weight):

@@ -10,8 +10,8 @@ import pytest
 from astro_scc import Beam
 from astro_scc.correlation import Matches
 from astro_scc.simulation import simulate_static
-from astro_scc.tracking import candidates, find_candidates
-from astro_scc.tracking.candidates import core_ssps
+from astro_scc.tracking import candidates
+from astro_scc.tracking.candidates import core_ssps, find_candidates
 
 
 def random_matches(rng, ssps, n):

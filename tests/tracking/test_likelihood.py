@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from astro_scc.tracking import Candidates, LinkLikelihood
-from astro_scc.tracking.likelihood import chance_density, coarser_ssps
+from astro_scc.tracking.candidates import Candidates
+from astro_scc.tracking.likelihood import LinkLikelihood, chance_density, coarser_ssps
 
 
 def candidates_of(ssps, pairs, coefficient=1.0):

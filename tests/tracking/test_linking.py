@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.tracking import Candidates, LinkLikelihood, Links, link
-from astro_scc.tracking.candidates import equal_pairs
-from astro_scc.tracking.linking import chains, path_gains
+from astro_scc.tracking.candidates import Candidates, equal_pairs
+from astro_scc.tracking.likelihood import LinkLikelihood
+from astro_scc.tracking.linking import Links, chains, link, path_gains
 
 
 def everything(ssps, *, most=20.0, max_gap=1):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from astro_scc.visualization import plot_diagram
+from astro_scc.visualization.diagram import plot_diagram
 
 
 def parts(figure, gid):

@@ -18,7 +18,7 @@ from astro_scc import Beam, EpochCube, StackedCrossCorrelation
 from astro_scc.epochs import read_components, restore
 from astro_scc.measurement.products import velocity_hdus
 from astro_scc.simulation import simulate_two_fluid
-from astro_scc.stacking import random_effects
+from astro_scc.stacking.dispersion import random_effects
 from astro_scc.visualization import drawing, explore
 
 pytest.importorskip("bokeh", reason="bokeh is in the extra explore")

@@ -8,12 +8,9 @@ from matplotlib.colors import to_hex
 
 from astro_scc.flow import feature_profile
 from astro_scc.units import PM_UNIT
-from astro_scc.visualization import (
-    plot_feature_speeds,
-    plot_separation,
-    plot_tracks,
-    style,
-)
+from astro_scc.visualization import style
+from astro_scc.visualization.features import plot_feature_speeds
+from astro_scc.visualization.tracks import plot_separation, plot_tracks
 
 
 def labels_of(ax):

@@ -10,19 +10,16 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from astro_scc import visualization
+from astro_scc.visualization.results import FIGURES
 
-OF_RESULTS = (
-    visualization.plot_velocity_map,
-    visualization.plot_significance,
-    visualization.plot_map_and_significance,
-    visualization.plot_members,
-)
-OF_CUBES = (
-    lambda result, **kw: visualization.plot_epoch(result.cube, 0, result.ssps, **kw),
-    lambda result, **kw: visualization.plot_epochs(result.cube[:3], result.ssps, **kw),
-    lambda result, **kw: visualization.plot_intervals(result.cube, result.pairs, **kw),
-)
+OF_RESULTS = [
+    FIGURES[kind] for kind in ("velocity_map", "significance", "paper", "members")
+]
+OF_CUBES = [
+    lambda result, **kw: result.cube.plot(0, result.ssps, **kw),
+    lambda result, **kw: result.cube[:3].plot(ssps=result.ssps, **kw),
+    FIGURES["intervals"],
+]
 
 
 def draw(figure):
@@ -82,6 +79,22 @@ def test_figures_draw_on_a_figure_that_is_given(plot, result):
     figure = Figure()
     assert plot(result, figure=figure) is figure
     assert figure.axes
+
+
+@pytest.mark.parametrize("kind", ["diagram", "speeds", "separation"])
+def test_kinds_of_figures_of_a_result(kind, result):
+    assert result.plot(kind).axes[0].get_ylabel()
+
+
+def test_figures_of_features_have_the_colours_of_their_streams(result):
+    streams = {f"stream {k}" for k in result.features["component"] if k}
+    legend = result.plot("tracks").axes[0].get_legend()
+    assert streams <= {text.get_text() for text in legend.get_texts()}
+
+
+def test_unknown_figures_are_refused_with_those_there_are(result):
+    with pytest.raises(ValueError, match="unknown figure 'map': use one of velocity"):
+        result.plot("map")
 
 
 @pytest.mark.slow

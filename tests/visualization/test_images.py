@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Affine2D
 
 from astro_scc import Beam, EpochCube
-from astro_scc.visualization import plot_epoch, plot_epochs
 from astro_scc.visualization.drawing import image_limits, ssp_points, ticks_of
+from astro_scc.visualization.epochs import plot_epoch, plot_epochs
 
 
 def image_of(figure):

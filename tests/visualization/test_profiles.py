@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from astropy.table import QTable
 
-from astro_scc.stacking import VelocityGrid
+from astro_scc.stacking.velocities import VelocityGrid
 from astro_scc.visualization.profiles import (
     plot_position_angles,
     plot_profile,

@@ -11,12 +11,9 @@ from matplotlib.figure import Figure
 from astro_scc.epochs.positions import axis_words, sky_columns
 from astro_scc.report.tables import component_tables
 from astro_scc.units import speed_unit
-from astro_scc.visualization import (
-    plot_epoch,
-    plot_epochs,
-    plot_members,
-    plot_velocity_map,
-)
+from astro_scc.visualization.epochs import plot_epoch, plot_epochs
+from astro_scc.visualization.tracks import plot_members
+from astro_scc.visualization.velocity import plot_velocity_map
 
 
 def in_frame(result, *ctype):

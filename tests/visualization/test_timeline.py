@@ -6,8 +6,8 @@ import pytest
 from astropy.time import Time
 
 from astro_scc import EpochCube
-from astro_scc.stacking import baseline_pairs
-from astro_scc.visualization import plot_intervals
+from astro_scc.stacking.velocities import baseline_pairs
+from astro_scc.visualization.epochs import plot_intervals
 
 
 def cube_of(days):

@@ -15,7 +15,9 @@ from matplotlib.figure import Figure
 from astro_scc import Beam, EpochCube
 from astro_scc.features import find_features
 from astro_scc.simulation import simulate_jet
-from astro_scc.visualization import plot_epochs, plot_separation, plot_tracks, style
+from astro_scc.visualization import style
+from astro_scc.visualization.epochs import plot_epochs
+from astro_scc.visualization.tracks import plot_separation, plot_tracks
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from astropy.table import QTable, vstack
 
-from astro_scc.visualization import (
+from astro_scc.visualization.style import component_kinds
+from astro_scc.visualization.tracks import plot_members
+from astro_scc.visualization.velocity import (
     plot_map_and_significance,
-    plot_members,
     plot_significance,
     plot_velocity_map,
 )
-from astro_scc.visualization.style import component_kinds
 
 LABELS = {
     "jet": ("Proper motion parallel to the jet", "Transverse proper motion"),
