@@ -311,13 +311,6 @@ def decimals(error):
     return max(0, 1 - math.floor(math.log10(float(f"{error:.1e}"))))
 
 
-def plain_table(columns, meta):
-    """Return columns without units as a table."""
-    from astropy.table import Table
-
-    return Table(columns, meta=meta)
-
-
 # -- checks of values ------------------------------------------------------------
 #
 # Each function takes a value from a TOML file, the command line or Python and returns
@@ -382,6 +375,16 @@ def check_choice(value, *choices):
     if not isinstance(value, str) or value not in choices:
         raise ValueError(f"must be one of {', '.join(choices)}")
     return value
+
+
+#: Estimates of the noise of wavelet planes.
+NOISES = ("plane", "local", "propagated")
+#: Checks of the settings of a correlation, and their arguments after the value.
+CORRELATION = {
+    "kappa": (check_number, 0, 1, "must be between 0 and 1"),
+    "target": (check_choice, "segments", "plane"),
+    "min_overlap": (check_number, 0, math.nextafter(1, 2), "must be above 0, up to 1"),
+}
 
 
 def check_range(value, wanted, example, least=-math.inf, ordered=operator.lt):

@@ -113,9 +113,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         for field in fields(self):
             value = require(field.name, getattr(self, field.name))
             object.__setattr__(self, field.name, value)
-        # These two check their own settings when they are made.
+        # It checks which of its settings go together.
         self._decomposer(self.scales if isinstance(self.scales, tuple) else (1,))
-        self._correlator()
 
     def __eq__(self, other: object) -> bool:
         """Return whether all settings are equal, quantities in any unit."""
@@ -153,11 +152,6 @@ class StackedCrossCorrelation(MeasurementSettings):
             detection=self.detection,
             segmentation=self.segmentation,
             noise=self.noise,
-        )
-
-    def _correlator(self):
-        return Correlator(
-            kappa=self.kappa, target=self.target, min_overlap=self.min_overlap
         )
 
     def scale_numbers(self, cube: EpochCube) -> tuple[float, ...]:
@@ -328,14 +322,11 @@ class StackedCrossCorrelation(MeasurementSettings):
         reach = self.reach(cube)
         inside = None if region is None else cube.region_mask(region)
         decomposer = self.decomposer(cube)
-        correlator = self._correlator()
+        correlator = Correlator(self.kappa, self.target, self.min_overlap)
         provenance = match_files.match_provenance(
             cube, decomposer, correlator, reach, inside
         )
-        matched = None
-        if cache is not None:
-            cache = match_files.cache_file(cache, provenance)
-            matched = match_files.kept_matches(cache, cube, provenance)
+        cache, matched = match_files.kept_matches(cache, cube, provenance)
         if matched is None:
             with workers_of(n_workers) as workers:
                 decompositions = decomposing.decompose_epochs(

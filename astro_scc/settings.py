@@ -136,16 +136,21 @@ class MeasurementSettings:
         BEAMS, "smallest error of a displacement, in beams; default 0.2", "0.2", 0.2
     )
     kappa: float = _stack(
-        POSITIVE, "smallest correlation of a match; default 0.6", "0.6", 0.6
+        q.CORRELATION["kappa"],
+        "smallest correlation of a match; default 0.6",
+        "0.6",
+        0.6,
     )
     target: str = _stack(
-        (q.check_choice, "segments", "plane"),
+        q.CORRELATION["target"],
         "what a pattern is correlated with: the patterns of the other epoch or its "
         'whole "plane"',
         default="segments",
     )
     min_overlap: float = _stack(
-        POSITIVE, "part of a pattern that must lie on good pixels", default=0.8
+        q.CORRELATION["min_overlap"],
+        "part of a pattern that must lie on good pixels",
+        default=0.8,
     )
     wavelet: str = _measure(
         (q.check_choice, "b1", "b3"), 'low-pass filter, or "b3"', default="b1"
@@ -157,7 +162,7 @@ class MeasurementSettings:
         POSITIVE, "threshold of the pixels of patterns, in sigma", default=3.0
     )
     noise: str = _measure(
-        (q.check_choice, "plane", "local", "propagated"),
+        (q.check_choice, *q.NOISES),
         'estimate of the noise of wavelet planes, or "local", "propagated"',
         default="plane",
     )

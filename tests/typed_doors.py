@@ -74,7 +74,7 @@ def configure(path: Path) -> str:
     return chosen.to_toml("measure", versions=versions)
 
 
-def decompose_and_correlate(image: np.ndarray) -> Table:
+def decompose_and_correlate(image: np.ndarray) -> correlation.Matches:
     decomposer = decomposition.Decomposer(scales=[1, 2])
     decomposer(image, beam=2.0)  # type: ignore[call-arg]
     ssps = decomposer(image).ssps
@@ -83,7 +83,7 @@ def decompose_and_correlate(image: np.ndarray) -> Table:
     both = [decomposer(image), decomposer(image)]
     matches = correlation.Correlator(kappa=0.6)(both, correlation.all_pairs(2), 5)
     correlation.Correlator(kappa="0.6")  # type: ignore[arg-type]
-    return matches.to_table()
+    return matches.of_ssps(np.arange(3) > 0)
 
 
 def stack(samples: VelocitySamples) -> list[paper.VelocityPeak]:

@@ -16,6 +16,7 @@ from astro_scc.correlation.parallel import in_order
 from astro_scc.correlation.targets import BATCH, PairBlock, Patterns, TargetStack
 from astro_scc.correlation.zncc import fft_shape, find_peaks
 from astro_scc.decomposition.decompose import Decomposition
+from astro_scc.quantities import CORRELATION, named
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -88,16 +89,9 @@ class Correlator:
     min_overlap: float = 0.8
 
     def __post_init__(self):
-        if not 0 < self.kappa < 1:
-            raise ValueError(f"kappa must be between 0 and 1, got {self.kappa}")
-        if self.target not in ("segments", "plane"):
-            raise ValueError(
-                f"unknown target {self.target!r}: use 'segments' or 'plane'"
-            )
-        if not 0 < self.min_overlap <= 1:
-            raise ValueError(
-                f"min_overlap must be above 0 and at most 1, got {self.min_overlap}"
-            )
+        for name, (check, *limits) in CORRELATION.items():
+            value = named(name, check, getattr(self, name), *limits)
+            object.__setattr__(self, name, value)
 
     def __call__(
         self, decompositions: Sequence[Decomposition], pairs: ArrayLike,
@@ -242,9 +236,7 @@ def _checked(decompositions, pairs, search_radius):
     given = (search_radius,) * 2 if np.isscalar(search_radius) else search_radius
     both = tuple(int(r) for r in given)
     if len(both) != 2 or min(both) < 0:
-        raise ValueError(
-            f"the search radius must be one or two numbers of pixels, got {both}"
-        )
+        raise ValueError(f"search radius must be one or two numbers, got {both}")
     return pairs, both
 
 

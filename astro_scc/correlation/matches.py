@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,10 +12,6 @@ from scipy.spatial import cKDTree
 
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.quantities import plain_table
-
-if TYPE_CHECKING:
-    from astropy.table import Table
 
 COLUMNS = {
     "ssp": np.int32,
@@ -157,49 +152,6 @@ class Matches:
         `~astro_scc.correlation.Matches`
         """
         return self.select(np.asarray(chosen, dtype=bool)[self.ssp])
-
-    def to_table(self) -> Table:
-        """
-        Return the matches as an `~astropy.table.Table` in pixels.
-
-        It has one row per peak, and its meta has the pairs, search radius and kappa.
-
-        Returns
-        -------
-        `~astropy.table.Table`
-        """
-        meta = {
-            "pairs": self.pairs.tolist(),
-            "search_radius": list(self.search_radius),
-            "kappa": self.kappa,
-        }
-        return plain_table({name: getattr(self, name) for name in COLUMNS}, meta)
-
-    @classmethod
-    def from_table(cls, table: Table) -> Matches:
-        """
-        Return the matches in a table of `to_table`.
-
-        Parameters
-        ----------
-        table : `~astropy.table.Table`
-
-        Returns
-        -------
-        `~astro_scc.correlation.Matches`
-
-        Raises
-        ------
-        ValueError
-            If a column or an entry of the meta is missing.
-        """
-        facts = ("pairs", "search_radius", "kappa")
-        missing = [name for name in COLUMNS if name not in table.colnames]
-        missing += [name for name in facts if name not in table.meta]
-        if missing:
-            raise ValueError(f"not a table of matches: {', '.join(missing)} missing")
-        columns = tuple(np.asarray(table[name]) for name in COLUMNS)
-        return cls.from_columns([columns], *(table.meta[name] for name in facts))
 
     def same_as(self, other: Matches) -> bool:
         """

@@ -232,9 +232,7 @@ def correlate_windows(
         raise ValueError("the footprint must have the pattern's shape and some pixels")
     search_radius = tuple(int(r) for r in search_radius)
     if len(search_radius) != 2 or min(search_radius) < 0:
-        raise ValueError(
-            f"the search radius must be two numbers of pixels, got {search_radius}"
-        )
+        raise ValueError(f"search radius must be two numbers, got {search_radius}")
     template = Template(values, footprint, search_radius)
     if windows.shape[-2:] != template.window_shape:
         raise ValueError(

@@ -17,6 +17,7 @@ from astro_scc.decomposition.noise import (
 )
 from astro_scc.decomposition.segmentation import SSPs, check_thresholds, find_ssps
 from astro_scc.decomposition.wavelet import missing_pixels, scale_kernel, wavelet_planes
+from astro_scc.quantities import NOISES, check_choice, named
 
 #: Relative rounding error of single precision, below which nothing is significant.
 ROUNDING = 1e-7
@@ -160,10 +161,7 @@ class Decomposer:
         check_thresholds(self.detection, self.segmentation)
         for scale in scales:
             scale_kernel(scale, self.kernel)
-        if self.noise not in ("plane", "local", "propagated"):
-            raise ValueError(
-                f"unknown noise {self.noise!r}: use 'plane', 'local' or 'propagated'"
-            )
+        named("noise", check_choice, self.noise, *NOISES)
         object.__setattr__(self, "scales", scales)
         if self.noise_factors is not None:
             factors = tuple(float(factor) for factor in self.noise_factors)
@@ -259,9 +257,7 @@ class Decomposer:
     def _noise(self, planes, missing, rms, beam_covariance):
         if self.noise == "propagated":
             if rms is None or not 0 < rms < np.inf:
-                raise ValueError(
-                    f"noise 'propagated' needs the rms of the image, got {rms}"
-                )
+                raise ValueError(f"'propagated' needs the rms of the image, got {rms}")
             return propagated_noise(
                 rms, self.scales, beam_covariance=beam_covariance, kernel=self.kernel
             )

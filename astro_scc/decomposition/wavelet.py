@@ -40,9 +40,7 @@ def scale_size(scale: float) -> float:
     (2.0, 3.0, 4.0)
     """
     if not (0 <= scale < np.inf and scale % 1 in (0, 0.5)):
-        raise ValueError(
-            f"scale {scale} is not a number of the series 0, 0.5, 1, 1.5, 2, ..."
-        )
+        raise ValueError(f"scale {scale} is not a number of the series 0, 0.5, 1, ...")
     return 2.0 ** int(scale) * (1.5 if scale % 1 else 1.0)
 
 
@@ -61,9 +59,7 @@ def scale_kernel(scale, kernel="b1"):
     if scale == level:
         return kernel, level
     if kernel != "b1":
-        raise ValueError(
-            f"intermediate scale {scale} exists between the scales of kernel 'b1' only"
-        )
+        raise ValueError(f"scale {scale} exists between those of kernel 'b1' only")
     return "b3", level
 
 

@@ -155,9 +155,7 @@ def align(
             raise ValueError("give one table, as method or as table")
         method, table = "table", method
     if not isinstance(method, str) or method not in METHODS:
-        raise ValueError(
-            f"align method {method!r} is none of {', '.join(METHODS)}, nor a file"
-        )
+        raise ValueError(f"align {method!r} is none of {', '.join(METHODS)} or a file")
     measure, known = METHODS[method]
     options = {"jet_pa": jet_pa, "reference": reference, "region": region}
     options |= {"table": table, "max_shift": max_shift}
@@ -325,9 +323,7 @@ def _reference_image(cube, reference):
         image = np.where(cube.mask[index], np.nan, cube.data[index])
         return image, cube.labels[index]
     if image.shape != cube.shape[1:]:
-        raise ValueError(
-            f"reference has shape {image.shape}, the images have {cube.shape[1:]}"
-        )
+        raise ValueError(f"reference has shape {image.shape}, epochs {cube.shape[1:]}")
     return image, "a reference image"
 
 
@@ -377,9 +373,7 @@ def _read_table(table):
     if isinstance(table, Table):
         return "table", table
     if not isinstance(table, str | os.PathLike):
-        raise TypeError(
-            f"table must be a path or an astropy Table, got {type(table).__name__}"
-        )
+        raise TypeError(f"table must be a path or a Table, got {type(table).__name__}")
     path = Path(table)
     text = path.read_text(encoding="utf-8", errors="replace")
     kind = "ascii.ecsv" if text.startswith("# %ECSV") else "ascii.csv"

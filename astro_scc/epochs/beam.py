@@ -63,13 +63,10 @@ class Beam:
     def __post_init__(self):
         major, minor = (u.Quantity(axis).to(u.mas) for axis in (self.major, self.minor))
         pa = u.Quantity(self.pa).to(u.deg)
-        if not np.all(np.isfinite([major.value, minor.value, pa.value])):
-            raise ValueError(f"a beam needs finite axes and position angle, got {self}")
-        if minor <= 0:
-            raise ValueError(f"the beam's axes must be positive, got {major} x {minor}")
-        if minor > major * (1 + 1e-9):
+        finite = np.all(np.isfinite([major.value, minor.value, pa.value]))
+        if not (finite and 0 < minor.value <= major.value * (1 + 1e-9)):
             raise ValueError(
-                f"the beam's minor axis {minor} is larger than its major axis {major}"
+                f"a beam is finite with major >= minor > 0, got {major} x {minor}, {pa}"
             )
         pa = (pa + 90 * u.deg) % (180 * u.deg) - 90 * u.deg
         vars(self).update(major=major, minor=minor, pa=pa)

@@ -89,7 +89,7 @@ def source_names(table):
     return list(dict.fromkeys(str(name).strip() for name in table[column]))
 
 
-def read_fields(path, kind, source, origin, date, opened=None):
+def read_fields(path, kind, source, origin, date=None, opened=None):
     """
     Return the fields of the `~astro_scc.epochs.ComponentList` in a file.
 
@@ -248,9 +248,7 @@ def numbers(column, unit, path, own_unit=None):
         return values
     own_unit = own_unit or column.unit
     if own_unit is None:
-        raise ValueError(
-            f"{path}: column {name!r} has no unit; give it one, such as {unit}"
-        )
+        raise ValueError(f"{path}: column {name!r} has no unit, such as {unit}")
     try:
         return values * u.Unit(own_unit).to(unit)
     except (u.UnitConversionError, TypeError, ValueError):
@@ -268,9 +266,7 @@ def _offsets(values, path):
         separation = np.where(blank, 0.0, separation)
     angle = np.radians(np.where((separation == 0) & np.isnan(angle), 0.0, angle))
     for i in np.flatnonzero(np.isnan(separation + angle)):
-        raise ValueError(
-            f"{path}, row {i + 1}: separation or position_angle is blank or not finite"
-        )
+        raise ValueError(f"{path}, row {i + 1}: separation or position_angle is blank")
     return {"east": separation * np.sin(angle), "north": separation * np.cos(angle)}
 
 

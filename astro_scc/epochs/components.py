@@ -113,9 +113,7 @@ class ComponentList:
                 values = columns["major"] if name == "minor" else default[name]
             values = u.Quantity(values).to(UNITS.get(name, u.one))
             if values.shape != (n,):
-                raise ValueError(
-                    f"components: {name} has shape {values.shape}, epoch has ({n},)"
-                )
+                raise ValueError(f"{name} has shape {values.shape}, epoch has ({n},)")
             if name in ("major", "minor", "pa"):
                 # Blank sizes mean points, and round components have no angle.
                 values[np.isnan(values)] = 0
@@ -322,10 +320,10 @@ def read_components(
         raise ValueError(f"{len(dates)} dates for {len(paths)} component files")
     dates = [d.utc.isot if isinstance(d, Time) else d and str(d) for d in dates]
     beams = as_beams(beams, len(paths)) or [None] * len(paths)
-    lists = [
-        _read_file(path, format, source, origin, date, beam)
-        for path, date, beam in zip(paths, dates, beams, strict=True)
-    ]
+    lists = []
+    for path, date, beam in zip(paths, dates, beams, strict=True):
+        kind = format or _kind_of(path)
+        lists.append(_read_file(path, kind, source, origin, beam, date=date))
     objects = sorted({part.meta["object"] for part in lists if "object" in part.meta})
     if len(objects) > 1:
         warn(
@@ -374,9 +372,8 @@ def read_sources(
     found = {}
     for name in source_names(opened[0]) or (None,):
         try:
-            fields = read_fields(path, kind, name, origin, None, opened)
-            with naming(path):
-                found[name or path.stem] = _with_beam(fields, beams)
+            own = _read_file(path, kind, name, origin, beams, opened=opened)
+            found[name or path.stem] = own
         except ValueError as error:
             reason = error
             warn(f"{error}; the source {name or path.stem} is left out")
@@ -385,17 +382,13 @@ def read_sources(
     return found
 
 
-def _read_file(path, kind, source, origin, date, beam):
-    fields = read_fields(path, kind or _kind_of(path), source, origin, date)
-    with naming(path):
-        return _with_beam(fields, beam)
-
-
-def _with_beam(fields, beam):
-    """Return components with a beam, or with that of their file."""
+def _read_file(path, kind, source, origin, beam, **how):
+    """Return the components in a file with a beam, or with that of the file."""
+    fields = read_fields(path, kind, source, origin, **how)
     own = fields["meta"].pop("beam", None)
     beams = [b for b in (beam, own) if b is not None][:1] * len(fields["times"])
-    return ComponentList(**fields, beams=beams)
+    with naming(path):
+        return ComponentList(**fields, beams=beams)
 
 
 def _kind_of(path):

@@ -219,10 +219,8 @@ def box(cube, region, pad=0):
         raise ValueError(f"pad={pad} must be a whole number of at least 0")
     shape = cube.shape[1:]
     if isinstance(region, tuple) and all(isinstance(item, slice) for item in region):
-        if len(region) != 2:
-            raise ValueError("slices must be two, (y, x)")
-        if any(item.step not in (None, 1) for item in region):
-            raise ValueError("slices must take every pixel; leave out the step")
+        if len(region) != 2 or any(item.step not in (None, 1) for item in region):
+            raise ValueError("slices must be two, (y, x), without a step")
         hits = [np.arange(n)[item] for item, n in zip(region, shape, strict=True)]
         if not all(hit.size for hit in hits):
             raise ValueError(
@@ -364,7 +362,5 @@ def distance_mask(
     slack = 1e-9 * high
     inside = (distance >= low - slack) & (distance < high - slack)
     if not inside.any():
-        raise ValueError(
-            f"no pixel of the image lies {r_min} to {r_max} from the origin"
-        )
+        raise ValueError(f"no pixel of the image is {r_min} to {r_max} from the origin")
     return inside

@@ -161,9 +161,7 @@ def find_files(paths, *, missing_ok=False):
     try:
         names = [os.path.expanduser(os.fspath(path)) for path in paths]
     except TypeError:
-        raise TypeError(
-            f"paths must be file names or a pattern, got {paths!r}"
-        ) from None
+        raise TypeError(f"paths must be names or a pattern, got {paths!r}") from None
     found = []
     for name in names:
         if not isinstance(name, str):
@@ -243,9 +241,7 @@ def open_fits(file, *, known=False, **options):
         else:
             content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         if found := _AXES.search(content):
-            raise _NoImageError(
-                f"is broken, it claims to have {found[1].decode()} axes"
-            )
+            raise _NoImageError(f"is broken, it claims {found[1].decode()} axes")
         file.seek(0)
     return fits.open(file, **options)
 
@@ -262,9 +258,7 @@ def _plane(hdus, which, path, *, window=None, pixels=True):
     _check_complete(hdu, path)
     wcs = headers.celestial_wcs(header, fobj=hdus)
     if wcs.has_distortion:
-        raise headers.ContentError(
-            "its coordinates are distorted (SIP); resample it first"
-        )
+        raise headers.ContentError("its coordinates are distorted (SIP); resample it")
     index = _plane_index(header)
     shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))

@@ -299,9 +299,7 @@ def celestial_wcs(header, fobj=None):
             wcs.wcs.set()
         except Exception as error:
             reason = " ".join(str(error).strip().splitlines()[:2])
-            raise ContentError(
-                f"its celestial coordinates cannot be read: {reason}"
-            ) from None
+            raise ContentError(f"its coordinates cannot be read: {reason}") from None
     return wcs
 
 

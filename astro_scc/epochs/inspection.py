@@ -34,6 +34,8 @@ BLANKED = 0.1
 # apart.
 BAND = 0.1
 POLARISED = ("Q", "U", "V")
+#: What to do with an image that does not belong to the others.
+UNCHECKED = "leave it out (in Python, check=False reads it)"
 UNNAMED = {"", "UNKNOWN", "NONE", "N/A"}
 #: Columns of numbers of `inspect_epochs`, with their units; None is that of the images.
 COLUMNS = {
@@ -152,35 +154,43 @@ def noise_of_images(cube: EpochCube) -> u.Quantity:
     return u.Quantity([measure_noise(d, mask=m) for d, m in pairs], cube.unit)
 
 
-def find_odd(planes):
+def problems(planes, check=True):
     """
-    Return the images of another object, band or polarisation than most.
+    Return the images of another unit, object, band or polarisation than others.
 
     The result is a list of tuples: the index of an image in ``planes``, what is odd
-    about it, and whether it must be left out.  Another name for the same place needs
-    only a warning.
+    about it, and what to do, which is empty if it may stay: another name for the same
+    place needs only a warning.  Without ``check``, only units count.
     """
+    odd, units = [], [plane.unit for plane in planes]
+    for i, unit in enumerate(units):
+        if not unit.is_equivalent(units[0]):
+            own, other = (one.to_string() or "none" for one in (unit, units[0]))
+            what = f"its unit is {own}, that of others is {other}"
+            odd.append((i, what, "leave one out"))
+    if not check:
+        return odd
     facts = [plane.facts for plane in planes]
     names = [str(fact.get("object", "")).strip() for fact in facts]
     names = [None if name.upper() in UNNAMED else name for name in names]
-    odd = []
     for i, mine, others in _minority(names):
         one, other = planes[i], planes[names.index(others)]
         same = bool(separation(one.wcs, other.wcs) < max(one.extent, other.extent))
         where = "at the same place" if same else "somewhere else"
-        odd.append((i, f"shows {mine}, {where}, where others show {others}", not same))
+        what = f"shows {mine}, {where}, where others show {others}"
+        odd.append((i, what, "" if same else UNCHECKED))
     filters = [fact.get("filter") for fact in facts]
     stokes = [fact.get("stokes") for fact in facts]
     stokes = [s if s in POLARISED else s and "I" for s in stokes]
     for what, values in (("the filter", filters), ("Stokes", stokes)):
         for i, mine, others in _minority(values):
-            odd.append((i, f"is of {what} {mine}, others are of {others}", True))
+            odd.append((i, f"is of {what} {mine}, others are of {others}", UNCHECKED))
     known = np.array([fact.get("frequency") or np.nan for fact in facts], dtype=float)
     near = np.abs(np.log(known[:, None] / known)) < BAND
     usual = int(np.argmax(near.sum(axis=1)))
     for i in np.flatnonzero(~near[usual] & ~np.isnan(known)):
         mine, others = (f"{known[k] / 1e9:.4g}" for k in (i, usual))
-        odd.append((int(i), f"is at {mine} GHz, others are at {others}", True))
+        odd.append((int(i), f"is at {mine} GHz, others are at {others}", UNCHECKED))
     return sorted(odd)
 
 
@@ -257,7 +267,7 @@ def inspect_epochs(
     columns = {name: [row[name] for row, _ in found] for name in found[0][0]}
     for name, own in COLUMNS.items():
         columns[name] = u.Quantity(columns[name], own or unit)
-    columns["problem"] = ["; ".join(problems) for problems in columns["problem"]]
+    columns["problem"] = ["; ".join(texts) for texts in columns["problem"]]
     mjd = [np.nan if date is None else date.mjd for date in columns["date"]]
     dates = Time(np.ma.masked_invalid(mjd), format="mjd", scale="utc")
     columns["date"] = Time(dates, format="iso")
@@ -301,7 +311,7 @@ def _inspect(path, hdu):
 def _compare(read):
     """Add the problems that show in a comparison of the files."""
     rows, planes = zip(*read, strict=True)
-    for i, what, _ in find_odd(planes):
+    for i, what, _ in problems(planes):
         rows[i]["problem"].append(what)
     dated = [row for row in rows if row["date"] is not None]
     for i, k in find_same_dates(Time([r["date"] for r in dated])) if dated else ():
@@ -310,9 +320,6 @@ def _compare(read):
     grids = [(r["nx"], r["ny"], readable_angle(r["pixel"] * u.mas)) for r in rows]
     usual = max(grids, key=grids.count)
     for row, plane, grid in zip(rows, planes, grids, strict=True):
-        if not plane.unit.is_equivalent(planes[0].unit):
-            own, other = (p.unit.to_string() or "none" for p in (plane, planes[0]))
-            row["problem"].append(f"its unit is {own}, that of others is {other}")
         if some_have_beams and plane.beam is None:
             row["problem"].append("no beam where others have one")
         if grid != usual:

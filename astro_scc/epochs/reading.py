@@ -53,7 +53,7 @@ def read_files(files, times, beams, frame, *, check, hdu, region, pad):
                 where = "" if window is None else " in this region"
                 raise ValueError(
                     f"{path}: has no more than two different values{where}, it seems "
-                    "to be a mask; leave it out (in Python, check=False reads it)"
+                    f"to be a mask; {inspection.UNCHECKED}"
                 )
             plane.label = name
             # Before the machine is blocked by more than its memory holds.
@@ -191,19 +191,13 @@ def _compare(planes, times, frame, check):
             f"{planes[i].name} and {planes[k].name} are both of {times[i].isot[:10]}; "
             "leave one out if it is a stack or another image of the same data"
         )
-    for i, what, fatal in inspection.find_odd(planes) if check else ():
-        what = f"{planes[i].name}: {what}; leave it out"
-        if fatal:
-            raise ValueError(f"{what} (in Python, check=False reads it)")
-        warn(f"{what} if it is another object")
+    for i, what, advice in inspection.problems(planes, check):
+        what = f"{planes[i].name}: {what}; "
+        if advice:
+            raise ValueError(what + advice)
+        warn(f"{what}leave it out if it is another object")
     first = planes[0]
     for plane in planes:
-        if not plane.unit.is_equivalent(first.unit):
-            own, other = (p.unit.to_string() or "none" for p in (plane, first))
-            raise ValueError(
-                f"{plane.name}: its unit is {own}, that of {first.name} is {other}; "
-                "leave one out"
-            )
         factor = plane.unit.to(first.unit)
         if factor != 1:
             plane.data, plane.unit = plane.data * factor, first.unit

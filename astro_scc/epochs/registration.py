@@ -275,9 +275,7 @@ def displacement(image, mask, reference, use, reach, start=None):
     at = [y + start[1], x + start[0]]
     keep = ndimage.map_coordinates(around, at, order=1, cval=1.0) <= BAD_WEIGHT
     if keep.sum() < FEWEST:
-        raise ValueError(
-            "too few good pixels to compare with the reference; leave it out"
-        )
+        raise ValueError("too few good pixels to compare; leave it out")
     y, x, target = y[keep], x[keep], reference[use][keep]
     spline = ndimage.spline_filter(filled, order=3)
 
@@ -315,9 +313,7 @@ def _whole_pixels(filled, mask, reference, use, reach):
     dy, dx = np.mgrid[-steps : steps + 1, -steps : steps + 1]
     coefficient = np.where(np.hypot(dx, dy) <= max(reach, 0.5), coefficient, 0)
     if coefficient.max() <= 0:
-        raise ValueError(
-            "nothing in the image correlates with the reference; leave it out"
-        )
+        raise ValueError("nothing in the image correlates; leave it out")
     best = np.unravel_index(np.argmax(coefficient), coefficient.shape)
     return dx[best], dy[best]
 

@@ -345,9 +345,7 @@ def write_epochs(
     ]
     existing = [path for path in paths if path.exists()]
     if existing and not overwrite:
-        raise OSError(
-            f"{existing[0]}: exists already; choose another folder, or overwrite"
-        )
+        raise OSError(f"{existing[0]}: exists; choose another folder, or overwrite")
     directory.mkdir(parents=True, exist_ok=True)
     for i, path in enumerate(paths):
         with replace_when_complete(path, overwrite=True) as part:

@@ -193,9 +193,7 @@ def fits_wcs(wcs):
     elif hasattr(wcs, "_factor"):
         start, step = wcs._offset, wcs._factor
     else:
-        raise TypeError(
-            f"wcs must be an astropy WCS, or one sliced, got {type(wcs).__name__}"
-        )
+        raise TypeError(f"wcs must be a WCS, or one sliced, got {type(wcs).__name__}")
     wcs, size, kept = fits_wcs(wcs._wcs)
     wcs, kept = wcs.deepcopy(), kept.copy()
     axes = np.flatnonzero(kept)
@@ -226,9 +224,7 @@ def as_celestial(wcs):
     if wcs.wcs.lng > wcs.wcs.lat:
         raise ValueError("wcs has latitude on its first axis; transpose the images")
     if wcs.has_distortion:
-        raise ValueError(
-            "the grid of a cube has no distortions; resample the images first"
-        )
+        raise ValueError("the grid of a cube has no distortions; resample images first")
     return wcs
 
 

@@ -133,9 +133,7 @@ def to_redshift(value):
 
 def to_distance(value):
     """Return a distance, a positive length, from a quantity or text."""
-    distance = to_quantity(
-        value, u.Mpc, "must be a length with a unit, such as '16.7 Mpc'"
-    )
+    distance = to_quantity(value, u.Mpc, "must be a length with a unit, as '16.7 Mpc'")
     if not np.all((distance > 0) & np.isfinite(distance)):
         raise ValueError("must be finite and above 0")
     return distance

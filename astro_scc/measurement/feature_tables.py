@@ -71,32 +71,17 @@ def ssp_table(ssps, cube, *, select=None):
     n = len(ssps)
     select = np.ones(n, bool) if select is None else np.asarray(select, bool)
     east, north = positions.ssp_offsets(ssps, cube)
-    east_centroid, north_centroid = positions.ssp_offsets(ssps, cube, centroid=True)
+    centroid = positions.ssp_offsets(ssps, cube, centroid=True)
     fwhm = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
     error = positions.position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
     size = np.array([scale_size(s) for s in ssps.scale], dtype=float)
-    table = QTable(
-        {
-            "ssp": np.arange(n),
-            "epoch": ssps.epoch,
-            "date": Time(cube.times[ssps.epoch], format="isot"),
-            "scale": ssps.scale,
-            "scale_size": size * cube.pixel_scale,
-            "x": ssps.x * u.pix,
-            "y": ssps.y * u.pix,
-            "east": east * u.mas,
-            "north": north * u.mas,
-            "east_err": error[:, 0] * u.mas,
-            "north_err": error[:, 1] * u.mas,
-            "east_centroid": east_centroid * u.mas,
-            "north_centroid": north_centroid * u.mas,
-            "peak": ssps.peak * cube.unit,
-            "coefficient_sum": ssps.flux * cube.unit,
-            "snr": ssps.snr,
-            "n_pixels": ssps.n_pixels,
-            "in_region": select,
-        }
-    )
+    columns = (
+        np.arange(n), ssps.epoch, Time(cube.times[ssps.epoch], format="isot"),
+        ssps.scale, size * cube.pixel_scale, ssps.x * u.pix, ssps.y * u.pix,
+        *(offset * u.mas for offset in (east, north, *error.T, *centroid)),
+        ssps.peak * cube.unit, ssps.flux * cube.unit, ssps.snr, ssps.n_pixels, select,
+    )  # fmt: skip
+    table = QTable(dict(zip(SSP_COLUMNS, columns, strict=True)))
     describe(table, SSP_COLUMNS)
     return positions.name_by_frame(round_to_errors(table), cube)
 
@@ -229,9 +214,9 @@ def member_table(result, number):
     for name, (values, errors) in zip(result.frame.axis_names, axes, strict=True):
         table[f"displacement_{name}"] = values[match] * u.mas
         table[f"displacement_{name}_err"] = errors[match] * u.mas
-        about = f"displacement_{name}"
-        describe(table, {about: f"displacement of the match, {name}"})
-        describe(table, {f"{about}_err": f"standard error of {about}"})
+        about = {f"displacement_{name}": f"displacement of the match, {name}"}
+        about[f"displacement_{name}_err"] = f"standard error of displacement_{name}"
+        describe(table, about)
     table["weight"] = d.weight[match]
     describe(table, SSP_COLUMNS | MEMBER_COLUMNS)
     return positions.name_by_frame(round_to_errors(table), cube)

@@ -197,56 +197,41 @@ class MatchedEpochs:
         return replace(parts, cube=cube)
 
 
-def cache_file(path, provenance):
-    """
-    Return the file for the matches of a provenance.
-
-    Parameters
-    ----------
-    path : path
-        A FITS file, or a folder for files of many provenances.
-    provenance : dict
-        See `match_provenance`.
-
-    Returns
-    -------
-    `~pathlib.Path`
-    """
-    path = Path(path)
-    if path.suffix.lower() == ".fits":
-        return path
-    digest = _of_text(json.dumps(provenance, sort_keys=True))[:16]
-    return path / f"matches-{digest}.fits"
-
-
 def kept_matches(path, cube, provenance):
     """
-    Return the matches in a file if they have a provenance.
+    Return the file for the matches of a provenance, and what it holds.
 
     Parameters
     ----------
-    path : `~pathlib.Path`
+    path : path or None
+        A FITS file, or a folder for files of many provenances.
     cube : `~astro_scc.epochs.EpochCube`
     provenance : dict
         See `match_provenance`.
 
     Returns
     -------
-    `MatchedEpochs` or None
+    path : `~pathlib.Path` or None
+    matched : `MatchedEpochs` or None
 
     Warns
     -----
     `~astro_scc.exceptions.MeasurementWarning`
         If there is a file but it cannot be used.
     """
-    if not path.exists():
-        return None
-    try:
-        return MatchedEpochs.read(path, cube, wanted=provenance)
-    except (OSError, ValueError) as error:
-        reason = str(error).removesuffix("; match the epochs again")
-        warn(f"{reason}; not used, the epochs are matched again", MeasurementWarning)
-    return None
+    if path is None:
+        return None, None
+    path, matched = Path(path), None
+    if path.suffix.lower() != ".fits":
+        digest = _of_text(json.dumps(provenance, sort_keys=True))[:16]
+        path /= f"matches-{digest}.fits"
+    if path.exists():
+        try:
+            matched = MatchedEpochs.read(path, cube, wanted=provenance)
+        except (OSError, ValueError) as error:
+            why = str(error).removesuffix("; match the epochs again")
+            warn(f"{why}; not used, the epochs are matched again", MeasurementWarning)
+    return path, matched
 
 
 def image_provenance(cube):

@@ -391,9 +391,7 @@ def select_ssps(
         missing = [s for s in numbers if s not in have]
         if missing:
             what, there = (", ".join(f"{s:g}" for s in v) for v in (missing, have))
-            raise ValueError(
-                f"scale {what} was not decomposed; there are scales {there}"
-            )
+            raise ValueError(f"scale {what} was not decomposed; there are {there}")
         select &= np.isin(matched.ssps.scale, numbers)
     return matched.part(select)
 

@@ -295,12 +295,8 @@ def fixed_width(table):
             about = f"{_plain(table[name].info.description or name)}{about}"
             blank = "? " if any(not cell.strip() for cell in cells) else ""
             head = f"{place} {form.format(width=width):6s} {unit:7s} {label:21s} "
-            described += wrap(
-                blank + about,
-                80,
-                initial_indent=head,
-                subsequent_indent=" " * len(head),
-            )
+            indents = {"initial_indent": head, "subsequent_indent": " " * len(head)}
+            described += wrap(blank + about, 80, **indents)
             begin = end + 2
     return FixedWidth([" ".join(row) for row in zip(*columns, strict=True)], described)
 
@@ -309,7 +305,7 @@ def _cells(column):
     """Return the cells of a column as text, and the format of Fortran."""
     hidden = np.broadcast_to(getattr(column, "mask", False), len(column))
     values = getattr(column, "unmasked", column)
-    values = np.asarray(values.isot if isinstance(values, Time) else _numbers(values))
+    values = np.asarray(values.isot if isinstance(values, Time) else values)
     if values.dtype.kind == "f":
         known = np.isfinite(values) & ~hidden
         form = column.info.format or ".6f"
@@ -326,10 +322,6 @@ def _cells(column):
         values = np.where(values, "Y", "N")
     cells = ["" if bad else _plain(v) for v, bad in zip(values, hidden, strict=True)]
     return cells, ("I{width}" if values.dtype.kind in "iu" else "A{width}")
-
-
-def _numbers(values):
-    return getattr(values, "value", values)
 
 
 def _cds_unit(unit):

@@ -213,9 +213,7 @@ def _wcs(cube, epoch, frame):
     if frame != "epoch":
         raise ValueError(f"frame must be 'cube' or 'epoch', got {frame!r}")
     if cube.epoch_wcs is None:
-        raise ValueError(
-            "the cube was not read from files, so there is no frame 'epoch'"
-        )
+        raise ValueError("the cube was not read from files; there is no frame 'epoch'")
     return cube.epoch_wcs[epoch]
 
 

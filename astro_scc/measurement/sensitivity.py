@@ -11,12 +11,7 @@ from astro_scc.columns import build_table
 from astro_scc.measurement.plan import ssp_distances
 from astro_scc.measurement.searching import search_matches
 from astro_scc.quantities import with_error
-from astro_scc.units import (
-    PM_UNIT,
-    in_speed_unit,
-    offset_unit,
-    round_to_errors,
-)
+from astro_scc.units import PM_UNIT, in_speed_unit, offset_unit, round_to_errors
 
 #: Permutations of a search in a part of the data, which only ranks speeds.
 TRIALS = 99

@@ -23,10 +23,7 @@ P_FDR = "p_global adjusted for all searches: share of false discoveries up to it
 #: Every column of the velocity components: unit or type, and meaning.
 COLUMNS = {
     "component": (int, "number of the stream, as in the other tables"),
-    "kind": (
-        "U15",
-        "moving, not confirmed, stationary or not significant",
-    ),
+    "kind": ("U15", "moving, not confirmed, stationary or not significant"),
     # Terminals show the first and the last columns if they have no room for all.
     "pm": MOTION["pm"],
     "pm_err": MOTION["pm_err"],
@@ -420,9 +417,7 @@ def false_discovery_rate(
 def _tested(table, name):
     """Return the p-values, and which were tested: stationary components are not."""
     if "p_global" not in table.colnames:
-        raise ValueError(
-            f"table {name!r} has no column p_global: give tables of components"
-        )
+        raise ValueError(f"table {name!r} has no column p_global: give components")
     p = np.asarray(table["p_global"], dtype=float)
     # A comparison with NaN is false.
     if not np.all((p >= 0) & (p <= 1)):

@@ -171,7 +171,7 @@ def test_restore_some_dates_with_a_round_beam(models, astro_scc, here):
         ),
         (
             ["--beam", "1 mas 2 mas 0 deg"],
-            "2 mas 0 deg' is no beam: the beam's minor axis",
+            "2 mas 0 deg' is no beam: a beam is finite with major",
         ),
         (
             ["--beam", "1 mas 0.5 mas"],

@@ -323,7 +323,7 @@ def test_a_cube_file_is_measured(jet, astro_scc, here):
         (["--position-angle", "65"], "'65' has no unit at its end; it must be radial"),
         (["--baseline", "1 yr"], "--baseline '1 yr' must be a shortest and a longest"),
         (["--baseline", "5 6 yr"], "no two epochs are 5 to 6 yr apart"),
-        (["--kappa", "1.2"], "error: --kappa must be between 0 and 1"),
+        (["--kappa", "1.2"], "--kappa '1.2' must be between 0 and 1"),
         (["--max-speed", "1e9 mas/yr"], "error: --max-speed moves 8.21e+07 mas in the"),
         (
             ["--min-error-beams", "9"],

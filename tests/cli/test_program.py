@@ -54,7 +54,7 @@ def test_an_option_of_several_commands_is_explained_alike():
     parser = build_parser()
     (commands,) = (a for a in parser._actions if a.dest == "command")
     # What differs by what a command makes or takes.
-    own = {"--output", "--epochs"}
+    own = {"--output", "--epochs", "--no-report"}
     said = {}
     for command in commands.choices.values():
         for action in command._actions:

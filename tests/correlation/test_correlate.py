@@ -461,12 +461,12 @@ def test_pattern_of_one_pixel_has_no_matches():
 @pytest.mark.parametrize(
     ("settings_", "message"),
     [
-        ({"kappa": 0}, "kappa must be between 0 and 1"),
-        ({"kappa": 1}, "kappa must be between 0 and 1"),
-        ({"kappa": np.nan}, "kappa must be between 0 and 1"),
-        ({"target": "image"}, "use 'segments' or 'plane'"),
-        ({"min_overlap": 0}, "min_overlap must be above 0"),
-        ({"min_overlap": 1.1}, "min_overlap must be above 0"),
+        ({"kappa": 0}, "kappa = 0 must be between 0 and 1"),
+        ({"kappa": 1}, "kappa = 1 must be between 0 and 1"),
+        ({"kappa": np.nan}, "kappa = nan must be a finite number"),
+        ({"target": "image"}, "target = 'image' must be one of segments, plane"),
+        ({"min_overlap": 0}, "min_overlap = 0 must be above 0, up to 1"),
+        ({"min_overlap": 1.1}, "min_overlap = 1.1 must be above 0, up to 1"),
     ],
 )
 def test_settings_errors(settings_, message):

@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 import numpy as np
 import pytest
-from astropy.table import Table
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,21 +22,6 @@ def matches(epochs):
     return Correlator(kappa=0.7)(epochs, all_pairs(3), (8, 25))
 
 
-@pytest.mark.parametrize("empty", [False, True])
-def test_table_round_trip(matches, tmp_path, empty):
-    if empty:
-        matches = matches.select(np.zeros(len(matches), dtype=bool))
-    file = tmp_path / "matches.ecsv"
-    matches.to_table().write(file)
-    again = Matches.from_table(Table.read(file))
-    assert again.same_as(matches)
-    for name in ("ssp", "target", "dx", "overlap"):
-        assert getattr(again, name).dtype == getattr(matches, name).dtype
-    assert again.search_radius == (8, 25)
-    assert again.kappa == 0.7
-    assert again.pairs.shape == (6, 2)
-
-
 def test_same_as_sees_any_difference(matches):
     assert not matches.same_as(matches.select(slice(1, None)))
     changed = matches.select(np.arange(len(matches)))
@@ -47,17 +31,6 @@ def test_same_as_sees_any_difference(matches):
     other = Matches.from_columns([], matches.pairs, matches.search_radius, 0.8)
     nothing = Matches.from_columns([], matches.pairs, matches.search_radius, 0.7)
     assert not other.same_as(nothing)
-
-
-def test_from_table_errors(matches):
-    table = matches.to_table()
-    table.remove_columns(["dx", "overlap"])
-    with pytest.raises(ValueError, match="not a table of matches: dx, overlap missing"):
-        Matches.from_table(table)
-    table = matches.to_table()
-    del table.meta["kappa"]
-    with pytest.raises(ValueError, match="kappa missing"):
-        Matches.from_table(table)
 
 
 def test_selections(matches, epochs):
@@ -110,10 +83,7 @@ def test_landing_where_nothing_is(epochs):
     assert target_ssps(nothing, ssps).shape == (0,)
 
 
-@given(
-    st.lists(st.integers(0, 5), max_size=4),
-    st.integers(0, 2**32 - 1),
-)
+@given(st.lists(st.integers(0, 5), max_size=4), st.integers(0, 2**32 - 1))
 def test_columns_are_joined_in_order(lengths, seed):
     rng = np.random.default_rng(seed)
     parts = [tuple(rng.integers(0, 100, (7, n))) for n in lengths]

@@ -161,7 +161,7 @@ def test_of_epochs():
         ({"scales": (1.3,)}, "not a number of the series"),
         ({"scales": (1.5,), "kernel": "b3"}, "kernel 'b1' only"),
         ({"kernel": "db2"}, "unknown wavelet kernel"),
-        ({"noise": "mad"}, "use 'plane', 'local' or 'propagated'"),
+        ({"noise": "mad"}, "must be one of plane, local, propagated"),
         ({"detection": 2}, "0 < segmentation <= detection"),
         ({"segmentation": 0}, "0 < segmentation <= detection"),
     ],

@@ -194,7 +194,7 @@ def test_no_such_scale(scale):
 
 
 def test_intermediate_scales_belong_to_the_linear_spline():
-    with pytest.raises(ValueError, match="between the scales of kernel 'b1' only"):
+    with pytest.raises(ValueError, match="between those of kernel 'b1' only"):
         wavelet_planes(np.zeros((32, 32)), [1.5], kernel="b3")
     with pytest.raises(ValueError, match="unknown wavelet kernel 'haar'"):
         wavelet_planes(np.zeros((32, 32)), [1.5], kernel="haar")

@@ -180,10 +180,7 @@ def test_dates_of_many_sorts(name, dates):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (
-            "date,east_mas,north_mas\n2000-01-05,1,2\n",
-            "no row within 1 d of 2000-01-01",
-        ),
+        ("date,east_mas,north_mas\n2000-01-05,1,2\n", "no row within 1 d of"),
         ("date,east_mas,north_mas\n", "no row within"),
         ("date,east_mas,north_mas\n2000-01-01,,2\n", "2000-01-01 .a.fits. has no numb"),
         ("date,east_mas,north_mas\n2000-01-01,1,2\n2000-01-01,1,3\n", "that differ"),
@@ -211,7 +208,7 @@ def test_tables_in_other_units_or_missing(tmp_path):
         offsets_from_table(table, Time(DATES[:1]), ["a"])
     with pytest.raises(FileNotFoundError, match="nothing.csv"):
         offsets_from_table(tmp_path / "nothing.csv", Time(DATES[:1]), ["a"])
-    with pytest.raises(TypeError, match="path or an astropy Table, got int"):
+    with pytest.raises(TypeError, match="path or a Table, got int"):
         offsets_from_table(3, Time(DATES[:1]), ["a"])
     blank = Table(
         {"date": DATES[:1], "east_mas": [1.0], "north_mas": [2.0]}, masked=True

@@ -84,9 +84,7 @@ def test_aips_table_without_an_image(tmp_path):
     with pytest.raises(ValueError, match=r"bare.fits: .* without a beam"):
         EpochCube.read(bare)
     undated = cc_file(tmp_path / "undated.fits", **{"DATE-OBS": None})
-    with pytest.raises(
-        ValueError, match=r"undated.fits: no DATE-OBS in the header; wr"
-    ):
+    with pytest.raises(ValueError, match="undated.fits: no DATE-OBS in the header;"):
         EpochCube.read(undated)
 
 
@@ -118,9 +116,7 @@ def test_a_table_with_a_wrong_beam(models, tmp_path):
     table = read_components(models[0], beams=BEAM).to_table()
     table.meta["beam"] = "1 mas 0.5 mas"
     table.write(tmp_path / "a.ecsv", format="ascii.ecsv")
-    with pytest.raises(
-        ValueError, match=r"a.ecsv, beam in its meta: is no beam: has no"
-    ):
+    with pytest.raises(ValueError, match="a.ecsv, beam in its meta: is no beam: has"):
         read_components(tmp_path / "a.ecsv")
 
 
@@ -150,9 +146,7 @@ def test_visibilities(tmp_path):
     idi = fits.BinTableHDU.from_columns([fits.Column("FLUX", "E")], name="UV_DATA")
     fits.HDUList([fits.PrimaryHDU(), idi]).writeto(tmp_path / "a.idifits")
     for own in (path, tmp_path / "a.idifits"):
-        with pytest.raises(
-            OSError, match="holds visibilities and no image; make an im"
-        ):
+        with pytest.raises(OSError, match="holds visibilities and no image; make an"):
             EpochCube.read(own)
 
 

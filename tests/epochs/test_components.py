@@ -83,14 +83,8 @@ def test_sizes_are_optional():
     ("changes", "message"),
     [
         ({"flux": [1, 2] * u.Jy}, "flux has shape"),
-        (
-            {"flux": [1, np.nan, 2] * u.Jy},
-            "component 2 of 3: flux is blank or not finite",
-        ),
-        (
-            {"east": [1, 1, np.inf] * u.mas},
-            "component 3 of 3: east is blank or not finite",
-        ),
+        ({"flux": [1, np.nan, 2] * u.Jy}, "component 2 of 3: flux is blank or not"),
+        ({"east": [1, 1, np.inf] * u.mas}, "component 3 of 3: east is blank or not"),
         ({"minor": [0.4, 0, 0] * u.mas}, "component 1 of 3: axes must be"),
         ({"minor": [0.3, -1, 0] * u.mas}, "component 2 of 3: axes must be"),
         ({"epoch": [0, 1, 2]}, "indices into an array of times"),
@@ -361,18 +355,14 @@ def test_dates_in_columns_of_year_month_and_day(tmp_path):
     assert found.meta["object"] == "0000+000"
     with_names = JOURNAL.replace("I2     month", "A2     ---  ").replace(" 12 ", " De ")
     (tmp_path / "bad.txt").write_text(with_names)
-    with pytest.raises(
-        ValueError, match="bad.txt, row 3: '2006-De-01' is no date; wri"
-    ):
+    with pytest.raises(ValueError, match="bad.txt, row 3: '2006-De-01' is no date;"):
         read_components(tmp_path / "bad.txt", source="0000+000")
 
 
 def test_tables_of_cds_have_their_description_beside_them(tmp_path):
     head, _, rows = JOURNAL.rpartition("-" * 80 + "\n")
     (tmp_path / "table4.dat").write_text(rows)
-    with pytest.raises(
-        OSError, match="table4.dat: has no byte-by-byte description; la"
-    ):
+    with pytest.raises(OSError, match="table4.dat: has no byte-by-byte description;"):
         read_components(tmp_path / "table4.dat", source="0000+000")
     readme = head.replace("apjxxxxt4_mrt.txt", "table4.dat") + "-" * 80 + "\n"
     (tmp_path / "ReadMe").write_text(readme)
@@ -386,13 +376,9 @@ def test_tables_of_cds_have_their_description_beside_them(tmp_path):
 def test_sources_are_named_when_none_or_a_wrong_one_is_given(tmp_path):
     path = tmp_path / "t.txt"
     path.write_text(JOURNAL)
-    with pytest.raises(
-        ValueError, match=r"2 sources in the table \(0000\+000, 0000\+00"
-    ):
+    with pytest.raises(ValueError, match=r"2 sources .*\(0000\+000, 0000\+001\)"):
         read_components(path)
-    with pytest.raises(
-        ValueError, match=r"no source 'M87'; it has 0000\+000, 0000\+001"
-    ):
+    with pytest.raises(ValueError, match=r"'M87'; it has 0000\+000, 0000\+001"):
         read_components(path, source="M87")
     names = [f"{k:04d}+{k:03d}" for k in range(100, 130)]
     many = mojave(
@@ -404,9 +390,7 @@ def test_sources_are_named_when_none_or_a_wrong_one_is_given(tmp_path):
     path = write(many, tmp_path / "many.ecsv")
     with pytest.raises(ValueError, match=r"30 sources .*0107\+107 and 22 more\); say"):
         read_components(path)
-    with pytest.raises(
-        ValueError, match=r"no source '0129\+12'; did you mean 0129\+129"
-    ):
+    with pytest.raises(ValueError, match=r"'0129\+12'; did you mean 0129\+129"):
         read_components(path, source="0129+12")
     assert len(read_components(path, source="0129+129")) == 1
 
@@ -415,15 +399,11 @@ def test_a_file_of_another_source_is_refused(tmp_path):
     path = write(mojave(), tmp_path / "t.ecsv", name="3C 273", source="1226+023")
     for name in ("3C 273", "3c273", "1226+023"):
         assert read_components(path, source=name).n_epochs == 2
-    with pytest.raises(
-        ValueError, match=r"t.ecsv: no source 'M87'; it has 1226\+023, 3C"
-    ):
+    with pytest.raises(ValueError, match=r"t.ecsv: .*'M87'; it has 1226\+023, 3C"):
         read_components(path, source="M87")
     plain = tmp_path / "source_2006-03-09.mod"
     plain.write_text("0.9 0.1 90\n")
-    with pytest.raises(
-        ValueError, match=r"09.mod: no source 'M87'; it does not say of"
-    ):
+    with pytest.raises(ValueError, match="09.mod: no source 'M87'; it does not say"):
         read_components(plain, source="M87")
 
 

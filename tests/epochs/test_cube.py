@@ -16,7 +16,12 @@ from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.epochs.fits import find_files, looks_like_mask
-from astro_scc.epochs.inspection import find_odd, find_same_dates, measure_noise
+from astro_scc.epochs.inspection import (
+    UNCHECKED,
+    find_same_dates,
+    measure_noise,
+    problems,
+)
 from astro_scc.epochs.positions import readable_angle
 from astro_scc.exceptions import EpochWarning
 
@@ -162,27 +167,15 @@ def test_dates_older_than_utc_warn_of_nothing():
 @pytest.mark.parametrize(
     ("changes", "error", "message"),
     [
-        (
-            {"data": np.ones((8, 12))},
-            ValueError,
-            r"shape \(n_epochs, ny, nx\), got \(8",
-        ),
+        ({"data": np.ones((8, 12))}, ValueError, r"shape \(n_epochs, ny, nx\), got"),
         ({"data": np.ones((3, 0, 2))}, ValueError, "shape"),
         ({"data": "image"}, TypeError, "real numbers"),
         ({"data": [[1, 2], [3]]}, TypeError, "real numbers"),
         ({"data": np.ones((3, 8, 12)) * 1j}, TypeError, "complex128"),
-        (
-            {"unit": "furlong/beam"},
-            ValueError,
-            "'furlong/beam' is not one that astropy",
-        ),
+        ({"unit": "furlong/beam"}, ValueError, "'furlong/beam' is not one that"),
         ({"times": DATES[:2]}, ValueError, "3 epochs need 3 times"),
         ({"times": []}, ValueError, "3 epochs need 3 times"),
-        (
-            {"times": [2000.1, 2000.2, 2001]},
-            TypeError,
-            "times must be a Time or strings",
-        ),
+        ({"times": [2000.1, 2000.2, 2001]}, TypeError, "times must be a Time or"),
         ({"times": ["x", "y", "z"]}, ValueError, "'x' is no date"),
         ({"times": MISSING}, ValueError, "times has missing values"),
         ({"mask": np.ones((8, 12), bool)}, ValueError, r"mask has shape \(8, 12\)"),
@@ -195,7 +188,7 @@ def test_dates_older_than_utc_warn_of_nothing():
         ({"labels": ["a"]}, ValueError, "3 epochs need 3 labels"),
         ({"epoch_wcs": [celestial()]}, ValueError, "3 epochs need 3 epoch_wcs"),
         ({"epoch_meta": [{}]}, ValueError, "3 epochs need 3 epoch_meta"),
-        ({"wcs": None}, TypeError, "wcs must be an astropy WCS, or one sliced, got"),
+        ({"wcs": None}, TypeError, "wcs must be a WCS, or one sliced, got"),
         ({"wcs": WCS(naxis=2)}, ValueError, "wcs must have celestial axes"),
     ],
 )
@@ -209,9 +202,7 @@ def test_bad_arguments(changes, error, message):
 def test_an_epoch_without_valid_pixels_is_named():
     data = images()
     data[1] = np.nan
-    with pytest.raises(
-        ValueError, match="b.fits: no valid pixel; leave this epoch out"
-    ):
+    with pytest.raises(ValueError, match="b.fits: no valid pixel; leave this epoch"):
         EpochCube(data, Time(DATES), celestial(), labels=["a.fits", "b.fits", "c.fits"])
 
 
@@ -311,12 +302,7 @@ def test_steps_leave_a_line_and_the_first_cube_as_it_was():
 
 
 @settings(max_examples=30)
-@given(
-    st.floats(-180, 180),
-    st.booleans(),
-    st.floats(-50, 50),
-    st.floats(-50, 50),
-)
+@given(st.floats(-180, 180), st.booleans(), st.floats(-50, 50), st.floats(-50, 50))
 def test_offsets_and_pixels_are_inverse(angle, flipped, x, y):
     turn = np.radians(angle)
     rotation = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
@@ -600,8 +586,8 @@ def test_patterns_and_paths(make_fits, tmp_path, monkeypatch):
         ("nowhere/*.fits", FileNotFoundError, r"nowhere/\*.fits: no file matches this"),
         ("nowhere.fits", FileNotFoundError, "nowhere.fits: no such file"),
         ([], FileNotFoundError, "no files were given"),
-        (3, TypeError, "paths must be file names or a pattern, got 3"),
-        ([3], TypeError, "paths must be file names"),
+        (3, TypeError, "paths must be names or a pattern, got 3"),
+        ([3], TypeError, "paths must be names"),
         (b"a.fits", TypeError, "paths must be"),
         ([b"a.fits"], TypeError, "paths must be text"),
     ],
@@ -630,13 +616,8 @@ def test_given_dates_and_beams_replace_those_of_headers(make_fits):
 
 
 def test_beams_of_some_epochs_only(make_fits):
-    paths = [
-        make_fits("a.fits"),
-        make_fits("b.fits", DATE_OBS="2007-01-01", BMAJ=None),
-    ]
-    with pytest.warns(
-        EpochWarning, match="b.fits: no beam where other epochs have one"
-    ):
+    paths = [make_fits("a.fits"), make_fits("b.fits", DATE_OBS="2007-01-01", BMAJ=None)]
+    with pytest.warns(EpochWarning, match="b.fits: no beam where other epochs have"):
         assert EpochCube.read(paths).beams is None
 
 
@@ -655,9 +636,7 @@ def test_notes_on_many_files_are_one_warning(make_fits):
 
 def test_two_files_of_one_date_are_kept(make_fits):
     paths = [make_fits("a.fits"), make_fits("b.fits")]
-    with pytest.warns(
-        EpochWarning, match=r"a.fits and .*b.fits are both of 2006-03-09"
-    ):
+    with pytest.warns(EpochWarning, match="a.fits and .*b.fits are both of"):
         cube = EpochCube.read(paths)
     assert len(cube) == 2
 
@@ -671,10 +650,7 @@ def test_files_of_one_name_in_two_folders(make_fits, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            {"OBJECT": "3C120", "CRVAL1": 68.0},
-            "shows 3C120, somewhere else, where others",
-        ),
+        ({"OBJECT": "3C120", "CRVAL1": 68.0}, "shows 3C120, somewhere else, where"),
         ({"CRVAL3": 43e9}, r"is at 43 GHz, others are at 15.4"),
         ({"CRVAL4": 2.0}, "is of Stokes Q, others are of I"),
         ({"FILTER": "F673N"}, "is of the filter F673N, others are of F502N"),
@@ -725,9 +701,7 @@ def test_units_are_brought_to_that_of_the_first(make_fits):
     assert cube.unit == u.mJy / u.beam
     assert np.allclose(cube.data[1], 1000 * cube.data[0])
     paths.append(make_fits("c.fits", data, DATE_OBS="2008-01-01", BUNIT="K"))
-    with pytest.raises(
-        ValueError, match=r"c.fits: its unit is K, that of .*a.fits is mJy"
-    ):
+    with pytest.raises(ValueError, match="c.fits: its unit is K, that of others is"):
         EpochCube.read(paths)
     plain = make_fits("d.fits", data, DATE_OBS="2008-01-01", BUNIT=None)
     with pytest.raises(ValueError, match=r"d.fits: its unit is none, that of"):
@@ -880,17 +854,18 @@ def test_truncated_epoch_is_named(make_fits):
 
 def plane_of(**facts):
     wcs = celestial(crval=(facts.pop("lon", 10), 20))
-    return SimpleNamespace(facts=facts, wcs=wcs, extent=1e-6)
+    return SimpleNamespace(facts=facts, wcs=wcs, extent=1e-6, unit=u.one)
 
 
-def test_find_odd_among_few_facts():
-    assert find_odd([plane_of(), plane_of()]) == []
+def test_problems_of_few_facts():
+    assert problems([plane_of(), plane_of()]) == []
     planes = [plane_of(object=name, lon=10 + (name == "B")) for name in "AAB"]
     there = "shows B, somewhere else, where others show A"
-    assert find_odd(planes) == [(2, there, True)]
+    assert problems(planes) == [(2, there, UNCHECKED)]
+    assert problems(planes, check=False) == []
     bands = [plane_of(frequency=15.3e9), plane_of(frequency=15.4e9), plane_of()]
-    assert find_odd(bands) == []
-    assert find_odd([plane_of(stokes="RR"), plane_of(stokes="I"), plane_of()]) == []
+    assert problems(bands) == []
+    assert problems([plane_of(stokes="RR"), plane_of(stokes="I"), plane_of()]) == []
 
 
 def test_same_dates_and_masks():

@@ -21,12 +21,7 @@ from regions import (
 )
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.cutout import (
-    crop,
-    distance_mask,
-    refuse_pixels,
-    region_mask,
-)
+from astro_scc.epochs.cutout import crop, distance_mask, refuse_pixels, region_mask
 from astro_scc.exceptions import EpochWarning
 
 SHAPE = (40, 50)
@@ -209,9 +204,7 @@ def test_what_regions_writes_by_default(tmp_path):
 def test_fits_region_files_are_refused(tmp_path):
     path = tmp_path / "r.fits"
     Regions([CirclePixelRegion(PixCoord(20, 20), 8)]).write(path, format="fits")
-    with pytest.raises(
-        ValueError, match=r"r.fits: is not a text file; give a DS9 or CR"
-    ):
+    with pytest.raises(ValueError, match="r.fits: is not a text file; give a DS9 or"):
         region_mask(make(), path)
 
 
@@ -233,9 +226,7 @@ def test_regions_on_the_sphere():
     between = regions.RangeSphericalSkyRegion(
         longitude_range=[1, 2] * u.deg, frame="icrs"
     )
-    with pytest.raises(
-        ValueError, match="RangeSphericalSkyRegion cannot be drawn on"
-    ) as e:
+    with pytest.raises(ValueError, match="RangeSphericalSkyRegion cannot be") as e:
         region_mask(cube, between)
     assert "\n" not in str(e.value)
 
@@ -344,10 +335,9 @@ def test_crops_that_cannot_be_made():
     cube = make()
     with pytest.raises(ValueError, match="hold no pixel of the 50 x 40 image"):
         crop(cube, (slice(40, 60), slice(None)))
-    with pytest.raises(ValueError, match="leave out the step"):
-        crop(cube, (slice(None, None, 2), slice(None)))
-    with pytest.raises(ValueError, match="slices must be two"):
-        crop(cube, (slice(None),))
+    for wrong in ((slice(None, None, 2), slice(None)), (slice(None),)):
+        with pytest.raises(ValueError, match="slices must be two"):
+            crop(cube, wrong)
     for pad in (-1, 1.5):
         with pytest.raises(ValueError, match="whole number"):
             crop(cube, (slice(None), slice(None)), pad=pad)
@@ -382,7 +372,7 @@ def test_rings_that_cannot_be_made():
     for low, high in ((1, 1), (2, 1), (-1, 1), (np.nan, 1)):
         with pytest.raises(ValueError, match="0 <= r_min < r_max"):
             distance_mask(cube, low * u.mas, high * u.mas)
-    with pytest.raises(ValueError, match="no pixel of the image lies"):
+    with pytest.raises(ValueError, match="no pixel of the image is"):
         distance_mask(cube, 1 * u.arcsec, 2 * u.arcsec)
     with pytest.raises(ValueError, match="pair of offsets"):
         distance_mask(cube, 0 * u.mas, 1 * u.mas, origin=3 * u.mas)

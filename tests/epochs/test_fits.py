@@ -99,11 +99,7 @@ def test_stokes_i_is_taken_from_several_planes(make_fits):
 @pytest.mark.parametrize(
     ("shape", "changes", "message"),
     [
-        (
-            (4, 1, 16, 32),
-            {"CRVAL4": -4.0, "CDELT4": 1.0},
-            "STOKES and none of them is I",
-        ),
+        ((4, 1, 16, 32), {"CRVAL4": -4.0, "CDELT4": 1.0}, "STOKES and none of them is"),
         ((4, 1, 16, 32), {"CRVAL4": None}, "STOKES and none of them is I"),
         ((1, 3, 16, 32), {}, "3 planes on axis FREQ"),
         ((5, 16, 32), {"CTYPE3": None}, "5 planes on axis 3 of the file"),
@@ -188,10 +184,7 @@ def test_compressed_files(tmp_path, aips_header, suffix):
         ({"BUNIT": "FURLONGS"}, "unit 'FURLONGS' is not known and taken as dimensionl"),
         ({"BMAJ": -1e-7}, "unknown: .* is not positive; write BMAJ, BMIN and BPA in"),
         ({"BMIN": 0.0}, "beam is taken as unknown"),
-        (
-            {"BMAJ": 1.0, "BMIN": 0.5},
-            "larger than the image; write BMAJ, BMIN and BPA in degrees",
-        ),
+        ({"BMAJ": 1.0, "BMIN": 0.5}, "larger than the image; write BMAJ, BMIN and BPA"),
     ],
 )
 def test_what_is_not_understood_is_said_and_left_out(make_fits, changes, message):
@@ -396,7 +389,7 @@ def test_header_that_claims_many_axes(make_fits):
     path = make_fits()
     old, new = (b"NAXIS   =          " + n for n in (b"          4", b"99999999999"))
     path.write_bytes(path.read_bytes().replace(old, new))
-    with pytest.raises(OSError, match="is broken, it claims to have 99999999999 axes"):
+    with pytest.raises(OSError, match="is broken, it claims 99999999999 axes"):
         read_vlbi_fits(path)
 
 
@@ -410,10 +403,7 @@ def test_truncated_gzip(tmp_path):
 
 
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    st.integers(0, 2879),
-    st.binary(min_size=1, max_size=20),
-)
+@given(st.integers(0, 2879), st.binary(min_size=1, max_size=20))
 def test_a_damaged_header_is_read_or_refused_in_one_line(make_fits, start, damage):
     path = make_fits()
     content = bytearray(path.read_bytes())

@@ -99,13 +99,7 @@ def test_brightness_that_goes_from_feature_to_feature_is_no_misalignment():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "simulate",
-    [
-        simulate_two_fluid,
-        simulate_unrelated,
-    ],
-)
+@pytest.mark.parametrize("simulate", [simulate_two_fluid, simulate_unrelated])
 def test_epochs_that_do_not_resemble_one_another_do_not_tell(simulate):
     assert misalignment(simulate(n_epochs=6, rng=1).cube) is None
 

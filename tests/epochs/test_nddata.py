@@ -110,10 +110,7 @@ def test_uncertainties_of_some_images_only():
     [
         (UnknownUncertainty(np.ones((24, 36))), "is a UnknownUncertainty; give it as"),
         (StdDevUncertainty(np.full((24, 36), -1.0)), "has negative values; correct or"),
-        (
-            StdDevUncertainty(np.full((24, 36), np.nan)),
-            "finite at no valid pixel; remo",
-        ),
+        (StdDevUncertainty(np.full((24, 36), np.nan)), "finite at no valid pixel;"),
         (InverseVariance(np.zeros((24, 36))), "finite at no valid pixel; remove it"),
     ],
 )
@@ -126,9 +123,7 @@ def test_an_uncertainty_in_another_unit():
     wrong = image(0)
     # astropy itself checks units of images that have one.
     wrong._uncertainty = StdDevUncertainty(np.ones((24, 36)), unit=u.K)
-    with pytest.raises(
-        ValueError, match="image 0: .* StdDevUncertainty in K, which do"
-    ):
+    with pytest.raises(ValueError, match="image 0: .* StdDevUncertainty in K, which"):
         EpochCube.from_ccddata([wrong])
 
 
@@ -139,9 +134,7 @@ def test_noise_follows_the_unit_and_ends_with_resampling():
     images = [image(0, uncertainty=StdDevUncertainty(0.5)), milli]
     assert_allclose(EpochCube.from_ccddata(images).noise.value, [0.5, 0.007])
     images[1].wcs = other
-    with pytest.warns(
-        EpochWarning, match="image 1: .*, and the noise of all is measur"
-    ):
+    with pytest.warns(EpochWarning, match="image 1: .*, and the noise of all is"):
         assert EpochCube.from_ccddata(images).noise is None
 
 
@@ -329,13 +322,9 @@ def test_one_epoch_of_an_ndcube(ndcube):
 
 def test_averaged_epochs_of_an_ndcube(ndcube):
     source = make_cube().to_ndcube().rebin((3, 1, 1))
-    with pytest.raises(
-        ValueError, match="averaged, .* keeps the first date only; give"
-    ):
+    with pytest.raises(ValueError, match="averaged, .* keeps the first date only;"):
         EpochCube.from_ndcube(source, beams=Beam(3 * u.mas, 1 * u.mas))
-    with pytest.raises(
-        ValueError, match="of which the beams differ; call to_common_be"
-    ):
+    with pytest.raises(ValueError, match="of which the beams differ; call"):
         EpochCube.from_ndcube(source, times="2000-06-01")
     one = make_cube(beams=Beam(3 * u.mas, 1 * u.mas), mask=None)
     mean = EpochCube.from_ndcube(one.to_ndcube().rebin((3, 1, 1)), times="2000-06-01")

@@ -157,9 +157,7 @@ def test_white_noise_on_coarser_pixels():
     noise = np.random.default_rng(1).normal(size=(1, 128, 128))
     cube = EpochCube(noise, DATES[:1], grid((64.5, 64.5)))
     coarse = grid((16.5, 16.5), pixel=0.4), (32, 32)
-    with pytest.warns(
-        EpochWarning, match="pixels of 0.1 mas are interpolated at steps "
-    ):
+    with pytest.warns(EpochWarning, match="pixels of 0.1 mas are interpolated at"):
         taken = reproject_cube(cube, *coarse)
     assert np.nanstd(taken.data) > 0.5
     with warnings.catch_warnings():
@@ -171,9 +169,7 @@ def test_white_noise_on_coarser_pixels():
             beams = Beam(fwhm * u.mas, fwhm * u.mas)
             reproject_cube(replace(cube, beams=beams), *coarse)
         reproject_cube(cube, grid((64.5, 64.5), turn=5), (128, 128))
-    with pytest.warns(
-        EpochWarning, match="use method='exact' or 'adaptive' to average"
-    ):
+    with pytest.warns(EpochWarning, match="use method='exact' or 'adaptive' to"):
         reproject_cube(replace(cube, beams=Beam(0.7 * u.mas, 0.6 * u.mas)), *coarse)
 
 
@@ -295,13 +291,9 @@ def test_what_cannot_be_a_grid_is_refused():
         reproject_cube(cube, cube.wcs)
     with pytest.raises(ValueError, match="must have celestial axes"):
         reproject_cube(cube, WCS(naxis=2), (64, 80))
-    with pytest.raises(
-        TypeError, match="must be an astropy WCS, or one sliced, got in"
-    ):
+    with pytest.raises(TypeError, match="must be a WCS, or one sliced, got"):
         reproject_cube(cube, 3, (64, 80))
-    with pytest.raises(
-        ValueError, match="the header of the new grid: it has no celest"
-    ):
+    with pytest.raises(ValueError, match="the header of the new grid: it has no"):
         reproject_cube(cube, fits.Header({"NAXIS1": 3, "NAXIS2": 3}))
     galactic = grid((40, 32))
     galactic.wcs.ctype = ["GLON-SIN", "GLAT-SIN"]

@@ -10,13 +10,7 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.epochs import (
-    Beam,
-    ComponentList,
-    read_components,
-    restore,
-    write_epochs,
-)
+from astro_scc.epochs import Beam, ComponentList, read_components, restore, write_epochs
 from astro_scc.epochs.positions import offset_wcs
 from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.exceptions import EpochWarning
@@ -330,7 +324,7 @@ def test_existing_files_stay(tmp_path):
     cube = restore(one(), beam=BEAM, pixel_scale=PIXEL)
     (path,) = write_epochs(cube, tmp_path)
     assert path.name.startswith("epoch_00")
-    with pytest.raises(OSError, match="exists already"):
+    with pytest.raises(OSError, match="exists; choose"):
         write_epochs(cube, tmp_path)
     assert write_epochs(cube, tmp_path, overwrite=True) == [path]
     assert list(tmp_path.iterdir()) == [path]

@@ -31,10 +31,7 @@ def scc():
 def matched(scc):
     """A jet that is faster on its northern side, by 4 pixels an epoch."""
     flow = Stream(
-        "flow",
-        dx=lambda x, y: np.where(y > 64, 8.0, 4.0),
-        half_width=25.0,
-        density=1.5,
+        "flow", dx=lambda x, y: np.where(y > 64, 8.0, 4.0), half_width=25.0, density=1.5
     )
     jet = JetSimulation([flow], n_epochs=10, extent=(20.0, 240.0))
     return scc.match(jet.run(rng=2).cube)

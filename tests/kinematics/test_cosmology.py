@@ -28,9 +28,7 @@ MU = 1 * u.mas / u.yr
 
 
 @pytest.mark.parametrize(
-    ("redshift", "speed"),
-    [(0.158, 10.20), (0.033, 2.188)],
-    ids=["3C 273", "3C 120"],
+    ("redshift", "speed"), [(0.158, 10.20), (0.033, 2.188)], ids=["3C 273", "3C 120"]
 )
 def test_numbers_of_the_paper(redshift, speed):
     beta = apparent_speed(MU, redshift=redshift, cosmology=paper_cosmology())
@@ -74,10 +72,7 @@ def test_arrays_and_other_units():
         ({"redshift": 0.0}, "redshift = 0.0 must be above 0"),
         ({"redshift": np.nan}, "redshift = nan must be above 0"),
         ({"redshift": 47367}, "redshift = 47367 must be below 1090; of a velocity"),
-        (
-            {"redshift": "high"},
-            "redshift = 'high' must be a redshift, a number such as",
-        ),
+        ({"redshift": "high"}, "redshift = 'high' must be a redshift, a number such"),
         ({"redshift": ""}, "must be a redshift, a number such as 0.158"),
         ({"redshift": "0.1 0.2"}, "must be a redshift, a number such as 0.158"),
         ({"redshift": MaskedColumn([0.1], mask=[True])}, "must be a redshift"),
@@ -91,19 +86,13 @@ def test_arrays_and_other_units():
         ({"redshift": "47367 km/s"}, "'47367 km/s' is a velocity.* 0.158 if it is c z"),
         ({"redshift": 600 * u.Mpc}, "redshift = 600.0 Mpc is a length; give it as the"),
         ({"redshift": "600 Mpc"}, "'600 Mpc' is a length; give it as the distance"),
-        (
-            {"redshift": 0.1, "cosmology": "Planck"},
-            "cosmology = 'Planck' is no cosmology",
-        ),
-        (
-            {"redshift": 0.1, "cosmology": 0.27},
-            "cosmology = 0.27 is no cosmology; give",
-        ),
+        ({"redshift": 0.1, "cosmology": "Planck"}, "cosmology = 'Planck' is no"),
+        ({"redshift": 0.1, "cosmology": 0.27}, "cosmology = 0.27 is no cosmology;"),
         ({"redshift": 0.1, "cosmology": {"H0": 71}}, "is no cosmology; give H0=71"),
         ({"redshift": 0.1, "cosmology": default_cosmology}, "is no cosmology; give H0"),
         ({"distance": 0 * u.Mpc}, "distance = 0.0 Mpc must be finite and above 0"),
         ({"distance": np.nan * u.Mpc}, "distance = nan Mpc must be finite and above"),
-        ({"distance": 16.7}, "distance = 16.7 must be a length with a unit, such as"),
+        ({"distance": 16.7}, "distance = 16.7 must be a length with a unit, as"),
         (
             {"distance": 1 * u.Mpc, "cosmology": paper_cosmology()},
             "a distance needs no cosmology",

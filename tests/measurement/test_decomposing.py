@@ -14,10 +14,7 @@ from astro_scc.decomposition.wavelet import wavelet_planes
 from astro_scc.epochs import Beam, read_components, restore
 from astro_scc.epochs.restoring import correlated_noise
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.decomposing import (
-    allow_for_structure,
-    decompose_epochs,
-)
+from astro_scc.measurement.decomposing import allow_for_structure, decompose_epochs
 from astro_scc.simulation import simulate_static, simulate_two_fluid
 
 # -- images without empty sky ------------------------------------------------------

@@ -161,10 +161,7 @@ class TestMessages:
         [
             ({"speeds": 0 * PM}, "speeds = 0.0 mas / yr must be positive and finite"),
             ({"speeds": [] * PM}, "speeds = .* must be positive and finite, with a"),
-            (
-                {"speeds": 30 * PM},
-                "speed 30 mas/yr is beyond .* 24 mas/yr: give Stacked",
-            ),
+            ({"speeds": 30 * PM}, "speed 30 mas/yr is beyond .* 24 mas/yr: give"),
             ({"fluxes": -1.0}, "fluxes must be one or more numbers from 0"),
             ({"fluxes": []}, "fluxes must be one or more numbers from 0"),
             ({"n_injections": 0}, "n_injections must be at least 1, got 0"),
@@ -240,9 +237,7 @@ class TestMessages:
             **{**settings.to_dict(), "position_angle": Bent()},
             date_pairs=settings.date_pairs,
         )
-        with pytest.raises(
-            ValueError, match=r"or 'radial', not Bent\(\): give Stacked"
-        ):
+        with pytest.raises(ValueError, match=r"or 'radial', not Bent\(\): give"):
             completeness(sky, bent, speeds=FAST, fluxes=5.0, **QUICK)
 
     def test_no_noise(self, sky, settings):

@@ -7,11 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import beta
 
 from astro_scc.measurement.tables import build_table
-from astro_scc.recovery.completeness import (
-    epochs_needed,
-    share,
-    smallest_p,
-)
+from astro_scc.recovery.completeness import epochs_needed, share, smallest_p
 
 
 @pytest.mark.parametrize(

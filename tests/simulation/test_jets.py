@@ -49,11 +49,7 @@ def seen(truth, n_epochs=10):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("folder", "options"),
-    [
-        ("two_fluid", {}),
-        ("two_fluid_dense", {"dense": True}),
-        ("random", None),
-    ],
+    [("two_fluid", {}), ("two_fluid_dense", {"dense": True}), ("random", None)],
 )
 def test_like_the_jets_of_the_paper(shared_data, folder, options):
     """The same numbers of features, fluxes, widths and peaks, within errors."""

@@ -195,37 +195,17 @@ def test_only_selected_ssps_are_tracked(tracker):
 @pytest.mark.parametrize(
     ("setting", "error", "message"),
     [
-        (
-            {"max_speed": -1 * PM},
-            ValueError,
-            "max_speed = -1.0 mas / yr must be finite and",
-        ),
-        (
-            {"max_speed": 1 * u.mas},
-            u.UnitConversionError,
-            "max_speed = 1.0 mas must be an angle per time",
-        ),
-        (
-            {"max_interval": [1, 2] * u.yr},
-            ValueError,
-            "max_interval = .* must be a time with a unit",
-        ),
-        (
-            {"along": [1, 0] * PM},
-            ValueError,
-            "along = .* must be a smallest and a largest",
-        ),
+        ({"max_speed": -1 * PM}, ValueError, "max_speed = -1.0 mas / yr must be"),
+        ({"max_speed": 1 * u.mas}, u.UnitConversionError, "max_speed = 1.0 mas must"),
+        ({"max_interval": [1, 2] * u.yr}, ValueError, "max_interval = .* must be a"),
+        ({"along": [1, 0] * PM}, ValueError, "along = .* must be a smallest and a"),
         ({"along": [0, 1] * PM}, ValueError, "along and across need a position_angle"),
         ({"position_angle": "ridge"}, ValueError, "must be an angle or 'radial'"),
-        (
-            {"position_angle": "up"},
-            ValueError,
-            "or an angle with a unit, such as '65 deg'",
-        ),
+        ({"position_angle": "up"}, ValueError, "or an angle with a unit, such as '65"),
         ({"tolerance": 0}, ValueError, "tolerance = 0 must be a part of the beam"),
         ({"max_gap": -1}, ValueError, "max_gap = -1 must be 0 or more"),
         ({"min_epochs": 2}, ValueError, "min_epochs = 2 must be 3 or more"),
-        ({"kappa": 2}, ValueError, "kappa must be between 0 and 1"),
+        ({"kappa": 2}, ValueError, "kappa = .* must be between 0 and 1"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(setting, error, message):
@@ -249,9 +229,7 @@ def test_settings_may_be_text():
 def test_what_does_not_go_together_is_refused(tracker):
     cube, decompositions = jet(n_epochs=3)
     nothing = [Decomposer(scales=[1, 2])(0 * image) for image in cube.data]
-    with pytest.raises(
-        ValueError, match=r"no significant pattern \(SSP\) in any epoch"
-    ):
+    with pytest.raises(ValueError, match=r"no significant pattern \(SSP\) in any"):
         tracker(cube, nothing)
     with pytest.raises(ValueError, match="2 decompositions for 3 epochs"):
         tracker(cube, decompositions[:2])
