@@ -5,6 +5,7 @@ import re
 import runpy
 import shlex
 import tomllib
+import warnings
 from pathlib import Path
 
 import astropy.units as u
@@ -159,17 +160,10 @@ def test_python_that_is_no_doctest_runs(tmp_path, monkeypatch):
     )
     write_epochs(jet.cube, "3c273")
     names = {}
-    setting_up = (
-        "import warnings\n"
+    with warnings.catch_warnings():
         # Features crowd about its core, and four epochs are too few for a p-value.
-        "warnings.simplefilter('ignore')\n"
-        "import astropy.units as u\n"
-        "from astropy.cosmology import FlatLambdaCDM\n"
-        "from astro_scc import StackedCrossCorrelation\n"
-        "cosmology = FlatLambdaCDM(H0=71, Om0=0.27)\n"
-    )
-    exec(setting_up, names)
-    exec(text.replace("n_trials=1000", "n_trials=10"), names)
+        warnings.simplefilter("ignore")
+        exec(text.replace("n_trials=1000", "n_trials=10"), names)
     assert "pm" in names["result"].components.colnames
 
 

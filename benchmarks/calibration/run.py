@@ -91,6 +91,22 @@ KINDS |= {
     kind: partial(lambda dense, seed: sim.simulate_two_fluid(dense=dense, rng=seed), d)
     for kind, d in PAPER.items()
 }
+#: The paper's jet with other speeds in pixels per epoch, densities and random walks.
+OTHER = {
+    "two-fluid-5-15": {"fast": 15.0},
+    "two-fluid-3.5-20": {"slow": 3.5},
+    "two-fluid-7-20": {"slow": 7.0},
+    "two-fluid-5-10": {"fast": 10.0},
+    "two-fluid-density-0.5": {"densities": (0.5, 0.5)},
+    "two-fluid-density-3": {"densities": (3.0, 3.0)},
+    "two-fluid-jitter-0": {"jitter": 0.0},
+    "two-fluid-jitter-4": {"jitter": 4.0},
+}
+KINDS |= {
+    kind: partial(lambda how, seed: sim.simulate_two_fluid(rng=seed, **how), how)
+    for kind, how in OTHER.items()
+}
+KINDS["faint"] = jet(dispersion=0.2, noise=0.01)
 KINDS["unrelated"] = lambda seed: sim.simulate_unrelated(rng=seed)
 
 
@@ -181,7 +197,7 @@ def measure(kind, seed, n_trials):
         return measure_sensitivity(kind, seed, n_trials)
     jet = KINDS[kind](seed)
     cube = jet.cube.to_common_beam() if kind == "vlba" else jet.cube
-    paper = kind in (*PAPER, "unrelated", "static-walk", "drift-walk")
+    paper = kind in (*PAPER, *OTHER, "unrelated", "static-walk", "drift-walk")
     beam = np.sqrt(cube.beams[0].major * cube.beams[0].minor)
     unit = (beam / (30 * u.day if paper else 0.2 * u.yr)).to(u.mas / u.yr)
     region = None

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from astropy.stats import binom_conf_interval
 from matplotlib.figure import Figure
-from run import FLOW, KINDS, PAPER, SENSITIVITY
+from run import FLOW, KINDS, OTHER, PAPER, SENSITIVITY
 
 RESULTS = Path(__file__).parent / "results"
 ALPHA = 0.05
@@ -24,7 +24,11 @@ RIGHT = 0.2
 #: Mean speed of the flows of one stream, in beams per median interval.
 SPEED = 0.6
 TWO = {"two-streams": (0.3, 0.9), **dict.fromkeys(PAPER, (0.5, 2.0))}
-SINGLE = ("single", "epochs8", "features4", "features16", "vlba")
+TWO |= {
+    kind: (how.get("slow", 5.0) / 10, how.get("fast", 20.0) / 10)
+    for kind, how in OTHER.items()
+}
+SINGLE = ("single", "epochs8", "features4", "features16", "faint", "vlba")
 BROAD = ("lognormal", "uniform", "drift")
 
 
