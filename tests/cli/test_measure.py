@@ -357,7 +357,7 @@ def test_a_cube_file_is_measured(jet, astro_scc, here):
         (["--before", "soon"], "--before 'soon' is no date"),
         (["--before", "1990-01-01"], "no epoch is left between --after and --before"),
         (["--before", "2000-01-15"], "velocities need at least two epochs"),
-        (["--align", "coer"], "--align method 'coer' is none of"),
+        (["--align", "coer"], "--align 'coer' is none of"),
         (["--region", "no.reg"], "no.reg: No such file or directory"),
         (["--region", "odd.reg"], "odd.reg: "),
         (["--config", "no.toml"], "no.toml: No such file or directory"),
