@@ -69,7 +69,7 @@ if __name__ == "__main__":
     ("context", "n"),
     [pytest.param(None, 2, id="few")]
     + [
-        pytest.param(name, 5, id=name, marks=pytest.mark.slow)
+        pytest.param(name, 3, id=name, marks=pytest.mark.slow)
         for name in multiprocessing.get_all_start_methods()
     ],
 )
