@@ -72,11 +72,11 @@ class SearchSettings:
         normal distribution, one-sided.
     pull : float
         Distance within which a standing feature attracts or repels positions.
-        On simulated jets, speeds at 2 to 3 beams are 4% too small without such
+        On simulated jets, speeds at 2 to 3 beams are 7 +- 2% too small without such
         positions (``benchmarks/calibration/followed.py``).
     pulled_error : float
         Relative error of the speed of a feature that is seen nowhere else.  On
-        simulated jets such speeds are 11% too small, and scatter by 11%
+        simulated jets such speeds are 13% too small, and scatter by 14%
         (``benchmarks/calibration/followed.py``).
     apart : float
         Smallest difference of two streams, in standard deviations of the

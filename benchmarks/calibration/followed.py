@@ -3,7 +3,7 @@
 """
 Show which features of simulated jets are followed, and how right their speeds are.
 
-    python benchmarks/calibration/followed.py [--jets 20]
+    python benchmarks/calibration/followed.py [--jets 10]
 
 Writes ``results/followed_table.csv``, the share of the features that are followed, and
 ``results/feature_speeds_table.csv``, the errors of their speeds against their distance
@@ -81,7 +81,7 @@ def followed(kind, seed):
 def main():
     """Follow the features of all jets."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument("--jets", type=int, default=20)
+    parser.add_argument("--jets", type=int, default=10)
     args = parser.parse_args()
     rows, errors = [], []
     for kind in JETS:
