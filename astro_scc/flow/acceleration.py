@@ -73,7 +73,7 @@ class FlowAcceleration:
         if np.isnan(self.p_value):
             return (
                 "acceleration: unknown, as four features are needed beyond two beams, "
-                f"or two over five epochs, and there are {self.n_features}"
+                f"or two over five epochs, and only {self.n_features} can be used"
             )
         length, time = self.speed.unit.bases
         both = self.acceleration, self.acceleration_err

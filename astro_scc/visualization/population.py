@@ -138,7 +138,7 @@ def plot_population(features: QTable, *, figure: Figure | None = None) -> Figure
         _histogram(left, parts, colors, names)
         left.set(xlabel=label, ylabel="Features")
         _histogram(right, [fastest_of(features, name)], (style.GREEN,), ("fastest",))
-        right.set(xlabel=f"{label}, fastest", ylabel="Jets")
+        right.set(xlabel=f"Fastest {label[0].lower()}{label[1:]}", ylabel="Jets")
     return figure
 
 
