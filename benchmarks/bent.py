@@ -12,7 +12,7 @@ import numpy as np
 from common import PM_UNIT, measured, plain, write_table
 
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation
-from astro_scc.epochs.restoring import add_gaussians
+from astro_scc.components.restoring import add_gaussians
 from astro_scc.kinematics import find_ridge_line
 from astro_scc.measurement import select_ssps
 

@@ -68,7 +68,7 @@ def simulate(n_epochs, shape=(512, 512), rng=1):
 def measurer(cube, reach):
     """Return a measurement whose windows reach this many pixels."""
     settings = {"scales": SCALES, "position_angle": 270 * u.deg}
-    longest = StackedCrossCorrelation(**settings).date_pairs(cube).interval.max()
+    longest = StackedCrossCorrelation(**settings).plan(cube).pairs.interval.max()
     speed = (reach - BEAM - 0.05) * 0.1 / longest * u.mas / u.yr
     return StackedCrossCorrelation(max_speed=speed, **settings)
 

@@ -3,33 +3,43 @@
 """
 Vary the constants of the search one by one, on jets that the calibration does not use.
 
-    python benchmarks/calibration/design.py [--jets 5]
+    python benchmarks/calibration/design.py [--jets 5] [--diffusion TABLES]
 
 Writes ``results/design_table.csv``: for each constant and value, the share of jets with
 one stream whose speed is right, of jets with two streams in which both are right, and
-of static jets in which something moves.  Each jet is matched once.
+of static jets in which something moves.  Each jet is matched once.  With the folder of
+MOJAVE's tables it writes ``results/diffusion_table.csv`` instead: what distinguishes
+random walks from the jets that were simulated or observed.
 """
 
 import argparse
 import os
+import sys
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 import astropy.units as u
 import numpy as np
-from run import KINDS, features
+from run import KINDS, diffusing, features
 from summary import RIGHT, TWO, write
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.features import find_features
+from astro_scc.features.diffusion import measure_diffusion
 from astro_scc.measurement.axes import AxisProjection
 from astro_scc.stacking import SearchSettings, find_streams
 
 FIRST_SEED = 4000
 ONE = ("single-20", "features4-20", "epochs8-20")
+#: Drifts and random steps in beams an epoch, and jets with most features.
+WALKS = [(drift, step) for drift in (0.0, 0.1) for step in (0.1, 0.2, 0.3, 0.4)]
+STEADY = ("single-20", "single-30", "features16-20", "two-streams", "uniform",
+          "accelerated", "layers", "static-red")  # fmt: skip
 STATIC = ("static-red", "static-align3", "static-comb")
 VALUES = {
     "radius": (1.2, 1.5, 1.8),
@@ -87,11 +97,40 @@ def speeds(d, seed, settings):
     return [abs(s.along.mean) * 0.2 for s in found.streams if s.kind == "moving"]
 
 
+def diffusion_table(tables, seeds):
+    """Write what the speeds of features show of random walks, jet by jet."""
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    from common import mojave_images
+    from mojave import SOURCES
+
+    kinds = {f"walk {drift:g} {step:g}": diffusing(drift, step)
+             for drift, step in WALKS}  # fmt: skip
+    kinds |= {kind: KINDS[kind] for kind in STEADY}
+    jets = [(kind, seed, lambda make=make, seed=seed: make(seed).cube)
+            for kind, make in kinds.items() for seed in seeds]  # fmt: skip
+    jets += [(source.name, "", lambda own=source: mojave_images(
+             tables, own.table, own.beam)) for source in SOURCES]  # fmt: skip
+    rows = []
+    for kind, seed, cube in jets:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = measure_diffusion(find_features(cube()))
+        numbers = f"{found.step:.3f}", f"{found.change:.2f}", f"{found.isotropy:.2f}"
+        walk = "yes" if found.is_walk else "no"
+        rows.append([kind, seed, found.n_features, *numbers, walk])
+    header = ["jet", "seed", "features", "step", "change", "isotropy", "diffuses"]
+    write("diffusion_table", header, rows)
+
+
 def main():
     """Measure all jets with each value of each constant."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument("--jets", type=int, default=5)
+    parser.add_argument("--diffusion", type=Path, help="folder of MOJAVE's tables")
     args = parser.parse_args()
+    if args.diffusion:
+        diffusion_table(args.diffusion, range(FIRST_SEED, FIRST_SEED + args.jets))
+        return
     seeds = range(FIRST_SEED, FIRST_SEED + args.jets)
     kinds = (*ONE, "two-streams", *STATIC)
     jets = {kind: [matched_jet(kind, seed) for seed in seeds] for kind in kinds}
