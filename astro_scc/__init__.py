@@ -22,13 +22,15 @@ _PUBLIC = {
 }
 _FOLDERS = frozenset(
     {
+        "alignment",
+        "components",
         "correlation",
         "decomposition",
         "epochs",
         "expansion",
         "features",
         "flow",
-        "interchange",
+        "images",
         "kinematics",
         "measurement",
         "recovery",

@@ -1,128 +1,207 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Columns of tables: units, meanings, UCDs and headings of papers."""
+"""
+Columns of tables, each once in ``columns.csv``, and their cells as text.
 
-import re
+A row of the file is a column of a table: its type or unit, its meaning and that of its
+``_err`` column, its UCD, its headings in LaTeX, in reports and, where it is another
+one, on the terminal, with {unit}, and its format without an error.  What a name has in
+all tables stands in its first row.
+"""
+
+import csv
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
+from astropy.time import Time
 from astropy.utils.masked import Masked
 
-from astro_scc.units import PM_UNIT
+from astro_scc.quantities import decimals, with_error
 
-#: Columns of a table in a paper, in their order, and their headings in LaTeX.
-PAPER = {
-    "source": "Source",
-    "redshift": "$z$",
-    "track": "Track",
-    "feature": "Feature",
-    "component": "Stream",
-    "r_min": r"$r_\mathrm{min}$",
-    "r_max": r"$r_\mathrm{max}$",
-    "kind": "Kind",
-    "scale": "Scale",
-    "n_epochs": "Epochs",
-    "first": "First",
-    "last": "Last",
-    "separation": "Separation",
-    "position_angle": "PA",
-    "r": "$r$",
-    "pa": "PA",
-    "pm": r"$\mu$",
-    "beta_app": r"$\beta_\mathrm{app}$",
-    "pm_pa": r"PA of $\mu$",
-    "published": "Published",
-    "published_pm": r"$\mu_\mathrm{pub}$",
-    "dispersion": r"$\sigma_\mu$",
-    "t_ej": r"$t_\mathrm{ej}$",
-    "p_false": r"$p_\mathrm{false}$",
-    "p_global": r"$p_\mathrm{global}$",
-    "p_fdr": r"$p_\mathrm{FDR}$",
-    "n_features": "Features",
-    "n_pairs": "Pairs of epochs",
-    "secure": "Secure",
-}
-#: Patterns of names of columns, the first of which that fits tells the UCD.
-UCDS = {
-    "pm_ra_cosdec": "pos.pm;pos.eq.ra",
-    "pm_dec": "pos.pm;pos.eq.dec",
-    "pm_pa": "pos.posAng;pos.pm",
-    "(published_)?pm(_.*)?|change": "pos.pm",
-    "beta_app": "phys.veloc",
-    "dispersion": "stat.stdev;pos.pm",
-    "acc_.*": "phys.acceleration",
-    "(ra_offset|east)(_centroid)?": "pos.eq.ra;arith.diff",
-    "(dec_offset|north)(_centroid)?": "pos.eq.dec;arith.diff",
-    "(lon|lat)_offset.*": "pos;arith.diff",
-    "separation|r(_min|_mid|_max)?|motion": "pos.angDistance",
-    "position_angle|pa": "pos.posAng",
-    "x": "pos.cartesian.x",
-    "y": "pos.cartesian.y",
-    "date|t_ej": "time.epoch",
-    "first": "time.start;obs",
-    "last": "time.end;obs",
-    "flux": "phot.flux.density",
-    "size|scale_size": "phys.angSize",
-    "p_.*": "stat.probability",
-    "snr": "stat.snr",
-    "coefficient": "stat.correlation",
-    "z_score|peak|coefficient_sum": "stat.value",
-    "n_.*": "meta.number",
-    "epoch": "meta.id;obs",
-    "published": "meta.id.cross",
-    "source": "meta.id;src;meta.main",
-    "redshift": "src.redshift",
-    "track|feature|component|ssp|region|scale_group": "meta.id",
-    "kind": "meta.code.class",
-    "secure|proven|used|in_region|main|scale": "meta.code.qual",
-    "caution": "meta.note",
-}
+#: Types of columns without a unit; of an empty one the values decide.
+TYPES = {"int": int, "float": float, "bool": bool, "text": str, "word": "U15"}
+TYPES |= {"ratio": u.one, "": None}
 
 
-def column_ucd(name):
-    """Return the UCD of a column, or None if it is of no table of this package."""
-    plain = re.sub("_err(?=_|$)", "", name)
-    found = (ucd for own, ucd in UCDS.items() if re.fullmatch(own, plain))
-    ucd = next(found, None)
-    return f"stat.error;{ucd}" if ucd and plain != name else ucd
+@dataclass(frozen=True)
+class Column:
+    """What is known of a column of a table."""
+
+    kind: Any = None
+    meaning: str = ""
+    ucd: str = ""
+    latex: str = ""
+    heading: str = ""
+    terminal: str = ""
+    format: str = ""
+
+    def values(self, values):
+        """Return values with the unit or type; those that are None are masked."""
+        is_unit = isinstance(self.kind, u.UnitBase)
+        missing = np.array([value is None for value in values], dtype=bool)
+        values = [0.0 if value is None else value for value in values]
+        column = np.array(values, dtype=float if is_unit else self.kind)
+        if is_unit:
+            column = column * self.kind
+        if missing.any():
+            masked = Masked if is_unit else np.ma.MaskedArray
+            column = masked(column, mask=missing)
+        return column
 
 
-#: Columns of a proper motion: unit, and meaning.
-MOTION = {
-    "pm_ra_cosdec": (PM_UNIT, "proper motion to the east"),
-    "pm_ra_cosdec_err": (PM_UNIT, "standard error of pm_ra_cosdec"),
-    "pm_dec": (PM_UNIT, "proper motion to the north"),
-    "pm_dec_err": (PM_UNIT, "standard error of pm_dec"),
-    "pm": (PM_UNIT, "proper motion, its length"),
-    "pm_err": (PM_UNIT, "standard error of pm"),
-    "pm_pa": (u.deg, "direction of the proper motion, north through east"),
-    "pm_pa_err": (u.deg, "standard error of pm_pa"),
-}
+@cache
+def _tables():
+    """Return the columns of each table by their names, in the order of the file."""
+    found, kinds = defaultdict(dict), cache(u.Unit)
+    with resources.files("astro_scc").joinpath("columns.csv").open() as file:
+        for row in csv.DictReader(file):
+            name, table, kind, error = map(row.pop, ("name", "table", "kind", "error"))
+            kind = TYPES[kind] if kind in TYPES else kinds(kind)
+            found[table][name] = Column(kind, **row)
+            if error:
+                ucd = f"stat.error;{row['ucd']}" if row["ucd"] else ""
+                column = Column(kind, error.format(name), ucd)
+                found[table][f"{name}_err"] = column
+    return dict(found)
 
 
-def describe(table, meanings):
-    """Set the descriptions of the columns of a table that are among the meanings."""
-    for name in meanings.keys() & set(table.colnames):
-        table[name].info.description = meanings[name]
+def columns_of(own):
+    """Return the columns of a table in ``columns.csv`` by their names."""
+    return _tables()[own]
 
 
-def build_table(rows, columns):
+@cache
+def column_of(name):
+    """Return what is known of a column in all tables."""
+    every = (columns[name] for columns in _tables().values() if name in columns)
+    return next(every, Column())
+
+
+def describe(table, own):
+    """Set the meanings of the columns of a table in ``columns.csv``; return it."""
+    for name in columns_of(own).keys() & set(table.colnames):
+        table[name].info.description = columns_of(own)[name].meaning
+    return table
+
+
+def build_table(own, rows=(), **columns):
     """
-    Build a table from dicts, with the unit or type and description of each column.
+    Build a table in ``columns.csv`` from dicts of plain values and whole columns.
 
     Values that are None are masked.
     """
     table = QTable()
-    for name, (kind, text) in columns.items():
-        is_unit = isinstance(kind, u.UnitBase)
-        missing = np.array([row[name] is None for row in rows], dtype=bool)
-        values = [0.0 if row[name] is None else row[name] for row in rows]
-        column = np.array(values, dtype=float if is_unit else kind)
-        if is_unit:
-            column = column * kind
-        if missing.any():
-            masked = Masked if is_unit else np.ma.MaskedArray
-            column = masked(column, mask=missing)
-        table[name] = column
-        table[name].info.description = text
+    for name, column in columns_of(own).items():
+        if name not in columns:
+            columns[name] = column.values([row[name] for row in rows])
+        table[name] = columns[name]
+    return describe(table, own)
+
+
+def with_errors(**pairs):
+    """Return pairs of a value and its error as values of two columns each."""
+    errors = {f"{name}_err": error for name, (_, error) in pairs.items()}
+    return {name: value for name, (value, _) in pairs.items()} | errors
+
+
+def round_to_errors(table):
+    """
+    Set formats that round columns to their errors when a table is printed, in place.
+
+    Parameters
+    ----------
+    table : `~astropy.table.Table`
+        A column and its error, of which the name ends with ``_err``, show the smallest
+        error to two significant digits.  Other numbers show four, p-values two.
+
+    Returns
+    -------
+    `~astropy.table.Table`
+        The same, with the same numbers.
+    """
+    for name in table.colnames:
+        column = table[name]
+        if getattr(getattr(column, "dtype", None), "kind", "") != "f":
+            continue
+        error = f"{name.removesuffix('_err')}_err"
+        is_p = name.startswith("p_")
+        form = column_of(name).format or (".2g" if is_p or "_err" in name else ".4g")
+        if error in table.colnames and not is_p:
+            errors = np.asarray(getattr(table[error], "unmasked", table[error]))
+            errors = errors[np.isfinite(errors) & (errors > 0)]
+            form = f".{decimals(errors.min())}f" if errors.size else form
+        # Years have more digits before the point.
+        column.info.format = None if column.unit == "yr" and form[-1] == "g" else form
     return table
+
+
+def cell(row, name, sign="±", form=None):
+    """
+    Return an entry of a row of a table as text; "-" if there is nothing to say.
+
+    Parameters
+    ----------
+    row : `~astropy.table.Row`
+    name : str
+    sign : str, optional
+        What stands between a value and its error.
+    form : str, optional
+        Format instead of the error, or of that of the column.
+
+    Returns
+    -------
+    str
+        A value with an error is rounded to its error.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> from astro_scc.columns import cell
+    >>> table = QTable({"pm": [2.1279], "pm_err": [0.072]}, units=[u.mas / u.yr] * 2)
+    >>> cell(table[0], "pm"), cell(table[0], "pm", form=".1f")
+    ('2.128 ± 0.072', '2.1')
+    """
+    value, names = row[name], row.colnames
+    if isinstance(value, Time):
+        return value.strftime("%Y-%m-%d")
+    # What stands still is not tested.
+    still = name.startswith("p_") and "kind" in names and row["kind"] == "stationary"
+    if still or np.any(getattr(value, "mask", False)):
+        return "-"
+    kind = np.asarray(value).dtype.kind
+    if kind == "b":
+        return "yes" if value else "no"
+    if kind != "f":
+        return str(value)
+    value = _plain(value)
+    if not np.isfinite(value):
+        return "-"
+    if form is None and f"{name}_err" in names:
+        return with_error(value, _plain(row[f"{name}_err"]), sign)
+    return f"{value:{form or row.table[name].info.format or ''}}"
+
+
+def cells(table, names, *, sign="±", forms=None):
+    """
+    Return those columns that a table has as lists of text by their names, see `cell`.
+
+    ``forms`` has by their names the formats of columns that are shown without error.
+    """
+    table, forms = round_to_errors(table.copy(copy_data=False)), forms or {}
+    return {
+        name: [cell(row, name, sign, forms.get(name)) for row in table]
+        for name in names
+        if name in table.colnames
+    }
+
+
+def _plain(value):
+    """Return an entry without unit and mask."""
+    value = getattr(value, "unmasked", value)
+    return getattr(value, "value", value)

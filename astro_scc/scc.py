@@ -7,31 +7,34 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.correlation.parallel import workers_of
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.beam import require_common_beam
-from astro_scc.epochs.registration import warn_of_misalignment
+from astro_scc.images.beam import require_common_beam
 from astro_scc.measurement import (
     MatchedEpochs,
     SCCResult,
+    SearchPlan,
     decomposing,
     match_files,
-    plan,
 )
-from astro_scc.measurement.axes import angular_displacements
-from astro_scc.measurement.choices import choose_scales
-from astro_scc.measurement.stacking import stack_matches, velocity_frame
+from astro_scc.measurement.axes import matched_displacements
+from astro_scc.measurement.plan import (
+    scale_numbers,
+    search_reach,
+    warn_of_none_inside,
+)
+from astro_scc.measurement.stacking import stack_matches
 from astro_scc.progress import progress
 from astro_scc.settings import MeasurementSettings, Settings, require
-from astro_scc.stacking.velocities import DatePairs, VelocitySamples
-from astro_scc.units import PM_UNIT, comparable
+from astro_scc.stacking.velocities import VelocitySamples
+from astro_scc.units import comparable
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -154,11 +157,9 @@ class StackedCrossCorrelation(MeasurementSettings):
             noise=self.noise,
         )
 
-    def scale_numbers(self, cube: EpochCube) -> tuple[float, ...]:
+    def plan(self, cube: EpochCube) -> SearchPlan:
         """
-        Return the scales as numbers, for the pixels of a cube.
-
-        If none are given, they follow from the beam, or the size of the structures.
+        Return what the settings mean for the pixels, beams and dates of a cube.
 
         Parameters
         ----------
@@ -166,17 +167,14 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Returns
         -------
-        tuple of float
+        `~astro_scc.measurement.SearchPlan`
 
         Raises
         ------
         ValueError
-            If an angle is not within 20% of a scale's size, or two angles mean
-            the same scale.
+            If no two epochs make a pair, or a scale does not fit the pixels.
         """
-        if self.scales is None:
-            return choose_scales(cube)[0]
-        return require("scales", plan.scales_of_pixels(self.scales, cube.pixel_scale))
+        return SearchPlan.of(cube, self)
 
     def decomposer(self, cube: EpochCube) -> Decomposer:
         """
@@ -190,83 +188,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         `~astro_scc.decomposition.Decomposer`
         """
-        return decomposing.allow_for_structure(
-            cube, self._decomposer(self.scale_numbers(cube))
-        )
-
-    def date_pairs(self, cube: EpochCube) -> DatePairs:
-        """
-        Return the pairs of dates that are compared.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-
-        Returns
-        -------
-        ``DatePairs``
-
-        Raises
-        ------
-        ValueError
-            If no two epochs make a pair.
-        """
-        return plan.pairs_of_dates(cube, self.baseline)
-
-    def speed_limit(self, cube: EpochCube) -> u.Quantity:
-        """
-        Return the largest speed that is searched.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-
-        Returns
-        -------
-        `~astropy.units.Quantity`
-            In mas/yr.
-        """
-        if self.max_speed is not None:
-            return u.Quantity(self.max_speed)
-        radius, fwhm = self.search_radius(cube)
-        return plan.largest_speed(cube, radius, self.baseline) * fwhm * PM_UNIT
-
-    @property
-    def largest_speed(self) -> float | None:
-        """The largest speed in mas/yr, or None if none is given."""
-        return None if self.max_speed is None else self.max_speed.to_value(PM_UNIT)
-
-    def search_radius(self, cube: EpochCube) -> tuple[float, float]:
-        """
-        Return the largest displacement at which streams are searched for.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-
-        Returns
-        -------
-        radius, fwhm : float
-            In beams, and the beam (or the largest scale without one) in mas.
-        """
-        fwhm = plan.mean_fwhm(cube, max(self.scale_numbers(cube)))
-        return plan.search_radius(cube, self.largest_speed, fwhm), fwhm
-
-    def reach(self, cube: EpochCube) -> tuple[int, int]:
-        """
-        Return the largest displacement that is matched, in pixels.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-
-        Returns
-        -------
-        tuple of int
-            Along (y, x).
-        """
-        of = self.date_pairs(cube), *self.search_radius(cube), self.largest_speed
-        return plan.search_reach(cube, *of)
+        numbers = scale_numbers(cube, self.scales)
+        return decomposing.allow_for_structure(cube, self._decomposer(numbers))
 
     def match(
         self, cube: EpochCube, *, region: Any = None, n_workers: int | str | Client = 1,
@@ -319,7 +242,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         if self.common_beam is not False:
             require_common_beam(cube)
         warn_of_misalignment(cube)
-        reach = self.reach(cube)
+        reach = search_reach(cube, self.plan(cube))
         inside = None if region is None else cube.region_mask(region)
         decomposer = self.decomposer(cube)
         correlator = Correlator(self.kappa, self.target, self.min_overlap)
@@ -345,7 +268,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             if cache is not None:
                 cache.parent.mkdir(parents=True, exist_ok=True)
                 matched.write(cache, overwrite=True)
-        plan.warn_of_none_inside(matched.ssps, matched.select, region)
+        warn_of_none_inside(matched.ssps, matched.select, region)
         return matched
 
     def stack(
@@ -396,9 +319,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             In mas, for the selected SSPs.
         frame : frame of `astro_scc.kinematics`
         """
-        frame = velocity_frame(matched, self.position_angle)
-        of = matched.matches, matched.ssps, matched.cube, frame, self.min_error_beams
-        return angular_displacements(*of, select=matched.select), frame
+        return matched_displacements(matched, self)
 
     def __call__(
         self, cube: EpochCube, *, region: Any = None, n_trials: int = 1000,
@@ -435,6 +356,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         how = {"n_workers": n_workers, "cache": cache, "progress_bar": progress_bar}
         matched = self.match(cube, region=region, **how)
         require_ssps(matched.ssps, matched.scales)
+        matched.follow(n_workers=n_workers, progress_bar=progress_bar)
         return self.stack(
             matched, n_trials=n_trials, rng=rng, progress_bar=progress_bar
         )

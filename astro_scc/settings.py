@@ -64,7 +64,7 @@ def _cosmology(value):
 
 
 def _beam(value):
-    from astro_scc.epochs.beam import parse_beam
+    from astro_scc.images.beam import parse_beam
 
     parse_beam(q.check_text(value))
     return value.strip()

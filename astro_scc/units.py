@@ -1,10 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Units that are easy to read, and formats of numbers with errors."""
+"""Units that are easy to read."""
 
 import astropy.units as u
-import numpy as np
-
-from astro_scc.quantities import decimals
 
 PM_UNIT = u.mas / u.yr
 ACCELERATION = u.mas / u.yr**2
@@ -12,8 +9,6 @@ ACCELERATION = u.mas / u.yr**2
 TIMES = {u.yr: 0.1 * u.yr, u.day: 2 * u.day}
 #: Proper motions are in arcsec if a beam in the median interval is so many.
 ARCSEC = 1.0
-#: Formats of numbers without errors in tables that are printed.
-FORMATS = {"coefficient": ".3f", "z_score": ".1f", "pm_limit": ".2g"}
 
 
 def offset_unit(span, unit=None):
@@ -70,35 +65,4 @@ def in_speed_unit(table, unit):
                 about = table[name].info.description
                 table[name] = table[name].to(wanted)
                 table[name].info.description = about
-    return table
-
-
-def round_to_errors(table):
-    """
-    Set formats that round columns to their errors when a table is printed, in place.
-
-    Parameters
-    ----------
-    table : `~astropy.table.Table`
-        A column and its error, of which the name ends with ``_err``, show the smallest
-        error to two significant digits.  Other numbers show four, p-values two.
-
-    Returns
-    -------
-    `~astropy.table.Table`
-        The same, with the same numbers.
-    """
-    for name in table.colnames:
-        column = table[name]
-        if getattr(getattr(column, "dtype", None), "kind", "") != "f":
-            continue
-        error = f"{name.removesuffix('_err')}_err"
-        is_p = name.startswith("p_")
-        form = FORMATS.get(name, ".2g" if is_p or "_err" in name else ".4g")
-        if error in table.colnames and not is_p:
-            errors = np.asarray(getattr(table[error], "unmasked", table[error]))
-            known = errors[np.isfinite(errors) & (errors > 0)]
-            form = f".{decimals(known.min())}f" if known.size else form
-        # Years have more digits before the point.
-        column.info.format = None if column.unit == "yr" and form[-1] == "g" else form
     return table

@@ -122,8 +122,8 @@ def remove_left(parent, prefix):
     # Eight digits of the machine, and eight random ones.
     names = re.compile(re.escape(prefix) + "[0-9a-f]{8}-[0-9a-f]{8}")
     stay = []
-    for path in sorted(Path(parent).glob("*")):
-        if not names.fullmatch(path.name) or path.is_symlink() or not path.is_dir():
+    for path in sorted(p for p in Path(parent).glob("*") if names.fullmatch(p.name)):
+        if path.is_symlink() or not path.is_dir():
             continue
         with suppress(OSError), hold(path) as held:
             if held and path.name.startswith(prefix + _machine()):

@@ -13,7 +13,7 @@ HERE = Path(__file__).parent
 #: Folders and modules whose tests run the command line, or scripts, end to end.
 INTEGRATION = {
     *("cli", "robustness", "survey"),
-    *("test_cli_inspect", "test_docs_commands", "test_examples", "test_golden"),
+    *("test_docs_commands", "test_examples", "test_golden"),
 }
 OPTIONS = {"scales": [1, 2, 3], "max_speed": 30 * u.mas / u.yr}
 

@@ -233,9 +233,9 @@ def test_what_is_said_of_the_calibration_is_what_it_found():
     for row in calibrated("static"):
         assert limits(row["moving row"])[0] <= 0.05, row
     assert "right to two per cent on average" in text
-    assert "the drift is 77% too large" in text
+    assert "that diffuse are recognised as such, and all of them count" in text
     speeds = {row["jets"]: row for row in calibrated("speeds")}
-    assert float(speeds.pop("drift-walk")["bias"]) == pytest.approx(0.77, abs=0.005)
+    assert limits(speeds.pop("drift-walk")["within 20%"])[0] >= 0.8
     bias = [
         float(row["bias"])
         for name, row in speeds.items()

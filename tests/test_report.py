@@ -265,26 +265,38 @@ def test_no_component_is_an_answer_too(result, tmp_path):
     assert not (tmp_path / "members.png").exists()
 
 
-def test_nor_need_any_be_more_than_chance(result, tmp_path, quick):
-    table = result.components.copy()
-    table["kind"] = "not significant"
-    table = with_notes(table, [CHANCE, CHANCE])
-    words = words_of(result, table, tmp_path)
-    assert "No motion found between" in words
-    said = [f"Stream {k} (not significant): {CHANCE}." for k in (1, 2)]
-    assert " ".join(said) in words
-    table["caution"] = ["-", "of one feature"]
-    words = words_of(result, table, tmp_path)
-    assert "Stream 2 (not significant): of one feature." in words
-    assert "): -" not in words
+NONE = f"Stream 1 (not significant): {CHANCE}. Stream 2 (not significant): {CHANCE}."
+#: Columns of components, and what the page says of them and does not.
+SAID = [
+    ({"kind": "not significant", "caution": CHANCE}, "No motion found between", "): -"),
+    ({"kind": "not significant", "caution": CHANCE}, NONE, "): -"),
+    ({"kind": "not significant", "caution": "of one"}, "significant): of one.", "): -"),
+    ({"kind": "not significant", "caution": "-"}, "No motion found", "): -"),
+    ({"kind": "stationary"}, "mas/yr: all features are stationary within", "): -"),
+    # Small probabilities are not rounded to nothing.
+    ({"p_local": 0.000123}, " 0.00012 ", "0.000123"),
+    # Columns that are new are shown, and their text is no code.
+    ({"gamma_min": 1.2346}, "gamma_min", "1.2346"),
+    ({"gamma_min": 1.2346}, " 1.235 ", "1.2346"),
+    ({"caution": "<b>good</b>"}, "<b>good</b>", "): -"),
+]
 
 
-def test_what_does_not_move_is_no_discovery(result, tmp_path, quick):
+@pytest.mark.parametrize(("columns", "said", "unsaid"), SAID)
+def test_what_the_page_says_of_components(
+    result, tmp_path, quick, columns, said, unsaid
+):
     table = result.components.copy()
-    table["kind"] = "stationary"
+    for name, value in columns.items():
+        if name == "caution":
+            with_notes(table, [value] * len(table))
+        else:
+            table[name] = value
     words = words_of(result, table, tmp_path)
-    assert "mas/yr: all features are stationary within their errors." in words
-    assert "not significant" not in words.partition("Rows in italics")[0]
+    assert said in words
+    assert unsaid not in words
+    if columns.get("kind") == "stationary":
+        assert "not significant" not in words.partition("Rows in italics")[0]
 
 
 def test_each_feature_has_its_own_speed(result, folder):
@@ -383,12 +395,6 @@ def test_too_few_trials_are_named(result, tmp_path, quick):
     assert line in words_of(short, table, tmp_path)
 
 
-def test_small_probabilities_are_not_rounded_to_nothing(result, tmp_path, quick):
-    table = result.components[:1].copy()
-    table["p_local"] = 0.000123
-    assert " 0.00012 " in words_of(result, table, tmp_path)
-
-
 @pytest.mark.parametrize(
     ("kinds", "begin"),
     [
@@ -447,16 +453,6 @@ def test_a_component_as_fast_as_the_search_is_pointed_out(
     chance = close.components.copy()
     chance["kind"] = "not significant"
     assert "anything that" not in words_of(close, chance, tmp_path)
-
-
-def test_columns_that_are_new_are_shown(result, tmp_path, quick):
-    table = result.components[:1].copy()
-    table["gamma_min"] = 1.2345
-    table = with_notes(table, ["<b>good</b>"])
-    words = words_of(result, table, tmp_path)
-    assert "gamma_min" in words
-    assert "1.234" in words or "1.235" in words
-    assert "<b>good</b>" in words
 
 
 def test_only_ssps_of_the_region_are_counted(result, tmp_path, quick):

@@ -131,17 +131,6 @@ def test_speeds_survive_to_the_bit(value, unit):
     assert scc.max_speed.unit == u.mas / u.yr
 
 
-@given(
-    shortest=st.floats(min_value=0, max_value=10),
-    length=st.floats(min_value=1e-3, max_value=10),
-    unit=st.sampled_from(["yr", "d", "h", "min"]),
-)
-def test_baselines_survive_to_the_bit(shortest, length, unit):
-    settings = Settings(baseline=f"{shortest!r} {shortest + length!r} {unit}")
-    again = Settings(**settings.to_dict())
-    assert same(again.baseline, settings.baseline)
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -182,28 +171,6 @@ def test_quantities_that_are_none(text, reason):
         parse_quantities(text)
 
 
-@pytest.mark.parametrize(
-    ("value", "expected"),
-    [
-        ("1,2,3", (1.0, 2.0, 3.0)),
-        ("1 1.5", (1.0, 1.5)),
-        ([1, 2.5], (1.0, 2.5)),
-        (2, (2.0,)),
-        ("0.2,0.4 mas", [0.2, 0.4] * u.mas),
-        (["0.2 mas", "0.4 mas"], [0.2, 0.4] * u.mas),
-        ("0.2 mas", [0.2] * u.mas),
-    ],
-)
-def test_scales(value, expected):
-    assert same(check_setting("scales", value), expected)
-
-
-def test_position_angle():
-    assert check_setting("position_angle", "radial") == "radial"
-    assert check_setting("position_angle", "-65 deg") == -65 * u.deg
-    assert check_setting("position_angle", "1 rad") == 1 * u.rad
-
-
 def test_dates_of_toml_are_dates(tmp_path):
     path = tmp_path / "config.toml"
     path.write_text("after = 2001-02-03\nbefore = 2005-01-01T12:00:00\n")
@@ -223,25 +190,17 @@ def test_times():
     ("name", "value", "reason"),
     [
         ("epochs", [], "list of files"),
-        ("epochs", 3, "list of files"),
         ("epochs", ["a.fits", 3], "must be text"),
         ("align", " ", "must be text"),
         ("region", 3, "must be text"),
         ("common_beam", "yes", "true or false"),
         ("kappa", "much", "must be a number"),
-        ("kappa", True, "must be a number"),
         ("kappa", float("nan"), "finite"),
         ("min_error_beams", 0, "a part of the beam between 0 and 5"),
         ("alpha", 0, "between 0 and 1"),
-        ("alpha", 1.5, "between 0 and 1"),
-        ("alpha", "low", "must be a number"),
         ("n_trials", 1, "must be 2 to"),
         ("n_trials", 10.5, "whole number"),
-        ("n_trials", "many", "whole number"),
-        ("n_trials", True, "whole number"),
-        ("seed", -1, "must be 0 to"),
         ("seed", 2**63, "must be 0 to"),
-        ("target", "all", "one of segments, plane"),
         ("kappa", 1.0, "kappa = 1.0 must be between 0 and 1"),
         ("min_error_beams", 5, "min_error_beams = 5 must be a part of the beam"),
         ("wavelet", "b2", "wavelet = 'b2' must be one of b1, b3"),
@@ -255,16 +214,12 @@ def test_times():
             "max_speed = 2 must be an angle per time with a unit, such as",
         ),
         ("max_speed", "2 mas", "angle per time with a unit, such as '2 mas/yr'"),
-        ("max_speed", object(), "max_speed = .* must be an angle per time"),
         ("max_speed", 0 * u.mas / u.yr, "max_speed = 0.0 mas / yr must be finite and"),
         ("max_speed", np.inf * u.mas / u.yr, "must be finite and above 0"),
         ("max_speed", [1, 2] * u.mas / u.yr, "must be an angle per time with a unit"),
         ("max_speed", "2 7 mas/yr", "must be an angle per time with a unit"),
-        ("max_speed", "2 mas/parsecond", "unknown unit 'mas/parsecond'"),
-        ("max_speed", "-2 mas/yr", "above 0"),
         ("distance", "16.7 mas", "a length with a unit"),
         ("position_angle", "65", "radial, ridge, fit, any or an angle"),
-        ("position_angle", "65 mas/yr", "radial, ridge, fit, any or an angle"),
         (
             "position_angle",
             "west",
@@ -273,26 +228,20 @@ def test_times():
         ("position_angle", [1, 2] * u.deg, "must be radial, ridge"),
         ("position_angle", np.nan * u.deg, "position_angle = nan deg must be finite"),
         ("position_angle", "117 mas", "must be in degrees or radians"),
-        ("position_angle", "117arcsec", "must be in degrees or radians"),
         ("position_angle", 117 * u.uas, "must be in degrees or radians"),
         ("baseline", "1 yr", "shortest and a longest"),
-        ("baseline", "1 yr 2 yr 3 yr", "shortest and a longest"),
         ("baseline", "2 yr 1 yr", "shortest and a longest"),
-        ("baseline", "1 mas 2 mas", "shortest and a longest"),
         ("baseline", "1 2", "no unit at its end; it must be a shortest"),
         ("baseline", [1, 2], "shortest and a longest"),
         ("baseline", [-1, 1] * u.yr, "shortest and a longest"),
         ("baseline", [0, np.nan] * u.yr, "shortest and a longest"),
         ("scales", "1,b", "scale numbers such as 1,2,3 or angles"),
-        ("scales", "1 yr", "scale numbers"),
         ("scales", "0 mas", "above 0"),
         ("scales", "99", "of the series 0, 0.5, 1, 1.5, ..., 20: scale j is 2\\^j pix"),
         ("scales", [1.3], "of the series 0, 0.5"),
-        ("scales", [-1], "of the series 0, 0.5"),
         ("scales", "1,1", "scales = '1,1' must differ: leave out"),
         ("scales", [*range(98), 1], r"scales = \[0, 1, 2.*\.\.\. must differ"),
         ("scales", [], r"scales = \[\] must be scale numbers such as 1,2,3"),
-        ("scales", [] * u.mas, "must be scale numbers such as"),
         ("scales", [0.1, np.nan] * u.mas, "must be scale numbers such as"),
         ("cosmology", "standard", "is no cosmology"),
         ("cosmology", 3, "must be text"),
@@ -305,6 +254,10 @@ def test_times():
         ("distance", "16 7 Mpc", "must be one distance"),
         ("distance", "-1 Mpc", "finite and above 0"),
         ("alignment_error", "-0.1 mas", "0 or above"),
+        ("alignment_error", [1, np.nan] * u.mas, "must be an angle or a list of them"),
+        ("alignment_error", np.inf * u.mas, "must be an angle or a list of them"),
+        ("alignment_error", np.ones((2, 2)) * u.mas, "must be an angle or a list of"),
+        ("outward", 2, "must be true or false"),
         ("outward", "yes", "must be true or false"),
         ("detections", "clean", "must be one of gaussians, ssp"),
     ],
@@ -319,25 +272,18 @@ def test_values_that_make_no_sense(name, value, reason):
     ("name", "value", "expected"),
     [
         ("max_speed", "2 mas/yr", 2 * u.mas / u.yr),
-        ("max_speed", "2 mas yr-1", 2 * u.mas / u.yr),
-        ("scales", "1,2", (1.0, 2.0)),
         ("scales", np.array([1, 2]), (1.0, 2.0)),
-        ("scales", 2, (2.0,)),
         ("scales", [0.2 * u.mas, 0.4 * u.mas], [0.2, 0.4] * u.mas),
         ("scales", 0.4 * u.mas, [0.4] * u.mas),
         ("position_angle", "115 deg", 115 * u.deg),
-        ("position_angle", "-112deg", -112 * u.deg),
         ("position_angle", "ridge", "ridge"),
         ("baseline", "0.2 yr 1 yr", [0.2, 1.0] * u.yr),
         ("baseline", ["0.2 yr", "365.25 d"], [0.2, 1.0] * u.yr),
         ("baseline", [0.2 * u.yr, 365.25 * u.day], [0.2, 1.0] * u.yr),
-        ("alignment_error", "0 mas", 0 * u.mas),
         ("alignment_error", "0.1 0.2 mas", [0.1, 0.2] * u.mas),
         ("outward", np.False_, False),
         ("kappa", "0.7", 0.7),
         ("n_trials", np.int64(100), 100),
-        ("n_trials", "100", 100),
-        ("small_displacement_correction", np.True_, True),
         ("redshift", "15.8 %", 0.158),
         ("max_speed", None, None),
     ],
@@ -353,6 +299,7 @@ def test_text_in_python_is_what_it_is_on_the_command_line(name, value, expected)
     [
         ("max_speed", 2.0), ("max_speed", 2 * u.km / u.s), ("baseline", [1, 2] * u.mas),
         ("position_angle", 65), ("position_angle", 1 * u.yr), ("scales", [1, 2] * u.s),
+        ("alignment_error", 1 * u.s),
     ],
 )  # fmt: skip
 def test_a_wrong_unit_is_an_error_of_units(name, value):
@@ -387,19 +334,3 @@ def test_file_that_is_no_text(tmp_path):
         read_config(path)
     with pytest.raises(FileNotFoundError):
         read_config(tmp_path / "nothing.toml")
-
-
-def test_what_is_wrong_knows_its_name():
-    with pytest.raises(ValueError, match="max_speed = '2 mas' must be") as caught:
-        Settings(kappa=0.6, max_speed="2 mas")
-    assert caught.value.setting == "max_speed"
-    with pytest.raises(TypeError, match="speed"):
-        Settings(speed=1)
-
-
-def test_what_is_none_is_left_out():
-    plain = Settings(region=None, detection=np.float64(4), kappa=0.65).to_dict()
-    assert plain["kappa"] == 0.65
-    assert plain["detection"] == 4
-    assert type(plain["detection"]) is int
-    assert not {"region", "max_speed"} & set(plain)

@@ -39,10 +39,7 @@ from astro_scc import (
 )
 from astro_scc.features.motion import Motion
 from astro_scc.measurement import MatchedEpochs, SCCResult
-from astro_scc.stacking import stack as paper
-from astro_scc.stacking import velocities
-from astro_scc.stacking.dispersion import random_effects
-from astro_scc.stacking.velocities import DatePairs, VelocitySamples
+from astro_scc.stacking.velocities import DatePairs
 
 MAS_PER_YEAR = u.mas / u.yr
 
@@ -52,10 +49,11 @@ def measure(cube: EpochCube) -> QTable:
     StackedCrossCorrelation(scales="0.2 mas, 0.4 mas", max_speed="2 mas/yr")
     StackedCrossCorrelation(max_speed=2.0)  # type: ignore[arg-type]
     StackedCrossCorrelation(speed=2 * MAS_PER_YEAR)  # type: ignore[call-arg]
-    assert_type(scc.scale_numbers(cube), tuple[float, ...])
+    assert_type(scc.plan(cube), measurement.SearchPlan)
+    assert_type(scc.plan(cube).scales, tuple[float, ...])
     assert_type(scc.decomposer(cube), decomposition.Decomposer)
-    assert_type(scc.date_pairs(cube), DatePairs)
-    assert_type(scc.speed_limit(cube), u.Quantity)
+    assert_type(scc.plan(cube).pairs, DatePairs)
+    assert_type(scc.plan(cube).speed_limit(cube), u.Quantity)
     matched = scc.match(cube, region="jet.reg", n_workers=2, cache=Path("matches"))
     assert_type(matched, MatchedEpochs)
     result = scc.stack(matched, n_trials=100, rng=np.random.default_rng(1))
@@ -84,17 +82,6 @@ def decompose_and_correlate(image: np.ndarray) -> correlation.Matches:
     matches = correlation.Correlator(kappa=0.6)(both, correlation.all_pairs(2), 5)
     correlation.Correlator(kappa="0.6")  # type: ignore[arg-type]
     return matches.of_ssps(np.arange(3) > 0)
-
-
-def stack(samples: VelocitySamples) -> list[paper.VelocityPeak]:
-    grid = velocities.VelocityGrid.covering(2.0, 0.1)
-    pairs = velocities.consecutive_pairs([0.0, 0.5, 1.0])
-    image = paper.stack(samples, pairs, grid)
-    paper.stack(samples, grid, pairs)  # type: ignore[arg-type]
-    average = random_effects([1.0, 1.2], [0.1, 0.1])
-    assert_type(average.dispersion, float)
-    assert_type(grid.shape, tuple[int, int])
-    return paper.find_velocity_peaks(image, grid, (0.3, 0.3))
 
 
 def speeds_in_c(result: SCCResult) -> u.Quantity:

@@ -296,7 +296,7 @@ refused("date that is none", "e2.fits: DATE-OBS: '2001-13-45' is no date")(
 
 case("epochs in any order")(lambda folder: [write(folder, k) for k in (3, 0, 4, 1, 2)])
 case("one path twice")(lambda folder: [*series(folder), folder / "e2.fits"])
-case("one epoch twice, under two names", "are both of 2001-03-02; leave one out")(
+case("one epoch twice, under two names", "is of 2001-03-02, as is .*; leave one out")(
     lambda folder: [*series(folder), write(folder, 2, name="copy.fits")]
 )
 refused("a mask among them", "mask.fits: .* seems to be a mask; leave it out")(
@@ -305,7 +305,7 @@ refused("a mask among them", "mask.fits: .* seems to be a mask; leave it out")(
         write(folder, 2, name="mask.fits", data=image(2) > 0.1),
     ]
 )
-case("a stack of all among them, of the date of one", "are both of 2001-03-02; leave")(
+case("a stack of all among them, of the date of one", "is of 2001-03-02, as is .*;")(
     lambda folder: [
         *series(folder),
         write(

@@ -13,10 +13,10 @@ import numpy as np
 from astropy.table import QTable
 
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.beam import different_beam, parse_beam
-from astro_scc.epochs.cutout import refuse_pixels
-from astro_scc.epochs.fits import find_files, read_plane
-from astro_scc.epochs.headers import first_line
+from astro_scc.images.beam import different_beam, parse_beam
+from astro_scc.images.cutout import refuse_pixels
+from astro_scc.images.fits import find_files, read_plane
+from astro_scc.images.headers import first_line
 from astro_scc.measurement import choices
 from astro_scc.measurement.tables import versions
 from astro_scc.quantities import to_time

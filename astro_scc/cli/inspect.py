@@ -10,15 +10,15 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc import EpochCube
+from astro_scc.alignment.registration import MISALIGNED, core_positions
 from astro_scc.cli.inputs import prepare
 from astro_scc.cli.summary import misalignment_text, table_lines
+from astro_scc.components.tables import kind_of
 from astro_scc.epochs import inspect_epochs, plan_intervals
-from astro_scc.epochs.beam import different_beam
-from astro_scc.epochs.fits import find_files
-from astro_scc.epochs.positions import readable_angle
-from astro_scc.epochs.registration import MISALIGNED, core_positions
-from astro_scc.epochs.serialize import is_cube_file
 from astro_scc.exceptions import AstroSccWarning
+from astro_scc.images.beam import different_beam
+from astro_scc.images.fits import find_files
+from astro_scc.images.positions import readable_angle
 from astro_scc.quantities import named, one_quantity
 from astro_scc.settings import Settings
 from astro_scc.stacking.velocities import baseline_pairs
@@ -55,7 +55,7 @@ def run(args, reporter):
 
 def _facts(files, cube, refusal):
     """Return the names of the epochs, facts of `inspect_epochs`, and the problems."""
-    if len(files) == 1 and is_cube_file(files[0]):
+    if len(files) == 1 and kind_of(files[0]) == "cube":
         if cube is None:
             raise ValueError(refusal)
         return cube.labels, _facts_of_cube(cube), []

@@ -6,9 +6,9 @@ from pathlib import Path
 import astropy.units as u
 
 from astro_scc.cli.inputs import draw_seed
+from astro_scc.components.restoring import NO_BEAM
 from astro_scc.epochs import read_components, restore, write_epochs
-from astro_scc.epochs.beam import parse_beam
-from astro_scc.epochs.restoring import NO_BEAM
+from astro_scc.images.beam import parse_beam
 from astro_scc.measurement.products import product_folder
 from astro_scc.quantities import named, one_quantity, to_time
 from astro_scc.settings import check_setting

@@ -1,13 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Results as lines of text."""
 
-import math
-
 import numpy as np
 
+from astro_scc.columns import cells, column_of
 from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c_as
-from astro_scc.measurement.tables import cell_text, printed
+from astro_scc.measurement.tables import printed
 from astro_scc.report import answer
 from astro_scc.units import offset_unit
 
@@ -16,6 +15,15 @@ EXPLANATION = (
     "peak at any velocity",
 )
 NOTHING = "Other scales, a larger --max-speed or more epochs may show one."
+#: Columns of components, features and profiles.
+COMPONENTS = "component kind pm pm_pa beta_app dispersion p_global n_features".split()
+FEATURES = (
+    "feature component dates n_epochs separation pm pm_pa beta_app p_false".split()
+)
+PROFILE = "bin pm_parallel beta_app p_global p_fdr n_ssp remark".split()
+#: Formats of numbers whose errors are not shown.
+FORMATS = dict.fromkeys(("dispersion", "p_global", "p_fdr", "p_false"), ".2g")
+FORMATS |= {"pm_pa": ".0f", "separation": ".3g"}
 #: Largest number of features that are shown.
 MOST_FEATURES = 10
 #: Features seen over fewer days have the times of their epochs.
@@ -53,6 +61,17 @@ def table_lines(rows):
     return [shape.format(*row).rstrip() for row in cells]
 
 
+def column_lines(table, names):
+    """Return those of the columns that there are, with headings, as aligned lines."""
+    shown = {}
+    for name, texts in cells(table, names, sign="+-", forms=FORMATS).items():
+        known = column_of(name)
+        heading = known.terminal or known.heading or name
+        shown[heading.format(unit=table[name].info.unit)] = texts
+    rows = zip(*shown.values(), strict=True)
+    return table_lines([dict(zip(shown, row, strict=True)) for row in rows])
+
+
 def component_lines(components, features):
     """
     Return what was found in one sentence, and the components as a table.
@@ -73,30 +92,9 @@ def component_lines(components, features):
     if len(components) == 0:
         lines.append(NOTHING)
     elif len(rows):
-        cells = [_component_cells(row) for row in rows]
-        lines += ["", *table_lines(cells), *EXPLANATION]
+        lines += ["", *column_lines(rows, COMPONENTS), *EXPLANATION]
     lines += answer.notes(components, features)
     return [*lines, *followed, *meta_lines(components.meta)]
-
-
-def _component_cells(row):
-    angle, spread = row["pm_pa"].value, row["dispersion"].value
-    unit = row["pm"].unit
-    return {
-        "stream": str(row["component"]),
-        "kind": str(row["kind"]),
-        f"proper motion ({unit})": _plus_minus(row, "pm"),
-        "PA (deg)": f"{angle:.0f}" if math.isfinite(angle) else "-",
-        **_in_c(row),
-        f"dispersion ({unit})": f"{spread:.2g}" if math.isfinite(spread) else "-",
-        **_p_values(row, "p_global"),
-        "features": str(row["n_features"]),
-    }
-
-
-def _plus_minus(row, name):
-    """Return a number of a row with its error in ASCII, without the unit."""
-    return cell_text(row.table, name, row.index, "+-")
 
 
 def feature_lines(features, most=MOST_FEATURES):
@@ -123,8 +121,28 @@ def feature_lines(features, most=MOST_FEATURES):
     longest = np.argsort(-secure["n_epochs"], kind="stable")[:most]
     if len(longest) < len(secure):
         said += f"; the {most} that were seen in most epochs"
-    rows = feature_rows(secure[np.sort(longest)])
-    return ["", f"{said}:", *table_lines(rows), ""]
+    return [
+        "",
+        f"{said}:",
+        *column_lines(_followed(secure[np.sort(longest)]), FEATURES),
+        "",
+    ]
+
+
+def _followed(features):
+    """Return features with their dates as text, in a unit that is easy to read."""
+    shown, separation = features.copy(), features["separation"]
+    shown["separation"] = separation.to(offset_unit(separation.to_value("mas").max()))
+    # Of less than some days, the times.
+    days = (shown["last"] - shown["first"]).to_value("day")
+    letters = 10 if days.max() > SOME_DAYS else 16
+    shown["dates"] = [
+        f"{first[:letters]} to {last[:letters]}"
+        for first, last in zip(shown["first"].isot, shown["last"].isot, strict=True)
+    ]
+    if not np.any(shown["component"]):
+        shown.remove_column("component")
+    return shown
 
 
 def _lacking(features):
@@ -157,42 +175,6 @@ def _lacking(features):
     ]
 
 
-def feature_rows(features):
-    """
-    Return the cells of features under their headings.
-
-    Parameters
-    ----------
-    features : `~astropy.table.QTable`
-        At least one.
-
-    Returns
-    -------
-    list of dict of str
-        With the component of each if there are any.
-    """
-    table = features
-    far = offset_unit(table["separation"].to_value("mas").max())
-    # Of less than some days, the times.
-    days = (table["last"] - table["first"]).to_value("day")
-    shown = 10 if days.max() > SOME_DAYS else 16
-    of_any = np.any(table["component"])
-    return [
-        {
-            "feature": str(row["feature"]),
-            **({"stream": str(row["component"])} if of_any else {}),
-            "dates": f"{row['first'].isot[:shown]} to {row['last'].isot[:shown]}",
-            "epochs": str(row["n_epochs"]),
-            f"separation ({far})": f"{row['separation'].to_value(far):.3g}",
-            f"proper motion ({table['pm'].unit})": _plus_minus(row, "pm"),
-            "PA (deg)": f"{row['pm_pa'].value:.0f}",
-            **_in_c(row),
-            "p_false": f"{row['p_false']:.2g}",
-        }
-        for row in table
-    ]
-
-
 def profile_lines(components):
     """
     Return the components in bins of distance as the lines of a table.
@@ -206,22 +188,15 @@ def profile_lines(components):
     -------
     list of str
     """
-    unit = components["pm_parallel"].unit
-    rows = [
-        {
-            "separation (mas)": f"{row['r_min'].value:g} to {row['r_max'].value:g}",
-            f"along the jet ({unit})": _plus_minus(row, "pm_parallel"),
-            **_in_c(row),
-            **_p_values(row, "p_global", "p_fdr"),
-            "SSPs": str(row["n_ssp"]),
-            "": "" if row["kind"] == "moving" else str(row["kind"]),
-        }
-        for row in printed(components)
-        if row["kind"] != "not significant" or row["main"]
-    ]
-    if not rows:
+    rows = printed(components)
+    rows = rows[(rows["kind"] != "not significant") | rows["main"]]
+    if len(rows) == 0:
         return ["No velocity could be tested in any bin."]
-    return [*table_lines(rows), PROFILE_EXPLANATION, *meta_lines(components.meta)]
+    ends = zip(rows["r_min"].value, rows["r_max"].value, strict=True)
+    rows["bin"] = [f"{low:g} to {high:g}" for low, high in ends]
+    rows["remark"] = np.where(rows["kind"] == "moving", "", rows["kind"])
+    lines = column_lines(rows, PROFILE)
+    return [*lines, PROFILE_EXPLANATION, *meta_lines(components.meta)]
 
 
 def misalignment_text(scatter):
@@ -280,15 +255,3 @@ def speed_lines(meta):
         how = cosmology_text(meta["cosmology"])
         return [f"speeds in c: redshift {meta['redshift']:g}, {how}"]
     return []
-
-
-def _in_c(row):
-    """Return the speed of a row in units of c under its heading, if it has one."""
-    known = "beta_app" in row.colnames
-    return {"speed (c)": _plus_minus(row, "beta_app")} if known else {}
-
-
-def _p_values(row, *names):
-    """Return p-values under their names; what stands still is not tested."""
-    tested = row["kind"] != "stationary"
-    return {name: f"{row[name]:.2g}" if tested else "-" for name in names}

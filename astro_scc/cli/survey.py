@@ -27,7 +27,7 @@ from astro_scc.cli.program import one_line
 from astro_scc.cli.summary import table_lines
 from astro_scc.cli.survey_table import survey_of
 from astro_scc.correlation import parallel
-from astro_scc.epochs.cutout import refuse_pixels
+from astro_scc.images.cutout import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement import select_ssps
 from astro_scc.measurement.publication import FOLDER, write_publication

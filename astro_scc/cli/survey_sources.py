@@ -16,10 +16,10 @@ from astropy.io.misc import yaml
 from astropy.table import Column, MaskedColumn, QTable, vstack
 
 from astro_scc.cli import inputs
+from astro_scc.columns import round_to_errors
 from astro_scc.measurement import component_table, false_discovery_rate, versions
 from astro_scc.quantities import check_scales, finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
-from astro_scc.units import round_to_errors
 
 __all__ = ["read_survey"]
 

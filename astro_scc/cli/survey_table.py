@@ -14,10 +14,11 @@ from astropy.io import ascii
 
 from astro_scc.cli import restore
 from astro_scc.cli.survey_sources import folder_names, read_survey
-from astro_scc.epochs.beam import Beam
-from astro_scc.epochs.components import read_sources
-from astro_scc.epochs.headers import first_line
-from astro_scc.epochs.restoring import suited
+from astro_scc.components.lists import read_sources
+from astro_scc.components.restoring import suited
+from astro_scc.correlation.parallel import in_order
+from astro_scc.images.beam import Beam
+from astro_scc.images.headers import first_line
 from astro_scc.writing import replace_when_complete
 
 #: Folder of the images in that of the survey, and the file that names them.
@@ -96,22 +97,32 @@ def survey_of(args, output, reporter):
         with replace_when_complete(path, overwrite=True) as part:
             text = "\n".join(filter(None, [head, published, *tables]))
             part.write_text(text, encoding="utf-8")
-    for name, own in found.items():
-        target = output / IMAGES / folders[name]
-        if not target.is_dir():
-            try:
-                given = {k: v for k, v in how.items() if v is not None}
-                if not given.keys() >= {"pixel_scale", "noise"}:
-                    given = suited(own) | given
-                restore.write_images(own, target, how | given)
-            except ValueError as error:
-                reporter.warn(f"{name}: no images: {error}")
+    target = {name: output / IMAGES / folders[name] for name in found}
+    left = [name for name in found if not target[name].is_dir()]
+    work = ((found[name], target[name], how) for name in left)
+    done = in_order(_restore, work, args.workers or 1)
+    for name, problem in zip(left, done, strict=True):
+        if problem:
+            reporter.warn(f"{name}: no images: {problem}")
     if found and not (output / IMAGES).is_dir():
         with suppress(OSError):
             path.unlink()
             output.rmdir()
         raise ValueError(f"{args.survey}: the images of no source can be restored")
     return read_survey(path)
+
+
+def _restore(task):
+    """Restore the images of a source, and return why that is not possible, or None."""
+    own, target, how = task
+    try:
+        given = {k: v for k, v in how.items() if v is not None}
+        if not given.keys() >= {"pixel_scale", "noise"}:
+            given = suited(own) | given
+        restore.write_images(own, target, how | given)
+    except ValueError as error:
+        return str(error)
+    return None
 
 
 def _components(args, reporter):

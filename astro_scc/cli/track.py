@@ -3,18 +3,16 @@
 
 from functools import partial
 
-from astropy.table import QTable
-
 from astro_scc import StackedCrossCorrelation
+from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.cli import inputs
 from astro_scc.cli.summary import feature_lines, speed_lines
 from astro_scc.decomposition import SSPs
-from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import find_features
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
 from astro_scc.measurement import decomposing
-from astro_scc.measurement.products import plain_meta, product_folder
+from astro_scc.measurement.products import product_folder, write_files, write_tables
 from astro_scc.measurement.publication import write_publication
 from astro_scc.measurement.published import published_positions, with_published
 from astro_scc.measurement.tables import versions
@@ -75,22 +73,16 @@ def _write(features, settings, folder, published):
     how, table = settings.in_c, features.table
     if published is not None:
         table = with_published(table, features, published)
-    tables = {
-        "features": table_in_c(table, **how) if how else table,
-        "positions": features.positions,
-    }
+    table = table_in_c(table, **how) if how else table
     meta = {
         "configuration": settings.to_dict("track"),
-        **plain_meta(tables["features"].meta),
+        **table.meta,
         "epochs": list(features.cube.labels),
         "history": list(features.cube.meta.get("history", ())),
         "versions": versions(),
     }
-    for name, own in tables.items():
-        own = QTable(own, copy=False)
-        own.meta = meta
-        own.write(folder / f"{name}.ecsv", format="ascii.ecsv", overwrite=True)
-        tables[name] = own
+    tables = {"features": table, "positions": features.positions}
+    tables = write_tables(tables, folder, meta)
     write_publication(tables, folder)
     return tables["features"]
 
@@ -102,5 +94,4 @@ def _draw(features, folder, per_pm, published, *, pdf):
         "separation": partial(plot_separation, features, beta_per_pm=per_pm, **own),
         "tracks": partial(plot_tracks, features, **own),
     }
-    for name, content in style.figure_files(figures, pdf=pdf).items():
-        (folder / name).write_bytes(content)
+    write_files(style.figure_files(figures, pdf=pdf), folder)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from astro_scc.correlation.matches import Matches, join_columns
 from astro_scc.correlation.parallel import in_order
-from astro_scc.correlation.targets import BATCH, PairBlock, Patterns, TargetStack
+from astro_scc.correlation.targets import PairBlock, Patterns, TargetStack
 from astro_scc.correlation.zncc import fft_shape, find_peaks
 from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.quantities import CORRELATION, named
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 BLOCK_WORK = 2**24
 #: Bytes of target planes that a block holds.
 STACK_BYTES = 2**26
+#: Fewest target epochs of a block, if there are so many.
+FEWEST_TARGETS = 10
 #: Fewest pixels of an SSP: with two pixels anything matches anything.
 FEWEST_PIXELS = 3
 
@@ -213,7 +215,8 @@ class Correlator:
         dense = len(scales) if maps or self.target == "plane" else 1
         most = STACK_BYTES // (4 * np.prod(size) * dense)
         targets = np.unique(pairs[:, 1])
-        targets = np.array_split(targets, -(-len(targets) // max(BATCH, int(most))))
+        most = max(FEWEST_TARGETS, int(most))
+        targets = np.array_split(targets, -(-len(targets) // most))
         # Consecutive reference epochs, divided where their work reaches a limit.
         pixels = np.prod(boxes[:, 2:] - boxes[:, :2] + 2 * beyond, axis=1)
         work = np.cumsum(np.bincount(ssps.epoch[chosen], pixels, n)) * len(targets[0])

@@ -27,9 +27,11 @@ WAITING = 2
 GRACE = 2
 #: Seconds to wait for a scheduler to answer.
 TIMEOUT = 15
-#: Seconds to wait for a cluster without workers, and seconds between two checks.
-WITHOUT_WORKERS = 45
-LOOK = 5
+#: Seconds to wait for the first workers of a cluster, for others if all are lost, and
+#: between two checks.
+FIRST_WORKERS = 45
+WITHOUT_WORKERS = 8
+LOOK = 1
 #: Limits of containers and of the jobs of batch systems.
 CONTROL_GROUPS = (
     "/sys/fs/cgroup/memory.max",
@@ -452,7 +454,7 @@ def _check_import(client, function):
         importlib.import_module(name)
 
     future = _submit(client, load)
-    _wait_on_cluster(client, [future])
+    _wait_on_cluster(client, [future], patience=FIRST_WORKERS)
     try:
         _result(_gathered(client, future))
     except ImportError as error:
@@ -487,7 +489,7 @@ def _one_thread(function, piece):
         return function(piece)
 
 
-def _wait_on_cluster(client, futures):
+def _wait_on_cluster(client, futures, patience=None):
     """Wait until one future is done, as long as there are workers."""
     from distributed import wait
 
@@ -496,7 +498,7 @@ def _wait_on_cluster(client, futures):
         with client.as_current(), suppress(CancelledError):
             wait(futures, timeout=timeout, return_when="FIRST_COMPLETED")
 
-    _while_workers(client, wait_for)
+    _while_workers(client, wait_for, patience)
 
 
 def _gathered(client, future):
@@ -509,21 +511,22 @@ def _gathered(client, future):
     return own
 
 
-def _while_workers(client, ask):
+def _while_workers(client, ask, patience=None):
     """Ask with a timeout, again and again as long as there are workers."""
+    patience = WITHOUT_WORKERS if patience is None else patience
     last = time.monotonic()
     while True:
         begin = time.monotonic()
         try:
-            return ask(timeout=min(LOOK, WITHOUT_WORKERS))
+            return ask(timeout=min(LOOK, patience))
         except TimeoutError:
             # The function may have raised it.
-            if time.monotonic() - begin < min(LOOK, WITHOUT_WORKERS):
+            if time.monotonic() - begin < min(LOOK, patience):
                 raise
         if _ask(client, client.nthreads):
             last = time.monotonic()
-        elif time.monotonic() - last >= WITHOUT_WORKERS:
+        elif time.monotonic() - last >= patience:
             raise OSError(
-                f"the scheduler has had no workers for {WITHOUT_WORKERS} s; start "
-                "some, or see in their logs why they end"
+                f"the scheduler has had no workers for {patience} s; start some, or "
+                "see in their logs why they end"
             )

@@ -15,10 +15,8 @@ from astro_scc.decomposition import SSPs
 if TYPE_CHECKING:
     from astro_scc.correlation.correlate import Correlator
 
-#: Windows transformed at once; more would not fit into the processor's cache.
-BATCH = 10
-#: Largest number of pixels in the transforms of a batch.
-BATCH_PIXELS = 2_000_000
+#: Pixels of windows transformed at once; more would not fit into the processor's cache.
+BATCH_PIXELS = 150_000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -187,7 +185,7 @@ class TargetStack:
     def coefficients(self, targets, corner, template, overlap):
         """Yield the targets in batches, with their coefficients."""
         (y, x), (h, w) = corner, template.fft_shape
-        batch = int(np.clip(BATCH_PIXELS // (h * w), 1, BATCH))
+        batch = max(BATCH_PIXELS // (h * w), 1)
         for start in range(0, len(targets), batch):
             some = targets[start : start + batch]
             windows = self.values[some, y : y + h, x : x + w].astype(float)

@@ -3,67 +3,40 @@
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
 from functools import cached_property
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, overload
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
-from astropy.nddata import CCDData, NDData, StdDevUncertainty
+from astropy.nddata import NDData
+from astropy.table import QTable
 from astropy.time import Time
-from astropy.wcs import WCS
-from numpy.typing import ArrayLike
 
-from astro_scc.epochs import positions, validation
-from astro_scc.epochs.alignment import align
-from astro_scc.epochs.beam import Beam, common_beam
-from astro_scc.epochs.component_tables import is_component_list
-from astro_scc.epochs.cutout import crop, region_mask
-from astro_scc.epochs.fits import CUBE_CREATOR, find_files
-from astro_scc.epochs.grid import reproject_cube
-from astro_scc.epochs.headers import epoch_header
-from astro_scc.epochs.inspection import epoch_table, noise_of_images, noise_rms
-from astro_scc.epochs.positions import offset_wcs, readable_angle
-from astro_scc.epochs.reading import read_files, read_images
-from astro_scc.epochs.registration import misalignment
-from astro_scc.epochs.serialize import is_cube_file, read_object, write_cube
-from astro_scc.epochs.validation import (
-    as_celestial,
-    as_epoch_tuple,
-    date_labels,
-    epoch_index,
-)
+from astro_scc.alignment.align import align
+from astro_scc.alignment.registration import misalignment
+from astro_scc.components.restoring import restore, restore_files
+from astro_scc.components.tables import kind_of
+from astro_scc.epochs import ndcubes, reading
+from astro_scc.images.beam import Beam, beam_columns
+from astro_scc.images.cutout import crop, region_mask
+from astro_scc.images.fits import CUBE_CREATOR, find_files
+from astro_scc.images.grid import reproject_cube
+from astro_scc.images.positions import readable_angle
+from astro_scc.images.serialize import read_object, write_cube
+from astro_scc.images.series import ImageSeries
+from astro_scc.images.smoothing import common_beam
+from astro_scc.images.validation import date_labels
 
 if TYPE_CHECKING:
-    from astropy.coordinates import SkyCoord
-    from astropy.table import QTable
     from matplotlib.figure import Figure
     from ndcube import NDCube, NDCubeSequence
 
 
-def _picked(each, epochs):
-    """Return the fields that have a value per epoch, for some epochs."""
-    return {
-        name: tuple(values[i] for i in epochs)
-        if isinstance(values, tuple)
-        else values[epochs]
-        for name, values in each.items()
-        if values is not None
-    }
-
-
-def _above(room):
-    """Return a module that imports this one, so only when it is needed."""
-    return import_module(f"astro_scc.{room}")
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class EpochCube:
+class EpochCube(ImageSeries):
     """
     Images of one object at many dates on one pixel grid.
 
@@ -112,41 +85,6 @@ class EpochCube:
     >>> cube
     <EpochCube 2 epochs 2000-01-01 to 2001-06-01, 16 x 8 pixels of 0.1 mas>
     """
-
-    data: np.ndarray
-    times: Time
-    wcs: WCS
-    unit: u.UnitBase = u.dimensionless_unscaled
-    mask: np.ndarray = None
-    beams: Sequence[Beam] | None = None
-    noise: u.Quantity | None = None
-    labels: Sequence[str] = ()
-    epoch_wcs: Sequence[WCS] | None = None
-    epoch_meta: Sequence[dict] = ()
-    meta: dict = field(default_factory=dict)
-
-    def __post_init__(self):
-        data, mask, unit = validation.as_stack(self.data, self.mask, self.unit)
-        n = len(data)
-        times = validation.as_times(self.times, n)
-        labels = as_epoch_tuple(self.labels, n, "labels", str) or date_labels(times)
-        own_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
-        facts = as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
-        each = {
-            "data": data,
-            "mask": validation.as_mask(data, mask, labels),
-            "times": times,
-            "labels": labels,
-            "beams": validation.as_beams(self.beams, n),
-            "noise": validation.as_noise(self.noise, n, unit),
-            "epoch_wcs": own_wcs or None,
-            "epoch_meta": facts or tuple({} for _ in range(n)),
-        }
-        order = np.argsort((times - times[0]).jd, kind="stable")
-        if np.any(np.diff(order) < 0):
-            each |= _picked(each, order)
-        common = {"wcs": as_celestial(self.wcs), "unit": unit, "meta": dict(self.meta)}
-        vars(self).update(each, **common)
 
     @classmethod
     def read(
@@ -208,18 +146,18 @@ class EpochCube:
         (10, '0003+380.u.2006_03_09.fits')
         """
         files = find_files(paths)
-        first, only = files[0], len(files) == 1
-        if only and is_cube_file(first):
+        first, kind = files[0], kind_of(files[0])
+        if kind == "cube" and len(files) == 1:
             if any(value is not None for value in (times, beams, hdu)):
                 raise ValueError(f"{first}: an EpochCube; it has its dates and beams")
             lazy = region is not None
             cube = read_object(first, creator=CUBE_CREATOR, lazy=lazy)
-        elif is_component_list(first):
-            room = _above("epochs.restoring")
-            cube = room.restore_files(files, times=times, beams=beams)
+        elif kind == "components":
+            cube = restore_files(cls, files, times=times, beams=beams)
         else:
             options = {"check": check, "hdu": hdu, "region": region, "pad": pad}
-            return cls(**read_files(files, times, beams, frame, **options))
+            fields = reading.read_files(files, times, beams, frame, **options)
+            return cls._of(**fields)
         return cube if region is None else cube.crop(region, pad)
 
     @classmethod
@@ -248,7 +186,9 @@ class EpochCube:
         -------
         `EpochCube`
         """
-        return cls(**read_images(images, times, beams, frame, check=check))
+        images = [images] if isinstance(images, NDData) else list(images)
+        fields = reading.read_images(images, times, beams, frame, check=check)
+        return cls._of(**fields)
 
     @classmethod
     def from_ndcube(
@@ -272,153 +212,40 @@ class EpochCube:
         -------
         `EpochCube`
         """
-        return _above("interchange.containers").from_ndcube(
-            ndcube, times=times, beams=beams
-        )
+        if isinstance(ndcube.data, list | tuple):
+            return cls.from_ccddata(ndcube.data, times=times, beams=beams)
+        planes, meta = ndcubes.planes_of(ndcube, times, beams)
+        fields = reading.read_images(planes, times, beams, "offset", check=False)
+        return cls._of(**fields | {"epoch_wcs": None, "meta": meta})
 
-    @classmethod
-    def from_arrays(
-        cls, data: ArrayLike, times: Time | Sequence[Any], *, pixel_scale: u.Quantity,
-        reference_pixel: tuple[float, float] | None = None,
-        position: SkyCoord | None = None, **fields: Any,
-    ) -> EpochCube:  # fmt: skip
-        """
-        Return a cube of arrays with east to the left and north up.
-
-        Parameters
-        ----------
-        data : array_like, shape (n_epochs, ny, nx)
-        times : `~astropy.time.Time` or sequence of str, shape (n_epochs,)
-        pixel_scale : `~astropy.units.Quantity`
-            Side of a pixel, an angle.
-        reference_pixel : tuple of float, optional
-            (x, y) of the origin of offsets, counted from 0; by default the centre.
-        position : `~astropy.coordinates.SkyCoord`, optional
-            Celestial position of the reference pixel.
-        **fields
-            ``unit``, ``mask``, ``beams``, ``noise``, ``labels``, ``epoch_meta`` and
-            ``meta`` of an `EpochCube`.
-
-        Returns
-        -------
-        `EpochCube`
-
-        Raises
-        ------
-        ValueError
-            If shapes or numbers of epochs disagree.
-        """
-        shape = np.shape(data)
-        if len(shape) != 3:
-            raise ValueError(f"data must have shape (n_epochs, ny, nx), got {shape}")
-        if reference_pixel is None:
-            reference_pixel = (shape[2] - 1) / 2, (shape[1] - 1) / 2
-        fields = {"meta": {"history": [f"{shape[0]} epochs from arrays"]}, **fields}
-        wcs = offset_wcs(pixel_scale, reference_pixel, position)
-        return cls(data=data, times=times, wcs=wcs, **fields)
-
-    # Functions of the subpackage that take a cube are its methods; ClassVar: no field.
+    # Functions of other modules that take a cube are its methods.
+    from_components = classmethod(restore)
+    to_ndcube = ndcubes.to_ndcube
     write = write_cube
-    epochs: ClassVar[QTable] = property(epoch_table)
-    noise_rms = noise_rms
-    measured_noise = cached_property(noise_of_images)
     to_common_beam = common_beam
     align = align
     misalignment = cached_property(misalignment)
     reproject_to = reproject_cube
     crop = crop
     region_mask = region_mask
-    pixel_matrix: ClassVar[u.Quantity] = property(positions.pixel_matrix)
-    pixel_scale: ClassVar[u.Quantity] = property(positions.pixel_scale)
-    reference_pixel: ClassVar[tuple[float, float]] = property(positions.reference_pixel)
-    speed_unit: ClassVar[u.UnitBase] = property(positions.speed_unit)
-    facts: ClassVar[dict[str, Any]] = property(positions.facts)
-    pixel_to_offset = positions.pixel_to_offset
-    offset_to_pixel = positions.offset_to_pixel
-    offsets = positions.offsets
-
-    def __len__(self) -> int:
-        return self.data.shape[0]
-
-    def __iter__(self) -> Iterator[CCDData]:
-        return (self[i] for i in range(len(self)))
-
-    @overload
-    def __getitem__(self, item: int) -> CCDData: ...
-    @overload
-    def __getitem__(self, item: slice | Sequence[int] | np.ndarray) -> EpochCube: ...
-    def __getitem__(self, item: Any) -> Any:
-        if isinstance(item, tuple):
-            raise TypeError("index epochs only, cube[i] or cube[i:j]; crop() cuts out")
-        try:
-            return self._image(operator.index(item))
-        except TypeError:
-            pass
-        keep = np.arange(len(self))[item]
-        if keep.ndim != 1 or keep.size == 0:
-            raise ValueError(f"the selection {item!r} holds none of {len(self)} epochs")
-        names = "data mask times labels beams noise epoch_wcs epoch_meta".split()
-        return replace(self, **_picked({n: getattr(self, n) for n in names}, keep))
-
-    def _image(self, index):
-        index = epoch_index(index, len(self))
-        noise = self.noise
-        if noise is not None:
-            every = np.full(self.shape[1:], noise[index].value)
-            noise = StdDevUncertainty(every, unit=self.unit, copy=False)
-        return CCDData(
-            self.data[index],
-            uncertainty=noise,
-            unit=self.unit,
-            mask=self.mask[index],
-            wcs=self.wcs.deepcopy(),
-            meta=epoch_header(self, index),
-        )
-
-    def with_step(self, line: str, **changes: Any) -> EpochCube:
-        """
-        Return a copy with changed fields and one more line of provenance.
-
-        Parameters
-        ----------
-        line : str
-            What was done, for ``meta["history"]``.
-        **changes
-            Fields of the new cube.
-
-        Returns
-        -------
-        `EpochCube`
-        """
-        meta = changes.pop("meta", self.meta)
-        meta = {**meta, "history": [*meta.get("history", ()), line]}
-        return replace(self, meta=meta, **changes)
 
     @property
-    def shape(self) -> tuple[int, int, int]:
-        """Shape of the data, (n_epochs, ny, nx)."""
-        return self.data.shape
-
-    @property
-    def years(self) -> u.Quantity:
-        """Dates as years since the first epoch, shape (n_epochs,)."""
-        return (self.times - self.times[0]).to(u.yr)
-
-    def mean_image(self) -> CCDData:
+    def epochs(self) -> QTable:
         """
-        Return the mean image, each pixel averaged over the epochs that have it.
+        Facts about the epochs, a `~astropy.table.QTable` with one row per epoch.
 
-        Returns
-        -------
-        `~astropy.nddata.CCDData`
-            Masked and NaN where no epoch has the pixel.
+        The columns are ``epoch``, ``label``, ``date``, ``major``, ``minor``, ``pa``
+        (if the cube has beams), ``noise`` (given or measured), ``object`` and
+        ``frequency`` (NaN where unknown).
         """
-        count = np.sum(~self.mask, axis=0)
-        total = np.sum(self.data, axis=0, where=~self.mask)
-        mean = np.full(total.shape, np.nan)
-        np.divide(total, count, out=mean, where=count > 0)
-        wcs, meta = self.wcs.deepcopy(), {"n_epochs": len(self)}
-        return CCDData(mean, unit=self.unit, mask=count == 0, wcs=wcs, meta=meta)
+        table = QTable({"epoch": np.arange(len(self)), "label": list(self.labels)})
+        table["date"] = Time(self.times, format="isot")
+        table.update(beam_columns(self))
+        table["noise"] = self.noise_rms()
+        table["object"] = [str(facts.get("object", "")) for facts in self.epoch_meta]
+        frequency = [facts.get("frequency", np.nan) for facts in self.epoch_meta]
+        table["frequency"] = np.divide(frequency, 1e9) * u.GHz
+        return table
 
     def __repr__(self):
         n, ny, nx = self.shape
@@ -437,18 +264,6 @@ class EpochCube:
 
     def _repr_html_(self):
         return f"<p>{escape(repr(self)[1:-1])}</p>" + self.epochs._repr_html_()
-
-    def to_ndcube(self) -> NDCube:
-        """
-        Return the cube as NDCube of (epoch, latitude, longitude).
-
-        Returns
-        -------
-        `ndcube.NDCube`
-            The dates are its extra coordinate ``time``, the noise its uncertainty; its
-            meta has the labels, beams and facts of all epochs.
-        """
-        return _above("interchange.containers").to_ndcube(self)
 
     def plot(self, epoch: int | None = None, ssps: Any = None, **kwargs: Any) -> Figure:
         """
@@ -470,7 +285,8 @@ class EpochCube:
         -------
         `matplotlib.figure.Figure`
         """
-        figures = _above("visualization.epochs")
+        # It imports this module.
+        figures = import_module("astro_scc.visualization.epochs")
         if epoch is None:
             return figures.plot_epochs(self, ssps, **kwargs)
         return figures.plot_epoch(self, epoch, ssps, **kwargs)

@@ -3,40 +3,25 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
-from numpy.typing import ArrayLike
 
-from astro_scc.decomposition.noise import MAD_TO_SIGMA
-from astro_scc.epochs.beam import Beam, beam_columns
-from astro_scc.epochs.component_tables import NO_IMAGE, is_component_list
-from astro_scc.epochs.fits import find_files, looks_like_mask, read_plane
-from astro_scc.epochs.positions import readable_angle, resolution
-from astro_scc.epochs.validation import as_beams
+from astro_scc.components.tables import NO_IMAGE, kind_of
+from astro_scc.epochs.comparing import problems
+from astro_scc.images.beam import Beam
+from astro_scc.images.fits import find_files, looks_like_mask, read_plane
+from astro_scc.images.noise import measure_noise
+from astro_scc.images.positions import readable_angle, resolution
+from astro_scc.images.series import ImageSeries
+from astro_scc.images.validation import as_beams
 from astro_scc.units import speed_unit
 
-if TYPE_CHECKING:
-    from astro_scc.epochs.cube import EpochCube
-
-CLIP = 3.0
-MAX_ITERATIONS = 50
-# Images with a larger fraction of exact zeros have been blanked with zeros.
-BLANKED = 0.1
-# Largest ln(frequency ratio) in one band: VLBI bands are a few per cent wide and 30%
-# apart.
-BAND = 0.1
-POLARISED = ("Q", "U", "V")
-#: What to do with an image that does not belong to the others.
-UNCHECKED = "leave it out (in Python, check=False reads it)"
-UNNAMED = {"", "UNKNOWN", "NONE", "N/A"}
 #: Columns of numbers of `inspect_epochs`, with their units; None is that of the images.
 COLUMNS = {
     **dict.fromkeys(("pixel", "major", "minor"), u.mas),
@@ -49,174 +34,6 @@ COLUMNS = {
 # the range in which pairs of epochs work best, in beams.
 SMALLEST_SHIFT = 0.2
 GOOD_SHIFTS = (0.3, 1.5)
-
-
-def measure_noise(image: ArrayLike, *, mask: ArrayLike | None = None) -> float:
-    """
-    Return the root mean square of the noise of an image, away from the source.
-
-    With the median m and ``s = 1.4826 median|I - m|`` (from the median absolute
-    deviation, MAD), pixels with ``|I - m| > 3 s`` are left out, and m and s are
-    computed again until no more pixels are left out.  Noise that the beam
-    correlates has the same distribution of values as white noise of the same
-    rms, so it needs no correction.  Pixels that are exactly zero count as
-    blanked if they are more than a tenth of the image.  If the MAD is still
-    zero, the standard deviation is returned.
-
-    The source should cover less than half of the image.
-
-    Parameters
-    ----------
-    image : array_like, shape (ny, nx)
-    mask : array_like of bool, shape (ny, nx), optional
-        True marks bad pixels.
-
-    Returns
-    -------
-    float
-        In the unit of the image; 0 if no valid pixel is left.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.epochs.inspection import measure_noise
-    >>> image = np.random.default_rng(0).normal(scale=2.0, size=(128, 128))
-    >>> image[50:70, 50:70] += 1000
-    >>> round(measure_noise(image), 1)
-    2.0
-    """
-    image = np.asarray(image, dtype=float)
-    valid = np.isfinite(image)
-    if mask is not None:
-        valid &= ~np.asarray(mask, dtype=bool)
-    kept = image[valid]
-    del valid
-    n_zero = kept.size - np.count_nonzero(kept)
-    if n_zero and n_zero / kept.size > BLANKED:
-        kept = kept[kept != 0]
-    if kept.size == 0:
-        return 0.0
-    # Images may be large, so the medians sort in place.
-    for _ in range(MAX_ITERATIONS):
-        middle = np.median(kept, overwrite_input=True)
-        deviation = _deviation(kept, middle)
-        sigma = MAD_TO_SIGMA * float(np.median(deviation, overwrite_input=True))
-        del deviation
-        inside = _deviation(kept, middle) <= CLIP * sigma
-        if sigma == 0 or inside.all():
-            break
-        kept = kept[inside]
-    return sigma if sigma > 0 else float(np.std(kept))
-
-
-def _deviation(values, middle):
-    apart = values - middle
-    return np.abs(apart, out=apart)
-
-
-def epoch_table(cube: EpochCube) -> QTable:
-    """
-    Facts about the epochs, a `~astropy.table.QTable` with one row per epoch.
-
-    The columns are ``epoch``, ``label``, ``date``, ``major``, ``minor``, ``pa``
-    (if the cube has beams), ``noise`` (given or measured), ``object`` and
-    ``frequency`` (NaN where unknown).
-    """
-    table = QTable({"epoch": np.arange(len(cube)), "label": list(cube.labels)})
-    table["date"] = Time(cube.times, format="isot")
-    table.update(beam_columns(cube))
-    table["noise"] = cube.noise_rms()
-    table["object"] = [str(facts.get("object", "")) for facts in cube.epoch_meta]
-    frequency = [facts.get("frequency", np.nan) for facts in cube.epoch_meta]
-    table["frequency"] = np.divide(frequency, 1e9) * u.GHz
-    return table
-
-
-def noise_rms(cube: EpochCube) -> u.Quantity:
-    """
-    Return the noise of each epoch, as given or else as measured.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-
-    Returns
-    -------
-    `~astropy.units.Quantity`, shape (n_epochs,)
-        See ``measure_noise``.
-    """
-    return cube.measured_noise if cube.noise is None else cube.noise
-
-
-def noise_of_images(cube: EpochCube) -> u.Quantity:
-    """Return the noise of each epoch as measured in its image."""
-    pairs = zip(cube.data, cube.mask, strict=True)
-    return u.Quantity([measure_noise(d, mask=m) for d, m in pairs], cube.unit)
-
-
-def problems(planes, check=True):
-    """
-    Return the images of another unit, object, band or polarisation than others.
-
-    The result is a list of tuples: the index of an image in ``planes``, what is odd
-    about it, and what to do, which is empty if it may stay: another name for the same
-    place needs only a warning.  Without ``check``, only units count.
-    """
-    odd, units = [], [plane.unit for plane in planes]
-    for i, unit in enumerate(units):
-        if not unit.is_equivalent(units[0]):
-            own, other = (one.to_string() or "none" for one in (unit, units[0]))
-            what = f"its unit is {own}, that of others is {other}"
-            odd.append((i, what, "leave one out"))
-    if not check:
-        return odd
-    facts = [plane.facts for plane in planes]
-    names = [str(fact.get("object", "")).strip() for fact in facts]
-    names = [None if name.upper() in UNNAMED else name for name in names]
-    for i, mine, others in _minority(names):
-        one, other = planes[i], planes[names.index(others)]
-        same = bool(separation(one.wcs, other.wcs) < max(one.extent, other.extent))
-        where = "at the same place" if same else "somewhere else"
-        what = f"shows {mine}, {where}, where others show {others}"
-        odd.append((i, what, "" if same else UNCHECKED))
-    filters = [fact.get("filter") for fact in facts]
-    stokes = [fact.get("stokes") for fact in facts]
-    stokes = [s if s in POLARISED else s and "I" for s in stokes]
-    for what, values in (("the filter", filters), ("Stokes", stokes)):
-        for i, mine, others in _minority(values):
-            odd.append((i, f"is of {what} {mine}, others are of {others}", UNCHECKED))
-    known = np.array([fact.get("frequency") or np.nan for fact in facts], dtype=float)
-    near = np.abs(np.log(known[:, None] / known)) < BAND
-    usual = int(np.argmax(near.sum(axis=1)))
-    for i in np.flatnonzero(~near[usual] & ~np.isnan(known)):
-        mine, others = (f"{known[k] / 1e9:.4g}" for k in (i, usual))
-        odd.append((int(i), f"is at {mine} GHz, others are at {others}", UNCHECKED))
-    return sorted(odd)
-
-
-def _minority(values):
-    """Return the entries that differ from the most common value (first of equals)."""
-    keys = [v and v.upper().replace(" ", "").replace("_", "") for v in values]
-    count = Counter(key for key in keys if key)
-    if len(count) < 2:
-        return []
-    usual = count.most_common(1)[0][0]
-    name = values[keys.index(usual)]
-    return [(i, values[i], name) for i, key in enumerate(keys) if key and key != usual]
-
-
-def separation(one, other):
-    """Return the distance of the reference pixels of two WCS on the sky, in degrees."""
-    (lon, lat), (lon_0, lat_0) = one.wcs.crval, other.wcs.crval
-    east = (lon - lon_0 + 180) % 360 - 180
-    return np.hypot(east * np.cos(np.radians(lat_0)), lat - lat_0)
-
-
-def find_same_dates(times):
-    """Return pairs of indices of epochs with the same date, to the second."""
-    order = np.argsort((times - times[0]).sec, kind="stable")
-    gaps = np.diff((times - times[0]).sec[order])
-    return [(int(order[k]), int(order[k + 1])) for k in np.flatnonzero(gaps < 1)]
 
 
 def inspect_epochs(
@@ -282,8 +99,9 @@ def _inspect(path, hdu):
     try:
         plane = read_plane(path, hdu=hdu)
     except (OSError, ValueError) as error:
-        problem = str(error).removeprefix(f"{path}: ")
-        row["problem"].append(NO_IMAGE if is_component_list(path) else problem)
+        listed = kind_of(path) == "components"
+        problem = NO_IMAGE if listed else str(error).removeprefix(f"{path}: ")
+        row["problem"].append(problem)
         return row, None
     row["date"], (row["ny"], row["nx"]) = plane.time, plane.shape
     row["object"] = plane.facts.get("object", "")
@@ -311,11 +129,8 @@ def _inspect(path, hdu):
 def _compare(read):
     """Add the problems that show in a comparison of the files."""
     rows, planes = zip(*read, strict=True)
-    for i, what, _ in problems(planes):
-        rows[i]["problem"].append(what)
-    dated = [row for row in rows if row["date"] is not None]
-    for i, k in find_same_dates(Time([r["date"] for r in dated])) if dated else ():
-        dated[k]["problem"].append(f"of the date of {Path(dated[i]['file']).name}")
+    for found in problems(planes):
+        rows[found.index]["problem"].append(found.what)
     some_have_beams = any(plane.beam is not None for plane in planes)
     grids = [(r["nx"], r["ny"], readable_angle(r["pixel"] * u.mas)) for r in rows]
     usual = max(grids, key=grids.count)
@@ -409,7 +224,7 @@ class IntervalPlan:
 
 
 def plan_intervals(
-    cube: EpochCube | Time, beam: Beam | Sequence[Beam] | u.Quantity | None = None, *,
+    cube: ImageSeries | Time, beam: Beam | Sequence[Beam] | u.Quantity | None = None, *,
     extent: u.Quantity | None = None,
 ) -> IntervalPlan:  # fmt: skip
     """

@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Assembly of single images, from files or memory, into the fields of a cube."""
 
-from importlib import import_module
 from types import SimpleNamespace
 
 import astropy.units as u
@@ -9,14 +8,16 @@ import numpy as np
 from astropy.nddata import NDData
 from astropy.wcs.utils import pixel_to_pixel
 
+from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.correlation.parallel import machine_memory
-from astro_scc.epochs import fits, inspection, validation
-from astro_scc.epochs.component_tables import FITS, NO_IMAGE, is_component_list
-from astro_scc.epochs.cutout import box, crop_line
-from astro_scc.epochs.grid import ONE_SHIFT, pixel_area, regrid, shared_grid
-from astro_scc.epochs.headers import get, read_header, some
-from astro_scc.epochs.positions import readable_angle
+from astro_scc.epochs import ndcubes
+from astro_scc.epochs.comparing import UNCHECKED, problems, separation
 from astro_scc.exceptions import warn
+from astro_scc.images import fits, validation
+from astro_scc.images.cutout import box, crop_line
+from astro_scc.images.grid import ONE_SHIFT, pixel_area, regrid, shared_grid
+from astro_scc.images.headers import get, read_header, some
+from astro_scc.images.positions import readable_angle
 from astro_scc.quantities import check_choice, named
 
 # Reference pixels further apart than this fraction of the image exceed the
@@ -34,7 +35,7 @@ def read_files(files, times, beams, frame, *, check, hdu, region, pad):
     """Return the fields of the cube in some files; see `EpochCube.read`."""
     given = _given(times, beams, len(files), frame)
     for path in files:
-        if path.suffix.lower() not in FITS and is_component_list(path):
+        if path.suffix.lower() in LISTS:
             raise ValueError(f"{path}: {NO_IMAGE}")
     names = [path.name for path in files]
     if len(set(names)) < len(names):
@@ -53,7 +54,7 @@ def read_files(files, times, beams, frame, *, check, hdu, region, pad):
                 where = "" if window is None else " in this region"
                 raise ValueError(
                     f"{path}: has no more than two different values{where}, it seems "
-                    f"to be a mask; {inspection.UNCHECKED}"
+                    f"to be a mask; {UNCHECKED}"
                 )
             plane.label = name
             # Before the machine is blocked by more than its memory holds.
@@ -75,7 +76,6 @@ def read_files(files, times, beams, frame, *, check, hdu, region, pad):
 
 def read_images(images, times, beams, frame, *, check):
     """Return the fields of a cube of images; see `EpochCube.from_ccddata`."""
-    images = [images] if isinstance(images, NDData) else list(images)
     given = _given(times, beams, len(images), frame)
     planes = map(_plane_of, range(len(images)), images, *given)
     return _assemble(planes, *given, frame, check, f"{len(images)} images")
@@ -87,16 +87,14 @@ def _plane_of(i, image, time, beam):
     if isinstance(image, fits.Plane):
         return image
     if hasattr(image, "extra_coords"):
-        # Imported by name: a subpackage above this one.
-        room = import_module("astro_scc.interchange.containers")
-        cube = room.from_ndcube(image, times=time, beams=beam)
-        if len(cube) > 1:
+        (plane, *others), _ = ndcubes.planes_of(image, time, beam)
+        if others:
             raise ValueError(
-                f"{name}: is an NDCube of {len(cube)} epochs; give it alone to "
+                f"{name}: is an NDCube of {len(others) + 1} epochs; give it alone to "
                 "EpochCube.from_ndcube"
             )
-        image = cube[0]
-    if isinstance(image, NDData):
+        plane.name = name
+    elif isinstance(image, NDData):
         with validation.naming(name):
             plane = _plane_of_nddata(image, name)
     elif getattr(getattr(image, "hdu", None), "is_image", False):
@@ -108,12 +106,12 @@ def _plane_of(i, image, time, beam):
         )
     if plane.beam is beam is None and getattr(image, "psf", None) is not None:
         warn(f"{name}: its psf is an image, of which no beam is made; give beams=")
-    plane.label = get(image.meta, "LABEL", kind=str)
+    plane.label = plane.label or get(image.meta, "LABEL", kind=str)
     return plane
 
 
 def _plane_of_nddata(image, name):
-    data = np.ma.getdata(image.data)
+    data = validation.as_numbers(np.ma.getdata(image.data))
     mask = ~np.isfinite(data)
     if image.mask is not None:
         mask |= np.asarray(image.mask, dtype=bool)
@@ -132,7 +130,7 @@ def _plane_of_nddata(image, name):
         mask=mask.reshape(shape),
         unit=image.unit or u.dimensionless_unscaled,
         uncertainty=image.uncertainty,
-        **vars(read_header(image.meta)),
+        **read_header(image.meta),
     )
 
 
@@ -161,7 +159,7 @@ def _observed(plane, time):
 
 
 def _completed(planes, times, beams):
-    """Return images by date, with the given dates and beams, and with their noise."""
+    """Return images by date, and their dates, with what is given and their noise."""
     every, remarks = [], {}
     for plane, time, beam in zip(planes, times, beams, strict=True):
         plane.time = _observed(plane, time)
@@ -180,29 +178,19 @@ def _completed(planes, times, beams):
     for note, names in remarks.items():
         warn(f"{some(names)}: {note}")
     times = validation.as_times([plane.time for plane in every], len(every))
-    order = np.argsort((times - times[0]).jd, kind="stable")
+    order = validation.order_of(times)
     return [every[i] for i in order], times[order]
 
 
-def _compare(planes, times, frame, check):
-    """Refuse images that do not belong together, and bring them to one unit."""
-    for i, k in inspection.find_same_dates(times):
-        warn(
-            f"{planes[i].name} and {planes[k].name} are both of {times[i].isot[:10]}; "
-            "leave one out if it is a stack or another image of the same data"
-        )
-    for i, what, advice in inspection.problems(planes, check):
-        what = f"{planes[i].name}: {what}; "
-        if advice:
-            raise ValueError(what + advice)
-        warn(f"{what}leave it out if it is another object")
+def _refuse_strangers(planes, frame, check):
+    """Refuse images that do not belong together, or warn of them."""
+    for problem in problems(planes, check):
+        text = f"{planes[problem.index].name}: {problem.what}; {problem.advice}"
+        if problem.refused:
+            raise ValueError(text)
+        warn(text)
     first = planes[0]
-    for plane in planes:
-        factor = plane.unit.to(first.unit)
-        if factor != 1:
-            plane.data, plane.unit = plane.data * factor, first.unit
-            plane.noise = None if plane.noise is None else plane.noise.to(first.unit)
-    distance = [inspection.separation(plane.wcs, first.wcs) for plane in planes]
+    distance = [separation(plane.wcs, first.wcs) for plane in planes]
     k = int(np.argmax(distance))
     if frame == "offset" and distance[k] > FAR * max(first.extent, planes[k].extent):
         warn(
@@ -216,8 +204,13 @@ def _compare(planes, times, frame, check):
 def _assemble(planes, times, beams, frame, check, source):
     """Return the fields of a cube from images on their own grids."""
     planes, times = _completed(planes, times, beams)
-    _compare(planes, times, frame, check)
-    fields, resampled = lay_on_one_grid(planes, frame)
+    _refuse_strangers(planes, frame, check)
+    unit = planes[0].unit
+    for plane in planes:
+        if (factor := plane.unit.to(unit)) != 1:
+            plane.data = plane.data * factor
+            plane.noise = None if plane.noise is None else plane.noise.to(unit)
+    fields, resampled = lay_on_one_grid(planes, frame, unit)
     if resampled:
         ny, nx = fields["data"].shape[1:]
         given = any(plane.noise is not None for plane in planes)
@@ -227,10 +220,6 @@ def _assemble(planes, times, beams, frame, check, source):
             f"resampled to it; all are {nx} x {ny} pixels, masked outside each image"
             f"{anew}; leave it out if you do not want that"
         )
-    facts, labels = [plane.facts for plane in planes], [p.label for p in planes]
-    names = {fact.get("object") for fact in facts} - {None}
-    laid = "reference pixels" if frame == "offset" else "absolute coordinates"
-    meta = {"object": names.pop()} if len(names) == 1 else {}
     otherwise = f"the cube has none; {fits.CORRECT_BEAM}, or give beams= in Python"
     beams = _all_or_none(planes, "beam", otherwise)
     otherwise = "that of all is measured; give every image an uncertainty"
@@ -238,14 +227,18 @@ def _assemble(planes, times, beams, frame, check, source):
     uneven = [plane.name for plane in planes if not plane.even]
     if uneven and noise:
         warn(f"{some(uneven)}: {validation.UNEVEN}")
+    labels = tuple(plane.label for plane in planes)
+    names = {plane.facts.get("object") for plane in planes} - {None}
+    meta = {"object": names.pop()} if len(names) == 1 else {}
+    laid = "reference pixels" if frame == "offset" else "absolute coordinates"
     return {
         **fields,
         "times": times,
-        "unit": planes[0].unit,
-        "beams": beams,
+        "unit": unit,
+        "beams": beams and tuple(beams),
         "noise": noise and u.Quantity(noise),
-        "labels": labels if all(labels) else (),
-        "epoch_meta": facts,
+        "labels": labels if all(labels) else validation.date_labels(times),
+        "epoch_meta": tuple(plane.facts for plane in planes),
         "meta": {**meta, "history": [f"{source}, aligned on their {laid}"]},
     }
 
@@ -305,7 +298,7 @@ def windows_of(planes, first, frame, region, pad=0):
     return window, windows
 
 
-def lay_on_one_grid(planes, frame):
+def lay_on_one_grid(planes, frame, unit):
     """
     Place images on the finest of their grids, enlarged to hold all of them.
 
@@ -318,6 +311,8 @@ def lay_on_one_grid(planes, frame):
     planes : sequence of `Plane`
     frame : {"offset", "absolute"}
         Align the images by their reference pixels or their celestial coordinates.
+    unit : `~astropy.units.Unit`
+        Unit of all of them.
 
     Returns
     -------
@@ -337,8 +332,7 @@ def lay_on_one_grid(planes, frame):
         names = ("crval", "radesys", "equinox", "lonpole", "latpole")
         inner = [plane.wcs.wcs for plane in planes]
         own = [_with(grid, w.ctype, **{n: getattr(w, n) for n in names}) for w in inner]
-    kind = np.result_type(float, *[plane.data for plane in planes])
-    data = np.empty((len(planes), *shape), dtype=kind)
+    data = np.empty((len(planes), *shape))
     mask = np.empty(data.shape, dtype=bool)
     for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
         if same:
@@ -346,11 +340,12 @@ def lay_on_one_grid(planes, frame):
         else:
             grids = {"wcs": wcs, "grid": grid, "shape": shape, "near": ONE_SHIFT}
             data[i : i + 1], mask[i : i + 1], copied = regrid(
-                plane.data[None], plane.mask[None], unit=plane.unit, **grids
+                plane.data[None], plane.mask[None], unit=unit, **grids
             )
             resampled += [] if copied else [plane.name]
         plane.data = plane.mask = None
-    return {"data": data, "mask": mask, "wcs": own[0], "epoch_wcs": own}, resampled
+    fields = {"data": data, "mask": mask, "wcs": own[0], "epoch_wcs": tuple(own)}
+    return fields, resampled
 
 
 def _shared_grid(planes, frames):

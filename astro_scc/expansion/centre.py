@@ -106,7 +106,7 @@ def fit_shell(
     """
     names, parts = _parts(matched, groups)
     cube = parts[0].cube
-    limit = scc.speed_limit(cube).to_value(u.mas / u.yr)
+    limit = scc.plan(cube).speed_limit(cube).to_value(u.mas / u.yr)
     samples, first, weight = _samples_of(scc, names, parts, limit)
     x = samples.x
     given = None if centre is None else u.Quantity(centre).to_value(u.mas)
@@ -177,7 +177,7 @@ def _samples_of(scc, names, parts, limit):
     columns = []
     for k, part in enumerate(parts):
         displacements, _ = sky.displacements(part)
-        s = displacements.within(scc.date_pairs(part.cube), (limit, limit))
+        s = displacements.within(scc.plan(part.cube).pairs, (limit, limit))
         columns.append(
             (s.middle, s.velocity, np.abs(s.interval), s.sigma, np.full(len(s), k),
              part.ssps.scale[s.ssp], part.ssps.snr[s.ssp],

@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from astro_scc.epochs.positions import ssp_offsets
+from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame
 from astro_scc.measurement import MatchedEpochs, false_discovery_rate
 from astro_scc.measurement.tables import stack_tables

@@ -6,14 +6,14 @@ import numpy as np
 
 from astro_scc.correlation.parallel import in_order
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.epochs.positions import (
+from astro_scc.features.detections import Detections
+from astro_scc.features.gaussians import fit_gaussians
+from astro_scc.images.positions import (
     SCALES_PER_FWHM,
     beam_fwhm,
     position_errors,
     ssp_offsets,
 )
-from astro_scc.features.detections import Detections
-from astro_scc.features.gaussians import fit_gaussians
 from astro_scc.progress import progress
 
 #: SSPs nearer to each other than this, in sizes of the larger one, are one pattern.

@@ -124,11 +124,14 @@ def _agreed(d, settings, seed):
     one = np.concatenate([path[:-1] for path in paths])
     other = np.concatenate([path[1:] for path in paths])
     owner = np.repeat(np.arange(len(paths)), [len(path) - 1 for path in paths])
+    key = one * len(d) + other
+    links, which = np.unique(key, return_inverse=True)
     for trial in range(settings.solutions):
-        noise = settings.disturbance * _normal(d, one, other, seed, trial)
+        normal = _normal(d, *np.divmod(links, len(d)), seed, trial)
+        noise = settings.disturbance * normal[which]
         disturbed = score + np.bincount(owner, noise, len(paths))
         solutions.append(assignment.good(disturbed))
-    share = _link_shares(solutions, owner, one * len(d) + other)
+    share = _link_shares(solutions, owner, key)
     follows = {
         divmod(int(key), len(d)): value
         for key, value in share.items()

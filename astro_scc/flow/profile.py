@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +13,10 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from astro_scc.columns import describe
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.positions import ssp_offsets
 from astro_scc.flow.models import fit_profile
+from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
 from astro_scc.measurement import (
@@ -24,7 +25,12 @@ from astro_scc.measurement import (
     false_discovery_rate,
     select_ssps,
 )
-from astro_scc.measurement.products import with_configuration, write_configuration
+from astro_scc.measurement.products import (
+    with_configuration,
+    write_configuration,
+    write_files,
+    write_tables,
+)
 from astro_scc.measurement.tables import component_table, stack_tables
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
@@ -32,14 +38,6 @@ from astro_scc.stacking.stack import stack
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW
-
-#: Columns that a profile adds to those of the components.
-DESCRIPTIONS = {
-    "r_min": "inner limit of the bin",
-    "r_max": "outer limit of the bin",
-    "r_mid": "middle of the bin",
-    "main": "main stream of its bin",
-}
 
 
 def bins_of(edges, *, window=None):
@@ -159,7 +157,7 @@ def _in_bin(table, limits):
     values = {"r_min": low, "r_max": high, "r_mid": (low + high) / 2}
     columns = {name: np.full(len(table), r) * u.mas for name, r in values.items()}
     columns |= dict(table.items()) | {"main": _main(table)}
-    return QTable(columns, meta=table.meta, descriptions=DESCRIPTIONS)
+    return describe(QTable(columns, meta=table.meta), "profile")
 
 
 def _main(table):
@@ -296,38 +294,28 @@ def write_profile(
     from astro_scc.visualization import style
 
     directory = Path(directory)
-    table = components.copy(copy_data=False)
-    table.meta = with_configuration(components.meta, configuration)
-    paths = [directory / "profile.ecsv"]
-    table.write(paths[0], format="ascii.ecsv", overwrite=True)
-    for name, figure in _figures(profile, components).items():
-        paths.append(directory / f"{name}.png")
-        figure.savefig(paths[-1], dpi=style.DPI)
-    return paths + write_configuration(directory, text)
+    meta = with_configuration(components.meta, configuration)
+    write_tables({"profile": components}, directory, meta)
+    files = style.figure_files(_figures(profile, components))
+    write_files(files, directory)
+    names = ["profile.ecsv", *files]
+    return [directory / name for name in names] + write_configuration(directory, text)
 
 
 def _figures(profile, components):
-    """Return the figures of a profile by their names."""
+    """Return functions that draw the figures of a profile by their names."""
     from astro_scc.visualization import plot_profile
     from astro_scc.visualization.profiles import plot_position_angles, plot_scale_maps
 
     results = [result for result in profile.results if result is not None]
     first, (maps, grid) = results[0], _scale_maps(results)
+    shown = {"line": _line_of(first, profile.bins.max()), "fits": _fits(profile.main)}
+    shown |= {"cube": first.cube, "beta_per_pm": beta_per_pm(components)}
+    axes = {"axis_names": tuple(first.frame.axis_names), "unit": first.cube.speed_unit}
     return {
-        "profile": plot_profile(
-            components,
-            cube=first.cube,
-            line=_line_of(first, profile.bins.max()),
-            fits=_fits(profile.main),
-            beta_per_pm=beta_per_pm(components),
-        ),
-        "velocity_maps": plot_scale_maps(
-            maps,
-            grid,
-            axis_names=tuple(first.frame.axis_names),
-            unit=first.cube.speed_unit,
-        ),
-        "position_angles": plot_position_angles(_angles_of_scales(results)),
+        "profile": partial(plot_profile, components, **shown),
+        "velocity_maps": partial(plot_scale_maps, maps, grid, **axes),
+        "position_angles": partial(plot_position_angles, _angles_of_scales(results)),
     }
 
 

@@ -10,8 +10,9 @@ import astropy.units as u
 import numpy as np
 from astropy import constants
 
+from astro_scc.columns import describe, round_to_errors
 from astro_scc.quantities import NUMBER, named, parse_quantities, to_quantity
-from astro_scc.units import PM_UNIT, round_to_errors
+from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW, FlatLambdaCDM
@@ -213,9 +214,9 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
         if np.size(value) > 1:
             raise ValueError(f"{name} must be one value, that of the source")
     table = table.copy()
-    for name, what in (("", "apparent speed"), ("_err", "standard error of beta_app")):
+    for name in ("", "_err"):
         table[f"beta_app{name}"] = apparent_speed(table[f"pm{name}"], **how)
-        table[f"beta_app{name}"].info.description = f"{what}, in units of c"
+    describe(table, "added")
     if "cosmology" in how:
         plain = how["cosmology"].to_format("mapping", cosmology_as_str=True)
         # A cosmology object can be read only after astropy.cosmology is imported.

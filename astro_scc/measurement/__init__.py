@@ -2,7 +2,7 @@
 """Measurement: what an array of matches means in angles, years and tables."""
 
 from astro_scc.measurement.match_files import MatchedEpochs
-from astro_scc.measurement.plan import select_ssps
+from astro_scc.measurement.plan import SearchPlan, select_ssps
 from astro_scc.measurement.products import write_products
 from astro_scc.measurement.publication import write_votable
 from astro_scc.measurement.regions import (
@@ -19,6 +19,7 @@ from astro_scc.measurement.tables import versions as versions
 __all__ = [
     "MatchedEpochs",
     "SCCResult",
+    "SearchPlan",
     "false_discovery_rate",
     "select_ssps",
     "ssp_regions",

@@ -6,8 +6,9 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 
+from astro_scc import kinematics
 from astro_scc.correlation.matches import target_ssps
-from astro_scc.epochs.positions import beam_fwhm, position_errors, ssp_offsets
+from astro_scc.images.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics import ExpansionFrame, RidgeLine
 from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.stacking.velocities import VelocitySamples
@@ -217,3 +218,52 @@ def alignment_errors(cube, error=None):
                 f"got {each.size}"
             )
     return np.broadcast_to(each[:, None], (n, 2)).copy()
+
+
+def velocity_frame(matched, position_angle):
+    """
+    Return the velocity axes of a measurement.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    position_angle : `~astropy.units.Quantity`, str, frame or None
+        See `~astro_scc.StackedCrossCorrelation`.
+
+    Returns
+    -------
+    frame of `astro_scc.kinematics`
+    """
+    match position_angle:
+        case u.Quantity():
+            return kinematics.PositionAngleFrame(position_angle)
+        case "fit":
+            angle, _ = kinematics.fit_position_angle(matched.cube)
+            return kinematics.PositionAngleFrame(angle)
+        case "ridge":
+            return kinematics.find_ridge_line(matched.cube)
+        case "radial":
+            return kinematics.RadialFrame()
+        case None | "any":
+            return kinematics.SkyFrame()
+    return position_angle
+
+
+def matched_displacements(matched, settings):
+    """
+    Return matches as displacements along the velocity axes, and the axes.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    settings : `~astro_scc.StackedCrossCorrelation`
+
+    Returns
+    -------
+    displacements : ``VelocitySamples``
+        In mas, for the selected SSPs.
+    frame : frame of `astro_scc.kinematics`
+    """
+    frame = velocity_frame(matched, settings.position_angle)
+    of = matched.matches, matched.ssps, matched.cube, frame, settings.min_error_beams
+    return angular_displacements(*of, select=matched.select), frame

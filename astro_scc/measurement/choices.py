@@ -9,11 +9,11 @@ import numpy as np
 from scipy import fft
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from astro_scc.epochs.registration import MISALIGNED
+from astro_scc.alignment.registration import MISALIGNED
 from astro_scc.exceptions import AstroSccWarning
+from astro_scc.images.positions import beam_fwhm
 from astro_scc.kinematics import fit_position_angle
 from astro_scc.kinematics.ridge_search import mean_width
-from astro_scc.measurement.plan import mean_fwhm
 
 #: Octaves of scales, the finest a quarter of the beam; without a beam, the coarsest
 #: is half of the size of the structures (`structure_size`).
@@ -76,6 +76,24 @@ def choose_alignment(cube):
         return "none", f"the epochs scatter by {scatter:.2f} beams, no less on the core"
     reason = f"the epochs scatter by {scatter:.2f} beams, {on_core:.2f} on the core"
     return "core", reason
+
+
+def mean_fwhm(cube, scale):
+    """
+    Return the resolution, the mean FWHM over epochs and both axes, in mas.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    scale : float
+        Number of the scale whose size is the resolution if there are no beams.
+
+    Returns
+    -------
+    float
+    """
+    every = np.arange(len(cube))
+    return float(np.mean(beam_fwhm(cube, every, np.full(len(cube), scale), np.eye(2))))
 
 
 def choose_scales(cube):

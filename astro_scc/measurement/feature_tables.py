@@ -6,42 +6,11 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.columns import describe
+from astro_scc.columns import build_table, describe, round_to_errors
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.epochs import positions
+from astro_scc.images import positions
 from astro_scc.stacking.stack import sample_velocities
-from astro_scc.units import round_to_errors
 
-#: Meanings of the columns of SSPs; errors are standard errors.
-SSP_COLUMNS = {
-    "ssp": "number of the SSP, from 0",
-    "epoch": "number of the image, from 0",
-    "date": "date of the image",
-    "scale": "wavelet scale, from 1 for the finest",
-    "scale_size": "size of the structure of the scale",
-    "x": "pixel of the maximum, from 0",
-    "y": "pixel of the maximum, from 0",
-    "east": "offset of the maximum from the reference pixel to the east",
-    "north": "offset of the maximum from the reference pixel to the north",
-    "east_err": "standard error of east from noise",
-    "north_err": "standard error of north from noise",
-    "east_centroid": "offset of the centroid from the reference pixel to the east",
-    "north_centroid": "offset of the centroid from the reference pixel to the north",
-    "peak": "largest wavelet coefficient",
-    "coefficient_sum": "sum of the wavelet coefficients of the pixels, no flux density",
-    "snr": "largest wavelet coefficient over the noise of the scale",
-    "n_pixels": "number of pixels",
-    "in_region": "whether it was used",
-}
-#: Further columns of the matches of a component.
-MEMBER_COLUMNS = {
-    "match": "index in the displacements",
-    "target_ssp": "SSP on which the match lies, or -1",
-    "target_epoch": "number of the image of the match",
-    "target_date": "date of the image of the match",
-    "interval": "time from the SSP to the match",
-    "weight": "correlation coefficient",
-}
 #: A match or feature within this many of its standard errors belongs to a component.
 MEMBER_SIGMA = 2.0
 #: What is at rest is slower than this many standard errors.
@@ -75,14 +44,27 @@ def ssp_table(ssps, cube, *, select=None):
     fwhm = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
     error = positions.position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
     size = np.array([scale_size(s) for s in ssps.scale], dtype=float)
-    columns = (
-        np.arange(n), ssps.epoch, Time(cube.times[ssps.epoch], format="isot"),
-        ssps.scale, size * cube.pixel_scale, ssps.x * u.pix, ssps.y * u.pix,
-        *(offset * u.mas for offset in (east, north, *error.T, *centroid)),
-        ssps.peak * cube.unit, ssps.flux * cube.unit, ssps.snr, ssps.n_pixels, select,
-    )  # fmt: skip
-    table = QTable(dict(zip(SSP_COLUMNS, columns, strict=True)))
-    describe(table, SSP_COLUMNS)
+    columns = {
+        "ssp": np.arange(n),
+        "epoch": ssps.epoch,
+        "date": Time(cube.times[ssps.epoch], format="isot"),
+        "scale": ssps.scale,
+        "scale_size": size * cube.pixel_scale,
+        "x": ssps.x * u.pix,
+        "y": ssps.y * u.pix,
+        "peak": ssps.peak * cube.unit,
+        "coefficient_sum": ssps.flux * cube.unit,
+        "snr": ssps.snr,
+        "n_pixels": ssps.n_pixels,
+        "in_region": select,
+    }
+    for name, offset, own, middle in (
+        ("east", east, error[:, 0], centroid[0]),
+        ("north", north, error[:, 1], centroid[1]),
+    ):
+        columns[name], columns[f"{name}_err"] = offset * u.mas, own * u.mas
+        columns[f"{name}_centroid"] = middle * u.mas
+    table = build_table("ssps", **columns)
     return positions.name_by_frame(round_to_errors(table), cube)
 
 
@@ -212,13 +194,12 @@ def member_table(result, number):
     )
     axes = (d.d1, d.s1), (d.d2, d.s2)
     for name, (values, errors) in zip(result.frame.axis_names, axes, strict=True):
-        table[f"displacement_{name}"] = values[match] * u.mas
-        table[f"displacement_{name}_err"] = errors[match] * u.mas
-        about = {f"displacement_{name}": f"displacement of the match, {name}"}
-        about[f"displacement_{name}_err"] = f"standard error of displacement_{name}"
-        describe(table, about)
+        name, about = f"displacement_{name}", f"displacement of the match, {name}"
+        table[name], table[f"{name}_err"] = values[match] * u.mas, errors[match] * u.mas
+        table[name].info.description = about
+        table[f"{name}_err"].info.description = f"standard error of {name}"
     table["weight"] = d.weight[match]
-    describe(table, SSP_COLUMNS | MEMBER_COLUMNS)
+    describe(describe(table, "ssps"), "members")
     return positions.name_by_frame(round_to_errors(table), cube)
 
 

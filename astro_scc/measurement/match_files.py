@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +17,9 @@ from astro_scc.correlation import Matches
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.serialize import read_object, without_dates, write_object
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import Features, find_features
+from astro_scc.images.serialize import read_object, without_dates, write_object
 from astro_scc.measurement.decomposing import decompose_epochs, noise_facts
 from astro_scc.measurement.tables import versions
 
@@ -104,7 +105,25 @@ class MatchedEpochs:
         They are `~astro_scc.features.Features` of Gaussian models of the images or,
         without beams, of SSPs, inside the region.
         """
-        return find_features(self.cube, ssps=self.ssps, region=self.region)
+        return self.follow()
+
+    def follow(self, **how: Any) -> Features:
+        """
+        Return the `features`, which are found only once.
+
+        Parameters
+        ----------
+        **how
+            ``n_workers`` and ``progress_bar`` of `~astro_scc.features.find_features`.
+
+        Returns
+        -------
+        `~astro_scc.features.Features`
+        """
+        if "features" not in vars(self):
+            of = {"ssps": self.ssps, "region": self.region}
+            vars(self)["features"] = find_features(self.cube, **of, **how)
+        return vars(self)["features"]
 
     def part(self, select: np.ndarray) -> MatchedEpochs:
         """

@@ -1,8 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Plan of a measurement: scales, pairs of dates, search radius, speeds and SSPs."""
 
+from __future__ import annotations
+
 import os
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
@@ -10,19 +13,25 @@ from astropy.coordinates import SkyCoord
 from numpy.typing import ArrayLike
 
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
 from astro_scc.exceptions import MeasurementWarning, warn
+from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, RidgeLine
+from astro_scc.measurement.choices import choose_scales, mean_fwhm
 from astro_scc.measurement.decomposing import centroids_inside
 from astro_scc.measurement.match_files import MatchedEpochs
-from astro_scc.settings import require
+from astro_scc.settings import MeasurementSettings, require
 from astro_scc.stacking.diagram import Rays
 from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.stacking.velocities import (
+    DatePairs,
     VelocityGrid,
     baseline_pairs,
     consecutive_pairs,
 )
+from astro_scc.units import PM_UNIT
+
+if TYPE_CHECKING:
+    from astro_scc.epochs import EpochCube
 
 #: Largest relative difference between an angle and the size of the scale it names.
 SCALE_TOLERANCE = 0.2
@@ -43,6 +52,123 @@ BEYOND = 1.0
 #: ``FAR_BEAMS`` beams in the median interval.
 FEW_EPOCHS = 20
 FAR_BEAMS = 4.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SearchPlan:
+    """
+    What settings mean for the pixels, beams and dates of a cube.
+
+    Attributes
+    ----------
+    scales : tuple of float
+        Numbers of the scales.
+    pairs : ``DatePairs``
+        Pairs of dates of the paper's stack.
+    intervals : (float, float)
+        Shortest and longest interval that is searched, in years.
+    radius : float
+        Largest displacement at which streams are searched for, in beams.
+    fwhm : float
+        The beam, or the size of the largest scale without one, in mas.
+    max_speed : float or None
+        The largest speed of the settings in mas/yr.
+
+    Examples
+    --------
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> plan = StackedCrossCorrelation().plan(simulate_two_fluid(rng=1).cube)
+    >>> plan.scales, len(plan.pairs), float(plan.radius)
+    ((1, 2, 3, 4), 9, 4.36)
+    """
+
+    scales: tuple[float, ...]
+    pairs: DatePairs
+    intervals: tuple[float, float]
+    radius: float
+    fwhm: float
+    max_speed: float | None
+
+    @classmethod
+    def of(cls, cube: EpochCube, settings: MeasurementSettings) -> SearchPlan:
+        """
+        Return the plan of a measurement.
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+        settings : `~astro_scc.StackedCrossCorrelation`
+
+        Returns
+        -------
+        `SearchPlan`
+
+        Raises
+        ------
+        ValueError
+            If no two epochs make a pair, or a scale does not fit the pixels.
+        """
+        pairs = pairs_of_dates(cube, settings.baseline)
+        scales = scale_numbers(cube, settings.scales)
+        fwhm = mean_fwhm(cube, max(scales))
+        max_speed, intervals = settings.max_speed, (0.0, np.inf)
+        if max_speed is not None:
+            max_speed = max_speed.to_value(PM_UNIT)
+        if settings.baseline is not None:
+            intervals = settings.baseline.to_value(u.yr)
+        return cls(
+            scales=scales,
+            pairs=pairs,
+            intervals=tuple(intervals),
+            radius=search_radius(cube, max_speed, fwhm),
+            fwhm=fwhm,
+            max_speed=max_speed,
+        )
+
+    def speed_limit(self, cube: EpochCube) -> u.Quantity:
+        """
+        Return the largest speed that is searched.
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+
+        Returns
+        -------
+        `~astropy.units.Quantity`
+            In mas/yr.
+        """
+        if self.max_speed is not None:
+            return self.max_speed * PM_UNIT
+        years = cube.years.to_value(u.yr)
+        rays = Rays.of(years, self.radius, DEFAULT, intervals=self.intervals)
+        return float(rays.speed.max()) * self.fwhm * PM_UNIT
+
+
+def scale_numbers(cube, scales):
+    """
+    Return the numbers of the scales, for the pixels of a cube.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    scales : sequence of float, `~astropy.units.Quantity` or None
+        If None, they follow from the beam, or the size of the structures.
+
+    Returns
+    -------
+    tuple of float
+
+    Raises
+    ------
+    ValueError
+        If an angle is not within 20% of a scale's size, or two angles mean the same
+        scale.
+    """
+    if scales is None:
+        return choose_scales(cube)[0]
+    return require("scales", scales_of_pixels(scales, cube.pixel_scale))
 
 
 def scales_of_pixels(scales, pixel_scale):
@@ -119,24 +245,6 @@ def pairs_of_dates(cube, baseline):
     return pairs
 
 
-def mean_fwhm(cube, scale):
-    """
-    Return the resolution, the mean FWHM over epochs and both axes, in mas.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    scale : float
-        Number of the scale whose size is the resolution if there are no beams.
-
-    Returns
-    -------
-    float
-    """
-    every = np.arange(len(cube))
-    return float(np.mean(beam_fwhm(cube, every, np.full(len(cube), scale), np.eye(2))))
-
-
 def search_radius(cube, max_speed, fwhm):
     """
     Return the search radius, the largest displacement between epochs, in beams.
@@ -170,47 +278,14 @@ def search_radius(cube, max_speed, fwhm):
     return max(DEFAULT.radius, far + MARGIN * DEFAULT.smoothing)
 
 
-def largest_speed(cube, radius, baseline=None):
-    """
-    Return the largest speed at which streams are searched for if none is given.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    radius : float
-        Largest displacement that is searched, in beams.
-    baseline : `~astropy.units.Quantity`, shape (2,), optional
-
-    Returns
-    -------
-    float
-        In beams per year.
-
-    Raises
-    ------
-    ValueError
-        If no two epochs make a pair.
-    """
-    pairs_of_dates(cube, baseline)
-    intervals = (0.0, np.inf) if baseline is None else baseline.to_value(u.yr)
-    of = cube.years.to_value(u.yr), radius, DEFAULT
-    return float(Rays.of(*of, intervals=intervals).speed.max())
-
-
-def search_reach(cube, pairs, radius, fwhm, max_speed):
+def search_reach(cube, plan):
     """
     Return the largest displacement to match between any two epochs, in pixels.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    pairs : ``DatePairs``
-    radius : float
-        Largest displacement at which streams are searched for, in beams.
-    fwhm : float
-        Resolution in mas.
-    max_speed : float or None
-        Largest speed of the velocity map of ``pairs``, in mas/yr.
+    plan : `SearchPlan`
 
     Returns
     -------
@@ -223,11 +298,11 @@ def search_reach(cube, pairs, radius, fwhm, max_speed):
         If the largest speed leads far out of the image even in the shortest
         interval, or hardly moves anything even in the longest.
     """
-    farthest = radius * fwhm
+    farthest, max_speed = plan.radius * plan.fwhm, plan.max_speed
     # Pixels may not be square: (x, y) sides.
     side, shape = np.hypot(*cube.pixel_matrix.value), np.array(cube.shape[1:])
     if max_speed is not None:
-        shortest, longest = pairs.interval.min(), pairs.interval.max()
+        shortest, longest = plan.pairs.interval.min(), plan.pairs.interval.max()
         unit = cube.speed_unit.bases[1]
 
         def easy(interval):
@@ -252,7 +327,7 @@ def search_reach(cube, pairs, radius, fwhm, max_speed):
                 "a smaller max_speed, or a baseline that leaves out long intervals",
                 MeasurementWarning,
             )
-        farthest = max(farthest, most + BEYOND * fwhm)
+        farthest = max(farthest, most + BEYOND * plan.fwhm)
     reach = np.ceil(farthest / side).astype(int)[::-1]
     return tuple(np.minimum(reach, shape - 1).tolist())
 

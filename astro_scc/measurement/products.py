@@ -18,10 +18,11 @@ from astropy.io import fits
 from astropy.table import QTable
 
 from astro_scc import writing
+from astro_scc.columns import describe
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics.cosmology import table_in_c_as
 from astro_scc.measurement.feature_tables import frame_velocities
-from astro_scc.measurement.publication import write_publication
+from astro_scc.measurement.publication import ascii_line, write_publication
 from astro_scc.measurement.published import with_published
 from astro_scc.stacking import SearchSettings
 from astro_scc.units import PM_UNIT
@@ -34,19 +35,6 @@ DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
 #: Tables in forms of journals and archives.
 PRINTED = ("components", "features", "positions")
 MOTION = "direction of the proper motion"
-#: Meaning of the columns of the epochs.
-EPOCHS = {
-    "epoch": "number of the epoch, as in the other tables",
-    "label": "name of the epoch",
-    "date": "date of the observation",
-    "major": "major axis of the beam, FWHM",
-    "minor": "minor axis of the beam, FWHM",
-    "pa": "position angle of the beam",
-    "noise": "rms of the noise",
-    "object": "name of the object",
-    "frequency": "frequency of the observation",
-    "n_ssp": "SSPs that were compared with other epochs",
-}
 #: What the header of the diagram says about it.
 DIAGRAM = (
     "Matches per pattern (SSP) and beam of displacement beyond those of",
@@ -245,31 +233,44 @@ def write_products(
     features = table_in_c_as(result.features, components)
     if published is not None:
         features = with_published(features, result.tracked_features, published)
-    tables = {
-        "components.ecsv": components,
-        "features.ecsv": features,
-        "positions.ecsv": result.feature_positions,
-        "sensitivity.ecsv": result.sensitivity,
-        "epochs.ecsv": _epochs(result),
-        "ssps.ecsv": result.ssps,
-    }
     meta = with_configuration({**result.meta, **components.meta}, configuration)
     meta["history"] = list(result.cube.meta.get("history", ()))
-    for name, table in tables.items():
-        table = table.copy(copy_data=False)
-        note = {key: table.meta[key] for key in ("note",) if key in table.meta}
-        table.meta = plain_meta(meta | note)
-        tables[name] = table
-        table.write(directory / name, format="ascii.ecsv", overwrite=True)
+    tables = {
+        "components": components,
+        "features": features,
+        "positions": result.feature_positions,
+        "sensitivity": result.sensitivity,
+        "epochs": _epochs(result),
+        "ssps": result.ssps,
+    }
+    tables = write_tables(tables, directory, meta)
     published = []
     if archives:
-        printed = {name: tables[f"{name}.ecsv"] for name in PRINTED}
+        printed = {name: tables[name] for name in PRINTED}
         published = write_publication(printed, directory, {"ssps": result.ssps})
     maps = directory / "scc.fits"
     hdus = velocity_hdus(result, text=text)
     hdus.writeto(maps, output_verify="exception", overwrite=True)
-    paths = [*(directory / name for name in tables), maps, *published]
+    paths = [*(directory / f"{name}.ecsv" for name in tables), maps, *published]
     return paths + write_configuration(directory, text)
+
+
+def write_tables(tables, folder, meta):
+    """Write tables by their names with one meta and their notes; return them so."""
+    written = {}
+    for name, table in tables.items():
+        written[name] = own = table.copy(copy_data=False)
+        note = {key: table.meta[key] for key in ("note",) if key in table.meta}
+        own.meta = plain_meta(meta | note)
+        own.write(Path(folder, f"{name}.ecsv"), format="ascii.ecsv", overwrite=True)
+    return written
+
+
+def write_files(files, folder):
+    """Write contents of files by their names, each when it is complete."""
+    for name, content in files.items():
+        with writing.replace_when_complete(folder / name, overwrite=True) as part:
+            part.write_bytes(content)
 
 
 def _epochs(result):
@@ -277,8 +278,7 @@ def _epochs(result):
     epochs, ssps = result.cube.epochs, result.ssps
     own = ssps["epoch"][ssps["in_region"]]
     epochs["n_ssp"] = np.bincount(own, minlength=len(epochs))
-    known = {k: about for k, about in EPOCHS.items() if k in epochs.colnames}
-    return QTable(epochs, descriptions=known)
+    return describe(epochs, "epochs")
 
 
 def with_configuration(meta, configuration):
@@ -340,9 +340,9 @@ def velocity_hdus(result, *, text=None):
     primary = hdus[0].header
     primary.update(_facts(result))
     for line in result.cube.meta.get("history", ()):
-        primary.add_history(_ascii(line))
+        primary.add_history(ascii_line(line))
     for line in (text or "").splitlines():
-        primary.add_comment(_ascii(line) or " ")
+        primary.add_comment(ascii_line(line) or " ")
     return fits.HDUList([*hdus, *_diagram_hdus(result), _features_hdu(result)])
 
 
@@ -392,7 +392,7 @@ def _facts(result):
     versions = meta.get("versions", {})
     creator = f"astro_scc {versions.get('astro_scc', '')}"
     facts = {
-        "OBJECT": (_ascii(cube.meta.get("object", ""))[:60], "name of the object"),
+        "OBJECT": (ascii_line(cube.meta.get("object", ""))[:60], "name of the object"),
         # If one form of a date is missing, readers warn that they add it.
         "TIMESYS": ("UTC", "time scale"),
         "DATE-BEG": (times.isot[0], "first epoch"),
@@ -403,13 +403,9 @@ def _facts(result):
         "JETPA": (float(angle), "[deg] position angle of the jet"),
         "NTRIALS": (meta.get("n_trials"), "number of trials"),
         "SEED": (meta.get("seed"), "seed of the trials"),
-        "CREATOR": (_ascii(creator)[:60], "program"),
+        "CREATOR": (ascii_line(creator)[:60], "program"),
     }
     facts = {k: v for k, v in facts.items() if v[0] not in (None, "")}
     for i, (name, version) in enumerate(sorted(versions.items()), start=1):
-        facts[f"VERS{i}"] = _ascii(f"{name} {version}")[:60]
+        facts[f"VERS{i}"] = ascii_line(f"{name} {version}")[:60]
     return facts
-
-
-def _ascii(text):
-    return " ".join(str(text).split()).encode("ascii", "replace").decode()

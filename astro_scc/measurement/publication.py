@@ -19,10 +19,9 @@ from astropy.table import Column, QTable, Table
 from astropy.time import Time
 
 from astro_scc import writing
-from astro_scc.columns import PAPER, column_ucd
+from astro_scc.columns import column_of, round_to_errors
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement.tables import paper_table, printed
-from astro_scc.units import round_to_errors
 
 FOLDER = "publication"
 #: Captions, with the name of the source in braces.
@@ -38,60 +37,6 @@ ONE_PAGE = 40
 MANY_ROWS = 2000
 #: Most digits after the point of a number in an archive.
 DIGITS = 8
-RULE, LINE = "=" * 80, "-" * 80
-AASTEX = r"""% AASTeX, version 6.3.1 or later
-{long}\begin{{deluxetable*}}{{{align}}}
-\tablecaption{{{caption}\label{{tab:{name}}}}}
-\tablehead{{
-{heads} \\
-{units}
-}}
-\startdata
-{rows}
-\enddata
-\tablecomments{{{notes}}}
-\end{{deluxetable*}}
-"""
-AA = r"""% A&A, aa.cls
-\providecommand{{\nodata}}{{\ldots}}
-\begin{{table*}}
-\caption{{{caption}}}
-\label{{tab:{name}}}
-\centering
-\begin{{tabular}}{{{align}}}
-\hline\hline
-{heads} \\
-{units} \\
-\hline
-{rows} \\
-\hline
-\end{{tabular}}
-\tablefoot{{{notes}}}
-\end{{table*}}
-"""
-AA_LONG = r"""% A&A, aa.cls, with the packages longtable and lscape
-\providecommand{{\nodata}}{{\ldots}}
-\longtab[1]{{
-\begin{{longtable}}{{{align}}}
-\caption{{\label{{tab:{name}}}{caption}}}\\
-\hline\hline
-{heads} \\
-{units} \\
-\hline
-\endfirsthead
-\caption{{continued.}}\\
-\hline\hline
-{heads} \\
-{units} \\
-\hline
-\endhead
-\hline
-\endfoot
-{rows} \\
-\end{{longtable}}
-\tablefoot{{{notes}}}
-}}
-"""
 
 
 def write_publication(
@@ -136,7 +81,7 @@ def write_publication(
     """
     folder = Path(directory, FOLDER)
     folder.mkdir(exist_ok=True)
-    texts, files = {}, {}
+    texts, files = {}, []
     tables = {
         name: printed(table) if "component" in table.colnames else table
         for name, table in tables.items()
@@ -146,10 +91,13 @@ def write_publication(
         if "pm" in table.colnames:
             texts[f"{name}_aastex.tex"] = latex_text_of(table, name, "aastex")
             texts[f"{name}_aa.tex"] = latex_text_of(table, name, "aa")
-        files[f"{name}.dat"] = table, name, rows
-        texts[f"{name}_mrt.txt"] = machine_readable(table, name, rows)
+        about = {"name": name, "caption": _caption(table, name), "data": rows}
+        about["facts"] = facts_of(table.meta)
+        files.append(about)
+        texts[f"{name}_mrt.txt"] = _rendered("mrt.txt", **about)
         texts[f"{name}.dat"] = "".join(f"{row}\n" for row in rows.rows)
-    texts["ReadMe"] = read_me(files)
+    about = wrap(" ".join(files[0]["facts"]), 80, initial_indent="    ")
+    texts["ReadMe"] = _rendered("ReadMe.txt", files=files, description=about)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     paths = [folder / name for name in texts]
@@ -180,14 +128,34 @@ def facts_of(meta):
 
 
 def _caption(table, name):
-    source = _plain(table.meta.get("object", ""))
+    source = ascii_line(table.meta.get("object", ""))
     caption = CAPTIONS.get(name, f"{name.capitalize()}{{}}")
     return caption.format(f" of {source}" if source else "")
 
 
-def _plain(text):
+def ascii_line(text):
     """Return text in one line of ASCII."""
     return " ".join(str(text).split()).encode("ascii", "replace").decode()
+
+
+def _rendered(template, **what):
+    """Return a filled template; LaTeX has braces of its own."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("astro_scc", "measurement/templates"),
+        variable_start_string="<<",
+        variable_end_string=">>",
+        block_start_string="<%",
+        block_end_string="%>",
+        comment_start_string="<#",
+        comment_end_string="#>",
+        undefined=jinja2.StrictUndefined,
+        autoescape=jinja2.select_autoescape(),
+        keep_trailing_newline=True,
+        trim_blocks=True,
+    )
+    return environment.get_template(template).render(**what)
 
 
 # -- LaTeX -------------------------------------------------------------------------
@@ -195,7 +163,7 @@ def _plain(text):
 
 def escaped(text):
     """Return text in which what LaTeX reads as commands is escaped."""
-    text = re.sub(r"([&%#_${}])", r"\\\1", _plain(text).replace("\\", "/"))
+    text = re.sub(r"([&%#_${}])", r"\\\1", ascii_line(text).replace("\\", "/"))
     return text.replace("~", r"\textasciitilde{}").replace("^", r"\textasciicircum{}")
 
 
@@ -216,28 +184,28 @@ def latex_text_of(table, name, journal):
         Values and errors are rounded to two digits of the error.
     """
     paper = paper_table(table, sign=r"\pm")
-    heads = [PAPER[column] for column in paper.colnames]
+    heads = [column_of(column).latex for column in paper.colnames]
     units = [_latex_unit(column, paper[column].unit) for column in paper.colnames]
     if journal == "aastex":
         heads, units = ([rf"\colhead{{{k}}}" for k in row] for row in (heads, units))
     cells = zip(*(map(_latex_cell, paper[k]) for k in paper.colnames), strict=True)
     rows = [" & ".join(row) for row in cells]
     about = [
-        f"{PAPER[k]}: {escaped(table[k].info.description)}."
+        f"{column_of(k).latex}: {escaped(table[k].info.description)}."
         for k in paper.colnames
         if table[k].info.description
     ]
-    form, long = AASTEX, len(rows) > ONE_PAGE
-    if journal == "aa":
-        form = AA_LONG if long else AA
-    text = form.format(
-        align="l" * len(heads), caption=f"{escaped(_caption(table, name))}.",
-        name=name, long="\\startlongtable\n" * long,
-        heads=" & ".join(heads), units=" & ".join(units),
+    return _rendered(
+        f"{journal}.tex",
+        align="l" * len(heads),
+        caption=f"{escaped(_caption(table, name))}.",
+        name=name,
+        long=len(rows) > ONE_PAGE,
+        heads=" & ".join(heads),
+        units=" & ".join(units),
         rows=" \\\\\n".join(rows),
         notes=" ".join([*map(escaped, facts_of(table.meta)), *about]),
-    )  # fmt: skip
-    return text.removeprefix("\n")
+    )
 
 
 def _latex_cell(text):
@@ -292,7 +260,7 @@ def fixed_width(table):
             place = f"{end:8d}" if width == 1 else f"{begin:3d}-{end:4d}"
             label = re.sub(r"^(.*)_err(?=_|$)", r"e_\1", name)
             unit, about = _cds_unit(table[name].info.unit)
-            about = f"{_plain(table[name].info.description or name)}{about}"
+            about = f"{ascii_line(table[name].info.description or name)}{about}"
             blank = "? " if any(not cell.strip() for cell in cells) else ""
             head = f"{place} {form.format(width=width):6s} {unit:7s} {label:21s} "
             indents = {"initial_indent": head, "subsequent_indent": " " * len(head)}
@@ -320,7 +288,9 @@ def _cells(column):
         return cells, f"F{{width}}.{digits}"
     if values.dtype.kind == "b":
         values = np.where(values, "Y", "N")
-    cells = ["" if bad else _plain(v) for v, bad in zip(values, hidden, strict=True)]
+    cells = [
+        "" if bad else ascii_line(v) for v, bad in zip(values, hidden, strict=True)
+    ]
     return cells, ("I{width}" if values.dtype.kind in "iu" else "A{width}")
 
 
@@ -332,58 +302,6 @@ def _cds_unit(unit):
         return u.Unit(unit).to_string("cds"), ""
     except ValueError:
         return "---", f" ({unit})"
-
-
-def _byte_by_byte(described, name):
-    head = "   Bytes Format Units   Label                 Explanations"
-    title = f"Byte-by-byte Description of file: {name}"
-    return [title, LINE, head, LINE, *described, LINE]
-
-
-def machine_readable(table, name, data):
-    """Return a table in the form of the AAS; ``data`` is its `fixed_width`."""
-    file = f"{name}_mrt.txt"
-    notes = [f"Note: {fact}" for fact in facts_of(table.meta)]
-    return "\n".join(
-        [
-            *("Title: (title of the paper)", "Authors: (authors)"),
-            f"Table: {_caption(table, name)}",
-            *(RULE, *_byte_by_byte(data.description, file), *notes, LINE * bool(notes)),
-            *data.rows,
-            "",
-        ]
-    ).replace("\n\n", "\n")
-
-
-def read_me(files):
-    """
-    Return the file ReadMe of tables for the CDS.
-
-    Parameters
-    ----------
-    files : dict of (`~astropy.table.QTable`, str, `FixedWidth`)
-        Tables and their names, by the names of their files.
-    """
-    first, *_ = next(iter(files.values()))
-    lines = [
-        "(title of the paper)",
-        RULE,
-        "Description:",
-        *wrap(" ".join(facts_of(first.meta)), 80, initial_indent="    "),
-        "",
-        "File Summary:",
-        LINE,
-        f"{' FileName':18s}{'Lrecl':>8s}{'Records':>9s}   Explanations",
-        LINE,
-        f"{'ReadMe':18s}{80:8d}{'.':>9s}   This file",
-    ]
-    for file, (table, name, data) in files.items():
-        width = max(map(len, data.rows), default=0)
-        lines.append(f"{file:18s}{width:8d}{len(table):9d}   {_caption(table, name)}")
-    lines += [LINE, ""]
-    for file, (*_, data) in files.items():
-        lines += [*_byte_by_byte(data.description, file), ""]
-    return "\n".join([*lines, RULE, ""])
 
 
 # -- VOTable -----------------------------------------------------------------------
@@ -437,7 +355,7 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
     resource, written = votable.resources[0], votable.get_first_table()
     written.description = " ".join(facts_of(table.meta)) or None
     for field in written.fields:
-        field.ucd = column_ucd(field.name)
+        field.ucd = column_of(field.name).ucd or None
         if field.unit is None and field.datatype == "double":
             field.unit = u.one
         if field.name in dates:

@@ -11,9 +11,9 @@ import numpy as np
 from astropy.table import MaskedColumn, QTable
 from astropy.utils.masked import Masked
 
-from astro_scc.columns import describe
+from astro_scc.columns import describe, round_to_errors
 from astro_scc.epochs import read_components
-from astro_scc.units import PM_UNIT, round_to_errors
+from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:
     from astro_scc.epochs import EpochCube
@@ -23,11 +23,6 @@ if TYPE_CHECKING:
 LEAST = 3
 #: Features are the same if their paths are apart by at most so many beams.
 SAME = 0.5
-COLUMNS = {
-    "published": "number of the published feature with the same path",
-    "published_pm": "its proper motion, by a straight line through its positions",
-    "published_pm_err": "standard error of published_pm, from the scatter",
-}
 
 
 def published_positions(path: Path | str, cube: EpochCube) -> QTable:
@@ -130,8 +125,7 @@ def with_published(table: QTable, features: Features, published: QTable) -> QTab
     for name, speed in zip(("published_pm", "published_pm_err"), speeds, strict=True):
         speed = (np.array(speed, dtype=float) * PM_UNIT).to(unit)
         table[name] = Masked(speed, mask=missing)
-    describe(table, COLUMNS)
-    return round_to_errors(table)
+    return round_to_errors(describe(table, "added"))
 
 
 def speed_of(years, place):

@@ -15,18 +15,18 @@ from astropy.nddata import NDData
 from astropy.table import QTable
 from astropy.wcs import WCS
 
+from astro_scc.columns import cell
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.positions import axis_words, name_by_frame
-from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.features import Features
 from astro_scc.features.tables import feature_table
+from astro_scc.images.positions import axis_words, name_by_frame
+from astro_scc.images.serialize import read_object, write_object
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import feature_tables
 from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.match_files import MatchedEpochs
 from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
 from astro_scc.measurement.tables import (
-    cell_text,
     component_row,
     component_table,
     paper_table,
@@ -38,7 +38,7 @@ from astro_scc.stacking.permutations import PermutedStacks
 from astro_scc.stacking.significance import Search
 from astro_scc.stacking.stack import VelocityPeak
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
-from astro_scc.units import PM_UNIT
+from astro_scc.units import PM_UNIT, unit_name
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW
@@ -154,11 +154,8 @@ class SCCResult:
 
     def __repr__(self):
         table = printed(self.components)
-        unit = str(table["pm"].unit).replace(" ", "")
-        speeds = [
-            f"{cell_text(table, 'pm', k, '+-')} {unit} {kind}"
-            for k, kind in enumerate(table["kind"])
-        ]
+        unit = unit_name(table["pm"].unit)
+        speeds = [f"{cell(row, 'pm', '+-')} {unit} {row['kind']}" for row in table]
         found = ", ".join(speeds) or "no stream"
         return f"<{self._head()}{found}, {len(self.cube)} epochs>"
 

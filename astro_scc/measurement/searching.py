@@ -4,7 +4,6 @@
 from dataclasses import dataclass
 from typing import Any
 
-import astropy.units as u
 import numpy as np
 
 from astro_scc import kinematics
@@ -29,18 +28,17 @@ class Found:
     samples : ``VelocitySamples``
         The matches, in mas.
     frame : frame of `astro_scc.kinematics`
-    radius : float
-        Largest displacement in beams.
     """
 
     search: Search
     velocities: tuple[StreamVelocity, ...]
     samples: VelocitySamples
     frame: Any
-    radius: float
 
 
-def search_matches(matched, settings, *, n_trials, rng, intervals=None, epochs=None):
+def search_matches(
+    matched, settings, plan, *, n_trials, rng, intervals=None, epochs=None
+):
     """
     Search the matches of epochs for streams.
 
@@ -48,10 +46,11 @@ def search_matches(matched, settings, *, n_trials, rng, intervals=None, epochs=N
     ----------
     matched : `~astro_scc.measurement.MatchedEpochs`
     settings : `~astro_scc.StackedCrossCorrelation`
+    plan : `~astro_scc.measurement.SearchPlan`
     n_trials : int
     rng : `~numpy.random.Generator`
     intervals : (float, float), optional
-        Shortest and longest interval in years, instead of the settings' baseline.
+        Shortest and longest interval in years, instead of those of the plan.
     epochs : slice, optional
         Consecutive epochs to which the search is limited.
 
@@ -59,12 +58,8 @@ def search_matches(matched, settings, *, n_trials, rng, intervals=None, epochs=N
     -------
     ``Found``
     """
-    cube, max_speed = matched.cube, settings.largest_speed
-    if intervals is None:
-        baseline = settings.baseline
-        intervals = (0.0, np.inf) if baseline is None else baseline.to_value(u.yr)
-    radius, _ = settings.search_radius(cube)
-    samples, frame = settings.displacements(matched)
+    cube, max_speed = matched.cube, plan.max_speed
+    samples, frame = axes.matched_displacements(matched, settings)
     if epochs is not None:
         samples = samples.of_epochs(epochs)
     project = axes.AxisProjection(samples, cube, frame)
@@ -73,13 +68,13 @@ def search_matches(matched, settings, *, n_trials, rng, intervals=None, epochs=N
     search = find_streams(
         project,
         np.arange(n_axes) * np.pi / n_axes,
-        radius,
+        plan.radius,
         alpha=settings.alpha,
         n_trials=n_trials,
         rng=rng,
         outward=settings.outward and known,
         fastest=np.inf if max_speed is None else max_speed / project.beam(0.0)[0],
-        intervals=intervals,
+        intervals=plan.intervals if intervals is None else intervals,
         followed=FollowedFeatures(matched, project, epochs),
     )
     misaligned = axes.alignment_errors(cube, settings.alignment_error)
@@ -87,4 +82,4 @@ def search_matches(matched, settings, *, n_trials, rng, intervals=None, epochs=N
         velocity_of(stream, project.beam(stream.angle), misaligned, samples.epoch)
         for stream in search.streams
     )
-    return Found(search, velocities, samples, frame, radius)
+    return Found(search, velocities, samples, frame)

@@ -7,11 +7,10 @@ import astropy.units as u
 import numpy as np
 from scipy.special import ndtr
 
-from astro_scc.columns import build_table
+from astro_scc.columns import build_table, cell, round_to_errors
 from astro_scc.measurement.plan import ssp_distances
 from astro_scc.measurement.searching import search_matches
-from astro_scc.quantities import with_error
-from astro_scc.units import PM_UNIT, in_speed_unit, offset_unit, round_to_errors
+from astro_scc.units import PM_UNIT, in_speed_unit, offset_unit
 
 #: Permutations of a search in a part of the data, which only ranks speeds.
 TRIALS = 99
@@ -19,24 +18,9 @@ TRIALS = 99
 FEWEST_EPOCHS = 4
 #: Speeds of two parts differ if their difference is larger than so many errors.
 DIFFERENT = 2.0
-#: Every column: unit or type, and meaning.
-COLUMNS = {
-    "choice": (str, "what the speed is measured from"),
-    "n_features": (int, "number of features that contribute"),
-    "pm": (PM_UNIT, "speed along the first stream"),
-    "pm_err": (PM_UNIT, "standard error of pm"),
-    "change": (PM_UNIT, "difference from the speed as measured"),
-    "change_err": (
-        PM_UNIT,
-        "standard error of change, as the data are in part the same",
-    ),
-    "change_sigma": (float, "difference from the other part, in errors of both"),
-    "p_value": (float, "p-value of that difference"),
-    "significant": (bool, "whether the two parts differ by more than two errors"),
-}
 
 
-def sensitivity_rows(found, matched, settings, rng):
+def sensitivity_rows(found, matched, settings, plan, rng):
     """
     Search parts of the data again, each from the matches on.
 
@@ -46,6 +30,7 @@ def sensitivity_rows(found, matched, settings, rng):
         The search in all data.
     matched : `~astro_scc.measurement.MatchedEpochs`
     settings : `~astro_scc.StackedCrossCorrelation`
+    plan : `~astro_scc.measurement.SearchPlan`
     rng : `~numpy.random.Generator`
 
     Returns
@@ -66,7 +51,9 @@ def sensitivity_rows(found, matched, settings, rng):
     for pair in _pairs_of_parts(found, matched, stream):
         own = []
         for name, part, how in pair:
-            again = search_matches(part, settings, n_trials=TRIALS, rng=rng, **how)
+            again = search_matches(
+                part, settings, plan, n_trials=TRIALS, rng=rng, **how
+            )
             some = [
                 _measured(*one, axis)
                 for one in zip(again.search.streams, again.velocities, strict=True)
@@ -127,7 +114,7 @@ def sensitivity_table(rows, unit=PM_UNIT):
     `~astropy.table.QTable`
         See `SCCResult.sensitivity`.
     """
-    table = in_speed_unit(build_table(rows, COLUMNS), unit)
+    table = in_speed_unit(build_table("sensitivity", rows), unit)
     if not rows:
         table.meta["note"] = "nothing moves significantly"
     return round_to_errors(table)
@@ -148,8 +135,7 @@ def sensitivity_line(table):
         Empty if it depends on nothing that was tried.
     """
     parts = [
-        f"{with_error(row['pm'].value, row['pm_err'].value, '+-')} {row['pm'].unit} "
-        f"({row['choice']})"
+        f"{cell(row, 'pm', '+-')} {row['pm'].unit} ({row['choice']})"
         for row in table[table["significant"]]
     ]
     return "differs with the data: " + ", ".join(parts) if parts else ""

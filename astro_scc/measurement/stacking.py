@@ -4,9 +4,8 @@
 import astropy.units as u
 import numpy as np
 
-from astro_scc import kinematics
 from astro_scc.exceptions import MeasurementWarning, warn
-from astro_scc.measurement.plan import flow_direction, map_grid
+from astro_scc.measurement.plan import SearchPlan, flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
 from astro_scc.measurement.searching import search_matches
 from astro_scc.measurement.sensitivity import sensitivity_rows, with_choices
@@ -65,23 +64,26 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     n_trials = require("n_trials", n_trials)
     rng, seed = seeded(rng)
     paper_rng, search_rng, error_rng, choice_rng = np.random.default_rng(rng).spawn(4)
-    cube, baseline, alpha = matched.cube, settings.baseline, settings.alpha
-    pairs, max_speed = settings.date_pairs(cube), settings.largest_speed
-    _, fwhm = settings.search_radius(cube)
+    cube, alpha = matched.cube, settings.alpha
+    plan = SearchPlan.of(cube, settings)
+    pairs, max_speed, fwhm = plan.pairs, plan.max_speed, plan.fwhm
     with progress(None, "Searching", show=progress_bar):
-        found = search_matches(matched, settings, n_trials=n_trials, rng=search_rng)
-    choices = sensitivity_rows(found, matched, settings, choice_rng)
+        of = matched, settings, plan
+        found = search_matches(*of, n_trials=n_trials, rng=search_rng)
+    choices = sensitivity_rows(found, *of, choice_rng)
     search, velocities, samples = found.search, found.velocities, found.samples
-    frame, radius = found.frame, found.radius
+    frame = found.frame
     if choices:
         first = with_choices(velocities[0], search.streams[0].angle, choices)
         velocities = (first, *velocities[1:])
     angle = flow_direction(matched, frame)
     _warn_of_limits(search.permutations.smallest_p, len(cube), n_trials, alpha)
-    if baseline is None and any(s.kind == "moving" for s in search.streams[:1]):
+    if settings.baseline is None and any(
+        s.kind == "moving" for s in search.streams[:1]
+    ):
         pairs = _pairs_of_speed(cube, pairs, fwhm / np.hypot(*velocities[0].value))
     fastest = max((np.hypot(*v.value) for v in velocities), default=0.0)
-    limit = radius * fwhm / np.median(pairs.interval)
+    limit = plan.radius * fwhm / np.median(pairs.interval)
     if max_speed is not None:
         limit = max_speed
     elif fastest > 0:
@@ -157,32 +159,3 @@ def _warn_of_limits(smallest, n_epochs, n_trials, level):
             f"nothing that moves can reach level {level:g}: measure more epochs"
         )
     warn(what, MeasurementWarning)
-
-
-def velocity_frame(matched, position_angle):
-    """
-    Return the velocity axes of a measurement.
-
-    Parameters
-    ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
-    position_angle : `~astropy.units.Quantity`, str, frame or None
-        See `~astro_scc.StackedCrossCorrelation`.
-
-    Returns
-    -------
-    frame of `astro_scc.kinematics`
-    """
-    match position_angle:
-        case u.Quantity():
-            return kinematics.PositionAngleFrame(position_angle)
-        case "fit":
-            angle, _ = kinematics.fit_position_angle(matched.cube)
-            return kinematics.PositionAngleFrame(angle)
-        case "ridge":
-            return kinematics.find_ridge_line(matched.cube)
-        case "radial":
-            return kinematics.RadialFrame()
-        case None | "any":
-            return kinematics.SkyFrame()
-    return position_angle

@@ -3,60 +3,30 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import astropy.units as u
 import numpy as np
 from astropy.table import Column, QTable, Table, vstack
-from astropy.time import Time
 
-from astro_scc.columns import MOTION, PAPER, build_table
-from astro_scc.quantities import with_error
-from astro_scc.units import PM_UNIT, in_speed_unit, round_to_errors
+from astro_scc.columns import (
+    build_table,
+    cells,
+    describe,
+    round_to_errors,
+    with_errors,
+)
+from astro_scc.units import PM_UNIT, in_speed_unit
 
 #: Standard errors above the mean at the one-sided 95% limit of a normal distribution.
 LIMIT = 1.645
-P_FDR = "p_global adjusted for all searches: share of false discoveries up to it"
-
-#: Every column of the velocity components: unit or type, and meaning.
-COLUMNS = {
-    "component": (int, "number of the stream, as in the other tables"),
-    "kind": ("U15", "moving, not confirmed, stationary or not significant"),
-    # Terminals show the first and the last columns if they have no room for all.
-    "pm": MOTION["pm"],
-    "pm_err": MOTION["pm_err"],
-    **MOTION,
-    "pm_parallel": (PM_UNIT, "proper motion along the jet"),
-    "pm_parallel_err": (PM_UNIT, "standard error of pm_parallel"),
-    "pm_transverse": (
-        PM_UNIT,
-        "proper motion across the jet, positive to larger angles",
-    ),
-    "pm_transverse_err": (PM_UNIT, "standard error of pm_transverse"),
-    "dispersion": (
-        PM_UNIT,
-        "standard deviation of the features' speeds, without their errors",
-    ),
-    "dispersion_err": (PM_UNIT, "standard error of dispersion"),
-    "pm_min": (PM_UNIT, "speed of the slowest of its features"),
-    "pm_max": (PM_UNIT, "speed of the fastest of its features"),
-    "pm_limit": (PM_UNIT, "95% upper limit of the mean speed of its features"),
-    "pm_err_jitter": (PM_UNIT, "standard error of pm from shifted SSPs (paper)"),
-    "pm_err_alignment": (PM_UNIT, "part of pm_err by the alignment of the epochs"),
-    "coefficient": (float, "stacked correlation coefficient"),
-    "z_score": (float, "(coefficient - mean) / std of permuted epochs (paper)"),
-    "p_local": (float, "p-value of permuted epochs at this velocity alone"),
-    "p_distinct": (float, "p-value of one stream fewer, by parametric bootstrap"),
-    "p_smallest": (float, "smallest p_global that permutations and epochs allow"),
-    "caution": (str, "why it is not moving, and what its speed depends on, or -"),
-    "n_ssp": (int, "SSPs with a match at the stream's velocity"),
-    "n_pairs": (int, "pairs of epochs with a match at the stream's velocity"),
-    "n_features": (int, "number of features that were followed"),
-    "p_global_err": (float, "Monte Carlo standard error of p_global"),
-    "p_global": (float, "p-value of permuted epochs, largest peak at any velocity"),
-}
+#: Columns of a table in a paper, in their order.
+PAPER = (
+    "source redshift feature component r_min r_max kind scale n_epochs first last "
+    "separation position_angle pm beta_app pm_pa published published_pm dispersion "
+    "t_ej p_false p_global p_fdr n_features n_pairs secure"
+).split()
 
 
 def versions() -> dict[str, str]:
@@ -73,14 +43,9 @@ def versions() -> dict[str, str]:
     >>> {"astro_scc", "numpy", "scipy"} <= set(versions())
     True
     """
-    return dict(_versions())
-
-
-@cache
-def _versions():
     needed = ("astro_scc", "numpy", "scipy", "astropy", "scikit-image")
     found = dict.fromkeys(needed, "unknown")
-    for name in needed:
+    for name in found:
         with suppress(PackageNotFoundError):
             found[name] = version(name)
     return found
@@ -114,7 +79,7 @@ def component_table(
     >>> len(empty), empty["pm"].unit
     (0, Unit("mas / yr"))
     """
-    table = in_speed_unit(build_table(rows, COLUMNS), unit)
+    table = in_speed_unit(build_table("components", rows), unit)
     table.meta.update(meta or {})
     return round_to_errors(table)
 
@@ -165,7 +130,7 @@ def paper_table(table, *, sign="±"):
     Parameters
     ----------
     table : `~astropy.table.Table`
-        Components, features, tracks or a profile.
+        Components, features or a profile.
     sign : str, optional
         What stands between a value and its error.
 
@@ -184,45 +149,14 @@ def paper_table(table, *, sign="±"):
     >>> print(paper_table(table)["pm"][0])
     2.128 ± 0.072
     """
-    rounded, paper = round_to_errors(table.copy(copy_data=False)), Table()
-    if "p_global_err" in rounded.colnames:
-        rounded.remove_column("p_global_err")
-    for name in PAPER:
-        if name not in table.colnames:
-            continue
-        info = rounded[name].info
-        cells = [cell_text(rounded, name, k, sign) for k in range(len(rounded))]
-        if name.startswith("p_") and "kind" in table.colnames:
-            # What stands still is not tested.
-            cells = np.where(table["kind"] == "stationary", "-", cells).tolist()
-        unit = None if info.unit == u.one else info.unit
-        paper[name] = Column(np.array(cells, dtype=str), unit=unit)
+    shown, paper = table.copy(copy_data=False), Table()
+    if "p_global_err" in shown.colnames:
+        shown.remove_column("p_global_err")
+    for name, texts in cells(shown, PAPER, sign=sign).items():
+        unit = shown[name].info.unit
+        unit = None if unit == u.one else unit
+        paper[name] = Column(np.array(texts, dtype=str), unit=unit)
     return paper
-
-
-def cell_text(table, name, k, sign="±"):
-    """Return an entry of a table as text, rounded to its error; "-" if it has none."""
-    value = table[name][k]
-    if isinstance(value, Time):
-        return value.strftime("%Y-%m-%d")
-    if np.any(getattr(value, "mask", False)):
-        return "-"
-    value = _plain(value)
-    if np.asarray(value).dtype.kind == "b":
-        return "yes" if value else "no"
-    if np.asarray(value).dtype.kind != "f":
-        return str(value)
-    if not np.isfinite(value):
-        return "-"
-    if f"{name}_err" in table.colnames:
-        return with_error(value, _plain(table[f"{name}_err"][k]), sign)
-    return f"{value:{table[name].info.format or ''}}"
-
-
-def _plain(value):
-    """Return an entry without unit and mask."""
-    value = getattr(value, "unmasked", value)
-    return getattr(value, "value", value)
 
 
 def component_row(result, number):
@@ -298,11 +232,9 @@ def velocity_columns(velocity, covariance, frame, position_angle):
     if speed > 0:
         # A direction cannot be wrong by more than half a turn.
         pa_err = np.minimum(across_err, pa_err * speed) / speed
-    row = dict(zip(names, map(float, (*sky, *along, speed)), strict=True))
-    row |= {f"{name}_err": error for name, error in zip(names, errors, strict=True)}
-    row["pm_pa"] = float(np.degrees(np.arctan2(*sky)) % 360)
-    row["pm_pa_err"] = float(np.degrees(pa_err))
-    return row
+    values = zip(map(float, (*sky, *along, speed)), errors, strict=True)
+    pa = float(np.degrees(np.arctan2(*sky)) % 360), float(np.degrees(pa_err))
+    return with_errors(**dict(zip(names, values, strict=True)), pm_pa=pa)
 
 
 def stack_tables(tables, meta):
@@ -409,8 +341,8 @@ def false_discovery_rate(
             table.remove_column("p_fdr")
         before = "p_global_err" if "p_global_err" in table.colnames else "p_global"
         index = table.colnames.index(before) + 1
-        table.add_column(Column(values, description=P_FDR), index, name="p_fdr")
-        table.meta.update(meta)
+        table.add_column(values, index, name="p_fdr")
+        describe(table, "added").meta.update(meta)
     return done if is_mapping else list(done.values())
 
 

@@ -32,26 +32,6 @@ TOLERANCE = 0.2
 CONFIDENCE = 0.95
 #: Beginning of the warning of a region without SSPs.
 NOTHING_THERE = ".*: no significant pattern has its centroid inside"
-_LIMIT = "limit of the 95% interval of fraction (Jeffreys)"
-#: Columns of the table: unit and description.
-COLUMNS = {
-    "speed": (PM_UNIT, "speed of the features that were injected"),
-    "flux": (None, "their peak"),
-    "snr": (None, "their peak over the median noise of the epochs"),
-    "n_injected": (None, "measurements with features injected"),
-    "n_found": (None, "measurements that found them"),
-    "fraction": (None, "n_found / n_injected"),
-    "fraction_low": (None, f"lower {_LIMIT}"),
-    "fraction_high": (None, f"upper {_LIMIT}"),
-    "bias": (PM_UNIT, "mean of measured minus true speed, where found"),
-    "bias_err": (PM_UNIT, "standard error of bias"),
-    "scatter": (PM_UNIT, "standard deviation of the measured speed, where found"),
-    "coverage": (
-        None,
-        "share of the found whose standard error reaches the true speed",
-    ),
-    "own": (None, "whether the epochs have a stream within the tolerance already"),
-}
 
 
 def completeness(
@@ -175,20 +155,21 @@ def completeness(
         )
     check_trials(n_trials, scc.alpha)
     position_angle, largest_part = _direction(position_angle, scc.position_angle)
+    plan = scc.plan(cube)
     if fwhm is not None:
         how = one_quantity, fwhm, "an angle", "1 mas"
         width = named("fwhm", *how).to_value(u.mas)
     elif cube.beams is not None:
-        _, width = scc.search_radius(cube)
+        width = plan.fwhm
     else:
         raise ValueError(injection.NO_BEAMS)
     if tolerance is None:
-        tolerance = TOLERANCE * width / np.median(scc.date_pairs(cube).interval)
+        tolerance = TOLERANCE * width / np.median(plan.pairs.interval)
     else:
         how = one_quantity, tolerance, "a proper motion", "2 mas/yr"
         tolerance = named("tolerance", *how).to_value(PM_UNIT)
     region = None if region is None else cube.region_mask(region)
-    limit = scc.speed_limit(cube).to_value(PM_UNIT)
+    limit = plan.speed_limit(cube).to_value(PM_UNIT)
     # The component along the axis must be searched.
     speeds = positive_quantities("speeds", speeds, "2 mas/yr").to_value(PM_UNIT)
     if np.any(speeds * largest_part > limit):
@@ -242,9 +223,10 @@ def completeness(
     for (speed, peak), found in zip(cells, outcomes, strict=True):
         snr = peak / noise if noise > 0 else None
         away = np.hypot(*(own - speed * axis).T)
-        row = {"speed": speed, "flux": peak, "snr": snr, **_counted(found)}
+        row = {"speed": speed, "snr": snr, **_counted(found)}
         rows.append(row | {"own": bool(np.any(away <= tolerance))})
-    table = build_table(rows, COLUMNS | {"flux": (cube.unit, COLUMNS["flux"][1])})
+    peaks = np.array([peak for _, peak in cells]) * cube.unit
+    table = build_table("completeness", rows, flux=peaks)
     table.meta = {
         "settings": scc.to_dict(),
         "position_angle": position_angle,

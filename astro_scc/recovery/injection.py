@@ -9,9 +9,9 @@ import astropy.units as u
 import numpy as np
 from numpy.typing import ArrayLike
 
+from astro_scc.components.restoring import add_gaussians
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.beam import FWHM_TO_SIGMA
-from astro_scc.epochs.restoring import add_gaussians
+from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.kinematics import RadialFrame
 from astro_scc.units import PM_UNIT
 

@@ -3,7 +3,8 @@
 
 import numpy as np
 
-from astro_scc.measurement.tables import cell_text, printed
+from astro_scc.columns import cell
+from astro_scc.measurement.tables import printed
 from astro_scc.units import unit_name
 
 #: Most features that are named in a sentence.
@@ -56,10 +57,9 @@ def headline(components):
 
 def _speed(row):
     """Return the speed of a row with its error, in units of c too if it has them."""
-    table, k = row.table, row.index
-    text = f"{cell_text(table, 'pm', k, '+-')} {unit_name(table['pm'].unit)}"
-    if "beta_app" in table.colnames:
-        text += f" ({cell_text(table, 'beta_app', k, '+-')} c)"
+    text = f"{cell(row, 'pm', '+-')} {unit_name(row['pm'].unit)}"
+    if "beta_app" in row.colnames:
+        text += f" ({cell(row, 'beta_app', '+-')} c)"
     return text
 
 

@@ -6,20 +6,19 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from astro_scc.columns import cell
 from astro_scc.flow import feature_profile, measure_acceleration
 from astro_scc.flow.groups import compare_scales
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c_as
 from astro_scc.measurement import SCCResult
+from astro_scc.measurement.products import write_files
 from astro_scc.measurement.tables import printed
-from astro_scc.quantities import with_error
 from astro_scc.report import answer, tables
 from astro_scc.stacking.permutations import number_of_permutations
 from astro_scc.units import in_speed_unit, unit_name
-from astro_scc.writing import replace_when_complete
 
 #: Products of a measurement beside report and figures, in the order of the page.
 PRODUCTS = (
@@ -134,9 +133,7 @@ def write_report(
         products=[k for k in (*PRODUCTS, "region.reg") if (directory / k).exists()],
     )
     files["report.html"] = page.encode("utf-8")
-    for name, content in files.items():
-        with replace_when_complete(directory / name, overwrite=True) as part:
-            part.write_bytes(content)
+    write_files(files, directory)
     return directory / "report.html"
 
 
@@ -157,7 +154,7 @@ def _template(name):
         "text": tables.setting_text,
         "unit": unit_name,
         "printed": lambda text: text.replace("+-", "±").replace("^2", "²"),
-        "with_error": lambda *cells: with_error(*(u.Quantity(v).value for v in cells)),
+        "cell": cell,
     }
     return environment.get_template(name)
 
@@ -202,9 +199,7 @@ def write_overview(table, features, parts, folder, *, published):
         versions=table.meta.get("versions", {}),
     )
     files["overview.html"] = page.encode("utf-8")
-    for name, content in files.items():
-        with replace_when_complete(folder / name, overwrite=True) as part:
-            part.write_bytes(content)
+    write_files(files, folder)
     return folder / "overview.html"
 
 

@@ -9,74 +9,30 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
+from astro_scc.columns import cell, cells, column_of, columns_of
 from astro_scc.flow.acceleration import LEAST, MOST_BINS
 from astro_scc.kinematics.cosmology import cosmology_text
-from astro_scc.measurement.tables import cell_text
 from astro_scc.quantities import with_error
-from astro_scc.units import (
-    offset_unit,
-    round_to_errors,
-    unit_name,
-)
+from astro_scc.units import offset_unit, unit_name
 
-#: Headings of the columns of components, with {unit}.
-COLUMNS = {
-    "component": "No.",
-    "kind": "kind",
-    "pm": "speed ({unit})",
-    "beta_app": "speed (c)",
-    "pm_pa": "PA ({unit})",
-    "dispersion": "dispersion ({unit})",
-    "p_global": "p_global",
-    "n_features": "features",
-    "n_ssp": "SSPs",
-    "n_pairs": "pairs of epochs",
-    "pm_parallel": "along ({unit})",
-    "pm_transverse": "across ({unit})",
-    "pm_ra_cosdec": "east ({unit})",
-    "pm_dec": "north ({unit})",
-    "pm_lon_coslat": "longitude ({unit})",
-    "pm_lat": "latitude ({unit})",
-    "coefficient": "coefficient",
-    "z_score": "z-score (paper)",
-    "pm_err_jitter": "paper's error of the speed ({unit})",
-    "pm_err_alignment": "error by alignment ({unit})",
-    "p_local": "p_local",
-    "p_distinct": "p_distinct",
-    "p_smallest": "smallest p_global",
-}
-#: Headings of the columns of features, with {unit}.
-FEATURES = {
-    "feature": "No.",
-    "component": "stream",
-    "n_epochs": "epochs",
-    "first": "first",
-    "last": "last",
-    "separation": "separation ({unit})",
-    "position_angle": "PA ({unit})",
-    "pm": "speed ({unit})",
-    "beta_app": "speed (c)",
-    "t_ej": "t_ej",
-    "p_false": "p_false",
-}
+#: Columns of components that come first, in their order: what is quoted, the rest.
+QUOTED = "component kind pm beta_app pm_pa dispersion p_global n_features n_ssp n_pairs"
+OTHERS = (
+    "pm_parallel pm_transverse pm_ra_cosdec pm_dec pm_lon_coslat pm_lat coefficient "
+    "z_score pm_err_jitter pm_err_alignment p_local p_distinct p_smallest"
+)
+#: Columns of features.
+FEATURES = (
+    "feature component n_epochs first last separation position_angle pm beta_app t_ej "
+    "p_false"
+)
 #: Largest number of features that are shown at once.
 MOST = 20
 #: Columns of the page of a survey.
-OVERVIEW = {
-    "source": "source",
-    "n_epochs": "epochs",
-    "span": "span",
-    "pm": "speed ({unit})",
-    "beta_app": "speed (c)",
-    "published": "published ({unit})",
-    "kind": "kind",
-    "p_global": "p_global",
-    "p_fdr": "p_fdr",
-    "n_features": "features",
-    "fastest": "fastest ({unit})",
-    "same": "as published",
-    "profile": "profile",
-}
+OVERVIEW = (
+    "source n_epochs span pm beta_app published kind p_global p_fdr n_features fastest "
+    "same profile"
+).split()
 #: Columns that name the part of a survey.
 PART = ("source", "region", "scale_group")
 #: Kinds of a source that has components of several, the first of those there are.
@@ -106,28 +62,35 @@ def component_tables(components):
         Heading, meaning and cells of each column.  The first table has the main
         columns, the second the others; both are narrow enough for paper.
     """
-    components = round_to_errors(components.copy(copy_data=False))
-    columns = {
-        name: _column(components, name)
-        for name in dict.fromkeys([*COLUMNS, *components.colnames])
-        if name in components.colnames and components[name].ndim == 1
-        if name not in ("caution", "pm_limit")
-        if name in COLUMNS or name.removesuffix("_err") not in COLUMNS
-    }
-    first = [*columns, "pm_parallel"].index("pm_parallel")
-    columns = list(columns.values())
-    return [columns[:first], columns[:1] + columns[first:]]
+    first, others = QUOTED.split(), OTHERS.split()
+    # The notes say these in words.
+    listed = {"caution", "pm_limit", *first, *others}
+    listed |= {f"{name}_err" for name in listed}
+    others += [
+        name
+        for name in components.colnames
+        if name not in listed and components[name].ndim == 1
+    ]
+    return [_columns(components, own) for own in (first, ["component", *others])]
 
 
-def _column(components, name):
-    """Return the heading, the meaning and the cells of a column."""
-    info = components[name].info
-    heading = COLUMNS.get(name, name).format(unit=unit_name(info.unit or ""))
-    # Headings speak of the speed instead of its column.
-    note = re.sub(r"\bpm_err\b", "the error of the speed", info.description or "")
-    note = re.sub(r"\bpm\b", "the speed", note)
-    cells = [cell_text(components, name, k) for k in range(len(components))]
-    return heading, note, cells
+def _columns(table, names, of="components"):
+    """Return the heading, the meaning and the cells of those columns that there are."""
+    found = []
+    for name, texts in cells(table, names).items():
+        # Headings speak of the speed instead of its column.
+        note = table[name].info.description or ""
+        note = re.sub(r"\bpm_err\b", "the error of the speed", note)
+        note = re.sub(r"\bpm\b", "the speed", note)
+        heading = _heading(of, name, table[name].info.unit or "")
+        found.append((heading, note, texts))
+    return found
+
+
+def _heading(of, name, unit):
+    """Return the heading of a column in a table, or else as in any, with its unit."""
+    heading = (columns_of(of).get(name) or column_of(name)).heading or name
+    return heading.format(unit=unit_name(unit))
 
 
 def scale_lines(of_scales):
@@ -147,8 +110,7 @@ def scale_lines(of_scales):
     lines = []
     for row in of_scales[np.isfinite(of_scales["p_value"])]:
         speeds = [
-            f"{with_error(row[f'{k}_speed'].value, row[f'{k}_speed_err'].value, '+-')} "
-            f"({row[f'{k}_n_features']} features)"
+            f"{cell(row, f'{k}_speed', '+-')} ({row[f'{k}_n_features']} features)"
             for k in ("first", "second")
         ]
         lines.append(
@@ -164,13 +126,12 @@ def feature_rows(features, most=MOST):
 
     Of more than ``most`` secure features, the first are those seen in most epochs.
     """
-    table = round_to_errors(features.copy(copy_data=False))
-    names = [name for name in FEATURES if name in table.colnames]
-    units = (unit_name(table[name].info.unit or "") for name in names)
-    heads = [FEATURES[k].format(unit=own) for k, own in zip(names, units, strict=True)]
-    rows = [[cell_text(table, k, row.index) for k in names] for row in table]
-    secure = np.asarray(table["secure"], bool)
-    first = np.argsort(-(secure * table["n_epochs"]), kind="stable")[:most]
+    heads, _, columns = zip(
+        *_columns(features, FEATURES.split(), "features"), strict=True
+    )
+    rows = list(zip(*columns, strict=True))
+    secure = np.asarray(features["secure"], bool)
+    first = np.argsort(-(secure * features["n_epochs"]), kind="stable")[:most]
     first = set(first[secure[first]])
     shown = [row for k, row in enumerate(rows) if k in first]
     others = [(row, secure[k]) for k, row in enumerate(rows) if k not in first]
@@ -243,8 +204,8 @@ def overview(table, features, parts, folder, published):
     return {
         "rows": rows,
         "columns": {
-            name: label.format(unit=unit_name(unit))
-            for name, label in OVERVIEW.items()
+            name: _heading("overview", name, unit)
+            for name in OVERVIEW
             if any(cells[name] for cells in rows)
         },
         "kinds": {k: min(v, key=OF_SOURCE.index) for k, v in every_kind.items()},
@@ -274,16 +235,16 @@ def _part_cells(part, row, features, unit, published, folder):
     # What has no feature has no speed.
     if row["n_features"]:
         speed, error = (float(row[name].to_value(unit)) for name in ("pm", "pm_err"))
-        cells |= {"pm": with_error(speed, error), "speed": speed}
+        cells |= {"pm": cell(row, "pm"), "speed": speed}
         if published is not None and np.isfinite(error + known):
             difference = (speed - known) / np.hypot(error, np.nan_to_num(known_error))
             cells["difference"] = difference
             more["published"] = f"{difference:+.1f} standard errors"
         if "beta_app" in row.colnames:
-            beta = cell_text(row.table, "beta_app", row.index)
+            beta = cell(row, "beta_app")
             cells["beta_app"] = "" if beta == "-" else beta
     for name in ("p_global", "p_fdr"):
-        cells[name] = "-" if row["kind"] == "stationary" else f"{row[name]:.2g}"
+        cells[name] = cell(row, name, form=".2g")
     report = f"{part.folder}/report.html"
     cells["link"] = report if Path(folder, report).is_file() else ""
     from astro_scc.visualization.population import population

@@ -97,6 +97,7 @@ def fit_mixture(samples: VelocitySamples, speeds: ArrayLike, rays: Rays) -> Mixt
     n = int(source.max()) + 1
     density = len(match) / n / (4 * radius * ACROSS)
     quality = (d.weight[match] / d.weight[match].mean()) ** 2
+    y_square, dt_square, x_dt = y**2, dt**2, x * dt
     v = np.array([*speeds, 0.0])
     k, n_bins = len(v), len(BINS)
     share, width = np.full((k, n_bins), FIRST_SHARE), np.full((k, n_bins), FIRST_WIDTH)
@@ -106,21 +107,21 @@ def fit_mixture(samples: VelocitySamples, speeds: ArrayLike, rays: Rays) -> Mixt
         inside = np.abs(motion) <= radius
         s = np.take_along_axis(width, bins, axis=1)
         pi = np.where(inside, np.take_along_axis(share, bins, axis=1), 0.0)
-        away = (x - motion) ** 2 + y**2
+        away = (x - motion) ** 2 + y_square
         odds = pi / (1 - pi) * quality * np.exp(-0.5 * away / s**2)
         odds /= 2 * np.pi * s**2 * density
         member = odds / (1 + np.bincount(source, odds.sum(axis=0), n))[source]
         tells = (np.abs(motion) <= NEAR) | ((dt <= rays.short) & inside)
         weight = np.where(tells, member, 0.0) / s**2
-        moments = weight @ dt**2
-        new = np.divide(weight @ (x * dt), moments, out=v.copy(), where=moments > 0)
+        moments = weight @ dt_square
+        new = np.divide(weight @ x_dt, moments, out=v.copy(), where=moments > 0)
         new[-1] = 0.0
         for row in range(k):
             # Sources of each bin, sums of memberships and of squares.
             own = bins[row]
-            seen = np.zeros((n, n_bins), dtype=bool)
-            seen[source, own] = True
-            number = seen.sum(axis=0)
+            seen = np.zeros(n_bins * n, dtype=bool)
+            seen[own * n + source] = True
+            number = np.count_nonzero(seen.reshape(n_bins, n), axis=1)
             total = np.bincount(own, member[row], n_bins)
             square = np.bincount(own, member[row] * away[row], n_bins)
             some = total > 1

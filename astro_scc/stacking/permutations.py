@@ -19,7 +19,7 @@ from astro_scc.stacking.velocities import VelocitySamples
 #: Standard deviations of stacks are at least this fraction of the largest one.
 STD_FLOOR = 0.01
 #: Bytes of permuted diagrams that are made at once.
-BYTES = 2**26
+BYTES = 2**22
 #: Factorials of larger numbers of epochs are replaced by that of this one.
 MOST = 20
 

@@ -84,9 +84,6 @@ class SearchSettings:
     followed_share : float
         Features that are followed from image to image stand for a flow if they are
         at least this share of the chains of matches of other emission.
-    fewest_inward, inward : int, float
-        Number and share of the features that move against the flow from which on they
-        diffuse, and those that do not move count as well.
     same_speed : float
         Largest relative difference from the tested speed of the features
         that count if the mean of all is not significant, and of the parts of
@@ -154,8 +151,6 @@ class SearchSettings:
     pulled_error: float = 0.2
     apart: float = 1.75
     followed_share: float = 1 / 3
-    fewest_inward: int = 2
-    inward: float = 0.2
     same_speed: float = 0.35
     accelerated_epochs: int = 5
     prior_freedom: int = 3
@@ -171,22 +166,6 @@ class SearchSettings:
     two_dispersions: tuple[float, ...] = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25)
     least_std: float = 0.3
     all_orders_of: int = 6
-
-    def diffuse(self, n_outward: int, n: int) -> bool:
-        """
-        Return whether features diffuse, as so many move against the flow.
-
-        Parameters
-        ----------
-        n_outward, n : int
-            Number of features that move with it, and of all that move.
-
-        Returns
-        -------
-        bool
-        """
-        inward = n - n_outward
-        return inward >= max(self.fewest_inward, self.inward * n)
 
 
 #: Settings that are used if no others are given.

@@ -282,7 +282,7 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
     """
     smallest_p = permutations.smallest_p
     moved = np.hypot.reduce([f.motion for f in features])
-    # Features that diffuse were selected by their motion.
+    # Where features diffuse, their mean may have either sign.
     both = len({f.speed > 0 for f in features}) == 2
     rest = settings.rest_errors * (2 if both else 1)
     if smallest_p > alpha:
@@ -365,11 +365,8 @@ class _Axis:
             own = []
         else:
             own, theirs = self.followed(self.angle)
-            outward = [f for f in own if f.speed * speeds[0] > 0]
-            if settings.diffuse(len(outward), len(own)):
-                own, theirs = self.followed(self.angle, every=True)
-            else:
-                own = outward
+            if not self.followed.diffuse:
+                own = [f for f in own if f.speed * speeds[0] > 0]
             taken = taken | theirs
         if own:
             fast = settings.farthest / (self.rays.short / SHORT)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
-from astro_scc.epochs.positions import beam_fwhm, ssp_offsets
+from astro_scc.images.positions import beam_fwhm, ssp_offsets
 
 #: Distance in beams beyond which features are distinguished from the core.
 CORE_RADIUS = 0.5

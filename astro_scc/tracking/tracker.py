@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from astro_scc import quantities as q
+from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.correlation import Correlator, Matches
 from astro_scc.correlation.matches import COLUMNS, target_ssps
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.beam import require_common_beam
-from astro_scc.epochs.positions import ssp_offsets
-from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.features import Features
+from astro_scc.images.beam import require_common_beam
+from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
 from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.progress import progress

@@ -4,7 +4,7 @@
 import astropy.units as u
 import numpy as np
 
-from astro_scc.epochs.positions import axis_words, sky_columns
+from astro_scc.images.positions import axis_words, sky_columns
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import style
 from astro_scc.visualization.drawing import edges
@@ -71,7 +71,7 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     ax.set(xlim=(0, u.yr.to(time, longest)), ylim=(-top, top))
     factor = PM_UNIT.to(unit / time)
     for row, kind, slope in zip(components, kinds, slopes, strict=True):
-        label = f"{row['component']}: {speed_text(row, kind, speed_in)}"
+        label = f"{row['component']}: {speed_text(row, kind)}"
         spread = np.nan_to_num(row["dispersion"].to_value(PM_UNIT))
         spread = 0.0 if kind == "stationary" else spread
         _draw_ray(ax, slope * factor, spread * factor, kind, label)

@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.epochs.positions import axis_words, ssp_offsets
+from astro_scc.images.positions import axis_words, ssp_offsets
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import style
 
@@ -63,6 +63,18 @@ class View:
         self.limits = limits * self.factor
         self.place = None if ssps is None else self.points["place"] * self.factor
         self.norm = plotting_norm(cube, image, **colors)
+        self.words = axis_words(cube)
+        self.to_the_left = self.words[2]
+        self.labels = axis_labels("Offset", self.words, self.unit)
+
+    def add_colorbar(self, drawn, **place):
+        """Add the bar of an image's brightness, with ticks that are easy to read."""
+        unit = unit_name(self.cube.unit)
+        label = f"Brightness ({unit})" if unit else "Brightness"
+        bar = drawn.figure.colorbar(drawn, label=label, **place)
+        if (ticks := ticks_of(self.norm)) is not None:
+            bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
+            bar.minorticks_off()
 
 
 def image_limits(cube, points=None, edge=EDGE):
@@ -123,12 +135,6 @@ def ticks_of(norm):
     return [0.0, *powers.tolist()]
 
 
-def brightness_label(unit):
-    """Return the label of a colour bar."""
-    name = unit_name(unit)
-    return f"Brightness ({name})" if name else "Brightness"
-
-
 def edges(middle):
     """Return the edges of cells, halfway between their middles."""
     if len(middle) == 1:
@@ -150,8 +156,7 @@ def draw_image(ax, view, image, epoch=None, corner=None):
         image, origin="lower", norm=view.norm, cmap=greys,
         transform=_to_offsets(view) + ax.transData,
     )  # fmt: skip
-    _, _, to_the_left = axis_words(view.cube)
-    ax.set(xlim=view.limits[0, :: -1 if to_the_left else 1], ylim=view.limits[1])
+    ax.set(xlim=view.limits[0, :: -1 if view.to_the_left else 1], ylim=view.limits[1])
     ax.set_aspect("equal")
     draw_beam(ax, view, epoch, corner or empty_corners(view, image)[0])
     return drawn
@@ -163,12 +168,11 @@ def empty_corners(view, image):
 
     Those with noise alone are alike: left before right, and bottom before top.
     """
-    _, _, to_the_left = axis_words(view.cube)
     sides = np.linspace(0, CORNER, 12)
     light = {}
     noise = 2 * LOWEST * np.median(view.cube.noise_rms().value)
     for right, top in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        east = 1 - sides if right != to_the_left else sides
+        east = 1 - sides if right != view.to_the_left else sides
         north = 1 - sides if top else sides
         place = [low + (high - low) * f for (low, high), f in
                  zip(view.limits, (east, north), strict=True)]  # fmt: skip
@@ -201,8 +205,7 @@ def draw_beam(ax, view, epoch, corner):
     beam = view.cube.beams[epoch]
     half = beam.fwhm_along([90, 0] * u.deg).to_value(view.unit) / 2
     half += 0.03 * np.ptp(view.limits, axis=1).min()
-    _, _, to_the_left = axis_words(view.cube)
-    east, top = corner[0] != to_the_left, corner[1]
+    east, top = corner[0] != view.to_the_left, corner[1]
     ellipse = Ellipse(
         (
             view.limits[0, int(east)] + (-half[0] if east else half[0]),
@@ -252,9 +255,7 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     for ax in grid.flat[max(n - columns, 0) : n]:
         # Shared axes hide the tick labels of all rows but the last.
         ax.tick_params(labelbottom=True)
-    across, up = axis_labels("Offset", axis_words(view.cube), view.unit)
-    figure.supxlabel(across, fontsize="medium")
-    figure.supylabel(up, fontsize="medium")
+    style.label_all(figure, *view.labels)
     return figure, grid.flat[:n]
 
 

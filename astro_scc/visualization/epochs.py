@@ -4,8 +4,7 @@
 import astropy.units as u
 import numpy as np
 
-from astro_scc.epochs.positions import axis_words
-from astro_scc.epochs.validation import epoch_index
+from astro_scc.images.validation import epoch_index
 from astro_scc.stacking.velocities import consecutive_pairs
 from astro_scc.visualization import drawing, style
 
@@ -64,8 +63,7 @@ def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **view):
     _label_masked(ax, view, image.mask)
     _name_axes(ax, view, index)
     if colorbar:
-        label = drawing.brightness_label(cube.unit)
-        style.add_colorbar(ax, drawn, label, drawing.ticks_of(view.norm))
+        view.add_colorbar(drawn, cax=style.beside(ax))
     return figure
 
 
@@ -109,9 +107,7 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **view):
         drawn = drawing.draw_image(ax, view, image, index, of_beam)
         drawing.draw_ssps(ax, view, ssps, index, size=0.5)
         drawing.panel_text(ax, dates[index], of_date)
-    label = drawing.brightness_label(cube.unit)
-    bar = figure.colorbar(drawn, ax=figure.axes, label=label, pad=0.02, aspect=40)
-    style.set_ticks(bar, drawing.ticks_of(view.norm))
+    view.add_colorbar(drawn, ax=figure.axes, pad=0.02, aspect=40)
     _label_masked(ax, view, images.mask.any(axis=0))
     handles, _ = ax.get_legend_handles_labels()
     if handles:
@@ -174,7 +170,7 @@ def plot_intervals(cube, pairs=None, *, ax=None):
 
 def _name_axes(ax, view, index):
     """Label the axes, and write the date above a line with the legend."""
-    across, up = drawing.axis_labels("Offset", axis_words(view.cube), view.unit)
+    across, up = view.labels
     handles, _ = ax.get_legend_handles_labels()
     date = drawing.epoch_names(view.cube.times)[index]
     ax.set_title(date, pad=22.0 if handles else None)

@@ -10,8 +10,9 @@ import numpy as np
 from astropy.table import QTable
 from astropy.wcs import WCS
 
-from astro_scc.epochs.positions import sky_columns
+from astro_scc.images.positions import sky_columns
 from astro_scc.stacking.dispersion import error_of_speed
+from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import diagram, drawing, style
 from astro_scc.visualization.velocity import MAP_LABELS, speed_text, velocity_labels
@@ -176,7 +177,9 @@ class Page:
         for name in ("pm", "pm_err"):
             columns[name] = table[name].to_value(self.pm_unit)
         columns |= {name: on_map[name].to_value(self.pm_unit) for name in on_map}
-        columns["error"] = error_of_speed(columns["pm"], columns["pm_err"])
+        # As the features of a stream have it.
+        formal = columns["pm_err"] / DEFAULT.error_inflation
+        columns["error"] = error_of_speed(columns["pm"], formal)
         for name in ("feature", "component", "n_epochs", "p_false"):
             columns[name] = np.asarray(table[name])
         columns["secure"] = ["yes" if secure else "no" for secure in table["secure"]]
@@ -258,7 +261,9 @@ class Page:
         points.selected.js_on_change("indices", self._call("toFeatures", **both))
         features.selected.js_on_change("indices", self._call("toPoints", **both))
         text, unit = models.Div(), unit_name(self.pm_unit)
-        summary = self._call("summary", features=features, text=text, unit=unit)
+        prior = DEFAULT.lone_dispersion
+        of = {"features": features, "text": text, "unit": unit, "prior": prior}
+        summary = self._call("summary", **of)
         features.selected.js_on_change("indices", summary)
         document.js_on_event("document_ready", summary)
         panels = {
@@ -279,7 +284,7 @@ class Page:
         everything = models.Button(label="all features")
         buttons = {everything: []}
         for row, kind, own in zip(self.components, self.kinds, self.rows, strict=True):
-            label = f"{row['component']}: {speed_text(row, kind, self.pm_unit)}"
+            label = f"{row['component']}: {speed_text(row, kind)}"
             buttons[models.Button(label=label, disabled=not own)] = own
         for button, own in buttons.items():
             args = {"selected": self.features.selected, "rows": own}

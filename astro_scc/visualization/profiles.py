@@ -212,9 +212,8 @@ def plot_scale_maps(
         ax.set_title(name)
     for ax in axes.flat[len(maps) :]:
         ax.set_axis_off()
-    unit = unit_name(unit)
-    figure.supxlabel(f"Proper motion, {axis_names[0]} ({unit})", fontsize="medium")
-    figure.supylabel(f"Proper motion, {axis_names[1]} ({unit})", fontsize="medium")
+    labels = (f"Proper motion, {name} ({unit_name(unit)})" for name in axis_names)
+    style.label_all(figure, *labels)
     return figure
 
 

@@ -230,17 +230,15 @@ def marked(result, components):
     return components, component_kinds(components)
 
 
-def add_colorbar(ax, drawn, label, ticks=None):
-    """Add a colour bar beside axes, exactly as high as they are."""
-    beside = ax.inset_axes((1.02, 0.0, 0.03, 1.0))
-    set_ticks(ax.get_figure().colorbar(drawn, cax=beside, label=label), ticks)
+def beside(ax):
+    """Return axes for a colour bar beside others, exactly as high as they are."""
+    return ax.inset_axes((1.02, 0.0, 0.03, 1.0))
 
 
-def set_ticks(bar, ticks):
-    """Set the ticks of a colour bar as plain numbers; None keeps matplotlib's."""
-    if ticks is not None:
-        bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
-        bar.minorticks_off()
+def label_all(figure, across, up):
+    """Label the axes of all panels of a figure together."""
+    figure.supxlabel(across, fontsize="medium")
+    figure.supylabel(up, fontsize="medium")
 
 
 def add_speed_axis(ax, unit, beta_per_pm, side="top"):

@@ -89,7 +89,7 @@ def _draw_members(ax, view, result, number, kind):
         width=0.0035, headwidth=4, headlength=5, minlength=0.5, alpha=0.75,
     )  # fmt: skip
     corner = drawing.empty_corners(view, ax.images[0].get_array())[1]
-    speed = speed_text(result.components[number - 1], kind, result.cube.speed_unit)
+    speed = speed_text(result.components[number - 1], kind)
     text = f"{number}: {speed}, {n_ssp} SSPs".replace("\n", " ")
     drawing.panel_text(ax, text, corner)
 

@@ -4,8 +4,8 @@
 import astropy.units as u
 import numpy as np
 
-from astro_scc.epochs.positions import axis_words, sky_columns
-from astro_scc.quantities import with_error
+from astro_scc.columns import cell
+from astro_scc.images.positions import axis_words, sky_columns
 from astro_scc.units import PM_UNIT, unit_like, unit_name
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.style import BLACK, GREY, KINDS
@@ -63,15 +63,14 @@ def plot_velocity_map(
         If the map is unknown, the unit is not that of a proper motion, or
         ``beta_per_pm`` is not positive.
     """
-    if which not in MAP_LABELS:
-        raise ValueError(f"unknown map {which!r}: use 'coefficient' or 'z_score'")
-    unit = _unit(result, unit)
+    image, unit = result.velocity_map(which), _unit(result, unit)
     components, kinds = style.marked(result, components)
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 5.2))
-    drawn = draw_map(ax, getattr(result, which), result.grid, unit)
-    if on_sky(result) and axis_words(result.cube)[2]:
+    drawn = draw_map(ax, image.data, result.grid, unit)
+    words = axis_words(result.cube)
+    if on_sky(result) and words[2]:
         ax.invert_xaxis()
-    across, up = velocity_labels(result.frame.axis_names, axis_words(result.cube), unit)
+    across, up = velocity_labels(result.frame.axis_names, words, unit)
     ax.set(xlabel=across, ylabel=up)
     place = _draw_components(ax, result, components, kinds, unit)
     crowd = {
@@ -84,7 +83,7 @@ def plot_velocity_map(
     _draw_jet(ax, result, CORNERS[second])
     style.add_speed_axis(ax, unit, beta_per_pm)
     if colorbar:
-        style.add_colorbar(ax, drawn, MAP_LABELS[which])
+        figure.colorbar(drawn, cax=style.beside(ax), label=MAP_LABELS[which])
     return figure
 
 
@@ -307,10 +306,10 @@ def _mark_significance(ax, result, components, kinds, unit):
         )  # fmt: skip
 
 
-def speed_text(row, kind, unit):
+def speed_text(row, kind):
     """Return the speed of a stream, its kind, or both as text."""
     if not row["n_features"]:
         return kind
-    error = np.nan_to_num(row["pm_err"].to_value(unit), posinf=0.0)
-    text = f"{with_error(row['pm'].to_value(unit), error)} {unit_name(unit)}"
+    form = None if np.isfinite(row["pm_err"]) else ".3g"
+    text = f"{cell(row, 'pm', form=form)} {unit_name(row['pm'].unit)}"
     return {"moving": text, "stationary": kind}.get(kind, f"{text},\n{kind}")

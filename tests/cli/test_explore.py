@@ -67,12 +67,6 @@ def test_without_its_images(change, measured, out, astro_scc):
     assert "CategoricalSlider" not in text.rpartition('"application/json"')[2]
 
 
-def test_a_folder_of_something_else(refused, here):
-    (here / "other").mkdir()
-    line = refused("explore", "other")
-    assert "components.ecsv: does not exist; name a folder that astro-scc" in line
-
-
 def test_a_measurement_without_its_map(out, refused):
     (out / "scc.fits").unlink()
     assert "scc.fits: does not exist; measure again" in refused("explore", "out")

@@ -61,24 +61,6 @@ def test_the_baseline_that_inspect_gives_is_understood(jet, astro_scc, here):
     assert astro_scc(*argv, "--baseline", baseline)[0] == 0
 
 
-@pytest.mark.parametrize(
-    ("speed", "line"),
-    [
-        (
-            "fast",
-            "--speed 'fast' has 'fast' where a number is expected; it must be an",
-        ),
-        ("-2 mas/yr", "--speed '-2 mas/yr' must be finite and above 0"),
-    ],
-)
-def test_speeds_that_inspect_refuses(jet, refused, speed, line):
-    assert line in refused("inspect", *epochs(jet), f"--speed={speed}")
-
-
-def test_inspect_needs_epochs(refused):
-    assert "no epochs were given; name the FITS files" in refused("inspect")
-
-
 def test_inspect_says_what_is_wrong(series, astro_scc, here):
     paths = series([None, *[Beam(1 * u.mas, 1 * u.mas)] * 2])
     (here / "note.fits").write_text("no image")
@@ -156,10 +138,8 @@ def test_inspect_counts_the_pairs_of_a_night(astro_scc, here, speed, pairs):
     assert out.split("pairs\n")[1].splitlines()[0].split()[-1] == str(pairs)
 
 
-def test_nothing_to_inspect(refused, here):
-    for name in ("a.fits", "b.fits"):
-        (here / name).write_text("no image")
-    assert "no.fits: no such file" in refused("inspect", "no.fits")
-    line = refused("inspect", "a.fits", "b.fits")
-    assert line.endswith("(and 1 more like it)")
-    assert "no*.fits: no file matches" in refused("inspect", "no*.fits")
+def test_a_damaged_cube_is_one_line(refused, here):
+    simulate_two_fluid(n_epochs=2, rng=1).cube.write("whole.fits")
+    with fits.open("whole.fits") as hdus:
+        fits.HDUList([hdus[0].copy()]).writeto("cube.fits")
+    assert "cube.fits" in refused("inspect", "cube.fits")

@@ -67,35 +67,6 @@ def test_profile(cube_file, tmp_path, capsys):
     assert first == second
 
 
-@pytest.mark.parametrize(
-    ("bins", "message"),
-    [
-        (None, "--bins is missing"),
-        ("2 1 mas", "must be increasing distances"),
-        ("1 2 s", "must be increasing distances"),
-        ("1 mas", "2 distance"),
-    ],
-)
-def test_bins_that_cannot_be(cube_file, tmp_path, capsys, bins, message):
-    out = tmp_path / "out"
-    command = ["profile", cube_file, "-o", str(out), *OPTIONS]
-    command += [] if bins is None else ["--bins", bins]
-    assert main(command) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert len(error.strip().splitlines()) == 1
-    assert not out.exists()
-
-
-def test_no_epochs_and_no_workers(cube_file, tmp_path, capsys):
-    out = str(tmp_path / "out")
-    assert main(["profile", "-o", out, "--bins", "1 2 mas"]) == 2
-    assert "no epochs were given" in capsys.readouterr().err
-    wrong = ["profile", cube_file, "-o", out, "--bins", "1 2 mas", "--workers", "0"]
-    assert main(wrong) == 2
-    assert "--workers must be at least 1" in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_along_the_ridge_with_windows(cube_file, tmp_path):
     out = tmp_path / "out"

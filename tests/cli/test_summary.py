@@ -7,11 +7,11 @@ import pytest
 from astropy.table import Column, vstack
 
 from astro_scc.cli.summary import component_lines, feature_lines
-from astro_scc.measurement.tables import cell_text
+from astro_scc.columns import cell
 
 
 def plus_minus(row, name):
-    return cell_text(row.table, name, row.index, "+-")
+    return cell(row, name, "+-")
 
 
 @pytest.fixture(scope="module")

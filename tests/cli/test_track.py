@@ -13,8 +13,8 @@ from astropy.time import Time
 from astro_scc.cli import main
 from astro_scc.cli.summary import feature_lines
 from astro_scc.cli.track import PRODUCTS
+from astro_scc.columns import cell
 from astro_scc.features import find_features
-from astro_scc.measurement.tables import cell_text
 from astro_scc.simulation import simulate_jet, simulate_static, write_simulation
 
 
@@ -50,7 +50,7 @@ def test_all_products_are_written(astro_scc, jet, tmp_path):
     line = next(x for x in out.splitlines() if x.startswith(f"{row['feature']} "))
     for word in (
         row["first"].isot[:10],
-        cell_text(row.table, "beta_app", row.index, "+-"),
+        cell(row, "beta_app", "+-"),
     ):
         assert word in line
     assert set(positions["feature"]) == set(features["feature"])
@@ -124,28 +124,6 @@ def test_images_without_beams_have_features_of_ssps(astro_scc, tmp_path):
     features = QTable.read(tmp_path / "out" / "features.ecsv")
     assert features["secure"].any()
     assert np.all(features["size"].value == 0)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--detections", "clean"], "'clean' must be one of gaussians, ssp"),
-        (["--scales", "1 yr"], "must be scale numbers such as 1,2,3 or angles"),
-        (["--workers", "0"], "--workers must be at least 1"),
-    ],
-)
-def test_what_is_wrong_is_said_in_a_line(astro_scc, jet, tmp_path, options, message):
-    status, out, err = astro_scc(*jet, "-o", "out", *options)
-    assert status == 2
-    assert out == ""
-    assert message in err.splitlines()[-1]
-    assert not (tmp_path / "out").exists()
-
-
-def test_no_epochs_are_refused(astro_scc):
-    status, _, err = astro_scc("-o", "out")
-    assert status == 2
-    assert "no epochs were given" in err
 
 
 def test_a_region_without_emission(astro_scc, jet, tmp_path):

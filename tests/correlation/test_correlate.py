@@ -1,17 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 import multiprocessing
 import pickle
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import ndimage
 
 from astro_scc.correlation import Correlator, Matches, all_pairs
 from astro_scc.correlation.correlate import match_block
-from astro_scc.correlation.parallel import in_order
 from astro_scc.correlation.zncc import find_peaks, zncc
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.simulation import simulate_two_fluid
@@ -154,39 +151,6 @@ def test_sub_pixel_error(fwhm, scale, largest):
     assert np.abs(errors).max() < largest
 
 
-def test_whole_image_shifted(jet):
-    """Every SSP of a shifted image comes back with the shift."""
-    image = simulate_two_fluid(rng=5, n_epochs=1).cube.data[0]
-    shift = (-2.3, 4.7)
-    shifted = ndimage.shift(image, shift, order=5, mode="nearest")
-    decompose = Decomposer(scales=(1, 2))
-    pair = [decompose(image), decompose(shifted)]
-    matches = Correlator()(pair, [(0, 1)], 12)
-    ssps = pair[0].ssps
-    # The weakest are moved by the noise between, which is resampled.
-    inside = (ssps.x > 15) & (ssps.x < 240) & (ssps.snr > 30)
-    best = [best_match(matches, k) for k in np.flatnonzero(inside)]
-    assert all(len(b) == 1 for b in best)
-    error = np.array([(b.dy[0] - shift[0], b.dx[0] - shift[1]) for b in best])
-    assert np.median(np.abs(error)) < 0.03
-    assert np.mean(np.abs(error).max(axis=1) < 0.3) > 0.9
-
-
-@pytest.mark.parametrize("unit", [1e-9, 1e9])
-def test_unit_does_not_matter(unit):
-    images = [gaussian(50, 40) + noise(1), gaussian(54.3, 41.2) + noise(2)]
-    decompose = Decomposer(scales=(1, 2))
-    expected = Correlator()([decompose(i) for i in images], all_pairs(2), 9)
-    pair = [decompose(images[0] * unit + 3 * unit), decompose(images[1])]
-    found = Correlator()(pair, all_pairs(2), 9)
-    for name in ("ssp", "target"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-    for name in ("dy", "dx", "coefficient"):
-        np.testing.assert_allclose(
-            getattr(found, name), getattr(expected, name), atol=1e-4
-        )
-
-
 def test_faint_feature_beside_a_core():
     """A knot is found beside a core a hundred thousand times brighter."""
     images = [
@@ -228,95 +192,6 @@ def test_feature_that_leaves(edge, target):
         assert not (own.dx > end - 90 - 15).any()
 
 
-def test_overlap_is_reported():
-    decompose = Decomposer(scales=[2])
-    first = decompose(gaussian(60, 48) + noise(1))
-    mask = np.zeros((NY, NX), dtype=bool)
-    mask[50:52, 64:66] = True
-    second = decompose(gaussian(64, 50) + noise(2), mask=mask)
-    matches = Correlator()([first, second], [(0, 1)], 9)
-    best = best_match(matches, brightest(first, 2))
-    n_pixels = first.ssps.n_pixels[brightest(first, 2)]
-    assert best.overlap[0] == pytest.approx(1 - 4 / n_pixels)
-    assert best.dx[0] == pytest.approx(4, abs=0.2)
-    assert best.dy[0] == pytest.approx(2, abs=0.2)
-
-
-def test_reference_may_have_masked_pixels():
-    decompose = Decomposer(scales=[2])
-    mask = np.zeros((NY, NX), dtype=bool)
-    mask[44:46, 58:61] = True
-    first = decompose(gaussian(60, 48) + noise(1), mask=mask)
-    second = decompose(gaussian(64.4, 50.2) + noise(2))
-    matches = Correlator()([first, second], [(0, 1)], 9)
-    best = best_match(matches, brightest(first, 2))
-    assert best.dx[0] == pytest.approx(4.4, abs=0.2)
-    assert best.dy[0] == pytest.approx(2.2, abs=0.2)
-
-
-def test_mask_elsewhere_does_not_matter():
-    decompose = Decomposer(scales=[2])
-    pair = [
-        decompose(gaussian(60, 48) + noise(1)),
-        decompose(gaussian(64, 50) + noise(2)),
-    ]
-    mask = np.zeros((NY, NX), dtype=bool)
-    mask[:5, :5] = True
-    masked = [pair[0], replace(pair[1], mask=mask)]
-    ssp = brightest(pair[0], 2)
-    one, other = (best_match(Correlator()(p, [(0, 1)], 9), ssp) for p in (pair, masked))
-    assert other.same_as(one)
-
-
-def test_target_snr():
-    decompose = Decomposer(scales=[2])
-    pair = [
-        decompose(gaussian(60, 48) + noise(1)),
-        decompose(gaussian(64, 50, height=0.5) + noise(2)),
-    ]
-    ssp, other = (brightest(d, 2) for d in pair)
-    matches = Correlator()(pair, [(0, 1)], 9)
-    best = best_match(matches, ssp)
-    assert best.target_snr[0] == pytest.approx(pair[1].ssps.snr[other], rel=1e-3)
-    noise_map = np.full((NY, NX), pair[1].noise[0]) * 2
-    pair[1] = replace(pair[1], noise=(noise_map,))
-    again = best_match(Correlator()(pair, [(0, 1)], 9), ssp)
-    assert again.target_snr[0] == pytest.approx(best.target_snr[0] / 2, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_segments_are_the_stricter_target(jet):
-    pairs = all_pairs(len(jet))
-    segments = Correlator(target="segments")(jet, pairs, 20)
-    plane = Correlator(target="plane")(jet, pairs, 20)
-    assert 0 < len(segments) < len(plane)
-    assert (plane.coefficient >= 0.6).all()
-    strict = Correlator(target="segments", kappa=0.8)(jet, pairs, 20)
-    assert len(strict) < len(segments)
-    assert strict.kappa == 0.8
-    # The threshold is one on the pixel's value, of which the peak's is not less.
-    assert (strict.coefficient >= 0.8).all()
-    columns = ("ssp", "target", "dy", "dx")
-    rows = [
-        set(zip(*(getattr(m, name) for name in columns), strict=True))
-        for m in (strict, segments)
-    ]
-    assert rows[0] < rows[1]
-
-
-def test_larger_reach_keeps_the_matches(jet):
-    """Whatever the window, a displacement has one coefficient."""
-    small = Correlator()(jet, all_pairs(len(jet)), (6, 11))
-    large = Correlator()(jet, all_pairs(len(jet)), (9, 21))
-    assert small.search_radius == (6, 11)
-    inside = (np.abs(np.rint(large.dy)) < 6) & (np.abs(np.rint(large.dx)) < 11)
-    again = (np.abs(np.rint(small.dy)) < 6) & (np.abs(np.rint(small.dx)) < 11)
-    a, b = large.select(inside), small.select(again)
-    np.testing.assert_array_equal(a.ssp, b.ssp)
-    np.testing.assert_allclose(a.dx, b.dx, atol=1e-5)
-    np.testing.assert_allclose(a.coefficient, b.coefficient, atol=1e-6)
-
-
 def test_processes_give_the_same_to_the_bit(jet):
     pairs = all_pairs(len(jet))
     done = []
@@ -335,35 +210,16 @@ def test_small_blocks_give_the_same(jet, target, monkeypatch):
     correlate = Correlator(target=target)
     pairs = all_pairs(len(jet))
     whole = correlate(jet, pairs, 12)
-    one_each = {"BLOCK_WORK": 1, "STACK_BYTES": 1, "BATCH": 1}
+    one_each = {"BLOCK_WORK": 1, "STACK_BYTES": 1, "FEWEST_TARGETS": 1}
     for name, value in one_each.items():
         monkeypatch.setitem(Correlator.blocks.__globals__, name, value)
-    monkeypatch.setattr("astro_scc.correlation.targets.BATCH", 1)
+    monkeypatch.setattr("astro_scc.correlation.targets.BATCH_PIXELS", 1)
     blocks = list(correlate.blocks(jet, pairs, 12))
     assert [b.pairs.tolist() for b in blocks] == [[p] for p in pairs.tolist()]
     again = [match_block(pickle.loads(pickle.dumps(b))) for b in blocks]
     found = Matches.from_columns(again, pairs, (12, 12), 0.6)
     assert found.sorted().same_as(whole)
     assert correlate(jet, pairs, 12).same_as(whole)
-
-
-@pytest.mark.slow
-def test_spawned_processes_give_the_same_to_the_bit(jet):
-    """They know nothing but the blocks."""
-    pairs = all_pairs(len(jet))
-    here = Correlator()(jet, pairs, 12)
-    blocks = Correlator().blocks(jet, pairs, 12)
-    there = list(in_order(match_block, blocks, 2, context="spawn"))
-    assert Matches.from_columns(there, pairs, (12, 12), 0.6).sorted().same_as(here)
-
-
-def test_a_block_holds_only_what_it_needs(jet):
-    """Segments are sent as their pixels, planes as the part around the SSPs."""
-    for target, largest in (("segments", 0.2), ("plane", 1.05)):
-        correlate = Correlator(target=target)
-        (block,) = correlate.blocks(jet, [(0, 1)], 5)
-        size = len(pickle.dumps(block))
-        assert size < largest * jet[1].planes.nbytes + 2e5
 
 
 def test_only_the_pairs_asked_for(jet):
@@ -378,84 +234,22 @@ def test_only_the_pairs_asked_for(jet):
         )
 
 
-def test_edge_of_the_image_and_a_mask_there_are_the_same():
-    """Missing pixels are missing, beyond the image or masked inside it."""
+@pytest.mark.parametrize("target", ["segments", "plane"])
+def test_nothing_to_correlate(jet, target):
     decompose = Decomposer(scales=[2])
-    pair = [decompose(gaussian(x, 48) + noise(x)) for x in (26, 5)]
-    mask = np.zeros((NY, NX), dtype=bool)
-    wide = [
-        replace(
-            d,
-            planes=np.pad(d.planes, ((0, 0), (0, 0), (30, 0))),
-            ssps=replace(
-                d.ssps,
-                x=d.ssps.x + 30,
-                bbox=d.ssps.bbox + [0, 30, 0, 30],
-                pixels=d.ssps.pixels + 30 * (d.ssps.pixels // NX + 1),
-            ),
-            mask=np.pad(mask, ((0, 0), (30, 0)), constant_values=True),
-        )
-        for d in pair
-    ]
-    correlate = Correlator(target="plane", min_overlap=0.5)
-    one, other = (correlate(p, all_pairs(2), 25) for p in (pair, wide))
-    assert len(one) == len(other) > 2
-    assert (one.overlap < 1).any()
-    for name in ("ssp", "target", "dy", "dx", "coefficient", "overlap", "target_snr"):
-        np.testing.assert_allclose(
-            getattr(one, name), getattr(other, name), rtol=1e-5, atol=1e-6
-        )
-
-
-def test_select(jet):
-    ssps = SSPs.of_epochs(jet)
-    pairs = all_pairs(len(jet))
-    chosen = ssps.scale == 2
-    every = Correlator()(jet, pairs, 12)
-    given = chosen.copy()
-    some = Correlator()(jet, pairs, 12, select=chosen)
-    np.testing.assert_array_equal(chosen, given)
-    assert some.same_as(every.of_ssps(chosen))
-    assert len(Correlator()(jet, pairs, 12, select=np.zeros(len(ssps), bool))) == 0
-
-
-def test_pairs_are_independent(jet):
-    every = Correlator()(jet, all_pairs(len(jet)), 12)
-    one = Correlator()(jet, [(2, 0)], 12)
-    epoch = SSPs.of_epochs(jet).epoch
-    alone = every.select((epoch[every.ssp] == 2) & (every.target == 0))
-    np.testing.assert_array_equal(one.ssp, alone.ssp)
-    np.testing.assert_allclose(one.dx, alone.dx, atol=1e-5)
-    assert one.pairs.tolist() == [[2, 0]]
-
-
-def test_nothing_to_correlate(jet):
+    empty = decompose(np.zeros((NY, NX)))
+    pair = [decompose(gaussian(60, 48) + noise(1)), empty]
+    correlate = Correlator(target=target)
     for matches in (
-        Correlator()(jet, [], 5),
-        Correlator()([], [], 5),
-        Correlator()([Decomposer(scales=[1])(np.zeros((32, 32)))] * 2, [(0, 1)], 5),
+        correlate(jet, [], 5),
+        correlate([], [], 5),
+        correlate([empty, empty], [(0, 1)], 5),
+        correlate(pair, [(0, 1)], 9),
     ):
         assert len(matches) == 0
         assert matches.dx.dtype == np.float32
         assert matches.pairs.shape[1] == 2
     assert all_pairs(0).shape == all_pairs(1).shape == (0, 2)
-
-
-def test_pattern_against_an_empty_target():
-    decompose = Decomposer(scales=[2])
-    pair = [decompose(gaussian(60, 48) + noise(1)), decompose(np.zeros((NY, NX)))]
-    for target in ("segments", "plane"):
-        assert len(Correlator(target=target)(pair, [(0, 1)], 9)) == 0
-
-
-def test_pattern_of_one_pixel_has_no_matches():
-    image = noise(0)
-    image[40, 50] = 1.0
-    pair = [Decomposer(scales=[0])(image)] * 2
-    index = brightest(pair[0], 0)
-    assert pair[0].ssps.n_pixels[index] == 1
-    matches = Correlator()(pair, [(0, 1)], 3)
-    assert not (matches.ssp == index).any()
 
 
 @pytest.mark.parametrize(
@@ -469,28 +263,30 @@ def test_pattern_of_one_pixel_has_no_matches():
         ({"min_overlap": 1.1}, "min_overlap = 1.1 must be above 0, up to 1"),
     ],
 )
-def test_settings_errors(settings_, message):
+def test_settings_that_are_refused(settings_, message):
     with pytest.raises(ValueError, match=message):
         Correlator(**settings_)
 
 
-def test_call_errors(jet):
-    correlate = Correlator()
-    with pytest.raises(ValueError, match="outside 0 to 3"):
-        correlate(jet, [(0, 4)], 5)
-    with pytest.raises(ValueError, match="outside 0 to 3"):
-        correlate(jet, [(-1, 2)], 5)
-    other = Decomposer(scales=(1, 2))(np.zeros((40, 40)))
-    with pytest.raises(ValueError, match="one shape and the same scales"):
-        correlate([jet[0], other], [(0, 1)], 5)
-    other = Decomposer(scales=(1, 3))(np.zeros((128, 256)))
-    with pytest.raises(ValueError, match="one shape and the same scales"):
-        correlate([jet[0], other], [(0, 1)], 5)
-    for reach in (-1, (5, -1), (1, 2, 3)):
-        with pytest.raises(ValueError, match="search radius must be one or two"):
-            correlate(jet, [(0, 1)], reach)
-    with pytest.raises(ValueError, match="n_workers must be at least 1, got 0"):
-        correlate(jet, [(0, 1)], 5, n_workers=0)
-    for select in (np.ones(3, bool), np.arange(len(SSPs.of_epochs(jet)))):
-        with pytest.raises(ValueError, match="select must be one bool for each"):
-            correlate(jet, [(0, 1)], 5, select=select)
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        ({"pairs": [(0, 4)]}, "outside 0 to 3"),
+        ({"pairs": [(-1, 2)]}, "outside 0 to 3"),
+        ({"search_radius": -1}, "search radius must be one or two"),
+        ({"search_radius": (5, -1)}, "search radius must be one or two"),
+        ({"search_radius": (1, 2, 3)}, "search radius must be one or two"),
+        ({"select": np.ones(3, bool)}, "select must be one bool for each"),
+        ({"select": np.arange(3)}, "select must be one bool for each"),
+        ({"other": (Decomposer(scales=(1, 2)), (40, 40))}, "one shape and the same sc"),
+        ({"other": (Decomposer(scales=(1, 3)), (128, 256))}, "one shape and the same"),
+    ],
+)
+def test_calls_that_are_refused(jet, call, message):
+    options = {"pairs": [(0, 1)], "search_radius": 5, **call}
+    epochs = jet
+    if "other" in call:
+        decompose, shape = options.pop("other")
+        epochs = [jet[0], decompose(np.zeros(shape))]
+    with pytest.raises(ValueError, match=message):
+        Correlator()(epochs, **options)

@@ -1,8 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from astro_scc.correlation import Correlator, Matches, all_pairs
 from astro_scc.correlation.matches import target_ssps
@@ -81,13 +79,3 @@ def test_landing_where_nothing_is(epochs):
     assert target_ssps(matches, ssps).tolist() == [-1, -1]
     nothing = matches.select(slice(0, 0))
     assert target_ssps(nothing, ssps).shape == (0,)
-
-
-@given(st.lists(st.integers(0, 5), max_size=4), st.integers(0, 2**32 - 1))
-def test_columns_are_joined_in_order(lengths, seed):
-    rng = np.random.default_rng(seed)
-    parts = [tuple(rng.integers(0, 100, (7, n))) for n in lengths]
-    matches = Matches.from_columns(parts, [(0, 1)], (3, 4), 0.6)
-    assert len(matches) == sum(lengths)
-    expected = np.concatenate([np.empty(0), *(part[3] for part in parts)])
-    np.testing.assert_array_equal(matches.dx, expected)

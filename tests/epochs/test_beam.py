@@ -6,8 +6,8 @@ import pytest
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import Beam
-from astro_scc.epochs.beam import different_beam
 from astro_scc.flow import measure_profile
+from astro_scc.images.beam import different_beam
 from astro_scc.tracking import FeatureTracker
 
 

@@ -9,8 +9,8 @@ from astropy.time import Time
 
 from astro_scc import EpochCube
 from astro_scc.epochs import Beam, ComponentList, inspect_epochs, read_components
-from astro_scc.epochs.beam import parse_beam
 from astro_scc.exceptions import EpochWarning
+from astro_scc.images.beam import parse_beam
 
 BEAM = Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg)
 RESTORED = "lists of components were restored with the beam 1 x 0.5 mas at -7.0 deg"

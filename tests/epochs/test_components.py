@@ -143,43 +143,36 @@ def test_mojave_table_about_the_core(tmp_path):
     assert components.meta == {"object": "S4", "frequency": 15.4e9}
 
 
-def test_mojave_table_about_the_map(tmp_path):
-    path = write(mojave(), tmp_path / "t.ecsv")
-    components = read_components(path, origin="map")
-    np.testing.assert_allclose(components.east.value, [-0.5, 3.5, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(components.north.value, [0, 0, 1, -1], atol=1e-12)
+CARTESIAN = {
+    "separation": None, "position_angle": None,
+    "east": [1.0, 2.0, 3.0, 4.0] * u.mas, "north": [1.0, 2.0, 3.0, 4.0] * u.mas,
+}  # fmt: skip
+BLANK = {
+    "separation": [np.nan, 4, 1, 2] * u.mas,
+    "position_angle": [np.nan, 90, 0, 180] * u.deg,
+}
 
 
-def test_blank_offset_of_the_core_is_none(tmp_path):
-    table = mojave(
-        separation=[np.nan, 4, 1, 2] * u.mas,
-        position_angle=[np.nan, 90, 0, 180] * u.deg,
-    )
-    components = read_components(write(table, tmp_path / "t.ecsv"), origin="map")
-    np.testing.assert_allclose(components.east.value[:2], [0, 4], atol=1e-12)
-
-
-def test_size_without_a_ratio_is_a_circle(tmp_path):
-    table = mojave(axial_ratio=None, excluded_from_fit=None)
-    components = read_components(write(table, tmp_path / "t.ecsv"))
-    np.testing.assert_array_equal(components.minor, components.major)
-    assert not components.excluded.any()
-
-
-def test_offsets_are_taken_as_they_are(tmp_path):
-    table = mojave(separation=None, position_angle=None)
-    table["east"] = [1.0, 2.0, 3.0, 4.0] * u.mas
-    table["north"] = [1.0, 2.0, 3.0, 4.0] * u.mas
-    path = write(table, tmp_path / "t.ecsv")
-    assert read_components(path).east.value.tolist() == [1, 2, 3, 4]
-    about = read_components(path, origin="core")
-    assert about.east.value.tolist() == [0, 1, 0, 1]
-    assert about.north.value.tolist() == [0, 1, 0, 1]
-
-
-def test_separations_without_features_are_from_the_map(tmp_path):
-    path = write(mojave(feature=None), tmp_path / "t.ecsv")
-    assert read_components(path).east.value[0] == pytest.approx(-0.5)
+@pytest.mark.parametrize(
+    ("changes", "origin", "expected"),
+    [
+        ({}, "map", {"east": [-0.5, 3.5, 0, 0], "north": [0, 0, 1, -1]}),
+        # A core without an offset is at the map's centre.
+        (BLANK, "map", {"east": [0, 4, 0, 0]}),
+        # Without features, separations are from the map's centre.
+        ({"feature": None}, None, {"east": [-0.5, 4, 0, 0]}),
+        ({"axial_ratio": None, "excluded_from_fit": None}, None,
+         {"minor": [0.2, 0, 0.4, 0.3], "excluded": [0, 0, 0, 0]}),
+        (CARTESIAN, None, {"east": [1, 2, 3, 4]}),
+        (CARTESIAN, "core", {"east": [0, 1, 0, 1], "north": [0, 1, 0, 1]}),
+    ],
+)  # fmt: skip
+def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, expected):
+    path = write(mojave(**changes), tmp_path / "t.ecsv")
+    components = read_components(path, origin=origin)
+    for name, values in expected.items():
+        found = np.asarray(getattr(components, name), dtype=float)
+        np.testing.assert_allclose(found, values, atol=1e-12)
 
 
 def test_date_may_be_given(tmp_path):
@@ -188,24 +181,6 @@ def test_date_may_be_given(tmp_path):
     components = read_components(path, dates="2010-01-01")
     assert components.n_epochs == 1
     assert components.labels == ("t.ecsv",)
-
-
-@pytest.mark.parametrize(
-    ("text", "iso"),
-    [
-        ("2006-03-09", "2006-03-09T00:00:00"),
-        ("2006_03_09", "2006-03-09T00:00:00"),
-        ("2006/03/09", "2006-03-09T00:00:00"),
-        ("2006 Mar 09", "2006-03-09T00:00:00"),
-        ("20060309", "2006-03-09T00:00:00"),
-        ("2006-03-09T12:30:00Z", "2006-03-09T12:30:00"),
-        ("2006.500", "2006-07-02T12:00:00"),
-    ],
-)
-def test_dates(tmp_path, text, iso):
-    table = mojave(epoch=[text] * 4, feature=[0, 1, 2, 3])
-    components = read_components(write(table, tmp_path / "t.ecsv"))
-    assert components.times[0].isot[:19] == iso
 
 
 @pytest.mark.parametrize(
@@ -234,10 +209,18 @@ def test_bad_tables(tmp_path, changes, message):
 
 
 def test_core_that_the_origin_needs(tmp_path):
+    with pytest.raises(ValueError, match="no core component .* expected one"):
+        read_components(model(tmp_path), origin="core")
     path = write(mojave(feature=[0, 1, 3, 2]), tmp_path / "t.ecsv")
     assert len(read_components(path)) == 4
     with pytest.raises(ValueError, match="no core component .* on 2006-12-01"):
         read_components(path, origin="map")
+
+
+def test_empty_table(tmp_path):
+    path = write(mojave()[:0], tmp_path / "t.ecsv")
+    with pytest.raises(ValueError, match="no components in the file"):
+        read_components(path)
 
 
 def test_source_of_many(tmp_path):
@@ -248,20 +231,6 @@ def test_source_of_many(tmp_path):
     assert components.n_epochs == 1
     with pytest.raises(ValueError, match="no source 'c'"):
         read_components(path, source="c")
-
-
-def test_empty_table(tmp_path):
-    path = write(mojave()[:0], tmp_path / "t.ecsv")
-    with pytest.raises(ValueError, match="no components in the file"):
-        read_components(path)
-
-
-def test_not_a_table(tmp_path):
-    path = tmp_path / "t.ecsv"
-    path.write_text("<html>not found</html>\n")
-    with pytest.raises(OSError, match="t.ecsv: not a readable ascii.ecsv") as error:
-        read_components(path)
-    assert "\n" not in str(error.value)
 
 
 MRT = """\
@@ -484,14 +453,12 @@ def test_difmap_models_of_many_epochs(tmp_path):
     assert "position" in given.meta
 
 
-def test_difmap_in_arcseconds(tmp_path):
+def test_units_and_kinds_of_difmap(tmp_path):
     text = MODEL.replace("Radius (mas)", "Radius (arcsec)")
     components = read_components(model(tmp_path, text))
     assert components.east[0].value == pytest.approx(100)
     assert components.major[0].value == pytest.approx(200)
-
-
-def test_size_without_a_type_is_a_gaussian(tmp_path):
+    # A size without a type is that of a Gaussian.
     components = read_components(model(tmp_path, "1 0 0 0.5 1 0\n"))
     assert components.major[0] == 0.5 * u.mas
 
@@ -518,18 +485,6 @@ def test_model_without_a_date(tmp_path):
         read_components(model(tmp_path, name="jet.mod"))
     with pytest.raises(ValueError, match="'then' is no date"):
         read_components(model(tmp_path, name="jet.mod"), dates=["then"])
-
-
-def test_model_has_no_core(tmp_path):
-    with pytest.raises(ValueError, match="no core component .* expected one"):
-        read_components(model(tmp_path), origin="core")
-
-
-def test_model_that_is_no_text(tmp_path):
-    path = model(tmp_path)
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(OSError, match="it is not text"):
-        read_components(path)
 
 
 # AIPS -------------------------------------------------------------------------
@@ -629,7 +584,11 @@ def test_bad_aips_tables(tmp_path, options, message):
         read_components(path)
 
 
-def test_aips_table_in_other_units(tmp_path):
+def test_aips_tables_that_are_empty_or_in_other_units(tmp_path):
+    names = ("FLUX", "DELTAX", "DELTAY", "MAJOR AX", "MINOR AX", "POSANGLE", "TYPE OBJ")
+    path = aips(tmp_path / "empty.fits", **{name: [] for name in names})
+    with pytest.raises(ValueError, match="no components in the file"):
+        read_components(path)
     path = aips(tmp_path / "a.fits")
     with fits.open(path, mode="update") as hdus:
         hdus[1].header["TUNIT2"] = "ARCSEC"
@@ -637,18 +596,20 @@ def test_aips_table_in_other_units(tmp_path):
         read_components(path)
 
 
-def test_empty_aips_table(tmp_path):
-    names = ("FLUX", "DELTAX", "DELTAY", "MAJOR AX", "MINOR AX", "POSANGLE", "TYPE OBJ")
-    path = aips(tmp_path / "a.fits", **{name: [] for name in names})
-    with pytest.raises(ValueError, match="no components in the file"):
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("t.ecsv", b"<html>not found</html>\n", "not a readable ascii.ecsv"),
+        ("t.fits", b"SIMPLE = no\n", "not a readable FITS file"),
+        ("t_2006-03-09.mod", b"\xff\xfe\x00", "it is not text"),
+    ],
+)
+def test_files_of_something_else(tmp_path, name, content, message):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(OSError, match=f"{name}: .*{message}") as error:
         read_components(path)
-
-
-def test_not_fits(tmp_path):
-    path = tmp_path / "a.fits"
-    path.write_text("SIMPLE = no\n")
-    with pytest.raises(OSError, match="a.fits: not a readable FITS file"):
-        read_components(path)
+    assert "\n" not in str(error.value)
 
 
 def test_files_of_two_objects(tmp_path):

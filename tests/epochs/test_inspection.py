@@ -64,7 +64,7 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
     found = dict(zip(table["file"], table["problem"], strict=True))
     expected = {
         "good": "",
-        "same": "of the date of good.fits",
+        "same": "is of 2006-03-09, as is good.fits",
         "date": "no date of observation",
         "odd_date": "DATE-OBS: 'soon' is no date",
         "beam": "no beam where others have one",

@@ -10,9 +10,9 @@ import pytest
 from scipy import ndimage
 
 from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.alignment.registration import misalignment
 from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import Beam, read_components, restore
-from astro_scc.epochs.registration import misalignment
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.simulation import (
     simulate_jet,

@@ -1,14 +1,19 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Units, masks, errors, beams and coordinates of NDData are used or refused."""
 
+import sys
+import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.io import fits
 from astropy.nddata import (
     CCDData,
     InverseVariance,
+    NDData,
     NDDataRef,
     StdDevUncertainty,
     UnknownUncertainty,
@@ -142,8 +147,12 @@ def test_images_of_a_cube_have_its_noise():
     cube = make_cube()
     assert isinstance(cube[1].uncertainty, StdDevUncertainty)
     again = EpochCube.from_ccddata(list(cube))
+    assert_array_equal(again.data, cube.data)
+    assert_array_equal(again.mask, cube.mask)
     assert_allclose(again.noise, cube.noise)
+    assert (again.times == cube.times).all()
     assert (again.beams, again.labels) == (cube.beams, cube.labels)
+    assert (again.unit, again.reference_pixel) == (cube.unit, cube.reference_pixel)
     assert replace(cube, noise=None)[1].uncertainty is None
 
 
@@ -157,8 +166,6 @@ def test_ccddata_files_keep_mask_and_uncertainty(tmp_path):
     variance.write(tmp_path / "var.fits")
     part = EpochCube.read(tmp_path / "var.fits", region=(slice(2, 9), slice(3, 30)))
     assert part.noise.value.tolist() == [3]
-    from astropy.io import fits
-
     with fits.open(tmp_path / "var.fits", mode="update") as hdus:
         hdus["UNCERT"].data = hdus["UNCERT"].data[1:]
     with pytest.raises(ValueError, match="var.fits: its extension UNCERT has shape"):
@@ -343,6 +350,8 @@ def test_ndcubes_of_others_keep_noise_and_beam(ndcube):
         uncertainty=VarianceUncertainty(np.full(DATA.shape, 4.0)),
         meta={"OBJECT": "M87", "BMAJ": 1e-7, "BMIN": 1e-7, "BPA": 0.0},
     )
+    with pytest.raises(ValueError, match="no coordinate of type Time; give times="):
+        EpochCube.from_ndcube(source)
     source.extra_coords.add("time", (0,), Time(DATES))
     cube = EpochCube.from_ndcube(source)
     assert cube.noise.value.tolist() == [2, 2, 2]
@@ -362,3 +371,92 @@ def test_an_only_epoch_takes_the_date_of_its_header(ndcube):
     source.meta = {}
     with pytest.raises(ValueError, match="no coordinate of type Time; give times="):
         EpochCube.from_ndcube(source)
+
+
+# -- images of other packages ------------------------------------------------------
+
+
+def test_ndcube_is_not_installed(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ndcube", None)
+    with pytest.raises(ImportError, match=r"to_ndcube needs ndcube; .*scc\[ndcube\]"):
+        make_cube().to_ndcube()
+
+
+def test_spectral_cube_images():
+    spectral_cube = pytest.importorskip("spectral_cube")
+    header = make_cube().wcs.to_header()
+    header.update(
+        {"CTYPE3": "FREQ", "CRVAL3": 15e9, "CDELT3": 1e6, "CRPIX3": 1.0,
+         "CUNIT3": "Hz", "BUNIT": "Jy/beam", "BMAJ": 3e-7, "BMIN": 2e-7, "BPA": 5.0}
+    )  # fmt: skip
+    data = make_cube().data[:2].astype(np.float32)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        cube = spectral_cube.SpectralCube.read(fits.PrimaryHDU(data, header))
+        channels = [cube[0], cube[1]]
+        made = EpochCube.from_ccddata(channels, times=DATES[:2])
+        one = EpochCube.from_ccddata([cube[1:2]], times=DATES[:1])
+    assert np.array_equal(made.data, data)
+    assert np.array_equal(one.data[0], data[1])
+    assert made.unit == u.Jy / u.beam
+    assert made.beams[0].major.to_value(u.deg) == pytest.approx(3e-7)
+    assert made.reference_pixel == (9, 4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with pytest.raises(ValueError, match="image 0: has 2 planes"):
+            EpochCube.from_ccddata([cube], times=DATES[:1])
+
+
+SUN = {
+    "CTYPE1": "HPLN-TAN", "CTYPE2": "HPLT-TAN", "CUNIT1": "arcsec", "CUNIT2": "arcsec",
+    "CRVAL1": 0.0, "CRVAL2": 0.0, "CRPIX1": 16.5, "CRPIX2": 8.5, "CDELT1": 0.6,
+    "CDELT2": 0.6, "CROTA2": 0.02, "BUNIT": "DN", "TELESCOP": "SDO/AIA",
+}  # fmt: skip
+
+
+def image_of(i):
+    y, x = np.mgrid[:16, :32]
+    noise = np.random.default_rng(i).normal(scale=0.01, size=(16, 32))
+    return 5 * np.exp(-((x - 12 - i) ** 2 + (y - 8) ** 2) / 8) + noise
+
+
+def test_solar_files_and_maps(tmp_path):
+    paths, maps = [], []
+    for i in range(3):
+        date = f"2013-11-16T20:59:{13 + 12 * i:02d}.390Z"
+        header = fits.Header({**SUN, "DATE-OBS": date})
+        paths.append(tmp_path / f"aia_{i}.fits")
+        fits.PrimaryHDU(image_of(i).astype(np.float32), header).writeto(paths[-1])
+        # As maps of SunPy are: NDData whose meta has keys in lower case.
+        meta = {key.lower(): value for key, value in header.items()}
+        maps.append(
+            NDData(image_of(i), unit=u.DN, wcs=WCS(fits.Header(SUN)), meta=meta)
+        )
+    cube = EpochCube.read(paths)
+    of_maps = EpochCube.from_ccddata(maps)
+    assert np.allclose(of_maps.data, cube.data)
+    assert np.all(of_maps.times == cube.times)
+    assert np.allclose(of_maps.pixel_matrix, cube.pixel_matrix)
+    assert cube.beams is None
+    assert cube.unit == u.DN
+    assert np.diff(cube.times.unix) == pytest.approx([12, 12])
+    # The longitude of the Sun grows to the right: west is where its motion goes.
+    assert cube.pixel_matrix[0, 0].to_value(u.arcsec) == pytest.approx(0.6)
+    aligned = cube.align("wcs")
+    assert np.allclose(aligned.data, cube.data)
+
+
+def with_hdu(data, **header):
+    return SimpleNamespace(hdu=fits.ImageHDU(data, fits.Header(header)), meta={})
+
+
+def test_an_image_with_an_hdu():
+    header = {**SUN, "DATE-OBS": "2001-01-01"}
+    cube = EpochCube.from_ccddata([with_hdu(np.ones((8, 9)), **header)])
+    assert cube.shape == (1, 8, 9)
+    for image in (with_hdu(np.ones((3, 8, 9)), **header), with_hdu(np.ones((8, 9)))):
+        with pytest.raises(ValueError, match=r"image 0: .*(plane|celestial)"):
+            EpochCube.from_ccddata([image])
+    for other in (np.ones((8, 9)), SimpleNamespace(hdu=fits.BinTableHDU())):
+        with pytest.raises(TypeError, match="image 0: is a .*; give NDData, such as"):
+            EpochCube.from_ccddata([other])

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from astro_scc.components.restoring import correlated_noise
 from astro_scc.epochs import Beam
-from astro_scc.epochs.restoring import correlated_noise
 
 PIXEL = 0.1 * u.mas
 BEAM = Beam(1 * u.mas, 1 * u.mas)

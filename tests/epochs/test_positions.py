@@ -11,7 +11,7 @@ from astropy.wcs import WCS
 
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.positions import (
+from astro_scc.images.positions import (
     axis_words,
     beam_fwhm,
     name_by_frame,

@@ -1,6 +1,4 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-from types import SimpleNamespace
-
 import astropy.units as u
 import numpy as np
 import pytest
@@ -10,9 +8,8 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from astro_scc.components.restoring import add_gaussians
 from astro_scc.epochs import Beam, ComponentList, read_components, restore, write_epochs
-from astro_scc.epochs.positions import offset_wcs
-from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.exceptions import EpochWarning
 
 PIXEL = 0.1 * u.mas
@@ -173,11 +170,6 @@ def test_components_outside_are_told():
         )
 
 
-def test_a_beam_of_another_package():
-    theirs = SimpleNamespace(major=BEAM.major, minor=BEAM.minor, pa=BEAM.pa)
-    assert restore(one(), beam=theirs, pixel_scale=PIXEL).beams == (BEAM,)
-
-
 def test_a_beam_for_each_epoch():
     beams = [BEAM, Beam(2 * u.mas, 1 * u.mas)]
     cube = restore(components(), beam=beams, pixel_scale=PIXEL)
@@ -242,11 +234,6 @@ def test_facts_and_history():
 def test_bad_options(options, message):
     with pytest.raises(ValueError, match=message):
         restore(components(), **{"beam": BEAM, "pixel_scale": PIXEL, **options})
-
-
-def test_bad_pixel_of_the_wcs():
-    with pytest.raises(ValueError, match="pixel_scale = .* must be finite and above 0"):
-        offset_wcs(-1 * u.mas, (0, 0))
 
 
 def test_restores_what_aips_restored(shared_data):

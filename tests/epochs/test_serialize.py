@@ -8,12 +8,15 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.time import Time
+from astropy.wcs import WCS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from astro_scc.epochs import Beam, EpochCube, serialize, write_epochs
-from astro_scc.epochs.serialize import is_cube_file, replace_when_complete
+from astro_scc.components.tables import kind_of
+from astro_scc.epochs import Beam, EpochCube, write_epochs
+from astro_scc.images import serialize
+from astro_scc.images.serialize import replace_when_complete
 
 DATES = ["2001-01-01T01:02:03.456789", "2000-01-01", "2000-06-01"]
 
@@ -111,15 +114,10 @@ def test_cubes_of_files_come_back(make_fits, tmp_path):
 
 
 def test_wcs_with_a_cd_matrix(tmp_path):
-    cube = make_cube()
-    wcs = cube.wcs.deepcopy()
-    header = wcs.to_header()
-    for keyword in ("CDELT1", "CDELT2"):
-        del header[keyword]
-    header["CD1_1"], header["CD1_2"] = -1.23456789e-9, 3e-10
-    header["CD2_1"], header["CD2_2"] = 3e-10, 1.23456789e-9
-    from astropy.wcs import WCS
-
+    header = make_cube().wcs.to_header()
+    del header["CDELT1"], header["CDELT2"]
+    header.update({"CD1_1": -1.23456789e-9, "CD1_2": 3e-10})
+    header.update({"CD2_1": 3e-10, "CD2_2": 1.23456789e-9})
     cube = make_cube(wcs=WCS(header), epoch_wcs=None)
     cube.write(tmp_path / "cube.fits")
     assert_same_cube(cube, EpochCube.read(tmp_path / "cube.fits"))
@@ -212,11 +210,11 @@ def test_a_complete_file_has_ordinary_permissions(tmp_path):
 
 def test_what_is_a_cube_file(tmp_path, make_fits):
     make_cube().write(tmp_path / "cube.fits.gz")
-    assert is_cube_file(tmp_path / "cube.fits.gz")
+    assert kind_of(tmp_path / "cube.fits.gz") == "cube"
     assert len(EpochCube.read(tmp_path / "cube.fits.gz")) == 3
-    assert not is_cube_file(make_fits())
+    assert kind_of(make_fits()) == "images"
     (tmp_path / "text").write_text("text")
-    assert not is_cube_file(tmp_path / "text")
+    assert kind_of(tmp_path / "text") == "images"
 
 
 def test_damaged_files(tmp_path):

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.beam import (
+from astro_scc.images.beam import is_per
+from astro_scc.images.smoothing import (
     common_beam,
     gaussian_smooth,
-    is_per,
     smallest_common_beam,
 )
 
@@ -150,21 +150,16 @@ def test_a_beam_of_another_package_is_accepted():
     assert result.beams[0] == beam(1.2, 0.9, 10)
 
 
-def test_a_beam_that_does_not_contain_all_is_refused():
+def test_what_is_no_common_beam_is_refused():
     cube = point_sources([beam(0.5, 0.5), beam(1.0, 0.6)])
     with pytest.raises(ValueError, match=r"2001-01-01: its beam 1 x 0.6 mas at .* fit"):
         common_beam(cube, beam(0.9, 0.9))
-
-
-def test_epochs_without_beams_are_refused():
-    cube = EpochCube.from_arrays(np.ones((1, 8, 8)), DATES[:1], pixel_scale=PIXEL)
-    with pytest.raises(ValueError, match="no beams"):
-        common_beam(cube)
-
-
-def test_something_else_than_a_beam_is_refused():
     with pytest.raises(TypeError, match="beam"):
-        common_beam(point_sources([beam(1, 1)]), 3.0)
+        common_beam(cube, 3.0)
+    with pytest.raises(ValueError, match="no beams"):
+        common_beam(EpochCube(cube.data, cube.times, cube.wcs))
+    with pytest.raises(ValueError, match="at least one beam"):
+        smallest_common_beam([])
 
 
 def test_a_kernel_in_one_direction_only():
@@ -258,11 +253,6 @@ def test_common_beams_of_nearly_equal_ones(spread):
         result = smallest_common_beam(beams)
         assert all(contains(result, b, 2e-6) for b in beams)
         assert result.major.value < 0.9 * (1 + spread) * 1.003
-
-
-def test_no_beam_has_no_common_beam():
-    with pytest.raises(ValueError, match="at least one beam"):
-        smallest_common_beam([])
 
 
 def test_mojave_epochs(shared_data):

@@ -14,8 +14,8 @@ from numpy.testing import assert_array_equal
 from regions import CircleSkyRegion
 
 from astro_scc.epochs import Beam, EpochCube, write_epochs
-from astro_scc.epochs.fits import read_plane
 from astro_scc.exceptions import EpochWarning
+from astro_scc.images.fits import read_plane
 
 PART = slice(9, 30), slice(14, 50)
 
@@ -207,7 +207,7 @@ def test_images_of_two_types_are_stacked():
     wcs = make().wcs
     one = CCDData(np.ones((40, 60), np.float32), wcs=wcs, **options)
     other = CCDData(np.full((40, 60), 1 / 3), wcs=wcs, **options)
-    with pytest.warns(match="are both of"):
+    with pytest.warns(match="image 1: is of .*, as is image 0; leave"):
         cube = EpochCube.from_ccddata([one, other])
     assert cube.data[1, 0, 0] == 1 / 3
     assert one.data.dtype == np.float32

@@ -26,7 +26,7 @@ def shell():
 @pytest.fixture(scope="module")
 def scc():
     return StackedCrossCorrelation(
-        scales=[1], max_speed=150 * u.mas / u.yr, baseline=[10, 32] * u.yr,
+        scales=[1], max_speed=150 * u.mas / u.yr, baseline=[7, 33] * u.yr,
         min_error_beams=0.1, detection=7, segmentation=5,
     )  # fmt: skip
 
@@ -67,6 +67,12 @@ def test_rate_and_centre(scc, matched, shell):
 
 
 @pytest.fixture(scope="module")
+def parts(scc, matched):
+    """The same matches under two names."""
+    return {"knots": matched, "ring": matched}
+
+
+@pytest.fixture(scope="module")
 def sectors(scc, matched):
     """The halves of the shell, with all orders of its five epochs."""
     return measure_expansion(
@@ -88,10 +94,6 @@ def test_sectors(sectors):
     assert np.all(table["p_fdr"] >= table["p_global"])
 
 
-def test_an_expansion_by_less_than_the_resolution_is_a_motion(sectors):
-    assert set(sectors["kind"]) == {"moving"}
-
-
 def test_refused(scc, matched):
     where = scc, matched, CENTRE, 70 * u.arcsec
     with pytest.raises(ValueError, match="whole number above 0"):
@@ -105,3 +107,29 @@ def test_refused(scc, matched):
         measure_expansion(scc, none, CENTRE, 70 * u.arcsec)
     with pytest.raises(ValueError, match="nothing to fit a centre to"):
         fit_shell(scc, none)
+
+
+def test_alignment_moves_the_centre(scc, parts):
+    """A drift between two epochs, unknown to this error, is one of the centre."""
+    plain = fit_shell(scc, parts)
+    known = fit_shell(replace(scc, alignment_error=100 * u.mas), parts)
+    np.testing.assert_array_equal(known.centre.value, plain.centre.value)
+    more = np.sqrt(known.centre_err**2 - plain.centre_err**2)
+    # Of five dates: the error of a straight line through them, over the rate.
+    years = np.arange(5) * 8.0
+    slope = 100 * u.mas / u.yr / np.sqrt(((years - years.mean()) ** 2).sum())
+    mean_rate = plain.rate[0]
+    np.testing.assert_allclose((more * mean_rate / slope).to_value(u.one), 1, atol=0.1)
+    assert np.all(known.rate_err < 1.5 * plain.rate_err)
+
+
+def test_groups_that_are_refused(scc, parts, shell):
+    with pytest.raises(ValueError, match="give no groups"):
+        fit_shell(scc, parts, {})
+    later = replace(shell.cube, times=shell.cube.times + 1 * u.day)
+    few = replace(parts["ring"], select=np.zeros_like(parts["ring"].select))
+    with pytest.raises(ValueError, match="each group or more, ring has 0"):
+        fit_shell(scc, {**parts, "ring": few})
+    other = {**parts, "ring": replace(parts["ring"], cube=later)}
+    with pytest.raises(ValueError, match="of the same dates"):
+        fit_shell(scc, other)

@@ -1,8 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The core, and shifts of whole epochs."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -74,11 +72,6 @@ def test_common_shifts_are_removed(series, shift):
     assert d.aligned() is d
 
 
-def test_what_is_aligned_stays_as_it_is(series, shift):
-    d = with_core(series, 0.2 * shift)
-    assert d.aligned() is d
-
-
 def test_a_core_that_is_often_missing_does_not_align(series, shift):
     seen = np.arange(N) >= 3
     d = with_core(series, shift, seen)
@@ -93,14 +86,3 @@ def test_an_epoch_without_a_core_is_left_out(series, shift):
     np.testing.assert_allclose(d.place[1::2, 1], 0, atol=1e-12)
     # Numbers within the epoch remain those of all detections.
     assert d.number.tolist() == [0, 1] * (N - 1)
-
-
-def test_no_core_at_all(series):
-    d = series([(t, 5 + t, 0) for t in range(4)])
-    assert d.aligned() is d
-    assert not d.core(0.7).any()
-
-
-def test_numbers_may_be_given(series):
-    d = replace(series([(0, 1, 1), (0, 2, 1)]), number=np.array([7, 3]))
-    assert d.number.tolist() == [7, 3]

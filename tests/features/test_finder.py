@@ -1,18 +1,17 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Features of simulated images, and of images without any."""
 
-import sys
 from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
 import pytest
 
+from astro_scc.columns import columns_of
 from astro_scc.decomposition import Decomposer, SSPs
-from astro_scc.epochs import Beam, EpochCube, read_components, restore
+from astro_scc.epochs import Beam, EpochCube
 from astro_scc.features import TrackSettings, find_features
-from astro_scc.features.tables import COLUMNS, POSITIONS
-from astro_scc.simulation import simulate_jet, simulate_static, write_simulation
+from astro_scc.simulation import simulate_jet, simulate_static
 
 JETS = {"n_epochs": 12, "dispersion": 0.1}
 STATIC = {"n_epochs": 6, "shape": (64, 128), "extent": (16, 112), "axis": 32}
@@ -128,48 +127,11 @@ def test_ssps_instead_of_gaussians(jet, ssps, beams):
         assert_same(find_features(cube, ssps=ssps), found)
 
 
-def test_the_coarse_scale_shows_what_the_fine_one_does_not(jet, ssps):
-    coarse = find_features(
-        jet.cube, detections="ssp", ssps=ssps.select(ssps.scale == 3)
-    )
-    assert 0 < len(coarse) <= len(find_features(jet.cube, detections="ssp", ssps=ssps))
-
-
 # -- the same to the bit -------------------------------------------------------------
 
 
 def test_two_processes_find_what_one_does(jet, features):
     assert_same(find_features(jet.cube, n_workers=2), features)
-
-
-def test_epochs_in_another_order(jet, features):
-    cube = jet.cube
-    turned = replace(
-        cube, data=cube.data[::-1], times=cube.times[::-1], beams=cube.beams[::-1],
-        noise=None if cube.noise is None else cube.noise[::-1],
-        mask=cube.mask[::-1], labels=cube.labels[::-1],
-        epoch_meta=cube.epoch_meta[::-1],
-    )  # fmt: skip
-    assert_same(find_features(turned), features)
-
-
-def test_files_in_another_order(tmp_path):
-    small = simulate_jet(n_epochs=6, dispersion=0.1, length=8.0, rng=2)
-    write_simulation(small, tmp_path / "jet")
-    files = sorted((tmp_path / "jet").glob("*.fits"))
-    assert len(files) == 6
-    one, other = (find_features(EpochCube.read(each)) for each in (files, files[::-1]))
-    assert len(one) > 0
-    assert_same(one, other)
-
-
-def test_a_bar_shows_the_progress(jet, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "ipykernel", sys)
-    found = find_features(jet.cube[:4], progress_bar=True)
-    said = capsys.readouterr().err
-    assert "Fitting" in said
-    assert "4/4" in said
-    assert_same(found, find_features(jet.cube[:4]))
 
 
 # -- parts of images -----------------------------------------------------------------
@@ -185,20 +147,6 @@ def test_missing_pixels_do_not_spread(jet, features, bad):
     assert len(found) == len(features)
     for a, b in zip(found.motions, features.motions, strict=True):
         assert np.hypot(*(a.velocity - b.velocity)) < 0.1 * b.speed_err
-
-
-def test_a_feature_behind_a_mask_is_missed(jet, features):
-    track = features.tracks[2].detection
-    k = track[len(track) // 2]
-    d = features.detections
-    x, y = jet.cube.offset_to_pixel(*(d.place[k] * u.mas))
-    mask = jet.cube.mask.copy()
-    mask[d.epoch[k], int(y) - 12 : int(y) + 13, int(x) - 12 : int(x) + 13] = True
-    found = find_features(replace(jet.cube, mask=mask, noise=jet.cube.noise_rms()))
-    now = found.detections.epoch == d.epoch[k]
-    away = np.hypot(*(found.detections.place[now] - d.place[k]).T)
-    assert away.min() > 0.5
-    assert len(found) >= len(features) - 1
 
 
 def test_a_region_restricts_detections(jet, features):
@@ -245,23 +193,14 @@ EMPTY = {
 def test_nothing_is_a_table_with_all_columns(name):
     found = find_features(EMPTY[name]())
     assert len(found) == len(found.table) == len(found.positions) == 0
-    assert found.table.colnames == list(COLUMNS)
-    assert found.positions.colnames == list(POSITIONS)
-    for column, (unit, about) in COLUMNS.items():
-        assert found.table[column].info.description == about
-        if isinstance(unit, u.UnitBase):
-            assert found.table[column].unit == unit
+    assert found.positions.colnames == list(columns_of("positions"))
+    assert found.table.colnames == list(columns_of("features"))
+    for name, column in columns_of("features").items():
+        assert found.table[name].info.description == column.meaning
+        if isinstance(column.kind, u.UnitBase):
+            assert found.table[name].unit == column.kind
     assert not found.secure.any()
     assert found.p_false.shape == (0,)
-
-
-@pytest.mark.parametrize("beams", [BEAM, None])
-def test_no_ssps(beams):
-    cube = cube_of(np.zeros((5, 40, 60)), beams=beams)
-    none = SSPs.of_epochs([Decomposer(scales=[1])(image) for image in cube.data])
-    assert len(none) == 0
-    found = find_features(cube, detections="ssp", ssps=none)
-    assert len(found.table) == 0
 
 
 def test_choices_that_do_not_exist(jet):
@@ -278,76 +217,3 @@ def test_settings_are_used(jet):
     none = find_features(jet.cube, settings=TrackSettings(core=0.0))
     assert len(none.core) == 0
     assert none.core_error == 0.0
-
-
-# -- 3C 273 --------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def of_3c273(shared_data):
-    source = read_components(shared_data / "mojave_xviii" / "1226+023.ecsv")
-    cube = restore(
-        source.select(before=source.times[40]), beam=Beam(1.2 * u.mas, 0.6 * u.mas),
-        pixel_scale=0.1 * u.mas, noise=0.3 * u.mJy / u.beam, rng=1,
-    )  # fmt: skip
-    assert len(cube) == 40
-    return cube
-
-
-def partners(part, whole):
-    """For each track of a part of the epochs: the track of the whole, and the share."""
-
-    def sets(features):
-        d = features.detections
-        keys = [(float(t), *p.round(6)) for t, p in zip(d.time.round(4), d.place,
-                                                          strict=True)]  # fmt: skip
-        return [{keys[k] for k in track.detection} for track in features.tracks]
-
-    wholes = sets(whole)
-    found = []
-    for own in sets(part):
-        common = [len(own & other) for other in wholes]
-        found.append((int(np.argmax(common)), max(common) / len(own)))
-    return found
-
-
-@pytest.fixture(scope="module")
-def without(of_3c273):
-    """Features of all epochs, and of all but one: tracks side by side."""
-    whole = find_features(of_3c273)
-
-    def compare(left_out):
-        part = find_features(of_3c273[[k for k in range(40) if k != left_out]])
-        found = partners(part, whole)
-        off = [
-            np.hypot(*(part.motions[k].velocity - whole.motions[j].velocity))
-            / np.hypot(part.motions[k].speed_err, whole.motions[j].speed_err)
-            for k, (j, _) in enumerate(found)
-        ]
-        other, share = np.array(found).T
-        other = other.astype(int)
-        return whole, part, other, share > 0.5, np.array(off)
-
-    return compare
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("left_out", [39, 20, 0])
-def test_one_epoch_less_of_3c273(without, left_out):
-    # Of the features 96% are found again, of the secure ones 92 to 100%; the speeds
-    # of these agree within three errors for 93 to 100%, within one for 64 to 83%.
-    whole, part, _, same, off = without(left_out)
-    assert len(whole) >= 20
-    assert part.secure.sum() >= 8
-    assert same.mean() > 0.85
-    assert same[part.secure].mean() > 0.8
-    assert (off[part.secure & same] < 3).mean() > 0.8
-
-
-@pytest.mark.slow
-def test_numbers_of_3c273_stay_when_an_epoch_is_added(without):
-    # Where the new epoch changes the first detection of a feature, so does its number.
-    whole, part, other, same, _ = without(39)
-    kept = part.number == whole.number[other]
-    # 73% keep theirs.
-    assert kept[same].mean() > 0.65

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from astro_scc.features import TrackSettings, hypotheses
+from astro_scc.features import TrackSettings
 from astro_scc.features.hypotheses import log_t, position_scatter, steady_hypotheses
 
 SETTINGS = TrackSettings()
@@ -35,24 +35,6 @@ def reversed_in_time(d):
     return replace(
         d, epoch=(last - d.epoch)[::-1], years=-d.years[::-1], number=None, **turned
     )
-
-
-def test_crossing_features_are_the_best_two(crossing):
-    paths, score = steady_hypotheses(crossing, SETTINGS)
-    assert set(paths[:2]) == {tuple(range(0, 16, 2)), tuple(range(1, 16, 2))}
-    assert np.all(np.diff(score) <= 0)
-    assert score.min() > 0
-    # What changes from one feature to the other at the crossing is less likely.
-    mixed = [k for k, path in enumerate(paths) if len({i % 2 for i in path}) == 2]
-    assert not mixed or min(mixed) > 1
-
-
-def test_both_directions_have_the_same_best_path(crossing):
-    best = {}
-    for way in (1, -1):
-        found = dict(hypotheses._one_way(crossing, SETTINGS, way))
-        best[way] = sorted(found, key=found.get)[-2:]
-    assert set(best[1]) == set(best[-1])
 
 
 @settings(max_examples=25, deadline=None)
@@ -110,25 +92,12 @@ def test_gaps_up_to_a_length_are_bridged(series, most_missed, longer):
     assert tuple(own[:5].tolist()) in paths or longer == 0
 
 
-def test_epochs_without_any_detection_are_missed_too(series):
-    rows = [(t, 0.2 * t, 0.0) for t in (*range(5), *range(15, 20))]
-    paths, _ = steady_hypotheses(series(rows), SETTINGS)
-    assert max(map(len, paths)) == 5
-
-
 @pytest.mark.parametrize(("off", "linked"), [(0.0, True), (0.15, True), (1.5, False)])
 def test_what_is_beyond_the_gate_is_not_linked(series, off, linked):
     d = series([(t, 0.2 * t, off if t == 9 else 0.0) for t in range(10)])
     paths, _ = steady_hypotheses(d, SETTINGS)
     assert (tuple(range(10)) in paths) == linked
     assert tuple(range(9)) in paths
-
-
-def test_the_gate_counts_standard_deviations(series):
-    d = series([(t, 0.0, 0.2 if t == 9 else 0.0) for t in range(10)])
-    for gate, linked in ((1.0, False), (8.0, True)):
-        paths, _ = steady_hypotheses(d, replace(SETTINGS, gate=gate))
-        assert (tuple(range(10)) in paths) == linked
 
 
 def test_too_few_epochs_have_none(series):

@@ -6,12 +6,12 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import QTable
 from astropy.time import Time
 
+from astro_scc.columns import columns_of
 from astro_scc.epochs import EpochCube
 from astro_scc.features import Features
-from astro_scc.features.tables import COLUMNS, POSITIONS, feature_table, flux_unit
+from astro_scc.features.tables import flux_unit
 from astro_scc.features.tracks import Track
 
 N = 8
@@ -50,9 +50,9 @@ def in_sun(features):
 
 def check_columns(table, columns):
     assert table.colnames == list(columns)
-    for name, (kind, about) in columns.items():
-        column = table[name]
-        assert column.info.description == about
+    for name, known in columns.items():
+        column, kind = table[name], known.kind
+        assert column.info.description == known.meaning
         if name in ("first", "last", "date"):
             assert isinstance(column, Time)
         elif kind in (int, float, bool):
@@ -66,11 +66,11 @@ def check_columns(table, columns):
 @pytest.mark.parametrize("name", ["features", "empty"])
 def test_each_column_has_a_unit_or_type_and_a_meaning(request, name):
     found = request.getfixturevalue(name)
-    check_columns(found.table, COLUMNS)
-    check_columns(found.positions, POSITIONS)
+    check_columns(found.table, columns_of("features"))
+    check_columns(found.positions, columns_of("positions"))
     assert len(found.table) == len(found.tracks)
     assert len(found.positions) == sum(map(len, found.tracks))
-    assert all(COLUMNS[name][1] for name in COLUMNS)
+    assert all(column.meaning for column in columns_of("features").values())
 
 
 def test_the_motion_of_a_radial_feature(features):
@@ -94,16 +94,6 @@ def test_the_motion_of_a_radial_feature(features):
     assert abs(row["date"].jyear - features.motions[0].date) < 0.01
     assert row["secure"]
     assert np.isnan(row["acc_parallel"])
-
-
-def test_a_standing_feature(features):
-    row = features.table[1]
-    assert not row["secure"]
-    assert np.isnan(row["t_ej"])
-    assert row["position_angle"].to_value(u.deg) % 360 == pytest.approx(0, abs=0.5)
-    assert row["pm"] < 3 * row["pm_err"]
-    assert row["pm_pa_err"] <= 180 * u.deg
-    assert 0 < row["p_false"] < 1
 
 
 def test_a_bent_feature(features):
@@ -151,34 +141,11 @@ def test_a_feature_at_the_core_that_stands(features, series):
     assert np.isnan(row["t_ej"])
 
 
-def test_components_may_be_given(features):
-    table = feature_table(features, component=[2, 0, 1])
-    assert table["component"].tolist() == [2, 0, 1]
-
-
-@pytest.mark.parametrize("name", ["features", "empty"])
-@pytest.mark.parametrize("kind", ["table", "positions"])
-def test_files_keep_everything(request, tmp_path, name, kind):
-    table = getattr(request.getfixturevalue(name), kind)
-    table.write(tmp_path / "a.ecsv")
-    again = QTable.read(tmp_path / "a.ecsv")
-    assert again.colnames == table.colnames
-    assert len(again) == len(table)
-    for column in table.colnames:
-        one, other = table[column], again[column]
-        assert other.info.description == one.info.description
-        assert other.info.unit == one.info.unit
-        if isinstance(one, Time) and len(one):
-            assert (other.isot == one.isot).all()
-        elif len(one):
-            np.testing.assert_array_equal(other, one)
-
-
 @pytest.mark.parametrize("name", ["features", "empty"])
 def test_columns_of_the_sun(request, name):
     sun = in_sun(request.getfixturevalue(name))
-    for table, columns in ((sun.table, COLUMNS), (sun.positions, POSITIONS)):
-        assert len(table.colnames) == len(columns)
+    for table, own in ((sun.table, "features"), (sun.positions, "positions")):
+        assert len(table.colnames) == len(columns_of(own))
         assert not {n for n in table.colnames if "ra_" in n or "dec" in n}
         assert {"lon_offset", "lon_offset_err", "lat_offset"} < set(table.colnames)
         assert table["lon_offset"].info.description.endswith("solar west")

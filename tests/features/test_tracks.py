@@ -85,22 +85,6 @@ def test_crossing_features_keep_their_identity(crossing):
         assert track.same_speed > 0.9
 
 
-def test_features_that_cross_at_one_place_with_equal_fluxes(series):
-    rows = [
-        (t, 0.5 * t, y * (t - 4)) for t in range(9) if t != 4 for y in (0.35, -0.35)
-    ]
-    d = series(rows, n_epochs=9)
-    tracks = found(d)
-    assert len(tracks) == 2
-    for own in tracks:
-        assert len(own) >= 7
-        assert len(set(np.sign(d.place[own, 1] * (d.epoch[own] - 4)))) == 1
-
-
-def test_separated_features(separated):
-    assert found(separated) == [list(range(k, 32, 4)) for k in range(4)]
-
-
 def test_one_epoch_more_or_less(separated):
     whole = found(separated)
     for left_out in range(8):
@@ -111,18 +95,6 @@ def test_one_epoch_more_or_less(separated):
         part = replace(part, epoch=part.epoch - later, years=years)
         expected = [[k for k in own if k // 4 != left_out] for own in whole]
         assert [index[own].tolist() for own in found(part)] == expected
-
-
-def test_numbers_stay_when_an_epoch_with_a_new_feature_is_added(series):
-    rows = [(t, 3 * k + 0.3 * t, 2.0) for t in range(9) for k in range(3)]
-    rows += [(t, 0.3 * (t - 5), -2.0) for t in range(5, 9)]
-    d = series(rows)
-    shorter = d.select(d.epoch < 8)
-    assert len(found(d)) == 4
-    before = found(shorter)
-    assert len(before) == 3
-    for own, longer in zip(before, found(d)[:3], strict=True):
-        assert longer[: len(own)] == own
 
 
 def test_the_order_within_an_epoch_is_free(separated):
@@ -151,23 +123,6 @@ def test_the_seed_decides(series):
 def test_rounds_take_up_what_is_left(series, separated):
     for rounds, n in ((0, 0), (1, 4), (6, 4)):
         assert len(found(separated, settings=TrackSettings(rounds=rounds))) == n
-
-
-@pytest.mark.parametrize("far", [12.0, 60.0])
-def test_a_steady_feature_far_from_the_core_is_one_track(series, far):
-    d = series([(t, far + 0.2 * t, 12.0) for t in range(20)])
-    assert found(d) == [list(range(20))]
-
-
-@pytest.mark.parametrize("n_epochs", range(4))
-def test_too_few_epochs(series, n_epochs):
-    rows = [(t, 0.3 * t, y) for t in range(n_epochs) for y in range(3)]
-    assert find_tracks(series(rows, n_epochs=n_epochs)) == []
-
-
-def test_unrelated_detections(series):
-    d = series([(t, 40 * (-1) ** t, 40 * t) for t in range(8)])
-    assert find_tracks(d) == []
 
 
 def test_the_speed_of_what_is_ambiguous_is_not_the_same(series):

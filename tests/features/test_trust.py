@@ -62,48 +62,6 @@ def test_a_feature_alone_has_no_neighbour_in_reach(track_of):
     assert properties(d, track, motion)[5] == FAR
 
 
-def test_standing_at_the_core_is_finite(track_of):
-    d, track, motion = track_of(straight(5, speed=0.0, start=0.0))
-    assert np.isfinite(properties(d, track, motion)).all()
-    assert 0 < false_probability(d, track, motion) < 1
-
-
-def wobbling(n, by):
-    return [(t, 2 + 0.5 * t, by * (-1) ** t) for t in range(n)]
-
-
-@pytest.mark.parametrize(
-    ("better", "worse"),
-    [
-        (straight(10), straight(10, others=[0.5])),
-        (straight(10), [(t, 6.5 - 0.5 * t, 0.0) for t in range(10)]),
-        (straight(10), straight(10, step=2)),
-        (straight(10), straight(10, flux=(1.0, 4.0))),
-        (straight(10), wobbling(10, 0.3)),
-        (straight(12), straight(4)),
-        (straight(12), straight(4, others=[0.4, -0.4], flux=(0.1, 0.3))),
-    ],
-    ids=[
-        *("isolated", "outwards", "without gaps", "steady flux", "straight"),
-        *("long", "long and isolated"),
-    ],
-)
-def test_what_makes_a_track_more_likely(track_of, better, worse):
-    one, other = (track_of(rows) for rows in (better, worse))
-    assert false_probability(*one) < false_probability(*other)
-
-
-def test_the_unit_of_length_is_free(track_of):
-    d, track, motion = track_of(wobbling(8, 0.1))
-    p = false_probability(d, track, motion)
-    larger = replace(
-        d, place=50 * d.place, place_error=50 * d.place_error, beam=2500 * d.beam
-    )
-    own = track.detection
-    again = fit_motion(d.time, larger.place[own], larger.place_error[own], larger.fwhm)
-    assert false_probability(larger, track, again) == pytest.approx(p)
-
-
 def test_motion_is_in_beams_along_it(track_of):
     d, track, motion = track_of(straight(6, step=2))
     for beam, moved in (([1, 1], 2.5), ([4, 4], 1.25), ([4, 1], 1.25), ([1, 4], 2.5)):

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Profiles of simulated jets: bins are stacks of their SSPs, and nothing is lost."""
+"""Profiles of simulated jets, from stacks of their SSPs and from their features."""
 
 import astropy.units as u
 import numpy as np
@@ -7,20 +7,16 @@ import pytest
 from astropy.table import QTable
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.flow import Profile, measure_acceleration, measure_profile
+from astro_scc.flow import feature_profile, measure_acceleration, measure_profile
 from astro_scc.flow.profile import bins_of, write_profile
 from astro_scc.kinematics import RidgeLine, paper_cosmology
+from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.plan import select_ssps, ssp_distances
 from astro_scc.measurement.tables import component_table
 from astro_scc.simulation import simulate_jet
-from astro_scc.visualization.profiles import (
-    plot_position_angles,
-    plot_profile,
-    plot_scale_maps,
-)
+from astro_scc.stacking.dispersion import feature_speeds, random_effects
 
 PM = u.mas / u.yr
-TRUE = 6 * 0.1 / 30 * 365.25
 
 
 @pytest.fixture(scope="module")
@@ -42,16 +38,6 @@ def test_bins_that_make_no_sense(edges, window, message):
     window = window if window is None else window * u.mas
     with pytest.raises(ValueError, match=message):
         bins_of(edges * u.mas, window=window)
-
-
-def test_bins_as_text():
-    assert np.all(bins_of("0.5 1.5 2.5 mas") == [[0.5, 1.5], [1.5, 2.5]] * u.mas)
-    assert np.all(bins_of("2 mas", window="1 mas") == [[1.5, 2.5]] * u.mas)
-
-
-def test_windows_overlap():
-    bins = bins_of([1, 2, 3] * u.mas, window=4 * u.mas).value
-    np.testing.assert_allclose(bins, [[0, 3], [0, 4], [1, 5]])
 
 
 def test_a_bin_is_a_stack_of_its_ssps(scc, matched, profile):
@@ -80,27 +66,6 @@ def test_columns_and_adjusted_probabilities(profile):
     assert table.meta["seed"] == 1
     assert profile.results[3] is None
     assert "4 bins from 0" in repr(profile)
-
-
-def test_speeds_of_the_bins(profile):
-    main = profile.main[profile.main["r_max"] < 15 * u.mas]
-    assert len(main) == 2
-    away = np.abs(main["pm_parallel"].value - TRUE)
-    assert np.all(away < 3 * main["pm_parallel_err"].value + 0.3)
-
-
-def test_units_of_c(profile):
-    table = profile.components_in_c(redshift=0.1, cosmology=paper_cosmology())
-    ratio = table["beta_app"] / table["pm"].value
-    np.testing.assert_allclose(ratio, ratio[0])
-
-
-def test_main_is_no_stationary_one():
-    bins = [[0.0, 1.0]] * u.mas
-    empty = Profile(bins, (None,))
-    assert len(empty.components) == 0
-    assert empty.components["r_mid"].unit == u.mas
-    assert len(empty.components_in_c(distance=1 * u.Mpc)["beta_app"]) == 0
 
 
 def test_nothing_there(scc, matched):
@@ -161,12 +126,6 @@ def test_acceleration_is_that_of_the_features(accelerated):
     assert found.centre > 2 * u.mas
 
 
-def test_acceleration_of_a_steady_flow(scc, matched):
-    found = measure_acceleration(scc.stack(matched, n_trials=30, rng=1))
-    assert abs(found.acceleration) < 3 * found.acceleration_err
-    assert found.speed.value == pytest.approx(TRUE, rel=0.05)
-
-
 def test_acceleration_of_what_is_not_there(accelerated):
     result, _ = accelerated
     (row,) = np.flatnonzero(result.components["kind"] == "stationary")
@@ -190,14 +149,24 @@ def test_products(profile, tmp_path):
     np.testing.assert_array_equal(again["pm"], table["pm"])
 
 
-def test_figures(profile):
-    table = profile.components
-    other = ("features", [5.0] * u.mas, [9.0] * PM, [1.0] * PM)
-    figure = plot_profile(table, others=[other], beta_per_pm=0.5)
-    assert "Apparent speed" in figure.axes[0].child_axes[0].get_ylabel()
-    assert len(plot_profile(table[:0]).axes) == 1
-    with pytest.raises(ValueError, match="one map or more"):
-        plot_scale_maps({}, None)
-    angles = plot_position_angles({"none": [] * u.deg, "some": [1.0, 2.0] * u.deg})
-    assert len(angles.axes[0].patches) == 2
-    assert len(plot_position_angles({}).axes) == 1
+def test_bins_hold_all_features_in_order(accelerated):
+    result, _ = accelerated
+    profile = feature_profile(result)
+    stream = result.search.streams[0]
+    assert stream.kind == "moving"
+    assert profile["n_features"].sum() == len(stream.features)
+    assert np.all(profile["n_features"] >= 5)
+    assert np.all(profile["r_min"] <= profile["r_mid"])
+    assert np.all(profile["r_mid"] <= profile["r_max"])
+    assert np.all(profile["r_max"][:-1] <= profile["r_min"][1:])
+
+
+def test_speeds_are_those_of_random_effects(accelerated):
+    result, _ = accelerated
+    profile = feature_profile(result)
+    stream = result.search.streams[0]
+    features = sorted(stream.features, key=lambda feature: abs(feature.place))
+    mean = random_effects(*feature_speeds(features[: profile["n_features"][0]]))
+    beam = projection_of(result).beam(stream.angle)[0]
+    assert profile["pm_parallel"][0].value == pytest.approx(mean.mean * beam)
+    assert profile["dispersion"][0].value == pytest.approx(mean.dispersion * beam)

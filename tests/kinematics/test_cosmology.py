@@ -36,11 +36,6 @@ def test_numbers_of_the_paper(redshift, speed):
     assert beta.value == pytest.approx(speed, rel=5e-4)
 
 
-def test_m87_by_its_distance():
-    beta = apparent_speed(MU, distance=16.7 * u.Mpc)
-    assert beta.value == pytest.approx(0.264, abs=5e-4)
-
-
 def test_equals_angular_diameter_distance_times_one_plus_z():
     cosmology = LambdaCDM(H0=65, Om0=0.3, Ode0=0.5)
     beta = apparent_speed(3 * MU, redshift=1.3, cosmology=cosmology)
@@ -50,18 +45,6 @@ def test_equals_angular_diameter_distance_times_one_plus_z():
     assert beta.value == pytest.approx(expected)
 
 
-def test_arrays_and_other_units():
-    motions = [[1, 2], [3, 4]] * u.uas / u.day
-    beta = apparent_speed(motions, distance=[10, 20] * u.kpc)
-    assert beta.shape == (2, 2)
-    expected = (motions.to_value(u.rad / u.s) / u.s * ([10, 20] * u.kpc)).to(
-        u.m / u.s
-    ) / constants.c
-    np.testing.assert_allclose(beta.value, expected.to_value(u.one))
-    signed = apparent_speed(-MU, distance=1 * u.Mpc)
-    assert signed < 0
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -69,27 +52,21 @@ def test_arrays_and_other_units():
         ({"redshift": 0.1, "distance": 1 * u.Mpc}, "either a redshift"),
         ({"cosmology": "Planck18"}, "either a redshift"),
         ({"redshift": -0.1}, "redshift = -0.1 must be above 0; give the distance"),
-        ({"redshift": 0.0}, "redshift = 0.0 must be above 0"),
         ({"redshift": np.nan}, "redshift = nan must be above 0"),
         ({"redshift": 47367}, "redshift = 47367 must be below 1090; of a velocity"),
         ({"redshift": "high"}, "redshift = 'high' must be a redshift, a number such"),
-        ({"redshift": ""}, "must be a redshift, a number such as 0.158"),
         ({"redshift": "0.1 0.2"}, "must be a redshift, a number such as 0.158"),
         ({"redshift": MaskedColumn([0.1], mask=[True])}, "must be a redshift"),
-        ({"redshift": True}, "redshift = True must be a redshift"),
         ({"redshift": 1 * u.yr}, "redshift = 1.0 yr must be a redshift"),
         (
             {"redshift": 47367 * u.km / u.s},
             "redshift = 47367.0 km / s is a velocity, which may be defined in three "
             "ways; give the redshift, 0.158 if it is c z",
         ),
-        ({"redshift": "47367 km/s"}, "'47367 km/s' is a velocity.* 0.158 if it is c z"),
         ({"redshift": 600 * u.Mpc}, "redshift = 600.0 Mpc is a length; give it as the"),
-        ({"redshift": "600 Mpc"}, "'600 Mpc' is a length; give it as the distance"),
         ({"redshift": 0.1, "cosmology": "Planck"}, "cosmology = 'Planck' is no"),
         ({"redshift": 0.1, "cosmology": 0.27}, "cosmology = 0.27 is no cosmology;"),
         ({"redshift": 0.1, "cosmology": {"H0": 71}}, "is no cosmology; give H0=71"),
-        ({"redshift": 0.1, "cosmology": default_cosmology}, "is no cosmology; give H0"),
         ({"distance": 0 * u.Mpc}, "distance = 0.0 Mpc must be finite and above 0"),
         ({"distance": np.nan * u.Mpc}, "distance = nan Mpc must be finite and above"),
         ({"distance": 16.7}, "distance = 16.7 must be a length with a unit, as"),
@@ -124,11 +101,6 @@ def test_wrong_units():
 )  # fmt: skip
 def test_redshifts_as_people_give_them(redshift):
     assert apparent_speed(MU, redshift=redshift).value == pytest.approx(10.20, rel=5e-4)
-
-
-def test_redshifts_of_many_sources():
-    several = apparent_speed(MU, redshift=[3.3, 15.8] * u.percent)
-    np.testing.assert_allclose(several.value, [2.188, 10.20], rtol=5e-4)
 
 
 def test_distances_as_text():
@@ -191,30 +163,12 @@ def test_tables_say_what_they_were_made_with(cosmology, tmp_path):
             assert cosmology_text(own) == cosmology_text(cosmology)
 
 
-def test_cosmologies_in_words():
-    assert cosmology_text(None) == "FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0 = 0.27"
-    curved = cosmology_text("H0=65,Om0=0.3,Ode0=0.5")
-    assert curved == "LambdaCDM with H0 = 65 km/s/Mpc, Om0 = 0.3, Ode0 = 0.5"
-
-
-def test_paper_cosmology():
-    assert paper_cosmology() == FlatLambdaCDM(H0=71, Om0=0.27)
-
-
 def test_numbers_at_15_degrees():
     gamma = lorentz_factor(beta_intrinsic([4, 6], 15 * u.deg))
     np.testing.assert_allclose(gamma.value, [4.13, 7.48], atol=5e-3)
     # The acceleration between 1 and 7 mas that the paper calls 0.3.
     k = np.log((gamma[1] / gamma[0]).value) / np.log(7)
     assert k == pytest.approx(0.305, abs=5e-4)
-
-
-def test_largest_apparent_speed_of_a_lorentz_factor():
-    beta = np.sqrt(1 - 1 / 6**2)
-    angles = np.linspace(0.1, 90, 2000) * u.deg
-    seen = beta * np.sin(angles) / (1 - beta * np.cos(angles))
-    assert seen.max().value == pytest.approx(5.92, abs=5e-3)
-    assert minimum_lorentz_factor(np.sqrt(35)).value == pytest.approx(6)
 
 
 @given(beta=st.floats(0.01, 0.9999), angle=st.floats(0.1, 179))
@@ -231,19 +185,6 @@ def test_everything_comes_back(beta, angle):
     assert delta.value == pytest.approx(1 / gamma.value / (1 - beta * cos))
     back = viewing_angle(seen, delta)
     assert back.to_value(u.deg) == pytest.approx(angle.value, rel=1e-5)
-
-
-def test_impossible_speeds_are_nan():
-    assert np.isnan(beta_intrinsic(10, 15 * u.deg))
-    assert np.isnan(beta_intrinsic(-1, 15 * u.deg))
-    assert np.isnan(lorentz_factor(1.0))
-    assert np.isnan(doppler_factor(1.2, 10 * u.deg))
-
-
-def test_no_motion():
-    assert beta_intrinsic(0, 15 * u.deg) == 0
-    assert maximum_viewing_angle(0) == 180 * u.deg
-    assert lorentz_factor(0) == 1
 
 
 @pytest.mark.parametrize(
@@ -274,8 +215,3 @@ def test_cosmologies(text, expected):
 def test_cosmologies_that_are_none(text):
     with pytest.raises(ValueError, match=r"is no cosmology; give H0=71,Om0=0.27.*Pla"):
         to_cosmology(text)
-
-
-def test_cosmologies_that_astropy_refuses():
-    with pytest.raises(ValueError, match="cosmology = 'H0=71,Om0=-1' Om0"):
-        apparent_speed(MU, redshift=0.1, cosmology="H0=71,Om0=-1")

@@ -1,11 +1,18 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Axes of frames, against their definitions."""
+
 import astropy.units as u
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
+from astro_scc.kinematics import (
+    ExpansionFrame,
+    PositionAngleFrame,
+    RadialFrame,
+    SkyFrame,
+)
 
 angles = st.floats(-400, 400)
 offsets = st.floats(-50, 50)
@@ -26,36 +33,6 @@ def test_parallel_is_along_the_position_angle(pa, length):
     np.testing.assert_allclose(frame.matrix() @ [east, north], [length, 0], atol=1e-9)
 
 
-@given(pa=angles)
-def test_transverse_is_towards_larger_position_angles(pa):
-    frame = PositionAngleFrame(pa * u.deg)
-    step = np.radians([pa, pa + 0.01])
-    d_east, d_north = np.diff(np.sin(step))[0], np.diff(np.cos(step))[0]
-    parallel, transverse = frame.matrix() @ [d_east, d_north]
-    assert transverse > 0
-    assert abs(parallel) < 1e-3 * transverse
-
-
-def test_signs_by_hand():
-    # Position angle 0: parallel north, transverse east.
-    matrix = PositionAngleFrame(0 * u.deg).matrix()
-    np.testing.assert_allclose(matrix, [[0, 1], [1, 0]], atol=1e-15)
-    assert PositionAngleFrame(0 * u.deg).axis_names == ("parallel", "transverse")
-
-
-@given(pa=angles)
-def test_the_transpose_leads_back_to_the_sky(pa):
-    matrix = PositionAngleFrame(pa * u.deg).matrix()
-    np.testing.assert_allclose(matrix.T @ matrix, np.eye(2), atol=1e-12)
-
-
-def test_any_unit_of_angle():
-    one = PositionAngleFrame(65 * u.deg)
-    two = PositionAngleFrame(np.radians(65) * u.rad)
-    np.testing.assert_allclose(one.matrix(), two.matrix())
-    assert two.pa.unit == u.deg
-
-
 @given(x=offsets, y=offsets, x0=offsets, y0=offsets)
 def test_radial_is_away_from_the_origin(x, y, x0, y0):
     frame = RadialFrame([x0, y0] * u.mas)
@@ -70,18 +47,6 @@ def test_radial_is_away_from_the_origin(x, y, x0, y0):
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(2), atol=1e-9)
     angle = np.arctan2(x - x0, y - y0) * u.rad
     np.testing.assert_allclose(matrix, PositionAngleFrame(angle).matrix(), atol=1e-9)
-
-
-def test_radial_of_many_positions():
-    frame = RadialFrame([1, 0] * u.mas)
-    assert RadialFrame([1e-3, 0] * u.arcsec).origin.unit == u.mas
-    matrix = frame.matrix(np.array([2.0, 1.0, 1.0]), np.array([0.0, 3.0, 0.0]))
-    assert matrix.shape == (3, 2, 2)
-    # East of the origin: transverse is south.
-    np.testing.assert_allclose(matrix[0], [[1, 0], [0, -1]], atol=1e-15)
-    np.testing.assert_allclose(matrix[1], [[0, 1], [1, 0]], atol=1e-15)
-    assert np.all(np.isnan(matrix[2]))
-    assert frame.axis_names == ("radial", "transverse")
 
 
 def test_radial_frames_compare():
@@ -104,10 +69,6 @@ def test_bad_position_angle(pa, message):
         PositionAngleFrame(pa)
 
 
-def test_a_position_angle_as_text():
-    assert PositionAngleFrame("-112deg") == PositionAngleFrame(-112 * u.deg)
-
-
 @pytest.mark.parametrize("origin", [1 * u.mas, [1, np.nan] * u.mas, [1, 2, 3] * u.mas])
 def test_bad_origin(origin):
     with pytest.raises(ValueError, match=r"origin = .* must be \(east, north\)"):
@@ -121,3 +82,48 @@ def test_wrong_units():
         PositionAngleFrame(65)
     with pytest.raises(u.UnitConversionError):
         RadialFrame([1, 2] * u.Jy)
+
+
+CENTRE = [3.0, -2.0] * u.arcsec
+RADIUS = 20 * u.arcsec
+
+
+@given(angle=st.floats(0, 6.28), r=st.floats(5e3, 5e4), rate=st.floats(-0.1, 0.1))
+def test_one_rate_is_one_velocity(angle, r, rate):
+    place = r * np.array([np.sin(angle), np.cos(angle)])
+    frame = ExpansionFrame(CENTRE, RADIUS)
+    position = place + CENTRE.to_value(u.mas)
+    # The motion that is midway at the place is in proportion to it.
+    motion = rate * place
+    start = position - 0.5 * motion
+    moved = frame.displacement(start[None], motion[None])
+    np.testing.assert_allclose(moved, [[rate * 2e4, 0]], atol=1e-6)
+    matrix = frame.matrix(*position)
+    np.testing.assert_allclose(
+        matrix * r / 2e4, RadialFrame(CENTRE).matrix(*position), atol=1e-12
+    )
+
+
+def test_rate_and_axes():
+    frame = ExpansionFrame(CENTRE, RADIUS)
+    assert frame.rate(0.02 * u.arcsec / u.yr).to_value(
+        u.percent / u.yr
+    ) == pytest.approx(0.1)
+    assert frame.axis_names == ("expansion", "rotation")
+    assert frame.uniform is False
+
+
+@pytest.mark.parametrize(
+    ("centre", "radius", "message"),
+    [
+        ([1.0] * u.mas, RADIUS, "two finite angles"),
+        (CENTRE, -1 * u.mas, "radius = .* must be finite and above 0"),
+        (CENTRE, [1, 2] * u.mas, "radius = .* must be an angle with a unit"),
+        (CENTRE, 0 * u.mas, "radius = .* must be finite and above 0"),
+        (CENTRE, np.inf * u.mas, "radius = .* must be finite and above 0"),
+        (CENTRE, np.nan * u.mas, "radius = .* must be finite and above 0"),
+    ],
+)
+def test_no_frame(centre, radius, message):
+    with pytest.raises(ValueError, match=message):
+        ExpansionFrame(centre, radius)

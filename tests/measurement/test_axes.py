@@ -1,23 +1,31 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Displacements along axes of frames, in beams, against rotation by hand."""
+"""Displacements and errors on the axes of frames, against rotation by hand."""
 
 from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+from astropy.wcs import WCS
 
 from astro_scc import Beam, EpochCube
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
+from astro_scc.images.positions import beam_fwhm
 from astro_scc.kinematics import (
     ExpansionFrame,
     PositionAngleFrame,
     RadialFrame,
-    RidgeLine,
     SkyFrame,
 )
-from astro_scc.measurement.axes import AxisProjection, angular_displacements
+from astro_scc.measurement.axes import (
+    AxisProjection,
+    alignment_errors,
+    angular_displacements,
+)
+from astro_scc.simulation import simulate_two_fluid
 
 DAYS = np.array([0, 73, 292])
 BEAM = Beam(1.0 * u.mas, 0.4 * u.mas, 25 * u.deg)
@@ -98,29 +106,6 @@ def test_axes_that_are_the_same_everywhere(name, angle):
         np.testing.assert_allclose(d.position[:, part], place, atol=1e-6)
 
 
-def test_what_goes_with_the_displacements():
-    cube = cube_of()
-    ssps = ssps_of(cube, EAST, NORTH, EPOCH, scale=[1, 1, 2, 1, 1, 2])
-    d = projected(cube, ssps, PAIRS, SkyFrame())(0.3)
-    np.testing.assert_array_equal(d.ssp, [0, 1, 2, 3])
-    np.testing.assert_array_equal(d.target_ssp, [3, 4, 5, 0])
-    np.testing.assert_array_equal(d.reference, [0, 0, 0, 1])
-    np.testing.assert_array_equal(d.target, [1, 1, 2, 0])
-    np.testing.assert_array_equal(d.epoch, EPOCH)
-    np.testing.assert_array_equal(d.scale, ssps.scale)
-    np.testing.assert_allclose(d.weight, 0.8)
-    np.testing.assert_allclose(d.interval, [0.2, 0.2, 0.8, -0.2], rtol=1e-3)
-
-
-def test_half_a_turn_is_the_same_axis_backwards():
-    cube = cube_of()
-    project = projected(cube, ssps_of(cube, EAST, NORTH, EPOCH), PAIRS, SkyFrame())
-    one, other = project(0.4), project(0.4 + np.pi)
-    np.testing.assert_allclose(one.d1, -other.d1, atol=1e-12)
-    np.testing.assert_allclose(one.d2, -other.d2, atol=1e-12)
-    np.testing.assert_allclose(one.position, -other.position, atol=1e-12)
-
-
 def test_beams_of_epochs_and_scales_are_averaged_over_ssps():
     beams = [Beam(b * u.mas, b * u.mas) for b in (0.5, 0.8, 1.1)]
     cube = cube_of(beams)
@@ -154,46 +139,6 @@ def test_away_from_a_point_what_moves_outward_keeps_its_direction(pa):
     np.testing.assert_allclose(place[1:, :, 1], place[:-1, :, 1], atol=1e-6)
     apart = np.diff(angle) * r.mean() / 0.5
     np.testing.assert_allclose(np.diff(place[0, :, 1]), apart)
-
-
-def test_at_the_point_itself_there_is_no_axis():
-    cube = cube_of(Beam(0.5 * u.mas, 0.5 * u.mas))
-    ssps = ssps_of(cube, [0.0, 1.0], [0.0, 0.0], [0, 1])
-    matches = matches_of(ssps, [(0, 1), (1, 0)])
-    d = angular_displacements(matches, ssps, cube, RadialFrame(), 0.2)
-    project = AxisProjection(d, cube, RadialFrame())
-    np.testing.assert_allclose(project.beam(0.0), 0.5)
-    found = project(0.0)
-    np.testing.assert_array_equal(found.ssp, [1])
-    assert np.isfinite(found.position).all()
-
-
-def test_along_a_straight_ridge_line_it_is_along_its_position_angle():
-    cube = cube_of()
-    ssps = ssps_of(cube, EAST, NORTH, EPOCH)
-    pa = 40 * u.deg
-    line = RidgeLine(*([0, 1, 2, 3] * u.mas * direction(pa.to_value(u.rad))[:, None]))
-    bent, straight = (
-        projected(cube, ssps, PAIRS, frame)(0.0)
-        for frame in (line, PositionAngleFrame(pa))
-    )
-    np.testing.assert_allclose(bent.d1, straight.d1, atol=1e-6)
-    np.testing.assert_allclose(bent.d2, straight.d2, atol=1e-6)
-    np.testing.assert_allclose(bent.position, straight.position, atol=1e-6)
-
-
-def test_around_a_bend_it_is_the_way_along_the_line():
-    """A quarter of a circle of 2 mas; features 30 deg of it apart."""
-    cube = cube_of(Beam(0.5 * u.mas, 0.5 * u.mas))
-    turn = np.linspace(0, np.pi / 2, 60)
-    line = RidgeLine(-2 * np.sin(turn) * u.mas, 2 * (1 - np.cos(turn)) * u.mas)
-    at = np.radians([15, 45, 75])
-    ssps = ssps_of(cube, -2 * np.sin(at), 2 * (1 - np.cos(at)), [0, 1, 2])
-    d = projected(cube, ssps, [(0, 1), (1, 2)], line)(0.0)
-    arc = 2 * np.radians(30) / 0.5
-    np.testing.assert_allclose(d.d1, arc, rtol=1e-3)
-    np.testing.assert_allclose(d.d2, 0.0, atol=2e-3)
-    np.testing.assert_allclose(np.diff(d.position[:, 0]), arc, rtol=1e-3)
 
 
 def test_in_homologous_expansion_all_features_move_alike():
@@ -232,3 +177,159 @@ def test_no_ssps_no_displacements(frame, beams):
     project = AxisProjection(d, cube, frame)
     assert len(project(0.3)) == 0
     np.testing.assert_array_equal(project.beam(0.3), 1.0)
+
+
+def test_alignment_errors_of_epochs():
+    cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    np.testing.assert_array_equal(alignment_errors(cube), np.zeros((3, 2)))
+    one = alignment_errors(cube, 0.2e-3 * u.arcsec)
+    np.testing.assert_allclose(one, np.full((3, 2), 0.2))
+    each = alignment_errors(cube, [0.1, 0.0, 0.3] * u.mas)
+    np.testing.assert_allclose(each, [[0.1, 0.1], [0, 0], [0.3, 0.3]])
+    with pytest.raises(ValueError, match="must be one angle or 3, one an epoch, got 2"):
+        alignment_errors(cube, [0.1, 0.2] * u.mas)
+
+
+def test_the_error_that_the_alignment_found_counts():
+    cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    dates = [time.isot[:10] for time in cube.times]
+    columns = {"east": [0, 0, 0], "north": [0, 0, 0]}
+    columns |= {"east_err": [3, 1, 0], "north_err": [4, 1, 0]}
+    table = QTable({"epoch": dates, **{k: v * u.uas for k, v in columns.items()}})
+    aligned = cube.align("table", table=table)
+    found = alignment_errors(aligned)
+    np.testing.assert_allclose(found[:, 0], [np.sqrt(12.5e-6), 1e-3, 0], atol=1e-9)
+    np.testing.assert_array_equal(alignment_errors(aligned[1:]), found[1:])
+
+
+BEAMS = (
+    Beam(1.0 * u.mas, 0.5 * u.mas, 30 * u.deg),
+    Beam(0.8 * u.mas, 0.6 * u.mas, -70 * u.deg),
+    Beam(1.2 * u.mas, 0.4 * u.mas, 5 * u.deg),
+)
+GRIDS = {
+    "usual": [[-0.1, 0.0], [0.0, 0.1]],
+    "east to the right": [[0.1, 0.0], [0.0, 0.1]],
+    "not square": [[-0.05, 0.0], [0.0, 0.2]],
+    "rotated": [[-0.1 * np.cos(0.5), 0.15 * np.sin(0.5)],
+                [0.1 * np.sin(0.5), 0.15 * np.cos(0.5)]],
+}  # fmt: skip
+
+
+def celestial(cd=GRIDS["usual"]):
+    """With RA and Dec from 180 and 30 deg and the reference pixel at (20, 12)."""
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype = ["RA---SIN", "DEC--SIN"]
+    wcs.wcs.cunit = ["deg", "deg"]
+    wcs.wcs.crval = [180.0, 30.0]
+    wcs.wcs.crpix = [21.0, 13.0]
+    wcs.wcs.cd = (np.array(cd) * u.mas).to_value(u.deg)
+    wcs.wcs.set()
+    return wcs
+
+
+def make_cube(cd=GRIDS["usual"], beams=BEAMS):
+    times = ["2000-01-01", "2000-07-01", "2001-03-01"]
+    return EpochCube(
+        data=np.ones((3, 32, 48)), times=times, wcs=celestial(cd), beams=beams
+    )
+
+
+@pytest.fixture
+def ssps():
+    """Twelve SSPs of three epochs at random places."""
+    rng = np.random.default_rng(0)
+    east, north = rng.uniform(-2.4, 1.6, 12), rng.uniform(-0.8, 1.6, 12)
+    epoch, scale = np.repeat([0, 1, 2], 4), np.tile([1.0, 2.0, 2.5], 4)
+    made = ssps_of(make_cube(), east, north, epoch, scale)
+    return replace(made, snr=rng.uniform(4, 50, 12))
+
+
+@pytest.fixture
+def matches(ssps):
+    """Forty random ones between different epochs."""
+    rng, n = np.random.default_rng(1), 40
+    ssp = rng.integers(12, size=n)
+    target = (ssps.epoch[ssp] + rng.integers(1, 3, n)) % 3
+    motion, share = rng.uniform(-8, 8, (2, n)), rng.uniform(0.6, 1.0, (2, n))
+    columns = ssp, target, *motion, *share, rng.uniform(3, 30, n)
+    return Matches.from_columns([columns], [[0, 1], [1, 0]], (8, 8), 0.6)
+
+
+def sky_offsets(wcs, x, y):
+    """Offsets of pixels from the reference pixel by way of celestial coordinates."""
+    centre = SkyCoord(180 * u.deg, 30 * u.deg)
+    east, north = centre.spherical_offsets_to(wcs.pixel_to_world(x, y))
+    return east.to_value(u.mas), north.to_value(u.mas)
+
+
+def test_each_epoch_has_its_own_beam_and_each_row_its_own_axes():
+    angles = np.array([10.0, 60.0, -40.0, 100.0])
+    axes = np.stack([PositionAngleFrame(a * u.deg).matrix() for a in angles])
+    epoch = np.array([0, 2, 1, 2])
+    found = beam_fwhm(make_cube(), epoch, np.ones(4), axes)
+    expected = [
+        [BEAMS[e].fwhm_along(p * u.deg).value for p in (a, a + 90)]
+        for e, a in zip(epoch, angles, strict=True)
+    ]
+    np.testing.assert_allclose(found, expected)
+
+
+def unit_vectors(frame, east, north):
+    """The two axes as (east, north), from the definition of the frames."""
+    if isinstance(frame, SkyFrame):
+        return (1.0, 0.0), (0.0, 1.0)
+    if isinstance(frame, RadialFrame):
+        pa = np.arctan2(east, north)
+    else:
+        pa = frame.pa.to_value(u.rad)
+    return (np.sin(pa), np.cos(pa)), (np.cos(pa), -np.sin(pa))
+
+
+@pytest.mark.parametrize("name", GRIDS)
+@pytest.mark.parametrize(
+    "frame", [SkyFrame(), PositionAngleFrame(40 * u.deg), RadialFrame()], ids=repr
+)
+def test_displacements_and_errors_by_hand(matches, ssps, name, frame):
+    cube = make_cube(GRIDS[name])
+    found = angular_displacements(matches, ssps, cube, frame, 0.2)
+    assert len(found) == len(matches)
+    owner = matches.ssp
+    x, y = ssps.x[owner], ssps.y[owner]
+    start = np.array(sky_offsets(cube.wcs, x, y))
+    end = np.array(sky_offsets(cube.wcs, x + matches.dx, y + matches.dy))
+    for k in range(len(matches)):
+        axes = unit_vectors(frame, *start[:, k])
+        for axis, d, s in zip(
+            axes, (found.d1[k], found.d2[k]), (found.s1[k], found.s2[k]), strict=True
+        ):
+            assert d == pytest.approx(np.dot(axis, end[:, k] - start[:, k]), abs=2e-6)
+            variance = 0.0
+            for epoch, snr in (
+                (ssps.epoch[owner[k]], ssps.snr[owner[k]]),
+                (matches.target[k], matches.target_snr[k]),
+            ):
+                pa = np.arctan2(*axis) * u.rad
+                beam = BEAMS[epoch].fwhm_along(pa).value
+                variance += beam**2 * (0.5 / snr**2 + 0.5 * 0.2**2)
+            assert s == pytest.approx(np.sqrt(variance), rel=1e-6)
+    np.testing.assert_array_equal(found.reference, ssps.epoch[owner])
+    np.testing.assert_array_equal(found.target, matches.target)
+    np.testing.assert_array_equal(found.ssp, owner)
+    np.testing.assert_allclose(found.weight, matches.coefficient * matches.overlap)
+    np.testing.assert_array_equal(found.n_ssps, np.bincount(ssps.epoch))
+
+
+def test_at_the_origin_of_a_radial_frame_there_is_no_match(ssps, matches):
+    """There neither axis is defined; the SSP counts as one without a match."""
+    x, y = ssps.x.copy(), ssps.y.copy()
+    x[0], y[0] = 20.0, 12.0
+    core = replace(ssps, x=x, y=y)
+    found = angular_displacements(matches, core, make_cube(), RadialFrame(), 0.2)
+    assert 0 in matches.ssp
+    np.testing.assert_array_equal(found.ssp, matches.ssp[matches.ssp != 0])
+    for values in (found.d1, found.d2, found.s1, found.s2):
+        assert np.isfinite(values).all()
+    np.testing.assert_array_equal(found.n_ssps, np.bincount(ssps.epoch))
+    on_sky = angular_displacements(matches, core, make_cube(), SkyFrame(), 0.2)
+    assert len(on_sky) == len(matches)

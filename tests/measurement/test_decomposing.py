@@ -8,14 +8,13 @@ from astropy.time import Time
 from scipy import ndimage
 
 from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.components.restoring import correlated_noise
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.noise import plane_noise, propagated_noise, shared_variance
 from astro_scc.decomposition.wavelet import wavelet_planes
-from astro_scc.epochs import Beam, read_components, restore
-from astro_scc.epochs.restoring import correlated_noise
+from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.decomposing import allow_for_structure, decompose_epochs
-from astro_scc.simulation import simulate_static, simulate_two_fluid
 
 # -- images without empty sky ------------------------------------------------------
 
@@ -81,43 +80,6 @@ def test_noise_is_noise(kind):
     assert quiet(noise_of(kind), Decomposer(scales=SCALES))
 
 
-@pytest.mark.parametrize("simulate", [simulate_static, simulate_two_fluid])
-@pytest.mark.parametrize("core", [0.0, 3.0])
-def test_the_sky_beside_a_jet_is_noise(simulate, core):
-    cube = simulate(n_epochs=4, core=core, rng=1).cube
-    assert quiet(cube, Decomposer(scales=SCALES))
-
-
-@pytest.mark.parametrize("name", ["0003+380/*.fits", "0506+056/*.icn.fits",
-                                  "paper_test/two_fluid/*.fits"])  # fmt: skip
-@pytest.mark.parametrize("same_beam", [False, True])
-@pytest.mark.slow
-def test_the_noise_of_vlbi_images_is_noise(shared_data, name, same_beam):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the reader
-        cube = EpochCube.read(f"{shared_data}/{name}")
-        cube = cube.to_common_beam() if same_beam else cube
-    assert quiet(cube, Decomposer(scales=SCALES))
-
-
-@pytest.mark.parametrize("name", ["0716+714", "1226+023", "0430+052"])
-@pytest.mark.slow
-def test_the_noise_of_restored_images_is_noise(shared_data, name):
-    lists = read_components(shared_data / "mojave_xviii" / f"{name}.ecsv")
-    cube = restore(
-        lists, beam=BEAM, pixel_scale=0.1 * u.mas, noise=0.3 * u.mJy / u.beam, rng=1
-    )
-    assert quiet(cube, Decomposer(scales=SCALES))
-
-
-def test_an_epoch_that_is_there_twice_is_no_structure():
-    cube = noise_of("white")
-    for n in (3, 4):
-        data = cube.data[:n].copy()
-        data[1] = data[0]
-        assert quiet(cube_of(data), Decomposer(scales=[1, 2]))
-
-
 def test_what_is_not_measured_in_the_planes_is_as_it_was():
     cube = textured("smooth")
     assert quiet(cube, Decomposer(scales=[1, 2], noise="propagated"))
@@ -149,15 +111,6 @@ def test_only_scales_that_are_full_of_structure_are_changed():
         allowed = allow_for_structure(wide, Decomposer(scales=SCALES))
     assert allowed.noise_factors[:3] == (1, 1, 1)
     assert 0.3 < allowed.noise_factors[3] < 0.8
-
-
-def test_masked_pixels_are_no_structure():
-    rng = np.random.default_rng(1)
-    images = rng.normal(size=(3, 128, 128))
-    images[:, 30:70, 40:90] = 1e3
-    mask = np.zeros(images.shape, dtype=bool)
-    mask[:, 30:70, 40:90] = True
-    assert quiet(cube_of(images, mask=mask), Decomposer(scales=[1, 2]))
 
 
 @pytest.mark.slow

@@ -11,10 +11,8 @@ from astropy.io import fits
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc import StackedCrossCorrelation
-from astro_scc.features import find_features
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
-from astro_scc.measurement import MatchedEpochs, write_products
+from astro_scc.measurement import write_products
 from astro_scc.measurement.feature_tables import components_of
 
 
@@ -92,15 +90,6 @@ def test_the_nearest_component_in_units_of_the_errors():
     assert components_of(result, Moving([slow, fast])).tolist() == [1, 2]
 
 
-def test_where_the_frame_has_no_axes_and_without_features_or_components():
-    result = streams(*ALONG, frame=RadialFrame())
-    at_origin = motion((2.0, 0.0), place=(0.0, 0.0))
-    assert components_of(result, Moving([at_origin])).tolist() == [0]
-    assert components_of(result, Moving()).shape == (0,)
-    result.search.streams = result.velocities = ()
-    assert components_of(result, Moving([at_origin])).tolist() == [0]
-
-
 def test_rows_agree_with_the_positions(sky_result):
     table, positions = sky_result.features, sky_result.feature_positions
     assert len(table) >= 3
@@ -119,37 +108,6 @@ def test_rows_agree_with_the_positions(sky_result):
         if np.isfinite(row["t_ej"]):
             moved = row["pm"] * (row["date"].jyear * u.yr - row["t_ej"])
             assert moved.value == pytest.approx(row["separation"].value, rel=0.05)
-
-
-def test_features_are_searched_inside_the_region_alone(jet_cube, tmp_path):
-    scc = StackedCrossCorrelation(scales=[1, 2], max_speed=30 * u.mas / u.yr)
-    mask = np.zeros(jet_cube.shape[1:], dtype=bool)
-    mask[:, 60:] = True
-    matched = scc.match(jet_cube, region=mask)
-    result = scc.stack(matched, n_trials=20, rng=1)
-    positions = result.feature_positions
-    east, _ = jet_cube.pixel_to_offset(60, 0)
-    assert 0 < len(result.features)
-    assert np.all(positions["ra_offset"] < east + 1 * jet_cube.pixel_scale)
-    everywhere = find_features(jet_cube).positions["ra_offset"]
-    assert np.any(everywhere > east + 1 * jet_cube.pixel_scale)
-    # The region is in the files of matches.
-    matched.write(tmp_path / "matches.fits")
-    again = MatchedEpochs.read(tmp_path / "matches.fits", jet_cube)
-    np.testing.assert_array_equal(again.region, mask)
-    assert again.region.dtype == bool
-    again = scc.stack(again, n_trials=20, rng=1)
-    assert np.all(again.feature_positions["ra_offset"] == positions["ra_offset"])
-
-
-def test_without_a_beam_features_are_of_ssps(jet_cube):
-    scc = StackedCrossCorrelation(scales=[1, 2], max_speed=30 * u.mas / u.yr)
-    result = scc(replace(jet_cube, beams=None), n_trials=20, rng=1)
-    assert len(result.features) > 0
-    ssps = {(row["epoch"], row["east"].value) for row in result.ssps}
-    for row in result.feature_positions:
-        at = np.array([x for epoch, x in ssps if epoch == row["epoch"]])
-        assert np.abs(at - row["ra_offset"].value).min() < 1.0
 
 
 @pytest.mark.parametrize("what", ["some", "none"])

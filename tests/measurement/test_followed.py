@@ -1,14 +1,17 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Secure features as those of streams."""
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
 
 from astro_scc import StackedCrossCorrelation
+from astro_scc.features.diffusion import measure_diffusion, random_walk
 from astro_scc.measurement import select_ssps
 from astro_scc.measurement.axes import AxisProjection
-from astro_scc.measurement.followed import FollowedFeatures, random_walk
+from astro_scc.measurement.followed import FollowedFeatures
 from astro_scc.simulation import JetSimulation, Stream, simulate_jet
 
 SCC = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
@@ -42,15 +45,6 @@ def test_they_are_the_secure_features_in_beams(matched):
     assert [f.speed for f in back] == pytest.approx([-f.speed for f in own])
 
 
-def test_every_one_has_a_larger_error(matched):
-    found, _ = followed(matched)
-    every, _ = found(0.0, every=True)
-    own, _ = found(0.0)
-    assert len(every) >= len(own)
-    known = {f.ssp[0]: f.error for f in own}
-    assert all(f.error >= known.get(f.ssp[0], 0) for f in every)
-
-
 def test_parts_of_the_epochs_and_of_the_scales(matched):
     half, _ = followed(matched, epochs=slice(6, None))
     own, _ = half(0.0)
@@ -63,16 +57,46 @@ def test_parts_of_the_epochs_and_of_the_scales(matched):
     assert fine(0.0)[0] == []
 
 
-def test_the_random_walk_is_that_which_was_simulated():
+@pytest.fixture(scope="module")
+def walks():
     """0.2 beams a step of thirty days, of 120 features in 20 epochs."""
     stream = Stream("walk", half_width=40.0, jitter=2.0, density=0.8)
-    cube = JetSimulation(streams=[stream], n_epochs=20).run(rng=1).cube
-    found = random_walk(SCC.match(cube).features)
-    beam, step = 10 * cube.pixel_scale.to_value(u.mas), 30 / 365.25
-    # Tracks that follow are those that wander less.
-    assert 0.2 < found / (1.2 * (0.2 * beam) ** 2 / step) < 1.2
-    steady = simulate_jet(n_epochs=12, dispersion=0.05, rng=1).cube
-    walk = random_walk(SCC.match(steady).features)
-    gap = np.median(np.diff(steady.years.to_value(u.yr)))
-    fwhm = np.sqrt(steady.beams[0].major * steady.beams[0].minor).to_value(u.mas)
-    assert walk < 1.2 * (0.1 * fwhm) ** 2 / gap
+    return SCC.match(JetSimulation(streams=[stream], n_epochs=20).run(rng=1).cube)
+
+
+def variance_of_steps(cube, beams, years):
+    beam = np.sqrt(cube.beams[0].major * cube.beams[0].minor).to_value(u.mas)
+    return 1.2 * (beams * beam) ** 2 / years
+
+
+def test_the_random_walk_is_that_which_was_simulated(matched, walks):
+    step = variance_of_steps(walks.cube, 0.2, 30 / 365.25)
+    # Tracks that follow are those that wander less, and their speeds those of all.
+    assert 0.2 < random_walk(walks.features) / step < 1.2
+    found = measure_diffusion(walks.features)
+    assert found.is_walk
+    assert found.variance / step == pytest.approx(1, rel=0.4)
+    gap = np.median(np.diff(matched.cube.years.to_value(u.yr)))
+    assert random_walk(matched.features) < variance_of_steps(matched.cube, 0.1, gap)
+    assert not measure_diffusion(matched.features).is_walk
+
+
+def test_all_features_that_diffuse_count(matched, walks):
+    found, project = followed(walks)
+    own, _ = found(0.0)
+    assert found.diffuse
+    assert len(own) > walks.features.secure.sum()
+    assert {f.speed > 0 for f in own} == {True, False}
+    assert min(f.error for f in own) > max(
+        f.error for f in followed(matched)[0](0.0)[0]
+    )
+    speed, weight = np.array([(f.speed, f.error**-2) for f in own]).T
+    assert abs(np.average(speed, weights=weight)) < 2 * weight.sum() ** -0.5
+
+
+def test_few_features_show_no_diffusion(walks):
+    features = walks.features
+    few = replace(features, tracks=features.tracks[:12])
+    found = measure_diffusion(few)
+    assert found.step > 0
+    assert not found.is_walk

@@ -93,15 +93,6 @@ def test_circles(matched, tmp_path):
         assert region.radius.to_value(u.mas) == pytest.approx(size.value / 2, rel=1e-4)
 
 
-def test_scales_have_colours(matched):
-    regions = ssp_regions(matched.ssps, matched.cube, 0)
-    by_scale = {}
-    for region in regions:
-        scale = matched.ssps.scale[int(region.meta["text"])]
-        by_scale.setdefault(scale, set()).add(region.visual["color"])
-    assert by_scale == {1.0: {"cyan"}, 2.0: {"orange"}}
-
-
 def test_frame_of_the_file(matched):
     cube = matched.cube
     moved = cube.wcs.deepcopy()
@@ -162,13 +153,3 @@ def test_a_file_for_every_epoch(matched, tmp_path):
         read = Regions.read(path)
         assert [int(region.meta["text"]) for region in read] == index.tolist()
     assert write_epoch_regions(ssps, cube, tmp_path, scales=[], shape="circle")
-
-
-def test_regions_are_in_the_coordinates_of_the_files(matched, tmp_path):
-    cube = matched.cube
-    other = cube.wcs.deepcopy()
-    other.wcs.crval = [10.0, 20.0]
-    moved = replace(cube, epoch_wcs=[other] * len(cube))
-    paths = write_epoch_regions(matched.ssps, moved, tmp_path)
-    vertices = Regions.read(paths[1])[0].vertices
-    assert np.all(np.abs(vertices.dec.deg - 20) < 1e-4)

@@ -16,17 +16,16 @@ from astro_scc import Beam, EpochCube
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.measurement.choices import mean_fwhm
 from astro_scc.measurement.decomposing import centroids_inside, decompose_epochs
 from astro_scc.measurement.plan import (
     flow_direction,
     map_grid,
-    mean_fwhm,
     pairs_of_dates,
     scales_of_pixels,
     search_radius,
     search_reach,
 )
-from astro_scc.stacking.velocities import consecutive_pairs
 
 YEAR = 365.25
 PIXEL = 0.1 * u.mas
@@ -55,17 +54,6 @@ def test_angles_name_the_scale_that_they_are_near(half, factor):
     assert abs(np.log(scale_size(found) / size)) <= abs(np.log(factor)) + 1e-9
     if 0.9 < factor < 1.1:
         assert found == number
-
-
-def test_angles_of_any_unit_and_one_alone():
-    angles = [0.4, 0.2, 0.6] * u.mas
-    assert scales_of_pixels(angles.to(u.deg), PIXEL) == (2, 1, 2.5)
-    assert scales_of_pixels(0.8 * u.mas, PIXEL) == (3,)
-    assert scales_of_pixels(0.8 * u.mas, 0.2 * u.mas) == (2,)
-
-
-def test_numbers_stay():
-    assert scales_of_pixels((1, 2.5), PIXEL) == (1, 2.5)
 
 
 @pytest.mark.parametrize(
@@ -134,10 +122,6 @@ def test_resolution_is_the_mean_over_epochs_and_axes():
     assert mean_fwhm(turned, 2) == pytest.approx(2.0)
 
 
-def test_without_beams_resolution_is_twice_the_scale():
-    assert mean_fwhm(cube_of(), 3) == pytest.approx(2 * 8 * 0.1)
-
-
 def evenly(n_epochs, days=30):
     return cube_of(days * np.arange(n_epochs), shape=(8, 8))
 
@@ -168,31 +152,9 @@ def test_short_series_are_searched_farther():
     assert search_radius(cube, None, 1.0) == pytest.approx(2.36)
 
 
-def test_windows_reach_as_far_as_is_searched_whatever_the_dates():
-    cube = cube_of((0, 73, 219), shape=(200, 300))
-    pairs = pairs_of_dates(cube, None)
-    assert search_reach(cube, pairs, 1.5, 1.0, None) == (15, 15)
-    assert search_reach(cube, pairs, 1.51, 2.0, None) == (31, 31)
-    # As far as the map of a largest speed asks, 5 mas/yr in 0.4 yr, and a beam.
-    longest = int(np.ceil((5 * 146 / YEAR + 1.0) / 0.1))
-    assert search_reach(cube, pairs, 1.5, 1.0, 5.0) == (longest, longest)
-
-
-def test_windows_of_pixels_that_are_not_square():
-    cube = cube_of(shape=(200, 300))
-    wide = SimpleNamespace(
-        pixel_matrix=np.array([[-0.2, 0.0], [0.0, 0.1]]) * u.mas,
-        shape=cube.shape,
-        speed_unit=cube.speed_unit,
-    )
-    pairs = consecutive_pairs([0.0, 1.0])
-    assert search_reach(wide, pairs, 0.1, 0.1, 1.9) == (20, 10)
-    # Rotated, the sides are the same.
-    c, s = np.cos(0.5), np.sin(0.5)
-    turn = np.array([[c, -s], [s, c]])
-    wide.pixel_matrix = turn @ np.diag([-0.2, 0.1]) * u.mas
-    assert search_reach(wide, pairs, 0.1, 0.1, 1.89) == (20, 10)
-    assert search_reach(wide, pairs, 1.99, 1.0, None) == (20, 10)
+def reach(cube, pairs, radius, fwhm, max_speed):
+    plan = SimpleNamespace(pairs=pairs, radius=radius, fwhm=fwhm, max_speed=max_speed)
+    return search_reach(cube, plan)
 
 
 def test_windows_end_with_the_image_and_warn():
@@ -204,20 +166,20 @@ def test_windows_end_with_the_image_and_warn():
         "intervals$"
     )
     with pytest.warns(MeasurementWarning, match=message):
-        assert search_reach(cube, pairs, 1.5, 1.0, 10.0) == (39, 59)
+        assert reach(cube, pairs, 1.5, 1.0, 10.0) == (39, 59)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        search_reach(cube, pairs, 1.5, 1.0, 2.85)
-        assert search_reach(cube, pairs, 9.0, 1.0, None) == (39, 59)
+        reach(cube, pairs, 1.5, 1.0, 2.85)
+        assert reach(cube, pairs, 9.0, 1.0, None) == (39, 59)
 
 
 def test_speeds_far_beyond_the_image_or_below_any_motion_are_refused():
     cube = cube_of((0, YEAR), shape=(40, 60))
     pairs = pairs_of_dates(cube, None)
     with pytest.raises(ValueError, match=r"max_speed moves 1e\+09 mas in the shortest"):
-        search_reach(cube, pairs, 1.5, 1.0, 1e9)
+        reach(cube, pairs, 1.5, 1.0, 1e9)
     with pytest.raises(ValueError, match=r"1e-09 mas .* less than 0.01 of a pixel: gi"):
-        search_reach(cube, pairs, 1.5, 1.0, 1e-9)
+        reach(cube, pairs, 1.5, 1.0, 1e-9)
 
 
 def test_the_grid_is_half_the_narrowest_kernel(matched, sky_result):
@@ -281,12 +243,6 @@ def test_ssps_are_inside_if_their_centroid_is(matched):
     assert not centroids_inside(ssps, cube, empty).any()
 
 
-def test_a_region_without_a_pixel_is_refused(matched):
-    cube = matched.cube
-    with pytest.raises(ValueError, match="holds no pixel"):
-        centroids_inside(matched.ssps, cube, np.zeros(cube.shape[1:], bool))
-
-
 def ssps_at(cube, x, y, flux):
     ssps = SimpleNamespace(x=np.array(x), y=np.array(y), flux=np.array(flux))
     return SimpleNamespace(cube=cube, ssps=ssps, select=np.ones(len(ssps.x), bool))
@@ -301,15 +257,3 @@ def test_the_jet_flows_to_where_its_flux_is(dx, dy, angle):
     x0, y0 = cube.wcs.wcs.crpix - 1
     direction = flow_direction(ssps_at(cube, [x0 + dx], [y0 + dy], [1.0]))
     assert direction.to_value(u.deg) == pytest.approx(angle)
-
-
-def test_flux_weighs_and_only_what_is_selected_counts():
-    cube = cube_of()
-    x0, y0 = cube.wcs.wcs.crpix - 1
-    two = ssps_at(cube, [x0 - 5, x0], [y0, y0 + 5], [3.0, 1.0])
-    expected = np.degrees(np.arctan2(3, 1))
-    assert flow_direction(two).value == pytest.approx(expected)
-    two.select[1] = False
-    assert flow_direction(two).value == pytest.approx(90)
-    two.select[:] = False
-    assert flow_direction(two) == 0 * u.deg

@@ -12,12 +12,10 @@ from astropy.io.votable import parse, validate
 from astropy.io.votable.ucd import check_ucd
 from astropy.table import QTable, vstack
 
-from astro_scc import columns
+from astro_scc.columns import column_of, columns_of
 from astro_scc.epochs import EpochCube
-from astro_scc.features import tables as feature_tables
 from astro_scc.kinematics.cosmology import table_in_c_as
 from astro_scc.measurement import tables
-from astro_scc.measurement.feature_tables import SSP_COLUMNS
 from astro_scc.measurement.publication import ONE_PAGE, latex_text_of, write_publication
 
 NAMES = ("components", "features", "positions")
@@ -129,12 +127,12 @@ def test_a_votable_says_of_what_it_is(folder, name, capsys):
 
 
 def test_ucds_are_of_the_vocabulary():
-    every = {**tables.COLUMNS, **feature_tables.COLUMNS, **feature_tables.POSITIONS}
-    for name in (*every, *SSP_COLUMNS, "beta_app", "beta_app_err", "p_fdr", "r_mid"):
-        ucd = columns.column_ucd(name)
-        assert check_ucd(ucd, check_controlled_vocabulary=True), name
-        assert ucd.startswith("stat.error;") == ("_err" in name)
-    assert columns.column_ucd("unheard_of") is None
+    for own in ("components", "features", "positions", "ssps", "added"):
+        for name in columns_of(own):
+            ucd = column_of(name).ucd
+            assert check_ucd(ucd, check_controlled_vocabulary=True), name
+            assert ucd.startswith("stat.error;") == ("_err" in name)
+    assert column_of("unheard_of").ucd == ""
 
 
 def test_every_column_is_described(sky_result):

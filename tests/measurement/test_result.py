@@ -1,8 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The vectors, kinds, maps and members of a measurement."""
 
-from dataclasses import replace
-
 import astropy.units as u
 import numpy as np
 import pytest
@@ -13,7 +11,7 @@ from hypothesis import strategies as st
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
+from astro_scc.kinematics import SkyFrame
 from astro_scc.measurement.tables import velocity_columns
 
 PM = u.mas / u.yr
@@ -63,102 +61,7 @@ def test_on_the_sky_frame(east, north, err1, err2, correlation, pa):
         assert row["pm_pa_err"] == pytest.approx(min(np.degrees(sigma), 180.0))
 
 
-@given(speeds, speeds, errors, errors, correlations, angles, angles)
-def test_whatever_the_frame_the_vector_is_the_same(
-    east, north, err1, err2, correlation, pa, jet
-):
-    covariance = covariance_of(err1, err2, correlation)
-    sky = np.array([east, north])
-    frame = PositionAngleFrame(pa * u.deg)
-    turn = frame.matrix()
-    here = velocity_columns(sky, covariance, SkyFrame(), jet * u.deg)
-    there = velocity_columns(turn @ sky, turn @ covariance @ turn.T, frame, jet * u.deg)
-    assert here.keys() == there.keys()
-    for name in here.keys() - {"pm_pa", "pm_pa_err", "pm_err"}:
-        assert there[name] == pytest.approx(here[name], rel=1e-6, abs=1e-7)
-    if here["pm"] > 1e-3:
-        assert there["pm_err"] == pytest.approx(here["pm_err"], rel=1e-4)
-        assert there["pm_pa_err"] == pytest.approx(here["pm_pa_err"], rel=1e-4)
-        difference = (there["pm_pa"] - here["pm_pa"] + 180) % 360 - 180
-        assert difference == pytest.approx(0, abs=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("sky", "angle"), [((0, 1), 0), ((1, 0), 90), ((0, -1), 180), ((-1, 0), 270)]
-)
-def test_angles_run_from_north_through_east(sky, angle):
-    row = velocity_columns(
-        np.array(sky, float), np.eye(2) * 0.01, SkyFrame(), 0 * u.deg
-    )
-    assert row["pm_pa"] == pytest.approx(angle)
-    assert row["pm_pa_err"] == pytest.approx(np.degrees(0.1))
-
-
-def test_in_its_own_frame_a_jet_moves_along_itself():
-    frame = PositionAngleFrame(230 * u.deg)
-    covariance = covariance_of(0.1, 0.4, 0.5)
-    row = velocity_columns(np.array([3.0, 0.0]), covariance, frame, frame.pa)
-    assert row["pm_parallel"] == pytest.approx(3.0)
-    assert row["pm_transverse"] == pytest.approx(0.0)
-    assert row["pm_pa"] == pytest.approx(230)
-    assert row["pm_parallel_err"] == pytest.approx(0.1)
-    assert row["pm_err"] == pytest.approx(0.1)
-    assert row["pm_transverse_err"] == pytest.approx(0.4)
-    assert row["pm_pa_err"] == pytest.approx(np.degrees(0.4 / 3))
-
-
-def test_what_stands_still_has_any_direction():
-    row = velocity_columns(np.zeros(2), np.eye(2) * 0.04, SkyFrame(), 0 * u.deg)
-    assert row["pm"] == 0.0
-    assert row["pm_err"] == pytest.approx(0.2)
-    assert row["pm_pa_err"] == 180.0
-
-
-def test_away_from_a_point_there_is_no_direction_on_the_sky():
-    covariance = covariance_of(0.1, 0.2, 0.0)
-    row = velocity_columns(np.array([2.0, 0.0]), covariance, RadialFrame(), 30 * u.deg)
-    assert (row["pm_parallel"], row["pm_transverse"]) == (2.0, 0.0)
-    assert row["pm_parallel_err"] == pytest.approx(0.1)
-    assert row["pm"] == 2.0
-    assert row["pm_err"] == pytest.approx(0.1)
-    for name in ("pm_ra_cosdec", "pm_dec", "pm_pa"):
-        assert np.isnan(row[name])
-        assert np.isnan(row[f"{name}_err"])
-
-
-def test_errors_that_are_not_known_stay_so():
-    row = velocity_columns(
-        np.array([2.0, 1.0]), np.full((2, 2), np.nan), SkyFrame(), 0 * u.deg
-    )
-    assert row["pm"] == pytest.approx(np.sqrt(5))
-    for name in ("pm", "pm_pa", "pm_ra_cosdec", "pm_parallel"):
-        assert np.isnan(row[f"{name}_err"])
-
-
 # Frames, on images ---------------------------------------------------------------
-
-
-def test_the_same_matches_in_another_frame_give_the_same_velocity(sky_result, stacked):
-    """The direction of the flow that is found and the one that is given agree."""
-    turned = stacked(270 * u.deg)
-    assert turned.position_angle == 270 * u.deg
-    one, other = sky_result.components[0], turned.components[0]
-    for name in ("pm_ra_cosdec", "pm_dec"):
-        assert abs(one[name] - other[name]) < 0.2 * one[f"{name}_err"]
-        assert one[f"{name}_err"].value == pytest.approx(
-            other[f"{name}_err"].value, rel=0.2
-        )
-    assert other["pm_parallel"].value == pytest.approx(-other["pm_ra_cosdec"].value)
-    assert other["pm_transverse"].value == pytest.approx(other["pm_dec"].value)
-
-
-def test_about_the_core_and_along_the_ridge_line_it_is_as_fast(sky_result, stacked):
-    one = sky_result.components[0]
-    for frame in ("radial", "ridge", RadialFrame()):
-        other = stacked(frame).components[0]
-        assert other["kind"] == "moving"
-        assert abs(other["pm_parallel"] - one["pm"]) < 2 * one["pm_err"]
-        assert np.isnan(other["pm_dec"])
 
 
 def test_without_a_position_angle_parallel_is_along_the_flow(sky_result):
@@ -232,14 +135,6 @@ def test_the_papers_error_stands_beside_that_of_the_features(sky_result):
     assert sky_result.components["pm_err_jitter"][0] > 0 * PM
 
 
-def test_a_papers_error_that_is_not_known_is_nan(sky_result):
-    lost = replace(sky_result.jitters[0], covariance=np.full((2, 2), np.nan))
-    jitters = (lost, *sky_result.jitters[1:])
-    table = replace(sky_result, jitters=jitters).components
-    assert np.isnan(table["pm_err_jitter"][0])
-    assert np.isfinite(table["pm_err"]).all()
-
-
 def test_apparent_speeds_of_a_redshift(sky_result):
     table = sky_result.components_in_c(redshift=0.158, cosmology=PAPER)
     # 1 mas/yr is 10.20 c for 3C 273 (paper, Sect. 3).
@@ -250,13 +145,6 @@ def test_apparent_speeds_of_a_redshift(sky_result):
     assert table["beta_app"].info.description
     assert "beta_app" not in sky_result.components.colnames
     assert "cosmology" not in sky_result.components.meta
-
-
-def test_apparent_speeds_of_a_distance(sky_result):
-    table = sky_result.components_in_c(distance=16.7 * u.Mpc)
-    np.testing.assert_allclose(table["beta_app"], 0.264 * table["pm"].value, rtol=1e-2)
-    assert table.meta["distance"] == 16.7 * u.Mpc
-    assert "redshift" not in table.meta
 
 
 @pytest.mark.parametrize("how", [{}, {"cosmology": PAPER}])
@@ -346,28 +234,6 @@ def test_the_other_map_is_the_significance(sky_result):
     )
     with pytest.raises(ValueError, match="unknown map 'p': use 'coefficient' or"):
         sky_result.velocity_map("p")
-
-
-def test_axes_are_named_after_the_frame(stacked):
-    assert stacked(270 * u.deg).velocity_map().meta["axes"] == (
-        "parallel",
-        "transverse",
-    )
-
-
-def test_plot_is_a_figure_of_the_map(sky_result):
-    from matplotlib import pyplot as plt
-
-    figure = sky_result.plot()
-    assert len(figure.axes) >= 1
-    plt.close(figure)
-
-
-def test_matched_epochs_say_what_they_hold(matched):
-    assert repr(matched) == (
-        f"<MatchedEpochs: 8 epochs, {len(matched.ssps)} SSPs, "
-        f"{len(matched.matches)} matches>"
-    )
 
 
 @pytest.mark.parametrize("unknown", [np.inf, np.nan])

@@ -1,19 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Components of simulated jets, restrictions, and what few epochs cannot tell."""
 
-import re
-import warnings
 from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.stacking import _warn_of_limits
-from astro_scc.simulation import simulate_static, simulate_unrelated
-from astro_scc.stacking.velocities import baseline_pairs, consecutive_pairs
+from astro_scc.simulation import simulate_static
+from astro_scc.stacking.dispersion import Population
+from astro_scc.stacking.errors import velocity_of
+from astro_scc.stacking.features import Feature
+from astro_scc.stacking.significance import Stream
 
 PM = u.mas / u.yr
 #: Speed of the features of the jet, 0.6 beam of 1 mas in 30 days.
@@ -44,67 +46,6 @@ def test_a_stream_and_what_stands_still(sky_result):
     assert list(table["caution"]) == ["-", "-"]
 
 
-def test_the_probability_is_that_of_the_velocity_that_is_quoted(stacked):
-    found = stacked(270 * u.deg)
-    (stream, _), row = found.search.streams, found.components[0]
-    beam = 1.0
-    assert row["pm_parallel"].value == pytest.approx(stream.along.mean * beam)
-    permutations = found.search.permutations
-    local, everywhere = permutations.p_values(0, stream.along.mean)
-    assert (row["p_local"], row["p_global"]) == (local, everywhere)
-    # By counting: the observed order is one of those that are as likely.
-    z = np.interp(stream.along.mean, permutations.speed, permutations.z[0])
-    largest = permutations.permuted.max(axis=(1, 2))
-    assert everywhere == (np.sum(largest >= z) + 1) / (len(largest) + 1)
-    assert row["p_distinct"] == everywhere
-
-
-def test_another_alpha_is_another_kind_of_the_same_numbers(sky_result, stacked):
-    smallest = sky_result.components["p_global"][0]
-    with pytest.warns(MeasurementWarning, match="no stream can reach level 0.01"):
-        strict = stacked(alpha=0.01).components
-    one, other = strict[0], sky_result.components[0]
-    assert one["kind"] == "not significant"
-    least = one["p_smallest"]
-    assert one["caution"] == f"too few epochs or trials: no p_global below {least:.2g}"
-    assert one["p_global"] == smallest
-    assert one["pm"] == other["pm"]
-
-
-@pytest.mark.slow
-def test_outward_only(stacked):
-    """Towards the east everything moves inward."""
-    found = stacked(90 * u.deg)
-    assert found.components["kind"][0] == "moving"
-    assert found.components["pm_parallel"][0] < 0 * PM
-    outward = stacked(90 * u.deg, outward=True)
-    assert "moving" not in list(outward.components["kind"])
-    assert np.all(outward.search.permutations.speed > 0)
-    assert stacked(270 * u.deg, outward=True).components["kind"][0] == "moving"
-    # On the sky there is no outward.
-    assert stacked(outward=True).search.permutations.speed.min() < 0
-
-
-def test_no_speed_beyond_the_largest_is_searched(stacked):
-    for limit in (30.0, 10.0, 5.0):
-        found = stacked(270 * u.deg, max_speed=limit * PM)
-        speeds = found.search.permutations.speed
-        # The beam is 1 mas wide.
-        assert speeds.max() == pytest.approx(limit)
-        moving = limit > SPEED
-        assert ("moving" in found.components["kind"]) == moving
-
-
-def test_a_baseline_restricts_the_intervals(stacked, matched):
-    found = stacked(270 * u.deg, baseline=[50, 100] * u.day)
-    years = matched.cube.years.value
-    pairs = baseline_pairs(years, 50 / 365.25, 100 / 365.25)
-    np.testing.assert_array_equal(found.pairs.first, pairs.first)
-    np.testing.assert_array_equal(found.pairs.second, pairs.second)
-    interval = found.search.diagram.interval * 365.25
-    assert 50 <= interval.min() < interval.max() <= 100
-
-
 def test_without_a_baseline_the_map_has_intervals_that_suit_the_speed(stacked, matched):
     """Those in which it moves 0.2 to 1 beam, here one interval: 0.6 beam."""
     found = stacked(270 * u.deg)
@@ -113,22 +54,6 @@ def test_without_a_baseline_the_map_has_intervals_that_suit_the_speed(stacked, m
     assert len(found.pairs) == 7
     # But the diagram holds all of them.
     assert found.search.diagram.n_pairs.sum() == 28
-
-
-def test_where_nothing_moves_the_map_has_the_papers_pairs(still):
-    with pytest.warns(MeasurementWarning, match="4 epochs allow no p_global"):
-        found = scc().stack(still, n_trials=100, rng=1)
-    expected = consecutive_pairs(still.cube.years.value)
-    np.testing.assert_array_equal(found.pairs.second, expected.second)
-
-
-def test_a_map_reaches_beyond_what_moves(stacked, sky_result):
-    assert sky_result.grid.v_max == (30.0, 30.0)
-    free = stacked(max_speed=None)
-    for found in (sky_result, free):
-        assert found.components["pm"][0].value == pytest.approx(SPEED, rel=0.1)
-        assert 0 <= found.maxima[0].row < found.grid.shape[0]
-    assert free.grid.v_max[0] == pytest.approx(3 * free.components["pm"][0].value)
 
 
 # What few epochs, trials or SSPs cannot tell ---------------------------------------
@@ -169,29 +94,6 @@ def test_a_level_that_can_be_reached_is_not_warned_of(still, matched):
     found = scc().stack(matched, n_trials=19, rng=1)
     assert np.all(found.components["p_smallest"] <= 0.05)
     scc(alpha=0.09).stack(still, n_trials=20, rng=1)
-
-
-@pytest.mark.parametrize("level", [0.05, 0.01, 0.07, 1 / 3, 1e-4, 1 / 49])
-def test_the_advice_is_enough_and_not_too_much(level):
-    def said(n_trials):
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            _warn_of_limits(1 / (n_trials + 1), 99, n_trials, level)
-        return " ".join(str(w.message) for w in caught)
-
-    enough = int(re.search(r"n_trials of (\d+)", said(1)).group(1))
-    assert said(enough) == ""
-    assert enough < 4 or said(enough - 3)
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.slow
-def test_jets_without_common_speeds_do_not_move(seed):
-    cube = simulate_unrelated(n_epochs=6, rng=seed).cube
-    table = scc()(cube, n_trials=50, rng=1).components
-    assert table["kind"][0] == "not significant"
-    assert table["caution"][0].startswith("permuted epochs give as strong a peak")
-    assert "moving" not in list(table["kind"])
 
 
 def chosen(ssps, which):
@@ -243,3 +145,74 @@ def test_two_epochs_have_a_speed_without_an_error(matched):
     assert table["p_smallest"][0] == table["p_global"][0] == 1
     assert np.isfinite(table["pm"]).all()
     assert np.isnan(table["pm_err"]).all()
+
+
+DAYS, PIXEL = 30.0, 0.1
+
+
+def feature(ssp, speed, error):
+    """SSPs of the three epochs on a line."""
+    return Feature(
+        ssp=np.array(ssp), speed=speed, error=error, across=0.0, across_error=error,
+        place=0.0, motion=2 * speed, response=np.array([-0.5, 0.0, 0.5]),
+    )  # fmt: skip
+
+
+def stream_of(*features, angle=np.pi / 6, dispersion=0.0):
+    return Stream(
+        kind="moving", reason="", angle=angle,
+        along=Population(2.0, 0.1, dispersion, 0.04),
+        across=Population(0.5, 0.2, 0.0, 0.0), features=features,
+    )  # fmt: skip
+
+
+def test_a_velocity_on_the_axes_of_the_frame_by_hand():
+    """2 beams of 0.5 mas along 30 deg and 0.5 of 0.25 mas across it."""
+    found = velocity_of(stream_of(), [0.5, 0.25], np.zeros((3, 2)), np.arange(3))
+    cos, sin = np.sqrt(0.75), 0.5
+    np.testing.assert_allclose(
+        found.value, [cos * 1.0 - sin * 0.125, sin * 1.0 + cos * 0.125]
+    )
+    # Errors of 0.05 mas/yr on both of its axes: a circle is one on any axes.
+    np.testing.assert_allclose(found.features, 0.05**2 * np.eye(2), atol=1e-15)
+    np.testing.assert_array_equal(found.alignment, np.zeros((2, 2)))
+    assert found.dispersion == 0.0
+    assert found.dispersion_error == pytest.approx(0.04 * 0.5)
+
+
+@given(
+    st.floats(-np.pi / 2, np.pi / 2), st.floats(0.1, 3), st.floats(0.1, 3),
+)  # fmt: skip
+def test_its_covariance_turns_with_it(angle, major, minor):
+    stream = stream_of(angle=angle)
+    found = velocity_of(stream, [major, minor], np.zeros((3, 2)), np.arange(3))
+    along = np.array([np.cos(angle), np.sin(angle)])
+    across = np.array([-np.sin(angle), np.cos(angle)])
+    assert along @ found.features @ along == pytest.approx((0.1 * major) ** 2)
+    assert across @ found.features @ across == pytest.approx((0.2 * minor) ** 2)
+    assert along @ found.features @ across == pytest.approx(0, abs=1e-9)
+    assert along @ found.value == pytest.approx(2.0 * major)
+    assert across @ found.value == pytest.approx(0.5 * minor)
+
+
+def test_epochs_that_are_misaligned_move_all_features_together():
+    """A slope over 0, 1 and 2 yr is half the last position less the first."""
+    epoch = np.array([0, 1, 2, 0, 1, 2])
+    misaligned = np.array([[0.1, 0.2], [5.0, 5.0], [0.3, 0.2]])
+    expected = np.diag([0.25 * (0.1**2 + 0.3**2), 0.25 * (0.2**2 + 0.2**2)])
+    one = stream_of(feature([0, 1, 2], 2.0, 0.1))
+    two = stream_of(feature([0, 1, 2], 2.0, 0.1), feature([3, 4, 5], 2.1, 0.4))
+    for stream in (one, two):
+        found = velocity_of(stream, [0.5, 0.25], misaligned, epoch)
+        # Averages over features do not make it smaller.
+        np.testing.assert_allclose(found.alignment, expected)
+        np.testing.assert_allclose(found.covariance, found.features + expected)
+
+
+def test_a_stream_without_features_has_a_speed_and_no_error():
+    unknown = Population(0.0, *[np.nan] * 3)
+    stream = Stream("not significant", "", 0.0, Population(1.0, *[np.nan] * 3), unknown)
+    found = velocity_of(stream, [0.5, 0.5], np.ones((3, 2)), np.arange(3))
+    np.testing.assert_array_equal(found.value, [0.5, 0.0])
+    assert np.isnan(found.covariance).all()
+    assert np.isnan(found.dispersion)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.components.restoring import correlated_noise
 from astro_scc.epochs import Beam
-from astro_scc.epochs.restoring import correlated_noise
 
 #: Uneven, 20 to 45 days apart.
 DATES = [
@@ -14,34 +14,17 @@ DATES = [
 PIXEL = 0.1 * u.mas
 
 
-def _noise_cube(*, shape=(48, 96), beams=None, dates=DATES, **options):
-    """Epochs of nothing but noise."""
-    beam = Beam(1 * u.mas, 1 * u.mas)
-    rng = np.random.default_rng(1)
-    images = [
-        correlated_noise(shape, rms=0.01, beam=beam, pixel_scale=PIXEL, rng=rng)
-        for _ in dates
-    ]
-    return EpochCube.from_arrays(
-        np.array(images),
-        dates,
-        pixel_scale=PIXEL,
-        unit=u.Jy / u.beam,
-        beams=beam if beams is None else beams or None,
-        **options,
-    )
-
-
-@pytest.fixture(scope="session")
-def noise_cube():
-    """Make epochs of nothing but noise."""
-    return _noise_cube
-
-
 @pytest.fixture(scope="session")
 def sky():
-    """Six epochs of noise."""
-    return _noise_cube()
+    """Six epochs of nothing but noise."""
+    beam, rng = Beam(1 * u.mas, 1 * u.mas), np.random.default_rng(1)
+    images = [
+        correlated_noise((48, 96), rms=0.01, beam=beam, pixel_scale=PIXEL, rng=rng)
+        for _ in DATES
+    ]
+    return EpochCube.from_arrays(
+        np.array(images), DATES, pixel_scale=PIXEL, unit=u.Jy / u.beam, beams=beam
+    )
 
 
 @pytest.fixture(scope="session")

@@ -3,17 +3,19 @@
 
 import warnings
 from dataclasses import replace
-from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import QTable
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import beta
 
-from astro_scc.epochs import Beam
+from astro_scc.columns import Column
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.kinematics import RidgeLine
 from astro_scc.recovery import completeness, draw_paths, inject
-from astro_scc.recovery.completeness import _peaks, run_all
+from astro_scc.recovery.completeness import epochs_needed, run_all, share, smallest_p
 from astro_scc.recovery.injection import area_for_features
 
 PM = u.mas / u.yr
@@ -40,19 +42,6 @@ def test_a_strong_stream_is_found_and_one_below_the_noise_is_not(table):
     assert not table["own"].any()
 
 
-def test_fluxes_are_multiples_of_the_noise_or_have_a_unit(table, sky):
-    noise = np.median(sky.noise_rms())
-    assert table["snr"].tolist() == pytest.approx([0.5, 100])
-    assert u.isclose(table["flux"][1], 100 * noise)
-    assert noise.value == pytest.approx(0.01, rel=0.3)
-    for flux in (
-        noise * 100,
-        (noise * 100).to(u.mJy / u.beam),
-        noise.value * 100e3 * u.mJy,
-    ):
-        assert _peaks(flux, sky.unit, 1.0) == pytest.approx([100 * noise.value])
-
-
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_table_whatever_the_workers(sky, settings):
     how = {**QUICK, "speeds": FAST, "fluxes": 20.0, "n_trials": 20}
@@ -63,17 +52,6 @@ def test_the_same_seed_gives_the_same_table_whatever_the_workers(sky, settings):
         np.testing.assert_array_equal(np.ma.getmaskarray(a), np.ma.getmaskarray(b))
         np.testing.assert_array_equal(a.data, b.data)
     assert one.meta["seed"] == 1
-
-
-def test_the_table_survives_a_file(table, tmp_path):
-    table.write(tmp_path / "table.ecsv")
-    read = QTable.read(tmp_path / "table.ecsv")
-    assert read.colnames == table.colnames
-    assert read["bias"].unit == PM
-    assert read["bias"].mask.tolist() == [True, False]
-    assert read.meta["settings"]["scales"] == [2.0]
-    assert read.meta["tolerance"] == table.meta["tolerance"]
-    assert read["fraction"].info.description == table["fraction"].info.description
 
 
 @pytest.mark.slow
@@ -108,36 +86,6 @@ def test_features_are_put_where_the_epochs_have_ssps(sky, settings):
     assert area_for_features(settings.match(sky), None).all()
 
 
-@pytest.mark.slow
-def test_masked_pixels_uneven_dates_and_changing_beams(noise_cube, settings):
-    beams = [
-        Beam((1.1 + 0.05 * k) * u.mas, 0.9 * u.mas, 30 * k * u.deg) for k in range(6)
-    ]
-    mask = np.zeros((6, 48, 96), dtype=bool)
-    mask[2:4, :, 40:55] = True
-    cube = noise_cube(beams=beams, mask=mask)
-    region = np.zeros((48, 96), dtype=bool)
-    region[8:40, 5:91] = True
-    as_they_are = replace(settings, common_beam=False)
-    table = completeness(
-        cube, as_they_are, speeds=FAST, fluxes=100.0, region=region, **QUICK
-    )
-    assert table["n_found"][0] == 2
-
-
-@pytest.mark.slow
-def test_radial_motion_of_a_cube_without_beams(noise_cube, settings):
-    cube = noise_cube(beams=(), shape=(80, 80))
-    radial = replace(settings, position_angle="radial")
-    table = completeness(
-        cube, radial, speeds=6 * PM, fluxes=100.0, fwhm=1 * u.mas,
-        **{**QUICK, "n_features": 12},
-    )  # fmt: skip
-    assert table["n_found"][0] == 2
-    median = np.median(np.diff(cube.years))
-    assert u.isclose(table.meta["tolerance"], 0.2 * u.mas / median)
-
-
 def test_warnings_are_not_repeated_and_generators_are_those_of_each_cell():
     def work(cell, rng):
         warnings.warn("the data do not support this", MeasurementWarning, stacklevel=2)
@@ -150,110 +98,129 @@ def test_warnings_are_not_repeated_and_generators_are_those_of_each_cell():
     assert len({number for found in one for _, number in found}) == 4
 
 
-def test_work_needs_a_worker():
-    with pytest.raises(ValueError, match="n_workers must be at least 1, got 0"):
-        run_all(abs, [1], 1, np.random.default_rng(1), n_workers=0)
-
-
-class TestMessages:
-    @pytest.mark.parametrize(
-        ("changes", "message"),
-        [
-            ({"speeds": 0 * PM}, "speeds = 0.0 mas / yr must be positive and finite"),
-            ({"speeds": [] * PM}, "speeds = .* must be positive and finite, with a"),
-            ({"speeds": 30 * PM}, "speed 30 mas/yr is beyond .* 24 mas/yr: give"),
-            ({"fluxes": -1.0}, "fluxes must be one or more numbers from 0"),
-            ({"fluxes": []}, "fluxes must be one or more numbers from 0"),
-            ({"n_injections": 0}, "n_injections must be at least 1, got 0"),
-            ({"n_features": 0}, "n_features must be at least 1, got 0"),
-            ({"scatter": -1}, "scatter must be zero or positive, got -1"),
-            ({"n_trials": 1}, "n_trials must be at least 2, got 1"),
-            ({"n_trials": 18}, "18 trials allow no p_global below 0.053, so nothing"),
-            ({"fwhm": 0 * u.mas}, "fwhm = 0.0 mas must be finite and above 0"),
-            ({"tolerance": -1 * PM}, "tolerance = -1.0 mas / yr must be finite and"),
-            ({"position_angle": "radial"}, "either both are 'radial', or none"),
-        ],
+def run(cube, settings, **changes):
+    return completeness(
+        cube, settings, **{"speeds": FAST, "fluxes": 5.0, **QUICK, **changes}
     )
-    def test_arguments(self, sky, settings, changes, message):
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"speeds": 0 * PM}, "speeds = 0.0 mas / yr must be positive and finite"),
+        ({"speeds": [] * PM}, "speeds = .* must be positive and finite, with a"),
+        ({"speeds": 30 * PM}, "speed 30 mas/yr is beyond .* 24 mas/yr: give"),
+        ({"fluxes": -1.0}, "fluxes must be one or more numbers from 0"),
+        ({"fluxes": []}, "fluxes must be one or more numbers from 0"),
+        ({"n_injections": 0}, "n_injections must be at least 1, got 0"),
+        ({"n_features": 0}, "n_features must be at least 1, got 0"),
+        ({"n_workers": 0}, "n_workers must be at least 1, got 0"),
+        ({"scatter": -1}, "scatter must be zero or positive, got -1"),
+        ({"n_trials": 1}, "n_trials must be at least 2, got 1"),
+        ({"n_trials": 18}, "18 trials allow no p_global below 0.053, so nothing"),
+        ({"fwhm": 0 * u.mas}, "fwhm = 0.0 mas must be finite and above 0"),
+        ({"tolerance": -1 * PM}, "tolerance = -1.0 mas / yr must be finite and"),
+        ({"position_angle": "radial"}, "either both are 'radial', or none"),
+    ],
+)
+def test_arguments_that_are_refused(sky, settings, changes, message):
+    with pytest.raises(ValueError, match=message):
+        run(sky, settings, **changes)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("speeds", u.mas), ("fluxes", u.K), ("fwhm", u.s), ("tolerance", u.s),
+     ("position_angle", u.s)],
+)  # fmt: skip
+def test_units_that_are_refused(sky, settings, name, unit):
+    with pytest.raises(u.UnitConversionError, match=f"{name} = .* must be"):
+        run(sky, settings, **{name: 1 * unit})
+
+
+CORNER = np.zeros((48, 96), dtype=bool)
+CORNER[:20, :20] = True
+
+
+@pytest.mark.parametrize(
+    ("cube", "changes", "message"),
+    [
+        (lambda sky: sky[:2], {}, "2 epochs allow no .* 5 epochs or more are needed"),
+        (lambda sky: sky[:4], {}, "4 epochs allow no .* 5 epochs or more are needed"),
+        (lambda sky: replace(sky, beams=None), {}, "has no beams: give fwhm"),
+        (
+            lambda sky: replace(sky, noise=np.zeros(6) * sky.unit),
+            {},
+            "multiples of the noise need epochs with",
+        ),
+        (
+            lambda sky: replace(sky, mask=np.broadcast_to(CORNER, sky.shape)),
+            {"region": CORNER},
+            "region holds masked pixels only",
+        ),
+    ],
+)
+def test_epochs_that_are_refused(sky, settings, cube, changes, message):
+    with pytest.raises(ValueError, match=message):
+        run(cube(sky), settings, **changes)
+
+
+def test_axes_without_a_direction_are_refused(sky, settings):
+    for axes, message in (
+        (None, "position_angle is missing: give the"),
+        (RidgeLine([0, -5] * u.mas, [0, 0] * u.mas), "or 'radial', not .*: give"),
+    ):
         with pytest.raises(ValueError, match=message):
-            completeness(
-                sky, settings, **{"speeds": FAST, "fluxes": 5.0, **QUICK, **changes}
-            )
+            run(sky, replace(settings, position_angle=axes))
 
-    @pytest.mark.parametrize(
-        "changes",
-        [
-            {"speeds": 1 * u.mas},
-            {"fluxes": 1 * u.K},
-            {"fwhm": 1 * u.s},
-            {"tolerance": 1 * u.s},
-            {"position_angle": 1 * u.s},
-        ],
-    )
-    def test_units(self, sky, settings, changes):
-        (name,) = changes
-        with pytest.raises(u.UnitConversionError, match=f"{name} = .* must be"):
-            completeness(
-                sky, settings, **{"speeds": FAST, "fluxes": 5.0, **QUICK, **changes}
-            )
 
-    @pytest.mark.parametrize("n", [2, 4])
-    def test_few_epochs(self, sky, settings, n):
-        with pytest.raises(
-            ValueError,
-            match=rf"{n} epochs allow no p_global below .* 5 epochs or more are needed",
-        ):
-            completeness(sky[:n], settings, speeds=FAST, fluxes=5.0, **QUICK)
+def test_the_largest_speed_is_that_of_the_axes_that_are_searched(sky, settings):
+    bare = replace(settings, position_angle=None)
+    diagonal = {"position_angle": 45 * u.deg, "n_injections": 1, "fluxes": 0.1}
+    # All directions are searched, each to the largest speed.
+    with pytest.raises(ValueError, match="speed 25 mas/yr is beyond the largest"):
+        run(sky, bare, speeds=25 * PM, **diagonal)
+    assert run(sky, bare, speeds=24 * PM, **diagonal)["n_found"][0] == 0
+    # Along the one that is given it is slower.
+    diagonal["position_angle"] = 250 * u.deg
+    assert run(sky, settings, speeds=25 * PM, **diagonal)["n_found"][0] == 0
 
-    def test_no_beam(self, noise_cube, settings):
-        with pytest.raises(ValueError, match="has no beams: give fwhm"):
-            completeness(
-                noise_cube(beams=()), settings, speeds=FAST, fluxes=5.0, **QUICK
-            )
 
-    def test_no_direction(self, sky, settings):
-        bare = replace(settings, position_angle=None)
-        with pytest.raises(ValueError, match="position_angle is missing: give the"):
-            completeness(sky, bare, speeds=FAST, fluxes=5.0, **QUICK)
-        diagonal = {**QUICK, "position_angle": 45 * u.deg, "n_injections": 1}
-        # All directions are searched, each to the largest speed.
-        with pytest.raises(ValueError, match="speed 25 mas/yr is beyond the largest"):
-            completeness(sky, bare, speeds=25 * PM, fluxes=0.1, **diagonal)
-        table = completeness(sky, bare, speeds=24 * PM, fluxes=0.1, **diagonal)
-        assert table["n_found"][0] == 0
-        # Along the one that is given it is slower.
-        table = completeness(sky, settings, speeds=25 * PM, fluxes=0.1,
-                             **{**diagonal, "position_angle": 250 * u.deg})  # fmt: skip
-        assert table["n_found"][0] == 0
+def test_without_noise_there_is_no_ratio_to_it(sky, settings):
+    clean = replace(sky, noise=np.zeros(6) * sky.unit)
+    assert run(clean, settings, n_injections=1, fluxes=1e-9 * u.Jy)["snr"].mask.all()
 
-    def test_axes_without_a_direction(self, sky, settings):
-        class Bent:
-            """Axes along a line that bends."""
 
-            def __repr__(self):
-                return "Bent()"
+@pytest.mark.parametrize(
+    ("n_epochs", "p"), [(2, 1.0), (3, 1 / 3), (4, 1 / 12), (5, 1 / 60), (400, 0.0)]
+)
+def test_the_smallest_p_is_that_of_the_permutations(n_epochs, p):
+    assert smallest_p(n_epochs) == pytest.approx(p, abs=1e-12)
 
-        bent = SimpleNamespace(
-            **{**settings.to_dict(), "position_angle": Bent()},
-            date_pairs=settings.date_pairs,
-        )
-        with pytest.raises(ValueError, match=r"or 'radial', not Bent\(\): give"):
-            completeness(sky, bent, speeds=FAST, fluxes=5.0, **QUICK)
 
-    def test_no_noise(self, sky, settings):
-        clean = replace(sky, noise=np.zeros(6) * sky.unit)
-        with pytest.raises(ValueError, match="multiples of the noise need epochs with"):
-            completeness(clean, settings, speeds=FAST, fluxes=5.0, **QUICK)
-        how = {**QUICK, "n_injections": 1, "fluxes": 1e-9 * u.Jy}
-        table = completeness(clean, settings, speeds=FAST, **how)
-        assert table["snr"].mask.all()
+@given(level=st.floats(1e-9, 0.9))
+def test_as_many_epochs_as_a_level_needs(level):
+    n = epochs_needed(level)
+    assert smallest_p(n) <= level
+    assert n == 2 or smallest_p(n - 1) > level
 
-    def test_a_region_without_pixels(self, noise_cube, settings):
-        mask = np.zeros((6, 48, 96), dtype=bool)
-        mask[:, :20, :20] = True
-        region = mask[0].copy()
-        with pytest.raises(ValueError, match="region holds masked pixels only"):
-            completeness(
-                noise_cube(mask=mask), settings, speeds=FAST, fluxes=5.0, region=region,
-                **QUICK,
-            )  # fmt: skip
+
+@given(of=st.integers(1, 200), part=st.floats(0, 1))
+def test_intervals_are_those_of_jeffreys(of, part):
+    number = round(part * of)
+    fraction, low, high = share(number, of)
+    assert fraction == number / of
+    assert 0 <= low <= fraction <= high <= 1
+    own = beta(number + 0.5, of - number + 0.5)
+    if 0 < number < of:
+        np.testing.assert_allclose([low, high], own.ppf([0.025, 0.975]))
+
+
+def test_what_is_not_known_is_masked():
+    known, some = (Column(u.mas).values(v) for v in ([1.0, 2.0], [None, 2.0]))
+    number = Column().values([1, None])
+    assert isinstance(known, u.Quantity)
+    assert not hasattr(known, "mask")
+    assert some.mask.tolist() == [True, False]
+    assert some.unit == u.mas
+    assert number.mask.tolist() == [False, True]

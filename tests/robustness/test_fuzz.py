@@ -8,12 +8,9 @@ import time
 
 import numpy as np
 import pytest
-from astropy.time import Time
 
-from astro_scc.cli.inputs import select_epochs
+from astro_scc.alignment.align import offsets_from_table
 from astro_scc.epochs import EpochCube, read_components
-from astro_scc.epochs.alignment import offsets_from_table
-from astro_scc.settings import Settings, read_config
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="limits of time and memory are of Linux"
@@ -35,16 +32,6 @@ def test_damaged_files_are_read_or_refused(fuzz):
     # The damage is neither harmless nor the end of everything.
     whole = counts.total()
     assert 0.05 * whole < sum(n for (_, what), n in counts.items() if what == "read")
-
-
-def test_damage_is_the_same_again(fuzz):
-    content = b"SIMPLE  =                    T" + b" " * 2850
-    one, other = (fuzz.damage(content, np.random.default_rng([1, 2])) for _ in "ab")
-    assert one == other
-    for k in range(300):
-        # Whatever is left of a file can be damaged further.
-        fuzz.damage(b"a = 1", np.random.default_rng(k))
-        fuzz.damage(content, np.random.default_rng(k))
 
 
 def test_what_is_wrong_is_seen(fuzz, tmp_path, monkeypatch):
@@ -81,11 +68,7 @@ def test_a_header_of_ecsv_without_names(tmp_path):
     [
         (b"NAXIS1  ", b"NOXIS1  ", "cc.fits: not a readable FITS file: "),
         (b"AIPS CC", b"AIPS \xffC", "cc.fits: no AIPS CC table in the file"),
-        (
-            b"'2001-01-01'",
-            b"'2001-01-01 ",
-            "cc.fits: no DATE-OBS in the header",
-        ),
+        (b"'2001-01-01'", b"'2001-01-01 ", "cc.fits: no DATE-OBS in the header"),
     ],
 )
 def test_broken_cards_of_clean_components(fuzz, tmp_path, old, new, message):
@@ -94,19 +77,6 @@ def test_broken_cards_of_clean_components(fuzz, tmp_path, old, new, message):
     path.write_bytes(content.replace(old, new))
     with pytest.raises((OSError, ValueError), match=message):
         read_components(path)
-
-
-def test_padding_of_clean_components_is_no_loss(fuzz, tmp_path):
-    path = tmp_path / "cc.fits"
-    path.write_bytes(fuzz.sources(tmp_path)["AIPS components"][1] + b"\0" * 100)
-    assert len(read_components(path).flux) == 2
-
-
-def test_a_date_for_which_no_leap_seconds_are_known(inputs, tmp_path):
-    paths = inputs.series(
-        tmp_path, lambda i: {"DATE_OBS": "2991-03-01"} if i == 2 else {}, n=3
-    )
-    assert EpochCube.read(paths).times[2].isot.startswith("2991-03-01T00:00")
 
 
 def test_axes_without_end_in_any_header(fuzz, inputs, tmp_path):
@@ -134,12 +104,6 @@ def test_a_region_without_end(fuzz, inputs, tmp_path):
         cube.region_mask(path)
 
 
-def test_a_far_date_of_components(fuzz, tmp_path):
-    path = tmp_path / "c.ecsv"
-    path.write_bytes(fuzz.COMPONENTS.replace(b"2002-01-01", b"2992-01-01"))
-    assert read_components(path).times[1].isot.startswith("2992-01-01")
-
-
 @pytest.mark.parametrize("column", ["position_angle", "major_fwhm", "axial_ratio"])
 @pytest.mark.parametrize("number", ["inf", "-inf", "1e999"])
 def test_infinite_numbers_of_components(fuzz, tmp_path, column, number):
@@ -152,19 +116,3 @@ def test_infinite_numbers_of_components(fuzz, tmp_path, column, number):
     path.write_text("\n".join(lines))
     with pytest.raises(ValueError, match=f"c.ecsv, row 2: {column} is infinite"):
         read_components(path)
-
-
-def test_epochs_before_a_far_date(inputs, tmp_path):
-    cube = EpochCube.read(inputs.series(tmp_path, n=2))
-    assert len(select_epochs(cube, before="2991-03-01")[0]) == 2
-    assert len(select_epochs(cube, "1021", "2991.5")[0]) == 2
-    path = tmp_path / "c.toml"
-    path.write_text("after = 2081-01-01\n")
-    assert Settings(**read_config(path)[0]).after == "2081-01-01"
-
-
-def test_a_far_date_of_offsets(fuzz, tmp_path):
-    path = tmp_path / "o.ecsv"
-    path.write_bytes(fuzz.OFFSETS.replace(b"2002-01-01", b"3002-01-09"))
-    times = Time(["2001-01-01", "3002-01-09"], scale="tai")
-    assert len(offsets_from_table(path, times, ["a", "b"])) == 2

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Files and options as archives and mistakes make them, see ``tools/inputs.py``."""
+"""Files, options and memory as they are in practice, see ``tools/inputs.py``."""
 
 import errno
 import io
@@ -9,10 +9,11 @@ import signal
 import sys
 
 import pytest
+from astropy.table import QTable
 
-from astro_scc import StackedCrossCorrelation
+from astro_scc.cli import main
 from astro_scc.epochs import EpochCube, read_components
-from astro_scc.epochs.fits import read_vlbi_fits
+from astro_scc.images.fits import read_vlbi_fits
 
 
 @pytest.mark.slow
@@ -33,17 +34,6 @@ def test_a_wrong_answer_would_be_seen(inputs):
     ]
 
 
-def test_scales_must_differ_as_numbers_and_as_angles(inputs, tmp_path):
-    import astropy.units as u
-
-    with pytest.raises(ValueError, match=r"scales = .* must differ: leave out"):
-        StackedCrossCorrelation(scales=[2, 2.0])
-    cube = EpochCube.read(inputs.series(tmp_path, n=2))
-    scc = StackedCrossCorrelation(scales=[0.39, 0.41] * u.mas)
-    with pytest.raises(ValueError, match=r"scales = .* must differ: leave out"):
-        scc.scale_numbers(cube)
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes")
 @pytest.mark.parametrize("read", [EpochCube.read, read_vlbi_fits, read_components])
 def test_nobody_waits_for_a_pipe(tmp_path, read):
@@ -54,27 +44,6 @@ def test_nobody_waits_for_a_pipe(tmp_path, read):
 
 
 # -- the folder of the products ----------------------------------------------------
-
-
-def test_a_folder_below_a_file(epochs, measure, tmp_path):
-    (tmp_path / "file").write_text("mine")
-    status, err = measure(*epochs, "-o", tmp_path / "file" / "out")
-    assert status == 2
-    assert err.startswith(f"astro-scc measure: error: {tmp_path}/file/out: cannot be ")
-    assert len(err.splitlines()) == 1
-
-
-@pytest.mark.skipif(
-    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere"
-)
-def test_a_folder_that_is_read_only(epochs, measure, tmp_path):  # pragma: no cover
-    folder = tmp_path / "locked"
-    folder.mkdir()
-    folder.chmod(0o500)
-    status, err = measure(*epochs, "-o", folder / "out")
-    assert (status, len(err.splitlines())) == (2, 1)
-    assert f"{folder}/out: cannot be made or used: Permission denied" in err
-    assert not list(folder.iterdir())
 
 
 def test_a_file_system_that_is_read_only(epochs, measure, tmp_path, monkeypatch):
@@ -109,22 +78,6 @@ def test_a_disk_that_is_full_in_the_middle(epochs, measure, tmp_path, limit):
     assert set(tmp_path.rglob("*")) == before
 
 
-def test_no_space_is_one_line_that_names_the_folder(epochs, measure, tmp_path):
-    out = tmp_path / "out"
-
-    def full(*args, **kwargs):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("astro_scc.measurement.products.velocity_hdus", full)
-        status, err = measure(*epochs, "-o", out)
-    assert status == 2
-    assert err.splitlines()[-1].startswith(
-        f"astro-scc measure: error: {out}: cannot be written: No space left on device;"
-    )
-    assert not out.exists()
-
-
 def test_output_that_nobody_can_print(inputs, epochs, tmp_path, monkeypatch):
     """Terminals without Unicode get the answer too."""
     text = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
@@ -135,3 +88,69 @@ def test_output_that_nobody_can_print(inputs, epochs, tmp_path, monkeypatch):
     assert main([*words, "--no-report"]) == 0
     text.flush()
     assert b"\\xf6" in text.buffer.getvalue()
+
+
+SKY = 'fk5\nbox(10d,0d,0.0036",0.0026",0)\n'
+
+
+@pytest.fixture
+def part(tmp_path):
+    path = tmp_path / "part.reg"
+    path.write_text("image\nbox(24,21,38,30,0)\n")
+    return path
+
+
+@pytest.mark.slow
+def test_a_part_is_measured(inputs, epochs, measure, part, tmp_path):
+    status, err = measure(*epochs, "-o", tmp_path / "out", "--crop", part)
+    assert (status, err.count("error")) == (0, 0)
+    table = QTable.read(tmp_path / "out" / "components.ecsv")
+    assert table["pm_ra_cosdec"][0].value == pytest.approx(-inputs.SPEED, abs=0.05)
+    assert table.meta["configuration"]["crop"] == str(part)
+    (line,) = (text for text in table.meta["history"] if "cropped" in text)
+    assert line == "cropped to pixels x 5 to 41, y 6 to 34"
+    # The settings do it again.
+    config = tmp_path / "out" / "config.toml"
+    assert main(["measure", "--config", str(config), "-o", str(tmp_path / "again"),
+                 "--no-report", "--quiet"]) == 0  # fmt: skip
+    same = [(tmp_path / name / "ssps.ecsv").read_bytes() for name in ("out", "again")]
+    assert same[0] == same[1]
+
+
+@pytest.mark.slow
+def test_regions_in_pixels_are_those_of_the_part(epochs, measure, part, tmp_path):
+    region = tmp_path / "jet.reg"
+    region.write_text("image\ncircle(20,20,9)\n")
+    words = [*epochs, "-o", tmp_path / "out", "--crop", part, "--region", region]
+    status, err = measure(*words)
+    assert status == 2
+    assert err.splitlines()[-1] == (
+        f"astro-scc measure: error: {region}: is in pixels, which are others in a part "
+        "of the images (crop); give it in celestial coordinates"
+    )
+    region.write_text(SKY)
+    assert measure(*words)[0] == 0
+
+
+def test_a_part_that_is_nowhere(epochs, measure, tmp_path):
+    part = tmp_path / "part.reg"
+    part.write_text("image\nbox(900,21,38,30,0)\n")
+    status, err = measure(*epochs, "-o", tmp_path / "out", "--crop", part)
+    assert (status, len(err.splitlines())) == (2, 1)
+    assert "part.reg: holds no pixel of the 48 x 40 image; check its coord" in err
+
+
+def test_more_than_the_machine_has(epochs, measure, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("astro_scc.epochs.reading.machine_memory", lambda: 1e4)
+    status, err = measure(*epochs, "-o", tmp_path / "out")
+    assert (status, len(err.splitlines())) == (2, 1)
+    assert err.startswith(
+        "astro-scc measure: error: 5 images of 48 x 40 pixels are 8.64e-05 GB, this "
+        "machine has 1e-05; read a region of them (region=, --crop)"
+    )
+    assert not (tmp_path / "out").exists()
+    # Each file by itself can be looked at.
+    assert main(["inspect", *map(str, epochs)]) == 0
+    out = capsys.readouterr().out
+    assert "as one series: 5 images of 48 x 40 pixels are 8.64e-05 GB" in out
+    assert EpochCube.read(epochs, region=(slice(5, 9), slice(5, 9))).shape == (5, 4, 4)

@@ -13,12 +13,10 @@ import numpy as np
 import pytest
 
 from astro_scc.cli import main
-from astro_scc.report.page import PRODUCTS
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "fork"), reason="the system has no processes of this kind"
 )
-TABLES = [name for name in PRODUCTS if name != "publication"]
 
 
 def start(argv, log):
@@ -105,18 +103,6 @@ def test_an_interrupt_leaves_nothing(usual, tmp_path, how, seed):
 
 
 @pytest.mark.slow
-def test_a_kill_leaves_nothing_that_looks_complete(usual, tmp_path):
-    ends, _ = check_interrupts(usual, tmp_path, signal.SIGKILL, 4, 3)
-    assert ends <= {0, -signal.SIGKILL}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_ten_moments(usual, tmp_path, how):
-    check_interrupts(usual, tmp_path, how, 10, 4)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("moment", range(4))
 def test_a_kill_while_products_are_moved(usual, tmp_path, monkeypatch, moment):
     """Into a folder that has some already, they go one by one."""
@@ -176,24 +162,6 @@ def test_workers_end_with_a_run_that_is_told_to(inputs, tmp_path, how):
     )
 
 
-@pytest.mark.slow
-def test_a_second_run_at_once_says_so(usual, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("astro_scc.writing.PATIENCE", 0.01)
-    argv, expected, _ = usual
-    out, log = tmp_path / "here" / "out", tmp_path / "log"
-    out.parent.mkdir()
-    child = start([*argv, str(out)], log)
-    limit = time.monotonic() + 60
-    while not list(out.parent.iterdir()) and time.monotonic() < limit:
-        time.sleep(0.001)
-    capsys.readouterr()
-    assert main([*argv, str(out)]) == 2
-    line = f"astro-scc measure: error: {out}: another run is at work for this folder;"
-    assert line in capsys.readouterr().err
-    assert os.waitpid(child, 0)[1] == 0
-    assert contents(out) == expected
-
-
 # -- with what is kept ----------------------------------------------------------------
 
 
@@ -214,25 +182,11 @@ def resumed(inputs, epochs):
     return ["measure", *map(str, epochs), *inputs.QUICK, "--no-report", "--resume"]
 
 
-def surveyed(epochs, folder, names):
-    text = '[defaults]\nscales = [1, 2]\nmax_speed = "5 mas/yr"\nn_trials = 2\n'
-    for name in names:
-        text += f'[sources.{name}]\nepochs = "{epochs[0].parent}/*.fits"\n'
-    (folder / "s.toml").write_text(text)
-    return ["survey", str(folder / "s.toml"), "--no-report"]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_what_is_kept_gives_the_same(interrupts, inputs, epochs, tmp_path, seed):
     words = resumed(inputs, epochs)
     check_trials(interrupts, words, tmp_path / "runs", number=1, seed=seed)
-
-
-@pytest.mark.slow
-def test_a_survey_that_is_stopped_gives_the_same(interrupts, epochs, tmp_path):
-    words = surveyed(epochs, tmp_path, ("One", "Two"))
-    check_trials(interrupts, words, tmp_path / "runs", number=1, seed=5)
 
 
 def test_what_a_stopped_run_has_left_is_seen(interrupts, tmp_path):
@@ -248,20 +202,3 @@ def test_what_a_stopped_run_has_left_is_seen(interrupts, tmp_path):
         "a hidden folder, all matches, 1 tables and maps"
     )
     assert interrupts.tables(out) == {"components.ecsv": b"a"}
-
-
-@pytest.mark.slow
-def test_a_kill_leaves_a_folder_that_the_next_run_takes_away(usual, tmp_path):
-    argv, expected, _ = usual
-    out, log = tmp_path / "here" / "out", tmp_path / "log"
-    out.parent.mkdir()
-    child = start([*argv, str(out)], log)
-    limit = time.monotonic() + 30
-    while not list(out.parent.iterdir()) and time.monotonic() < limit:
-        time.sleep(0.001)
-    assert stop(child, 0, signal.SIGKILL) == -signal.SIGKILL
-    (left,) = out.parent.iterdir()
-    assert left.name.startswith(".out.partial-")
-    assert main([*argv, str(out)]) == 0
-    assert [path.name for path in out.parent.iterdir()] == ["out"]
-    assert contents(out) == expected

@@ -10,7 +10,7 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs import Beam
 from astro_scc.simulation import (
     JetSimulation,
     Stream,
@@ -88,7 +88,7 @@ def test_like_the_jets_of_the_paper(shared_data, folder, options):
 
 def test_images_of_the_paper_from_their_truth(shared_data):
     """Our image of their features is their image, but for the noise."""
-    from astro_scc.epochs.restoring import add_gaussians
+    from astro_scc.components.restoring import add_gaussians
 
     folder = shared_data / "paper_test" / "two_fluid"
     paper = json.loads((folder / "truth.json").read_text())
@@ -112,61 +112,7 @@ def test_images_of_the_paper_from_their_truth(shared_data):
         assert np.abs(residual).max() < 0.01
 
 
-def test_speeds_may_be_proper_motions():
-    speed = 5 * 1.2175 * u.mas / u.yr
-    pixels = simulate_two_fluid(slow=5.0, n_epochs=3, rng=1)
-    angles = simulate_two_fluid(slow=speed, n_epochs=3, rng=1)
-    np.testing.assert_allclose(pixels.cube.data, angles.cube.data, atol=1e-12)
-    random = simulate_ballistic(dx=[0, 48.7] * u.mas / u.yr, n_epochs=3, rng=1)
-    same = simulate_ballistic(n_epochs=3, rng=1)
-    np.testing.assert_allclose(random.cube.data, same.cube.data, atol=1e-12)
-
-
 # Laws of motion ---------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_random_walk_of_the_jitter():
-    truth = simulate_two_fluid(rng=1, densities=(20, 20)).truth
-    slow = truth[truth["group"] == "slow"]
-    dx, dy = steps(slow), steps(slow, "y")
-    assert dx.mean() == pytest.approx(5, abs=0.1)
-    assert dx.std() == pytest.approx(2, rel=0.05)
-    assert dy.std() == pytest.approx(2, rel=0.05)
-    # It is not forgotten: the deviations of n steps add up.
-    ends = [
-        part["x"].value[-1] - part["x"].value[0]
-        for part in slow.group_by("feature").groups
-    ]
-    assert np.std(ends) == pytest.approx(2 * np.sqrt(9), rel=0.12)
-
-
-def test_random_velocities_are_new_every_epoch():
-    truth = simulate_random_velocity(rng=1).truth
-    dx = steps(truth).reshape(-1, 9)
-    assert dx.min() >= 0
-    assert dx.max() <= 40
-    assert np.all(np.abs(steps(truth, "y")) <= 5)
-    assert dx.std(axis=1).mean() > 9
-    assert abs(np.corrcoef(dx[:, 0], dx[:, 1])[0, 1]) < 0.3
-
-
-def test_ballistic_features_keep_their_own_velocity():
-    truth = simulate_ballistic(rng=1).truth
-    dx = steps(truth).reshape(-1, 9)
-    np.testing.assert_allclose(dx, dx[:, :1] * np.ones(9))
-    assert dx[:, 0].min() >= 0
-    assert dx[:, 0].max() <= 40
-    assert dx[:, 0].std() > 9
-    jittered = simulate_ballistic(rng=1, jitter=1.0).truth
-    assert np.std(np.diff(steps(jittered).reshape(-1, 9))) > 1
-
-
-def test_static_jets_differ_by_their_noise():
-    jet = simulate_static(rng=1)
-    assert not steps(jet.truth).any()
-    difference = np.diff(jet.cube.data, axis=0)
-    assert difference.std() == pytest.approx(np.sqrt(2) * 0.002, rel=0.1)
 
 
 def test_unrelated_epochs_share_no_feature():
@@ -226,21 +172,8 @@ def test_images_show_the_truth():
 def test_truth_columns_and_motions():
     jet = simulate_two_fluid(rng=2, jitter=0.0)
     truth = jet.truth
-    assert truth.colnames == [
-        "feature",
-        "group",
-        "epoch",
-        "date",
-        "x",
-        "y",
-        "east",
-        "north",
-        "flux",
-        "fwhm",
-        "visible",
-        "pm_east",
-        "pm_north",
-    ]
+    names = "feature group epoch date x y east north flux fwhm visible pm_east pm_north"
+    assert truth.colnames == names.split()
     slow = truth["group"] == "slow"
     np.testing.assert_allclose(
         truth["pm_east"][slow].to_value(u.mas / u.yr), -5 * 1.2175
@@ -250,48 +183,6 @@ def test_truth_columns_and_motions():
     assert truth.meta["velocity_unit"].to_value(u.mas / u.yr) == pytest.approx(1.2175)
     n = len(set(truth["feature"]))
     assert repr(jet) == f"<SimulatedJet 'two-fluid': 10 epochs, {n} features>"
-
-
-def test_features_fade_at_the_ends():
-    truth = simulate_two_fluid(rng=3).truth
-    x = truth["x"].value
-    assert not truth["visible"][(x <= 20) | (x >= 220)].any()
-    assert np.all(truth["visible"][(x > 21) & (x < 219)])
-    near = (np.abs(x - 22) < 1) & truth["visible"]
-    far = (x > 40) & (x < 200)
-    assert truth["flux"][near].mean() < 0.3 * truth["flux"][far].mean()
-
-
-def test_flux_is_kept_when_the_beam_changes():
-    beams = [Beam(1 * u.mas, 1 * u.mas), Beam(1.4 * u.mas, 0.7 * u.mas, 20 * u.deg)]
-    jet = simulate_static(n_epochs=2, beams=beams, noise=0, rng=1)
-    fluxes = [
-        jet.cube.data[i].sum() / (beams[i].area / (0.1 * u.mas) ** 2).to_value(u.one)
-        for i in range(2)
-    ]
-    assert fluxes[0] == pytest.approx(fluxes[1], rel=1e-3)
-    assert jet.cube.beams == tuple(beams)
-
-
-def test_core():
-    jet = simulate_static(n_epochs=2, core=5.0, noise=0, rng=1)
-    assert jet.cube.data[0, 64, 20] == pytest.approx(5, abs=0.5)
-    assert tuple(jet.cube.wcs.wcs.crpix) == (21, 65)
-
-
-def test_given_dates():
-    dates = Time(["2001-01-01", "2001-01-31", "2001-04-01"])
-    stream = Stream("s", dx=4.0, half_width=5.0)
-    jet = JetSimulation([stream], dates=dates).run(rng=1)
-    dx = steps(jet.truth).reshape(-1, 2)
-    np.testing.assert_allclose(dx, np.ones((len(dx), 1)) * [4.0, 8.0])
-    assert jet.simulation.n_epochs == 3
-    assert jet.cube.labels == ("2001-01-01", "2001-01-31", "2001-04-01")
-
-
-def test_single_epoch():
-    jet = simulate_two_fluid(n_epochs=1, rng=1)
-    assert np.all(np.isnan(jet.truth["pm_east"]))
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -379,29 +270,3 @@ def test_written_simulation(tmp_path):
     with pytest.raises(OSError, match="truth.ecsv: exists already"):
         write_simulation(jet, tmp_path / "jet")
     assert write_simulation(jet, tmp_path / "jet", overwrite=True)[-1] == table
-
-
-def test_written_distributions_and_functions(tmp_path):
-    streams = [
-        Stream("a", dx=(1.0, 2.0), half_width=5.0),
-        Stream("b", dx=lambda x, y: x, half_width=5.0),
-        Stream("c", dx=1 * u.mas / u.yr, half_width=5.0),
-    ]
-    jet = JetSimulation(streams, n_epochs=2).run(rng=1)
-    *_, table = write_simulation(jet, tmp_path)
-    a, b, c = QTable.read(table).meta["streams"]
-    assert a["dx"] == [1.0, 2.0]
-    assert b["dx"] == "function"
-    assert c["dx"] == 1 * u.mas / u.yr
-
-
-def test_written_epochs_are_read_back(tmp_path):
-    jet = simulate_two_fluid(n_epochs=3, rng=1)
-    *images, _ = write_simulation(jet, tmp_path)
-    cube = EpochCube.read(images)
-    np.testing.assert_allclose(cube.data, jet.cube.data, atol=1e-6)
-    assert cube.unit == jet.cube.unit
-    assert cube.beams == jet.cube.beams
-    assert np.all(cube.times == jet.cube.times)
-    np.testing.assert_allclose(cube.wcs.wcs.crpix, jet.cube.wcs.wcs.crpix)
-    np.testing.assert_allclose(cube.pixel_matrix.value, jet.cube.pixel_matrix.value)

@@ -4,9 +4,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.time import Time
 
-from astro_scc.epochs import Beam
 from astro_scc.simulation import Flow, simulate_jet
 
 # Nothing but the features.
@@ -17,35 +15,6 @@ def outward(truth):
     """Speed of each row away from the core, in beams of 0.8 mas an interval."""
     pm = np.hypot(truth["pm_east"], truth["pm_north"])
     return (pm * 0.2 * u.yr / (0.8 * u.mas)).to_value(u.one)
-
-
-def test_same_seed_same_jet():
-    one, again, other = (simulate_jet(rng=seed, ripple=0.01) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(one.cube.data, again.cube.data)
-    assert np.all(one.cube.times == again.cube.times)
-    assert not np.array_equal(one.cube.data, other.cube.data)
-
-
-def test_dates_are_log_normal():
-    options = {"n_epochs": 60, "n_features": 0, "core_flux": 0, "noise": 0}
-    options["shape"] = 8, 8
-    steps = np.concatenate(
-        [
-            np.diff(simulate_jet(**options, rng=seed).cube.years.to_value(u.yr))
-            for seed in range(5)
-        ]
-    )
-    assert np.median(steps) == pytest.approx(0.2, rel=0.15)
-    assert np.std(np.log(steps)) == pytest.approx(0.8, rel=0.1)
-
-
-def test_given_dates():
-    dates = Time(["2001-03-01", "2001-05-10", "2001-12-24"])
-    jet = simulate_jet(dates=dates, dispersion=0.0, width=0.0, rng=1)
-    assert np.all(jet.cube.times == dates)
-    moving = jet.truth[jet.truth["group"] == "flow"]
-    speeds = moving["pm_east"][np.isfinite(moving["pm_east"])].to_value(u.mas / u.yr)
-    np.testing.assert_allclose(speeds, -0.6 * 0.8 / 0.2)
 
 
 def test_peaks_are_where_the_truth_has_them():
@@ -69,14 +38,6 @@ def test_peaks_are_where_the_truth_has_them():
     assert np.std(shifts) == pytest.approx(0.3 * 8, rel=0.5)
 
 
-def test_total_flux():
-    jet = simulate_jet(noise=0.0, rng=1)
-    pixels = (jet.cube.beams[0].area / (0.1 * u.mas) ** 2).to_value(u.one)
-    for i, image in enumerate(jet.cube.data):
-        flux = jet.truth["flux"][jet.truth["epoch"] == i].sum().to_value(u.Jy)
-        assert image.sum() / pixels == pytest.approx(flux, rel=1e-3)
-
-
 @pytest.mark.parametrize(
     ("distribution", "dispersion", "spread"),
     [("normal", 0.2, 0.2), ("uniform", 0.3, 0.3), ("lognormal", 0.4, 0.4165)],
@@ -87,12 +48,6 @@ def test_speeds_have_their_mean_and_dispersion(distribution, dispersion, spread)
     assert speeds.mean() == pytest.approx(0.6, rel=0.002)
     assert speeds.std() == pytest.approx(0.6 * spread, rel=0.01)
     assert speeds.min() >= 0.06
-
-
-def test_one_epoch():
-    jet = simulate_jet(n_epochs=1, rng=1)
-    assert np.isnan(jet.truth["pm_east"]).all()
-    assert jet.truth.meta["streams"][0]["mean_speed"] is None
 
 
 @pytest.mark.parametrize("options", [{}, {"dispersion": 0.3}, {"acceleration": 1.6}])
@@ -136,15 +91,6 @@ def test_acceleration(acceleration):
     )
 
 
-def test_features_differ_in_flux():
-    jet = simulate_jet(rng=1, shape=(8, 8)).simulation
-    at = {"speed": 0.0, "positions": (3.0,) * 2000}
-    flow = Flow(**at, flux=0.3, flux_scatter=0.7, fading=0.0)
-    logs = np.log(flow.features(jet, np.random.default_rng(1)).flux[:, 0])
-    assert logs.mean() == pytest.approx(np.log(0.3), abs=0.05)
-    assert logs.std() == pytest.approx(0.7, rel=0.05)
-
-
 def test_features_fade_and_widen():
     truth = simulate_jet(rng=1, n_features=80, **BARE).truth
     s = np.abs(truth["east"].value) / 0.8
@@ -152,22 +98,6 @@ def test_features_fade_and_widen():
     assert truth["flux"][far].mean() < 0.4 * truth["flux"][near].mean()
     expected = 0.25 * 0.8 * (1 + s) ** 0.6
     np.testing.assert_allclose(truth["fwhm"].to_value(u.mas), expected, rtol=1e-6)
-
-
-@pytest.mark.parametrize("memory", [0.0, 3.0])
-def test_fluxes_vary_with_a_memory(memory):
-    truth = simulate_jet(
-        n_features=0, standing=200, flux_variation=0.4, memory=memory, shape=(8, 8),
-        interval_scatter=0.0, rng=1,
-    ).truth  # fmt: skip
-    still = truth[truth["group"] == "standing"]
-    logs = np.log([part["flux"].value for part in still.group_by("feature").groups])
-    logs -= logs.mean(axis=1, keepdims=True)
-    expected = np.exp(-1 / 3) if memory else 0.0
-    pairs = np.corrcoef(np.diff(logs)[:, :-1].ravel(), np.diff(logs)[:, 1:].ravel())
-    # Of steps of an autoregressive series: -(1 - phi) / 2.
-    assert pairs[0, 1] == pytest.approx(-(1 - expected) / 2, abs=0.05)
-    assert not still["pm_east"].value.any()
 
 
 def test_streams_have_their_own_sizes_and_places():
@@ -183,15 +113,6 @@ def test_streams_have_their_own_sizes_and_places():
     assert np.nanmean(outward(b)) == pytest.approx(0.3, rel=0.15)
 
 
-def test_noise_differs_between_epochs():
-    jet = simulate_jet(
-        n_features=0, core_flux=0.0, noise=0.001, noise_scatter=0.5, rng=1
-    )
-    rms = jet.cube.data.std(axis=(1, 2))
-    np.testing.assert_allclose(rms, jet.cube.noise.value, rtol=0.25)
-    assert np.std(np.log(rms)) == pytest.approx(0.5, rel=0.5)
-
-
 def test_artefacts():
     clean = simulate_jet(rng=1, noise=0.0).cube
     rippled = simulate_jet(rng=1, noise=0.0, ripple=0.01).cube
@@ -204,15 +125,6 @@ def test_artefacts():
     assert bowls.max() <= 0
     depth = -bowls.min(axis=(1, 2)) / clean.data.max(axis=(1, 2))
     assert np.all((depth > 0.009) & (depth < 0.03))
-
-
-def test_beams_and_shape():
-    beam = Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg)
-    jet = simulate_jet(rng=1, n_epochs=2, beam=beam, shape=(100, 300))
-    assert jet.cube.shape == (2, 100, 300)
-    assert jet.cube.beams == (beam, beam)
-    with pytest.raises(ValueError, match="2 epochs need 2 beams, got 3"):
-        simulate_jet(n_epochs=2, beam=[beam] * 3)
 
 
 @pytest.mark.parametrize(

@@ -21,9 +21,6 @@ NULLS = [
 ]
 #: What is there besides a stream.
 OTHERS = {"still": 3, "chance": 4, "length": 12.0, "seen": 0.8}
-# Of 100 sets at most 14 false alarms.  If one in five sets gave one there were
-# more in 92% of all runs (binomial distribution); at one in twenty, in 0.014%.
-MOST = 14
 
 
 def dates(rng, n):
@@ -48,17 +45,6 @@ def nulls(jet):
         p.append(test.p_values(*test.largest())[1])
         alarms.append(any(stream.kind == "moving" for stream in found.streams))
     return np.array(p), np.array(alarms)
-
-
-def test_the_limit_has_the_power_that_it_is_said_to_have():
-    assert binom.sf(MOST, N_NULL, 0.2) > 0.9
-    assert binom.sf(MOST, N_NULL, 0.05) < 1e-3
-
-
-@pytest.mark.slow
-def test_p_global_is_at_most_a_twentieth_in_one_of_twenty_sets(nulls):
-    p, _ = nulls
-    assert np.sum(p <= 0.05) <= MOST
 
 
 @pytest.mark.slow
@@ -104,17 +90,3 @@ def test_one_stream_is_seldom_two(moving):
     # At one in twenty, more than three of twelve in 0.2% of all runs.
     n_moving = [sum(s.kind == "moving" for s in streams) for streams in moving]
     assert sum(n > 1 for n in n_moving) <= 3
-
-
-def test_two_streams_are_found(jet):
-    """Speeds of 0.3 and 1 beam a year in ten epochs."""
-    two, both = [(7, 0.3, 0.08), (7, 1.0, 0.08)], 0
-    for seed in range(5):
-        rng = np.random.default_rng(2000 + seed)
-        years = dates(rng, 10)
-        d = jet(rng, years, two, chance=2, length=16.0, seen=0.9)
-        found = sorted(
-            s.along.mean for s in search(d, rng).streams if s.kind == "moving"
-        )
-        both += len(found) == 2 and np.allclose(found, [0.3, 1.0], rtol=0.15)
-    assert both >= 3

@@ -3,9 +3,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.integrate import dblquad
 from scipy.stats import norm
 
 from astro_scc.stacking import SearchSettings
@@ -34,46 +31,20 @@ class TestRandomEffects:
         rng = np.random.default_rng(1)
         x, e = rng.normal(1, 0.4, 9), rng.uniform(0.05, 0.5, 9)
         found = random_effects(x, e)
-        prior = norm(0, 0.3 * np.median(x))
-
-        def likelihood(m, tau):
-            return prior.pdf(tau) * norm.pdf(x, m, np.hypot(tau, e)).prod()
-
-        limits = (0, 1.5, 0, 2)
-
-        def integral(of):
-            total, _ = dblquad(lambda m, tau: of(m, tau) * likelihood(m, tau), *limits)
-            return total
-
-        norm_of = integral(lambda m, tau: 1.0)
-        mean = integral(lambda m, tau: m) / norm_of
-        tau = integral(lambda m, tau: tau) / norm_of
-        square = integral(lambda m, tau: tau**2) / norm_of
-        inside, _ = dblquad(
-            lambda m, tau: likelihood(m, tau),
-            0, 1.5, found.mean - found.error, found.mean + found.error,
-        )  # fmt: skip
+        tau, m = np.linspace(0, 1.5, 601)[:, None], np.linspace(0, 2, 2001)
+        posterior = norm(0, 0.3 * np.median(x)).pdf(tau) * np.ones(m.shape)
+        for value, error in zip(x, e, strict=True):
+            posterior *= norm.pdf(value, m, np.hypot(tau, error))
+        posterior[[0, -1]] *= 0.5
+        posterior /= posterior.sum()
+        mean = (m * posterior).sum()
+        dispersion = (tau * posterior).sum()
+        deviation = np.sqrt((tau**2 * posterior).sum() - dispersion**2)
+        inside = posterior[:, np.abs(m - found.mean) <= found.error].sum()
         assert found.mean == pytest.approx(mean, rel=1e-3)
-        assert found.dispersion == pytest.approx(tau, rel=5e-3)
-        deviation = np.sqrt(square - tau**2)
+        assert found.dispersion == pytest.approx(dispersion, rel=5e-3)
         assert found.dispersion_error == pytest.approx(deviation, rel=0.02)
-        assert inside / norm_of == pytest.approx(0.6827, abs=0.003)
-
-    def test_many_values_with_small_errors_are_a_sample(self):
-        """Of which mean and dispersion are known, and the error is tau / sqrt(n)."""
-        x = np.random.default_rng(2).normal(1, 0.2, 400)
-        found = random_effects(x, np.full(400, 1e-3))
-        assert found.mean == pytest.approx(x.mean(), rel=1e-3)
-        assert found.dispersion == pytest.approx(x.std(ddof=1), rel=0.02)
-        assert found.error == pytest.approx(x.std() / 20, rel=0.02)
-
-    @pytest.mark.parametrize("scatter", [0.0, 0.02, 0.05])
-    def test_values_that_agree_have_a_dispersion_within_its_error(self, scatter):
-        x = 1 + scatter * np.array([0.0, 1, -1, 0.4])
-        e = np.array([0.1, 0.2, 0.1, 0.3])
-        found = random_effects(x, e)
-        assert found.dispersion < 2 * found.dispersion_error
-        assert (e**-2.0).sum() ** -0.5 < found.error < 0.2
+        assert inside == pytest.approx(0.6827, abs=0.003)
 
     @pytest.mark.parametrize("value", [0.5, -4.0])
     def test_a_single_value_knows_the_mean_no_better_than_the_prior(self, value):
@@ -94,26 +65,6 @@ class TestRandomEffects:
         inside = np.mean(np.abs(off) <= [f.error for f in found])
         assert 0.63 <= inside <= 0.76
 
-    @given(
-        st.integers(0, 2**32 - 1),
-        st.integers(2, 12),
-        st.sampled_from([0.0, 0.3, 3.0]),
-        st.floats(1e-3, 1e3),
-    )
-    @settings(max_examples=40)
-    def test_units_signs_and_order(self, seed, n, tau, unit):
-        rng = np.random.default_rng(seed)
-        errors = rng.uniform(0.1, 0.3, n)
-        values = 1 + tau * rng.normal(size=n) + errors * rng.normal(size=n)
-        found, order = random_effects(values, errors), rng.permutation(n)
-        other = random_effects(-unit * values[order], unit * errors[order])
-        close = {"rel": 1e-6, "abs": 1e-6 * unit}
-        assert other.mean == pytest.approx(-unit * found.mean, **close)
-        for name in ("error", "dispersion", "dispersion_error"):
-            wanted = unit * getattr(found, name)
-            assert getattr(other, name) == pytest.approx(wanted, **close)
-        assert values.min() <= found.mean <= values.max()
-
 
 def test_errors_of_features_hold_blends_and_the_pull_of_the_core():
     speed, error = feature_speeds(features_of([1.0, -2.0], [0.1, 0.0]))
@@ -123,8 +74,6 @@ def test_errors_of_features_hold_blends_and_the_pull_of_the_core():
 
 class TestAlignmentResponse:
     """What a displacement of whole epochs does to the mean speed."""
-
-    N_EPOCHS = 6
 
     def stream(self, lines, years, speeds, shift=0.0, scatter=0.0):
         """Features seen in all, in the first five and in the last four epochs."""
@@ -138,17 +87,6 @@ class TestAlignmentResponse:
         features = [Feature.through(s, years[epoch[s]], position[s]) for s in ssps]
         along = random_effects(*feature_speeds(features))
         return Stream("moving", "", 0.0, along, along, features=tuple(features)), epoch
-
-    def test_by_finite_differences(self, lines):
-        """Of features on lines, whose errors a small displacement leaves alone."""
-        years, step = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4]), 1e-6
-        stream, epoch = self.stream(lines, years, [0.5] * 3)
-        found = alignment_response(stream, epoch, 6)
-        for k in range(6):
-            shift = step * (np.arange(6) == k)
-            moved, _ = self.stream(lines, years, [0.5] * 3, shift)
-            change = (moved.along.mean - stream.along.mean) / step
-            assert found[k] == pytest.approx(change, rel=0.15, abs=0.01)
 
     def test_of_different_speeds_with_the_weights_of_the_mean(self, lines):
         years, step = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4]), 1e-4
@@ -166,13 +104,6 @@ class TestAlignmentResponse:
             moved = [f.speed for f in moved.features]
             change = (np.average(moved, weights=weight) - mean) / step
             assert found[k] == pytest.approx(change, rel=1e-6)
-
-    def test_all_epochs_together_change_nothing_and_a_drift_is_a_speed(self, lines):
-        years = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4])
-        stream, epoch = self.stream(lines, years, [0.3, 0.7, 0.6], scatter=0.05)
-        found = alignment_response(stream, epoch, 6)
-        assert found.sum() == pytest.approx(0, abs=1e-12)
-        assert found @ years == pytest.approx(1)
 
     def test_of_a_single_feature_and_of_none(self, lines):
         years = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4])
@@ -205,11 +136,6 @@ class TestSeparateStreams:
         assert np.abs(p - (np.arange(60) + 0.5) / 60).max() < 0.25
         assert np.mean(p <= 0.05) <= 10 / 60
 
-    def test_p_is_large_where_speeds_agree_better_than_their_errors(self):
-        rng = np.random.default_rng(1)
-        p, _ = separate_streams(features_of([0.5] * 8, 0.02), 59, rng)
-        assert p > 0.2
-
     @pytest.mark.parametrize("sign", [1, -1])
     @pytest.mark.parametrize("n", [(4, 4), (3, 6), (2, 5)])
     def test_two_streams_are_told_apart(self, n, sign):
@@ -235,12 +161,6 @@ class TestSeparateStreams:
         )
         assert p == 1
         np.testing.assert_array_equal(second, np.zeros(n, dtype=bool))
-
-    def test_four_features_can_be_two(self):
-        found = features_of([0.3, 0.31, 1.0, 1.02], 0.01)
-        p, second = separate_streams(found, 99, np.random.default_rng(1))
-        assert p <= 0.2
-        np.testing.assert_array_equal(second, [False, False, True, True])
 
     def test_the_likelihoods_by_a_loop(self):
         """The ratio of the largest of two components and of one."""
@@ -301,20 +221,3 @@ class TestSeparateStreams:
             found += p <= 0.05
         # 2 of 40 expected; more than 8 with a probability of 1e-4.
         assert found <= 8
-
-    @given(st.integers(0, 2**32 - 1), st.floats(1e-3, 1e3), st.booleans())
-    @settings(max_examples=15)
-    def test_units_signs_and_order(self, seed, unit, back):
-        rng = np.random.default_rng(seed)
-        speed = log_normal(rng, 6, 0.5, 0.5, 0.03)
-        p, second = separate_streams(
-            features_of(speed, 0.02), 39, np.random.default_rng(1)
-        )
-        order, sign = rng.permutation(6), -1 if back else 1
-        other = separate_streams(
-            features_of(sign * unit * speed[order], 0.02 * unit),
-            39,
-            np.random.default_rng(1),
-        )
-        assert other[0] == pytest.approx(p, abs=1.5 / 40)
-        np.testing.assert_array_equal(other[1], second[order])

@@ -2,7 +2,6 @@
 """The fast stacks of many orders against the exact one of each."""
 
 import sys
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -63,38 +62,6 @@ def test_evenly_spaced_dates_which_share_one_interval(random_displacements):
         check(maps, pairs, GRID, random_permutations(6, n_orders, rng))
 
 
-def test_some_dates_equal(random_displacements):
-    rng = np.random.default_rng(1)
-    pairs = consecutive_pairs([0.0, 0.5, 0.5, 0.5, 2.0])
-    maps = PairMaps.of(random_displacements(rng, 5, 80), GRID.v_max, 1.5)
-    check(maps, pairs, GRID, random_permutations(5, 6, rng))
-
-
-def test_other_grids_and_dates_from_the_same_maps(random_displacements):
-    rng = np.random.default_rng(2)
-    maps = PairMaps.of(random_displacements(rng, 4, 80), (5.0, 5.0), 2.0)
-    for years in ([0.0, 1.0, 2.0, 4.0], [0.0, 0.1, 0.5, 0.6]):
-        for grid in (GRID, VelocityGrid.covering(1.0, 0.05)):
-            check(maps, consecutive_pairs(years), grid, random_permutations(4, 3, rng))
-
-
-def test_blocks_of_any_size_give_the_same_numbers(random_displacements, monkeypatch):
-    rng = np.random.default_rng(3)
-    pairs = consecutive_pairs(0.7 * np.arange(6))
-    maps = PairMaps.of(random_displacements(rng, 6, 200), GRID.v_max, 0.7)
-    orders = random_permutations(6, 30, rng)
-    whole = all_stacks(maps, pairs, GRID, orders)
-    # Maps that are kept need no blocks.
-    monkeypatch.setattr(f"{PairMaps.__module__}.MAP_BYTES", 0)
-    maps = replace(maps)
-    size = 8 * GRID.shape[0] * GRID.shape[1]
-    for n_maps in (0, 1, 7):
-        monkeypatch.setattr(f"{PairMaps.__module__}.BLOCK_BYTES", n_maps * size)
-        blocks = list(maps.stacks(pairs, GRID, orders))
-        assert max(len(b) for b in blocks) == max(n_maps, 1)
-        np.testing.assert_allclose(np.concatenate(blocks), whole, atol=1e-6)
-
-
 def test_maps_made_as_needed_give_the_same_numbers(random_displacements, monkeypatch):
     rng = np.random.default_rng(8)
     d = random_displacements(rng, 6, 200)
@@ -129,27 +96,6 @@ def test_many_intervals_are_few_for_the_maps(random_displacements, shift):
     )
 
 
-@pytest.mark.slow
-def test_memory_does_not_grow_with_the_baselines(random_displacements, monkeypatch):
-    """Wide maps of many epochs and pairs of dates: no more than the blocks allow."""
-    rng = np.random.default_rng(12)
-    d = random_displacements(rng, 15, 400, reach=20.0, s1=(0.5, 0.7))
-    pairs = baseline_pairs(np.cumsum(rng.uniform(0.2, 0.9, 15)), 1.0, 4.0)
-    maps = PairMaps.of(d, (5.0, 5.0), 4.0)
-    orders = random_permutations(15, 2, rng)
-    whole = all_stacks(maps, pairs, GRID, orders)
-    assert maps.map_bytes * 15**2 > 2**24
-    for name in ("MAP_BYTES", "BLOCK_BYTES", "WORK_BYTES"):
-        monkeypatch.setattr(f"{PairMaps.__module__}.{name}", 2**20)
-    maps = replace(maps)
-    tracemalloc.start()
-    few = all_stacks(maps, pairs, GRID, orders)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < 2**23
-    np.testing.assert_allclose(few, whole, atol=1e-6)
-
-
 def test_without_matches(random_displacements):
     rng = np.random.default_rng(4)
     none = random_displacements(rng, 3, 10).select(slice(0, 0))
@@ -158,13 +104,6 @@ def test_without_matches(random_displacements):
     found = all_stacks(maps, pairs, GRID, random_permutations(3, 5, rng))
     assert found.shape == (5, *GRID.shape)
     np.testing.assert_array_equal(found, 0.0)
-
-
-def test_no_orders_no_stacks(random_displacements):
-    d = random_displacements(np.random.default_rng(5))
-    maps = PairMaps.of(d, GRID.v_max, 1.0)
-    pairs = consecutive_pairs(np.arange(4.0))
-    assert list(maps.stacks(pairs, GRID, np.empty((0, 4), dtype=int))) == []
 
 
 @pytest.mark.parametrize("farthest", [0.5, 50.0])

@@ -5,7 +5,6 @@ from dataclasses import replace
 from math import exp
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +16,6 @@ from astro_scc.stacking.stack import (
 )
 from astro_scc.stacking.velocities import (
     VelocityGrid,
-    VelocitySamples,
     baseline_pairs,
     consecutive_pairs,
 )
@@ -62,60 +60,6 @@ def test_is_the_papers_equation(random_displacements, seed, every_pair, shuffled
     np.testing.assert_allclose(found, literal(d, pairs, GRID, order), atol=1e-5)
 
 
-def test_one_match_is_a_gaussian_of_unit_height_at_its_velocity(clump):
-    d = clump(1, velocity=(1.0, -0.6), interval=0.5, s=(0.3, 0.4))
-    found = stack(d, consecutive_pairs([2000.0, 2000.5]), GRID)
-    u1 = (GRID.v1 - 1.0) / 0.6
-    u2 = (GRID.v2 + 0.6) / 0.8
-    np.testing.assert_allclose(
-        found, np.exp(-0.5 * (u1**2 + u2[:, None] ** 2)), atol=1e-12
-    )
-
-
-def test_is_linear_in_the_weights(random_displacements):
-    rng = np.random.default_rng(0)
-    d = random_displacements(rng)
-    pairs = consecutive_pairs([0.0, 0.4, 1.0, 1.1])
-    whole = stack(d, pairs, GRID)
-    np.testing.assert_allclose(
-        stack(replace(d, weight=3 * d.weight), pairs, GRID), 3 * whole
-    )
-    half = np.arange(len(d)) % 2 == 0
-    np.testing.assert_allclose(
-        stack(d.select(half), pairs, GRID) + stack(d.select(~half), pairs, GRID), whole
-    )
-
-
-def test_only_the_ratio_of_pair_weights_matters(random_displacements):
-    d = random_displacements(np.random.default_rng(1))
-    pairs = baseline_pairs([0.0, 0.4, 1.0, 1.1], 0.1, 2.0)
-    doubled = replace(pairs, weight=2 * pairs.weight)
-    np.testing.assert_allclose(stack(d, doubled, GRID), stack(d, pairs, GRID))
-
-
-def test_reversed_order_of_evenly_spaced_dates_mirrors_reversed_displacements(
-    random_displacements,
-):
-    d = random_displacements(np.random.default_rng(2))
-    pairs = consecutive_pairs(np.arange(4.0))
-    mirrored = replace(d, d1=-d.d1, d2=-d.d2)
-    np.testing.assert_allclose(
-        stack(mirrored, pairs, GRID, order=[3, 2, 1, 0]),
-        stack(d, pairs, GRID, order=[3, 2, 1, 0])[::-1, ::-1],
-        atol=1e-12,
-    )
-
-
-def test_ssps_without_a_match_count_in_the_denominator(clump):
-    d = clump(4)
-    pairs = consecutive_pairs([0.0, 0.5])
-    more = replace(d, n_ssps=np.array([40, 4]))
-    np.testing.assert_allclose(stack(more, pairs, GRID), stack(d, pairs, GRID) / 10)
-    # The last epoch is no reference epoch.
-    more = replace(d, n_ssps=np.array([4, 40]))
-    np.testing.assert_array_equal(stack(more, pairs, GRID), stack(d, pairs, GRID))
-
-
 def test_number_of_ssps_of_many_orders(random_displacements):
     d = random_displacements(np.random.default_rng(3))
     pairs = consecutive_pairs([0.0, 0.4, 1.0, 1.1])
@@ -123,14 +67,6 @@ def test_number_of_ssps_of_many_orders(random_displacements):
     expected = [d.n_ssps[[0, 1, 2]].sum(), d.n_ssps[[3, 1, 0]].sum()]
     np.testing.assert_array_equal(number_of_ssps(d, pairs, orders), expected)
     assert number_of_ssps(d, pairs) == expected[0]
-
-
-def test_orders_without_ssps_have_a_stack_of_zero(random_displacements):
-    d = random_displacements(np.random.default_rng(3))
-    pairs = consecutive_pairs([0.0, 0.4, 1.0, 1.1])
-    nothing = replace(d, n_ssps=np.zeros(4, dtype=int))
-    with np.errstate(all="raise", under="ignore"):
-        np.testing.assert_array_equal(stack(nothing, pairs, GRID), 0.0)
 
 
 def test_without_matches_or_ssps_it_is_zero(random_displacements):
@@ -173,22 +109,3 @@ def test_gaussian_sum_in_blocks_is_the_same(monkeypatch):
     monkeypatch.setitem(gaussian_sum.__globals__, "BLOCK", 7)
     np.testing.assert_allclose(gaussian_sum(*columns, *axes), whole)
     assert gaussian_sum(*np.empty((5, 0)), *axes).shape == (9, 12)
-
-
-def test_selections_of_displacements_keep_the_number_of_ssps(random_displacements):
-    d = random_displacements(np.random.default_rng(7))
-    keep = d.d1 > 0
-    some = d.select(keep)
-    assert isinstance(some, VelocitySamples)
-    assert len(some) == keep.sum()
-    np.testing.assert_array_equal(some.ssp, d.ssp[keep])
-    np.testing.assert_array_equal(some.n_ssps, d.n_ssps)
-    assert some.n_epochs == d.n_epochs == 4
-    assert d.select([3, 1]).target.tolist() == [d.target[3], d.target[1]]
-
-
-def test_mean_weights_of_a_baseline_leave_identical_matches_as_they_are(clump):
-    """A pair of weight one: the stack is the mean coefficient at the velocity."""
-    d = clump(5, velocity=(1.0, 0.0), interval=0.5)
-    scc = stack(d, baseline_pairs([0.0, 0.5], 0.4, 0.6), GRID)
-    assert scc.max() == pytest.approx(1.0)

@@ -1,11 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""VelocitySamples of features whose motion is known."""
+"""Grids, pairs of dates, and samples of features whose motion is known."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc.stacking.velocities import (
+    VelocityGrid,
     VelocitySamples,
     baseline_pairs,
     consecutive_pairs,
@@ -56,17 +58,6 @@ def test_a_feature_is_seen_where_and_as_it_moves_from_both_sides(start, velocity
     np.testing.assert_allclose(s.sigma, np.sqrt(0.1 * 0.2))
 
 
-def test_only_the_pairs_of_the_stack_are_seen():
-    d = every_pair([(0, 0), (2, 0)], [(1, 0), (1, 0)])
-    assert len(d.within(consecutive_pairs(YEARS), FAR)) == 2 * 2 * 4
-    pairs = baseline_pairs(YEARS, 1.1, 1.5)
-    s = d.within(pairs, FAR)
-    assert len(s) == 2 * 2 * len(pairs)
-    assert np.all((np.abs(s.interval) >= 1.1) & (np.abs(s.interval) <= 1.5))
-    none = d.select(np.zeros(len(d), bool))
-    assert len(none.within(pairs, FAR)) == 0
-
-
 def test_limits_are_included_and_hold_for_each_axis():
     years = np.arange(5) / 2
     pairs = consecutive_pairs(years)
@@ -91,3 +82,123 @@ def test_a_selection_selects_every_column():
         np.testing.assert_array_equal(getattr(some, name), getattr(d, name)[keep])
     assert some.n_epochs == 5
     assert some.position is d.position
+
+
+speed = st.floats(0.01, 100.0)
+
+
+@given(speed, speed, st.floats(0.02, 3.0), st.floats(0.02, 3.0))
+def test_covers_what_is_asked_symmetrically_with_a_point_at_zero(v1, v2, n1, n2):
+    step = v1 / n1 / 20, v2 / n2 / 20
+    grid = VelocityGrid.covering((v1, v2), step)
+    assert grid.v_max == pytest.approx((v1, v2))
+    assert grid.shape == (len(grid.v2), len(grid.v1))
+    for axis, largest, found in zip((grid.v1, grid.v2), step, grid.step, strict=True):
+        assert 0 in axis
+        np.testing.assert_allclose(axis, -axis[::-1])
+        np.testing.assert_allclose(np.diff(axis), found)
+        assert found <= largest * (1 + 1e-6)
+
+
+def test_small_and_large_grids():
+    # One speed and one step hold for both axes.
+    grid = VelocityGrid.covering(2.0, 0.5)
+    assert (grid.shape, grid.step) == ((9, 9), (0.5, 0.5))
+    # The spacing grows where there would be too many points.
+    grid = VelocityGrid.covering((10.0, 1.0), 1e-6, max_size=101)
+    assert (grid.shape, grid.v_max) == ((101, 101), (10.0, 1.0))
+    # A step beyond the largest velocity leaves three.
+    assert VelocityGrid.covering(1.0, 5.0).v1.tolist() == [-1.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf, (1.0, 0.0)])
+def test_numbers_must_be_positive_and_finite(wrong):
+    with pytest.raises(ValueError, match="largest velocity must be positive"):
+        VelocityGrid.covering(wrong, 0.1)
+    with pytest.raises(ValueError, match="velocity step must be positive"):
+        VelocityGrid.covering(1.0, wrong)
+
+
+dates = st.lists(
+    st.integers(0, 4000).map(lambda day: day / 365.25), min_size=1, max_size=12
+).map(sorted)
+
+
+@given(dates)
+def test_consecutive_pairs_are_neighbours_of_different_date(years):
+    pairs = consecutive_pairs(years)
+    expected = [i for i in range(len(years) - 1) if years[i + 1] > years[i]]
+    assert pairs.first.tolist() == expected
+    assert pairs.second.tolist() == [i + 1 for i in expected]
+    assert np.all(pairs.interval > 0)
+    np.testing.assert_array_equal(pairs.weight, 1.0)
+    assert pairs.n_dates == len(years)
+    assert len(pairs) == len(expected)
+
+
+@given(dates, st.floats(0, 5), st.floats(0.01, 5))
+def test_baseline_pairs_are_all_whose_separation_lies_inside(years, shortest, width):
+    longest = shortest + width
+    pairs = baseline_pairs(years, shortest, longest)
+    found = set(zip(pairs.first.tolist(), pairs.second.tolist(), strict=True))
+    for i in range(len(years)):
+        for j in range(len(years)):
+            separation = years[j] - years[i]
+            if separation <= 0:
+                assert (i, j) not in found
+            elif shortest <= separation <= longest:
+                assert (i, j) in found
+            elif not shortest - 2e-3 <= separation <= longest + 2e-3:
+                assert (i, j) not in found
+    years = np.asarray(years)
+    np.testing.assert_array_equal(
+        pairs.interval, years[pairs.second] - years[pairs.first]
+    )
+    if len(pairs):
+        assert pairs.weight.mean() == pytest.approx(1.0)
+        # Inverse variances: a displacement error over the interval is one of velocity.
+        ratio = pairs.weight / pairs.interval**2
+        np.testing.assert_allclose(ratio, ratio[0])
+
+
+def test_edges_of_a_baseline_are_inside():
+    years = np.array([0.0, 0.25, 0.75, 1.75])
+    pairs = baseline_pairs(years, 0.5, 1.0)
+    assert list(zip(pairs.first, pairs.second, strict=True)) == [(0, 2), (1, 2), (2, 3)]
+    # Limits given in rounded days must not lose the pair that they mean.
+    month = 30 / 365.25
+    assert len(baseline_pairs([0.0, month], 0.082, 0.082)) == 1
+    assert len(baseline_pairs([0.0, month], 0.084, 1.0)) == 0
+
+
+def test_the_shortest_baseline_may_be_zero_but_equal_dates_make_no_pair():
+    pairs = baseline_pairs([0.0, 0.0, 1.0], 0.0, 2.0)
+    assert list(zip(pairs.first, pairs.second, strict=True)) == [(0, 2), (1, 2)]
+
+
+@pytest.mark.parametrize(
+    "limits", [(1.0, 0.5), (-0.5, 1.0), (0.0, 0.0), (np.nan, 1.0), (0.5, np.nan)]
+)
+def test_a_baseline_must_be_a_range(limits):
+    with pytest.raises(ValueError, match="a baseline needs 0 <= shortest <= longest"):
+        baseline_pairs([0.0, 1.0], *limits)
+
+
+def test_images_of_an_order_and_of_many():
+    pairs = consecutive_pairs([0.0, 1.0, 1.0, 3.0])
+    reference, target = pairs.images([2, 0, 3, 1])
+    assert reference.tolist() == [2, 3]
+    assert target.tolist() == [0, 1]
+    orders = np.array([[0, 1, 2, 3], [3, 2, 1, 0]])
+    reference, target = pairs.images(orders)
+    assert reference.tolist() == [[0, 2], [3, 1]]
+    assert target.tolist() == [[1, 3], [2, 0]]
+
+
+def test_dates_that_are_minutes_apart():
+    minute = 1 / (365.25 * 1440)
+    pairs = baseline_pairs(np.arange(10) * minute, minute, 3 * minute)
+    assert len(pairs) == 9 + 8 + 7
+    # Limits that are rounded to four digits lose nothing.
+    rounded = baseline_pairs(np.arange(10) * minute, 1.9e-6, 5.7e-6)
+    assert len(rounded) == 9 + 8 + 7

@@ -126,8 +126,30 @@ def test_folders_of_images(tmp_path, capsys):
     assert "needs the columns source and redshift; it has a, b" in (
         capsys.readouterr().err
     )
+    (tmp_path / "z.txt").write_text("")
+    assert main([*argv, "--redshifts", str(tmp_path / "z.txt")]) == 2
+    assert "z.txt: is no table: " in capsys.readouterr().err
+    plan = [str(out / "survey.toml"), "-o", str(out), "--redshifts", "z.txt"]
+    assert main(["survey", *plan]) == 2
+    assert "--redshifts is not for a .toml file; write them to it" in (
+        capsys.readouterr().err
+    )
     assert main(["survey", str(out), "-o", str(tmp_path / "other")]) == 2
     assert "has no folder of FITS images" in capsys.readouterr().err
+
+
+def test_without_neighbours_there_is_no_beam(tmp_path, capsys):
+    path = tmp_path / "one.ecsv"
+    table = QTable({"source": ["a"] * 5, "component": [0] * 5})
+    table["epoch"] = [f"200{k}-01-01" for k in range(5)]
+    table["flux"] = np.ones(5) * u.Jy
+    table["separation"], table["position_angle"] = np.zeros((2, 5))
+    table["separation"].unit, table["position_angle"].unit = u.mas, u.deg
+    table.write(path)
+    assert main(["survey", str(path), "-o", str(tmp_path / "out")]) == 2
+    assert "no epoch of the table has two components apart; give --beam" in (
+        capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(

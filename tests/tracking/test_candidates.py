@@ -67,13 +67,6 @@ def test_only_the_best_candidates_of_an_epoch_are_kept(monkeypatch, ssps):
         assert c == max(groups[i, gap])
 
 
-def test_select_and_repr(ssps):
-    matches, landed = random_matches(np.random.default_rng(3), ssps, 50)
-    found = find_candidates(matches, landed, ssps, np.arange(4.0))
-    assert len(found.select(found.gap == 0)) == np.sum(found.gap == 0)
-    assert repr(found).startswith(f"<Candidates: {len(found)} of ")
-
-
 # -- the core ----------------------------------------------------------------------
 
 

@@ -38,28 +38,6 @@ def test_similarities_are_ratios_of_densities(catalogue):
         assert value == pytest.approx(wanted, abs=0.1)
 
 
-def test_a_core_does_not_become_what_is_hundreds_of_times_fainter(catalogue):
-    peak = np.tile([1.0, 0.01, 0.003, 0.002], 5)
-    rows = np.column_stack([np.repeat(np.arange(5), 4), np.zeros((20, 2)), peak])
-    ssps = catalogue(rows + [0, 50, 50, 0])
-    similarity = LinkLikelihood().similarity(
-        candidates_of(ssps, [(0, k) for k in (4, 5, 6, 7)]), ssps
-    )
-    assert similarity[0] > 1
-    assert np.all(similarity[1:] < -3)
-
-
-def test_steady_motion_is_a_ratio_of_densities():
-    # Two displacements in a row: the velocity of the first is that of the track.
-    step, interval = np.array([[3.0, 1.0], [7.0, 1.5]]), np.array([1.0, 2.0])
-    found = LinkLikelihood(tolerance=1.5).steady_motion(
-        step[1:], interval[1:], step[:1] / interval[0], interval[:1] ** 2,
-        np.array([0.01]),
-    )  # fmt: skip
-    normal = stats.multivariate_normal([6.0, 2.0], 1.5**2 * (1 + 4))
-    assert found == pytest.approx(normal.logpdf([7.0, 1.5]) - np.log(0.01))
-
-
 def test_steady_motion_knows_the_error_of_a_mean_velocity():
     # Of many tracks of uneven intervals the next displacement is as far from the
     # weighted mean as the variance says.
@@ -134,9 +112,3 @@ def test_coarser_ssps_are_those_of_loops(catalogue):
             if at in ssps.pixels_of(k)
         ]
         assert parent in holders if holders else parent == -1
-
-
-def test_coarser_ssps_without_a_coarser_epoch(catalogue):
-    ssps = catalogue([[0, 10, 10, 1], [1, 10, 10, 1]], scale=[1, 2])
-    assert coarser_ssps(ssps, 400).tolist() == [-1, -1]
-    assert len(coarser_ssps(ssps.empty(), 400)) == 0

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
 
 from astro_scc.tracking.candidates import Candidates, equal_pairs
 from astro_scc.tracking.likelihood import LinkLikelihood
-from astro_scc.tracking.linking import Links, chains, link, path_gains
+from astro_scc.tracking.linking import Links, assign, chains, link, path_gains
 
 
 def everything(ssps, *, most=20.0, max_gap=1):
@@ -112,26 +113,6 @@ def test_a_merge_and_a_split_are_recorded(catalogue):
     assert sorted(kinds.get(p, "") for p in ((2, 3), (2, 4))) == ["link", "split"]
 
 
-def test_three_go_into_one_but_not_four(catalogue):
-    peaks = [1.0, 0.7, 0.7, 0.2]
-    rows = [[0, 50, 50 + 4 * k, p] for k, p in enumerate(peaks)]
-    ssps = catalogue([*rows, [1, 50, 54, sum(peaks)]])
-    links = link(
-        everything(ssps, max_gap=0),
-        ssps,
-        likelihood=LinkLikelihood(variability=1.0, tolerance=5),
-    )
-    assert len(links) <= 3
-    assert np.sum(links.kind == "link") == 1
-
-
-def test_what_is_far_away_does_not_merge(catalogue):
-    rows = [[0, 50, 50, 1.0], [0, 50, 90, 0.8], [1, 50, 53, 1.8]]
-    ssps = catalogue(rows)
-    links = link(everything(ssps, most=100, max_gap=0), ssps)
-    assert not np.isin(links.kind, ["merge", "split"]).any()
-
-
 # -- paths ---------------------------------------------------------------------------
 
 
@@ -187,14 +168,6 @@ def test_gains_are_those_of_all_paths(seed):
     assert gains == pytest.approx(slow_gains(source, target, value, between, use))
 
 
-def test_transitions_are_all_pairs_that_meet():
-    rng = np.random.default_rng(1)
-    source, target = rng.integers(0, 6, 20), rng.integers(0, 6, 20)
-    before, after = equal_pairs(target, source)
-    wanted = [(a, b) for b in range(20) for a in range(20) if target[a] == source[b]]
-    assert list(zip(before.tolist(), after.tolist(), strict=True)) == wanted
-
-
 # -- tracks --------------------------------------------------------------------------
 
 
@@ -229,9 +202,41 @@ def test_chains_are_what_links_connect(catalogue, seed, least):
     assert [ssp.tolist() for ssp in found] == wanted
 
 
-def test_merges_and_splits_make_no_chains(catalogue):
-    links = links_of(
-        [(0, 2), (1, 2), (2, 3), (2, 4)], ["link", "merge", "link", "split"]
-    )
-    ssps = catalogue([[k, 50, 50, 1] for k in (0, 0, 1, 2, 2)])
-    assert [ssp.tolist() for ssp in chains(links, ssps)] == [[0, 2, 3], [1], [4]]
+def best_total(row, column, weight):
+    """Largest total weight, by trying every choice."""
+    if len(row) == 0:
+        return 0.0
+    rest = list(range(1, len(row)))
+    without = best_total(row[rest], column[rest], weight[rest])
+    free = [k for k in rest if row[k] != row[0] and column[k] != column[0]]
+    with_it = weight[0] + best_total(row[free], column[free], weight[free])
+    return max(without, with_it)
+
+
+pairs = st.lists(
+    st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(-3, 8)), max_size=9
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(pairs)
+def test_it_is_the_best_choice_and_one_to_one(found):
+    row, column, weight = (np.array(v, dtype=int) for v in zip(*found, strict=True)
+                           ) if found else (np.empty(0, int),) * 3  # fmt: skip
+    chosen = assign(row, column, weight)
+    assert len(set(row[chosen])) == len(set(column[chosen])) == chosen.sum()
+    assert weight[chosen].sum() == best_total(row, column, weight)
+    assert np.all(weight[chosen] > 0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_large_choices_are_as_good_as_those_of_a_full_table(seed):
+    rng = np.random.default_rng(seed)
+    row, column = rng.integers(0, 60, (2, 400))
+    weight = rng.uniform(0.5, 1, 400)
+    table = np.zeros((60, 60))
+    np.maximum.at(table, (row, column), weight)
+    chosen = assign(row, column, weight)
+    assert len(set(row[chosen])) == len(set(column[chosen])) == chosen.sum()
+    best = table[linear_sum_assignment(table, maximize=True)].sum()
+    assert weight[chosen].sum() == pytest.approx(best)

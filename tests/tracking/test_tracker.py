@@ -9,7 +9,6 @@ import pytest
 from astropy.time import Time
 
 from astro_scc import Beam, EpochCube
-from astro_scc.correlation import Correlator, all_pairs
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.tracking import FeatureTracker
@@ -72,22 +71,6 @@ def test_every_feature_is_one_row_whatever_its_scales(features):
     assert table["t_ej"].value[1:] == pytest.approx(born, abs=0.15)
 
 
-def test_what_is_not_measured_is_said(features):
-    for track in features.tracks:
-        assert np.all(track.agreement == 1)
-        assert (track.same_speed, track.proven) == (1.0, False)
-    assert not features.table["proven"].any()
-
-
-@pytest.mark.slow
-def test_a_missing_feature_is_a_gap(tracker):
-    cube, decompositions = jet(missing=((0, 4),))
-    table = tracker(cube, decompositions).table
-    assert table["n_epochs"][table["pm"].value > 0.5].tolist() == [11]
-    apart = FeatureTracker(max_speed=1.5 * PM, max_gap=0)(cube, decompositions)
-    assert np.sum(apart.table["pm"].value > 0.5) == 2
-
-
 @cache
 def core_jet(dark=()):
     """A core, one feature that fades, and flashes that are seen at one date each."""
@@ -140,34 +123,6 @@ def test_features_of_0003_380_are_those_of_the_survey(shared_data):
     assert np.all(speed < 0.5)
 
 
-def test_matches_may_be_those_of_a_measurement(tracker):
-    cube, decompositions = jet()
-    matches = Correlator(kappa=0.5)(decompositions, all_pairs(12), 40)
-    one = tracker.link(cube, decompositions)
-    same = tracker.link(cube, decompositions, matches)
-    assert np.array_equal(same.source, one.source)
-    assert np.array_equal(same.target, one.target)
-
-
-@pytest.mark.slow
-def test_ranges_of_speed_along_and_across():
-    cube, decompositions = jet()
-    narrow = FeatureTracker(
-        position_angle=-90 * u.deg, along=[0.4, 0.8] * PM, across=[-0.1, 0.1] * PM,
-        tolerance=0.05,
-    )(cube, decompositions)  # fmt: skip
-    assert narrow.table["pm"].to_value(PM) == pytest.approx([0.6], abs=0.02)
-    radial = FeatureTracker(
-        position_angle="radial", along=[0.2, 0.8] * PM, max_speed=1 * PM
-    )
-    found = radial(cube, decompositions).table
-    assert np.sum(found["pm"].value > 0.2) == 2
-    half = FeatureTracker(
-        position_angle=-90 * u.deg, across=[-0.1, 0.1] * PM, max_speed=1 * PM
-    )
-    assert len(half(cube, decompositions)) >= 1
-
-
 def test_images_without_beams_and_long_intervals():
     cube, decompositions = jet(beams=False)
     assert len(FeatureTracker(max_speed=1.5 * PM)(cube, decompositions)) == 3
@@ -211,19 +166,6 @@ def test_only_selected_ssps_are_tracked(tracker):
 def test_settings_that_make_no_sense_are_refused(setting, error, message):
     with pytest.raises(error, match=message):
         FeatureTracker(**setting)
-
-
-def test_settings_may_be_text():
-    text = FeatureTracker(
-        max_speed="2 mas/yr",
-        position_angle="-112deg",
-        along="-1 4 mas/yr",
-        max_interval="365.25 d",
-    )
-    assert text.max_speed == 2 * PM
-    assert text.position_angle == -112 * u.deg
-    assert (text.max_interval, text.along.unit) == (1 * u.yr, PM)
-    assert text.along.value.tolist() == [-1, 4]
 
 
 def test_what_does_not_go_together_is_refused(tracker):

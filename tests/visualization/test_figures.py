@@ -92,9 +92,29 @@ def test_figures_of_features_have_the_colours_of_their_streams(result):
     assert streams <= {text.get_text() for text in legend.get_texts()}
 
 
-def test_unknown_figures_are_refused_with_those_there_are(result):
-    with pytest.raises(ValueError, match="unknown figure 'map': use one of velocity"):
-        result.plot("map")
+#: Figures of a result by their kind, and of its images by their number.
+REFUSED = [
+    ("map", {}, "unknown figure 'map': use one of velocity"),
+    ("diagram", {"unit": "yr"}, "unit must be an angle"),
+    ("separation", {"unit": "s"}, "unit must be an angle"),
+    ("tracks", {"unit": "s"}, "unit must be an angle"),
+    ("velocity_map", {"unit": "mas"}, "unit must be an angle over a time"),
+    ("velocity_map", {"which": "p"}, "unknown map 'p': use 'coefficient'"),
+    ("velocity_map", {"beta_per_pm": -1}, "beta_per_pm must be positive, got -1"),
+    ("members", {"max_panels": 0}, "max_panels must be at least 1"),
+    (None, {"max_panels": 0}, "max_panels must be at least 1"),
+    (0, {"unit": "Jy"}, "unit must be an angle"),
+    (0, {"stretch": "sqrt"}, "unknown stretch 'sqrt': use 'asinh'"),
+    (8, {}, "epoch 8 of a cube with 8 epochs"),
+    (0.5, {}, "cannot be interpreted as an integer"),
+]
+
+
+@pytest.mark.parametrize(("what", "options", "words"), REFUSED)
+def test_what_is_refused(result, what, options, words):
+    plot = result.plot if isinstance(what, str) else result.cube.plot
+    with pytest.raises((ValueError, IndexError, TypeError), match=words):
+        plot(what, **options)
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from astro_scc.epochs.positions import axis_words, sky_columns
+from astro_scc.images.positions import axis_words, sky_columns
 from astro_scc.report.tables import component_tables
 from astro_scc.units import speed_unit
 from astro_scc.visualization.epochs import plot_epoch, plot_epochs

@@ -139,12 +139,6 @@ def test_nothing_is_drawn_of_nothing(features, plot):
     plot(empty).draw_without_rendering()
 
 
-@pytest.mark.parametrize("plot", [plot_separation, plot_tracks])
-def test_units_must_be_angles(features, plot):
-    with pytest.raises(ValueError, match="unit must be an angle"):
-        plot(features, unit="s")
-
-
 # -- for the literature ------------------------------------------------------------
 
 

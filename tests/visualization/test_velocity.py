@@ -74,8 +74,6 @@ def test_speeds_in_c_are_on_a_second_axis(result):
     (second,) = (a for a in figure.axes[0].child_axes if a.get_xlabel())
     assert second.get_xlabel() == "Apparent speed (c)"
     np.testing.assert_allclose(second.get_xlim(), np.multiply(ax_limits(figure), 2.0))
-    with pytest.raises(ValueError, match="beta_per_pm must be positive, got -1"):
-        plot_velocity_map(result, beta_per_pm=-1)
 
 
 def ax_limits(figure):
@@ -92,13 +90,6 @@ def test_speeds_have_the_unit_that_was_asked_for(result):
     figure.draw_without_rendering()
     (second,) = (a for a in figure.axes[0].child_axes if a.get_xlabel())
     np.testing.assert_allclose(second.get_xlim(), np.multiply(ax_limits(figure), 2e-3))
-    with pytest.raises(ValueError, match="unit must be an angle over a time"):
-        plot_velocity_map(result, unit="mas")
-
-
-def test_an_unknown_map_is_refused(result):
-    with pytest.raises(ValueError, match="unknown map 'p': use 'coefficient'"):
-        plot_velocity_map(result, which="p")
 
 
 def test_nothing_in_the_map_is_drawn_without_warnings(empty):
@@ -262,8 +253,6 @@ def test_no_component_shows_the_mean_image(empty):
     (ax,) = plot_members(empty).axes
     assert ax.get_title() == "no stream"
     assert ax.images
-    with pytest.raises(ValueError, match="max_panels must be at least 1"):
-        plot_members(empty, max_panels=0)
 
 
 def test_arrow_and_legend_keep_to_corners_without_components(result):

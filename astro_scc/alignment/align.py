@@ -1,0 +1,440 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Alignment of the epochs, by shifts that are measured or given in a table."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import astropy.units as u
+import numpy as np
+from astropy.table import Table
+from astropy.time import Time
+from numpy.typing import ArrayLike
+
+from astro_scc.alignment.registration import core_positions, displacement
+from astro_scc.exceptions import MeasurementWarning, warn
+from astro_scc.images import grid
+from astro_scc.images.cutout import region_mask
+from astro_scc.images.headers import first_line
+from astro_scc.images.series import Series
+from astro_scc.images.validation import as_times, naming, numbers
+
+# A row of a table belongs to an epoch if their dates agree to this many days.
+TOLERANCE = 1.0
+AXES = "east", "north"
+DATES = ("epoch", "date", "date_obs", "date-obs", "time", "mjd", "jd", "year")
+# Units by the words in the names of columns.
+UNITS = {
+    **{word: u.Unit(word) for word in ("deg", "arcsec", "mas", "uas")},
+    "marcsec": u.mas,
+    "uarcsec": u.uas,
+}
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """
+    The offset of each epoch from its aligned position, in pixels (x, y).
+
+    ``covariance`` has shape (n, 2, 2), with NaN where errors are not known,
+    and ``turned`` marks epochs whose grid differs by more than a shift.
+    """
+
+    pixels: np.ndarray
+    covariance: np.ndarray
+    what: str
+    turned: np.ndarray | bool = False
+
+
+def align(
+    cube: Series, method: str = "core", *, table: Path | str | Table | None = None,
+    reference: ArrayLike | None = None, region: Any = None,
+    jet_pa: u.Quantity | None = None, max_shift: u.Quantity | None = None,
+) -> Series:  # fmt: skip
+    """
+    Return the cube with its epochs shifted into alignment.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    method : {"core", "correlate", "table", "wcs", "none"}, optional
+        "core"
+            The core of each epoch, as `~astro_scc.epochs.core_positions`
+            measures it, is moved to the reference pixel.
+        "correlate"
+            Every epoch is registered on a reference image, by masked
+            cross-correlation and least squares.  Motion that the whole region
+            shares is removed, even if it is the velocity sought: choose a
+            region that stands still.
+        "table"
+            The positions in a table are moved to the reference pixel.
+        "wcs"
+            Absolute coordinates (``cube.epoch_wcs``) are trusted.  In VLBI
+            images they jump by more than jets move.
+        "none"
+            Reference pixels stay aligned; nothing is shifted.
+
+        The path of a table means "table" with that table.
+    table : path-like or `~astropy.table.Table`, optional
+        For "table": CSV or ECSV with dates and the offsets of the core
+        from the reference pixel, see
+        ``offsets_from_table``.
+    reference : int or array_like, shape (ny, nx), optional
+        For "correlate": the index of an epoch, or an image.  By default the
+        mean of the aligned epochs, found by iteration.
+    region : optional
+        For "correlate": the pixels to compare, in any form that
+        `EpochCube.region_mask` takes.
+    jet_pa : `~astropy.units.Quantity`, optional
+        For "core": position angle of the jet at the core.
+    max_shift : `~astropy.units.Quantity`, optional
+        Largest credible shift.  "core" and "correlate" search no farther, and
+        a larger shift is an error.
+
+    Returns
+    -------
+    `~astro_scc.epochs.EpochCube`
+        ``meta["alignment"]`` has a dict for each epoch: ``epoch``, ``date``,
+        ``method``, and the shift of the image, ``shift_east_mas`` and
+        ``shift_north_mas``, with ``shift_east_err_mas`` and
+        ``shift_north_err_mas`` (None if unknown).  Further alignments are
+        appended.  ``epoch_wcs`` is shifted as well.
+
+    Raises
+    ------
+    ValueError
+        If the method is unknown, an option does not belong to it, an epoch
+        cannot be measured, or its shift exceeds ``max_shift`` or moves it
+        off the grid; and if the method itself raises one.
+
+    Warns
+    -----
+    MeasurementWarning
+        If the core is blended with the jet.
+
+    Notes
+    -----
+    Shifts by whole pixels copy the pixels.  Other shifts interpolate with
+    cubic splines: pixels from outside the image or next to bad ones are
+    masked.  As this smooths noise that varies from pixel to pixel, ``noise``
+    is then None and is measured again.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astropy.table import Table
+    >>> from astro_scc.epochs import EpochCube
+    >>> images = np.zeros((2, 9, 9))
+    >>> images[0, 4, 4] = images[1, 5, 6] = 1
+    >>> cube = EpochCube.from_arrays(
+    ...     images, ["2000-01-01", "2001-01-01"], pixel_scale=0.1 * u.mas
+    ... )
+    >>> table = Table({
+    ...     "date": ["2000-01-01", "2001-01-01"],
+    ...     "east": [0, -0.2] * u.mas,
+    ...     "north": [0, 0.1] * u.mas,
+    ... })
+    >>> aligned = align(cube, "table", table=table)
+    >>> aligned.data[:, 4, 4]
+    array([1., 1.])
+    >>> aligned.meta["alignment"][1]["shift_east_mas"]
+    0.2
+    """
+    if isinstance(method, Table | os.PathLike) or (
+        isinstance(method, str) and method not in METHODS and os.path.isfile(method)
+    ):
+        if table is not None:
+            raise ValueError("give one table, as method or as table")
+        method, table = "table", method
+    if not isinstance(method, str) or method not in METHODS:
+        raise ValueError(f"align {method!r} is none of {', '.join(METHODS)} or a file")
+    measure, known = METHODS[method]
+    options = {"jet_pa": jet_pa, "reference": reference, "region": region}
+    options |= {"table": table, "max_shift": max_shift}
+    options = {name: value for name, value in options.items() if value is not None}
+    strange = sorted(options.keys() - {*known, "max_shift"})
+    if strange:
+        raise ValueError(f"align method {method!r} has no option {', '.join(strange)}")
+    if method == "none":
+        return cube.with_step("aligned by reference pixels (no shifts)")
+    if max_shift is not None and not u.Quantity(max_shift).to_value(u.mas) > 0:
+        raise ValueError(f"max_shift={max_shift} must be positive")
+    offsets = measure(cube, **{k: v for k, v in options.items() if k in known})
+    if max_shift is not None:
+        size = np.hypot(*(cube.pixel_matrix @ offsets.pixels.T))
+        worst = int(np.argmax(size))
+        if size[worst] > max_shift:
+            raise ValueError(
+                f"{cube.labels[worst]}: its shift of {size[worst].to(u.mas):.3g} "
+                f"exceeds max_shift={max_shift}; leave the epoch out or give a larger "
+                "one"
+            )
+    return _move(cube, method, offsets)
+
+
+def _move(cube, method, offsets):
+    """Return the cube with every epoch shifted by minus its offset."""
+    shifts, turned = -offsets.pixels, np.broadcast_to(offsets.turned, len(cube))
+    data, mask = np.empty(cube.shape), np.empty(cube.shape, dtype=bool)
+    for i, shift in enumerate(shifts):
+        if turned[i]:
+            one, own = slice(i, i + 1), cube.epoch_wcs[i]
+            data[one], mask[one] = grid.resample(
+                cube.data[one], cube.mask[one], own, cube.wcs, shape=cube.shape[1:]
+            )
+        else:
+            data[i], mask[i] = grid.shift_image(cube.data[i], cube.mask[i], shift)
+        if mask[i].all():
+            raise ValueError(
+                f"{cube.labels[i]}: its shift of {shift.round(1).tolist()} pixels "
+                "(x, y) takes it off the grid; leave the epoch out"
+            )
+    epoch_wcs = cube.epoch_wcs and tuple(
+        cube.wcs.deepcopy() if method == "wcs" else grid.moved_wcs(own, shift)
+        for own, shift in zip(cube.epoch_wcs, shifts, strict=True)
+    )
+    whole = np.all(np.abs(shifts - np.rint(shifts)) < grid.WHOLE_PIXEL)
+    records = _records(cube, method, offsets)
+    sky = np.array([[r["shift_east_mas"], r["shift_north_mas"]] for r in records])
+    east, north = np.sqrt(np.mean(sky**2, axis=0))
+    largest = int(np.argmax(np.hypot(*sky.T)))
+    most_east, most_north = sky[largest]
+    return cube.with_step(
+        f"aligned on {offsets.what}: shifts of {east:.3g} mas (east) and {north:.3g} "
+        f"mas (north) rms, largest ({most_east:+.3g}, {most_north:+.3g}) mas for "
+        f"{cube.labels[largest]}",
+        data=data,
+        mask=mask,
+        epoch_wcs=epoch_wcs,
+        noise=cube.noise if whole and not turned.any() else None,
+        meta=cube.meta | {"alignment": [*cube.meta.get("alignment", ()), *records]},
+    )
+
+
+def _records(cube, method, offsets):
+    """Return the date, method and shift of each epoch, for ``meta["alignment"]``."""
+    matrix = cube.pixel_matrix.to_value(u.mas)
+    shifts = (-offsets.pixels @ matrix.T + 0.0).round(9)
+    errors = np.sqrt(np.einsum("ij,njk,ik->ni", matrix, offsets.covariance, matrix))
+    errors = np.where(np.isfinite(errors), errors, None)
+    values = np.concatenate([shifts, errors], axis=1).tolist()
+    names = [f"shift_{axis}{err}_mas" for err in ("", "_err") for axis in AXES]
+    return [
+        {"epoch": label, "date": date[:10], "method": method}
+        | dict(zip(names, row, strict=True))
+        for label, date, row in zip(cube.labels, cube.times.isot, values, strict=True)
+    ]
+
+
+def _from_sky(cube, offsets, errors, what):
+    """Return offsets (n, 2) and errors in mas as `Offsets`."""
+    inverse = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
+    variances = errors[:, :, None] ** 2 * np.eye(2)
+    return Offsets(offsets @ inverse.T, inverse @ variances @ inverse.T, what)
+
+
+def _by_core(cube, *, jet_pa=None, max_shift=None):
+    found = core_positions(cube, jet_pa=jet_pa, max_shift=max_shift)
+    n_blended = int(np.sum(found["blended"]))
+    if n_blended:
+        warn(
+            f"the core is blended with the jet in {n_blended} of {len(cube)} epochs: "
+            "its position may be wrong by some hundredths of the beam and more; if "
+            "positions from model fits exist, align with a table of them",
+            MeasurementWarning,
+        )
+    offsets = np.stack([found[axis].value for axis in AXES], axis=1)
+    errors = np.stack([found[f"{axis}_err"].value for axis in AXES], axis=1)
+    return _from_sky(cube, offsets, errors, "the core")
+
+
+def _by_table(cube, *, table=None):
+    if table is None:
+        raise ValueError("align method 'table' needs table=, a path or a Table")
+    offsets, errors = offsets_from_table(table, cube.times, cube.labels)
+    return _from_sky(cube, offsets.value, errors.value, "positions of a table")
+
+
+def _by_wcs(cube):
+    if not cube.epoch_wcs:
+        raise ValueError(
+            "the epochs have no absolute coordinates (epoch_wcs); "
+            "read them from FITS files, or choose another alignment"
+        )
+    found = [grid.grid_step(own, cube.wcs, cube.shape[1:]) for own in cube.epoch_wcs]
+    steps, pure = map(np.array, zip(*found, strict=True))
+    unknown = np.full((len(cube), 2, 2), np.nan)
+    return Offsets(-steps, unknown, "absolute coordinates", ~pure)
+
+
+def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
+    inside = region_mask(cube, region)
+    scale = cube.pixel_scale.to_value(u.mas)
+    reach = min(cube.shape[1:]) / 4
+    if max_shift is not None:
+        reach = u.Quantity(max_shift).to_value(u.mas) / scale
+    image, name = _reference_image(cube, reference)
+    pixels = np.zeros((len(cube), 2))
+    covariance = np.zeros((len(cube), 2, 2))
+    for k in range(5 if image is None else 1):
+        target = _mean_of_moved(cube, -pixels) if image is None else image
+        use = inside & np.isfinite(target)
+        if not use.any():
+            raise ValueError("the reference image has no good pixel in the region")
+        before = pixels.copy()
+        for i, label in enumerate(cube.labels):
+            start = pixels[i] if k > 1 else None
+            pair = cube.data[i], cube.mask[i]
+            with naming(label):
+                found = displacement(*pair, target, use, reach, start=start)
+            pixels[i], covariance[i] = found
+        if image is None:
+            # The mean image could drift freely, so the mean shift is kept at 0.
+            pixels -= pixels.mean(axis=0)
+        if np.abs(pixels - before).max() < 0.01:
+            break
+    if cube.beams is not None:
+        areas = np.array([beam.area.to_value(u.mas**2) for beam in cube.beams])
+        covariance *= np.maximum(areas / scale**2 / 2, 1)[:, None, None]
+    return Offsets(pixels, covariance, name)
+
+
+def _reference_image(cube, reference):
+    """Return the reference image, None for the mean, and its name."""
+    if reference is None:
+        return None, "their mean"
+    image = np.asarray(reference, dtype=float)
+    if image.ndim == 0:
+        if reference != int(reference) or not -len(cube) <= reference < len(cube):
+            raise ValueError(f"reference={reference} is none of {len(cube)} epochs")
+        index = int(reference)
+        image = np.where(cube.mask[index], np.nan, cube.data[index])
+        return image, cube.labels[index]
+    if image.shape != cube.shape[1:]:
+        raise ValueError(f"reference has shape {image.shape}, epochs {cube.shape[1:]}")
+    return image, "a reference image"
+
+
+def _mean_of_moved(cube, shifts):
+    """Return the mean of the shifted epochs, NaN where any of them has no pixel."""
+    epochs = zip(cube.data, cube.mask, shifts, strict=True)
+    # Pixels that only some epochs have would make steps in the mean.
+    return np.mean([grid.shift_image(*epoch)[0] for epoch in epochs], axis=0)
+
+
+def offsets_from_table(table, times, labels):
+    """
+    Return the offset of each epoch in a table, and its error, shape (n, 2) in mas.
+
+    The table is in memory or is a CSV or ECSV file.  It has one column of dates
+    (``epoch``, ``date``, ``date_obs``, ``time``, ``mjd``, ``jd`` or ``year``: a
+    Time, ISO dates, or numbers) and two columns of offsets, with ``east`` and
+    ``north`` as parts of their names.  Their unit is that of the column, or else
+    a part of the name, as in ``core_x_mas_east``.  Two more columns with ``err``
+    or ``error`` in their names are the errors, which are NaN without them.  Each
+    epoch takes the row of the nearest date within a day.
+    """
+    name, table = _read_table(table)
+    dates = _dates(table, name)
+    axes = [_axis(table, axis, name) for axis in AXES]
+    values, errors = (np.stack(pair, axis=1) for pair in zip(*axes, strict=True))
+    rows = []
+    for time, label in zip(times, labels, strict=True):
+        where = f"{time.isot[:10]} ({label})"
+        apart = np.abs((dates - time).to_value(u.day))
+        if len(apart) == 0 or not apart.min() <= TOLERANCE:
+            raise ValueError(
+                f"{name}: no row within {TOLERANCE:g} d of {where}; add one, or leave "
+                "the epoch out"
+            )
+        nearest = np.flatnonzero(apart <= apart.min() + 1e-6)
+        found = values[nearest]
+        if not np.all(np.isfinite(found)):
+            raise ValueError(f"{name}: the row for {where} has no numbers")
+        if np.any(found != found[0]):
+            raise ValueError(f"{name}: rows that differ for {where}; keep one")
+        rows.append(nearest[0])
+    return values[rows] * u.mas, errors[rows] * u.mas
+
+
+def _read_table(table):
+    if isinstance(table, Table):
+        return "table", table
+    if not isinstance(table, str | os.PathLike):
+        raise TypeError(f"table must be a path or a Table, got {type(table).__name__}")
+    path = Path(table)
+    text = path.read_text(encoding="utf-8", errors="replace")
+    kind = "ascii.ecsv" if text.startswith("# %ECSV") else "ascii.csv"
+    try:
+        return str(path), Table.read(text.splitlines(), format=kind)
+    except Exception as error:  # astropy's parsers raise errors of many kinds
+        reason = first_line(error)
+        raise ValueError(f"{path}: is neither CSV nor ECSV ({reason})") from error
+
+
+def _words(name):
+    return re.split(r"[^a-z]+", name.lower())
+
+
+def _dates(table, name):
+    columns = [c for c in table.colnames if c.lower() in DATES]
+    if len(columns) != 1:
+        raise ValueError(
+            f"{name}: {len(columns)} columns of dates, one is needed, "
+            f"called one of {', '.join(DATES)}; it has {', '.join(table.colnames)}"
+        )
+    column, kind = table[columns[0]], columns[0].lower()
+    if isinstance(column, Time):
+        return column
+    where = f"{name}: the dates in column {columns[0]!r} are not understood"
+    # ERFA warns of years whose leap seconds are unknown.
+    with naming(where), warnings.catch_warnings(action="ignore"):
+        if kind in ("mjd", "jd") or column.dtype.kind in "fi":
+            kind = kind if kind in ("mjd", "jd") else "jyear"
+            column = Time(np.asarray(column, dtype=float), format=kind, scale="utc")
+        else:
+            column = [str(value) for value in column]
+        return as_times(column, len(table))
+
+
+def _axis(table, axis, name):
+    """Return the offsets along "east" or "north" in mas, and their errors."""
+    columns = [c for c in table.colnames if axis in _words(c)]
+    wrong = [c for c in columns if {"err", "error"} & set(_words(c))]
+    columns = [c for c in columns if c not in wrong]
+    if len(columns) != 1:
+        raise ValueError(
+            f"{name}: {len(columns)} columns have '{axis}' as a part of their "
+            f"names, one is needed, such as 'core_mas_{axis}'; "
+            f"it has {', '.join(table.colnames)}"
+        )
+    errors = _angles(table, wrong[0], name) if wrong else np.full(len(table), np.nan)
+    return _angles(table, columns[0], name), errors
+
+
+def _angles(table, column, name):
+    """Return a column in mas, blanks as NaN; the unit may be part of its name."""
+    unit = getattr(table[column], "unit", None)
+    named = [UNITS[word] for word in _words(column) if word in UNITS]
+    if unit is None and len(named) != 1:
+        raise ValueError(
+            f"{name}: column {column!r} has no unit; give it one in an ECSV table "
+            f"or in its name, as in {column + '_mas'!r}"
+        )
+    return numbers(table[column], u.mas, name, own_unit=unit or named[0])
+
+
+# Name -> the function that measures the offsets, and its options.
+METHODS = {
+    "core": (_by_core, ("jet_pa", "max_shift")),
+    "correlate": (_by_correlation, ("reference", "region", "max_shift")),
+    "table": (_by_table, ("table",)),
+    "wcs": (_by_wcs, ()),
+    "none": (None, ()),
+}

@@ -1,0 +1,403 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Model components: lists of Gaussians at many dates, and how they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+from astropy.time import Time
+from numpy.typing import ArrayLike
+
+from astro_scc.components.tables import FORMATS, UNITS, read_fields, source_names
+from astro_scc.exceptions import warn
+from astro_scc.images.beam import Beam
+from astro_scc.images.fits import find_files
+from astro_scc.images.validation import as_beams, as_epoch_tuple, naming
+from astro_scc.quantities import check_choice, named
+
+COLUMNS = (*UNITS, "feature", "excluded")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ComponentList:
+    """
+    Model components of one source at many dates, one entry per component.
+
+    Parameters
+    ----------
+    times : `~astropy.time.Time`, shape (n_epochs,)
+        Dates; they are sorted.
+    epoch : array_like of int, shape (n,)
+        Index into ``times`` of each component.
+    flux : `~astropy.units.Quantity`, shape (n,)
+        Flux densities.
+    east, north : `~astropy.units.Quantity`, shape (n,)
+        Offsets from the origin, small angles.
+    major, minor : `~astropy.units.Quantity`, shape (n,), optional
+        Full widths at half maximum of the Gaussians; 0 or NaN means a point.
+    pa : `~astropy.units.Quantity`, shape (n,), optional
+        Position angles of the major axes, north through east.
+    feature : array_like of int, shape (n,), optional
+        The same number at every epoch for the same feature; 0 is the core,
+        -1 a component that was not identified.
+    excluded : array_like of bool, shape (n,), optional
+        Components that their authors left out of their own fits.
+    labels : sequence of str, length n_epochs, optional
+        Names of the epochs, by default their dates.
+    beams : sequence of `Beam`, length n_epochs, optional
+        Beams of the images that the components describe.
+    meta : dict, optional
+        Facts about the source: object, redshift, frequency, position.
+
+    Raises
+    ------
+    ValueError
+        If lengths disagree, a value is not finite, or a minor axis exceeds
+        its major axis.
+    `~astropy.units.UnitConversionError`
+        If a column has the wrong kind of unit.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.time import Time
+    >>> from astro_scc.epochs import ComponentList
+    >>> components = ComponentList(
+    ...     times=Time(["2006-01-01", "2006-07-01"]),
+    ...     epoch=[0, 0, 1, 1],
+    ...     flux=[900, 300, 950, 280] * u.mJy,
+    ...     east=[0, 1.0, 0, 1.3] * u.mas,
+    ...     north=[0, 0.5, 0, 0.6] * u.mas,
+    ... )
+    >>> components
+    <ComponentList: 4 components at 2 epochs, 2006-01-01 to 2006-07-01>
+    >>> components.select(before="2006-03-01").n_epochs
+    1
+    """
+
+    times: Time
+    epoch: np.ndarray
+    flux: u.Quantity
+    east: u.Quantity
+    north: u.Quantity
+    major: u.Quantity | None = None
+    minor: u.Quantity | None = None
+    pa: u.Quantity | None = None
+    feature: np.ndarray | None = None
+    excluded: np.ndarray | None = None
+    labels: tuple[str, ...] = ()
+    beams: tuple[Beam, ...] = ()
+    meta: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        times, epoch = Time(self.times), np.asarray(self.epoch, dtype=int)
+        n = epoch.size
+        if times.isscalar or (n and not 0 <= epoch.min() <= epoch.max() < len(times)):
+            raise ValueError("components: epoch must be indices into an array of times")
+        labels = as_epoch_tuple(self.labels, len(times), "labels", str)
+        labels = labels or times.strftime("%Y-%m-%d").tolist()
+        beams = as_beams(self.beams, len(times)) or ()
+        order = np.argsort(times.mjd, kind="stable")
+        # Components without a size are points, those with one axis are round.
+        default = {"major": np.zeros(n) * u.mas, "pa": np.zeros(n) * u.deg}
+        default |= {"feature": np.full(n, -1.0), "excluded": np.zeros(n)}
+        columns, wrong = {}, {}
+        for name in COLUMNS:
+            values = getattr(self, name)
+            if values is None:
+                values = columns["major"] if name == "minor" else default[name]
+            values = u.Quantity(values).to(UNITS.get(name, u.one))
+            if values.shape != (n,):
+                raise ValueError(f"{name} has shape {values.shape}, epoch has ({n},)")
+            if name in ("major", "minor", "pa"):
+                # Blank sizes mean points, and round components have no angle.
+                values[np.isnan(values)] = 0
+            columns[name] = values
+            wrong[f"{name} is blank or not finite"] = ~np.isfinite(values)
+        minor, largest = columns["minor"], columns["major"] * (1 + 1e-6)
+        wrong["axes must be 0 <= minor <= major"] = (minor < 0) | (minor > largest)
+        for problem, where in wrong.items():
+            for row in np.flatnonzero(where):
+                raise ValueError(f"component {row + 1} of {n}: {problem}")
+        columns |= {
+            "times": times[order],
+            "labels": tuple(labels[i] for i in order),
+            "beams": tuple(beams[i] for i in order if beams),
+            "epoch": np.argsort(order)[epoch],
+            "feature": columns["feature"].value.astype(int),
+            "excluded": columns["excluded"].value.astype(bool),
+        }
+        vars(self).update(columns)
+
+    def __len__(self) -> int:
+        return self.epoch.size
+
+    @property
+    def n_epochs(self) -> int:
+        """Number of epochs."""
+        return len(self.times)
+
+    def __repr__(self):
+        days = self.times.strftime("%Y-%m-%d")
+        span = f", {days[0]} to {days[-1]}" if len(days) else ""
+        return (
+            f"<ComponentList: {len(self)} components at {self.n_epochs} epochs{span}>"
+        )
+
+    def select(
+        self, *, after: Time | str | None = None, before: Time | str | None = None,
+        features: ArrayLike | None = None, excluded: bool = True,
+    ) -> ComponentList:  # fmt: skip
+        """
+        Return some of the components; epochs without any are dropped.
+
+        Parameters
+        ----------
+        after, before : `~astropy.time.Time` or str, optional
+            Keep ``after <= date < before``.
+        features : sequence of int, optional
+            Keep these features only.
+        excluded : bool, optional
+            False leaves out the components flagged as excluded.
+
+        Returns
+        -------
+        `ComponentList`
+
+        Raises
+        ------
+        ValueError
+            If no component is left.
+        """
+        keep, dates = ~self.excluded | excluded, self.times[self.epoch]
+        if after is not None:
+            keep &= dates >= Time(after)
+        if before is not None:
+            keep &= dates < Time(before)
+        if features is not None:
+            keep &= np.isin(self.feature, features)
+        if not keep.any():
+            days = self.times.strftime("%Y-%m-%d")
+            raise ValueError(
+                f"no component is left of {len(self)} between {days[0]} and "
+                f"{days[-1]}; widen the selection"
+            )
+        epochs, epoch = np.unique(self.epoch[keep], return_inverse=True)
+        return replace(
+            self,
+            times=self.times[epochs],
+            epoch=epoch,
+            labels=tuple(self.labels[i] for i in epochs),
+            beams=tuple(self.beams[i] for i in epochs if self.beams),
+            **{name: getattr(self, name)[keep] for name in COLUMNS},
+        )
+
+    def to_table(self) -> QTable:
+        """
+        Return all components as a table, which `read_components` reads from ECSV.
+
+        Returns
+        -------
+        `~astropy.table.QTable`
+            One row per component, with offsets from the origin of this list.  Its
+            ``meta`` has the ``beam`` if all epochs have the same.
+        """
+        names = {"major": "major_fwhm", "minor": "minor_fwhm", "pa": "major_pa"}
+        names["excluded"] = "excluded_from_fit"
+        table = QTable({"epoch": self.times[self.epoch].isot}, meta=dict(self.meta))
+        if self.beams and all(beam == self.beams[0] for beam in self.beams):
+            axes = (getattr(self.beams[0], name) for name in ("major", "minor", "pa"))
+            table.meta["beam"] = " ".join(map(str, axes))
+        for name in ("feature", *UNITS, "excluded"):
+            table[names.get(name, name)] = getattr(self, name)
+        return table
+
+
+def _concatenate(lists):
+    """Concatenate lists, with the first one's position and the meta common to all."""
+    starts = np.cumsum([0] + [part.n_epochs for part in lists[:-1]])
+    epochs = [part.epoch + start for part, start in zip(lists, starts, strict=True)]
+    dates = np.concatenate([part.times.utc.isot for part in lists])
+    beams = tuple(beam for part in lists for beam in part.beams)
+    return ComponentList(
+        times=Time(dates, format="isot", scale="utc"),
+        epoch=np.concatenate(epochs),
+        labels=tuple(label for part in lists for label in part.labels),
+        beams=beams if len(beams) == len(dates) else (),
+        meta={
+            key: value
+            for key, value in lists[0].meta.items()
+            if key == "position" or all(part.meta.get(key) == value for part in lists)
+        },
+        **{name: np.concatenate([getattr(p, name) for p in lists]) for name in COLUMNS},
+    )
+
+
+def read_components(
+    paths: Path | str | Sequence[Path | str], *, format: str | None = None,
+    source: str | None = None, origin: str | None = None,
+    dates: Time | Sequence[Time | str | None] | None = None,
+    beams: Beam | Sequence[Beam] | None = None,
+) -> ComponentList:  # fmt: skip
+    """
+    Read the model components of one source from files.
+
+    Parameters
+    ----------
+    paths : path or sequence of paths
+        A table of many epochs, or one file per epoch; also patterns.
+    format : {'ecsv', 'mrt', 'difmap', 'aips-cc'}, optional
+        By default taken from the file's suffix: ``.ecsv``; ``.txt``, ``.dat``
+        or ``.mrt``, a machine-readable table of the AAS or, with its file
+        ``ReadMe`` in the same folder, of the CDS; ``.mod``; ``.fits`` with an
+        AIPS CC table, the one with the highest version if there are several.
+    source : str, optional
+        Name of the source, for a table of several.  A file of another source
+        is refused.
+    origin : {'core', 'map'}, optional
+        Put the core, feature 0, at the origin, or keep the map's centre
+        there.  The default is 'core' for tables whose positions refer to the
+        core, as in MOJAVE's, where only the rows of the core refer to the
+        map's centre; it is 'map' for all others.
+    dates : sequence of `~astropy.time.Time` or str, optional
+        Dates of the files.  Without them a difmap file must have its date in
+        its name (2006-03-09, 2006_03_09 or 20060309).
+    beams : beam or sequence of beams, optional
+        Beam of all files or of each, instead of those in the header of a FITS file or
+        in the ``meta`` of a table, ``beam: 1.0 mas 0.5 mas -7 deg``.
+
+    Returns
+    -------
+    `ComponentList`
+
+    Raises
+    ------
+    OSError
+        If a file is missing or is not of its format.
+    ValueError
+        If a value cannot be used; the message names the file and the row.
+
+    Notes
+    -----
+    Tables need columns for the date (``epoch``, or ``Obs.Y``, ``Obs.M`` and
+    ``Obs.D`` for year, month and day), ``flux``, ``separation`` and
+    ``position_angle`` (or ``east`` and ``north``), with units; they may also
+    have ``feature``, ``major_fwhm``, ``axial_ratio`` or ``minor_fwhm``,
+    ``major_pa`` and ``excluded_from_fit``.  Columns of machine-readable tables
+    are recognised by their labels and explanations.  A blank size means a
+    point, a blank ratio a circle.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from astro_scc.epochs import read_components
+    >>> model = "0.9v 0.1v 90 0.2v 1 0 1\\n0.1v 2.0v -45.0v\\n"
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "source_2006-03-09.mod"
+    ...     _ = path.write_text(model)
+    ...     components = read_components(path)
+    >>> components
+    <ComponentList: 2 components at 1 epochs, 2006-03-09 to 2006-03-09>
+    >>> components.east.round(2)
+    <Quantity [ 0.1 , -1.41] mas>
+    """
+    if origin is not None:
+        named("origin", check_choice, origin, "core", "map")
+    if format is not None:
+        named("format", check_choice, format, *FORMATS)
+    paths = find_files(paths)
+    if dates is None:
+        dates = [None] * len(paths)
+    elif isinstance(dates, str) or (isinstance(dates, Time) and dates.isscalar):
+        dates = [dates]
+    if len(dates) != len(paths):
+        raise ValueError(f"{len(dates)} dates for {len(paths)} component files")
+    dates = [d.utc.isot if isinstance(d, Time) else d and str(d) for d in dates]
+    beams = as_beams(beams, len(paths)) or [None] * len(paths)
+    lists = []
+    for path, date, beam in zip(paths, dates, beams, strict=True):
+        kind = format or _kind_of(path)
+        lists.append(_read_file(path, kind, source, origin, beam, date=date))
+    objects = sorted({part.meta["object"] for part in lists if "object" in part.meta})
+    if len(objects) > 1:
+        warn(
+            f"the component files are of {', '.join(objects)}; if these are not "
+            "names of one source, leave the wrong files out"
+        )
+    return lists[0] if len(lists) == 1 else _concatenate(lists)
+
+
+def read_sources(
+    path: Path | str, *, source: str | None = None, origin: str | None = None,
+    beams: Beam | None = None,
+) -> dict[str, ComponentList]:  # fmt: skip
+    """
+    Read the model components of all sources of a table.
+
+    Parameters
+    ----------
+    path : path
+        A table that `read_components` reads.
+    source : str, optional
+        Only this one.
+    origin : {'core', 'map'}, optional
+    beams : `Beam`, optional
+        See `read_components`.
+
+    Returns
+    -------
+    dict of `ComponentList`
+        By the names of the sources; that of a table without names is its stem.  A
+        source that cannot be read is left out with a warning.
+
+    Raises
+    ------
+    OSError, ValueError
+        See `read_components`.
+    """
+    path = Path(path)
+    if source is not None:
+        return {
+            source: read_components(path, source=source, origin=origin, beams=beams)
+        }
+    (path,) = find_files(path)
+    kind = _kind_of(path)
+    opened = FORMATS[kind][0](path)
+    found = {}
+    for name in source_names(opened[0]) or (None,):
+        try:
+            own = _read_file(path, kind, name, origin, beams, opened=opened)
+            found[name or path.stem] = own
+        except ValueError as error:
+            reason = error
+            warn(f"{error}; the source {name or path.stem} is left out")
+    if not found:
+        raise reason
+    return found
+
+
+def _read_file(path, kind, source, origin, beam, **how):
+    """Return the components in a file with a beam, or with that of the file."""
+    fields = read_fields(path, kind, source, origin, **how)
+    own = fields["meta"].pop("beam", None)
+    beams = [b for b in (beam, own) if b is not None][:1] * len(fields["times"])
+    with naming(path):
+        return ComponentList(**fields, beams=beams)
+
+
+def _kind_of(path):
+    """Return the format of a file, which its suffix tells."""
+    suffix = path.suffix.lower()
+    kind = next((k for k, (_, own) in FORMATS.items() if suffix in own), None)
+    if kind is None:
+        raise ValueError(
+            f"{path}: the suffix {path.suffix!r} tells no format; give one of "
+            f"{', '.join(FORMATS)}"
+        )
+    return kind

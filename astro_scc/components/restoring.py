@@ -1,0 +1,358 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Images of model components, and noise correlated by a restoring beam."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from scipy import fft
+
+from astro_scc.components.lists import ComponentList, read_components
+from astro_scc.exceptions import warn
+from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
+from astro_scc.images.headers import FACTS
+from astro_scc.images.positions import pixel_side
+from astro_scc.images.series import ImageSeries, Series
+from astro_scc.images.smoothing import gaussian_transfer
+from astro_scc.images.validation import as_beams, as_noise
+
+# East is left and north is up: (x, y) = FLIP (east, north) / pixel.
+FLIP = np.diag([-1.0, 1.0])
+#: What is wrong with components that cannot be restored.
+NO_BEAM = (
+    "is a list of components without a beam to restore it with; give --beam "
+    "'1.0 mas 0.5 mas -7 deg' (beams= in Python)"
+)
+MAX_SIDE = 20000
+# Of images that are made without a choice: pixels of the narrowest beam, and the
+# faintest component over the noise.
+PIXELS_A_BEAM = 5
+FAINTEST = 10.0
+# Half side of the box in which a Gaussian is evaluated, in standard
+# deviations: exp(-7**2 / 2) = 2e-11 of the peak is left out.
+REACH = 7.0
+# Padding of the periodic Fourier grid, in standard deviations of the beam:
+# the noise of opposite edges is then independent to exp(-(6 / 2)**2).
+PADDING = 6.0
+
+
+def restore(
+    cls: type[Series], components: ComponentList, *, beam: Beam | Sequence[Beam],
+    pixel_scale: u.Quantity, shape: tuple[int, int] | None = None,
+    reference_pixel: tuple[float, float] | None = None, noise: u.Quantity | None = None,
+    rng: np.random.Generator | int | None = None, position: SkyCoord | None = None,
+    unit: u.UnitBase | str = u.Jy / u.beam, margin: float = 4.0,
+) -> Series:  # fmt: skip
+    """
+    Return images of model components, restored with a beam.
+
+    A Gaussian component of covariance ``C`` and flux density ``S`` appears
+    in a beam of covariance ``B`` as a Gaussian of covariance ``B + C`` and
+    peak ``S sqrt(det B / det(B + C))`` per beam; it is evaluated at the
+    pixel centres.
+
+    Parameters
+    ----------
+    components : `ComponentList`
+    beam : beam or sequence of beams
+        One beam for all epochs, or one for each: a `Beam`, or anything with the
+        attributes ``major``, ``minor`` and ``pa``.
+    pixel_scale : `~astropy.units.Quantity`
+        Side of a pixel.
+    shape : tuple of int, optional
+        Shape (ny, nx) of the images.  By default they hold all components
+        and a ``margin`` around them.
+    reference_pixel : tuple of float, optional
+        (x, y) of the origin of the components, counted from 0.  By default
+        the components are in the middle of the image.
+    noise : `~astropy.units.Quantity`, optional
+        Root mean square of the beam-correlated noise to add, in units like
+        ``unit``; scalar or one for each epoch.
+    rng : `numpy.random.Generator`, seed or None, optional
+        Passed to `numpy.random.default_rng`; one generator is spawned for
+        each epoch.
+    position : `~astropy.coordinates.SkyCoord`, optional
+        Celestial position of the origin, by default that in the meta of the
+        components.
+    unit : `~astropy.units.Unit`, optional
+        Unit of the images, flux density per beam.
+    margin : float, optional
+        Width of the margin, in major axes of the largest beam.
+
+    Returns
+    -------
+    `EpochCube`
+
+    Raises
+    ------
+    ValueError
+        If the number of beams or noise levels is not that of the epochs, a
+        size is not positive, or the images would be too large.
+    TypeError
+        If a unit does not fit.
+
+    Warns
+    -----
+    EpochWarning
+        If components lie outside images of the given shape.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.time import Time
+    >>> from astro_scc.epochs import Beam, ComponentList, restore
+    >>> components = ComponentList(
+    ...     times=Time(["2006-01-01", "2006-07-01"]),
+    ...     epoch=[0, 1],
+    ...     flux=[1, 1] * u.Jy,
+    ...     east=[0.0, 0.4] * u.mas,
+    ...     north=[0.0, 0.2] * u.mas,
+    ... )
+    >>> cube = restore(components, beam=Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg),
+    ...                pixel_scale=0.1 * u.mas)
+    >>> cube.shape, round(float(cube.data[0].max()), 3)
+    ((2, 83, 85), 1.0)
+    """
+    n_epochs = components.n_epochs
+    beams = as_beams(beam, n_epochs)
+    if not beams:
+        raise ValueError("restore needs a beam; give one, or one for each epoch")
+    noise = as_noise(noise, n_epochs, unit)
+    scale = pixel_side(pixel_scale).to_value(u.mas)
+    narrow = min(b.minor.value for b in beams)
+    if scale > narrow:
+        raise ValueError(
+            f"a pixel of {scale:g} mas is larger than the beam of {narrow:g} mas; give "
+            "a fifth of the beam or less"
+        )
+    x, y = -components.east.value / scale, components.north.value / scale
+    border = margin * max(b.major.value for b in beams) / scale
+    border = components.major.value / scale + border
+    shape, reference_pixel = _grid(x, y, border, shape, reference_pixel)
+    x, y = x + reference_pixel[0], y + reference_pixel[1]
+    outside = (x < -0.5) | (x > shape[1] - 0.5) | (y < -0.5) | (y > shape[0] - 0.5)
+    if outside.any():
+        warn(
+            f"{np.count_nonzero(outside)} of {len(components)} components lie outside "
+            f"the images of shape {shape}; give a larger shape, or none"
+        )
+
+    own = _covariances(components) / scale**2
+    flux = (components.flux / u.beam).to_value(unit)
+    data = np.zeros((n_epochs, *shape))
+    for i, noise_rng in enumerate(np.random.default_rng(rng).spawn(n_epochs)):
+        here = components.epoch == i
+        blur = in_pixels(beams[i], pixel_scale)
+        total = own[here] + blur
+        peak = flux[here] * np.sqrt(np.linalg.det(blur) / np.linalg.det(total))
+        add_gaussians(data[i], x[here], y[here], peak, total)
+        if noise is not None:
+            options = {"beam": beams[i], "pixel_scale": pixel_scale, "rng": noise_rng}
+            data[i] += correlated_noise(shape, rms=noise[i].value, **options)
+
+    facts = {name: components.meta[name] for name in FACTS if name in components.meta}
+    added = "" if noise is None else ", noise added"
+    line = f"restored {len(components)} components at {n_epochs} epochs{added}"
+    if position is None:
+        position = components.meta.get("position")
+    return cls.from_arrays(
+        data,
+        components.times,
+        pixel_scale=pixel_scale,
+        reference_pixel=reference_pixel,
+        position=position,
+        unit=unit,
+        beams=beams,
+        noise=noise,
+        labels=components.labels,
+        epoch_meta=[facts] * n_epochs,
+        meta={**components.meta, "history": [line]},
+    )
+
+
+def restore_files(cls, files, *, times=None, beams=None):
+    """
+    Return images of the components in files, with pixels and noise that suit them.
+
+    A pixel is a fifth of the narrowest beam.  Models have no noise, but without any
+    every ripple of an image would be significant: the faintest peak at the place of a
+    component, in the median over the epochs, is taken for ten times the noise.  It is
+    then found in nearly every epoch, and its place is uncertain by a twentieth of the
+    beam, FWHM / (2 SNR).  The images are the same whenever the files are read.
+
+    ``times`` and ``beams`` are those of `~astro_scc.epochs.read_components`, by which
+    the files are read.  What the images have is said in a warning.
+    """
+    components = read_components(files, dates=times, beams=beams)
+    if not components.beams:
+        raise ValueError(f"{files[0]}: {NO_BEAM}")
+    how = suited(components)
+    first, *others = components.beams
+    differ = " and others" * any(beam != first for beam in others)
+    warn(
+        f"lists of components were restored with the beam {first}{differ}, pixels of "
+        f"{how['pixel_scale']:.3g} and noise of {how['noise']:.2g}; make images with "
+        "astro-scc restore to choose these"
+    )
+    return restore(cls, components, **how, rng=0)
+
+
+def suited(components):
+    """Return the options of `restore` that suit components, see `restore_files`."""
+    pixel = min(beam.minor for beam in components.beams) / PIXELS_A_BEAM
+    options = {"beam": components.beams, "pixel_scale": pixel}
+    cube = restore(ImageSeries, components, **options)
+    x0, y0 = cube.reference_pixel
+    x = np.rint(x0 - (components.east / pixel).to_value(u.one)).astype(int)
+    y = np.rint(y0 + (components.north / pixel).to_value(u.one)).astype(int)
+    peaks = np.where(cube.data > 0, cube.data, np.inf)[components.epoch, y, x]
+    faintest = np.full(len(cube), np.inf)
+    np.minimum.at(faintest, components.epoch, peaks)
+    for i in np.flatnonzero(np.isinf(faintest)):
+        raise ValueError(f"{cube.labels[i]}: no component is positive; leave it out")
+    return options | {"noise": np.median(faintest) / FAINTEST * cube.unit}
+
+
+def in_pixels(beam, pixel_scale):
+    """Return the covariance of a beam over (x, y) in square pixels."""
+    scale = pixel_side(pixel_scale).to_value(u.mas)
+    return FLIP @ beam.covariance.value @ FLIP / scale**2
+
+
+def _grid(x, y, border, shape, reference_pixel):
+    """Return a shape and reference pixel for all (x, y), counted from that pixel."""
+    low = np.floor([(x - border).min(), (y - border).min()])
+    high = np.ceil([(x + border).max(), (y + border).max()])
+    if shape is None:
+        if reference_pixel is None:
+            reference_pixel = -low
+        shape = np.ceil(high + reference_pixel)[::-1] + 1
+        if max(shape) > MAX_SIDE:
+            raise ValueError(
+                f"the components need images of {shape[1]:g} x {shape[0]:g} pixels; "
+                "give larger pixels, or a shape"
+            )
+    shape = tuple(int(n) for n in shape)
+    if len(shape) != 2 or min(shape) < 1:
+        raise ValueError(f"shape must be (ny, nx), both positive, got {shape}")
+    if reference_pixel is None:
+        reference_pixel = np.round((np.array(shape[::-1]) - 1 - low - high) / 2)
+    return shape, tuple(float(p) for p in reference_pixel)
+
+
+def _covariances(components):
+    """Return the covariances over (x, y) in mas^2, shape (n, 2, 2)."""
+    pa = components.pa.to_value(u.rad)
+    along = np.stack([-np.sin(pa), np.cos(pa)], axis=-1)
+    across = np.stack([-np.cos(pa), -np.sin(pa)], axis=-1)
+    major = (FWHM_TO_SIGMA * components.major.value[:, None, None]) ** 2
+    minor = (FWHM_TO_SIGMA * components.minor.value[:, None, None]) ** 2
+    of_major = major * along[:, :, None] * along[:, None, :]
+    return of_major + minor * across[:, :, None] * across[:, None, :]
+
+
+def add_gaussians(image, x, y, peak, covariance):
+    """
+    Add elliptical Gaussians to an image (ny, nx), in place, and return it.
+
+    Their centres ``x`` and ``y`` are counted from 0, ``peak`` is the value there,
+    and ``covariance``, shape (n, 2, 2), is over (x, y) in square pixels.  Each
+    Gaussian is evaluated at the pixel centres of a box that reaches 7 standard
+    deviations to each side, as far as it lies in the image.
+    """
+    ny, nx = image.shape
+    for x0, y0, p, c in zip(x, y, peak, np.asarray(covariance), strict=True):
+        reach_x, reach_y = REACH * np.sqrt(np.diag(c))
+        columns, rows = _pixels(x0, reach_x, nx), _pixels(y0, reach_y, ny)
+        if p == 0 or not columns.size or not rows.size:
+            continue
+        dx, dy = columns - x0, (rows - y0)[:, None]
+        (a, b), (_, d) = np.linalg.inv(c)
+        if b == 0:
+            box = p * np.exp(-0.5 * d * dy**2) * np.exp(-0.5 * a * dx**2)
+        else:
+            box = p * np.exp(-0.5 * (a * dx**2 + 2 * b * dx * dy + d * dy**2))
+        image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += box
+    return image
+
+
+def _pixels(centre, reach, n):
+    """Return those of n pixels that are within reach of a centre."""
+    start = max(int(np.ceil(centre - reach)), 0)
+    return np.arange(start, min(int(np.floor(centre + reach)) + 1, n))
+
+
+def correlated_noise(
+    shape: tuple[int, int], *, rms: float | u.Quantity, beam: Beam | None = None,
+    pixel_scale: u.Quantity | None = None, rng: np.random.Generator | int | None = None,
+) -> np.ndarray:  # fmt: skip
+    """
+    Return Gaussian noise that is correlated by a beam.
+
+    White noise is convolved with the beam, so its autocorrelation is the beam
+    convolved with itself.  It is divided by the theoretical gain of that
+    convolution, so that the expected root mean square is ``rms`` for any beam,
+    while that of one image scatters about it.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Shape (ny, nx) of the image.
+    rms : float or `~astropy.units.Quantity`
+        Root mean square of the noise.
+    beam : `~astro_scc.epochs.Beam`, optional
+        Without it the noise is white.
+    pixel_scale : `~astropy.units.Quantity`, optional
+        Side of a pixel; needed with a beam.  East is towards smaller x and
+        north towards larger y.
+    rng : `numpy.random.Generator`, seed or None, optional
+        Passed to `numpy.random.default_rng`.
+
+    Returns
+    -------
+    `numpy.ndarray` or `~astropy.units.Quantity`, shape (ny, nx)
+        In the unit of ``rms``.
+
+    Raises
+    ------
+    ValueError
+        If ``rms`` is negative or not finite, or a beam is given without a
+        positive ``pixel_scale``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.images.beam import Beam
+    >>> from astro_scc.components.restoring import correlated_noise
+    >>> beam = Beam(1 * u.mas, 0.5 * u.mas)
+    >>> noise = correlated_noise((64, 128), rms=0.3 * u.mJy / u.beam, beam=beam,
+    ...                          pixel_scale=0.1 * u.mas, rng=1)
+    >>> noise.shape, noise.unit
+    ((64, 128), Unit("mJy / beam"))
+    """
+    rng = np.random.default_rng(rng)
+    level = u.Quantity(rms)
+    if not (level.isscalar and np.isfinite(level) and level.value >= 0):
+        raise ValueError(f"rms must be one finite, non-negative number, got {rms}")
+    if beam is None:
+        return rms * rng.standard_normal(shape)
+    if pixel_scale is None:
+        raise ValueError("noise with a beam needs pixel_scale, the side of a pixel")
+
+    covariance = in_pixels(beam, pixel_scale)
+    padding = int(np.ceil(PADDING * np.sqrt(np.trace(covariance))))
+    padded = tuple(fft.next_fast_len(n + padding, real=True) for n in shape)
+    transfer = gaussian_transfer(covariance, padded)
+    # A kernel h gives unit white noise the variance sum h^2 = mean |H|^2 (Parseval)
+    # over the whole plane, of which rfft keeps one half.
+    weight = np.full(transfer.shape[1], 2.0)
+    weight[0] = 1.0
+    if padded[1] % 2 == 0:
+        weight[-1] = 1.0
+    gain = np.sqrt(np.sum(weight * transfer**2) / np.prod(padded))
+    white = rng.standard_normal(padded)
+    noise = fft.irfft2(fft.rfft2(white) * transfer, s=padded)
+    return rms * (noise[: shape[0], : shape[1]] / gain)

@@ -1,0 +1,433 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Files of model components: tables, difmap models and AIPS CC tables."""
+
+import re
+import warnings
+from contextlib import suppress
+from difflib import get_close_matches
+from functools import lru_cache, partial
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.io import fits
+from astropy.table import Table
+from astropy.time import Time
+
+from astro_scc.images.beam import parse_beam
+from astro_scc.images.fits import CUBE_CREATOR, is_visibilities, open_fits
+from astro_scc.images.headers import first_line, get, read_header, some
+from astro_scc.images.validation import as_times, naming, numbers
+from astro_scc.quantities import parse_date
+
+CORE = 0  # feature number of the core
+# Content of a column -> its unit, and its labels in tables.
+COLUMNS = {
+    "source": (None, "name source iau iauname"),
+    "feature": (u.one, "feature id comp component featureid"),
+    "epoch": (None, "epoch date obsdate obs"),
+    "year": (None, "obsy year obsyear"),
+    "month": (None, "obsm month obsmonth"),
+    "day": (None, "obsd day obsday"),
+    "flux": (u.Jy, "flux i s fluxdensity"),
+    "separation": (u.mas, "separation sep r dist distance radius"),
+    "east": (u.mas, "east x dra deltax"),
+    "north": (u.mas, "north y ddec deltay"),
+    "major": (u.mas, "majorfwhm maj major fwhm majaxis majorax"),
+    "minor": (u.mas, "minorfwhm min minor minaxis minorax"),
+    "ratio": (u.one, "axialratio ratio axratio"),
+    "pa": (u.deg, "majorpa majpa pamaj phi posangle"),
+    "position_angle": (u.deg, "positionangle pa theta"),
+    "type": (u.one, "typeobj"),
+    "excluded": (None, "excludedfromfit excluded fid ffeature ff"),
+}
+# Content of a column -> a pattern for its explanation in a machine-readable table,
+# which tells what labels such as ID mean.
+EXPLANATIONS = {
+    "source": "source name|IAU name|.*coordinate identifier",
+    "feature": "(feature|component) (identification|number|ID)",
+    "epoch": "(observation|observing) (date|epoch)|date of observation|epoch",
+    "flux": "flux density",
+    "separation": "position offset|separation|distance from",
+    "major": "FWHM( of)?( the)? major|major axis FWHM",
+    "ratio": "axial ratio",
+    "pa": "major axis position angle|position angle of( the)? major",
+    "position_angle": "position angle",
+    "excluded": ".*not used in",
+}
+# Units of the numbers that describe a component.
+UNITS = {what: COLUMNS[what][0] for what in "flux east north major minor pa".split()}
+# Advice for files without a date.
+UNDATED = {
+    "difmap": "no date in the file's name; rename it like source_2006-03-09.mod, or "
+    "give dates",
+    "aips-cc": "no DATE-OBS in the header; write it there, or give dates",
+}
+#: Suffixes of files that may have an image, a list, or both.
+FITS = (".fits", ".fit", ".fts")
+#: What is wrong with a list where images are wanted.
+NO_IMAGE = (
+    "is a list of components and no image; give lists alone to astro-scc measure or "
+    "track, or make images of them with astro-scc restore"
+)
+NO = ("", "--", "n", "no", "f", "false", "0")
+#: Keys of the meta that name the source, and other keys that are kept.
+NAMES = ("source", "name", "object")
+FACTS = ("telescope", "filter", "stokes", "position", "beam")
+#: Largest number of sources that a message lists.
+LISTED = 8
+FILE_DATE = re.compile(
+    r"(?<!\d)(?=((?:19|20)\d\d)([-_.]?)(0[1-9]|1[0-2])\2([0-3]\d)(?!\d))"
+)
+
+
+def source_names(table):
+    """Return the names of the sources of a table, None without a column of them."""
+    column = _find_columns(table).get("source")
+    if column is None:
+        return None
+    return list(dict.fromkeys(str(name).strip() for name in table[column]))
+
+
+def read_fields(path, kind, source, origin, date=None, opened=None):
+    """
+    Return the fields of the `~astro_scc.epochs.ComponentList` in a file.
+
+    A ``date``, as text, replaces the date of the file or of all rows.  A file that is
+    ``opened`` is not read again.
+    """
+    table, own_date = opened or FORMATS[kind][0](path)
+    date = date or own_date
+    if date == "":
+        raise ValueError(f"{path}: {UNDATED[kind]}")
+    columns = _find_columns(table)
+    table = _select_source(table, columns, source, path)
+    if len(table) == 0:
+        raise ValueError(f"{path}: no components in the file")
+    has_offsets = {"east", "north"} <= columns.keys()
+    needed = {"flux"} | (set() if has_offsets else {"separation", "position_angle"})
+    if date is None and not columns.keys() >= {"year", "month", "day"}:
+        needed.add("epoch")
+    if missing := sorted(needed - columns.keys()):
+        raise ValueError(
+            f"{path}: no column for {', '.join(missing)}; the table has "
+            f"{', '.join(table.colnames)}"
+        )
+    values = {
+        what: numbers(table[columns[what]], unit, path)
+        for what, (unit, _) in COLUMNS.items()
+        if unit is not None and what in columns
+    }
+    dates = _dates(table, columns, date, path)
+    days, epoch = np.unique(dates, return_inverse=True)
+    if not has_offsets:
+        values |= _offsets(values, path)
+    relative = not has_offsets and "feature" in values
+    if relative or origin == "core":
+        _refer(values, epoch, days, relative, origin, path)
+    values |= _sizes(values, path)
+    fields = {name: values[name] * unit for name, unit in UNITS.items()}
+    if "excluded" in columns:
+        flags = (str(flag).strip().lower() for flag in table[columns["excluded"]])
+        fields["excluded"] = [flag not in NO for flag in flags]
+    return fields | {
+        "times": as_times(list(days), len(days)),
+        "epoch": epoch,
+        "feature": values.get("feature"),
+        "labels": () if len(days) > 1 else (path.name,),
+        "meta": _meta(table, columns, path),
+    }
+
+
+def _refer(values, epoch, days, relative, origin, path):
+    """Shift the positions of each epoch to the requested origin, in place."""
+    core = values.get("feature", np.full(len(epoch), -1)) == CORE
+    needed = origin == ("map" if relative else "core")
+    for day, n in zip(days, np.bincount(epoch[core], minlength=len(days)), strict=True):
+        if n > 1 or (needed and n == 0):
+            found = f"{n} core components" if n else "no core component"
+            raise ValueError(
+                f"{path}: {found} (feature 0) on {day[:10]}, expected one to refer "
+                "positions to; correct the file, or give another origin"
+            )
+    for offsets in (values["east"], values["north"]):
+        of_core = np.zeros(len(days))
+        of_core[epoch[core]] = offsets[core]
+        if relative:
+            # The row of the core has its own offset from the map's centre.
+            offsets[core] = 0
+        if origin == "map":
+            offsets += of_core[epoch]
+        elif not relative:
+            offsets -= of_core[epoch]
+
+
+def _dates(table, columns, date, path):
+    """Return the date of each row as ISO text; ``date`` applies to all rows."""
+    if date is not None:
+        texts = [date] * len(table)
+    elif "epoch" in columns:
+        column = table[columns["epoch"]]
+        texts = column.utc.isot if isinstance(column, Time) else column
+        texts = [str(text) for text in texts]
+    else:
+        rows = table.iterrows(*(columns[part] for part in ("year", "month", "day")))
+        texts = ["-".join(str(value).zfill(2) for value in row) for row in rows]
+    known = {}
+    # ERFA warns of years whose leap seconds are unknown.
+    with warnings.catch_warnings(action="ignore"):
+        for text in dict.fromkeys(texts):
+            row = "" if date is not None else f", row {texts.index(text) + 1}"
+            with naming(f"{path}{row}"):
+                known[text] = parse_date(text).isot
+    return [known[text] for text in texts]
+
+
+def _find_columns(table):
+    """Return the names of the table's columns, keyed by their content."""
+    found = {}
+    for what, pattern in EXPLANATIONS.items():
+        for name in table.colnames:
+            explanation = table[name].info.description or ""
+            if name not in found.values() and re.match(pattern, explanation, re.I):
+                found.setdefault(what, name)
+    for what, (_, labels) in COLUMNS.items():
+        for name in table.colnames:
+            label = re.sub(r"[^a-z]", "", name.lower())
+            if name not in found.values() and label in labels.split():
+                found.setdefault(what, name)
+    return found
+
+
+def _select_source(table, columns, source, path):
+    """Return the rows of one source; without a column, the meta names the source."""
+    names = [str(table.meta[k]) for k in NAMES if k in table.meta]
+    mine = slice(None)
+    if "source" in columns:
+        column = [str(name).strip() for name in table[columns["source"]]]
+        names = list(dict.fromkeys(column))
+        if source is None and len(names) > 1:
+            raise ValueError(
+                f"{path}: {len(names)} sources in the table ({some(names, LISTED)}); "
+                "say which one with --source NAME of astro-scc restore (source= in "
+                "Python)"
+            )
+        if source is not None:
+            same = [name for name in names if _plain(name) == _plain(source)]
+            mine = np.isin(column, same)
+    if source is None or _plain(source) in map(_plain, names):
+        return table[mine]
+    near = get_close_matches(source, names, n=3, cutoff=0.7)
+    if near and len(names) > LISTED:
+        has = f"did you mean {' or '.join(near)}?"
+    elif names:
+        has = f"it has {some(names, LISTED)}"
+    else:
+        has = "it does not say of which source it is; leave --source out"
+    raise ValueError(f"{path}: no source {source!r}; {has}")
+
+
+def _plain(name):
+    return "".join(name.split()).casefold()
+
+
+def _offsets(values, path):
+    """Return the offsets given by separations and position angles."""
+    separation, angle = values["separation"], values["position_angle"]
+    if "feature" in values:
+        # A core with a blank offset is at the map's centre.
+        blank = (values["feature"] == CORE) & np.isnan(separation)
+        separation = np.where(blank, 0.0, separation)
+    angle = np.radians(np.where((separation == 0) & np.isnan(angle), 0.0, angle))
+    for i in np.flatnonzero(np.isnan(separation + angle)):
+        raise ValueError(f"{path}, row {i + 1}: separation or position_angle is blank")
+    return {"east": separation * np.sin(angle), "north": separation * np.cos(angle)}
+
+
+def _sizes(values, path):
+    """Return the axes and angles; a blank size is a point, a blank ratio a circle."""
+    zeros = np.zeros(len(values["flux"]))
+    major = values.get("major", zeros)
+    minor = values.get("minor", major * values.get("ratio", 1.0))
+    minor = np.where(np.isnan(minor), major, minor)
+    types = values.get("type", zeros + 1)
+    for i in np.flatnonzero(~np.isin(types, (0, 1))):
+        raise ValueError(
+            f"{path}, row {i + 1}: component type {types[i]:g} is neither a point (0) "
+            "nor a Gaussian (1); replace it by one of these"
+        )
+    sizes = {"major": major, "minor": minor, "pa": values.get("pa", zeros)}
+    return {name: np.where(types == 0, 0.0, size) for name, size in sizes.items()}
+
+
+def _meta(table, columns, path):
+    """Return facts about the source, from the meta and the columns of a table."""
+    own = table.meta
+    meta = {name: own[name] for name in FACTS if name in own}
+    name = own.get("name") or own.get("source") or own.get("object")
+    if name is None and "source" in columns:
+        name = str(table[columns["source"]][0]).strip()
+    if name is not None:
+        meta["object"] = str(name)
+    if isinstance(text := own.get("beam"), str):
+        with naming(f"{path}, beam in its meta"):
+            meta["beam"] = parse_beam(text)
+    if "redshift" in own:
+        meta["redshift"] = float(own["redshift"])
+    if "frequency" in own:
+        meta["frequency"] = u.Quantity(own["frequency"], u.Hz).value
+    return meta
+
+
+# Each returns a table and the date of the file: "" if it should have a date and has
+# none, None if the table has the dates.
+
+
+def _open_ascii(path, kind, **options):
+    # A survey compares each of its sources with the same table.
+    state = path.stat()
+    return _opened(path, kind, (state.st_mtime_ns, state.st_size), **options)
+
+
+@lru_cache(maxsize=1)
+def _opened(path, kind, state, **options):
+    try:
+        # The units of the columns that are needed are checked later.
+        with warnings.catch_warnings(action="ignore", category=u.UnitsWarning):
+            return Table.read(path, format=kind, **options), None
+    except Exception as error:  # astropy's parsers raise errors of many kinds
+        raise OSError(
+            f"{path}: not a readable {kind} table: {first_line(error)}"
+        ) from None
+
+
+def _open_mrt(path):
+    with path.open(encoding="utf-8", errors="replace") as file:
+        # Titles, authors and abstracts come before the description.
+        if "Byte-by-byte" in file.read(100_000):
+            return _open_ascii(path, "ascii.mrt")
+    readme = path.parent / "ReadMe"
+    if not readme.is_file():
+        raise OSError(
+            f"{path}: has no byte-by-byte description; lay the file ReadMe of CDS "
+            "beside it"
+        )
+    return _open_ascii(path, "ascii.cds", readme=str(readme))
+
+
+def _open_difmap(path):
+    """
+    Return a difmap model as a table.
+
+    Each line has flux, radius, theta, major axis, axial ratio, phi and type; a
+    'v' marks a value that was free in the fit.  Three values describe a point.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise OSError(f"{path}: not a difmap model, it is not text") from None
+    unit, meta, rows = u.mas, {}, []
+    for number, line in enumerate(lines, start=1):
+        text, _, comment = line.partition("!")
+        if re.search(r"Radius\s*\(arcsec\)", comment):
+            unit = u.arcsec
+        centre = re.search(r"Center RA:\s*(.+?),\s*Dec:\s*(.+?)\s*\(2000", comment)
+        if centre:
+            meta["position"] = SkyCoord(*centre.groups(), unit=(u.hourangle, u.deg))
+        if text.split():
+            rows.append(_difmap_row(text, f"{path}, line {number}"))
+    names = ["flux", "radius", "theta", "major", "ratio", "phi", "type obj"]
+    units = [u.Jy, unit, u.deg, unit, u.one, u.deg, u.one]
+    values = np.reshape(rows, (len(rows), len(names)))
+    found = FILE_DATE.search(path.name)
+    date = "-".join(found.group(1, 3, 4)) if found else ""
+    return Table(values, names=names, units=units, meta=meta), date
+
+
+def _difmap_row(text, where):
+    try:
+        row = [float(word.rstrip("vV")) for word in text.split()[:7]]
+    except ValueError:
+        raise ValueError(f"{where}: not numbers: {text!r}") from None
+    if len(row) not in (3, 6, 7) or not np.all(np.isfinite(row)):
+        raise ValueError(
+            f"{where}: expected 3, 6 or 7 finite values (flux, radius, theta, major, "
+            f"ratio, phi, type), got {len(row)}"
+        )
+    row += [0.0] * (6 - len(row))
+    # Without a type, a component with a size is a Gaussian.
+    return row if len(row) == 7 else [*row, float(row[3] > 0)]
+
+
+def _open_aips(path):
+    """Return the newest AIPS CC table of a FITS file, and its date."""
+    # AIPS files break minor rules of the standard throughout.
+    with warnings.catch_warnings(action="ignore"):
+        try:
+            # astropy.io.fits does not close files that it fails to open.
+            with path.open("rb") as file, open_fits(file) as hdus:
+                header = hdus[0].header
+                found = _cc_tables(hdus)
+                table = _aips_table(max(found, key=lambda h: h.ver)) if found else None
+                tables = (h for h in hdus if isinstance(h, fits.BinTableHDU))
+                record = read_header(header, tables)
+        except Exception as error:  # a damaged file can fail anywhere
+            raise OSError(
+                f"{path}: not a readable FITS file: {first_line(error)}"
+            ) from None
+    if table is None:
+        raise ValueError(
+            f"{path}: no AIPS CC table in the file; it is no list of components, leave "
+            "it out"
+        )
+    beam = record["beam"]
+    table.meta = record["facts"] | ({} if beam is None else {"beam": beam})
+    centre = {}
+    for i in range(1, (get(header, "NAXIS") or 0) + 1):
+        axis = (get(header, f"CTYPE{i}", kind=str) or "").split("-")[0]
+        centre[axis] = get(header, f"CRVAL{i}", kind=float)
+    if None not in (where := (centre.get("RA"), centre.get("DEC"))):
+        table.meta["position"] = SkyCoord(*where, unit=u.deg)
+    return table, get(header, "DATE-OBS", kind=str) or ""
+
+
+def _cc_tables(hdus):
+    return [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
+
+
+def kind_of(path):
+    """Return what a file holds: "cube", "components" and no image, or else "images"."""
+    if path.suffix.lower() in LISTS:
+        return "components"
+    # What is wrong with a file is said where it is read.
+    with suppress(Exception), warnings.catch_warnings(action="ignore"):
+        with path.open("rb") as file, open_fits(file) as hdus:
+            if hdus[0].header.get("CREATOR") == CUBE_CREATOR:
+                return "cube"
+            has_image = any(h.is_image and len(h.shape) >= 2 for h in hdus)
+            if not has_image and not is_visibilities(hdus) and _cc_tables(hdus):
+                return "components"
+    return "images"
+
+
+def _aips_table(hdu):
+    table = Table()
+    for column in hdu.columns:
+        name, unit = column.name.strip(), (column.unit or "").strip()
+        usual = {"FLUX": "Jy", "TYPE OBJ": ""}.get(name, "deg")
+        if not unit or unit.upper().startswith(usual.upper()):
+            unit = usual
+        table[name] = np.array(hdu.data[column.name], dtype=float).ravel()
+        table[name].unit = u.Unit(unit, parse_strict="silent")
+    return table
+
+
+# Name of a format -> the function that opens it, and the suffixes of its files.
+FORMATS = {
+    "ecsv": (partial(_open_ascii, kind="ascii.ecsv"), (".ecsv",)),
+    "mrt": (_open_mrt, (".txt", ".dat", ".mrt")),
+    "difmap": (_open_difmap, (".mod", ".mdl")),
+    "aips-cc": (_open_aips, FITS),
+}
+#: Suffixes of files that have a list and no image.
+LISTS = {suffix for _, own in FORMATS.values() for suffix in own} - {*FITS}

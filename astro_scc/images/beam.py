@@ -1,0 +1,217 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The elliptical Gaussian beam (PSF) of an epoch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.quantities import parse_quantities
+
+FWHM_TO_SIGMA = 1 / np.sqrt(8 * np.log(2))
+#: Beams are the same if their widths differ by less in every direction: headers round
+#: widths, and so small a difference affects no displacement.
+SAME_WIDTH = 0.01
+
+
+@dataclass(frozen=True)
+class Beam:
+    """
+    An elliptical Gaussian restoring beam.
+
+    Parameters
+    ----------
+    major, minor : `~astropy.units.Quantity`
+        Full widths at half maximum, scalar angles, ``major >= minor > 0``.
+    pa : `~astropy.units.Quantity`, optional
+        Position angle of the major axis, north through east.  It is kept
+        in the range [-90 deg, 90 deg).
+
+    Raises
+    ------
+    ValueError
+        If an axis is not finite or positive, or ``minor > major``.
+    `~astropy.units.UnitConversionError`
+        If an argument is not an angle.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.epochs import Beam
+    >>> beam = Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg)
+    >>> beam.area.to(u.mas**2).round(3)
+    <Quantity 0.567 mas2>
+    """
+
+    major: u.Quantity
+    minor: u.Quantity
+    pa: u.Quantity = 0 * u.deg
+
+    def __post_init__(self):
+        major, minor = (u.Quantity(axis).to(u.mas) for axis in (self.major, self.minor))
+        pa = u.Quantity(self.pa).to(u.deg)
+        finite = np.all(np.isfinite([major.value, minor.value, pa.value]))
+        if not (finite and 0 < minor.value <= major.value * (1 + 1e-9)):
+            raise ValueError(
+                f"a beam is finite with major >= minor > 0, got {major} x {minor}, {pa}"
+            )
+        pa = (pa + 90 * u.deg) % (180 * u.deg) - 90 * u.deg
+        vars(self).update(major=major, minor=minor, pa=pa)
+
+    def __str__(self):
+        return (
+            f"{self.major.value:.3g} x {self.minor.value:.3g} mas "
+            f"at {self.pa.value:.1f} deg"
+        )
+
+    @property
+    def area(self) -> u.Quantity:
+        """Solid angle, pi major minor / (4 ln 2)."""
+        return np.pi * self.major * self.minor / (4 * np.log(2))
+
+    @cached_property
+    def covariance(self) -> u.Quantity:
+        """
+        Covariance of the Gaussian over (east, north), shape (2, 2).
+
+        ``C = s_major^2 p p^T + s_minor^2 q q^T``, where ``p = (sin pa, cos pa)``
+        is along the major axis, ``q`` across it, and s are the standard
+        deviations.
+        """
+        along = np.array([np.sin(self.pa), np.cos(self.pa)])
+        across = np.array([np.cos(self.pa), -np.sin(self.pa)])
+        return FWHM_TO_SIGMA**2 * (
+            self.major**2 * np.outer(along, along)
+            + self.minor**2 * np.outer(across, across)
+        )
+
+    def fwhm_along(self, position_angle: u.Quantity) -> u.Quantity:
+        """
+        Return the full width at half maximum of the profile along a direction.
+
+        Parameters
+        ----------
+        position_angle : `~astropy.units.Quantity`
+            Direction, north through east; scalar or array.
+
+        Returns
+        -------
+        `~astropy.units.Quantity`
+            ``sqrt(8 ln 2 d^T C d)``, where d is the unit vector, in mas.
+        """
+        direction = np.stack([np.sin(position_angle), np.cos(position_angle)])
+        variance = np.einsum("i...,ij,j...->...", direction, self.covariance, direction)
+        return np.sqrt(variance) / FWHM_TO_SIGMA
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Beam):
+            return NotImplemented
+        return bool(np.all(np.isclose(self.covariance, other.covariance, rtol=1e-6)))
+
+    __hash__ = None
+
+
+def parse_beam(text):
+    """
+    Return a beam given as text.
+
+    Parameters
+    ----------
+    text : str
+        One axis, or major axis, minor axis and position angle.
+
+    Returns
+    -------
+    Beam
+
+    Raises
+    ------
+    ValueError
+        If the text is no beam.
+
+    Examples
+    --------
+    >>> from astro_scc.images.beam import parse_beam
+    >>> print(parse_beam("1.0 mas 0.5 mas -7 deg"))
+    1 x 0.5 mas at -7.0 deg
+    """
+    try:
+        major, *rest = parse_quantities(text)
+        if len(rest) > 2:
+            raise ValueError("has too many numbers")
+        if len(rest) == 1 and rest[0] != major:
+            raise ValueError("has no position angle")
+        return Beam(major, *rest) if rest else Beam(major, major)
+    except (ValueError, u.UnitConversionError) as error:
+        raise ValueError(
+            f"is no beam: {error}; give major axis, minor axis and position angle, "
+            "such as '1.0 mas 0.5 mas -7 deg'"
+        ) from None
+
+
+def different_beam(cube):
+    """
+    Return the index of the first epoch whose beam differs from that of epoch 0.
+
+    Return None if all widths agree within 1% in every direction, or there are no beams.
+    """
+    if cube.beams is None:
+        return None
+    covariances = np.array([beam.covariance.value for beam in cube.beams])
+    ratios = np.linalg.eigvals(np.linalg.inv(covariances[0]) @ covariances).real
+    differs = np.any(np.abs(np.sqrt(ratios) - 1) > SAME_WIDTH, axis=1)
+    return int(np.argmax(differs)) if differs.any() else None
+
+
+def require_common_beam(cube):
+    """Raise a ValueError if the beams of the epochs differ by more than 1%."""
+    index = different_beam(cube)
+    if index is not None:
+        raise ValueError(
+            f"the beams differ, {cube.beams[0]} in {cube.labels[0]} and "
+            f"{cube.beams[index]} in {cube.labels[index]}: give cube.to_common_beam(), "
+            "or state common_beam=False to measure them as they are"
+        )
+
+
+def as_beam(beam):
+    """Return a `Beam`, also from an object with major, minor and pa."""
+    if isinstance(beam, Beam):
+        return beam
+    try:
+        return Beam(beam.major, beam.minor, beam.pa)
+    except AttributeError:
+        raise TypeError(
+            f"a beam has major, minor and pa, got {type(beam).__name__} {beam!r}"
+        ) from None
+
+
+def beam_columns(cube):
+    """Return the major axes, minor axes and angles of a cube's beams, if it has any."""
+    names = ("major", "minor", "pa") if cube.beams is not None else ()
+    return {n: u.Quantity([getattr(b, n) for b in cube.beams]) for n in names}
+
+
+def is_per(unit, *names):
+    """
+    Return whether a unit is per one of the given units, "beam" or "pix".
+
+    Unrecognised units such as 'JY/BEAM' are judged by their end.
+    """
+    if isinstance(unit, u.UnrecognizedUnit):
+        text = unit.name.lower().replace(" ", "")
+        return "beam" in names and text.endswith(("/beam", "beam-1"))
+    return any(
+        base.name.lower() in names and power < 0
+        for base, power in zip(unit.bases, unit.powers, strict=True)
+    )
+
+
+def beam_of(covariance, unit):
+    """Return the beam of a covariance over (east, north) in the square of a unit."""
+    variances, axes = np.linalg.eigh(covariance)
+    minor, major = np.sqrt(variances) / FWHM_TO_SIGMA * unit
+    return Beam(major, minor, np.arctan2(*axes[:, 1]) * u.rad)

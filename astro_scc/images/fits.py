@@ -1,0 +1,423 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""One FITS image of VLBI, CASA, HST and others."""
+
+import glob
+import gzip
+import mmap
+import os
+import re
+import warnings
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.io import fits, registry
+from astropy.nddata import CCDData, NDUncertainty, StdDevUncertainty
+from astropy.time import Time
+from astropy.wcs import WCS
+
+from astro_scc.exceptions import warn
+from astro_scc.images import headers
+from astro_scc.images.beam import Beam
+from astro_scc.images.grid import cut_wcs
+from astro_scc.images.validation import POWERS, naming
+
+# Value of CREATOR that marks the files of EpochCube.write.
+CUBE_CREATOR = "astro_scc EpochCube"
+#: Advice for a beam that cannot be right.
+CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
+#: Kinds of uncertainty by the names that astropy gives them in FITS (UTYPE).
+UNCERTAINTIES = {kind.__name__: kind for kind in POWERS}
+#: Bytes of a block of a FITS file.
+BLOCK = 2880
+_AXES = re.compile(rb"NAXIS   = *(\d{4,})")
+# Keywords of the array and its axes in the file; a CCDData has its own, for two
+# dimensions.
+_STRUCTURE = re.compile(
+    r"(SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|EXTNAME|PCOUNT|GCOUNT|GROUPS|BLOCKED"
+    r"|BSCALE|BZERO|BLANK|BUNIT|DATAMIN|DATAMAX|CHECKSUM|DATASUM|WCSAXES|EPOCH"
+    r"|EQUINOX|RADESYS|RADECSYS|LONPOLE|LATPOLE|(CTYPE|CRVAL|CRPIX|CDELT|CUNIT|CROTA)\d"
+    r"|(PC|CD|PV|PS)\d+_\d+|PC\d{6}|CD\d{6}|BMAJ|BMIN|BPA|FREQ|STOKES)$"
+)
+
+
+@dataclass(kw_only=True)
+class Plane:
+    """
+    One image on its own grid, with the facts in its header, see `headers.read_header`.
+
+    ``shape`` is that of the whole image, of which ``data`` and ``mask`` may be a
+    part; they are None if only the header was read.  ``even`` is whether the
+    ``uncertainty`` behind the ``noise`` differs little from pixel to pixel.
+    """
+
+    name: str
+    wcs: WCS
+    shape: tuple[int, int]
+    time: Time | None = None
+    beam: Beam | None = None
+    facts: dict = field(default_factory=dict)
+    date_problem: str = ""
+    beam_problem: str = ""
+    header: object = None
+    data: np.ndarray | None = None
+    mask: np.ndarray | None = None
+    unit: u.UnitBase = u.dimensionless_unscaled
+    uncertainty: NDUncertainty | None = None
+    noise: u.Quantity | None = None
+    even: bool = True
+    label: str | None = None
+    unit_problem: str = ""
+
+    @property
+    def extent(self):
+        """Size of the whole image in degrees."""
+        sides = np.hypot(*self.wcs.pixel_scale_matrix) * self.shape[::-1]
+        return float(np.max(sides))
+
+    @property
+    def notes(self):
+        """Advice on what in the header is not understood."""
+        beam = f"its beam is taken as unknown: {self.beam_problem}; {CORRECT_BEAM}"
+        return [n for n in (self.unit_problem, self.beam_problem and beam) if n]
+
+
+class _NoImageError(OSError):
+    """The file is not FITS, is broken, or holds no image."""
+
+
+def read_vlbi_fits(path: Path | str, hdu: int | str | None = None) -> CCDData:
+    """
+    Read one FITS image, allowing for the habits of AIPS, difmap, CASA and HST.
+
+    ``CCDData.read(path, format="vlbi-fits")`` calls this function once
+    ``astro_scc.epochs`` has been imported.
+
+    Parameters
+    ----------
+    path : str or path-like
+    hdu : int or str, optional
+        Extension of the image, by default the first image.
+
+    Returns
+    -------
+    `~astropy.nddata.CCDData`, shape (ny, nx)
+        Axes of length one are dropped, and Stokes I is taken from several
+        Stokes parameters.  The data are float64, pixels that are not finite
+        are masked, and the WCS is celestial.  The ``meta`` has the beam as
+        ``BMAJ``, ``BMIN`` and ``BPA`` in degrees, wherever the file had it,
+        and the frequency as ``FREQ`` in Hz.
+
+    Raises
+    ------
+    OSError
+        If the file is missing, broken, or holds no image.
+    ValueError
+        If the image has more than two axes, no celestial coordinates, or no
+        valid pixel.
+
+    Warns
+    -----
+    EpochWarning
+        If part of the header could not be understood.
+
+    Examples
+    --------
+    >>> from astropy.nddata import CCDData
+    >>> import astro_scc.epochs
+    >>> image = CCDData.read("../shared/data/0003+380/0003+380.u.2006_03_09.fits",
+    ...                      format="vlbi-fits")
+    >>> image.shape, image.unit
+    ((256, 256), Unit("Jy / beam"))
+    """
+    plane = read_plane(path, hdu=hdu)
+    for note in plane.notes:
+        warn(f"{path}: {note}")
+    meta = fits.Header()
+    for card in plane.header.cards:
+        # Cards are parsed at first use, and broken ones raise an error then.
+        with suppress(fits.VerifyError, ValueError):
+            if not _STRUCTURE.match(card.keyword) and (card.value, card.comment):
+                meta.append(card, end=True)
+    for fact, keyword in (("frequency", "FREQ"), ("stokes", "STOKES")):
+        if fact in plane.facts:
+            meta[keyword] = plane.facts[fact]
+    if plane.beam is not None:
+        meta.update(headers.beam_cards(plane.beam))
+    return CCDData(
+        plane.data,
+        unit=plane.unit,
+        mask=plane.mask if plane.mask.any() else None,
+        wcs=plane.wcs,
+        meta=meta,
+        uncertainty=plane.uncertainty,
+    )
+
+
+def find_files(paths, *, missing_ok=False):
+    """
+    Return the files that paths and patterns stand for, each once, as a list of Path.
+
+    They are in the order given; those of a pattern are in alphabetical order.  Files
+    that do not exist raise a FileNotFoundError, or are kept if ``missing_ok`` is True.
+    """
+    if isinstance(paths, str | os.PathLike):
+        paths = [paths]
+    try:
+        names = [os.path.expanduser(os.fspath(path)) for path in paths]
+    except TypeError:
+        raise TypeError(f"paths must be names or a pattern, got {paths!r}") from None
+    found = []
+    for name in names:
+        if not isinstance(name, str):
+            raise TypeError(f"paths must be text, got {name!r}")
+        if os.path.exists(name) or (missing_ok and not glob.has_magic(name)):
+            check_ordinary(name)
+            found.append(name)
+        elif matches := sorted(glob.glob(name, recursive=True)):
+            found += [match for match in matches if not os.path.isdir(match)]
+        else:
+            what = "file matches this pattern" if glob.has_magic(name) else "such file"
+            raise FileNotFoundError(f"{name}: no {what}")
+    if not found:
+        raise FileNotFoundError("no files were given")
+    return [Path(name) for name in dict.fromkeys(found)]
+
+
+def check_ordinary(path):
+    """Raise an OSError for pipes, sockets and devices, which may have no end."""
+    path = Path(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OSError(f"{path}: is no ordinary file; give the name of one")
+
+
+def read_plane(path, hdu=None, *, window=None, pixels=True):
+    """
+    Return the `Plane` of a file; see `read_vlbi_fits` for its errors.
+
+    ``window`` selects the rows and columns to load from a file that was read before;
+    without ``pixels`` only the header is read.
+    """
+    path = Path(os.fspath(path))
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    if path.is_dir():
+        raise IsADirectoryError(
+            f"{path}: is a directory; give {path}/*.fits, or export a CASA image by "
+            "exportfits"
+        )
+    check_ordinary(path)
+    options = {"window": window, "pixels": pixels}
+    # AIPS and difmap files break minor rules of the standard throughout.
+    with warnings.catch_warnings(action="ignore"):
+        try:
+            # astropy.io.fits does not close files that it fails to open.
+            with path.open("rb") as file, open_fits(file, known=bool(window)) as hdus:
+                return _plane(hdus, hdu, path, **options)
+        except (headers.ContentError, _NoImageError) as error:
+            raise type(error).__base__(f"{path}: {error}") from None
+        except Exception as error:
+            # A damaged file can fail anywhere inside astropy.io.fits.  The first
+            # sentence gives the reason; the rest is advice for callers of astropy.
+            reason = re.split(r"[.,;:] ", headers.first_line(error))[0]
+            raise OSError(
+                f"{path}: cannot be read as FITS, it is broken or no FITS: {reason}"
+            ) from None
+
+
+def plane_of_hdu(hdu, name):
+    """Return the `Plane` of an image extension, or raise a ValueError."""
+    with naming(name):
+        return _plane(fits.HDUList([hdu]), None, Path(name))
+
+
+def open_fits(file, *, known=False, **options):
+    """
+    Open a binary file with `astropy.io.fits.open`, even if its header is damaged.
+
+    The standard allows 999 axes, but astropy loops over any number that a header
+    claims, so a larger number raises an OSError.  A ``known`` file has been checked.
+    """
+    if not known:
+        packed = file.read(2) == b"\x1f\x8b"
+        file.seek(0)
+        if packed:
+            content = gzip.open(file).read(BLOCK)
+        else:
+            content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        if found := _AXES.search(content):
+            raise _NoImageError(f"is broken, it claims {found[1].decode()} axes")
+        file.seek(0)
+    return fits.open(file, **options)
+
+
+def _plane(hdus, which, path, *, window=None, pixels=True):
+    if "SCCVERS" in hdus[0].header:
+        what = hdus[0].header["CREATOR"].removeprefix("astro_scc ")
+        reader = what if what == "EpochCube" else "SCCResult"
+        raise headers.ContentError(f"is a whole {what}; give it alone to {reader}.read")
+    hdu = _find(hdus, which)
+    header = hdu.header.copy()
+    if hdu is not hdus[0]:
+        header.extend(hdus[0].header, unique=True, bottom=True)
+    _check_complete(hdu, path)
+    wcs = headers.celestial_wcs(header, fobj=hdus)
+    if wcs.has_distortion:
+        raise headers.ContentError("its coordinates are distorted (SIP); resample it")
+    index = _plane_index(header)
+    shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
+    tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))
+    record = headers.read_header(header, tables)
+    text = headers.get(header, "BUNIT", kind=str)
+    unit = headers.parse_unit(text)
+    plane = Plane(name=str(path), wcs=wcs, shape=shape, header=header, **record)
+    if unit is not None:
+        plane.unit = unit
+    else:
+        plane.unit_problem = (
+            f"its unit {text!r} is not known and taken as dimensionless; write one "
+            "that FITS knows, such as JY/BEAM, to BUNIT"
+        )
+    if plane.beam is not None and plane.beam.major.to_value(u.deg) > plane.extent:
+        plane.beam_problem = f"{plane.beam} is larger than the image"
+        plane.beam = None
+    if pixels:
+        _load(plane, hdus, hdu, index, window or (slice(None), slice(None)))
+    return plane
+
+
+def _load(plane, hdus, hdu, index, window):
+    """Add the pixels of a window, with mask and uncertainty, to the plane."""
+    # Only these pixels are read if the file is mapped into memory.
+    plane.data = np.array(hdu.data[index][window], dtype=np.float64)
+    where = "" if plane.data.shape == plane.shape else " in this part"
+    plane.mask, why = ~np.isfinite(plane.data), ", all are NaN"
+    for name, is_bad in (("WHT", np.logical_not), ("MASK", np.asarray)):
+        beside = _beside(hdus, hdu, name, plane.shape)
+        if beside is not None and not plane.mask.all():
+            plane.mask |= is_bad(beside.data[window]).astype(bool)
+            why = f" by its extension {name}"
+    if plane.mask.all():
+        raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
+    beside = _beside(hdus, hdu, "UNCERT", plane.shape)
+    if beside is not None:
+        kind = headers.get(beside.header, "UTYPE", kind=str)
+        unit = beside.header.get("BUNIT")
+        plane.uncertainty = UNCERTAINTIES.get(kind, StdDevUncertainty)(
+            np.array(beside.data[window], dtype=float),
+            unit=None if unit is None else headers.parse_unit(unit),
+            copy=False,
+        )
+    if where:
+        plane.wcs = cut_wcs(plane.wcs, window)
+
+
+def _beside(hdus, image, name, shape):
+    """
+    Return an extension of the image with its shape, or None.
+
+    Drizzled HST images have weights, ``WHT``; astropy writes the mask and the
+    uncertainty of a CCDData as ``MASK`` and ``UNCERT``.
+    """
+    for hdu in hdus:
+        if hdu is not image and hdu.name == name and hdu.is_image:
+            if hdu.shape == shape:
+                return hdu
+            if name != "WHT":
+                raise headers.ContentError(
+                    f"its extension {name} has shape {hdu.shape}, its image {shape}; "
+                    "correct or remove the extension"
+                )
+    return None
+
+
+def _find(hdus, which):
+    """Return the extension of the image."""
+    if which is None:
+        for hdu in hdus:
+            if hdu.is_image and len(hdu.shape) >= 2 and 0 not in hdu.shape:
+                return hdu
+        if is_visibilities(hdus):
+            raise _NoImageError(
+                "holds visibilities and no image; make an image of them (difmap, CASA "
+                "or AIPS), or give the models that were fitted to them (.mod)"
+            )
+        raise _NoImageError("holds no image")
+    try:
+        hdu = hdus[which]
+    except (KeyError, IndexError, TypeError):
+        raise _NoImageError(f"has no extension {which!r}") from None
+    if not hdu.is_image or len(hdu.shape) < 2:
+        raise _NoImageError("holds no image of real numbers")
+    return hdu
+
+
+def is_visibilities(hdus):
+    """Return whether an open file is UVFITS or FITS-IDI."""
+    return any(isinstance(h, fits.GroupsHDU) or h.name == "UV_DATA" for h in hdus)
+
+
+def _check_complete(hdu, path):
+    """Refuse a truncated file before memory is reserved for its missing pixels."""
+    info = hdu.fileinfo()
+    if info is None or info["file"].compression:
+        return
+    # A file may lack the zeros that fill its last block.  What a tile-compressed image
+    # takes in the file is known with them only.
+    packed = isinstance(hdu, fits.CompImageHDU)
+    size = info["datSpan"] - BLOCK + 1 if packed else hdu.size
+    missing = info["datLoc"] + size - path.stat().st_size
+    if missing > 0:
+        least = "at least " if packed else ""
+        raise _NoImageError(
+            f"is truncated, {least}{missing} bytes of its image are missing; copy it "
+            "again from where it came"
+        )
+
+
+def _plane_index(header):
+    """Return the index of the image plane, in numpy's order of axes."""
+    index = []
+    for axis in range(header["NAXIS"], 0, -1):
+        name = str(header.get(f"CTYPE{axis}", "")).upper().strip()
+        length = header[f"NAXIS{axis}"]
+        if headers.axis_kind(name):
+            index.append(slice(None))
+        elif length == 1:
+            index.append(0)
+        elif name.startswith("STOKES"):
+            index.append(_stokes_i(header, axis, length))
+        else:
+            raise headers.ContentError(
+                f"has {length} planes on axis {name or f'{axis} of the file'}; write "
+                "the one to use, or their mean, to a file of its own"
+            )
+    return tuple(index)
+
+
+def _stokes_i(header, axis, length):
+    start, pixel, step = headers.axis_numbers(header, axis)
+    if start is not None:
+        position = (1 - start) / (step or 1) + pixel - 1
+        if abs(position - round(position)) < 1e-6 and 0 <= round(position) < length:
+            return round(position)
+    raise headers.ContentError(
+        f"has {length} planes on axis STOKES and none of them is I; write the one "
+        "to use to a file of its own"
+    )
+
+
+def looks_like_mask(image):
+    """Return whether an image has no more than two values that are finite."""
+    values = np.asarray(image, dtype=float)
+    # A few pixels usually show that there are more values.
+    few = values.flat[:1000]
+    if len(np.unique(few[np.isfinite(few)])) > 2:
+        return False
+    values = values[np.isfinite(values)]
+    return values.size > 0 and np.isin(values, (values.min(), values.max())).all()
+
+
+registry.register_reader("vlbi-fits", CCDData, read_vlbi_fits, force=True)

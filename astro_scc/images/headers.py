@@ -1,0 +1,355 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The facts about an epoch in the header of its image, in one record."""
+
+import re
+import warnings
+from contextlib import suppress
+from functools import cache
+
+import astropy.units as u
+import numpy as np
+from astropy.io import fits
+from astropy.time import Time
+from astropy.wcs import WCS
+
+from astro_scc.images.beam import Beam, as_beam
+from astro_scc.quantities import parse_date
+
+_DATES = ("DATE-OBS", "DATE_OBS", "DATE-BEG", "DATE-AVG")
+_MJDS = ("MJD-OBS", "MJD-BEG", "MJD-AVG", "EXPSTART", "MJD")
+_TIME_SCALES = {name.upper(): name for name in ("tai", "tt", "tdb", "tcb", "tcg")}
+_TIME_SCALES |= {"IAT": "tai", "TDT": "tt", "ET": "tt"}
+#: Spellings of units in headers, and the unit that astropy knows.
+_UNIT_WORDS = {
+    **{name.lower(): name for name in "Jy mJy uJy beam pix ct electron DN K s".split()},
+    **dict.fromkeys(("jansky", "janskys"), "Jy"),
+    **dict.fromkeys(("pixel", "pixels"), "pix"),
+    **dict.fromkeys(("count", "counts", "cts"), "ct"),
+    **dict.fromkeys(("second", "seconds", "sec"), "s"),
+    **{"bm": "beam", "electrons": "electron", "photons": "ph", "kelvin": "K"},
+    **{name: name for name in ("adu", "sr", "arcsec")},
+}
+#: Keywords of the axes and the angle of a beam.
+BEAM = "BMAJ", "BMIN", "BPA"
+_NUMBER = r"([-+]?[\d.]+(?:[EeDd][-+]?\d+)?)"
+_CLEAN_BEAM = re.compile(
+    rf"CLEAN\s+BMAJ\s*=\s*{_NUMBER}\s+BMIN\s*=\s*{_NUMBER}\s+BPA\s*=\s*{_NUMBER}"
+)
+_STOKES = {1: "I", 2: "Q", 3: "U", 4: "V", -1: "RR", -2: "LL", -5: "XX", -6: "YY"}
+#: Facts about an image, and their keywords; the first one is written.
+FACTS = {
+    "object": ("OBJECT", "TARGNAME"),
+    "telescope": ("TELESCOP",),
+    "frequency": ("FREQ", "FREQUENCY", "OBSFREQ", "RESTFRQ", "RESTFREQ"),
+    "filter": ("FILTER",),
+    "stokes": ("STOKES",),
+}
+_WCS_NUMBER = re.compile(r"((CRPIX|CRVAL|CDELT|CROTA)\d+|(PC|CD)\d+_\d+)$")
+_CELESTIAL = re.compile(r"((RA|[A-Z]LON|[A-Z]{2}LN)|DEC|[A-Z]LAT|[A-Z]{2}LT)(-|$)")
+
+
+class ContentError(ValueError):
+    """The file is FITS, but its image cannot be used."""
+
+
+def read_header(header, tables=()):
+    """
+    Return what a FITS header or a dict tells about an image, by the fields of `Plane`.
+
+    ``time`` (UTC) and ``beam`` are None if the header has none, or if they cannot be
+    read; then ``date_problem`` and ``beam_problem`` say why.  ``facts`` are those of
+    `header_facts`.
+
+    The date is taken from ``DATE-OBS`` (with ``TIME-OBS`` if that has the time of
+    day), or from ``DATE-BEG``, ``DATE-AVG``, ``MJD-OBS`` or ``EXPSTART``, but never
+    from ``DATE``, the date at which a file was written.  The beam is taken from
+    ``BMAJ``, ``BMIN`` and ``BPA`` (degrees), else from an ``AIPS CG`` or ``BEAMS``
+    table among ``tables``, else from the last ``CLEAN BMAJ=`` in the history.
+    """
+    found = {"time": None, "beam": None, "facts": header_facts(header)}
+    try:
+        found["time"] = _observing_time(header)
+    except ValueError as error:
+        found["date_problem"] = str(error)
+    try:
+        found["beam"] = _header_beam(header, tables)
+    except (KeyError, TypeError, ValueError) as error:
+        found["beam_problem"] = str(error)
+    return found
+
+
+def get(header, *keywords, kind=None):
+    """
+    Return the value of the first of some keywords that has one, or None.
+
+    Keys of a dict may be in upper or lower case.  Values that cannot be converted
+    to ``kind`` (float or str), empty strings and numbers that are not finite count
+    as absent.
+    """
+    for keyword in (key for name in keywords for key in (name, name.lower())):
+        with suppress(KeyError, ValueError, fits.VerifyError):
+            value = header[keyword]
+            if value is None or isinstance(value, fits.card.Undefined):
+                continue
+            if kind is str:
+                value = str(value).strip()
+            elif kind is float:
+                value = float(str(value).replace("D", "E"))
+            if value if kind is str else kind is None or np.isfinite(value):
+                return value
+    return None
+
+
+def first_line(error):
+    """Return the first line of an error's message."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+def some(names, most=3):
+    """Return the first of many names as text, with the number of the others."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+def parse_unit(text):
+    """
+    Return the unit in a FITS header, such as ``JY/BEAM``.
+
+    It is dimensionless for no text, and None for a text that is not understood.
+    """
+    if text is None or isinstance(text, u.UnitBase):
+        return text or u.dimensionless_unscaled
+    text = re.sub(r"\s+per\s+", "/", str(text).strip(), flags=re.IGNORECASE)
+    if text.upper() == "MJY/SR":
+        return u.MJy / u.sr
+    if text == text.upper() and "MJY" in text:
+        # In upper case M may be milli or mega.
+        return None
+    words = re.sub(
+        r"[A-Za-z]+", lambda word: _UNIT_WORDS.get(word[0].lower(), word[0]), text
+    )
+    return _unit(text) or _unit(words)
+
+
+@cache
+def _unit(text):
+    # For a text that is no unit astropy looks for similar ones, which takes long.
+    with warnings.catch_warnings(action="ignore"), suppress(TypeError, ValueError):
+        unit = u.Unit(text)
+        # A comma makes a structured unit, which no image has.
+        return unit if isinstance(unit, u.UnitBase) else None
+    return None
+
+
+def _observing_time(header):
+    system = (get(header, "TIMESYS", kind=str) or "UTC").upper()
+    scale = _TIME_SCALES.get(system, "utc")
+    problem = None
+    for keyword in _DATES:
+        value = get(header, keyword)
+        if isinstance(value, Time):
+            return value
+        text = get(header, keyword, kind=str)
+        if text is None:
+            continue
+        clock = get(header, "TIME-OBS", kind=str) or ""
+        if keyword == "DATE-OBS" and ":" in clock and ":" not in text:
+            text = f"{text}T{clock}"
+        try:
+            time = parse_date(text, scale)
+            break
+        except ValueError as error:
+            problem = problem or f"{keyword}: {error}"
+    else:
+        days = (get(header, keyword, kind=float) for keyword in _MJDS)
+        day = next((day for day in days if day is not None and day > 0), None)
+        if problem and day is None:
+            raise ValueError(problem)
+        if day is None:
+            return None
+        time = Time(day, format="mjd", scale=scale)
+    with warnings.catch_warnings(action="ignore"):
+        time = time.utc
+    time.format = "isot"
+    return time
+
+
+def _header_beam(header, tables):
+    beam = get(header, "BEAM")
+    if hasattr(beam, "major"):
+        return as_beam(beam)
+    major, minor, pa = (get(header, keyword, kind=float) for keyword in BEAM)
+    if major:
+        return _beam(major, major if minor is None else minor, pa or 0.0)
+    for table in tables:
+        if table.name.upper() in ("AIPS CG", "BEAMS") and len(table.data):
+            return _beam(*_beam_of_table(table))
+    if isinstance(header, fits.Header):
+        lines = [card.value for card in header.cards if card.keyword == "HISTORY"]
+    else:
+        lines = header.get("HISTORY") or header.get("history")
+    found = _CLEAN_BEAM.findall(str(lines).upper())
+    numbers = [float(text.replace("D", "E")) for text in found[-1]] if found else [0]
+    return _beam(*numbers) if numbers[0] > 0 else None
+
+
+def _beam(major, minor, pa):
+    """Return the beam of three numbers in degrees, with the larger axis first."""
+    if not (major > 0 and minor > 0):
+        raise ValueError(f"the beam {major:g} x {minor:g} deg is not positive")
+    if minor > major:
+        major, minor, pa = minor, major, pa + 90
+    return Beam(major * u.deg, minor * u.deg, pa * u.deg)
+
+
+def _beam_of_table(table):
+    """Yield BMAJ, BMIN and BPA of the first row of a table, in degrees."""
+    for name in BEAM:
+        text = (table.columns[name].unit or "deg").strip().lower().rstrip("s")
+        unit = u.deg if text == "degree" else u.Unit(text)
+        yield (float(table.data[0][name]) * unit).to_value(u.deg)
+
+
+def header_facts(header):
+    """
+    Return the facts that tell whether images belong together.
+
+    These are ``object``, ``telescope``, ``frequency`` (Hz), ``filter`` and
+    ``stokes``, as far as the header has them.
+    """
+    facts = {
+        fact: get(header, *keywords, kind=float if fact == "frequency" else str)
+        for fact, keywords in FACTS.items()
+    }
+    facts["frequency"] = _axis_value(header, "FREQ") or facts["frequency"]
+    facts["filter"] = facts["filter"] or _filter_wheels(header)
+    if (stokes := _axis_value(header, "STOKES")) is not None:
+        facts["stokes"] = _STOKES.get(round(stokes))
+    return {key: value for key, value in facts.items() if value is not None}
+
+
+def _filter_wheels(header):
+    """Return the filters in the light path of HST's two filter wheels."""
+    for keyword in ("FILTER", "FILTNAM"):
+        names = (get(header, f"{keyword}{wheel}", kind=str) or "" for wheel in (1, 2))
+        found = [name for name in names if name and not name.startswith("CLEAR")]
+        if found:
+            return " + ".join(found)
+    return None
+
+
+def axis_numbers(header, axis):
+    """Return CRVAL (or None), CRPIX and CDELT (or their defaults) of an axis."""
+    pixel = get(header, f"CRPIX{axis}", kind=float)
+    return (
+        get(header, f"CRVAL{axis}", kind=float),
+        1.0 if pixel is None else pixel,
+        get(header, f"CDELT{axis}", kind=float) or 0.0,
+    )
+
+
+def _axis_value(header, name):
+    """Return the world coordinate of the first pixel of a degenerate axis."""
+    for axis in range(1, 10):
+        if (get(header, f"CTYPE{axis}", kind=str) or "").upper().startswith(name):
+            value, pixel, step = axis_numbers(header, axis)
+            return None if value is None else value + (1 - pixel) * step
+    return None
+
+
+def celestial_wcs(header, fobj=None):
+    """
+    Return the celestial axes of a FITS header as a two-dimensional WCS.
+
+    Faults of AIPS, difmap and others are repaired: ``DEC---SIN`` with three dashes,
+    ``EPOCH`` for the equinox, units in capitals.  Without ``CRVALn`` the reference
+    pixel is at (0, 0).  Other faults raise a `ContentError`.  Distortions that are
+    stored in tables need the `~astropy.io.fits.HDUList` ``fobj``.
+    """
+    clean = _repaired(header)
+    kinds = [axis_kind(str(clean.get(f"CTYPE{axis}", ""))) for axis in range(1, 8)]
+    if not {"longitude", "latitude"} <= set(kinds):
+        raise ContentError(
+            "it has no celestial coordinates (CTYPE); use EpochCube.from_arrays, "
+            "which takes the pixel scale"
+        )
+    axes = [kinds.index(kind) + 1 for kind in ("longitude", "latitude")]
+    if axes[0] > axes[1]:
+        raise ContentError("latitude is its first axis; transpose the image")
+    for axis in axes:
+        rows = [key for key in clean if re.match(rf"CD{axis}_\d+$|CDELT{axis}$", key)]
+        if not any(clean[key] for key in rows):
+            raise ContentError("its celestial axes have no pixel scale (CDELT or CD)")
+    with warnings.catch_warnings(action="ignore"):
+        try:
+            wcs = WCS(clean, fobj=fobj).celestial
+            wcs.wcs.set()
+        except Exception as error:
+            reason = " ".join(str(error).strip().splitlines()[:2])
+            raise ContentError(f"its coordinates cannot be read: {reason}") from None
+    return wcs
+
+
+def _repaired(header):
+    """Return the cards of a header that WCS reads, corrected to the standard."""
+    clean = fits.Header()
+    for card in header.cards:
+        try:
+            keyword, value = card.keyword, card.value
+        except (fits.VerifyError, ValueError):
+            continue
+        # Dates are read elsewhere; WCS would warn of them in every file.
+        if not re.match(r"(HISTORY|COMMENT|)$|DATE|MJD|TIMESYS", keyword):
+            value = _standard(keyword, value)
+            with suppress(fits.VerifyError, ValueError):
+                clean[keyword] = value
+    if "EQUINOX" not in clean and (epoch := get(header, "EPOCH", kind=float)):
+        clean["EQUINOX"] = epoch
+    return clean
+
+
+def _standard(keyword, value):
+    """Return the value of a keyword, corrected to the standard."""
+    if keyword.startswith("CTYPE"):
+        # The coordinate's name, filled with dashes to five characters, and projection.
+        ctype = str(value).strip().upper()
+        if match := re.fullmatch(r"([A-Z]{2,4})-+([A-Z]{3})(-SIP)?", ctype):
+            return f"{match[1]:-<5}{match[2]}{match[3] or ''}"
+        # AIPS and difmap omit the projection if it is orthographic.
+        return {"RA": "RA---SIN", "DEC": "DEC--SIN"}.get(ctype, ctype)
+    if keyword.startswith("CUNIT") and str(value).upper().startswith("DEG"):
+        return "deg"
+    if not _WCS_NUMBER.match(keyword):
+        return value
+    number = get({keyword: value}, keyword, kind=float)
+    if number is None:
+        raise ContentError(f"{keyword} = {value!r} is not a finite number")
+    return number
+
+
+def axis_kind(ctype):
+    """Return "longitude" or "latitude" for a celestial CTYPE, None for others."""
+    match = _CELESTIAL.match(ctype.strip().upper())
+    return match and ("longitude" if match[2] else "latitude")
+
+
+def epoch_header(cube, i):
+    """Return the date, label, beam, noise and facts of an epoch as a FITS header."""
+    time = cube.times[i]
+    header = fits.Header()
+    header["DATE-OBS"] = time.isot
+    header["TIMESYS"] = time.scale.upper()
+    header["LABEL"] = cube.labels[i].encode("ascii", "replace").decode()
+    if cube.beams is not None:
+        header.update(beam_cards(cube.beams[i]))
+    if cube.noise is not None:
+        header["NOISE"] = cube.noise[i].value, f"rms, {cube.noise.unit}"
+    facts = cube.epoch_meta[i]
+    header.update({key[0]: facts[fact] for fact, key in FACTS.items() if fact in facts})
+    return header
+
+
+def beam_cards(beam):
+    """Return BMAJ, BMIN and BPA of a beam, in degrees."""
+    parts = beam.major, beam.minor, beam.pa
+    return dict(zip(BEAM, (part.to_value(u.deg) for part in parts), strict=True))

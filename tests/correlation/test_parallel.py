@@ -1,0 +1,251 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""
+Work in other processes: the same, in order, and nothing left behind.
+
+What is sent to workers is of the standard library (`eval`, of an expression), for they
+cannot import a module of tests however the tests are started.
+"""
+
+import math
+import multiprocessing
+import operator
+import os
+import pickle
+import subprocess
+import sys
+import time
+from functools import partial
+from operator import truediv
+from pathlib import Path
+
+import pytest
+
+from astro_scc.correlation.parallel import (
+    WAITING,
+    as_done,
+    in_order,
+    machine_memory,
+    workers_of,
+)
+
+posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+inverse = partial(truediv, 1)
+KILL = "__import__('os').kill(__import__('os').getpid(), 9)"
+#: An error that is pickled, and raises another one when it is unpickled.
+AGAIN = "type('E', (), {'__reduce__': lambda self: (UnicodeDecodeError, ())})()"
+STARTS = [
+    pytest.param(name, marks=() if name != "forkserver" else pytest.mark.slow)
+    for name in multiprocessing.get_all_start_methods()
+]
+
+
+@pytest.fixture(autouse=True)
+def none_left():
+    """Whoever stops, fails or ends leaves no process behind."""
+    yield
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize(
+    ("n_workers", "error", "message"),
+    [
+        (0, ValueError, "n_workers must be at least 1"),
+        (-2, ValueError, "n_workers must be at least 1"),
+        (1.5, TypeError, "n_workers must be a number of processes"),
+        (True, TypeError, "n_workers must be a number of processes"),
+        (None, TypeError, "n_workers must be a number of processes"),
+    ],
+)
+@pytest.mark.parametrize("work", [as_done, in_order])
+def test_workers_that_are_refused(work, n_workers, error, message):
+    with pytest.raises(error, match=message):
+        list(work(inverse, [1], n_workers))
+    with workers_of(3) as workers:
+        assert workers == 3
+
+
+@pytest.mark.parametrize("work", [as_done, in_order])
+def test_in_this_process_pieces_are_taken_as_needed(work):
+    taken = []
+
+    def pieces():
+        for k in range(1, 4):
+            taken.append(k)
+            yield k
+
+    results = work(inverse, pieces(), 1)
+    assert next(results) == (1.0 if work is in_order else (0, 1.0))
+    assert taken == [1]
+    assert len(list(results)) == 2
+
+
+def test_two_workers_take_pieces_as_needed_and_keep_their_order():
+    taken = []
+
+    def pieces():
+        for k in range(30):
+            taken.append(k)
+            yield k
+
+    results = in_order(operator.neg, pieces(), 2)
+    assert [next(results), next(results)] == [0, -1]
+    assert len(taken) <= 2 * WAITING + 2
+    results.close()
+
+
+def test_an_error_says_where_in_the_worker_it_was_raised():
+    with pytest.raises(ZeroDivisionError) as caught:
+        list(in_order(eval, ["1 // 0"], 2))
+    (note,) = caught.value.__notes__
+    assert note.startswith("In a worker process:\nTraceback")
+
+
+def test_what_cannot_be_sent_is_an_error():
+    # To the worker, from it, and as an error; and what cannot be made here again.
+    with pytest.raises((AttributeError, TypeError, pickle.PicklingError)):
+        list(in_order(lambda value: value, [1], 2))
+    with pytest.raises((AttributeError, TypeError, pickle.PicklingError)):
+        list(in_order(eval, ["lambda: 1"], 2))
+    with pytest.raises(RuntimeError, match="OSError: .*lambda"):
+        list(in_order(exec, ["raise OSError(lambda: 1)"], 2))
+    with pytest.raises(TypeError, match="UnicodeDecodeError|argument"):
+        list(in_order(eval, [AGAIN], 2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("context", STARTS)
+def test_workers_have_one_thread_each(context):
+    # With numpy, of which a worker that was not forked has nothing yet.
+    threads = (
+        "__import__('numpy') and "
+        "[p['num_threads'] for p in __import__('threadpoolctl').threadpool_info()]"
+    )
+    for pools in in_order(eval, [threads] * 2, 2, context=context):
+        assert set(pools) <= {1}
+
+
+def test_memory_of_the_machine_and_of_a_job(monkeypatch, tmp_path):
+    resource = pytest.importorskip("resource")
+    whole = machine_memory()
+    assert 1e8 < whole < 1e15
+    names = [str(tmp_path / name) for name in ("v1", "v2", "none")]
+    (tmp_path / "v1").write_text("max\n")
+    (tmp_path / "v2").write_text("12345\n")
+    monkeypatch.setattr("astro_scc.correlation.parallel.CONTROL_GROUPS", names[::2])
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY,) * 2)
+    assert machine_memory() >= whole
+    monkeypatch.setattr("astro_scc.correlation.parallel.CONTROL_GROUPS", names)
+    assert machine_memory() == 12345
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1234, -1))
+    assert machine_memory() == 1234
+    # As on Windows.
+    monkeypatch.setattr("astro_scc.correlation.parallel.CONTROL_GROUPS", ())
+    monkeypatch.setitem(sys.modules, "resource", None)
+    monkeypatch.delattr("os.sysconf")
+    assert machine_memory() == math.inf
+
+
+UNENDING = """
+import multiprocessing, sys, time
+from astro_scc.correlation.parallel import in_order
+
+def nap(value):
+    time.sleep(0.05)
+    return value
+
+if __name__ == "__main__":
+    for _ in in_order(nap, range(10_000), 2):
+        print(*(p.pid for p in multiprocessing.active_children()), flush=True)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_workers_end_with_a_parent_that_is_killed(tmp_path):
+    script = tmp_path / "parent.py"
+    script.write_text(UNENDING)
+    with subprocess.Popen(
+        [sys.executable, script], stdout=subprocess.PIPE, text=True
+    ) as parent:
+        workers = next(line.split() for line in parent.stdout if len(line.split()) == 2)
+        parent.kill()
+        parent.wait()
+        limit = time.monotonic() + 60
+        while any(Path(f"/proc/{pid}").exists() for pid in workers):
+            assert time.monotonic() < limit
+            time.sleep(0.05)
+
+
+def deadly(values):
+    """Expressions, of which that of 3 kills its process, whoever works on it."""
+    return [KILL if k == 3 else f"10 * {k}" for k in values]
+
+
+@pytest.mark.parametrize("n_workers", [1, 2])
+def test_errors_are_results(n_workers):
+    found = dict(as_done(inverse, [2, 0, 4, 0], n_workers))
+    assert {k: v for k, v in found.items() if k in (0, 2)} == {0: 0.5, 2: 0.25}
+    assert all(isinstance(found[k], ZeroDivisionError) for k in (1, 3))
+
+
+@pytest.mark.slow
+@posix
+@pytest.mark.parametrize("context", STARTS)
+def test_a_piece_that_kills_its_process(context):
+    found = dict(as_done(eval, deadly(range(6)), 2, context=context))
+    assert isinstance(found[3], ChildProcessError)
+    assert "a worker process died" in str(found.pop(3))
+    assert found == {k: 10 * k for k in range(6) if k != 3}
+
+
+@posix
+def test_a_piece_whose_process_is_killed_once(tmp_path):
+    mark = str(tmp_path / "mark")
+    once = f"__import__('os').path.exists({mark!r}) or open({mark!r}, 'w') and {KILL}"
+    assert sorted(as_done(eval, ["1", once, "3"], 2)) == [(0, 1), (1, True), (2, 3)]
+
+
+@posix
+def test_a_worker_that_dies_ends_work_in_order():
+    with pytest.raises(ChildProcessError, match="fewer workers take less"):
+        list(in_order(eval, deadly(range(6)), 2))
+
+
+@posix
+def test_a_pool_that_is_found_broken_with_the_next_piece():
+    def pieces():
+        yield from deadly([3])
+        # Long enough for the process to die.
+        time.sleep(0.5)
+        yield from deadly((1, 2, 4))
+
+    found = dict(as_done(eval, pieces(), 2))
+    assert isinstance(found.pop(0), ChildProcessError)
+    assert found == {1: 10, 2: 20, 3: 40}
+
+
+UNGUARDED = """
+import multiprocessing, operator
+from astro_scc.correlation.parallel import as_done, in_order
+multiprocessing.set_start_method({context!r}, force=True)
+try:
+    print(list({name}(operator.neg, [1, 2], 2)))
+except ChildProcessError as error:
+    print("error:", error)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["as_done", pytest.param("in_order", marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize("context", [c for c in STARTS if c.values != ("fork",)])
+def test_processes_that_cannot_start(tmp_path, name, context):
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED.format(name=name, context=context))
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[-1].startswith("error: a worker process died")
+    assert "if __name__ == '__main__'" in done.stdout
