@@ -1,31 +1,53 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Secure features as those of streams, along an axis and in beams."""
+"""Detections and secure features of images, along an axis and in beams."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from astro_scc.features.diffusion import measure_diffusion
-from astro_scc.features.motion import SIGNIFICANT, fit_motion
+from astro_scc.features.motion import SIGNIFICANT, Motion, fit_motion
 from astro_scc.features.trust import LEAST_EPOCHS
 from astro_scc.kinematics import ExpansionFrame
 from astro_scc.measurement.axes import frame_positions, turned
 from astro_scc.stacking.features import Feature
 from astro_scc.stacking.search_settings import DEFAULT
+from astro_scc.stacking.velocities import VelocitySamples
 
-#: SSPs as near to a feature as this, in beams, are of its emission.
+#: SSPs and detections as near to each other as this, in beams, are of one emission.
 NEAR = 0.5
+#: Scatter of the logarithm of the flux of one feature: a pair of detections counts less
+#: by the exponential of the change in this unit.
+FADING = 0.7
+#: The core is the detection of each epoch that is nearest to the origin, and as near as
+#: this, in beams.  It does not move, but what leaves it blends with it.
+CORE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """A feature: motion, its error with the random walk, detections, SSPs."""
+
+    motion: Motion
+    error: np.ndarray
+    detection: np.ndarray
+    ssp: np.ndarray
 
 
 class FollowedFeatures:
     """
     The secure features that move, along axes of a frame, or all of those that diffuse.
 
+    The pairs of detections of different epochs are samples of the velocities as well.
+    Nothing is known of a part of the scales, as images show all of them.
+
     Parameters
     ----------
     matched : `~astro_scc.measurement.MatchedEpochs`
-        None are returned of a part of its scales: images show all of them.
     project : `~astro_scc.measurement.axes.AxisProjection`
+    radius : float
+        Largest displacement between two detections, in beams.
     epochs : slice, optional
         The range of epochs to which the projection is limited; the features are those
         of all epochs, and their motion is that of their positions within the range.
@@ -37,42 +59,101 @@ class FollowedFeatures:
         by one of them, so it is part of the errors, and all of them count.
     """
 
-    def __init__(self, matched, project, epochs=None):
-        self.project, self.found, self.diffuse = project, [], False
-        first, last, _ = (epochs or slice(None)).indices(len(matched.cube))
-        inside = (matched.ssps.epoch >= first) & (matched.ssps.epoch < last)
-        samples, chosen = project.displacements, np.flatnonzero(matched.select[inside])
-        whole = set(matched.ssps.scale) == set(matched.ssps.scale[matched.select])
-        if not whole or isinstance(project.frame, ExpansionFrame):
-            return
+    def __init__(self, matched, project, radius, epochs=None):
+        self.project, self.diffuse = project, False
+        self.first, last, _ = (epochs or slice(None)).indices(len(matched.cube))
         features = matched.features
         self.detections = d = features.detections
-        order = chosen[np.argsort(samples.epoch[chosen], kind="stable")]
-        starts = np.searchsorted(samples.epoch[order], np.arange(last - first + 1))
+        inside = (matched.ssps.epoch >= self.first) & (matched.ssps.epoch < last)
+        select = matched.select[inside]
+        whole = set(matched.ssps.scale) == set(matched.ssps.scale[matched.select])
+        use = np.zeros(len(d), dtype=bool)
+        if whole and not isinstance(project.frame, ExpansionFrame):
+            use = self._find_ssps(last, select)
+        #: Detections of the same emission or of neighbours, the earlier one first.
+        moving = np.flatnonzero(use & ~d.core(CORE))
+        reach = np.hypot(radius, DEFAULT.across) * d.major
+        pairs = KDTree(d.place[moving]).query_pairs(reach, output_type="ndarray")
+        # Their detections are in the order of the epochs.
+        pairs = moving[np.sort(pairs, axis=1)]
+        self._pairs = pairs[d.epoch[pairs[:, 0]] < d.epoch[pairs[:, 1]]].T
         diffusion = measure_diffusion(features)
-        self.diffuse = diffusion.is_walk
-        walk = diffusion.variance if self.diffuse else 0.0
+        self.diffuse = bool(use.any()) and diffusion.is_walk
+        self.found = list(self._followed(features, use, diffusion))
+
+    def _find_ssps(self, last, select):
+        """Find the SSPs of detections; return which are in the selected part."""
+        d, samples = self.detections, self.project.displacements
+        use, near = np.zeros(len(d), dtype=bool), [np.empty((2, 0), dtype=int)]
+        for epoch in range(self.first, last):
+            here = np.flatnonzero(d.epoch == epoch)
+            ssps = np.flatnonzero(samples.epoch == epoch - self.first)
+            if len(here) and len(ssps):
+                offset = d.place[here][:, None] - samples.position[ssps]
+                away = np.hypot(*np.moveaxis(offset, -1, 0))
+                use[here] = select[ssps[away.argmin(axis=1)]]
+                detection, ssp = np.nonzero((away <= NEAR * d.fwhm) & select[ssps])
+                near.append(np.stack([here[detection], ssps[ssp]]))
+        self._near = np.concatenate(near, axis=1)
+        return use
+
+    def _followed(self, features, use, diffusion):
+        d, walk = self.detections, diffusion.variance if self.diffuse else 0.0
         for track, motion, secure in zip(
             features.tracks, features.motions, features.secure, strict=True
         ):
             moves = secure and motion.speed >= SIGNIFICANT * motion.speed_err
-            own, moving = track.detection, motion
-            own = own[(d.epoch[own] >= first) & (d.epoch[own] < last)]
+            own = track.detection[use[track.detection]]
             if len(own) < LEAST_EPOCHS or not (moves or self.diffuse):
                 continue
-            at, nearest = [], []
-            for number in own.tolist():
-                here = order[slice(*starts[d.epoch[number] - first + np.arange(2)])]
-                away = np.hypot(*(samples.position[here] - d.place[number]).T)
-                at.append(here[away <= NEAR * d.fwhm])
-                nearest.append(here[away.argmin()] if len(at[-1]) else -1)
-            nearest = np.array(nearest)
-            if (nearest >= 0).sum() >= max(2, len(own) / 2):
-                if len(own) < len(track.detection):
-                    parts = (v[own] for v in (d.time, d.place, d.place_error))
-                    moving = fit_motion(*parts, d.fwhm)
-                error = np.hypot(moving.velocity_err, np.sqrt(walk / moving.span))
-                self.found.append((moving, error, own, nearest, np.concatenate(at)))
+            moving = motion
+            if len(own) < len(track.detection):
+                parts = (v[own] for v in (d.time, d.place, d.place_error))
+                moving = fit_motion(*parts, d.fwhm)
+            error = np.hypot(moving.velocity_err, np.sqrt(walk / moving.span))
+            detection, ssp = self._near
+            yield _Followed(moving, error, own, np.unique(ssp[np.isin(detection, own)]))
+
+    def _positions(self, angle):
+        """Return the positions of detections along an axis and across it, in beams."""
+        place = frame_positions(self.project.frame, *self.detections.place.T)
+        return place @ turned(angle).T / self.project.beam(angle)
+
+    def pairs(self, angle, without=()):
+        """
+        Return pairs of detections of two epochs as velocity samples.
+
+        Parameters
+        ----------
+        angle : float
+            In radians from the first axis of the frame.
+        without : sequence of ``Feature``, optional
+            Whose emission is left out.
+
+        Returns
+        -------
+        ``VelocitySamples``
+            In beams, along the axis and across it.
+        """
+        d, (here, there) = self.detections, self._pairs
+        if without and len(here):
+            lost = np.zeros(len(d), dtype=bool)
+            ssps = np.concatenate([f.ssp for f in without])
+            lost[self._near[0][np.isin(self._near[1], ssps)]] = True
+            lost[np.concatenate([f.detection for f in without])] = True
+            keep = ~(lost[here] | lost[there])
+            here, there = here[keep], there[keep]
+        position = self._positions(angle)
+        change = np.abs(np.log(d.flux[here] / d.flux[there]))
+        return VelocitySamples(
+            *(position[there] - position[here]).T,
+            weight=np.exp(-change / FADING),
+            reference=d.epoch[here] - self.first,
+            target=d.epoch[there] - self.first,
+            ssp=here,
+            target_ssp=there,
+            years=self.project.displacements.years,
+        )
 
     def __call__(self, angle):
         """
@@ -91,14 +172,14 @@ class FollowedFeatures:
         """
         turn, beam, frame = turned(angle), self.project.beam(angle), self.project.frame
         found, taken = [], np.zeros(len(self.project.displacements.epoch), dtype=bool)
-        for motion, error, own, nearest, ssps in self.found:
-            d = self.detections
-            place = frame_positions(frame, *d.place[own].T) @ turn.T / beam
+        d, place = self.detections, self._positions(angle)
+        for one in self.found:
+            own, motion = one.detection, one.motion
             axes = turn @ np.asarray(frame.matrix(*motion.place))
-            seen = nearest >= 0
-            line = Feature.through(nearest[seen], d.time[own][seen], place[seen])
+            epoch = d.epoch[own] - self.first
+            line = Feature.through(one.ssp, epoch, d.time[own], place[own])
             speed, across = axes @ motion.velocity / beam
-            error, across_error = np.hypot(*(axes * error).T) / beam
+            error, across_error = np.hypot(*(axes * one.error).T) / beam
             found.append(
                 replace(
                     line,
@@ -107,8 +188,8 @@ class FollowedFeatures:
                     across=float(across),
                     across_error=float(across_error),
                     motion=float(abs(speed) * motion.span),
-                    followed=True,
+                    detection=own,
                 )
             )
-            taken[ssps] = True
+            taken[one.ssp] = True
         return found, taken

@@ -75,11 +75,11 @@ def search_matches(
         outward=settings.outward and known,
         fastest=np.inf if max_speed is None else max_speed / project.beam(0.0)[0],
         intervals=plan.intervals if intervals is None else intervals,
-        followed=FollowedFeatures(matched, project, epochs),
+        followed=FollowedFeatures(matched, project, plan.radius, epochs),
     )
     misaligned = axes.alignment_errors(cube, settings.alignment_error)
     velocities = tuple(
-        velocity_of(stream, project.beam(stream.angle), misaligned, samples.epoch)
+        velocity_of(stream, project.beam(stream.angle), misaligned)
         for stream in search.streams
     )
     return Found(search, velocities, samples, frame)

@@ -185,7 +185,7 @@ def _pairs_of_parts(found, matched, stream):
             ),
         )
     r = ssp_distances(matched)
-    place = [r[f.ssp].mean().to_value(u.mas) for f in stream.features]
+    place = [r[f.ssp].mean().to_value(u.mas) for f in stream.features if len(f.ssp)]
     if len(place) > 1:
         border = np.median(place) * u.mas
         unit = offset_unit(border.value)
@@ -210,6 +210,6 @@ def _pairs_of_parts(found, matched, stream):
 
 def _middle_interval(d, stream):
     """Return the median of the intervals between the epochs of features, in years."""
-    dates = [d.years[d.epoch[f.ssp]] for f in stream.features]
+    dates = [d.years[f.epoch] for f in stream.features]
     apart = np.concatenate([np.subtract.outer(t, t).ravel() for t in dates])
     return float(np.median(apart[apart > 0]))

@@ -192,7 +192,7 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     >>> from astro_scc.stacking.dispersion import separate_streams
     >>> epoch = np.arange(4)
     >>> features = [
-    ...     Feature.through(epoch, epoch, np.outer(epoch, [speed, 0]))
+    ...     Feature.through(epoch, epoch, epoch, np.outer(epoch, [speed, 0]))
     ...     for speed in [0.3, 1.05, 0.32, 0.33, 1.0, 0.98]]
     >>> p_value, second = separate_streams(features, 99, np.random.default_rng(1))
     >>> p_value < 0.05, second

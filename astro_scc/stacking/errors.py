@@ -51,7 +51,7 @@ class StreamVelocity:
         return self.features + self.alignment + self.choices
 
 
-def velocity_of(stream, beam, misaligned, epoch):
+def velocity_of(stream, beam, misaligned):
     """
     Return a stream's velocity in mas/yr on the axes of the frame.
 
@@ -62,7 +62,6 @@ def velocity_of(stream, beam, misaligned, epoch):
         Width of the beam along the stream and across it, in mas.
     misaligned : `~numpy.ndarray`, shape (n_epochs, 2)
         Standard error of the alignment of each epoch, in mas.
-    epoch : `~numpy.ndarray` of int, shape (n_ssps,)
 
     Returns
     -------
@@ -72,7 +71,7 @@ def velocity_of(stream, beam, misaligned, epoch):
     to_frame = np.array([[cos, -sin], [sin, cos]])
     own = np.array([stream.along.mean, stream.across.mean]) * beam
     errors = np.array([stream.along.error, stream.across.error]) * beam
-    response = alignment_response(stream, epoch, len(misaligned))
+    response = alignment_response(stream, len(misaligned))
     sense = np.sign(stream.along.mean) * beam[0]
     own_speeds = np.array([f.speed * sense for f in stream.features] or [np.nan])
     return StreamVelocity(
@@ -86,14 +85,13 @@ def velocity_of(stream, beam, misaligned, epoch):
     )
 
 
-def alignment_response(stream, epoch, n_epochs):
+def alignment_response(stream, n_epochs):
     """
     Return the change of a stream's mean speed per displacement of each epoch.
 
     Parameters
     ----------
     stream : ``Stream``
-    epoch : `~numpy.ndarray` of int, shape (n_ssps,)
     n_epochs : int
 
     Returns
@@ -103,7 +101,7 @@ def alignment_response(stream, epoch, n_epochs):
     """
     response = np.zeros(n_epochs)
     for feature, w in zip(stream.features, feature_weights(stream), strict=True):
-        response[epoch[feature.ssp]] += w * feature.response
+        response[feature.epoch] += w * feature.response
     return response
 
 

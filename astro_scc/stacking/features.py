@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,29 +13,34 @@ from astro_scc.stacking.search_settings import DEFAULT, SearchSettings
 @dataclass(frozen=True, eq=False)
 class Feature:
     """
-    SSPs of one scale on a straight line in time.
+    SSPs of one scale, or detections in images, on a straight line in time.
 
     Attributes
     ----------
-    ssp : `~numpy.ndarray` of int, shape (n_epochs,)
+    ssp : `~numpy.ndarray` of int, shape (n_ssps,)
         Indices of the SSPs, in the order of the epochs.
+    epoch : `~numpy.ndarray` of int, shape (n_epochs,)
+        Epochs in which it is seen.
     speed, error : float
         Speed along the axis, in beams/yr, and its standard error.
     across, across_error : float
         The same across the axis.
-    place : float
-        Mean position along the axis, in beams.
+    middle : `~numpy.ndarray`, shape (2,)
+        Mean position along and across the axis, in beams.
+    date : float
+        Mean date, in years.
     motion : float
         Motion while the feature is seen, in beams.
     response : `~numpy.ndarray`, shape (n_epochs,)
-        Change of the speed for a displacement of each SSP by one beam.
+        Change of the speed for a displacement in each epoch by one beam.
     acceleration, acceleration_error : float
         Acceleration along the axis, in beams/yr^2, from a parabola; NaN with
         fewer than five SSPs.
     pulled : bool
         Whether standing features are so close that they affect the speed.
-    followed : bool
-        Whether it was followed from image to image, and not by matches of SSPs.
+    detection : `~numpy.ndarray` of int
+        Indices of its detections, if it was followed from image to image, and not by
+        matches of SSPs.
 
     Examples
     --------
@@ -43,30 +48,42 @@ class Feature:
     >>> from astro_scc.stacking.features import Feature
     >>> years = np.array([0.0, 1.0, 2.0])
     >>> place = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
-    >>> Feature.through(np.arange(3), years, place).speed
+    >>> Feature.through(np.arange(3), np.arange(3), years, place).speed
     0.5
     """
 
     ssp: np.ndarray
+    epoch: np.ndarray
     speed: float
     error: float
     across: float
     across_error: float
-    place: float
+    middle: np.ndarray
+    date: float
     motion: float
     response: np.ndarray
     acceleration: float = np.nan
     acceleration_error: float = np.nan
     pulled: bool = False
-    followed: bool = False
+    detection: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
 
     def __len__(self) -> int:
-        return len(self.ssp)
+        return len(self.epoch)
+
+    @property
+    def followed(self) -> bool:
+        """Whether it was followed from image to image."""
+        return len(self.detection) > 0
+
+    @property
+    def place(self) -> float:
+        """Mean position along the axis, in beams."""
+        return float(self.middle[0])
 
     @classmethod
     def through(
-        cls, ssp: np.ndarray, years: np.ndarray, position: np.ndarray,
-        settings: SearchSettings = DEFAULT,
+        cls, ssp: np.ndarray, epoch: np.ndarray, years: np.ndarray,
+        position: np.ndarray, settings: SearchSettings = DEFAULT,
     ) -> Feature:  # fmt: skip
         """
         Fit a straight line to the positions of SSPs.
@@ -77,7 +94,8 @@ class Feature:
 
         Parameters
         ----------
-        ssp : `~numpy.ndarray` of int, shape (n,)
+        ssp : `~numpy.ndarray` of int
+        epoch : `~numpy.ndarray` of int, shape (n,)
         years : `~numpy.ndarray`, shape (n,)
         position : `~numpy.ndarray`, shape (n, 2)
         settings : `~astro_scc.stacking.SearchSettings`, optional
@@ -94,23 +112,25 @@ class Feature:
         def variance(left, n_parameters):
             prior = settings.prior_freedom
             total = (left**2).sum(axis=0) + prior * settings.position_error**2
-            return total / (max(len(ssp) - n_parameters, 0) + prior)
+            return total / (max(len(years) - n_parameters, 0) + prior)
 
         error = np.sqrt(variance(left, 2) * (response @ response))
         bend = bend_error = np.nan
-        if len(ssp) >= settings.accelerated_epochs:
-            design = np.stack([np.ones(len(ssp)), time, time**2 / 2], axis=1)
+        if len(years) >= settings.accelerated_epochs:
+            design = np.stack([np.ones(len(years)), time, time**2 / 2], axis=1)
             inverse = np.linalg.inv(design.T @ design)
             curve = inverse @ design.T @ position[:, 0]
             left = position[:, 0] - design @ curve
             bend, bend_error = curve[2], np.sqrt(inverse[2, 2] * variance(left, 3))
         return cls(
             ssp=ssp,
+            epoch=epoch,
             speed=float(velocity[0]),
             error=float(error[0]),
             across=float(velocity[1]),
             across_error=float(error[1]),
-            place=float(position[:, 0].mean()),
+            middle=position.mean(axis=0),
+            date=float(years.mean()),
             motion=float(abs(velocity[0]) * np.ptp(years)),
             response=response,
             acceleration=float(bend),
@@ -265,7 +285,8 @@ def clear_of(features, standing, samples, settings):
             part = _feature(f.ssp[clear], d, settings)
             response = np.zeros(len(f))
             response[clear] = part.response
-            found.append(replace(part, ssp=f.ssp, motion=f.motion, response=response))
+            same = {"ssp": f.ssp, "epoch": f.epoch, "motion": f.motion}
+            found.append(replace(part, **same, response=response))
     return found
 
 
@@ -411,8 +432,8 @@ def _off_line(chosen, d):
 
 
 def _feature(chosen, d, settings):
-    years, place = d.years[d.epoch[chosen]], d.position[chosen]
-    return Feature.through(chosen, years, place, settings)
+    epoch = d.epoch[chosen]
+    return Feature.through(chosen, epoch, d.years[epoch], d.position[chosen], settings)
 
 
 def different(features, samples, settings):
@@ -436,11 +457,12 @@ def different(features, samples, settings):
 
     def rank(feature):
         # Of two equally long ones, the one on the finer scale is blended less.
-        return not feature.followed, -len(feature), d.scale[feature.ssp[0]]
+        scale = 0 if feature.followed else d.scale[feature.ssp[0]]
+        return not feature.followed, -len(feature), scale
 
     for feature in sorted(features, key=rank):
-        years, place = d.years[d.epoch[feature.ssp]], d.position[feature.ssp]
         if lines and not feature.followed:
+            years, place = d.years[feature.epoch], d.position[feature.ssp]
             parts = zip(*lines, strict=True)
             velocity, middle, when = (np.array(part)[:, None] for part in parts)
             line = middle + (years - when)[..., None] * velocity
@@ -448,5 +470,5 @@ def different(features, samples, settings):
             if off.min() < settings.same_feature:
                 continue
         kept.append(feature)
-        lines.append(_line(feature.ssp, d))
+        lines.append(((feature.speed, feature.across), feature.middle, feature.date))
     return kept

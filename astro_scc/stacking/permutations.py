@@ -79,7 +79,8 @@ class EpochPermutations:
         Up to 1, less for slow speeds: blends of features whose fluxes vary drift.
     z : `~numpy.ndarray`, shape (n_axes, n_v)
         ``weight E(v) / std E(v)``, where E is the sum of the excess along a ray and
-        the standard deviation is over all orders, including the observed one.
+        the standard deviation is over all orders, including the observed one.  With
+        pairs of detections, E is the mean of those of both in standard deviations.
     permuted : `~numpy.ndarray`, shape (n_orders - 1, n_axes, n_v)
         The same for each permutation.
     smallest_p : float
@@ -100,7 +101,7 @@ class EpochPermutations:
     ...     position=np.zeros((6, 2)), epoch=np.arange(6), scale=np.ones(6),
     ...     years=years)
     >>> rays = Rays.of(years, 1.5, SearchSettings())
-    >>> test = EpochPermutations.of([d], rays, 99, np.random.default_rng(1),
+    >>> test = EpochPermutations.of([(d,)], rays, 99, np.random.default_rng(1),
     ...                             SearchSettings())
     >>> axis, speed = test.largest()
     >>> axis, abs(speed - 0.5) < 0.1, test.p_values(axis, speed)[1] < 0.05
@@ -115,7 +116,7 @@ class EpochPermutations:
 
     @classmethod
     def of(
-        cls, axes: Sequence[VelocitySamples], rays: Rays, n_trials: int,
+        cls, axes: Sequence[Sequence[VelocitySamples]], rays: Rays, n_trials: int,
         rng: np.random.Generator, settings: SearchSettings, *, outward: bool = False,
         one_way: bool = False,
     ) -> EpochPermutations:  # fmt: skip
@@ -124,8 +125,10 @@ class EpochPermutations:
 
         Parameters
         ----------
-        axes : sequence of ``VelocitySamples``
-            The same matches along each axis that is searched.
+        axes : sequence of sequences of ``VelocitySamples``
+            For each axis that is searched the matches along it and, if there are any,
+            the pairs of detections.  Of both, the mean in standard deviations counts
+            (Stouffer et al. 1949, The American Soldier I).
         rays : `Rays`
         n_trials : int
             Number of random permutations; for few epochs all are used.
@@ -142,31 +145,23 @@ class EpochPermutations:
         -------
         `EpochPermutations`
         """
-        years, bins, speed = axes[0].years, rays.bins, rays.speed
+        years, speed = axes[0][0].years, rays.speed
         orders = permutations_of_epochs(len(years), n_trials, rng, settings)
         orders = np.concatenate([np.arange(len(years))[None], orders])
-        sums, largest = [], 1e-300
-        for axis in axes:
-            density = PairDensity(axis, rays.radius, settings)
-            matrix = rays.matrix(speed, density.grid)
-            chance = matrix @ (bins.number[:, None] * density.mean).ravel()
-            size = max(1, int(BYTES // (8 * len(bins.mean) * len(density.grid))))
-            parts = [
-                matrix @ bins.sums(density.pairs, some).reshape(len(some), -1).T
-                for some in np.split(orders, np.arange(size, len(orders), size))
-            ]
-            sums.append(np.concatenate(parts, axis=1).T - chance)
-            largest = max(largest, chance.max())
-        sums = np.stack(sums, axis=1)
-        if one_way:
-            sums = sums - sums[..., ::-1]
-        std = sums.std(axis=0)
-        # The floor keeps rounding errors of identical epochs from counting.
-        floor = settings.least_std * std.max(axis=0) + 1e-6 * largest
+        each = []
+        for kind in zip(*axes, strict=True):
+            if any(map(len, kind)) or not each:
+                sums, chance = zip(
+                    *(_ray_sums(a, rays, orders) for a in kind), strict=True
+                )
+                sums = np.stack(sums, axis=1)
+                sums = sums - sums[..., ::-1] if one_way else sums
+                each.append(_in_deviations(sums, max((*chance, 1e-294)), settings))
+        z = each[0] if len(each) == 1 else _in_deviations(sum(each), 1.0, settings)
         # Slow drifts of blends are no motion, and permutations have none.
         span = min(years[-1] - years[0], rays.intervals[1])
         drift = np.sqrt(np.minimum(np.abs(speed) * span / settings.drift, 1.0))
-        z = drift * sums / np.maximum(std, floor)
+        z = drift * z
         use = speed > (0 if outward else -np.inf)
         z = z[..., use]
         return cls(
@@ -252,6 +247,27 @@ class EpochPermutations:
         n = len(self.permuted) + 1
         p_local = ((here >= z - 1e-6).sum() + 1) / n
         return float(p_local), float(((self.maxima >= z - 1e-6).sum() + 1) / n)
+
+
+def _ray_sums(samples, rays, orders):
+    """Return the excess along each ray in each order, (n_orders, n_v), and its mean."""
+    density = PairDensity(samples, rays.radius, rays.settings)
+    bins, matrix = rays.bins, rays.matrix(rays.speed, density.grid)
+    chance = matrix @ (bins.number[:, None] * density.mean).ravel()
+    size = max(1, int(BYTES // (8 * len(bins.mean) * len(density.grid))))
+    parts = [
+        matrix @ bins.sums(density.pairs, some).reshape(len(some), -1).T
+        for some in np.split(orders, np.arange(size, len(orders), size))
+    ]
+    return np.concatenate(parts, axis=1).T - chance, chance.max()
+
+
+def _in_deviations(sums, size, settings):
+    """Return sums in their standard deviations, (n_orders, n_axes, n_v)."""
+    std = sums.std(axis=0)
+    # The floor keeps rounding errors of identical epochs from counting.
+    floor = settings.least_std * std.max(axis=0) + 1e-6 * size
+    return sums / np.maximum(std, floor)
 
 
 @dataclass(frozen=True, eq=False)

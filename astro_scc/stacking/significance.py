@@ -208,25 +208,24 @@ def find_streams(
     """
     settings = SearchSettings() if settings is None else settings
     test_rng, model_rng = rng.spawn(2)
-    projected = [project(angle) for angle in angles]
-    rays = Rays.of(projected[0].years, radius, settings, fastest, intervals)
+    data = [_samples(project(angle), followed, angle) for angle in angles]
+    rays = Rays.of(data[0][0].years, radius, settings, fastest, intervals)
 
     def permuted(axes):
         how = {"outward": outward, "one_way": len(angles) == 1}
         return EpochPermutations.of(axes, rays, n_trials, test_rng, settings, **how)
 
     # 1. The speed with the largest excess over the permutations, along any ray.
-    permutations = permuted(projected)
+    permutations = permuted(data)
     number, speed = permutations.largest()
-    axis = _Axis(
-        angles[number], projected[number], rays, permutations, number, followed
-    )
+    axis = _Axis(angles[number], data[number][0], rays, permutations, number, followed)
     if permutations.p_values(number, speed)[1] > alpha:
-        axis, speed = _along_followed(axis, speed, projected, angles)
+        axis, speed = _along_followed(axis, speed, data, angles)
     # 2. The features that move at similar speeds, along their own direction.
     axis, speed, features, taken = _turn_to_features(axis, speed, project, len(angles))
     # 3. A second speed, without the SSPs of these features, and both together.
-    test = permuted([axis.samples.without_ssps(taken)])
+    rest = axis.samples.without_ssps(taken)
+    test = permuted([_samples(rest, followed, axis.angle, features)])
     ratio = test.speed / speed
     away = (ratio > 0) & (np.abs(ratio - 1) > settings.same_speed)
     _, other = test.largest(away)
@@ -238,8 +237,9 @@ def find_streams(
     for group, p_distinct in groups:
         if streams:
             # The second stream is tested without the features of the first.
-            rest = _without(axis.samples, streams[0].features)
-            test = permuted([rest])
+            other = streams[0].features
+            rest = _without(axis.samples, other)
+            test = permuted([_samples(rest, followed, axis.angle, other)])
             tested = replace(axis, samples=rest, permutations=test, number=0)
         # 5. The mean speed of a stream's features, and the permutation test at it.
         mean = _population(group, settings)
@@ -390,7 +390,14 @@ class _Axis:
         ]
 
 
-def _along_followed(axis, speed, projected, angles):
+def _samples(matches, followed, angle, without=()):
+    """Return the matches along an axis and, if there are any, pairs of detections."""
+    if followed is None:
+        return (matches,)
+    return matches, followed.pairs(angle, without)
+
+
+def _along_followed(axis, speed, data, angles):
     """Return the axis along which features were followed, and their median speed."""
     found = axis.followed(axis.angle)[0] if axis.followed else []
     if not found:
@@ -401,7 +408,7 @@ def _along_followed(axis, speed, projected, angles):
     angle = (axis.angle + np.arctan2(velocity[1], velocity[0])) % (2 * np.pi)
     number = round(angle * len(angles) / np.pi) % len(angles)
     sign = 1 if np.cos(angle - angles[number]) > 0 else -1
-    axis = replace(axis, angle=angles[number], samples=projected[number], number=number)
+    axis = replace(axis, angle=angles[number], samples=data[number][0], number=number)
     return axis, float(np.hypot(*velocity) * sign)
 
 

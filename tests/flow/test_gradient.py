@@ -26,7 +26,7 @@ def feature(start, gradient, *, speed=0.5, noise=0.0, years=YEARS, rng=None, way
     if noise:
         place += noise * rng.normal(size=place.shape)
     settings = SearchSettings(position_error=max(noise, 0.01))
-    return Feature.through(np.arange(len(years)), years, place, settings)
+    return Feature.through(*[np.arange(len(years))] * 2, years, place, settings)
 
 
 def flow(gradient, **options):
@@ -83,13 +83,13 @@ def test_what_few_features_tell(features, known):
 
 def test_the_acceleration_of_a_feature():
     place = np.stack([0.5 * YEARS + 0.03 * YEARS**2, 0 * YEARS], axis=1)
-    found = Feature.through(np.arange(8), YEARS, place)
+    found = Feature.through(*[np.arange(8)] * 2, YEARS, place)
     assert found.acceleration == pytest.approx(0.06)
     # As polyfit says of residuals of 0.06, of which the prior is three of eight.
     _, covariance = np.polyfit(YEARS, place[:, 0], 2, cov="unscaled")
     expected = 2 * np.sqrt(covariance[0, 0]) * 0.06 * np.sqrt(3 / 8)
     assert found.acceleration_error == pytest.approx(expected)
-    short = Feature.through(np.arange(4), YEARS[:4], place[:4])
+    short = Feature.through(*[np.arange(4)] * 2, YEARS[:4], place[:4])
     assert np.isnan(short.acceleration)
 
 

@@ -27,7 +27,7 @@ def followed(matched, **how):
     if "epochs" in how:
         samples = samples.of_epochs(how["epochs"])
     project = AxisProjection(samples, matched.cube, frame)
-    return FollowedFeatures(matched, project, **how), project
+    return FollowedFeatures(matched, project, 1.5, **how), project
 
 
 def test_they_are_the_secure_features_in_beams(matched):
@@ -43,6 +43,53 @@ def test_they_are_the_secure_features_in_beams(matched):
     # Turned by half a turn they move against the axis.
     back, _ = found(np.pi)
     assert [f.speed for f in back] == pytest.approx([-f.speed for f in own])
+
+
+def test_pairs_of_detections_are_samples_of_the_velocities(matched):
+    found, project = followed(matched)
+    d, beam = matched.features.detections, project.beam(0.0)
+    # The axis points west.
+    along, core = -d.place[:, 0] / beam[0], d.core(0.5)
+    pairs = found.pairs(0.0)
+    wanted = {
+        (i, j)
+        for i, j in np.argwhere(d.epoch[:, None] < d.epoch).tolist()
+        if np.hypot(*(d.place[j] - d.place[i])) <= np.hypot(1.5, 0.35) * d.major
+        and not (core[i] or core[j])
+    }
+    assert (
+        set(zip(pairs.ssp.tolist(), pairs.target_ssp.tolist(), strict=True)) == wanted
+    )
+    np.testing.assert_allclose(
+        pairs.d1, along[pairs.target_ssp] - along[pairs.ssp], atol=1e-9
+    )
+    np.testing.assert_array_equal(pairs.target, d.epoch[pairs.target_ssp])
+    ratio = np.log(d.flux[pairs.ssp] / d.flux[pairs.target_ssp])
+    np.testing.assert_allclose(pairs.weight, np.exp(-np.abs(ratio) / 0.7))
+    # Those of a feature go with it, and those of its SSPs.
+    (feature, *_), _ = found(0.0)
+    rest = found.pairs(0.0, [feature])
+    assert len(rest) < len(pairs)
+    assert not np.isin(feature.detection, [rest.ssp, rest.target_ssp]).any()
+    fine, _ = followed(select_ssps(matched, scales=[1]))
+    assert len(fine.pairs(0.0)) == 0
+
+
+def test_features_count_that_no_ssp_shows(matched):
+    """Gaussian models see fainter emission than wavelets do."""
+    found, project = followed(matched)
+    (feature, *_), _ = found(0.0)
+    samples = project.displacements
+    position = samples.position.copy()
+    position[feature.ssp] = 1e3
+    project = AxisProjection(
+        replace(samples, position=position), matched.cube, project.frame
+    )
+    (same, *_), taken = FollowedFeatures(matched, project, 1.5)(0.0)
+    assert same.speed == pytest.approx(feature.speed)
+    np.testing.assert_array_equal(same.epoch, feature.epoch)
+    assert len(same.ssp) == 0
+    assert not taken[feature.ssp].any()
 
 
 def test_parts_of_the_epochs_and_of_the_scales(matched):

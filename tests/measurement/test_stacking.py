@@ -153,8 +153,9 @@ DAYS, PIXEL = 30.0, 0.1
 def feature(ssp, speed, error):
     """SSPs of the three epochs on a line."""
     return Feature(
-        ssp=np.array(ssp), speed=speed, error=error, across=0.0, across_error=error,
-        place=0.0, motion=2 * speed, response=np.array([-0.5, 0.0, 0.5]),
+        ssp=np.array(ssp), epoch=np.arange(3), speed=speed, error=error, across=0.0,
+        across_error=error, middle=np.zeros(2), date=2000.0, motion=2 * speed,
+        response=np.array([-0.5, 0.0, 0.5]),
     )  # fmt: skip
 
 
@@ -168,7 +169,7 @@ def stream_of(*features, angle=np.pi / 6, dispersion=0.0):
 
 def test_a_velocity_on_the_axes_of_the_frame_by_hand():
     """2 beams of 0.5 mas along 30 deg and 0.5 of 0.25 mas across it."""
-    found = velocity_of(stream_of(), [0.5, 0.25], np.zeros((3, 2)), np.arange(3))
+    found = velocity_of(stream_of(), [0.5, 0.25], np.zeros((3, 2)))
     cos, sin = np.sqrt(0.75), 0.5
     np.testing.assert_allclose(
         found.value, [cos * 1.0 - sin * 0.125, sin * 1.0 + cos * 0.125]
@@ -185,7 +186,7 @@ def test_a_velocity_on_the_axes_of_the_frame_by_hand():
 )  # fmt: skip
 def test_its_covariance_turns_with_it(angle, major, minor):
     stream = stream_of(angle=angle)
-    found = velocity_of(stream, [major, minor], np.zeros((3, 2)), np.arange(3))
+    found = velocity_of(stream, [major, minor], np.zeros((3, 2)))
     along = np.array([np.cos(angle), np.sin(angle)])
     across = np.array([-np.sin(angle), np.cos(angle)])
     assert along @ found.features @ along == pytest.approx((0.1 * major) ** 2)
@@ -197,13 +198,12 @@ def test_its_covariance_turns_with_it(angle, major, minor):
 
 def test_epochs_that_are_misaligned_move_all_features_together():
     """A slope over 0, 1 and 2 yr is half the last position less the first."""
-    epoch = np.array([0, 1, 2, 0, 1, 2])
     misaligned = np.array([[0.1, 0.2], [5.0, 5.0], [0.3, 0.2]])
     expected = np.diag([0.25 * (0.1**2 + 0.3**2), 0.25 * (0.2**2 + 0.2**2)])
     one = stream_of(feature([0, 1, 2], 2.0, 0.1))
     two = stream_of(feature([0, 1, 2], 2.0, 0.1), feature([3, 4, 5], 2.1, 0.4))
     for stream in (one, two):
-        found = velocity_of(stream, [0.5, 0.25], misaligned, epoch)
+        found = velocity_of(stream, [0.5, 0.25], misaligned)
         # Averages over features do not make it smaller.
         np.testing.assert_allclose(found.alignment, expected)
         np.testing.assert_allclose(found.covariance, found.features + expected)
@@ -212,7 +212,7 @@ def test_epochs_that_are_misaligned_move_all_features_together():
 def test_a_stream_without_features_has_a_speed_and_no_error():
     unknown = Population(0.0, *[np.nan] * 3)
     stream = Stream("not significant", "", 0.0, Population(1.0, *[np.nan] * 3), unknown)
-    found = velocity_of(stream, [0.5, 0.5], np.ones((3, 2)), np.arange(3))
+    found = velocity_of(stream, [0.5, 0.5], np.ones((3, 2)))
     np.testing.assert_array_equal(found.value, [0.5, 0.0])
     assert np.isnan(found.covariance).all()
     assert np.isnan(found.dispersion)

@@ -263,7 +263,8 @@ class TestRays:
 
 
 def permute(d, rays, *, n_trials=119):
-    return EpochPermutations.of([d], rays, n_trials, np.random.default_rng(0), SEARCH)
+    rng = np.random.default_rng(0)
+    return EpochPermutations.of([(d,)], rays, n_trials, rng, SEARCH)
 
 
 class TestEpochPermutations:
@@ -340,7 +341,7 @@ class TestEpochPermutations:
     def test_outward_speeds_only(self, d, rays):
         both = permute(d, rays)
         outward = EpochPermutations.of(
-            [d], rays, 119, np.random.default_rng(0), SEARCH, outward=True
+            [(d,)], rays, 119, np.random.default_rng(0), SEARCH, outward=True
         )
         forth = both.speed > 0
         np.testing.assert_array_equal(outward.speed, both.speed[forth])
@@ -360,7 +361,7 @@ class TestEpochPermutations:
         d = axis_matches(*lines([0.5] * 5, 3.0 * np.arange(5), years), years)
         weak = random_matches(np.random.default_rng(6), years)
         test = EpochPermutations.of(
-            [weak, d], rays, 99, np.random.default_rng(0), SEARCH
+            [(weak,), (d,)], rays, 99, np.random.default_rng(0), SEARCH
         )
         axis, speed = test.largest()
         assert axis == 1
@@ -371,6 +372,23 @@ class TestEpochPermutations:
         np.testing.assert_array_equal(
             test.maxima, np.sort([order.max() for order in test.permuted])
         )
+
+    def test_matches_and_detections_count_alike(self, d, rays):
+        """By the mean of both in standard deviations, whatever their numbers."""
+        alone, none = permute(d, rays), d.select(np.zeros(len(d), dtype=bool))
+        noise = random_matches(np.random.default_rng(6), d.years)
+        other = permute(noise, rays)
+        for second, wanted in (
+            (none, alone.z),
+            (d, alone.z),
+            (replace(d, weight=7 * d.weight), alone.z),
+            (noise, (alone.z + other.z) / np.sqrt(2)),
+        ):
+            rng = np.random.default_rng(0)
+            test = EpochPermutations.of([(d, second)], rays, 119, rng, SEARCH)
+            # Two that are unrelated have a variance of two only on average.
+            some = 1e-4 if second is not noise else 0.5 * np.abs(wanted).max()
+            np.testing.assert_allclose(test.z, wanted, atol=some)
 
     def test_z_of_an_axis_with_few_matches(self, d, rays):
         """Its standard deviation is at least 0.3 of that of the others."""
@@ -388,7 +406,7 @@ class TestEpochPermutations:
             std[-1][seen] = sums[-1][seen] / test.z[0, seen]
         assert np.any(std[0] < 0.3 * std[1])
         both = EpochPermutations.of(
-            [few, d], rays, 119, np.random.default_rng(0), SEARCH
+            [(few,), (d,)], rays, 119, np.random.default_rng(0), SEARCH
         )
         wanted = np.array(sums) / np.maximum(std, 0.3 * np.max(std, axis=0))
         np.testing.assert_allclose(both.z, wanted, atol=1e-4)

@@ -21,7 +21,7 @@ SEARCH = SearchSettings()
 def features_of(speeds, errors):
     """Features of given speeds and errors, of which nothing else counts."""
     return [
-        Feature(np.arange(4), v, e, 0.0, e, 0.0, 2.0, np.zeros(4))
+        Feature(*[np.arange(4)] * 2, v, e, 0.0, e, np.zeros(2), 2e3, 2.0, np.zeros(4))
         for v, e in zip(speeds, np.broadcast_to(errors, np.shape(speeds)), strict=True)
     ]
 
@@ -84,38 +84,38 @@ class TestAlignmentResponse:
         position = position + np.stack([shift + 0 * years, 0 * years], 1)[epoch]
         ssps = np.arange(18).reshape(6, 3).T
         ssps = [ssps[0], ssps[1][:5], ssps[2][2:]]
-        features = [Feature.through(s, years[epoch[s]], position[s]) for s in ssps]
+        features = [
+            Feature.through(s, epoch[s], years[epoch[s]], position[s]) for s in ssps
+        ]
         along = random_effects(*feature_speeds(features))
-        return Stream("moving", "", 0.0, along, along, features=tuple(features)), epoch
+        return Stream("moving", "", 0.0, along, along, features=tuple(features))
 
     def test_of_different_speeds_with_the_weights_of_the_mean(self, lines):
         years, step = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4]), 1e-4
         speeds = [0.3, 0.7, 0.6]
-        stream, epoch = self.stream(lines, years, speeds, scatter=0.05)
+        stream = self.stream(lines, years, speeds, scatter=0.05)
         speed, error = feature_speeds(stream.features)
         weight = 1 / (error**2 + stream.along.dispersion**2)
         mean = np.average(speed, weights=weight)
         assert mean == pytest.approx(stream.along.mean, rel=0.02)
         assert stream.along.dispersion > 0
-        found = alignment_response(stream, epoch, 6)
+        found = alignment_response(stream, 6)
         for k in range(6):
             shift = step * (np.arange(6) == k)
-            moved, _ = self.stream(lines, years, speeds, shift, scatter=0.05)
+            moved = self.stream(lines, years, speeds, shift, scatter=0.05)
             moved = [f.speed for f in moved.features]
             change = (np.average(moved, weights=weight) - mean) / step
             assert found[k] == pytest.approx(change, rel=1e-6)
 
     def test_of_a_single_feature_and_of_none(self, lines):
         years = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4])
-        stream, epoch = self.stream(lines, years, [0.5] * 3)
+        stream = self.stream(lines, years, [0.5] * 3)
         (feature, *_) = stream.features
         single = random_effects([feature.speed], [feature.error])
         alone = Stream("moving", "", 0.0, single, single, features=(feature,))
-        np.testing.assert_allclose(
-            alignment_response(alone, epoch, 6), feature.response
-        )
+        np.testing.assert_allclose(alignment_response(alone, 6), feature.response)
         none = Stream("not significant", "", 0.0, single, single)
-        np.testing.assert_array_equal(alignment_response(none, epoch, 7), np.zeros(7))
+        np.testing.assert_array_equal(alignment_response(none, 7), np.zeros(7))
 
 
 def log_normal(rng, n, centre, dispersion, error):

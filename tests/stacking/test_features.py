@@ -39,7 +39,7 @@ class TestFeature:
         rng = np.random.default_rng(n)
         years = 2000 + np.sort(rng.uniform(0, 5, n))
         position = rng.normal(size=(n, 2))
-        found = Feature.through(np.arange(n) + 3, years, position)
+        found = Feature.through(np.arange(n) + 3, np.arange(n), years, position)
         (speed, across), _ = np.polyfit(years - 2000, position, 1)
         assert found.speed == pytest.approx(speed)
         assert found.across == pytest.approx(across)
@@ -52,7 +52,7 @@ class TestFeature:
         rng = np.random.default_rng(1)
         years, position = np.sort(rng.uniform(0, 5, 9)), rng.normal(size=(9, 2))
         found = Feature.through(
-            np.arange(9), years, position, SearchSettings(position_error=0.5)
+            *[np.arange(9)] * 2, years, position, SearchSettings(position_error=0.5)
         )
         for k, error in enumerate((found.error, found.across_error)):
             slope, offset = np.polyfit(years, position[:, k], 1)
@@ -65,11 +65,11 @@ class TestFeature:
     def test_the_response_is_the_change_of_the_speed(self):
         rng = np.random.default_rng(2)
         years, position = np.sort(rng.uniform(0, 5, 6)), rng.normal(size=(6, 2))
-        found = Feature.through(np.arange(6), years, position)
+        found = Feature.through(*[np.arange(6)] * 2, years, position)
         for k in range(6):
             moved = position.copy()
             moved[k, 0] += 0.01
-            other = Feature.through(np.arange(6), years, moved)
+            other = Feature.through(*[np.arange(6)] * 2, years, moved)
             assert found.response[k] == pytest.approx(
                 (other.speed - found.speed) / 0.01
             )
@@ -260,12 +260,12 @@ class TestClearOf:
     @pytest.fixture
     def moving(self, samples):
         ssp = np.arange(1, 16, 2)
-        return Feature.through(ssp, YEARS, samples.position[ssp])
+        return Feature.through(ssp, np.arange(8), YEARS, samples.position[ssp])
 
     @pytest.fixture
     def standing(self, samples):
         ssp = np.arange(0, 16, 2)
-        return Feature.through(ssp, YEARS, samples.position[ssp])
+        return Feature.through(ssp, np.arange(8), YEARS, samples.position[ssp])
 
     def test_positions_near_a_standing_feature_do_not_count(
         self, samples, moving, standing
@@ -295,7 +295,8 @@ class TestClearOf:
         epoch = np.arange(4)
         speeds = [0.3, 1.05, 0.32, 0.33, 1.0, 0.98]
         features = [
-            Feature.through(epoch, epoch, np.outer(epoch, [v, 0])) for v in speeds
+            Feature.through(epoch, epoch, epoch, np.outer(epoch, [v, 0]))
+            for v in speeds
         ]
         pulled = [replace(f, pulled=True) for f in features]
         found = [

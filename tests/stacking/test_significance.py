@@ -47,7 +47,10 @@ def two(jet):
 
 
 def feature(speed, motion=2.0):
-    return Feature(np.arange(4), speed, 0.02, 0.0, 0.02, 0.0, motion, np.zeros(4))
+    return Feature(
+        *[np.arange(4)] * 2, speed, 0.02, 0.0, 0.02, np.zeros(2), 2000.0, motion,
+        np.zeros(4),
+    )  # fmt: skip
 
 
 class TestClassify:
@@ -153,7 +156,7 @@ class TestOneStream:
         wanted = Diagram.of(one, rays, SEARCH)
         np.testing.assert_array_equal(found.diagram.excess, wanted.excess)
         rng = np.random.default_rng(0).spawn(1)[0]
-        test = EpochPermutations.of([one], rays, 99, rng, SEARCH, one_way=True)
+        test = EpochPermutations.of([(one,)], rays, 99, rng, SEARCH, one_way=True)
         np.testing.assert_array_equal(found.permutations.z, test.z)
         np.testing.assert_array_equal(found.permutations.permuted, test.permuted)
 
