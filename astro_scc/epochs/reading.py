@@ -11,7 +11,7 @@ from astropy.wcs.utils import pixel_to_pixel
 from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.correlation.parallel import machine_memory
 from astro_scc.epochs import ndcubes
-from astro_scc.epochs.comparing import UNCHECKED, problems, separation
+from astro_scc.epochs.inspection import UNCHECKED, problems, separation
 from astro_scc.exceptions import warn
 from astro_scc.images import fits, validation
 from astro_scc.images.cutout import box, crop_line

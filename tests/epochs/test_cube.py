@@ -15,11 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.comparing import Problem, problems
+from astro_scc.epochs.inspection import Problem, problems
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images.fits import find_files, looks_like_mask
-from astro_scc.images.noise import measure_noise
 from astro_scc.images.positions import readable_angle
+from astro_scc.images.series import measure_noise
 
 DATES = ["2001-01-01", "2000-01-01", "2000-06-01"]
 JY_BEAM = u.Jy / u.beam

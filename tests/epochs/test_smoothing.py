@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.images.beam import is_per
-from astro_scc.images.smoothing import (
+from astro_scc.images.beam import (
     common_beam,
     gaussian_smooth,
+    is_per,
     smallest_common_beam,
 )
 

@@ -18,10 +18,12 @@ from astro_scc.kinematics import (
     paper_cosmology,
     viewing_angle,
 )
-from astro_scc.kinematics.cosmology import cosmology_text, table_in_c, to_cosmology
-from astro_scc.kinematics.relativistic import (
+from astro_scc.kinematics.cosmology import (
+    cosmology_text,
     maximum_viewing_angle,
     minimum_lorentz_factor,
+    table_in_c,
+    to_cosmology,
 )
 
 MU = 1 * u.mas / u.yr

@@ -18,7 +18,7 @@ from astro_scc.kinematics import (
     fit_position_angle,
 )
 from astro_scc.kinematics.frames import frame_displacements
-from astro_scc.kinematics.ridge_search import (
+from astro_scc.kinematics.ridge_line import (
     STEP,
     _slice_point,
     _smoothed,
